@@ -1,0 +1,1 @@
+"""What has a wire, and the simulated world behind the wires."""

@@ -1,0 +1,168 @@
+"""Real and virtual time. Nothing else in the project reads the time of day for its work, or sleeps.
+
+With the virtual clock time moves only when somebody waits for it: half an hour of soaking is a loop over
+the events that were planned for it, and two runs see the same times to the last bit. It may not know who
+waits or why. Events planned with ``call_at`` run in the thread that moves the time on.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import threading
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Seconds since the clock was made, a way to wait, and a way to plan something for later."""
+
+    def now(self) -> float:
+        """Seconds since the clock was made; never goes back."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Wait; with virtual time, run all that is planned for that while."""
+        ...
+
+    def call_at(self, when_s: float, action: Callable[[], None]) -> None:
+        """Run ``action`` once the clock shows ``when_s``, or at once when that has passed."""
+        ...
+
+
+class RealClock:
+    """Time as it passes. Planned actions run on a thread of their own, which ``close`` ends."""
+
+    def __init__(self) -> None:
+        self._start = time.monotonic()
+        self._planned: list[tuple[float, int, Callable[[], None]]] = []
+        self._order = itertools.count()
+        self._changed = threading.Condition()
+        self._worker: threading.Thread | None = None
+        self._closing = False
+
+    def now(self) -> float:
+        return time.monotonic() - self._start
+
+    def sleep(self, seconds: float) -> None:
+        if seconds > 0:
+            time.sleep(seconds)
+
+    def call_at(self, when_s: float, action: Callable[[], None]) -> None:
+        with self._changed:
+            heapq.heappush(self._planned, (when_s, next(self._order), action))
+            if self._worker is None:
+                self._worker = threading.Thread(target=self._work, name="clock", daemon=True)
+                self._worker.start()
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Drop what is still planned and end the thread."""
+        with self._changed:
+            self._closing = True
+            self._planned.clear()
+            self._changed.notify()
+        if self._worker is not None and self._worker is not threading.current_thread():
+            self._worker.join()
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                while not self._closing and (not self._planned or self._planned[0][0] > self.now()):
+                    self._changed.wait(self._planned[0][0] - self.now() if self._planned else None)
+                if self._closing:
+                    return
+                _, _, action = heapq.heappop(self._planned)
+            action()
+
+
+class VirtualClock:
+    """Time that moves only when somebody waits. Not to be shared by two threads that both wait."""
+
+    def __init__(self) -> None:
+        self._now = 0.0
+        self._planned: list[tuple[float, int, Callable[[], None]]] = []
+        self._order = itertools.count()
+        self._lock = threading.Lock()
+        self._wires: dict[int, Wire] = {}
+
+    def now(self) -> float:
+        return self._now
+
+    def sleep(self, seconds: float) -> None:
+        end = self._now + max(0.0, seconds)
+        while self.step(end):
+            pass
+
+    def call_at(self, when_s: float, action: Callable[[], None]) -> None:
+        with self._lock:
+            heapq.heappush(self._planned, (when_s, next(self._order), action))
+
+    def step(self, limit_s: float) -> bool:
+        """Move to the next planned action and run it, or to ``limit_s`` if none comes before; False at the limit."""
+        with self._lock:
+            due = bool(self._planned) and self._planned[0][0] <= limit_s
+            when, _, action = heapq.heappop(self._planned) if due else (limit_s, 0, None)
+        self._now = max(self._now, when)
+        if action is None:
+            return False
+        action()
+        return True
+
+    def wire(self, port: int) -> Wire:
+        """The account of bytes in flight on the loopback connection whose near end is TCP port ``port``."""
+        with self._lock:
+            return self._wires.setdefault(port, Wire())
+
+    def forget_wire(self, port: int) -> None:
+        """Drop an account; the system may give its port number to another connection later."""
+        with self._lock:
+            self._wires.pop(port, None)
+
+
+class Wire:
+    """Counts of bytes between a link and an emulator of one process, so that time stands still while any is in flight.
+
+    Without it a reader under virtual time could not tell "the emulator has nothing to say" from "its thread
+    has not run yet", and how far time moves would depend on the machine's load.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._accepted = False
+        self._closed = False
+        self._to_device = 0
+        self._to_host = 0
+
+    def accepted(self) -> None:
+        """The emulator has the connection and has said what it says unasked."""
+        with self._changed:
+            self._accepted = True
+            self._changed.notify_all()
+
+    def closed(self) -> None:
+        """The emulator has hung up; nothing more will come."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def add(self, *, to_device: int = 0, to_host: int = 0) -> None:
+        """Bytes sent (positive) or taken (negative) in either direction."""
+        with self._changed:
+            self._to_device += to_device
+            self._to_host += to_host
+            self._changed.notify_all()
+
+    def settle(self, patience_s: float) -> bool:
+        """Wait until bytes are there for the host (True), or nothing is in flight (False).
+
+        Raises TimeoutError when the emulator's thread does neither within ``patience_s`` of real time.
+        """
+        with self._changed:
+            if not self._changed.wait_for(self._settled, patience_s):
+                raise TimeoutError(f"{self._to_device} bytes stayed untaken for {patience_s} s")
+            return self._to_host > 0 or self._closed
+
+    def _settled(self) -> bool:
+        return self._to_host > 0 or self._closed or (self._accepted and self._to_device == 0)

@@ -1,0 +1,71 @@
+"""What can go wrong with an instrument, as a tree of exceptions.
+
+Each message says who, what was asked, what came (bytes as hex), how long it took and what to try. Whose
+fault it is decides the class: raise the most exact one, catch the one you can act on.
+"""
+
+from __future__ import annotations
+
+
+def hex_bytes(data: bytes) -> str:
+    """The bytes as a person reads them on a line analyser: ``83 00 6C``; ``nothing`` for none."""
+    return data.hex(" ").upper() if data else "nothing"
+
+
+class InstrumentError(Exception):
+    """Any fault of an instrument. Not raised itself: use one of the four below.
+
+    ``who`` names the instrument and its link, ``what`` is the sentence, ``asked`` the request, ``seen``
+    what came instead (bytes are shown as hex), ``seconds`` how long was waited, ``hint`` what to try.
+    """
+
+    def __init__(
+        self,
+        who: str,
+        what: str,
+        *,
+        asked: str | bytes | None = None,
+        seen: str | bytes | None = None,
+        seconds: float | None = None,
+        hint: str | None = None,
+    ) -> None:
+        self.who = who
+        self.what = what
+        self.asked = asked
+        self.seen = seen
+        self.seconds = seconds
+        self.hint = hint
+        super().__init__(self._sentence())
+
+    def _sentence(self) -> str:
+        facts = []
+        if self.asked is not None:
+            facts.append(f"asked {_shown(self.asked)}")
+        if self.seen is not None:
+            facts.append(f"got {_shown(self.seen)}")
+        if self.seconds is not None:
+            facts.append(f"after {self.seconds:.3g} s")
+        text = f"{self.who}: {self.what}"
+        if facts:
+            text += f" ({', '.join(facts)})"
+        return text + (f". {self.hint}" if self.hint else "")
+
+
+def _shown(fact: str | bytes) -> str:
+    return hex_bytes(fact) if isinstance(fact, bytes) else fact
+
+
+class LinkError(InstrumentError):
+    """Nobody answered, or the link broke: cable, power, address. Not for an answer that makes no sense."""
+
+
+class ProtocolError(InstrumentError):
+    """Something answered, but not what the protocol allows: damage, or another kind of device."""
+
+
+class DeviceError(InstrumentError):
+    """The device understood and said no, or reports a fault of its own (alarm, error code)."""
+
+
+class LimitError(InstrumentError):
+    """We refused before sending: outside a limit, not homed, not allowed in this state."""

@@ -1,0 +1,207 @@
+"""A byte link to an instrument, named by a URL as pyserial names them.
+
+``/dev/ttyUSB0``, ``COM5`` and ``rfc2217://host:port`` are opened by pyserial. ``socket://host:port`` is opened
+here: pyserial's own handler reads one byte a call and sleeps 0.3 s when it closes. A link moves bytes and
+keeps the time; it may not know what they mean. Under virtual time it waits by moving the clock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+from typing import Protocol
+from urllib.parse import urlsplit
+
+import serial
+
+from instruments.clock import Clock, VirtualClock, Wire
+from instruments.errors import LinkError
+
+PATIENCE_S = 10.0  # real time that an emulator's thread gets to take bytes before we call it hung
+
+
+class _Port(Protocol):
+    def read_some(self, timeout_s: float) -> bytes: ...
+    def write(self, data: bytes) -> None: ...
+    def close(self) -> None: ...
+
+
+class Link:
+    """One open link. One owner: not for use by two threads.
+
+    Raises LinkError when it can't be opened, or breaks.
+    """
+
+    def __init__(self, url: str, clock: Clock, *, who: str, baud: int = 115200) -> None:
+        self.url = url
+        self.who = f"{who} at {url}"
+        self.clock = clock
+        self._buffer = b""
+        self._port, near_end = _open(url, baud, self.who)
+        self._near_end = near_end or 0
+        self._virtual: tuple[VirtualClock, Wire] | None = None
+        if isinstance(clock, VirtualClock) and near_end is not None:
+            self._virtual = clock, clock.wire(near_end)
+            self._settle(self._virtual[1])
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``. Raises LinkError when the link is broken."""
+        if self._virtual:
+            self._virtual[1].add(to_device=len(data))
+        try:
+            self._port.write(data)
+        except OSError as error:
+            raise LinkError(self.who, f"the link broke while sending: {error}", asked=data, hint="Check cable and power.") from error
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Whatever has come, waiting ``timeout_s`` at most for the first byte; empty when nothing came.
+
+        Raises LinkError when the link is broken.
+        """
+        if self._buffer:
+            data, self._buffer = self._buffer, b""
+            return data
+        return self._receive_virtually(*self._virtual, timeout_s) if self._virtual else self._receive_really(timeout_s)
+
+    def read(self, count: int, timeout_s: float) -> bytes:
+        """``count`` bytes, or fewer if ``timeout_s`` ran out first. Raises LinkError when the link is broken."""
+        return self._collect(lambda data: count if len(data) >= count else None, timeout_s)
+
+    def read_until(self, terminator: bytes, timeout_s: float) -> bytes:
+        """All up to and with ``terminator``, or what came until ``timeout_s`` ran out. Raises LinkError when broken."""
+
+        def end(data: bytes) -> int | None:
+            at = data.find(terminator)
+            return None if at < 0 else at + len(terminator)
+
+        return self._collect(end, timeout_s)
+
+    def drain(self, silence_s: float, *, at_most_s: float = 5.0) -> bytes:
+        """Read and give back all that comes until ``silence_s`` without a byte, or until ``at_most_s`` have passed."""
+        got = b""
+        deadline = self.clock.now() + at_most_s
+        while self.clock.now() < deadline:
+            data = self.receive(silence_s)
+            if not data:
+                break
+            got += data
+        return got
+
+    def close(self) -> None:
+        """Close the link; once more is no error."""
+        if self._virtual:
+            self._virtual[0].forget_wire(self._near_end)
+        self._port.close()
+
+    def _collect(self, end: _End, timeout_s: float) -> bytes:
+        data = b""
+        deadline = self.clock.now() + timeout_s
+        while True:
+            at = end(data)
+            if at is not None:
+                self._buffer = data[at:] + self._buffer
+                return data[:at]
+            more = self.receive(max(0.0, deadline - self.clock.now()))
+            if not more:
+                return data
+            data += more
+
+    def _receive_really(self, timeout_s: float) -> bytes:
+        try:
+            return self._port.read_some(timeout_s)
+        except OSError as error:
+            raise LinkError(self.who, f"the link broke while reading: {error}", hint="Check cable and power.") from error
+
+    def _receive_virtually(self, clock: VirtualClock, wire: Wire, timeout_s: float) -> bytes:
+        deadline = clock.now() + timeout_s
+        while not self._settle(wire):
+            if clock.now() >= deadline:
+                return b""
+            clock.step(deadline)
+        data = self._receive_really(PATIENCE_S)
+        wire.add(to_host=-len(data))
+        return data
+
+    def _settle(self, wire: Wire) -> bool:
+        try:
+            return wire.settle(PATIENCE_S)
+        except TimeoutError as error:
+            raise LinkError(self.who, f"the emulator hangs: {error}") from error
+
+
+class _End(Protocol):
+    def __call__(self, data: bytes, /) -> int | None: ...
+
+
+def _open(url: str, baud: int, who: str) -> tuple[_Port, int | None]:
+    """The open port, and the near end's TCP port number where there is one."""
+    if url.startswith("socket://"):
+        tcp = _TcpPort(url, who)
+        return tcp, tcp.near_end
+    return _SerialPort(url, baud, who), None
+
+
+class _TcpPort:
+    def __init__(self, url: str, who: str) -> None:
+        try:
+            parts = urlsplit(url)
+            address = (parts.hostname or "", parts.port or 0)
+        except ValueError as error:
+            raise LinkError(who, f"not a link: {error}", hint="Write socket://host:port.") from error
+        if not address[0] or not address[1]:
+            raise LinkError(who, "not a link: host or port is missing", hint="Write socket://host:port.")
+        try:
+            self._socket = socket.create_connection(address, timeout=5.0)
+        except OSError as error:
+            raise LinkError(who, f"nothing takes the connection: {error}", hint="Is the device on, and the address right?") from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.near_end: int = self._socket.getsockname()[1]
+
+    def read_some(self, timeout_s: float) -> bytes:
+        if not select.select([self._socket], [], [], timeout_s)[0]:
+            return b""
+        data = self._socket.recv(65536)
+        if not data:
+            raise ConnectionResetError("the other end hung up")
+        return data
+
+    def write(self, data: bytes) -> None:
+        self._socket.sendall(data)
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):  # the other end may be gone already
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+
+class _SerialPort:
+    def __init__(self, url: str, baud: int, who: str) -> None:
+        try:
+            self._serial = serial.serial_for_url(url, baudrate=baud, timeout=0, write_timeout=2.0)
+        except (serial.SerialException, ValueError, OSError) as error:
+            raise LinkError(who, f"the port can't be opened: {error}", hint=_port_hint(error)) from error
+
+    def read_some(self, timeout_s: float) -> bytes:
+        self._serial.timeout = timeout_s
+        first: bytes = self._serial.read(1)
+        if not first:
+            return b""
+        rest: bytes = self._serial.read(self._serial.in_waiting)
+        return first + rest
+
+    def write(self, data: bytes) -> None:
+        self._serial.write(data)
+        self._serial.flush()
+
+    def close(self) -> None:
+        self._serial.close()
+
+
+def _port_hint(error: Exception) -> str:
+    text = str(error).lower()
+    if "permission" in text or "access is denied" in text:
+        return "Close other programs that use the port; on Linux join the group 'dialout' and log in again."
+    if "no such file" in text or "filenotfound" in text.replace(" ", ""):
+        return "Is the adapter plugged in? 'python -m serial.tools.list_ports' lists the ports."
+    return "Check the port's name and that no other program uses it."
