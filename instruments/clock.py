@@ -12,6 +12,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable
+from datetime import UTC, datetime
 from typing import Protocol
 
 
@@ -29,6 +30,16 @@ class Clock(Protocol):
     def call_at(self, when_s: float, action: Callable[[], None]) -> None:
         """Run ``action`` once the clock shows ``when_s``, or at once when that has passed."""
         ...
+
+
+def wall_time() -> datetime:
+    """The time of day in UTC, for the record only: nothing may depend on it."""
+    return datetime.now(UTC)
+
+
+def stopwatch_s() -> float:
+    """Real seconds from an arbitrary start, to measure what software takes (a detector's latency), never to wait."""
+    return time.perf_counter()
 
 
 class RealClock:

@@ -1,0 +1,21 @@
+"""Cameras, stereo, thermal and world: what they are, where they lie, and the file that says so."""
+
+from detector.calibration.faults import CalibrationError, Fault
+from detector.calibration.file import dump_calibration, file_hash, load_calibration
+from detector.calibration.plane import DEFAULT_PLANE_DEPTH_MM, derive_homographies, plane_homography
+from detector.calibration.values import Calibration, Homographies, Polarity, ThermalCamera
+
+__all__ = [
+    "DEFAULT_PLANE_DEPTH_MM",
+    "Calibration",
+    "CalibrationError",
+    "Fault",
+    "Homographies",
+    "Polarity",
+    "ThermalCamera",
+    "derive_homographies",
+    "dump_calibration",
+    "file_hash",
+    "load_calibration",
+    "plane_homography",
+]

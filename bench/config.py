@@ -1,0 +1,184 @@
+"""Files that people write: read, checked whole, and explained when wrong.
+
+`read_config` gives a pydantic model or one `ConfigError` that lists every fault with file, line, a caret under
+the place, what is allowed and what may have been meant. It may not know what the files are about.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+import typing
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+
+from bench.toml_places import KeyPath, find_places, nearest
+
+
+class Section(BaseModel):
+    """A table of a file that a person writes: unknown keys are faults, values don't change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault of a file. ``line`` counts from 1; ``column`` and ``width`` say where the caret goes."""
+
+    line: int
+    column: int
+    width: int
+    message: str
+
+
+class ConfigError(Exception):
+    """A file (or a command's argument) is wrong. Lists all faults at once; the command exits with 2."""
+
+    def __init__(self, path: Path | None, faults: Sequence[Fault], text: str = "") -> None:
+        self.path = path
+        self.faults = tuple(faults)
+        super().__init__("\n".join(_rendered(path, self.faults, text.split("\n"))))
+
+    @classmethod
+    def plain(cls, message: str) -> ConfigError:
+        """A fault that has no place in a file."""
+        return cls(None, [Fault(0, 0, 0, message)])
+
+
+def read_config(path: Path, model: type[Model]) -> Model:
+    """The file at ``path`` as ``model``. Raises ConfigError with all its faults."""
+    text = read_text(path)
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(path, [_syntax_fault(str(error), text)], text) from error
+    try:
+        return model.model_validate(table, context={"folder": path.parent})
+    except ValidationError as error:
+        found = [
+            (_without_tags(detail["loc"], table), _message(detail, model), detail["type"] == "extra_forbidden") for detail in error.errors()
+        ]
+        raise located(path, text, found) from error
+
+
+def read_text(path: Path) -> str:
+    """The text of ``path`` in UTF-8. Raises ConfigError when it can't be read."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ConfigError.plain(f"{path} is not UTF-8 text: {error}. Save it as UTF-8.") from error
+    except OSError as error:
+        raise ConfigError.plain(f"{path} can't be read: {error.strerror or error}") from error
+
+
+def located(path: Path, text: str, found: Iterable[tuple[KeyPath, str, bool]]) -> ConfigError:
+    """A ConfigError for faults known by key path; the flag says that the key itself is wrong, not its value."""
+    places = find_places(text)
+    lines = text.split("\n")
+    faults = []
+    for key_path, message, at_key in found:
+        place, exact = nearest(places, key_path)
+        name = _dotted(key_path)
+        if exact and not at_key and place.value_start > place.key_start:
+            value = lines[place.line - 1][place.value_start :].split("  #")[0].rstrip()
+            faults.append(Fault(place.line, place.value_start, max(1, len(value)), f"{name}: {message}"))
+        else:
+            faults.append(Fault(place.line, place.key_start, max(1, place.key_end - place.key_start), f"{name}: {message}"))
+    return ConfigError(path, sorted(faults, key=lambda fault: (fault.line, fault.column)), text)
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """``; did you mean "x"?`` when one of ``known`` is near, else the empty string."""
+    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+    return f'; did you mean "{near[0]}"?' if near else ""
+
+
+def _rendered(path: Path | None, faults: Sequence[Fault], lines: Sequence[str]) -> list[str]:
+    if path is None:
+        return [fault.message for fault in faults]
+    out = [f"{path}: {len(faults)} fault{'s' if len(faults) > 1 else ''}"]
+    for fault in faults:
+        out.append(f"{path}:{fault.line}: {fault.message}")
+        if 0 < fault.line <= len(lines):
+            out.append(f"  {fault.line:4} | {lines[fault.line - 1]}")
+            out.append(f"       | {' ' * fault.column}{'^' * fault.width}")
+    return out
+
+
+def _syntax_fault(message: str, text: str) -> Fault:
+    place = re.search(r"\(at line (\d+), column (\d+)\)", message)
+    what = message.split(" (at ")[0]
+    if place:
+        return Fault(int(place[1]), int(place[2]) - 1, 1, f"not TOML: {what}")
+    return Fault(text.count("\n") + 1, 0, 1, f"not TOML: {what}")
+
+
+def _dotted(path: KeyPath) -> str:
+    text = ""
+    for part in path:
+        text += f"[{part + 1}]" if isinstance(part, int) else f".{part}" if text else part
+    return text or "the file"
+
+
+def _message(detail: ErrorDetails, model: type[BaseModel]) -> str:
+    path, kind, context = detail["loc"], detail["type"], detail.get("ctx", {})
+    if kind == "extra_forbidden":
+        known = sorted(_fields_at(model, path[:-1]))
+        return f"unknown key{did_you_mean(str(path[-1]), known)} (allowed here: {', '.join(known)})"
+    if kind == "missing":
+        return "is missing"
+    if kind in ("literal_error", "enum"):
+        allowed = str(context["expected"])
+        words = re.findall(r"'([^']*)'", allowed)
+        return f"{detail['input']!r} is not allowed{did_you_mean(str(detail['input']), words)} (allowed: {', '.join(words)})"
+    message = detail["msg"].removeprefix("Value error, ")
+    return f"{message[0].lower()}{message[1:]} (found {_short(detail['input'])})"
+
+
+def _without_tags(path: KeyPath, table: Any) -> KeyPath:
+    """``path`` without the tags that pydantic puts in for the members of a union."""
+    kept: list[str | int] = []
+    for index, part in enumerate(path):
+        inside = isinstance(table, list) if isinstance(part, int) else isinstance(table, dict) and part in table
+        if inside:
+            table = table[part]
+        if inside or index == len(path) - 1:
+            kept.append(part)
+    return tuple(kept)
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _fields_at(model: type[BaseModel], path: Sequence[str | int]) -> set[str]:
+    """Names allowed in the table at ``path`` of ``model``; tags of a union are passed over."""
+    models = [model]
+    for part in path:
+        if isinstance(part, int):
+            continue
+        deeper = [found for one in models if part in one.model_fields for found in _models_in(one.model_fields[part].annotation)]
+        models = deeper or [one for one in models if _tag(one) == part] or models
+    return {name for one in models for name in one.model_fields}
+
+
+def _tag(model: type[BaseModel]) -> str | None:
+    kind = model.model_fields.get("kind")
+    values = typing.get_args(kind.annotation) if kind else ()
+    return str(values[0]) if values else None
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [found for inner in typing.get_args(annotation) for found in _models_in(inner)]

@@ -1,0 +1,61 @@
+"""The instruments of an open rig, and the two things that concern all of them: who they are, and going to safe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from instruments.camera.frame import FrameSet
+from instruments.stage.driver import Stage
+
+from instruments.bath.driver import Bath
+from instruments.clock import Clock
+from instruments.errors import InstrumentError
+from instruments.microscribe.driver import MicroScribe
+from instruments.operators.operator import Operator
+
+
+class Cameras(Protocol):
+    """Whatever gives frame sets: real cameras, a recording, the scene."""
+
+    @property
+    def identity(self) -> Mapping[str, str]: ...
+    def capture(self) -> FrameSet: ...
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """All that is open. ``stage`` is None on a rig without one; an operator then moves the phantom."""
+
+    clock: Clock
+    arm: MicroScribe
+    bath: Bath
+    stage: Stage | None
+    cameras: Cameras
+    operator: Operator
+
+    def identities(self) -> dict[str, dict[str, str]]:
+        """What each instrument says of itself."""
+        stage = {"stage": dict(self.stage.identity)} if self.stage else {}
+        return {"arm": dict(self.arm.identity), "bath": dict(self.bath.identity), **stage, "cameras": dict(self.cameras.identity)}
+
+    def make_safe(self, tell: Callable[[str], None]) -> bool:
+        """Bath to standby, stage still, arm's session ended: each tried whatever became of the others. True when all are safe."""
+        safe = True
+        steps = [("bath", self.bath.safe), *([("stage", self.stage.safe)] if self.stage else []), ("arm", self.arm.safe)]
+        for name, step in steps:
+            try:
+                step()
+                tell(f"{name} is safe")
+            except InstrumentError as error:
+                safe = False
+                tell(f"{name} could not be made safe: {error}")
+        return safe
+
+    def close(self) -> None:
+        """Close all links."""
+        for device in (self.cameras, self.arm, self.stage, self.bath):
+            if device is not None:
+                device.close()

@@ -1,0 +1,322 @@
+"""Runs a script on a rig: prepare, settle, and for each trial set up, capture, touch, detect, score, store.
+
+Every way out passes through safe. What the engine may not know: which instruments are emulated, who the operator
+is, and what the report will say.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from enum import StrEnum
+from typing import Protocol
+
+import numpy as np
+from instruments.camera.frame import FrameSet
+from numpy.typing import NDArray
+
+from bench.devices import Devices
+from bench.examine import Answer, TruthRow, detection_rows, examine, score_answer, score_row
+from bench.interlocks import InterlockTrip
+from bench.rig import LoadedRig
+from bench.script import LoadedScript, Trial
+from bench.stability import StabilityGate, State
+from bench.store import FinishedTrial, Row, Store
+from bench.truth import TruthPoint, touched
+from bench.watch import Watch
+from detector.protocol import Detector
+from instruments.clock import wall_time
+from instruments.errors import InstrumentError
+from instruments.operators.operator import Arrangement, OperatorAbort, Placed
+
+HOMING = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
+CAMERAS = ("left", "right", "thermal")
+
+
+class Ending(StrEnum):
+    """How a run ended."""
+
+    FINISHED = "finished"
+    ABORTED = "aborted"
+    FAULTED = "faulted"
+
+
+class Progress(Protocol):
+    """Who shows what goes on. It may fail to show; it has no say."""
+
+    def state(self, text: str) -> None:
+        """What is being done or waited for."""
+        ...
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        """``done`` of ``total`` trials are finished; ``name`` is next."""
+        ...
+
+
+class FrameSink(Protocol):
+    """Who else wants each frame set with its truth: the writer of a recording."""
+
+    def trial(self, trial_id: str, situation: str, frames: FrameSet, truth: Sequence[TruthRow]) -> None: ...
+
+
+class Engine:
+    """One run. ``exact_ends`` gives the scene's exact truth where there is one; it is kept aside, never scored against."""
+
+    def __init__(
+        self,
+        rig: LoadedRig,
+        script: LoadedScript,
+        devices: Devices,
+        store: Store,
+        detectors: Sequence[Detector],
+        progress: Progress,
+        *,
+        exact_ends: Callable[[], NDArray[np.float64]] | None = None,
+        sink: FrameSink | None = None,
+    ) -> None:
+        self._rig = rig.rig
+        self._calibration = rig.calibration
+        self._script = script.script
+        self._devices = devices
+        self._store = store
+        self._detectors = detectors
+        self._progress = progress
+        self._exact_ends = exact_ends
+        self._sink = sink
+        gate = self._script.bath
+        limits = gate.model_dump(include={"set_point_c", "window_s", "mean_k", "half_range_k", "slope_k_per_min", "leave_k"})
+        self._watch = Watch(devices.bath, devices.clock, StabilityGate(**limits), self._rig.limits, store.bath)
+
+    def run(self) -> Ending:
+        """Everything, to the end or to safe. Faults of instruments and aborts are in the record, not raised."""
+        ending = Ending.FAULTED
+        try:
+            self._prepare()
+            planned = self._script.planned
+            for number, (trial, repeat) in enumerate(planned, 1):
+                self._progress.trial(number - 1, len(planned), trial.name)
+                self._run_trial(number, trial, repeat)
+            self._progress.trial(len(planned), len(planned), "")
+            ending = Ending.FINISHED
+        except (KeyboardInterrupt, OperatorAbort) as abort:
+            ending = Ending.ABORTED
+            self._event("aborted", str(abort) or "the run was interrupted (Ctrl-C)")
+        except (InstrumentError, InterlockTrip) as fault:
+            self._event("fault", str(fault))
+        finally:
+            with undisturbed():
+                ending = self._finish(ending)
+        return ending
+
+    def _prepare(self) -> None:
+        d = self._devices
+        self._note("preparing")
+        d.arm.sign_on()
+        d.operator.confirm_homing(HOMING)
+        d.arm.confirm_homed()
+        if d.stage:
+            d.stage.connect()
+            d.stage.home()
+        self._store.fact("identities", d.identities())
+        self._note(f"heating the bath to {self._script.bath.set_point_c:g} degC")
+        d.bath.start(self._script.bath.set_point_c)
+        self._watch.start()
+
+    def _finish(self, ending: Ending) -> Ending:
+        self._watch.stop()
+        self._progress.state("going to safe")
+        told: list[str] = []
+        safe = self._devices.make_safe(told.append)  # first, whatever the disk does
+        for text in told:
+            self._event("safe", text)
+        if not safe and ending is Ending.FINISHED:
+            ending = Ending.FAULTED
+        self._event("end", ending.value)
+        self._store.fact("ending", ending.value)
+        self._store.fact("wall_ended", wall_time().isoformat(timespec="seconds"))
+        self._store.flush()
+        return ending
+
+    def _run_trial(self, number: int, trial: Trial, repeat: int) -> None:
+        started_s = self._devices.clock.now()
+        trial_id = f"{number:03d}-{trial.name}-{repeat}"
+        self._settle()
+        self._move(trial)
+        placed = self._devices.operator.set_up(self._arrangement(trial))
+        self._wait(self._rig.cameras.settle_s)
+        frames = self._capture()
+        captured_s = self._devices.clock.now()
+        bath = self._watch.last
+        bath_state = self._watch.state
+        truth, touches = self._touch_all(trial_id, placed)
+        self._check()
+        answers = self._detect(frames)
+        rows = [TruthRow(i, t.point_mm, placed.visible[i - 1], t.uncertainty.u_mm) for i, t in enumerate(truth, 1)]
+        head: Row = {
+            "id": trial_id,
+            "number": number,
+            "name": trial.name,
+            "situation": trial.situation,
+            "repeat": repeat,
+            "started_s": started_s,
+            "ended_s": self._devices.clock.now(),
+            "captured_s": captured_s,
+            "bath_c": bath.temp_c if bath else None,
+            "bath_state": bath_state.value,
+            "note": None,
+            "wall_time": wall_time().isoformat(timespec="milliseconds"),
+        }
+        self._store_trial(head, frames, touches, rows, truth, answers)
+        if self._sink:
+            self._sink.trial(trial_id, trial.situation, frames, rows)
+
+    def _settle(self) -> None:
+        if self._watch.state is State.STABLE:
+            return
+        gate, start = self._script.bath, self._devices.clock.now()
+        while self._watch.state is not State.STABLE:
+            self._wait(1.0)
+            waited_s = self._devices.clock.now() - start
+            last = self._watch.last
+            self._progress.state(f"bath {last.temp_c:.2f} degC, {self._watch.state.value}" if last else "bath")
+            if waited_s > gate.timeout_s:
+                why = f"the bath was not stable within {gate.timeout_s:g} s: {self._watch.why_not_stable}"
+                raise InterlockTrip("settling time", why, "Check level, lid and pump, or allow more time in the script.")
+        self._event("stable", f"the bath is stable at {gate.set_point_c:g} degC")
+
+    def _move(self, trial: Trial) -> None:
+        stage = self._devices.stage
+        if not stage or not self._rig.stage:
+            return
+        self._progress.state(f"moving the phantom: {trial.name}")
+        (x, y), (dx, dy) = self._rig.stage.reference_mm, trial.stage_mm
+        stage.move_to(x + dx, y + dy, feed_mm_per_min=self._rig.stage.feed_mm_per_min)
+        self._check()
+
+    def _arrangement(self, trial: Trial) -> Arrangement:
+        """What the operator sets up; without a stage that includes the phantom's place."""
+        asked = trial.arrangement
+        if self._devices.stage or trial.stage_mm == (0.0, 0.0):
+            return asked
+        dx, dy = trial.stage_mm
+        return replace(asked, instruction=f"{asked.instruction} Move the plate to x {dx:+g} mm, y {dy:+g} mm from its reference place.")
+
+    def _capture(self) -> FrameSet:
+        self._check()
+        self._progress.state("capturing")
+        frames = self._devices.cameras.capture()
+        times = list(frames.exposed_s.values())
+        skew_s = max(times) - min(times) if times else 0.0
+        if skew_s > self._rig.cameras.max_skew_s:
+            what = f"the frames of one set were exposed {skew_s:.3f} s apart, limit {self._rig.cameras.max_skew_s:g} s"
+            raise InstrumentError("cameras", what, hint="Use a common trigger, or allow more skew in the rig file if nothing moves.")
+        return frames
+
+    def _touch_all(self, trial_id: str, placed: Placed) -> tuple[list[TruthPoint], list[Row]]:
+        self._progress.state("touching the teat ends")
+        points, rows = [], []
+        for teat in range(1, len(placed.visible) + 1):
+            tips = []
+            for touch in range(1, self._rig.arm.touches + 1):
+                row = self._touch(trial_id, teat, touch, len(placed.visible))
+                rows.append(row)
+                tips.append([row["x_mm"], row["y_mm"], row["z_mm"]])
+            points.append(touched(np.array(tips), accuracy_mm=self._rig.arm.accuracy_mm, definition_mm=self._rig.arm.definition_mm))
+        self._devices.operator.release()
+        return points, rows
+
+    def _touch(self, trial_id: str, teat: int, touch: int, of: int) -> Row:
+        self._check()
+        self._devices.operator.touch(teat, of)
+        reading = self._devices.arm.read(self._rig.arm.packets, max_spread_mm=self._rig.arm.max_spread_mm)
+        x, y, z = (float(v) for v in reading.tip_mm)
+        return {
+            "trial": trial_id,
+            "teat": teat,
+            "touch": touch,
+            "t_s": self._devices.clock.now(),
+            "x_mm": x,
+            "y_mm": y,
+            "z_mm": z,
+            "spread_mm": float(reading.spread_mm),
+            "packets": reading.n,
+            "counts": json.dumps([int(c) for c in reading.counts]),
+        }
+
+    def _detect(self, frames: FrameSet) -> list[Answer]:
+        answers = []
+        for detector in self._detectors:
+            self._progress.state(f"detecting with {detector.name}")
+            answers.append(examine(detector, frames, self._calibration))
+        return answers
+
+    def _store_trial(
+        self, head: Row, frames: FrameSet, touches: list[Row], rows: list[TruthRow], truth: list[TruthPoint], answers: list[Answer]
+    ) -> None:
+        trial_id = str(head["id"])
+        exact = self._exact_ends() if self._exact_ends else None
+        truth_rows = [truth_row(trial_id, row, None if exact is None else exact[row.teat - 1]) for row in rows]
+        detections, found, scores = judged(trial_id, answers, rows, self._script.visible_within_mm, self._script.time_limit_s)
+        self._store.finished(FinishedTrial(head, frame_rows(self._store, trial_id, frames), touches, truth_rows, detections, found, scores))
+        self._store.fact("truth budget", truth[-1].uncertainty.as_dict() if truth else None)
+
+    def _wait(self, seconds: float) -> None:
+        self._devices.clock.sleep(seconds)
+        self._check()
+
+    def _check(self) -> None:
+        self._watch.check()
+
+    def _note(self, text: str) -> None:
+        self._progress.state(text)
+        self._event("state", text)
+
+    def _event(self, kind: str, text: str) -> None:
+        self._store.event(self._devices.clock.now(), kind, text, wall_time())
+
+
+def frame_rows(store: Store, trial_id: str, frames: FrameSet) -> list[Row]:
+    """Write the frames of a trial; gives back their rows."""
+    images = {"left": frames.left, "right": frames.right, "thermal": frames.thermal, "thermal_radiometric": frames.thermal_ck}
+    return [
+        store.frame(trial_id, name, image, frames.exposed_s.get(name.split("_")[0])) for name, image in images.items() if image is not None
+    ]
+
+
+def truth_row(trial_id: str, row: TruthRow, exact: NDArray[np.float64] | None = None) -> Row:
+    """The row of the table ``truth``."""
+    x, y, z = row.point_mm
+    kept = None if exact is None else json.dumps([float(v) for v in exact])
+    place = {"x_mm": x, "y_mm": y, "z_mm": z, "u_mm": row.u_mm, "visible": int(row.visible), "exact_mm": kept}
+    return {"trial": trial_id, "teat": row.teat, **place}
+
+
+def judged(
+    trial_id: str, answers: Sequence[Answer], truth: Sequence[TruthRow], limit_mm: float, time_limit_s: float
+) -> tuple[list[Row], list[Row], list[Row]]:
+    """Rows of ``detections``, ``found`` and ``scores`` for all answers on one frame set; no scores without truth."""
+    detections, found, scores = [], [], []
+    for answer in answers:
+        head, ends = detection_rows(trial_id, answer)
+        detections.append(head)
+        found.extend(ends)
+        if truth:
+            scores.append(score_row(trial_id, answer.detector, score_answer(answer, truth, limit_mm=limit_mm, time_limit_s=time_limit_s)))
+    return detections, found, scores
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Ctrl-C waits while this lasts: going to safe is short and bounded, and must not be cut off."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

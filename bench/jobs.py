@@ -1,0 +1,128 @@
+"""The main jobs behind the commands: a run on a rig, and scoring a recording; both end in one run folder and one report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from instruments.camera.recording import Recording
+
+from bench.config import ConfigError, read_config, read_text
+from bench.engine import Ending, Engine, Progress, frame_rows, judged, truth_row
+from bench.examine import TruthRow, examine
+from bench.facts import write_facts
+from bench.hookup import open_rig
+from bench.recorder import Recorder
+from bench.rig import LoadedRig, read_calibration
+from bench.script import RECORDING_RULES, LoadedScript, Rules, check_detectors
+from bench.store import RULES, SCRIPT, FinishedTrial, Store, new_run_folder
+from detector import registry
+from detector.protocol import Detector
+from instruments.clock import wall_time
+from instruments.errors import InstrumentError
+
+
+def make_detectors(names: Sequence[str]) -> list[Detector]:
+    """The detectors of these names. Raises ConfigError for one that isn't there."""
+    try:
+        check_detectors(tuple(names))
+    except ValueError as error:
+        raise ConfigError.plain(str(error)) from error
+    return [registry.create(name) for name in dict.fromkeys(names)]
+
+
+def run_script(
+    rig: LoadedRig,
+    script: LoadedScript,
+    out: Path,
+    progress: Progress,
+    *,
+    seed: int | None = None,
+    detectors: Sequence[str] = (),
+    record: Path | None = None,
+    realtime: bool = False,
+) -> tuple[Path, Ending]:
+    """Run ``script`` on ``rig``; gives back the run's folder and how it ended. Raises ConfigError before anything is opened."""
+    under_test = make_detectors(detectors or script.script.detectors)
+    used_seed = rig.rig.seed if seed is None else seed
+    recorder = Recorder(record, rig.calibration_path) if record else None
+    store = _new_store(out, script.name, {"rig.toml": rig.text, SCRIPT: script.text}, rig.calibration_path)
+    emulated = set(rig.rig.emulated)
+    kind = "emulated" if emulated else "recorded" if rig.rig.cameras.url.startswith("recording:") else "real"
+    facts = {"kind": kind, "title": script.script.title, "about": script.script.about, "seed": used_seed, "rig": rig.rig.name}
+    facts |= {"script": script.name, "set_point_c": script.script.bath.set_point_c, "planned": len(script.script.planned)}
+    try:
+        write_facts(store, facts, under_test, rig.calibration_path)
+        try:
+            with open_rig(rig, seed=used_seed, realtime=realtime) as hookup:
+                engine = Engine(rig, script, hookup.devices, store, under_test, progress, exact_ends=hookup.exact_ends, sink=recorder)
+                return store.folder, engine.run()
+        except (InstrumentError, KeyboardInterrupt) as error:  # before the engine had the instruments: nothing was switched on
+            return store.folder, _never_started(store, error)
+    finally:
+        store.close()
+
+
+def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequence[str]) -> Path:
+    """Run detectors over a recording and score them; gives back the run's folder. Raises ConfigError, RecordingError."""
+    under_test = make_detectors(detectors)
+    recording = Recording(path)
+    calibration = read_calibration(recording.calibration_path)
+    rules = read_config(RECORDING_RULES, Rules)
+    store = _new_store(out, f"score-{path.resolve().name}", {RULES: read_text(RECORDING_RULES)}, recording.calibration_path)
+    facts = {
+        "kind": "recorded",
+        "title": f"Recording {path.resolve().name}",
+        "about": str(path.resolve()),
+        "planned": len(recording.frames),
+    }
+    try:
+        write_facts(store, facts, under_test, recording.calibration_path)
+        for number, frame in enumerate(recording.frames, 1):
+            progress.trial(number - 1, len(recording.frames), frame)
+            frames = recording.load(frame)
+            answers = [examine(detector, frames, calibration) for detector in under_test]
+            known = recording.truth.get(frame, ())
+            truth = [TruthRow(t.teat, t.point_mm, t.visible, t.u_mm) for t in known]
+            situation = known[0].situation if known else "unknown"
+            trial = f"{number:03d}-{frame}"
+            head = _head(trial, number, frame, situation)
+            scored = judged(trial, answers, truth, rules.visible_within_mm, rules.time_limit_s)
+            rows = [truth_row(trial, row) for row in truth]
+            store.finished(FinishedTrial(head, frame_rows(store, trial, frames), [], rows, *scored))
+        progress.trial(len(recording.frames), len(recording.frames), "")
+        _end(store, Ending.FINISHED)
+    except KeyboardInterrupt:
+        store.event(None, "aborted", "interrupted (Ctrl-C)", wall_time())
+        _end(store, Ending.ABORTED)
+    finally:
+        store.close()
+    return store.folder
+
+
+def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -> Store:
+    try:
+        folder = new_run_folder(out, name, wall_time())
+        return Store.create(folder, {**files, "calibration.toml": calibration.read_text(encoding="utf-8")})
+    except OSError as error:
+        raise ConfigError.plain(f"a run can't be kept in {out}: {error.strerror or error}. Name another folder with --out.") from error
+
+
+def _never_started(store: Store, error: BaseException) -> Ending:
+    aborted = isinstance(error, KeyboardInterrupt)
+    store.event(None, "aborted" if aborted else "fault", "interrupted (Ctrl-C)" if aborted else str(error), wall_time())
+    return _end(store, Ending.ABORTED if aborted else Ending.FAULTED)
+
+
+def _end(store: Store, ending: Ending) -> Ending:
+    store.event(None, "end", ending.value, wall_time())
+    store.fact("ending", ending.value)
+    store.fact("wall_ended", wall_time().isoformat(timespec="seconds"))
+    return ending
+
+
+def _head(trial: str, number: int, frame: str, situation: str) -> dict[str, object]:
+    """The row of a frame set that came without instruments: each is a pose of its own."""
+    unknown = ("started_s", "ended_s", "captured_s", "bath_c", "bath_state", "note")
+    head = {"id": trial, "number": number, "name": frame, "situation": situation, "repeat": 1}
+    return {**head, **dict.fromkeys(unknown), "wall_time": wall_time().isoformat(timespec="milliseconds")}

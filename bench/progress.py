@@ -1,0 +1,65 @@
+"""What a person at the terminal sees while a run goes on: a bar, what is being done, and the verdict table at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from bench.record import RunRecord
+from bench.summary.wording import headline, limit, measured
+from bench.verdicts import Judgement
+
+TONES = {"met": "green", "not met": "red", "inconclusive": "yellow", "not measured": "yellow", "aborted": "red", "no verdict": "yellow"}
+
+
+class TerminalProgress:
+    """A progress bar on ``console``; to be used with ``with``. Without a terminal it prints a line a trial."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[doing]}"),
+        )
+        self._bar = Progress(*columns, console=console, transient=False)
+        self._task = self._bar.add_task("trials", total=None, doing="")
+
+    def state(self, text: str) -> None:
+        self._bar.update(self._task, doing=text)
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        self._bar.update(self._task, completed=done, total=total)
+        if not self._console.is_terminal:
+            self._console.print(f"trial {done + 1} of {total}: {name}" if done < total else f"{total} of {total} trials done")
+
+    def __enter__(self) -> TerminalProgress:
+        self._bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        self._bar.stop()
+
+
+def show_result(console: Console, run: RunRecord, judgements: Sequence[Judgement], report: Path) -> None:
+    """The verdict table, the sentence and where the report is."""
+    for judgement in judgements:
+        table = Table(title=f"{run.facts['title']}: detector {judgement.detector}")
+        for title in ("requirement", "measured", "limit", "verdict"):
+            table.add_column(title)
+        for decision in judgement.decisions:
+            word = decision.verdict.value
+            table.add_row(decision.name, measured(decision), limit(decision), f"[{TONES[word]}]{word}[/]")
+        console.print(table)
+    verdict, why, then = headline(run, judgements)
+    console.print(f"Verdict: [bold {TONES[verdict]}]{verdict}[/]")
+    console.print(why, markup=False)
+    console.print(f"Next: {then}", markup=False)
+    console.print(f"Report: {report}", markup=False, soft_wrap=True)

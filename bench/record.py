@@ -1,0 +1,115 @@
+"""A run folder read back: everything that the verdicts, the report and the exports are made of.
+
+Opens a run of any state, also one whose bench was killed. It may not judge: scores are as they were stored.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.config import ConfigError
+from bench.scoring.scene import SceneScore, scene_from_dict
+from bench.store import DATABASE, SCHEMA_VERSION
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class TrialRecord:
+    """One finished trial: its rows by table; ``scores`` by detector."""
+
+    head: Row
+    frames: tuple[Row, ...]
+    touches: tuple[Row, ...]
+    truth: tuple[Row, ...]
+    detections: tuple[Row, ...]
+    found: tuple[Row, ...]
+    scores: Mapping[str, SceneScore]
+
+    @property
+    def id(self) -> str:
+        """Unique in the run: number, name and repeat."""
+        return str(self.head["id"])
+
+    @property
+    def pose(self) -> str:
+        """Repeats of one pose share this name."""
+        return str(self.head["name"])
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """A run as it stands on disk. ``facts`` hold for the whole run; ``bath`` has columns t_s, temp_c, power_percent (n, 3)."""
+
+    folder: Path
+    facts: Mapping[str, Any]
+    trials: tuple[TrialRecord, ...]
+    events: tuple[Row, ...]
+    bath: NDArray[np.float64]
+    bath_states: tuple[str, ...]
+
+    @property
+    def ending(self) -> str:
+        """``finished``, ``aborted`` or ``faulted``; ``interrupted`` where the bench died before it could say."""
+        return str(self.facts.get("ending", "interrupted"))
+
+    @property
+    def detectors(self) -> tuple[str, ...]:
+        """Names of the detectors under test."""
+        return tuple(self.facts["detectors"])
+
+
+def read_run(folder: Path) -> RunRecord:
+    """The run in ``folder``. Raises ConfigError where it is no run of this bench."""
+    path = folder / DATABASE
+    if not path.is_file():
+        raise ConfigError.plain(f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/.")
+    try:
+        with closing(sqlite3.connect(path)) as db:
+            db.row_factory = sqlite3.Row
+            version = db.execute("PRAGMA user_version").fetchone()[0]
+            if version != SCHEMA_VERSION:
+                raise ConfigError.plain(f"{path} has schema {version}; this bench reads {SCHEMA_VERSION}. Use the bench that wrote it.")
+            return _read(folder, db)
+    except sqlite3.DatabaseError as error:
+        raise ConfigError.plain(f"{path} can't be read: {error}. Is it a copy without its -wal file?") from error
+
+
+def _read(folder: Path, db: sqlite3.Connection) -> RunRecord:
+    facts = {row["key"]: json.loads(row["value"]) for row in db.execute("SELECT key, value FROM facts")}
+    bath = list(db.execute("SELECT t_s, temp_c, power_percent, state FROM bath ORDER BY t_s"))
+    columns = [[np.nan if row[k] is None else row[k] for k in range(3)] for row in bath]
+    return RunRecord(
+        folder=folder,
+        facts=facts,
+        trials=tuple(_trials(db)),
+        events=tuple(dict(row) for row in db.execute("SELECT * FROM events ORDER BY number")),
+        bath=np.array(columns, dtype=np.float64).reshape(-1, 3),
+        bath_states=tuple(row["state"] for row in bath),
+    )
+
+
+def _trials(db: sqlite3.Connection) -> Iterator[TrialRecord]:
+    by_table = {table: _grouped(db, table) for table in ("frames", "touches", "truth", "detections", "found", "scores")}
+    for head in db.execute("SELECT * FROM trials ORDER BY number"):
+        rows = {table: tuple(grouped.get(head["id"], ())) for table, grouped in by_table.items()}
+        scores = {
+            row["detector"]: scene_from_dict({**json.loads(row["score"]), **json.loads(row["wall_score"])}) for row in rows.pop("scores")
+        }
+        yield TrialRecord(dict(head), scores=scores, **rows)
+
+
+def _grouped(db: sqlite3.Connection, table: str) -> dict[str, list[Row]]:
+    grouped: dict[str, list[Row]] = {}
+    for row in db.execute(f"SELECT * FROM {table} ORDER BY rowid"):  # noqa: S608 - our own names
+        grouped.setdefault(row["trial"], []).append(dict(row))
+    return grouped

@@ -1,0 +1,27 @@
+"""Writes a recording while a run goes on: frames, calibration and touched truth that `teatbench score` reads to the same scores."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from instruments.camera.frame import FrameSet
+from instruments.camera.recording import RecordingWriter
+from instruments.camera.recording import TruthRow as RecordedTruth
+
+from bench.config import ConfigError
+from bench.examine import TruthRow
+
+
+class Recorder:
+    """A new recording in ``folder``, which must be empty or not there. Raises ConfigError."""
+
+    def __init__(self, folder: Path, calibration: Path) -> None:
+        if folder.exists() and any(folder.iterdir()):
+            raise ConfigError.plain(f"--record {folder}: the folder is not empty. Name a new one.")
+        self._writer = RecordingWriter(folder, calibration)
+
+    def trial(self, trial_id: str, situation: str, frames: FrameSet, truth: Sequence[TruthRow]) -> None:
+        """Add a trial's frame set with its truth."""
+        self._writer.add(trial_id, frames)
+        self._writer.add_truth([RecordedTruth(trial_id, situation, row.teat, row.point_mm, row.visible, row.u_mm) for row in truth])

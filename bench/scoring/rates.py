@@ -1,0 +1,115 @@
+"""Rates as counts with exact intervals (Clopper and Pearson, Biometrika 26, 1934). Knows no scene: only successes and trials.
+
+Intervals count poses, not frames: frames of one pose are not independent trials. An empty rate is "not measured".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Sequence
+from dataclasses import dataclass
+from math import ceil, log, log1p
+
+from scipy.special import betaincinv
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """Successes of trials; rates add by their counts."""
+
+    successes: int = 0
+    trials: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.successes <= self.trials:
+            raise ValueError(f"rate: {self.successes} successes of {self.trials} trials is impossible")
+
+    def __add__(self, other: Rate) -> Rate:
+        return Rate(self.successes + other.successes, self.trials + other.trials)
+
+    @property
+    def failures(self) -> int:
+        """Trials that did not succeed."""
+        return self.trials - self.successes
+
+    @property
+    def value(self) -> float | None:
+        """The fraction from 0 to 1, or None where nothing was tried."""
+        return self.successes / self.trials if self.trials else None
+
+    def interval(self, confidence: float = 0.95) -> tuple[float, float] | None:
+        """Two-sided exact interval (low, high) of the true rate, or None where nothing was tried."""
+        _check_open("confidence", confidence)
+        tail = (1.0 + confidence) / 2.0
+        low, high = self.lower_bound(tail), self.upper_bound(tail)
+        return None if low is None or high is None else (low, high)
+
+    def lower_bound(self, confidence: float = 0.95) -> float | None:
+        """One-sided exact lower bound: the true rate is at least this, with the confidence given. None where nothing was tried."""
+        _check_open("confidence", confidence)
+        if not self.trials:
+            return None
+        if self.successes == 0:
+            return 0.0
+        return float(betaincinv(self.successes, self.failures + 1, 1.0 - confidence))
+
+    def upper_bound(self, confidence: float = 0.95) -> float | None:
+        """One-sided exact upper bound: the true rate is at most this, with the confidence given. None where nothing was tried."""
+        _check_open("confidence", confidence)
+        if not self.trials:
+            return None
+        if self.failures == 0:
+            return 1.0
+        return float(betaincinv(self.successes + 1, self.failures, confidence))
+
+    def __str__(self) -> str:
+        return "not measured" if self.value is None else f"{self.successes} of {self.trials} ({percent(self.value)})"
+
+
+def percent(fraction: float) -> str:
+    """A fraction from 0 to 1 as text with one decimal; "100 %" and "0 %" only where exactly true ("> 99.9 %", "< 0.1 %" otherwise)."""
+    if fraction in (0.0, 1.0):
+        return f"{fraction * 100:.0f} %"
+    if fraction > 0.999:
+        return "> 99.9 %"
+    return "< 0.1 %" if fraction < 0.001 else f"{fraction * 100:.1f} %"
+
+
+def zero_failure_n(rate: float, confidence: float = 0.95) -> int:
+    """Fewest trials, none failed, that show a success rate of at least `rate`: the least n with rate^n <= 1 - confidence."""
+    _check_open("rate", rate)
+    _check_open("confidence", confidence)
+    return max(1, ceil(log1p(-confidence) / log(rate) - 1e-12))
+
+
+def trials_needed(failures: int, rate: float, confidence: float = 0.95) -> int:
+    """Fewest trials, `failures` of them failed, whose exact one-sided lower bound reaches `rate`."""
+    if failures < 0:
+        raise ValueError(f"failures: {failures} is negative")
+    low = max(failures, zero_failure_n(rate, confidence) - 1)  # the bound is below `rate` here, and at `high` it is not
+    high = 2 * (low + 1)
+    while not _shows(failures, high, rate, confidence):
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if _shows(failures, middle, rate, confidence) else (middle, high)
+    return high
+
+
+def pose_successes(poses: Sequence[Hashable], successes: Iterable[bool]) -> Rate:
+    """Frames to poses: `poses` names the pose of each frame. Rule: a pose succeeds when all its repeats do; one failed repeat fails it."""
+    passed: dict[Hashable, bool] = {}
+    for pose, success in zip(poses, successes, strict=True):
+        passed[pose] = passed.get(pose, True) and bool(success)
+    return Rate(sum(passed.values()), len(passed))
+
+
+def _shows(failures: int, trials: int, rate: float, confidence: float) -> bool:
+    bound = Rate(trials - failures, trials).lower_bound(confidence)
+    return bound is not None and bound >= rate
+
+
+def _check_open(name: str, value: float) -> None:
+    if not 0.0 < value < 1.0:
+        raise ValueError(
+            f"{name}: {value} must lie between 0 and 1, both excluded (no number of trials shows 100 %; name a rate such as 0.95)"
+        )

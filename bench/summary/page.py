@@ -1,0 +1,237 @@
+"""The whole report of a run as a page: banner, requirements, results, accuracy, latency, bath, provenance, trials."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.config import read_config
+from bench.exports import write_exports
+from bench.record import RunRecord, read_run
+from bench.rig import read_calibration
+from bench.scoring.rates import zero_failure_n
+from bench.script import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement
+from bench.store import RULES, SCRIPT
+from bench.summary import tables
+from bench.summary.trials import trial_id, trial_parts, trial_table
+from bench.summary.wording import headline, number
+from bench.truth import DEFINITION
+from bench.verdicts import Judgement, judge, scored
+from detector.calibration import Calibration
+from reports.figures import bath_curve, error_histogram, error_scatter, found_bars, latency_strip, per_axis_errors
+from reports.page import Banner, Code, Column, Figure, Notes, Page, Paragraph, Part, Section, Table
+from reports.render import write_report
+
+REPORT = "report"
+
+
+def write_run_report(folder: Path) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
+    """(Re)write the report and the exports of the run in ``folder``; gives back the page's path. Raises ConfigError for no run."""
+    run = read_run(folder)
+    rules = stored_rules(folder)
+    judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
+    calibration = read_calibration(folder / "calibration.toml")
+    page = build_page(run, rules, judgements, calibration, folder / REPORT)
+    path = write_report(page, folder / REPORT)
+    write_exports(run, judgements, folder / REPORT)
+    return path, run, judgements
+
+
+def stored_rules(folder: Path) -> Rules:
+    """The script as the run used it, or the rules that a recording was scored by."""
+    script = folder / SCRIPT
+    return read_config(script, Script) if script.is_file() else read_config(folder / RULES, Rules)
+
+
+def build_page(run: RunRecord, rules: Rules, judgements: Sequence[Judgement], calibration: Calibration, folder: Path) -> Page:
+    """The page; the trials' pictures are written into ``folder``/images on the way."""
+    verdict, why, then = headline(run, judgements)
+    facts = run.facts
+    poses = len({trial.pose for trial in run.trials})
+    banner = Banner(
+        kind=facts["kind"],
+        verdict=verdict,
+        tested=f"{facts['title']}: detector {', '.join(run.detectors)} on {len(run.trials)} frame sets of {poses} poses.",
+        sentence=why,
+        confidence=_confidence(rules, poses),
+        next_action=then,
+    )
+    sections = (
+        Section("requirements", "Requirements", tuple(_requirement_parts(judgements, rules))),
+        Section("results", "Results by situation", tuple(_result_parts(run, rules))),
+        Section("accuracy", "Accuracy", tuple(_accuracy_parts(run, rules, calibration))),
+        Section("latency", "Time", tuple(_latency_parts(run, rules))),
+        Section("environment", "Bath and environment", tuple(_bath_parts(run, rules))),
+        Section("reference", "Measurand and reference", tuple(_reference_parts(run))),
+        Section("provenance", "Provenance", tuple(_provenance_parts(run))),
+        Section("trial-list", "Trials", (trial_table(run),)),
+    )
+    return Page(
+        title=str(facts["title"]),
+        subtitle=str(facts.get("about", "")),
+        banner=banner,
+        sections=sections,
+        trials=tuple(trial_parts(run, calibration, folder)),
+        footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),
+    )
+
+
+def _confidence(rules: Rules, poses: int) -> str:
+    claims = [(r.rate, r.confidence) for r in rules.requirements if isinstance(r, ErrorRequirement | SuccessRequirement)]
+    if not claims:
+        return f"{poses} poses."
+    rate, confidence = claims[0]
+    needed = zero_failure_n(rate, confidence)
+    claim = f"{100 * rate:g} % of poses with {100 * confidence:g} % confidence"
+    return f"{poses} poses were tried. Without a single failure, {needed} show {claim}."
+
+
+def _requirement_parts(judgements: Sequence[Judgement], rules: Rules) -> Iterator[Part]:
+    if not judgements:
+        yield Paragraph("Nothing was scored, so no requirement was decided.", tone="warn")
+        return
+    yield from (tables.requirements(judgement, rules) for judgement in judgements)
+
+
+def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
+    published = rules.published
+    names = tables.situations(run)
+    for detector in run.detectors:
+        counts = [scored(run, detector, name).counts for name in names]
+        theirs = [published[name].found if name in published else None for name in names]
+        svg = found_bars(names, [c.matched for c in counts], [c.visible for c in counts], theirs, name=f"found-{detector}")
+        alt = "; ".join(f"{n}: {c.matched} of {c.visible}" for n, c in zip(names, counts, strict=True))
+        yield Figure(svg, f"Teats found by {detector}, beside the thesis's own count", alt or "not measured")
+        yield tables.found_by_situation(run, detector, rules)
+        yield tables.rates(scored(run, detector), detector)
+
+
+def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
+    limit_mm = rules.visible_within_mm
+    names = tables.situations(run)
+    for detector in run.detectors:
+        pool = scored(run, detector)
+        yield from tables.errors(run, pool, detector, calibration)
+        camera = pool.errors_mm @ calibration.world_from_right.inverse().R.T
+        radial = np.linalg.norm(pool.errors_mm, axis=1)
+        links = [f"#{trial_id(t)}" for t in run.trials if detector in t.scores for _ in t.scores[detector].errors_mm]
+        lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
+        scatter = error_scatter(lateral, camera[:, 2], limit_mm, links=links, name=f"scatter-{detector}")
+        yield Figure(scatter, f"Depth error against lateral error, {detector}; each point opens its trial", f"{len(radial)} points")
+        histogram = error_histogram(radial, limit_mm, name=f"histogram-{detector}")
+        within = f"{int((radial <= limit_mm).sum())} of {len(radial)} within the limit"
+        yield Figure(histogram, f"Distance to the teat end, {detector}", within)
+        strips = per_axis_errors(names, [scored(run, detector, n).errors_mm for n in names], limit_mm, name=f"axes-{detector}")
+        yield Figure(strips, f"Errors along the world's axes by situation, {detector}", "strips of signed errors", wide=True)
+    yield Paragraph(tables.depth_limit(run, calibration))
+
+
+def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
+    limits = sorted({r.limit_s for r in rules.requirements if isinstance(r, TimeRequirement)})
+    rows = []
+    for detector in run.detectors:
+        seconds = [d["wall_seconds"] for t in run.trials for d in t.detections if d["detector"] == detector]
+        yield Figure(
+            latency_strip(seconds, limits, name=f"latency-{detector}"), f"Detection time, {detector}", f"{len(seconds)} detections"
+        )
+        if seconds:
+            p50, p95 = np.percentile(seconds, [50, 95], method="inverted_cdf")
+            over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]
+            rows.append((detector, str(len(seconds)), *(f"{v:.3f}" for v in (p50, p95, max(seconds), seconds[0])), *over))
+    titles = ("p50", "p95", "max", "first (cold)")
+    columns = (
+        Column("detector"),
+        Column("n", "right"),
+        *(Column(t, "right", "s") for t in titles),
+        Column("above 1 s"),
+        Column("above 2 s"),
+    )
+    yield Table("Detection time", columns, tuple(rows), "Wall-clock time of the detector alone, on the machine named under Provenance.")
+
+
+def _bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
+    captures = [t.head["captured_s"] for t in run.trials if t.head["captured_s"] is not None]
+    set_point = run.facts.get("set_point_c")
+    if set_point is None or not len(run.bath):
+        yield Paragraph("No bath belongs to recorded frames.", tone="muted")
+        return
+    band_k = rules.bath.leave_k if isinstance(rules, Script) else 0.15
+    svg = bath_curve(run.bath[:, 0], run.bath[:, 1], set_point, band_k, captures, _stable_spans(run))
+    temps = [t.head["bath_c"] for t in run.trials if t.head["bath_c"] is not None]
+    caption = "Bath temperature over the run's time; captures are marked"
+    yield Figure(svg, caption, f"{len(run.bath)} readings, {len(captures)} captures", wide=True)
+    entries: list[tuple[str, object]] = [("set point", number(set_point, "°C")), ("readings", len(run.bath))]
+    if temps:
+        entries.append(("at the captures", f"{min(temps):.2f} to {max(temps):.2f} °C"))
+    yield tables.key_values("Bath", entries)
+    yield Paragraph("The bath is not the stimulus: the teats' skin sits a few tenths of a kelvin below the water.", tone="info")
+
+
+def _stable_spans(run: RunRecord) -> list[tuple[float, float]]:
+    spans: list[tuple[float, float]] = []
+    for t_s, state in zip(run.bath[:, 0].tolist(), run.bath_states, strict=True):
+        if state == "stable":
+            joined = spans and t_s - spans[-1][1] < 5.0
+            start = spans.pop()[0] if joined else t_s
+            spans.append((start, t_s))
+    return spans
+
+
+def _reference_parts(run: RunRecord) -> Iterator[Part]:
+    yield Paragraph(f"Measurand: {DEFINITION}")
+    yield Paragraph("An answer that triangulates silhouettes measures another point; this report does not correct for it.", tone="info")
+    budget = run.facts.get("truth budget")
+    if budget:
+        columns = (Column("component"), Column("u", "right", "mm"), Column("source"))
+        rows = [(c["name"], f"{c['u_mm']:.3f}", c["source"]) for c in budget["components"]]
+        rows.append(("combined, along one axis", f"{budget['u_mm']:.3f}", "root of the sum of squares"))
+        yield Table("Uncertainty budget of the truth (last teat end)", columns, tuple(rows))
+    exact = _truth_error(run)
+    if exact:
+        yield Paragraph(exact, tone="info")
+
+
+def _truth_error(run: RunRecord) -> str:
+    """What the emulated arm was off by, known on an emulated rig only."""
+    rows = [row for trial in run.trials for row in trial.truth if row["exact_mm"]]
+    if not rows:
+        return ""
+    off = [np.array([r["x_mm"], r["y_mm"], r["z_mm"]]) - np.array(json.loads(r["exact_mm"])) for r in rows]
+    distances = np.linalg.norm(off, axis=1)
+    return (
+        f"Emulated rig: the scene's exact teat ends are kept aside. The touched truth is {distances.mean():.2f} mm from them on the mean, "
+        f"{distances.max():.2f} mm at most ({len(rows)} ends). Scores are against the touched truth, as in a laboratory."
+    )
+
+
+def _provenance_parts(run: RunRecord) -> Iterator[Part]:
+    facts = run.facts
+    for name, identity in facts.get("identities", {}).items():
+        yield tables.key_values(f"Instrument: {name}", list(identity.items()))
+    for name, item in facts["items"].items():
+        yield tables.key_values(f"Item under test: {name}", list(item.items()))
+    yield tables.key_values(
+        "Run",
+        [
+            ("folder", run.folder.name),
+            ("ending", run.ending),
+            ("started", facts["wall_started"]),
+            ("ended", facts.get("wall_ended")),
+            ("seed", facts.get("seed")),
+            ("rig", facts.get("rig")),
+            ("script", facts.get("script")),
+            ("calibration SHA-256", facts["calibration_sha256"]),
+            *((f"version, {name}", version) for name, version in facts["versions"].items()),
+        ],
+    )
+    yield Code("The command that repeats it", str(facts["command"]))
+    yield Notes("Events", tuple(_event(event) for event in run.events))
+
+
+def _event(event: Mapping[str, Any]) -> str:
+    time = "" if event["t_s"] is None else f"{event['t_s']:.0f} s: "
+    return f"{time}{event['kind']}: {event['text']}"

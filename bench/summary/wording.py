@@ -1,0 +1,85 @@
+"""How figures and verdicts become words: one place, so that terminal, page and exports say the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bench.record import RunRecord
+from bench.scoring.decisions import Decision, Verdict
+from bench.verdicts import Judgement, run_verdict
+from reports.parts import Verdict as PageVerdict
+
+NOT_MEASURED = "not measured"
+
+
+def number(value: float | None, unit: str = "", digits: int = 2) -> str:
+    """``1.23 mm``; ``not measured`` for None. Whole numbers (counts) without decimals."""
+    if value is None:
+        return NOT_MEASURED
+    text = f"{value:.0f}" if not unit and float(value).is_integer() else f"{value:.{digits}f}"
+    return f"{text} {unit}".rstrip()
+
+
+def measured(decision: Decision) -> str:
+    """The decided figure with its unit and, where there is one, its uncertainty."""
+    text = number(decision.measured, decision.unit, _digits(decision))
+    if decision.measured is not None and decision.uncertainty is not None:
+        text += f" (± {decision.uncertainty:.{_digits(decision)}f})"
+    return text
+
+
+def limit(decision: Decision) -> str:
+    """The limit with its unit."""
+    return number(decision.limit, decision.unit, _digits(decision))
+
+
+def margin(decision: Decision) -> str:
+    """What is left to the limit; negative beyond it."""
+    return "" if decision.margin is None else f"{decision.margin:+.{_digits(decision)}f} {decision.unit}".rstrip()
+
+
+def _digits(decision: Decision) -> int:
+    return {"s": 3, "%": 1, "": 0}.get(decision.unit, 2)
+
+
+def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdict, str, str]:
+    """The verdict on the run, why, and what to do next."""
+    if run.ending != "finished":
+        return "aborted", _why_ended(run), _after_ending(run)
+    if not judgements:
+        return "no verdict", "The recording has no truth, so nothing was scored.", "Add truth.csv to the recording, then score it again."
+    verdict = run_verdict(judgements)
+    worst = _worst(judgements, verdict)
+    return verdict.value, _why(worst, len(judgements)), _next_action(verdict, worst)
+
+
+def _why_ended(run: RunRecord) -> str:
+    told = [event["text"] for event in run.events if event["kind"] in ("fault", "aborted")]
+    done, planned = len(run.trials), run.facts.get("planned", "?")
+    if run.ending == "interrupted":
+        return f"The bench died before the run was over; {done} of {planned} trials are kept."
+    return f"The run was {run.ending} after {done} of {planned} trials: {told[-1] if told else 'no reason was recorded'}."
+
+
+def _after_ending(run: RunRecord) -> str:
+    if run.ending == "faulted":
+        return "See the events below, remove the cause, check the instruments with 'teatbench check', then run the script again."
+    return "Look whether the bath is in standby, then run the script again; what is below is unfinished."
+
+
+def _worst(judgements: Sequence[Judgement], verdict: Verdict) -> list[tuple[str, Decision]]:
+    same = (verdict,) if verdict is not Verdict.INCONCLUSIVE else (Verdict.INCONCLUSIVE, Verdict.NOT_MEASURED)
+    return [(j.detector, d) for j in judgements for d in j.decisions if d.verdict in same]
+
+
+def _why(worst: Sequence[tuple[str, Decision]], detectors: int) -> str:
+    return " ".join(f"{f'{name}: ' if detectors > 1 else ''}{d.name[0].upper()}{d.name[1:]}: {d.sentence}" for name, d in worst)
+
+
+def _next_action(verdict: Verdict, worst: Sequence[tuple[str, Decision]]) -> str:
+    if verdict is Verdict.MET:
+        return "Keep this run folder as the evidence; it names everything that is needed to repeat it."
+    names = ", ".join(dict.fromkeys(decision.name for _, decision in worst))
+    if verdict is Verdict.NOT_MET:
+        return f"The detector has to become better at: {names}. Start with the trials marked below; each shows where its points went wrong."
+    return f"Run more poses to decide: {names}. Each row says how many are missing."

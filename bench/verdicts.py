@@ -1,0 +1,71 @@
+"""From a run's record to its decisions: each requirement of the script or rules held against the scores of one detector."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.record import RunRecord
+from bench.scoring.decisions import Decision, Verdict, decide_condition, decide_count, decide_error, decide_rate, decide_time, overall
+from bench.scoring.pool import Pool, pool
+from bench.script import BathRequirement, ErrorRequirement, FalseRequirement, Requirement, Rules, SuccessRequirement, TimeRequirement
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """One detector's decisions, in the order of the script's requirements, and the verdict that they add up to."""
+
+    detector: str
+    decisions: tuple[Decision, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worst of the decisions."""
+        return overall(decision.verdict for decision in self.decisions)
+
+
+def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
+    """Each detector's judgement. An unfinished run is judged on the trials that it has."""
+    return tuple(
+        Judgement(name, tuple(_decide(rule, run, scored(run, name), name) for rule in rules.requirements)) for name in run.detectors
+    )
+
+
+def run_verdict(judgements: Sequence[Judgement]) -> Verdict:
+    """The verdict on the whole run: the worst of its detectors."""
+    return overall(judgement.verdict for judgement in judgements)
+
+
+def scored(run: RunRecord, detector: str, situation: str | None = None) -> Pool:
+    """The scores of one detector, with the pose of each; of one situation where named."""
+    trials = [t for t in run.trials if detector in t.scores and situation in (None, t.head["situation"])]
+    return pool([t.scores[detector] for t in trials], [t.pose for t in trials])
+
+
+def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> Decision:
+    match rule:
+        case ErrorRequirement():
+            errors = np.linalg.norm(scores.errors_mm, axis=1)
+            u_mm = max((score.u_mm for score in scores.scores), default=0.0)
+            claim = {"rate": rule.rate, "confidence": rule.confidence}
+            return decide_error(
+                rule.name, errors, limit_mm=rule.limit_mm, u_mm=u_mm, poses=scores.error_poses, statistic=rule.statistic, **claim
+            )
+        case SuccessRequirement():
+            return decide_rate(rule.name, scores.success, required=rule.rate, confidence=rule.confidence)
+        case FalseRequirement():
+            return decide_count(rule.name, scores.counts.false, scenes=len(scores.scores), confidence=rule.confidence)
+        case TimeRequirement():
+            seconds = [row["wall_seconds"] for trial in run.trials for row in trial.detections if row["detector"] == detector]
+            return decide_time(rule.name, seconds, limit_s=rule.limit_s, statistic=rule.statistic)
+        case BathRequirement():
+            return _bath(rule, run)
+
+
+def _bath(rule: BathRequirement, run: RunRecord) -> Decision:
+    set_point_c = run.facts.get("set_point_c")
+    temps = [trial.head["bath_c"] for trial in run.trials if trial.head["bath_c"] is not None]
+    held = sum(abs(temp - set_point_c) <= rule.band_k for temp in temps)
+    return decide_condition(rule.name, f"bath within {rule.band_k:g} K of the set point at every capture", held=held, of=len(temps))

@@ -1,0 +1,151 @@
+"""The thesis's detector from frame set to teat ends: the stages in their published order, each one's result kept.
+
+Strategy: the stages are pure functions next door; here they are only joined, and whatever would have stopped the original with an error
+becomes an answer without teats and a reason. The world is reached by the calibration's rigid motion; the thesis's own matrix wasn't rigid.
+The module may not know the scene, the truth, nor what the answer is for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detector.calibration import Calibration
+from detector.geometry import Array, triangulate
+from detector.protocol import Detection, Frames, Stage, Teat
+from detector.thesis.horizontals import horizontal_middles, teat_ends, window_fits
+from detector.thesis.optical import Refined, nominate, refine
+from detector.thesis.parameters import Parameters
+from detector.thesis.thermal import Grey, eight_bit, find_edges, order_filter, picture_from_kelvin, unmirror
+from detector.thesis.verticals import vertical_ends, window_centre
+
+
+class _NoAnswer(Exception):  # noqa: N818 (ends a detection early, caught in `detect`; never seen by a caller)
+    """Why this frame set gets no teats, and how many the stage that gave up counts as hidden."""
+
+    def __init__(self, reason: str, hidden: int = 0) -> None:
+        super().__init__(reason)
+        self.hidden = hidden
+
+
+@dataclass(frozen=True, slots=True)
+class ThesisDetector:
+    """Chapter 4 and appendix A of the thesis, with the published settings unless told otherwise."""
+
+    settings: Parameters = field(default_factory=Parameters)
+
+    @property
+    def name(self) -> str:
+        """The name in the registry."""
+        return "thesis"
+
+    @property
+    def version(self) -> str:
+        """Counted up when an answer on any frame set changes."""
+        return "1"
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """The settings by name."""
+        return asdict(self.settings)
+
+    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+        """Teat ends in the world frame, no covariances, and the trace of every stage that was reached."""
+        trace: list[Stage] = []
+        try:
+            left, right = _optical(frames.left, calibration.left.image_size, "left"), _optical(frames.right, calibration.right.image_size, "right")
+            thermal_px, hidden = _find_in_thermal(_thermal(frames, calibration), self.settings, trace)
+            teats, reason = _locate(left, right, thermal_px, calibration, self.settings, trace)
+        except _NoAnswer as stop:
+            return Detection((), stop.hidden, str(stop), tuple(trace))
+        return Detection(teats, hidden, reason, tuple(trace))
+
+
+def _optical(image: NDArray[Any], size: tuple[int, int], camera: str) -> Grey:
+    try:
+        picture = eight_bit(image)
+    except ValueError as error:
+        raise _NoAnswer(f"the {camera} picture {error}") from None
+    _check_size(picture, size, camera)
+    return picture
+
+
+def _thermal(frames: Frames, calibration: Calibration) -> Grey:
+    """The un-mirrored 8-bit thermal picture at the calibration's size, from whichever form there is."""
+    camera = calibration.thermal
+    try:
+        if frames.thermal is not None:
+            picture = eight_bit(frames.thermal)
+            _check_size(picture, camera.image_size, "thermal")
+            return unmirror(picture) if camera.mirrored else picture
+        if frames.thermal_k is not None:
+            _check_size(frames.thermal_k, camera.sensor_size, "radiometric thermal")
+            return picture_from_kelvin(frames.thermal_k, camera.image_size)
+    except ValueError as error:
+        raise _NoAnswer(f"the thermal picture {error}") from None
+    raise _NoAnswer("there is no thermal picture, and the thesis's method begins with one")
+
+
+def _check_size(picture: NDArray[Any], size: tuple[int, int], camera: str) -> None:
+    if picture.shape[:2] != (size[1], size[0]):
+        raise _NoAnswer(f"the {camera} picture is {' x '.join(map(str, picture.shape[1::-1]))}, the calibration is for {size[0]} x {size[1]}")
+
+
+def _find_in_thermal(picture: Grey, p: Parameters, trace: list[Stage]) -> tuple[Array, int]:
+    """Teat ends (n, 2) px in the un-mirrored thermal picture, at least one, and how many are hidden (sections 4.1.1 to 4.1.7)."""
+    trace.append(Stage("thermal", {"picture": picture}))
+    edges = find_edges(picture, p)
+    trace.append(Stage("edges", {"mask": edges.mask, "thresholds": np.array([edges.low, edges.high])}))
+    verticals, horizontals = order_filter(edges.mask, p.vertical_domain), order_filter(edges.mask, p.horizontal_domain)
+    trace.append(Stage("verticals", {"mask": verticals}))
+    trace.append(Stage("horizontals", {"mask": horizontals}))
+    ends = vertical_ends(verticals, p)
+    trace.append(Stage("vertical ends", {"points_px": ends}))
+    if len(ends) == 0:
+        raise _NoAnswer(f"the thermal picture shows no vertical line of {p.vertical_least_points} points", p.teat_count)
+    centre = window_centre(ends)
+    if p.window_outside == "refuse" and not window_fits(picture.shape, centre, p):
+        raise _NoAnswer(f"the window around column {centre[0]}, row {centre[1]} leaves the thermal picture", p.teat_count)
+    middles = horizontal_middles(horizontals, centre, p)
+    trace.append(Stage("horizontal middles", {"points_px": middles, "window_centre_px": np.array(centre, dtype=np.float64)}))
+    if len(middles) == 0:
+        raise _NoAnswer("the thermal picture shows no short horizontal line near the ends of the vertical ones", p.teat_count)
+    teats_px, hidden = teat_ends(middles, p)
+    trace.append(Stage("teat ends", {"points_px": teats_px}))
+    if len(teats_px) == 0:
+        raise _NoAnswer(f"no horizontal line lies within {p.teat_row_tolerance_px} rows of their mean", p.teat_count)
+    return teats_px, hidden
+
+
+def _locate(left: Grey, right: Grey, thermal_px: Array, calibration: Calibration, p: Parameters,
+            trace: list[Stage]) -> tuple[tuple[Teat, ...], str | None]:
+    """Thermal teat ends (n, 2) to teats in the world, and what was left out on the way (sections 4.2, 4.3, 3.2.1.2, 3.3.2)."""
+    maps = calibration.homographies
+    nominated = nominate(maps.left, thermal_px), nominate(maps.right, thermal_px)
+    trace.append(Stage("nominations", {"left_px": nominated[0], "right_px": nominated[1]}))
+    refined = [refine(left, n, p) for n in nominated[0]], [refine(right, n, p) for n in nominated[1]]
+    trace.append(Stage("regions", {**_seen("left", refined[0]), **_seen("right", refined[1])}))
+    left_px, right_px = (np.array([r.end_px for r in side]) for side in refined)
+    trace.append(Stage("ends", {"left_px": left_px, "right_px": right_px, "left_moved": np.array([r.moved for r in refined[0]]),
+                                "right_moved": np.array([r.moved for r in refined[1]])}))
+    right_mm, gap_mm = triangulate(left_px, right_px, calibration.left, calibration.right, calibration.right_from_left)
+    world_mm = calibration.world_from_right.apply(right_mm)
+    trace.append(Stage("triangulation", {"right_mm": right_mm, "gap_mm": gap_mm, "world_mm": world_mm}))
+    usable = _inside(left_px, left) & _inside(right_px, right) & np.all(np.isfinite(world_mm), axis=1)
+    teats = tuple(Teat(world_mm[i], None, left_px[i], right_px[i], thermal_px[i]) for i in np.flatnonzero(usable))
+    lost = int(np.count_nonzero(~usable))
+    return teats, f"{lost} of {len(usable)} nominated teats lie outside of an optical picture" if lost else None
+
+
+def _inside(points_px: Array, picture: Grey) -> NDArray[np.bool_]:
+    """Which points (n, 2) lie on the picture: nothing can be said of a teat that the camera doesn't see."""
+    with np.errstate(invalid="ignore"):
+        return np.all((points_px >= -0.5) & (points_px < np.array(picture.shape[::-1]) - 0.5), axis=1)
+
+
+def _seen(camera: str, refined: list[Refined]) -> dict[str, NDArray[Any]]:
+    return {camera: np.array([r.region for r in refined]), f"{camera}_bright": np.array([r.bright for r in refined])}

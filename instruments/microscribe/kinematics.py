@@ -1,0 +1,241 @@
+"""Where an arm's tip stands for given encoder counts, and back again for the emulator.
+
+Modified (Craig) Denavit-Hartenberg as the maker's SDK manual, chapter 4, gives it; all of it vectorised over
+poses. Pure: no wire and no clock. It may not know the bytes that the parameters came in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.int64]
+
+JOINTS = 6
+COUNT_MODULUS = 1 << 14  # counts go on past one turn, modulo this
+BETA_JOINT = 2  # the only joint with the extra angle
+# How far each joint turns either way from the home pose. The maker states none: ours let the elbow stay up and
+# keep the stylus clear of its own forearm, and reach all that stands on a table beside the arm.
+HALF_RANGE_RAD: Floats = np.radians([178.0, 120.0, 150.0, 178.0, 150.0, 178.0])
+
+_DIRECTION_MM = 100.0  # weighs the stylus direction against the tip: 0.01 mm is worth 0.1 mrad
+_TOLERANCE_MM = 1e-7
+_STEPS = 60
+_STARTS = 48
+
+
+class OutOfReachError(ValueError):
+    """No pose of the arm, inside its joint ranges, holds the tip there."""
+
+
+class ParameterBlock(Protocol):
+    """What the arm's parameter block says, in angles and millimetres."""
+
+    @property
+    def alpha_rad(self) -> Sequence[float]: ...
+    @property
+    def a_mm(self) -> Sequence[float]: ...
+    @property
+    def d_mm(self) -> Sequence[float]: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmGeometry:
+    """One arm's shape: alpha (6,) rad, a and d (6,) mm, beta rad, counts per turn (6,), 0 where no encoder is."""
+
+    alpha_rad: Floats
+    a_mm: Floats
+    d_mm: Floats
+    beta_rad: float
+    turns: Counts
+
+    @classmethod
+    def from_block(cls, block: ParameterBlock, beta_rad: float, turns: Sequence[int]) -> ArmGeometry:
+        """The shape that the arm itself reports. Raises ValueError unless there are six joints."""
+        columns = [np.array(column, dtype=np.float64) for column in (block.alpha_rad, block.a_mm, block.d_mm)]
+        if any(column.shape != (JOINTS,) for column in columns) or len(turns) != JOINTS:
+            raise ValueError(f"an arm has {JOINTS} joints; alpha, a, d and counts per turn have {[len(c) for c in columns] + [len(turns)]}")
+        return cls(columns[0], columns[1], columns[2], float(beta_rad), np.array(turns, dtype=np.int64))
+
+    @property
+    def active(self) -> npt.NDArray[np.bool_]:
+        """(6,) which joints have an encoder."""
+        return self.turns > 0
+
+    def angles(self, counts: npt.ArrayLike) -> Floats:
+        """Joint angles (n, 6) rad in [0, 2 pi) of counts (n, 6); 0 where a joint has no encoder. Manual, chapter 4."""
+        per_turn = np.where(self.active, self.turns, 1)
+        return np.where(self.active, np.mod(_rows(counts), per_turn) * (2.0 * np.pi / per_turn), 0.0)
+
+    def forward(self, counts: npt.ArrayLike) -> tuple[Floats, Floats]:
+        """Tips (n, 3) mm and stylus axes (n, 3), unit, from the tip up the stylus, for counts (n, 6) or (6,)."""
+        return self.forward_angles(self.angles(counts))
+
+    def forward_angles(self, angles_rad: Floats) -> tuple[Floats, Floats]:
+        """As ``forward``, for joint angles (n, 6) rad.
+
+        Each joint is RotX(alpha) TransX(a) RotY(beta) RotZ(theta) TransZ(d), beta on one joint only. The chain is
+        walked from the tip inwards, so that a point and a direction move and no matrix is multiplied.
+        """
+        n = len(angles_rad)
+        tip: _Triple = (np.zeros(n), np.zeros(n), np.zeros(n))
+        axis: _Triple = (np.zeros(n), np.zeros(n), np.ones(n))
+        for joint in reversed(range(JOINTS)):
+            x, y, z = tip
+            tip = self._through(joint, angles_rad[:, joint], (x, y, z + self.d_mm[joint]), self.a_mm[joint])
+            axis = self._through(joint, angles_rad[:, joint], axis, 0.0)
+        return np.stack(tip, axis=1), np.stack(axis, axis=1)
+
+    def _through(self, joint: int, theta: Floats, v: _Triple, shift_mm: float) -> _Triple:
+        x, y, z = v
+        if self.active[joint]:
+            cos, sin = np.cos(theta), np.sin(theta)
+            x, y = cos * x - sin * y, sin * x + cos * y
+        if joint == BETA_JOINT:
+            cos, sin = np.cos(self.beta_rad), np.sin(self.beta_rad)
+            x, z = cos * x + sin * z, cos * z - sin * x
+        cos, sin = np.cos(self.alpha_rad[joint]), np.sin(self.alpha_rad[joint])
+        return x + shift_mm, cos * y - sin * z, sin * y + cos * z
+
+    def frames(self, angles_rad: Floats) -> tuple[Floats, Floats]:
+        """Where each joint's frame stands: rotations (n, 6, 3, 3) and origins (n, 6, 3) mm, for angles (n, 6) rad."""
+        n = len(angles_rad)
+        rotation, origin = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+        rotations, origins = np.empty((n, JOINTS, 3, 3)), np.empty((n, JOINTS, 3))
+        for joint in range(JOINTS):
+            origin = origin + rotation[:, :, 0] * self.a_mm[joint]
+            rotation = rotation @ self._turned(joint, angles_rad[:, joint])
+            origin = origin + rotation[:, :, 2] * self.d_mm[joint]
+            rotations[:, joint], origins[:, joint] = rotation, origin
+        return rotations, origins
+
+    def _turned(self, joint: int, theta: Floats) -> Floats:
+        columns = [self._through(joint, theta, (x, y, z), 0.0) for x, y, z in _unit_columns(len(theta))]
+        return np.stack([np.stack(column, axis=1) for column in columns], axis=2)
+
+    def jacobian_angles(self, angles_rad: Floats) -> Floats:
+        """(n, 6, 6) for angles (n, 6) rad: rows tip x y z (mm/rad) then axis x y z (1/rad), columns joints.
+
+        The column of a joint without an encoder is zero.
+        """
+        rotations, origins = self.frames(angles_rad)
+        axes = rotations[..., 2]  # RotZ leaves a joint's own axis alone, so its frame's third column is that axis
+        tips = np.cross(axes, origins[:, -1:, :] - origins)
+        styli = np.cross(axes, rotations[:, -1:, :, 2])
+        return np.concatenate([tips, styli], axis=2).transpose(0, 2, 1) * self.active
+
+    def jacobian(self, counts: npt.ArrayLike) -> Floats:
+        """As ``jacobian_angles`` for counts (n, 6), per count: mm/count and 1/count."""
+        per_turn = np.where(self.active, self.turns, 1)
+        return self.jacobian_angles(self.angles(counts)) * (2.0 * np.pi / per_turn)
+
+
+_Triple = tuple[Floats, Floats, Floats]
+
+
+def encoded(counts: npt.ArrayLike) -> Counts:
+    """Counts (…, 6) as encoders give them: whole, and in the 14 bits that the wire has room for."""
+    return np.mod(np.rint(np.asarray(counts, dtype=np.float64)).astype(np.int64), COUNT_MODULUS)
+
+
+def inverse(
+    geometry: ArmGeometry,
+    point_mm: npt.ArrayLike,
+    direction: npt.ArrayLike | None = None,
+    *,
+    start: npt.ArrayLike,
+    half_range_rad: Floats = HALF_RANGE_RAD,
+) -> Floats:
+    """The counts (6,), not rounded, that hold the tip at ``point_mm`` (3,) with the stylus along ``direction`` (3,).
+
+    ``direction`` points from the tip up the stylus; None leaves it to the arm. ``start`` (6,) counts is the home
+    pose: joints stay within ``half_range_rad`` of it, and of several poses the nearest to it is taken. Damped
+    least squares from many starts at once. Raises OutOfReachError where no pose fits.
+    """
+    goal = np.asarray(point_mm, dtype=np.float64)
+    stylus = None if direction is None else _unit(direction)
+    home = geometry.angles(start)[0]
+    angles = _starts(geometry, goal, stylus, home, half_range_rad)
+    angles, misses_mm = _settle(geometry, angles, goal, stylus)
+    turned = np.mod(angles - home + np.pi, 2.0 * np.pi) - np.pi
+    fits = (misses_mm < _TOLERANCE_MM) & (np.abs(turned[:, geometry.active]) <= half_range_rad[geometry.active]).all(axis=1)
+    if not fits.any():
+        raise OutOfReachError(_why_not(goal, stylus, float(misses_mm.min())))
+    nearest = turned[fits][np.argmin(np.linalg.norm(turned[fits], axis=1))]
+    counts: Floats = _rows(start)[0] + np.where(geometry.active, nearest / (2.0 * np.pi) * geometry.turns, 0.0)
+    return counts
+
+
+def _why_not(goal: Floats, stylus: Floats | None, miss_mm: float) -> str:
+    where = f"the tip at {_shown(goal)} mm" + ("" if stylus is None else f" with the stylus along {_shown(stylus)}")
+    if miss_mm < _TOLERANCE_MM:
+        return f"out of reach: {where} needs a joint past its range. Hold the stylus another way"
+    return f"out of reach: {where}; the nearest pose misses by {miss_mm:.1f} mm. Move the target nearer to the arm"
+
+
+def _starts(geometry: ArmGeometry, goal: Floats, stylus: Floats | None, home: Floats, half_range_rad: Floats) -> Floats:
+    """Home and the best poses of a lattice over the joint ranges, each with its base turned to face the goal."""
+    steps = [np.zeros(1)] + [np.linspace(-0.9, 0.9, 7) * half_range_rad[j] * geometry.active[j] for j in range(1, 5)] + [np.zeros(1)]
+    lattice = home + np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, JOINTS)
+    poses = np.concatenate([home[None], lattice])
+    tips, _ = geometry.forward_angles(poses)
+    poses[:, 0] += np.arctan2(goal[1], goal[0]) - np.arctan2(tips[:, 1], tips[:, 0])
+    misses_mm = np.linalg.norm(_misses(geometry, poses, goal, stylus), axis=1)
+    best = np.argsort(misses_mm[1:], kind="stable")[: _STARTS - 1] + 1
+    return poses[np.concatenate([[0], best])]
+
+
+def _misses(geometry: ArmGeometry, angles: Floats, goal: Floats, stylus: Floats | None) -> Floats:
+    """(n, 3) or (n, 6) mm from the goal: the tip's, then the stylus direction's at the weight it has."""
+    tips, axes = geometry.forward_angles(angles)
+    misses: Floats = goal - tips
+    return misses if stylus is None else np.concatenate([misses, _DIRECTION_MM * (stylus - axes)], axis=1)
+
+
+def _settle(geometry: ArmGeometry, angles: Floats, goal: Floats, stylus: Floats | None) -> tuple[Floats, Floats]:
+    """Levenberg and Marquardt's iteration on all rows (n, 6) at once, each with its own damping; angles and misses (n,)."""
+    rows = 3 if stylus is None else 6
+    weights = np.array([1.0] * 3 + [_DIRECTION_MM] * 3)[:rows, None]
+    misses = _misses(geometry, angles, goal, stylus)
+    damping = np.full(len(angles), 10.0)
+    for _ in range(_STEPS):
+        slopes = geometry.jacobian_angles(angles)[:, :rows] * weights
+        normal = slopes @ slopes.transpose(0, 2, 1) + (damping**2)[:, None, None] * np.eye(rows)
+        tried = angles + (slopes.transpose(0, 2, 1) @ np.linalg.solve(normal, misses[..., None]))[..., 0]
+        new = _misses(geometry, tried, goal, stylus)
+        better = np.linalg.norm(new, axis=1) < np.linalg.norm(misses, axis=1)
+        angles, misses = np.where(better[:, None], tried, angles), np.where(better[:, None], new, misses)
+        damping = np.clip(np.where(better, damping * 0.2, damping * 4.0), 1e-3, 1e4)
+        if (np.linalg.norm(misses, axis=1) < _TOLERANCE_MM).all():
+            break
+    return angles, np.linalg.norm(misses, axis=1)
+
+
+def _unit_columns(n: int) -> list[_Triple]:
+    one, none = np.ones(n), np.zeros(n)
+    return [(one, none, none), (none, one, none), (none, none, one)]
+
+
+def _rows(counts: npt.ArrayLike) -> Floats:
+    rows = np.atleast_2d(np.asarray(counts, dtype=np.float64))
+    if rows.ndim != 2 or rows.shape[1] != JOINTS:
+        raise ValueError(f"counts have shape {np.shape(counts)}, not (n, {JOINTS})")
+    return rows
+
+
+def _unit(direction: npt.ArrayLike) -> Floats:
+    v = np.asarray(direction, dtype=np.float64)
+    length = float(np.linalg.norm(v))
+    if v.shape != (3,) or not np.isfinite(length) or length == 0.0:
+        raise ValueError(f"a stylus direction is three numbers, not all zero; got {direction!r}")
+    unit: Floats = v / length
+    return unit
+
+
+def _shown(v: Floats) -> str:
+    return "(" + ", ".join(f"{x:.4g}" for x in v) + ")"

@@ -1,0 +1,135 @@
+"""The body of the emulated arm: which counts its encoders stand at when a hand holds the tip somewhere.
+
+A target goes through inverse kinematics, is moved by the arm's own inaccuracy (the same error for the same pose, as
+of a real arm whose stored parameters are a little off) and by the tremor of the hand (new for each packet), and
+comes out as counts not yet rounded. All chance comes from the seed and the packet's number. It may not know the
+wire, nor the driver.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Protocol
+
+import numpy as np
+
+from instruments.microscribe.kinematics import HALF_RANGE_RAD, JOINTS, ArmGeometry, Floats, inverse
+
+_POSES = 4000
+_BLOCK = 1024
+_PARAMETERS, _TREMOR = 0, 1  # which stream of chance
+
+
+class Hand(Protocol):
+    """Whoever holds the stylus."""
+
+    def arm_target(self) -> tuple[Floats, Floats | None] | None:
+        """Where the tip is held: point (3,) mm in the arm's frame, and the direction (3,) from the tip up the stylus
+        (None: as the arm likes). None altogether: the stylus is on its peg."""
+        ...
+
+
+class KinematicError:
+    """How far the tip is from where the counts say, as a smooth function of the pose.
+
+    An arm whose lengths, twists and encoder zeros differ a little from its stored parameters. Joint 0 stays true
+    and the mean is taken off: both would only be another frame. Scaled so that over the workspace the mean
+    distance is ``accuracy_mm``.
+    """
+
+    def __init__(self, geometry: ArmGeometry, home_rad: Floats, *, seed: int, accuracy_mm: float) -> None:
+        chance = np.random.default_rng([seed, _PARAMETERS])
+        later = np.arange(JOINTS) > 0
+        self._stored = geometry
+        self._real = dataclasses.replace(
+            geometry,
+            alpha_rad=geometry.alpha_rad + later * chance.normal(0.0, 3e-4, JOINTS),
+            a_mm=geometry.a_mm + later * chance.normal(0.0, 0.1, JOINTS),
+            d_mm=geometry.d_mm + later * chance.normal(0.0, 0.1, JOINTS),
+        )
+        self._zeros_rad = later * geometry.active * chance.normal(0.0, 5e-4, JOINTS)
+        poses = workspace(geometry, home_rad, chance)
+        raw = self._raw(poses)
+        self._mean = raw.mean(axis=0)
+        self._scale = accuracy_mm / float(np.linalg.norm(raw - self._mean, axis=1).mean())
+
+    def at(self, angles_rad: Floats) -> Floats:
+        """Error of the tip (n, 3) mm at joint angles (n, 6) rad."""
+        error: Floats = self._scale * (self._raw(angles_rad) - self._mean)
+        return error
+
+    def _raw(self, angles_rad: Floats) -> Floats:
+        real, _ = self._real.forward_angles(angles_rad + self._zeros_rad)
+        stored, _ = self._stored.forward_angles(angles_rad)
+        return real - stored
+
+
+def workspace(geometry: ArmGeometry, home_rad: Floats, chance: np.random.Generator) -> Floats:
+    """Poses (n, 6) rad spread over the joint ranges whose tip is above the table that the arm stands on."""
+    poses = home_rad + chance.uniform(-1.0, 1.0, (_POSES, JOINTS)) * HALF_RANGE_RAD * geometry.active
+    tips, _ = geometry.forward_angles(poses)
+    return poses[tips[:, 2] > 0.0]
+
+
+@dataclasses.dataclass(frozen=True, slots=True, eq=False)
+class _Pose:
+    counts: Floats  # (6,)
+    counts_per_mm: Floats  # (6, 3): the least joint motion that moves the tip
+
+
+class Mechanics:
+    """The joints of one arm in one hand.
+
+    ``home`` (6,) are the counts on the peg; ``accuracy_mm`` the mean error over the workspace; ``tremor_mm`` the
+    root mean square distance of the tip from where the hand means to hold it.
+    """
+
+    def __init__(
+        self, geometry: ArmGeometry, home: tuple[int, ...], hand: Hand, *, seed: int, accuracy_mm: float, tremor_mm: float
+    ) -> None:
+        self._geometry = geometry
+        self._home = np.array(home, dtype=np.float64)
+        self._hand = hand
+        self._seed = seed
+        self._tremor_mm = tremor_mm
+        self._error = KinematicError(geometry, geometry.angles(self._home)[0], seed=seed, accuracy_mm=accuracy_mm)
+        self._held: tuple[tuple[float, ...], _Pose] | None = None
+        self._block: tuple[int, Floats] | None = None
+
+    def counts(self, packet: int) -> Floats:
+        """Counts (6,), not rounded, at the ``packet``-th question. Raises OutOfReachError where no arm gets there."""
+        target = self._hand.arm_target()
+        if target is None:
+            return self._home
+        pose = self._pose(*target)
+        counts: Floats = pose.counts + pose.counts_per_mm @ self._tremor(packet)
+        return counts
+
+    def _pose(self, point_mm: Floats, direction: Floats | None) -> _Pose:
+        key = (*map(float, point_mm), *map(float, () if direction is None else direction))
+        if self._held is None or self._held[0] != key:
+            self._held = key, self.solve(point_mm, direction)
+        return self._held[1]
+
+    def solve(self, point_mm: Floats, direction: Floats | None) -> _Pose:
+        """The pose that the hand brings the arm to, its inaccuracy included. Raises OutOfReachError."""
+        counts = inverse(self._geometry, point_mm, direction, start=self._home)
+        goal = np.asarray(point_mm, dtype=np.float64) + self._error.at(self._geometry.angles(counts))[0]
+        for _ in range(3):  # a step of a fraction of a millimetre: Newton is exact to 1e-9 mm after three
+            tip, _ = self._geometry.forward(counts)
+            counts = counts + self._counts_per_mm(counts) @ (goal - tip[0])
+        return _Pose(counts, self._counts_per_mm(counts))
+
+    def _counts_per_mm(self, counts: Floats) -> Floats:
+        slopes = self._geometry.jacobian_angles(self._geometry.angles(counts))[0, :3]
+        per_rad = self._geometry.turns / (2.0 * np.pi)
+        moved: Floats = np.linalg.pinv(slopes) * per_rad[:, None]
+        return moved
+
+    def _tremor(self, packet: int) -> Floats:
+        block, row = divmod(packet, _BLOCK)
+        if self._block is None or self._block[0] != block:
+            chance = np.random.default_rng([self._seed, _TREMOR, block])
+            self._block = block, chance.normal(0.0, self._tremor_mm / np.sqrt(3.0), (_BLOCK, 3))
+        moved: Floats = self._block[1][row]
+        return moved

@@ -1,0 +1,235 @@
+"""The MicroScribe's bytes as values and values as bytes, for both ends of the wire.
+
+Facts: ../shared/instruments/microscribe.md, from the maker's SDK manual, chapter 4. Two alphabets never mix: data
+packets (a header with bit 7 set, then 7-bit bytes, no length, no checksum), which are here, and configuration
+replies (the code, then 8-bit bytes), in ``configuration``. Pure: it may not know of time, links or threads, nor
+who speaks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+MARK = 0x80  # bit 7: ignored in a command, set in its echo
+CONFIGURE = 0x40  # bit 6: a configuration command
+TIME_STAMP = 0x20
+UNUSED = 0x10  # no meaning in a data command
+POLL = 0x03  # six encoders, no analogs, no time stamp: the usual question
+SYNC = b"IMMC"
+BEGIN = b"BEGIN"  # answered with the product id and a NUL
+PRODUCT_ID = b"MSCR"
+INTERFACE_BOX = b"IBOX"
+ENCODERS = (0, 5, 7, 6)  # by bits 1-0 of a command, on an arm
+ANALOGS = (0, 2, 4, 8)  # by bits 3-2
+TICK_S = 0.001111
+TICK_MODULUS = 1 << 14
+
+
+class WireError(Exception):
+    """Bytes or an event that the protocol does not allow. Pure code doesn't know who spoke: the driver says it."""
+
+
+class Code(IntEnum):
+    """Configuration commands."""
+
+    HOME = 0xC2
+    SET_BAUD = 0xC4
+    END = 0xC5
+    PARAMETERS = 0xC0
+    MAXIMA = 0xC6
+    PRODUCT_NAME = 0xC8
+    PRODUCT_ID = 0xC9
+    MODEL = 0xCA
+    SERIAL_NUMBER = 0xCB
+    COMMENT = 0xCC
+    FORMAT = 0xCD
+    VERSION = 0xCE
+    STREAM = 0xCF
+    MARKER = 0xD2
+    EXTENDED = 0xD3
+
+
+FORBIDDEN = frozenset({0xC3, 0xC7, 0xD0, 0xD1})  # EEPROM writes behind a password
+ARGUMENTS: dict[int, int] = {Code.SET_BAUD: 1, Code.MARKER: 1, Code.STREAM: 24}  # bytes that the host adds; 2 more with seven encoders
+BAUD_CODES = {115200: 0x00, 57600: 0x01, 28800: 0x02, 14400: 0x03, 38400: 0x10, 19200: 0x11, 9600: 0x12}
+
+
+# The session
+
+
+class State(Enum):
+    """Where the arm's side of the conversation stands."""
+
+    FINDING_BAUD = "finding the baud rate"
+    SYNCED = "synced"
+    SESSION = "in session"
+    STREAMING = "streaming"
+
+
+class Event(Enum):
+    """What moves it."""
+
+    SYNC = "IMMC"
+    BEGIN = "BEGIN"
+    POLL = "poll"
+    CONFIGURE = "configuration command"
+    STREAM = "stream command"
+    MARKER = "marker"
+    END = "end"
+    POWER_LOST = "power loss"
+
+
+_ALWAYS = {Event.END: State.FINDING_BAUD, Event.POWER_LOST: State.FINDING_BAUD}
+_IN_SESSION = _ALWAYS | {Event.POLL: State.SESSION, Event.CONFIGURE: State.SESSION, Event.STREAM: State.STREAMING}
+TABLE: dict[State, dict[Event, State]] = {
+    State.FINDING_BAUD: _ALWAYS | {Event.SYNC: State.SYNCED},
+    State.SYNCED: _ALWAYS | {Event.SYNC: State.SYNCED, Event.BEGIN: State.SESSION},
+    State.SESSION: _IN_SESSION | {Event.MARKER: State.SESSION},
+    State.STREAMING: _IN_SESSION | {Event.MARKER: State.STREAMING},
+}
+
+
+def next_state(state: State, event: Event) -> State:
+    """The state after ``event``. Raises WireError where the table has none."""
+    try:
+        return TABLE[state][event]
+    except KeyError:
+        raise WireError(f"{event.value} is not allowed while {state.value}") from None
+
+
+_SPECIAL: dict[int, Event] = {Code.END: Event.END, Code.STREAM: Event.STREAM, Code.MARKER: Event.MARKER}
+
+
+def event_of(command: int) -> Event:
+    """What a command byte is in a live session, bit 7 or not."""
+    if not command & CONFIGURE:
+        return Event.POLL
+    return _SPECIAL.get(command | MARK, Event.CONFIGURE)
+
+
+def refuse_forbidden(data: bytes, state: State) -> None:
+    """Raise WireError where ``data`` would start an EEPROM write.
+
+    In a live session bit 7 is ignored, so that the letters C, G, P, Q count too; in sign-on they are words' letters.
+    """
+    live = state in (State.SESSION, State.STREAMING)
+    for byte in data:
+        if (byte | MARK if live else byte) in FORBIDDEN:
+            raise WireError(f"byte {byte:02X} would start a write to the arm's EEPROM and is never sent")
+
+
+# Data packets
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """One data packet: counts as they came (0 to 16383), ticks of 1.111 ms where a stamp was asked for."""
+
+    command: int
+    buttons: int
+    counts: tuple[int, ...]
+    ticks: int | None = None
+    analogs: tuple[int, ...] = ()
+
+
+def encoder_count(command: int) -> int:
+    """How many encoders a data command asks for."""
+    return ENCODERS[command & 0x03]
+
+
+def analog_count(command: int) -> int:
+    """How many analog channels a data command asks for."""
+    return ANALOGS[command >> 2 & 0x03]
+
+
+def payload_length(command: int) -> int:
+    """Bytes after the header of the packet that answers ``command``."""
+    analogs = analog_count(command)
+    return 1 + (2 if command & TIME_STAMP else 0) + analogs + (1 if analogs else 0) + 2 * encoder_count(command)
+
+
+_LENGTHS = tuple(payload_length(command) for command in range(64))
+
+
+def encode_packet(packet: Packet) -> bytes:
+    """Header and payload. With eight analogs the last one's lowest bit has no room and is dropped.
+
+    Raises WireError when the packet doesn't fit its command.
+    """
+    command = packet.command
+    wanted = encoder_count(command), analog_count(command), bool(command & TIME_STAMP)
+    if (len(packet.counts), len(packet.analogs), packet.ticks is not None) != wanted:
+        raise WireError(f"a packet for command {command:02X} has {wanted[0]} counts, {wanted[1]} analogs, time stamp {wanted[2]}")
+    stamp = b"" if packet.ticks is None else _fourteen(packet.ticks)
+    low_bits = bytes([sum((value & 1) << 6 >> channel for channel, value in enumerate(packet.analogs))]) if packet.analogs else b""
+    analogs = bytes(value >> 1 for value in packet.analogs) + low_bits
+    return bytes([command | MARK, packet.buttons & 0x7F]) + stamp + analogs + b"".join(map(_fourteen, packet.counts))
+
+
+def _fourteen(value: int) -> bytes:
+    return bytes([value >> 7 & 0x7F, value & 0x7F])
+
+
+class PacketDecoder:
+    """Finds packets in a stream cut anywhere; ``damaged`` counts those it had to drop.
+
+    A byte with bit 7 inside a packet is damage, and is where the search for a header goes on. ``command``
+    names the only packet that is waited for; without it, any data header is one.
+    """
+
+    def __init__(self, command: int | None = None) -> None:
+        self.damaged = 0
+        self._wanted = None if command is None else command | MARK
+        self._buffer = b""
+
+    @property
+    def pending(self) -> int:
+        """Bytes of an unfinished packet."""
+        return len(self._buffer)
+
+    def reset(self) -> None:
+        """Forget an unfinished packet; it counts as damaged."""
+        self.damaged += bool(self._buffer)
+        self._buffer = b""
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """The packets that ``data`` completes, in order."""
+        buffer, at = self._buffer + data, 0
+        packets: list[Packet] = []
+        while at < len(buffer):
+            header = buffer[at]
+            if not self._is_header(header):
+                at = _next_marked(buffer, at)
+                continue
+            end = at + 1 + _LENGTHS[header & 0x3F]
+            payload = buffer[at + 1 : end]
+            if not payload.isascii():
+                self.damaged += 1
+                at = _next_marked(buffer, at)
+            elif end > len(buffer):
+                break
+            else:
+                packets.append(_packet(header & 0x7F, payload))
+                at = end
+        self._buffer = buffer[at:]
+        return packets
+
+    def _is_header(self, byte: int) -> bool:
+        return byte == self._wanted if self._wanted is not None else byte & (MARK | CONFIGURE | UNUSED) == MARK
+
+
+def _next_marked(buffer: bytes, at: int) -> int:
+    return next((i for i in range(at + 1, len(buffer)) if buffer[i] & MARK), len(buffer))
+
+
+def _packet(command: int, payload: bytes) -> Packet:
+    at, ticks, analogs = 1, None, ()  # type: int, int | None, tuple[int, ...]
+    if command & TIME_STAMP:
+        at, ticks = 3, payload[1] << 7 | payload[2]
+    if channels := analog_count(command):
+        low_bits = payload[at + channels] << 1
+        analogs = tuple(payload[at + i] << 1 | low_bits >> 7 - i & 1 for i in range(channels))
+        at += channels + 1
+    high, low = payload[at::2], payload[at + 1 :: 2]
+    return Packet(command, payload[0], tuple([h << 7 | v for h, v in zip(high, low, strict=True)]), ticks, analogs)

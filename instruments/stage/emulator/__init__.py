@@ -1,0 +1,9 @@
+"""The motion stage's other end: a GRBL board with a carriage, as far as a driver can tell."""
+
+from __future__ import annotations
+
+from instruments.stage.emulator.board import StageEmulator
+from instruments.stage.emulator.dialect import CLASSIC, GRBL_HAL, Dialect
+from instruments.stage.emulator.faults import Fault
+
+__all__ = ["CLASSIC", "GRBL_HAL", "Dialect", "Fault", "StageEmulator"]

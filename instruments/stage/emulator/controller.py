@@ -1,0 +1,258 @@
+"""The firmware: states, resets, alarms, real-time bytes, and the main loop that takes one line after the other.
+
+A line runs as a generator (``lines.execute``): it yields when it has to wait for a full planner, a dwell or
+homing, and is asked again when that may be over; while it waits, further bytes stay in the receive buffer.
+Real-time bytes act at once. What is said gathers in ``out``. It may not know a connection, or faults.
+
+Sources: the firmware's interface and command documents, and its behaviour as recorded in a simulator.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from enum import Enum
+
+from instruments.clock import Clock
+from instruments.stage import protocol
+from instruments.stage.emulator.carriage import Carriage, shifted
+from instruments.stage.emulator.dialect import Dialect
+from instruments.stage.emulator.gcode import Modes
+from instruments.stage.emulator.homing import Switch
+from instruments.stage.emulator.lines import Task, execute
+from instruments.stage.emulator.receiver import Receiver, split
+from instruments.stage.emulator.report import SlowFields, numbers
+from instruments.stage.emulator.store import Store
+
+
+class Mode(Enum):
+    """What the firmware is in, beside moving or not."""
+
+    READY = "ready"
+    LOCKED = "locked"
+    CRITICAL = "critical"  # a limit alarm: nothing is heard until a reset
+    HOMING = "homing"
+    HOLD = "hold"
+    DOOR = "door"
+    SLEEP = "sleep"
+
+
+_DEAF = frozenset({Mode.CRITICAL, Mode.HOLD, Mode.DOOR, Mode.SLEEP})  # lines wait
+_STATES: dict[Mode, tuple[str, str]] = {  # the state's name at rest, and while moving
+    Mode.READY: ("Idle", "Run"),
+    Mode.LOCKED: ("Alarm", "Alarm"),
+    Mode.CRITICAL: ("Alarm", "Alarm"),
+    Mode.HOMING: ("Home", "Home"),
+    Mode.HOLD: ("Hold:0", "Hold:1"),
+    Mode.DOOR: ("Door:0", "Door:2"),
+    Mode.SLEEP: ("Sleep", "Sleep"),
+}
+
+
+class Controller:
+    """One board's firmware with a carriage on its motors. ``answer`` gets the one answer of each line."""
+
+    def __init__(self, clock: Clock, settings: Store, dialect: Dialect, carriage: Carriage, answer: Callable[[str], None]) -> None:
+        self._clock = clock
+        self.settings = settings
+        self.dialect = dialect
+        self.carriage = carriage
+        self._answer = answer
+        self._receiver = Receiver(dialect.receive_bytes)
+        self.out = bytearray()
+        self.broken_switches: dict[int, Switch] = {}
+        self._clear()
+        self.mode = self._first_mode()
+
+    @property
+    def now(self) -> float:
+        return self._clock.now()
+
+    @property
+    def moving(self) -> bool:
+        return self.carriage.moving(self.now)
+
+    @property
+    def jogging(self) -> bool:
+        return self.jogged and self.moving
+
+    @property
+    def locked(self) -> bool:
+        return self.mode is Mode.LOCKED
+
+    def unlock(self) -> None:
+        """Leave the alarm without homing."""
+        self.mode = Mode.READY
+
+    def sleep(self) -> None:
+        """Motors off until a reset."""
+        self.mode = Mode.SLEEP
+
+    def set_homing(self, on: bool) -> None:
+        """A homing cycle begins, or has succeeded."""
+        self.mode = Mode.HOMING if on else Mode.READY
+
+    def say(self, text: str) -> None:
+        """Put a line out."""
+        self.out += text.encode("ascii") + b"\r\n"
+
+    def take(self, data: bytes) -> None:
+        """Bytes from the host, cut anywhere."""
+        for realtime, part in split(data):
+            if realtime:
+                self._realtime(part)
+                continue
+            while part and self._receiver.room:  # what finds no room is lost
+                room = self._receiver.room
+                self._receiver.put(part[:room])
+                part = part[room:]
+                self.pump()
+
+    # Resets and alarms
+
+    def power_up(self, first_words: tuple[str, ...] = ()) -> None:
+        """Power comes, or the host's opening of the port resets the board: the count is lost."""
+        self.carriage.cut_power(self.now)
+        self._clear()
+        self.mode = self._first_mode()
+        for line in first_words:
+            self.say(line)
+        self._greet()
+
+    def restart(self) -> None:
+        """What every soft reset ends in. The count stays; an alarm stays an alarm."""
+        locked = self.mode in (Mode.LOCKED, Mode.CRITICAL, Mode.SLEEP)
+        if self._task:
+            self.say("ok")  # the line that was in the works is answered on the way out
+        self.carriage.halt(self.now)
+        self.carriage.override(100, 100, self.now)
+        self._clear()
+        self.mode = Mode.LOCKED if locked else Mode.READY
+        self._greet()
+
+    def alarm(self, code: int, *, critical: bool = False) -> None:
+        """Stop dead and lock; a critical alarm makes deaf until a reset."""
+        self.carriage.halt(self.now)
+        self.mode = Mode.CRITICAL if critical else Mode.LOCKED
+        self.say(f"ALARM:{code}")
+        if critical:
+            self.say("[MSG:Reset to continue]")
+
+    def _first_mode(self) -> Mode:
+        return Mode.LOCKED if self.settings[22] else Mode.READY
+
+    def _clear(self) -> None:
+        self._receiver.clear()
+        self._task: Task | None = None
+        self.due_s = math.inf  # when the line in the works wants to be asked again
+        self.modes = Modes()
+        self.slow = SlowFields()
+        self.asked_while_homing = False
+        self.jogged = False
+
+    def _greet(self) -> None:
+        self.say("")
+        self.say(self.dialect.welcome)
+        if self.mode is Mode.LOCKED:
+            self.say("[MSG:'$H'|'$X' to unlock]")
+
+    def _reset(self) -> None:
+        if self.moving:
+            self.alarm(6 if self.carriage.homing else 3)
+        self.restart()
+
+    # Real-time bytes
+
+    def _realtime(self, byte: bytes) -> None:
+        if byte == protocol.SOFT_RESET:
+            self._reset()
+        elif byte == protocol.STATUS_QUERY:
+            self._query()
+        elif self.mode in (Mode.LOCKED, Mode.CRITICAL, Mode.HOMING, Mode.SLEEP):
+            return
+        elif byte in (protocol.HOLD, protocol.DOOR):
+            self._hold(byte == protocol.DOOR)
+        elif byte == protocol.RESUME:
+            self._resume()
+        elif byte == protocol.JOG_CANCEL:
+            if self.jogging:
+                self.carriage.cancel(self.now)
+        else:
+            self._override(byte)
+
+    def _query(self) -> None:
+        if self.dialect.always_reports or self.mode not in (Mode.HOMING, Mode.CRITICAL):
+            self.say(self.status())
+        elif self.mode is Mode.HOMING:
+            self.asked_while_homing = True
+
+    def _hold(self, door: bool) -> None:
+        if door:
+            self.say("[MSG:Check Door]")
+        if self.jogging:
+            self.carriage.cancel(self.now)
+        elif self.mode is Mode.READY and self.moving:
+            self.carriage.hold(self.now)
+        if door or (self.mode is Mode.READY and not self.jogged):
+            self.mode = Mode.DOOR if door else Mode.HOLD
+
+    def _resume(self) -> None:
+        if self.mode in (Mode.HOLD, Mode.DOOR) and not self.moving:  # while it still brakes, the byte is lost
+            self.mode = Mode.READY
+            self.carriage.resume(self.now)
+            self.pump()
+
+    def _override(self, byte: bytes) -> None:
+        feed, rapid = self.carriage.percent
+        if byte in protocol.FEED_OVERRIDES:
+            change = protocol.FEED_OVERRIDES[byte]
+            feed = 100 if change is None else min(200, max(10, feed + change))
+        rapid = protocol.RAPID_OVERRIDES.get(byte, rapid)
+        if (feed, rapid) != self.carriage.percent:
+            self.carriage.override(feed, rapid, self.now)
+            self.pump()
+
+    # The main loop
+
+    def pump(self) -> None:
+        """Take lines until one has to wait, or there are none."""
+        self.due_s = math.inf
+        while self.mode not in _DEAF:
+            if self._task is None:
+                line = next(self._receiver.lines(), None)
+                if line is None:
+                    return
+                self._task = execute(self, line)
+            try:
+                self.due_s = next(self._task)
+                return
+            except StopIteration as end:
+                self._finish(end.value)
+
+    def _finish(self, code: int | None) -> None:
+        if code is None:
+            self.restart()
+            return
+        self._task = None
+        self._answer("ok" if code == 0 else f"error:{code}")
+
+    # Reports
+
+    def status(self) -> str:
+        """A status report, as ``?`` gets it."""
+        now, bits = self.now, int(self.settings[10])
+        inches, offset = bool(self.settings[13]), self.modes.offset_mm
+        place = self.settings.whole_steps(self.carriage.count_mm(now))
+        parts = [self._state(), f"MPos:{numbers(place, inches)}" if bits & 1 else f"WPos:{numbers(shifted(place, offset, -1.0), inches)}"]
+        if bits & 2:
+            parts.append(f"Bf:{self.dialect.planner_blocks - len(self.carriage.blocks(now))},{self._receiver.room}")
+        parts.append(f"FS:{self.carriage.speed_mm_s(now) * 60:.0f},0")
+        due = self.slow.due(self.moving or self.mode in (Mode.HOLD, Mode.DOOR))
+        if due == "WCO":
+            parts.append(f"WCO:{numbers(offset, inches)}")
+        elif due == "Ov":
+            parts.append("Ov:{},{},100".format(*self.carriage.percent))
+        return f"<{'|'.join(parts)}{self.dialect.more_fields}>"
+
+    def _state(self) -> str:
+        return "Jog" if self.mode is Mode.READY and self.jogging else _STATES[self.mode][self.moving]

@@ -1,0 +1,184 @@
+"""The G-code that the emulated controller understands: one line to one command, with the modes it leaves behind.
+
+Straight moves, dwell, units, distance mode, machine coordinates, the G92 offset and jogs; spindle, coolant
+and program words are taken and do nothing. Arcs, probing, tool offsets and further work coordinates are
+refused with error 20. It may not know positions over time, or a clock.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+from instruments.stage.emulator.motion import Vector
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)")
+_GROUPS = {
+    "motion": {0.0, 1.0, 80.0},
+    "other": {4.0, 53.0, 92.0, 92.1},
+    "plane": {17.0},
+    "units": {20.0, 21.0},
+    "distance": {90.0, 91.0},
+    "feed mode": {94.0},
+    "coordinates": {54.0},
+    "tool": {40.0, 49.0},
+    "path": {61.0},
+    "arc distance": {91.1},
+}
+_IDLE_M = {0.0, 1.0, 2.0, 30.0, 3.0, 4.0, 5.0, 7.0, 8.0, 9.0}
+_INCH_MM = 25.4
+
+
+class GcodeError(Exception):
+    """The line is refused with ``code``."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"error:{code}")
+        self.code = code
+
+
+@dataclass(frozen=True, slots=True)
+class Modes:
+    """What lines leave behind for later lines. ``offset_mm``: work coordinates' zero in machine coordinates."""
+
+    motion: float = 0.0
+    inches: bool = False
+    relative: bool = False
+    feed_mm_min: float = 0.0
+    offset_mm: Vector = (0.0, 0.0, 0.0)
+
+    def describe(self) -> str:
+        """As ``$G`` prints them."""
+        return (
+            f"[GC:G{self.motion:g} G54 G17 G{20 if self.inches else 21} G{91 if self.relative else 90} G94 M5 M9 T0 "
+            f"F{self.feed_mm_min:.0f} S0]"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """Go to ``target_mm`` (machine coordinates); no feed is a rapid move."""
+
+    target_mm: Vector
+    feed_mm_min: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Dwell:
+    """Let all moves finish, then wait."""
+
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """A line taken apart: G numbers by modal group, and the other letters' values."""
+
+    groups: dict[str, float]
+    values: dict[str, float]
+
+
+def words(text: str) -> Words:
+    """Take a line apart (capitals, no spaces). Raises GcodeError."""
+    groups: dict[str, float] = {}
+    values: dict[str, float] = {}
+    at = 0
+    while at < len(text):
+        letter = text[at]
+        if not "A" <= letter <= "Z":
+            raise GcodeError(1)
+        number = _NUMBER.match(text, at + 1)
+        if not number:
+            raise GcodeError(2)
+        at = number.end()
+        _place(letter, float(number[0]), groups, values)
+    return Words(groups, values)
+
+
+def _place(letter: str, value: float, groups: dict[str, float], values: dict[str, float]) -> None:
+    if letter == "G":
+        group = next((name for name, members in _GROUPS.items() if value in members), None)
+        if group is None:
+            raise GcodeError(20)
+        if group in groups:
+            raise GcodeError(21)
+        groups[group] = value
+    elif letter == "M":
+        if value not in _IDLE_M:
+            raise GcodeError(20)
+    elif letter not in "XYZFPNST":
+        raise GcodeError(20)
+    elif letter in values:
+        raise GcodeError(25)
+    elif letter in "FNPST" and value < 0:
+        raise GcodeError(4)
+    else:
+        values[letter] = value
+
+
+def command(text: str, modes: Modes, at_mm: Vector) -> tuple[Modes, Move | Dwell | None]:
+    """What ``text`` asks for, where the last planned move ends at ``at_mm``. Raises GcodeError; then nothing changes."""
+    line = words(text)
+    after = _new_modes(line, modes)
+    axes = _axes(line, after.inches)
+    other = line.groups.get("other")
+    if other == 4.0:
+        if "P" not in line.values:
+            raise GcodeError(28)
+        return after, Dwell(line.values["P"])
+    if other == 92.1:
+        return replace(after, offset_mm=(0.0, 0.0, 0.0)), None
+    if other == 92.0:
+        if not axes:
+            raise GcodeError(26)
+        x, y, z = (at_mm[i] - axes[i] if i in axes else after.offset_mm[i] for i in range(3))
+        return replace(after, offset_mm=(x, y, z)), None
+    return after, _move(line, after, axes, at_mm)
+
+
+def jog(text: str, modes: Modes, at_mm: Vector) -> Move:
+    """The move that ``$J=`` asks for; it leaves no mode behind. Raises GcodeError."""
+    line = words(text)
+    if set(line.groups) - {"units", "distance", "other"} or line.groups.get("other", 53.0) != 53.0:
+        raise GcodeError(16)
+    if not line.values.get("F"):
+        raise GcodeError(22)
+    after = replace(_new_modes(line, modes), motion=1.0)
+    axes = _axes(line, after.inches)
+    move = _move(line, after, axes, at_mm)
+    if move is None:
+        raise GcodeError(26)
+    return move
+
+
+def _new_modes(line: Words, modes: Modes) -> Modes:
+    inches = line.groups.get("units", 20.0 if modes.inches else 21.0) == 20.0
+    relative = line.groups.get("distance", 91.0 if modes.relative else 90.0) == 91.0
+    feed = line.values["F"] * (_INCH_MM if inches else 1.0) if "F" in line.values else modes.feed_mm_min
+    return replace(modes, motion=line.groups.get("motion", modes.motion), inches=inches, relative=relative, feed_mm_min=feed)
+
+
+def _axes(line: Words, inches: bool) -> dict[int, float]:
+    return {"XYZ".index(letter): value * (_INCH_MM if inches else 1.0) for letter, value in line.values.items() if letter in "XYZ"}
+
+
+def _move(line: Words, modes: Modes, axes: dict[int, float], at_mm: Vector) -> Move | None:
+    machine = line.groups.get("other") == 53.0
+    if machine and modes.motion not in (0.0, 1.0):
+        raise GcodeError(30)
+    if not axes:
+        return None
+    if modes.motion == 80.0:
+        raise GcodeError(31)
+    if modes.motion == 1.0 and modes.feed_mm_min == 0:
+        raise GcodeError(22)
+    target = list(at_mm)
+    for axis, value in axes.items():
+        if machine:
+            target[axis] = value
+        elif modes.relative:
+            target[axis] += value
+        else:
+            target[axis] = value + modes.offset_mm[axis]
+    x, y, z = target
+    return Move((x, y, z), modes.feed_mm_min if modes.motion == 1.0 else None)

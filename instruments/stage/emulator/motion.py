@@ -1,0 +1,290 @@
+"""Straight moves with limited acceleration, as a function of time. Nothing steps.
+
+A plan is a row of legs, each a line in space with up to three phases of constant acceleration; position and
+speed at any moment are one look into it. What is left of a plan is planned anew, from the speed of that
+moment, when a block is added, an override changes, or a hold begins. It may not know G-code or a clock: the
+moment is an argument.
+
+Sources: S.-K. Jeon's description of GRBL's planner (look-ahead in two passes; junction speed from the radius
+of a circle that leaves the corner by at most the junction deviation, setting $11).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+Vector = tuple[float, float, float]
+SOON_S = 1e-9  # two moments nearer than this are one: sums of times differ in their last bits
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """Constant acceleration along a line; times in s from any origin, places in mm along the line."""
+
+    start_s: float
+    seconds: float
+    start_mm: float
+    speed_mm_s: float
+    accel_mm_s2: float
+
+    @property
+    def end_s(self) -> float:
+        return self.start_s + self.seconds
+
+    def place_mm(self, now_s: float) -> float:
+        t = min(max(now_s - self.start_s, 0.0), self.seconds)
+        return self.start_mm + self.speed_mm_s * t + self.accel_mm_s2 * t * t / 2
+
+    def speed_at(self, now_s: float) -> float:
+        return self.speed_mm_s + self.accel_mm_s2 * min(max(now_s - self.start_s, 0.0), self.seconds)
+
+
+def profile(length_mm: float, entry: float, cruise: float, leave: float, accel: float) -> list[tuple[float, float, float]]:
+    """The fastest way along ``length_mm`` from speed ``entry`` to ``leave`` at no more than ``cruise``.
+
+    Phases as (seconds, speed at its start, acceleration); speeds in mm/s, ``accel`` in mm/s² and positive. An
+    ``entry`` above ``cruise`` is braked first; where the length is too short to brake, the braking is harder.
+    """
+    if length_mm <= 0:
+        return []
+    if entry**2 - leave**2 >= 2 * accel * length_mm:
+        return [(2 * length_mm / (entry + leave), entry, (leave**2 - entry**2) / (2 * length_mm))]
+    peak = min(cruise, math.sqrt((2 * accel * length_mm + entry**2 + leave**2) / 2))
+    first = accel if peak >= entry else -accel
+    first_mm = (peak**2 - entry**2) / (2 * first)
+    last_mm = max(0.0, (peak**2 - leave**2) / (2 * accel))
+    phases = [
+        ((peak - entry) / first, entry, first),
+        (max(0.0, length_mm - first_mm - last_mm) / peak, peak, 0.0),
+        (max(0.0, peak - leave) / accel, peak, -accel),
+    ]
+    return [phase for phase in phases if phase[0] > 0]
+
+
+def lay(phases: Sequence[tuple[float, float, float]], start_s: float, start_mm: float = 0.0) -> tuple[Phase, ...]:
+    """Phases one after the other from ``start_s`` and ``start_mm`` on."""
+    laid = []
+    for seconds, speed, accel in phases:
+        laid.append(Phase(start_s, seconds, start_mm, speed, accel))
+        start_s += seconds
+        start_mm += speed * seconds + accel * seconds * seconds / 2
+    return tuple(laid)
+
+
+@dataclass(frozen=True, slots=True)
+class AxisRates:
+    """What each axis can do: mm/s and mm/s²; and the junction deviation in mm."""
+
+    speed_mm_s: Vector
+    accel_mm_s2: Vector
+    deviation_mm: float
+
+    def along(self, unit: Vector, of: Vector) -> float:
+        """The most that a motion along ``unit`` may have without any axis exceeding ``of``."""
+        return min((most / abs(u) for u, most in zip(unit, of, strict=True) if abs(u) > 1e-12), default=math.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A straight move, or what is left of one from ``from_mm`` on."""
+
+    start_mm: Vector
+    target_mm: Vector
+    unit: Vector
+    length_mm: float
+    feed_mm_s: float
+    rapid: bool
+    top_mm_s: float
+    accel_mm_s2: float
+    junction_mm_s: float
+    from_mm: float = 0.0
+
+    @property
+    def left_mm(self) -> float:
+        return self.length_mm - self.from_mm
+
+    def place(self, along_mm: float) -> Vector:
+        if along_mm >= self.length_mm:
+            return self.target_mm
+        x, y, z = (start + u * along_mm for start, u in zip(self.start_mm, self.unit, strict=True))
+        return x, y, z
+
+
+def block_to(start: Vector, target: Vector, feed_mm_s: float | None, rates: AxisRates, before: Block | None) -> Block | None:
+    """The block from ``start`` to ``target``; None where there is nothing to go. ``feed_mm_s`` None is a rapid move.
+
+    ``before`` is the block that it follows without a stop.
+    """
+    length = math.dist(start, target)
+    if length == 0:
+        return None
+    ux, uy, uz = ((t - s) / length for s, t in zip(start, target, strict=True))
+    unit = (ux, uy, uz)
+    top = rates.along(unit, rates.speed_mm_s)
+    return Block(
+        start_mm=start,
+        target_mm=target,
+        unit=unit,
+        length_mm=length,
+        feed_mm_s=top if feed_mm_s is None else min(feed_mm_s, top),
+        rapid=feed_mm_s is None,
+        top_mm_s=top,
+        accel_mm_s2=rates.along(unit, rates.accel_mm_s2),
+        junction_mm_s=junction_speed(before.unit, unit, rates) if before else 0.0,
+    )
+
+
+def junction_speed(before: Vector, after: Vector, rates: AxisRates) -> float:
+    """The speed at a corner: that on a circle which touches both lines and passes the corner at the deviation."""
+    cosine = -sum(b * a for b, a in zip(before, after, strict=True))
+    if cosine > 0.999999:
+        return 0.0
+    if cosine < -0.999999:
+        return math.inf
+    dx, dy, dz = (a - b for a, b in zip(after, before, strict=True))
+    size = math.hypot(dx, dy, dz)
+    accel = rates.along((dx / size, dy / size, dz / size), rates.accel_mm_s2)
+    half_sine = math.sqrt((1 - cosine) / 2)
+    return math.sqrt(accel * rates.deviation_mm * half_sine / (1 - half_sine))
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A block and when it is where."""
+
+    block: Block
+    phases: tuple[Phase, ...]
+    end_s: float
+    end_mm: float
+
+    def place_mm(self, now_s: float) -> float:
+        """How far along the block, mm."""
+        if now_s >= self.end_s:
+            return self.end_mm
+        return self._phase(now_s).place_mm(now_s)
+
+    def speed_at(self, now_s: float) -> float:
+        return 0.0 if now_s >= self.end_s else self._phase(now_s).speed_at(now_s)
+
+    def _phase(self, now_s: float) -> Phase:
+        return next((phase for phase in self.phases if now_s < phase.end_s), self.phases[-1])
+
+
+def plan(blocks: Sequence[Block], now_s: float, speed_mm_s: float, percent: tuple[int, int]) -> tuple[Leg, ...]:
+    """Legs through all ``blocks``, from ``speed_mm_s`` to rest. ``percent``: the feed and rapid overrides."""
+    cruise = [block.top_mm_s * percent[1] / 100 if block.rapid else min(block.feed_mm_s * percent[0] / 100, block.top_mm_s) for block in blocks]
+    entry = [speed_mm_s] + [min(b.junction_mm_s, cruise[i], cruise[i + 1]) for i, b in enumerate(blocks[1:])] + [0.0]
+    for i in range(len(blocks) - 1, 0, -1):
+        entry[i] = min(entry[i], math.sqrt(entry[i + 1] ** 2 + 2 * blocks[i].accel_mm_s2 * blocks[i].left_mm))
+    legs = []
+    for i, block in enumerate(blocks):
+        entry[i + 1] = min(entry[i + 1], math.sqrt(entry[i] ** 2 + 2 * block.accel_mm_s2 * block.left_mm))
+        phases = lay(profile(block.left_mm, entry[i], cruise[i], entry[i + 1], block.accel_mm_s2), now_s, block.from_mm)
+        now_s = phases[-1].end_s if phases else now_s
+        legs.append(Leg(block, phases, now_s, block.length_mm))
+    return tuple(legs)
+
+
+def brake(blocks: Sequence[Block], now_s: float, speed_mm_s: float) -> tuple[tuple[Leg, ...], tuple[Block, ...]]:
+    """Legs that stop as soon as the acceleration allows, and what is left of the blocks then."""
+    legs: list[Leg] = []
+    left = list(blocks)
+    while left and speed_mm_s > 0:
+        block = left.pop(0)
+        way = speed_mm_s**2 / (2 * block.accel_mm_s2)
+        after = math.sqrt(max(0.0, speed_mm_s**2 - 2 * block.accel_mm_s2 * block.left_mm)) if way > block.left_mm else 0.0
+        end = min(block.from_mm + way, block.length_mm)
+        phases = lay([((speed_mm_s - after) / block.accel_mm_s2, speed_mm_s, -block.accel_mm_s2)], now_s, block.from_mm)
+        now_s, speed_mm_s = phases[-1].end_s, after
+        legs.append(Leg(block, phases, now_s, end))
+        if end < block.length_mm:
+            left.insert(0, replace(block, from_mm=end))
+    return tuple(legs), tuple(left)
+
+
+class Motion:
+    """The stage's counted position over time, mm. Moments must not go back."""
+
+    def __init__(self, at_mm: Vector) -> None:
+        self._rest = at_mm
+        self._legs: tuple[Leg, ...] = ()
+        self._held: tuple[Block, ...] = ()
+        self.percent = (100, 100)
+
+    def position(self, now_s: float) -> Vector:
+        leg = next((leg for leg in self._legs if now_s < leg.end_s), self._legs[-1] if self._legs else None)
+        return leg.block.place(leg.place_mm(now_s)) if leg else self._rest
+
+    def speed(self, now_s: float) -> float:
+        """Along the path, mm/s."""
+        return next((leg.speed_at(now_s) for leg in self._legs if now_s < leg.end_s), 0.0)
+
+    def moving(self, now_s: float) -> bool:
+        return bool(self._legs) and self._legs[-1].end_s > now_s + SOON_S
+
+    def blocks(self, now_s: float) -> tuple[Block, ...]:
+        """What is not finished, the running one first."""
+        # A leg that ends short of its block is braking for a hold; what is left of its block is among the held.
+        unfinished = (leg for leg in self._legs if leg.end_s > now_s + SOON_S)
+        return tuple(leg.block for leg in unfinished if leg.end_mm >= leg.block.length_mm) + self._held
+
+    def next_end_s(self, now_s: float) -> float:
+        """When the running block ends, or stops; ``inf`` at rest."""
+        return next((leg.end_s for leg in self._legs if leg.end_s > now_s + SOON_S), math.inf)
+
+    @property
+    def target(self) -> Vector:
+        """Where all that is planned ends."""
+        if self._held:
+            return self._held[-1].target_mm
+        return self._legs[-1].block.place(self._legs[-1].end_mm) if self._legs else self._rest
+
+    def go(self, target: Vector, feed_mm_s: float | None, rates: AxisRates, now_s: float) -> bool:
+        """Plan a move to ``target`` after all that is planned; False where there is nothing to go."""
+        waiting = self.blocks(now_s)
+        block = block_to(self.target, target, feed_mm_s, rates, waiting[-1] if waiting else None)
+        if block:
+            self._replan(now_s, block)
+        return block is not None
+
+    def hold(self, now_s: float) -> None:
+        """Brake; what is left waits for ``resume``."""
+        left, speed = self._left(now_s)
+        self._rest = self.position(now_s)
+        self._legs, self._held = brake(left, now_s, speed)
+
+    def resume(self, now_s: float) -> None:
+        """Go on with what a hold left. Only at rest."""
+        self._replan(now_s)
+
+    def override(self, feed: int, rapid: int, now_s: float) -> None:
+        """Change the overrides, in percent, at once."""
+        self.percent = (feed, rapid)
+        if not self._held:
+            self._replan(now_s)
+
+    def cancel(self, now_s: float) -> None:
+        """Brake, and forget what is left."""
+        self.hold(now_s)
+        self._held = ()
+
+    def halt(self, now_s: float) -> None:
+        """Stop dead and forget the plan: the steps are cut."""
+        self._rest = self.position(now_s)
+        self._legs = self._held = ()
+
+    def _replan(self, now_s: float, *more: Block) -> None:
+        left, speed = self._left(now_s)
+        self._rest = self.position(now_s)
+        self._held = ()
+        self._legs = plan((*left, *more), now_s, speed, self.percent)
+
+    def _left(self, now_s: float) -> tuple[tuple[Block, ...], float]:
+        """The blocks to go, the first cut at where it is now, and the speed."""
+        running = [leg for leg in self._legs if leg.end_s > now_s + SOON_S]
+        if self._held or not running:
+            return self._held, 0.0
+        first = replace(running[0].block, from_mm=running[0].place_mm(now_s))
+        return (first, *(leg.block for leg in running[1:])), running[0].speed_at(now_s)

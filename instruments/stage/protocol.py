@@ -1,0 +1,209 @@
+"""GRBL 1.1 on the wire: lines to send, and bytes back to values. Classic GRBL and grblHAL.
+
+Total functions: any bytes give values, and what makes no sense gives ``Nonsense`` with the reason, so that
+one bad line never hides the next. Fields of a status report are found by name and unknown ones kept as text.
+It may not know a wire, a clock, or what follows from an answer.
+
+Source: the firmware's interface and command documents, version 1.1.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from instruments.errors import LimitError
+
+MAX_LINE = 79  # the controller's line buffer has 80 places, one of them for its terminator
+MAX_ANSWER = 1024  # longer than any answer of either dialect; more without a line end is not GRBL
+
+STATUS_QUERY = b"?"
+HOLD = b"!"
+RESUME = b"~"
+SOFT_RESET = b"\x18"
+DOOR = b"\x84"
+JOG_CANCEL = b"\x85"
+FEED_OVERRIDES: dict[bytes, int | None] = {b"\x90": None, b"\x91": 10, b"\x92": -10, b"\x93": 1, b"\x94": -1}  # None: back to 100 %
+RAPID_OVERRIDES: dict[bytes, int] = {b"\x95": 100, b"\x96": 50, b"\x97": 25}
+SPINDLE_OVERRIDES = frozenset(bytes([code]) for code in range(0x99, 0x9F))
+
+Position = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Ok:
+    """A line was taken. Exactly one ``Ok`` or ``ErrorReply`` answers each line."""
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorReply:
+    """A line was refused."""
+
+    code: int
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """The controller has stopped by itself. Pushed, never counted as an answer."""
+
+    code: int
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """A status report. Positions in mm (unless the controller is set to inches), three axes or more; None: not in this report."""
+
+    state: str
+    substate: int | None
+    mpos_mm: Position | None
+    wpos_mm: Position | None
+    wco_mm: Position | None
+    fields: Mapping[str, str]
+
+    @property
+    def name(self) -> str:
+        """The state as the controller writes it: ``Idle``, ``Hold:0``."""
+        return self.state if self.substate is None else f"{self.state}:{self.substate}"
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One stored setting. The value stays text: grblHAL has settings that aren't numbers."""
+
+    number: int
+    value: str
+
+
+@dataclass(frozen=True, slots=True)
+class Welcome:
+    """The start-up line after every reset. ``dialect`` is ``Grbl`` or ``grblHAL``."""
+
+    version: str
+    dialect: str
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """Any other thing pushed: ``[MSG:...]``, ``[VER:...]``, ``$N0=...``, ``>line:ok``."""
+
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Nonsense:
+    """A line that GRBL doesn't say, and why we think so."""
+
+    raw: bytes
+    why: str
+
+
+Response = Ok | ErrorReply | Alarm | Status | Setting | Welcome | Message | Nonsense
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)")
+_CODE = re.compile(r"(error|ALARM):(\d{1,4})")
+_WELCOME = re.compile(r"Grbl(HAL)? (\d\S*)( \[.*\])?", re.IGNORECASE)
+_SETTING = re.compile(r"\$(\d{1,4})=(.*)")
+_STARTUP = re.compile(r"\$(N\d)=(.*)")
+_MESSAGE = re.compile(r"\[([^:\]]+)(?::(.*))?\]")
+_STATE = re.compile(r"([A-Za-z]+)(?::(\d{1,3}))?")
+
+
+def parse(line: bytes) -> Response:
+    """The value of one answer, without its line end. Never raises."""
+    try:
+        text = line.decode("ascii")
+    except UnicodeDecodeError:
+        return Nonsense(line, "bytes that are not ASCII")
+    if text == "ok":
+        return Ok()
+    if text.startswith("<"):
+        return _status(line, text)
+    if found := _CODE.fullmatch(text):
+        return (ErrorReply if found[1] == "error" else Alarm)(int(found[2]))
+    if found := _SETTING.fullmatch(text):
+        return Setting(int(found[1]), found[2])
+    if found := _WELCOME.fullmatch(text):
+        return Welcome(found[2], "grblHAL" if found[1] else "Grbl")
+    if found := _MESSAGE.fullmatch(text) or _STARTUP.fullmatch(text):
+        return Message(found[1], found[2] or "")
+    if text.startswith(">"):
+        return Message(">", text[1:])
+    return Nonsense(line, "no answer of GRBL looks like this")
+
+
+def _status(raw: bytes, text: str) -> Status | Nonsense:
+    if not text.endswith(">"):
+        return Nonsense(raw, "a status report without its end")
+    head, *rest = text[1:-1].split("|")
+    state = _STATE.fullmatch(head)
+    if not state:
+        return Nonsense(raw, "a status report without a state")
+    fields = {name: value for name, _, value in (field.partition(":") for field in rest)}
+    positions: dict[str, Position | None] = {}
+    for name in ("MPos", "WPos", "WCO"):
+        positions[name] = _position(fields[name]) if name in fields else None
+        if name in fields and positions[name] is None:
+            return Nonsense(raw, f"{name} is not three numbers or more")
+    if positions["MPos"] is None and positions["WPos"] is None:
+        return Nonsense(raw, "a status report without a position")
+    substate = int(state[2]) if state[2] else None
+    return Status(state[1], substate, positions["MPos"], positions["WPos"], positions["WCO"], fields)
+
+
+def _position(text: str) -> Position | None:
+    parts = text.split(",")
+    if len(parts) < 3 or not all(_NUMBER.fullmatch(part) for part in parts):
+        return None
+    return tuple(float(part) for part in parts)
+
+
+class Decoder:
+    """Bytes, cut anywhere, to answers. Keeps an unfinished line until its end comes."""
+
+    def __init__(self) -> None:
+        self._pending = b""
+
+    def feed(self, data: bytes) -> Iterator[Response]:
+        """The answers that ``data`` completes, in order. Empty lines are dropped. Never raises."""
+        *lines, self._pending = (self._pending + data).split(b"\n")
+        answers = [parse(line) for line in (raw.rstrip(b"\r") for raw in lines) if line]
+        if len(self._pending) > MAX_ANSWER:
+            answers.append(Nonsense(self._pending, f"{len(self._pending)} bytes without a line end"))
+            self._pending = b""
+        return iter(answers)
+
+
+def encode(text: str, *, who: str = "stage") -> bytes:
+    """The line as it goes out. Raises LimitError where the controller would mangle it: too long, or a
+    character that is not printable ASCII or that it would take for a real-time command."""
+    bad = next((sign for sign in text if not " " <= sign <= "~" or sign in "?!~"), None)
+    if bad is not None:
+        raise LimitError(who, f"the line can't hold {bad!r}", asked=text)
+    if len(text) > MAX_LINE:
+        raise LimitError(who, f"the line has {len(text)} characters, the controller takes {MAX_LINE}", asked=text)
+    return text.encode("ascii") + b"\n"
+
+
+def move_line(target_mm: Mapping[str, float], feed_mm_min: float, *, who: str = "stage") -> str:
+    """A straight move at ``feed_mm_min`` to ``target_mm`` (axis letter to mm) in the machine's own coordinates.
+
+    States everything that an earlier line could have changed: plane units, absolute, feed per minute. Raises
+    LimitError for an axis or number that can't be written.
+    """
+    if not target_mm or any(axis not in "XYZABC" or len(axis) != 1 for axis in target_mm):
+        raise LimitError(who, f"no such axes to move: {', '.join(target_mm) or 'none'}", hint="Use X, Y, Z or A.")
+    if not feed_mm_min > 0:
+        raise LimitError(who, f"a feed of {feed_mm_min} mm/min is no feed")
+    words = "".join(f"{axis}{_decimal(value, who)}" for axis, value in target_mm.items())
+    return f"G21G90G94G53G1{words}F{_decimal(feed_mm_min, who)}"
+
+
+def _decimal(value: float, who: str) -> str:
+    """Three decimals, as the controller prints; it reads no exponents."""
+    if not math.isfinite(value) or abs(value) >= 1e7:
+        raise LimitError(who, f"{value} can't be sent as a number")
+    text = f"{value:.3f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text

@@ -1,0 +1,192 @@
+"""The cameras of the simulated scene: a lens model of the scene's own, exact both ways.
+
+It shares no code with the detector, so that the two can't be wrong together; `cv2.projectPoints` is the referee
+of both. The model is Bouguet's (and OpenCV's): two or three radial terms, two tangential, a skew. Undoing the
+distortion is a Newton iteration to convergence, so a ray and its pixel agree to rounding error.
+May not know what is in the scene, nor anything of sensors and light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+ROWS_AT_ONCE = 32  # a block of rows whose iteration stays in the processor's cache
+NEWTON_STEPS = 12  # five are enough for any lens seen; the last ones only prove it
+CONVERGED = 1e-13  # of the normalised image plane: below 1e-9 px for any focal length in use
+
+
+def rotation_from_vector(om: Floats) -> Floats:
+    """Rotation matrix (3, 3) of a Rodrigues vector (3,), radians."""
+    angle = float(np.linalg.norm(om))
+    if angle < 1e-12:
+        return np.eye(3) + _cross_matrix(om)
+    k = _cross_matrix(om / angle)
+    return np.asarray(np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k))
+
+
+def _cross_matrix(v: Floats) -> Floats:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraModel:
+    """One camera: lens and pose. Pixel centres are at whole numbers, the first one at (0, 0).
+
+    ``width_px``, ``height_px`` the image; ``fc``, ``cc`` (2,) focal length and principal point in px; ``alpha_c``
+    skew; ``kc`` (5,) k1 k2 p1 p2 k3; ``R`` (3, 3), ``t_mm`` (3,) the motion camera_from_world: X_camera = R X_world + t.
+    """
+
+    name: str
+    width_px: int
+    height_px: int
+    fc: Floats
+    cc: Floats
+    alpha_c: float
+    kc: Floats
+    R: Floats
+    t_mm: Floats
+
+    @property
+    def centre_mm(self) -> Floats:
+        """The projection centre in the world frame, (3,) mm."""
+        return -self.R.T @ self.t_mm
+
+    def camera_from_world(self, points_mm: Floats) -> Floats:
+        """World points (n, 3) mm in this camera's frame, (n, 3) mm."""
+        return np.asarray(points_mm @ self.R.T + self.t_mm)
+
+    def project(self, points_mm: Floats) -> Floats:
+        """World points (n, 3) mm to pixels (n, 2). A point behind the camera has no picture: its row is nan."""
+        seen = self.camera_from_world(np.asarray(points_mm, dtype=np.float64).reshape(-1, 3))
+        depth = np.where(seen[:, 2] > 0.0, seen[:, 2], np.nan)
+        return self.pixels_from_plane(seen[:, :2] / depth[:, None])
+
+    def pixels_from_plane(self, plane: Floats) -> Floats:
+        """Normalised image plane (n, 2), x = X/Z, to distorted pixels (n, 2)."""
+        x, y = _distort(plane[:, 0], plane[:, 1], self.kc)
+        return np.column_stack([self.fc[0] * (x + self.alpha_c * y) + self.cc[0], self.fc[1] * y + self.cc[1]])
+
+    def plane_from_pixels(self, pixels: Floats) -> Floats:
+        """Pixels (n, 2) to the normalised image plane (n, 2): the inverse of `pixels_from_plane`."""
+        y = (pixels[:, 1] - self.cc[1]) / self.fc[1]
+        x = (pixels[:, 0] - self.cc[0]) / self.fc[0] - self.alpha_c * y
+        return np.column_stack(_undistort(x, y, self.kc, self.name))
+
+    def rays(self) -> tuple[Floats, Floats]:
+        """The ray (x, y, 1) of every pixel centre, in the camera's frame: two arrays (height, width).
+
+        Exact, and dear (about 0.2 s for 1.4 million pixels): keep the answer.
+        """
+        x, y = np.empty((2, self.height_px, self.width_px))
+        u = np.arange(self.width_px, dtype=np.float64)
+        for top in range(0, self.height_px, ROWS_AT_ONCE):
+            v = np.arange(top, min(top + ROWS_AT_ONCE, self.height_px), dtype=np.float64)
+            pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+            block = self.plane_from_pixels(pixels).reshape(len(v), -1, 2)
+            x[top : top + len(v)], y[top : top + len(v)] = block[..., 0], block[..., 1]
+        return x, y
+
+    def resized(self, width_px: int, height_px: int) -> CameraModel:
+        """The same camera read out on another grid over the same sensor area."""
+        scale = np.array([width_px / self.width_px, height_px / self.height_px])
+        # The corner of the first pixel is at (-0.5, -0.5) on either grid.
+        cc = (self.cc + 0.5) * scale - 0.5
+        alpha_c = self.alpha_c
+        return CameraModel(self.name, width_px, height_px, self.fc * scale, cc, alpha_c, self.kc, self.R, self.t_mm)
+
+
+def _distort(x: Floats, y: Floats, kc: Floats) -> tuple[Floats, Floats]:
+    k1, k2, p1, p2, k3 = kc
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+
+
+def _undistort(x_d: Floats, y_d: Floats, kc: Floats, name: str) -> tuple[Floats, Floats]:
+    """Newton's iteration on both coordinates at once; raises ValueError where the lens model folds over."""
+    k1, k2, p1, p2, k3 = kc
+    x, y = x_d, y_d
+    if not np.any(kc):
+        return x, y
+    for _ in range(NEWTON_STEPS):
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2))  # d radial / d r2, twice
+        xy = x * y
+        miss_x = x * radial + 2.0 * p1 * xy + p2 * (r2 + 2.0 * x * x) - x_d
+        miss_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * xy - y_d
+        xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+        yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+        cross = slope * xy + 2.0 * p1 * x + 2.0 * p2 * y
+        scale = 1.0 / (xx * yy - cross * cross)
+        step_x, step_y = (yy * miss_x - cross * miss_y) * scale, (xx * miss_y - cross * miss_x) * scale
+        x, y = x - step_x, y - step_y
+        if max(float(np.abs(step_x).max()), float(np.abs(step_y).max())) < CONVERGED:
+            return x, y
+    raise ValueError(f"camera {name}: the distortion kc = {kc.tolist()} can't be undone over the whole image; check kc in the calibration")
+
+
+def cameras_from_calibration(table: Mapping[str, Any]) -> tuple[CameraModel, CameraModel, CameraModel]:
+    """(left, right, thermal) from a parsed calibration file (recording-format.md).
+
+    X_right = R X_left + T, X_thermal = R X_left + T, X_world = R X_right + T; the thermal camera is the un-mirrored
+    one. Raises ValueError that names the key which is missing or has the wrong form.
+    """
+    right_from_left = _motion(table, "stereo")
+    thermal_from_left = _motion(table, "thermal")
+    world_from_right = _motion(table, "world")
+    right = _inverse(world_from_right)
+    left = _after(_inverse(right_from_left), right)
+    thermal = _after(thermal_from_left, left)
+    return _camera(table, "left", left), _camera(table, "right", right), _camera(table, "thermal", thermal)
+
+
+Motion = tuple[Floats, Floats]
+
+
+def _inverse(motion: Motion) -> Motion:
+    R, t = motion
+    return R.T, -R.T @ t
+
+
+def _after(second: Motion, first: Motion) -> Motion:
+    return second[0] @ first[0], second[0] @ first[1] + second[1]
+
+
+def _motion(table: Mapping[str, Any], block: str) -> Motion:
+    return rotation_from_vector(_numbers(table, (block, "om"), 3)), _numbers(table, (block, "T"), 3)
+
+
+def _camera(table: Mapping[str, Any], name: str, camera_from_world: Motion) -> CameraModel:
+    at = ("cameras", name)
+    width, height = (round(size) for size in _numbers(table, (*at, "image_size"), 2))
+    if min(width, height) < 1:
+        raise ValueError(f"calibration: cameras.{name}.image_size must be at least 1 x 1, is {width} x {height}")
+    fc = _numbers(table, (*at, "fc"), 2)
+    if not np.all(fc > 0.0):
+        raise ValueError(f"calibration: cameras.{name}.fc must be above zero, is {fc.tolist()}")
+    alpha_c = float(_numbers(table, (*at, "alpha_c"), 1)[0])
+    cc, kc = _numbers(table, (*at, "cc"), 2), _numbers(table, (*at, "kc"), 5)
+    return CameraModel(name, width, height, fc, cc, alpha_c, kc, *camera_from_world)
+
+
+def _numbers(table: Mapping[str, Any], path: tuple[str, ...], count: int) -> Floats:
+    value: Any = table
+    for key in path:
+        if not isinstance(value, Mapping) or key not in value:
+            raise ValueError(f"calibration: {'.'.join(path)} is missing")
+        value = value[key]
+    try:
+        numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    except (TypeError, ValueError):
+        raise ValueError(f"calibration: {'.'.join(path)} must be {count} number(s), is {value!r}") from None
+    if numbers.shape != (count,) or not np.all(np.isfinite(numbers)):
+        raise ValueError(f"calibration: {'.'.join(path)} must be {count} finite number(s), is {value!r}")
+    return numbers

@@ -1,0 +1,182 @@
+"""The phantom udder as values: teats on a plate, and the one definition of a teat end.
+
+A teat is a cylinder with a hemispherical end, standing end up. The teat end is the apex of the rounded end on the
+teat's own axis. Base flanges and the warm hoses between them belong to the phantom too; their places follow from the teats'.
+The plate's frame is the world's when the pose is zero; the pose turns the plate about `PIVOT_MM` and then shifts it.
+May not know of cameras, temperatures or instruments.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from instruments.world.optics import Floats
+from instruments.world.solids import Hull, Point, cylinder
+
+PIVOT_MM = (-189.4, 235.8)  # the middle of the four teats of table 5.1: where the stage's turntable has its axis
+FLANGE_RADIUS_MM, FLANGE_HEIGHT_MM = 18.0, 8.0
+HOSE_RADIUS_MM, HOSE_PIECES = 5.0, 8
+TABLE_5_1_MM = ((-110.2, 284.2, 134.2), (-161.9, 192.6, 137.6), (-224.9, 199.4, 136.7), (-260.6, 267.1, 136.3))
+
+
+@dataclass(frozen=True, slots=True)
+class TeatShape:
+    """``length_mm`` from the plate to the apex along the axis, ``radius_mm`` of the cylinder and of its rounded end."""
+
+    length_mm: float = 135.0
+    radius_mm: float = 11.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.length_mm) and 0.0 < self.radius_mm < self.length_mm - FLANGE_HEIGHT_MM):
+            raise ValueError(f"a teat needs a radius above zero and a length of at least radius + {FLANGE_HEIGHT_MM:g} mm, has {self}")
+
+
+@dataclass(frozen=True, slots=True)
+class Teat:
+    """One teat: where its axis leaves the plate (x, y, plate frame), its shape, and its lean towards +x and +y, radians."""
+
+    base_mm: tuple[float, float]
+    shape: TeatShape = field(default_factory=TeatShape)
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not max(abs(angle) for angle in self.tilt_rad) < np.radians(60.0):
+            raise ValueError(f"a teat may lean by less than 60 degrees each way, leans by {np.degrees(self.tilt_rad).round(1).tolist()}")
+
+
+@dataclass(frozen=True, slots=True)
+class PlatePose:
+    """Where the plate stands: a turn about `PIVOT_MM` (radians, x towards y), then a shift."""
+
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    z_mm: float = 0.0
+    yaw_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not np.all(np.isfinite([self.x_mm, self.y_mm, self.z_mm, self.yaw_rad])):
+            raise ValueError(f"a plate's pose must be finite numbers, is {self}")
+        if self.z_mm < 0.0:
+            raise ValueError(f"the plate can't stand below the table: z_mm is {self.z_mm}")
+
+
+@dataclass(frozen=True, slots=True)
+class Phantom:
+    """Teats on a plate. Teats are numbered from 0 in the order of ``teats``."""
+
+    teats: tuple[Teat, ...]
+    pose: PlatePose = field(default_factory=PlatePose)
+
+    @property
+    def bases_mm(self) -> Floats:
+        """Where the axes meet the plate, world frame, (n, 3) mm."""
+        flat = np.array([(*teat.base_mm, 0.0) for teat in self.teats], dtype=np.float64).reshape(-1, 3)
+        return self._placed(flat)
+
+    @property
+    def axes(self) -> Floats:
+        """Unit vectors from base to end, world frame, (n, 3). Tangents of the two leans add up."""
+        lean = np.array([(*np.tan(teat.tilt_rad), 1.0) for teat in self.teats], dtype=np.float64).reshape(-1, 3)
+        return np.asarray(lean / np.linalg.norm(lean, axis=1)[:, None] @ self._turn().T)
+
+    @property
+    def ends_mm(self) -> Floats:
+        """The teat ends, world frame, (n, 3) mm: the apex of each rounded end on the teat's own axis."""
+        lengths = np.array([teat.shape.length_mm for teat in self.teats], dtype=np.float64).reshape(-1, 1)
+        return self.bases_mm + lengths * self.axes
+
+    def moved(self, pose: PlatePose) -> Phantom:
+        """The same phantom at another pose."""
+        return replace(self, pose=pose)
+
+    def teat_hulls(self) -> tuple[Hull, ...]:
+        """One solid a teat: flat in its flange, a ball at its end, the apex on the ball."""
+        hulls = []
+        for teat, base, axis in zip(self.teats, self.bases_mm, self.axes, strict=True):
+            radius = teat.shape.radius_mm
+            foot, top = base + 0.5 * FLANGE_HEIGHT_MM * axis, base + (teat.shape.length_mm - radius) * axis
+            hulls.append(Hull(_point(foot), _point(top), radius, radius, flat_a=True))
+        return tuple(hulls)
+
+    def flange_hulls(self) -> tuple[Hull, ...]:
+        """The discs that the teats stand in; they reach down to the table where the plate is lifted."""
+        tops = self.bases_mm + np.array([0.0, 0.0, FLANGE_HEIGHT_MM])
+        radii = [max(FLANGE_RADIUS_MM, teat.shape.radius_mm + 4.0) for teat in self.teats]
+        return tuple(cylinder((top[0], top[1], 0.0), _point(top), radius) for top, radius in zip(tops, radii, strict=True))
+
+    def hose_hulls(self) -> tuple[tuple[Hull, ...], ...]:
+        """Hoses from flange to flange in the order of the teats, a supply before the first and a return after the last."""
+        bases = np.array([(*teat.base_mm, HOSE_RADIUS_MM) for teat in self.teats], dtype=np.float64).reshape(-1, 3)
+        if len(bases) == 0:
+            return ()
+        middle = bases.mean(axis=0)
+        away = np.array([[70.0, 25.0, 0.0]]) * np.where(bases[[0, -1]][:, :1] >= middle[0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0])
+        legs = [(bases[0] + away[0], bases[0]), *zip(bases[:-1], bases[1:], strict=True), (bases[-1], bases[-1] + away[1])]
+        return tuple(self._hose(start, end, middle) for start, end in legs)
+
+    def _hose(self, start: Floats, end: Floats, middle: Floats) -> tuple[Hull, ...]:
+        """A bow from flange to flange, outwards and a little off the table."""
+        t = np.linspace(0.0, 1.0, HOSE_PIECES + 1)[:, None]
+        out = 0.5 * (start + end) - middle
+        bow = out / max(float(np.linalg.norm(out)), 1.0) * 24.0 + np.array([0.0, 0.0, 14.0])
+        path = self._placed(start + t * (end - start) + 4.0 * t * (1.0 - t) * bow)
+        return tuple(Hull(_point(a), _point(b), HOSE_RADIUS_MM, HOSE_RADIUS_MM) for a, b in zip(path[:-1], path[1:], strict=True))
+
+    def _turn(self) -> Floats:
+        c, s = np.cos(self.pose.yaw_rad), np.sin(self.pose.yaw_rad)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    def _placed(self, plate_mm: Floats) -> Floats:
+        pivot = np.array([*PIVOT_MM, 0.0])
+        shift = np.array([self.pose.x_mm, self.pose.y_mm, self.pose.z_mm])
+        return np.asarray((plate_mm - pivot) @ self._turn().T + pivot + shift)
+
+
+def _point(vector: Floats) -> Point:
+    return float(vector[0]), float(vector[1]), float(vector[2])
+
+
+def _upright(ends_mm: tuple[Point, ...], radius_mm: float = 11.0) -> Phantom:
+    return Phantom(tuple(Teat((x, y), TeatShape(z, radius_mm)) for x, y, z in ends_mm))
+
+
+def _table_5_1() -> Phantom:
+    """Upright teats whose ends are exactly those of table 5.1."""
+    return _upright(TABLE_5_1_MM)
+
+
+def _non_vertical() -> Phantom:
+    """Section 5.2.1: each teat leans by less than 20 degrees, each another way, in the middle of the thermal camera's view."""
+    leans_deg = ((9.0, 4.0), (-7.0, -10.0), (5.0, 8.0), (-8.0, -13.0))
+    teats = zip(_upright(TABLE_5_1_MM).teats, leans_deg, strict=True)
+    return Phantom(
+        tuple(
+            Teat((teat.base_mm[0] + 40.0, teat.base_mm[1]), teat.shape, (float(np.radians(x)), float(np.radians(y)))) for teat, (x, y) in teats
+        )
+    )
+
+
+def _overlapping() -> Phantom:
+    """Section 5.2.2, as the cameras see it: two teats touch side by side, and of the two others the near one covers part of the far one."""
+    return _upright(((-95.0, 232.0, 136.0), (-117.0, 232.0, 134.0), (-205.0, 292.0, 137.0), (-188.0, 205.0, 133.0)))
+
+
+LAYOUTS: dict[str, Callable[[], Phantom]] = {
+    "table-5-1": _table_5_1,
+    "non-vertical": _non_vertical,
+    "overlapping": _overlapping,
+}
+
+
+def make_phantom(layout: str, pose: PlatePose | None = None) -> Phantom:
+    """The phantom of a named layout (`LAYOUTS`) at a pose. Raises ValueError for a name that isn't known."""
+    if layout not in LAYOUTS:
+        close = difflib.get_close_matches(layout, LAYOUTS, n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        raise ValueError(f"there is no phantom layout {layout!r}{hint} Known: {', '.join(LAYOUTS)}")
+    phantom = LAYOUTS[layout]()
+    return phantom if pose is None else phantom.moved(pose)

@@ -1,0 +1,115 @@
+"""Light on paint: what leaves a surface towards a camera, and how warm it looks to a thermal one.
+
+Visible light: two lamps and the light of the room, Lambert's law, falling off with distance, and a weak gloss
+(Blinn and Phong) that puts the highlight on a rounded end. Heat: in a band of 8 to 13 um near 300 K radiance goes with
+T^4.8 (Planck's law: d ln L / d ln T = c2 / (lambda T) at the band's middle wavelength, 10 um), which is within 0.1 K of the band integral
+from 10 to 45 degC; a surface sends its own share (emissivity) and reflects the room with the rest, alike at every angle.
+May not know of pixels, sensors or which object a surface belongs to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from instruments.world.optics import Floats
+from instruments.world.solids import Point
+
+KELVIN_AT_0_C = 273.15
+BAND_EXPONENT = 4.8
+REFERENCE_K = 300.0
+GLOSS_EXPONENT = 32
+
+Rows = NDArray[Any]  # float32 or float64; vectors as (3, n)
+
+
+@dataclass(frozen=True, slots=True)
+class Paint:
+    """A surface: ``albedo`` (share of light scattered back), ``gloss`` (strength of the highlight), ``emissivity``."""
+
+    albedo: float
+    gloss: float = 0.0
+    emissivity: float = 0.95
+
+    def __post_init__(self) -> None:
+        for name in ("albedo", "gloss", "emissivity"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} must be from 0 to 1, is {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True)
+class Lamp:
+    """A lamp in the world frame; ``power`` is the irradiance that it gives a surface square to it at 1 m."""
+
+    at_mm: Point
+    power: float
+
+
+@dataclass(frozen=True, slots=True)
+class Lighting:
+    """The light of the room. ``brightness`` scales all of it; 1 exposes a light board well, 0.3 is a dim room."""
+
+    brightness: float = 1.0
+    lamps: tuple[Lamp, ...] = (Lamp((450.0, -350.0, 1350.0), 2.6), Lamp((-1300.0, -700.0, 1100.0), 1.5))
+    ambient: float = 0.50
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.brightness) and self.brightness >= 0.0):
+            raise ValueError(f"brightness must be 0 or more, is {self.brightness}")
+
+
+def irradiance(lighting: Lighting, points_mm: Rows, normals: Rows) -> Rows:
+    """Light that falls on surface points (3, n) mm with unit normals (3, n) or (3, 1), world frame: (n,)."""
+    # The sky of a room is its ceiling and walls: what faces up sees more of it.
+    light = lighting.ambient * (0.65 + 0.35 * normals[2]) + np.zeros_like(points_mm[0])
+    for lamp in lighting.lamps:
+        direction, square = _towards(lamp, points_mm)
+        light += lamp.power * 1e6 * np.maximum(_dot(direction, normals), 0.0) / square
+    return np.asarray(light * lighting.brightness)
+
+
+def seen_light(lighting: Lighting, points_mm: Rows, normals: Rows, eye_mm: Rows, albedo: Rows, gloss: Rows) -> Rows:
+    """Light that leaves surface points (3, n) towards ``eye_mm`` (3, 1): Lambert's law, and a highlight of each lamp. (n,).
+
+    ``albedo`` and ``gloss`` (n,) are those of `Paint`.
+    """
+    view = eye_mm - points_mm
+    view /= np.sqrt(_dot(view, view))
+    light = albedo * lighting.ambient * (0.65 + 0.35 * normals[2])
+    for lamp in lighting.lamps:
+        direction, square = _towards(lamp, points_mm)
+        half = direction + view
+        shine = np.maximum(_dot(half, normals), 0.0) / np.sqrt(_dot(half, half))
+        lambert = albedo * np.maximum(_dot(direction, normals), 0.0)
+        light += lamp.power * 1e6 / square * (lambert + gloss * shine**GLOSS_EXPONENT)
+    return np.asarray(light * lighting.brightness)
+
+
+def _dot(u: Rows, v: Rows) -> Rows:
+    return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
+
+
+def _towards(lamp: Lamp, points_mm: Rows) -> tuple[Rows, Rows]:
+    """Unit directions (3, n) to the lamp, and squared distances (n,)."""
+    way = np.asarray(lamp.at_mm, dtype=points_mm.dtype)[:, None] - points_mm
+    square = _dot(way, way)
+    way /= np.sqrt(square)
+    return way, square
+
+
+def radiance_from_c(temperature_c: ArrayLike) -> Floats:
+    """In-band radiance of a black body, in units of one at 300 K."""
+    return np.asarray(((np.asarray(temperature_c, dtype=np.float64) + KELVIN_AT_0_C) / REFERENCE_K) ** BAND_EXPONENT)
+
+
+def kelvin_from_radiance(radiance: ArrayLike) -> Floats:
+    """Apparent temperature, kelvin: the inverse of `radiance_from_c`."""
+    return np.asarray(REFERENCE_K * np.asarray(radiance, dtype=np.float64) ** (1.0 / BAND_EXPONENT))
+
+
+def heat(temperature_c: Floats, emissivity: Floats, reflected_c: float) -> Floats:
+    """Radiance that leaves opaque surfaces (n,) in a room at ``reflected_c``: their own share, and the room's for the rest."""
+    return np.asarray(emissivity * radiance_from_c(temperature_c) + (1.0 - emissivity) * radiance_from_c(reflected_c))

@@ -1,0 +1,12 @@
+"""The plots of a report: arrays in, SVG text out, the same bytes for the same arrays.
+
+Strategy: each function checks its arrays, then draws. Without data the figure says "not measured". Numbers that are not finite are
+refused, since a plot that drops them in silence shows something that was not measured. Importing this package loads matplotlib
+(some tenths of a second), so importers do it late. May not know: what a run, a detector or a trial is.
+"""
+
+from reports.figures.course import bath_curve, latency_strip
+from reports.figures.errors import error_histogram, error_scatter, per_axis_errors
+from reports.figures.rates import found_bars
+
+__all__ = ["bath_curve", "error_histogram", "error_scatter", "found_bars", "latency_strip", "per_axis_errors"]

@@ -1,0 +1,152 @@
+"""From a matplotlib figure to SVG that stands inside a page: the same bytes for the same input, the page's own colours and letters.
+
+Strategy: matplotlib lays out and writes; then every tag is rewritten. Styles become attributes and classes, so that a style sheet can
+recolour them (dark, print) under a strict content security policy; ids nobody refers to go, the others get the figure's name in front.
+Knows nothing of what is plotted.
+"""
+
+import io
+import re
+import warnings
+from collections.abc import Callable, Sequence
+from html import escape
+
+from matplotlib import style
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from reports.trust import checked_slug
+
+# One colour a role. The hex value is the light scheme's and stands in the file; the style sheet overrides it by class.
+COLOURS = {
+    "ink": "#1b2733", "muted": "#5a6875", "grid": "#d8dee5", "ours": "#1d5fa6", "theirs": "#8a5a00", "limit": "#b3261e",
+    "accept": "#7a4b9e", "good": "#1b7a3d", "band": "#cfe6d6", "span": "#dfe9f5", "paper": "#fdfdfe",
+}  # fmt: skip
+HALF_INCHES, WIDE_INCHES = 4.7, 9.4
+_ROLES = {colour: role for role, colour in COLOURS.items()}
+_SETTINGS = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "teatbench",
+    "text.parse_math": False,
+    "font.size": 8.5,
+    "text.color": COLOURS["ink"],
+    "axes.edgecolor": COLOURS["muted"],
+    "axes.labelcolor": COLOURS["ink"],
+    "axes.titlesize": 8.5,
+    "axes.labelsize": 8.5,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": COLOURS["grid"],
+    "grid.linewidth": 0.6,
+    "xtick.color": COLOURS["muted"],
+    "ytick.color": COLOURS["muted"],
+    "xtick.labelcolor": COLOURS["ink"],
+    "ytick.labelcolor": COLOURS["ink"],
+    "lines.linewidth": 1.4,
+    "hatch.linewidth": 0.6,
+    "axes.formatter.useoffset": False,
+}
+_TAG = re.compile(r"<(/?)([A-Za-z]+)([^<>]*?)(/?)>")
+_ATTRIBUTE = re.compile(r'([\w:-]+)="([^"]*)"')
+_LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}(?:e-?\d+)?")
+_NO_TEXT_IN_XML = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]+")
+
+
+def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None]) -> str:
+    """The SVG of what `plot` draws on a figure of the given width and height; `name` is a slug, unique in the page.
+
+    matplotlib's settings are its own defaults and ours, whatever the user's matplotlibrc says, and are as before when this returns.
+    """
+    checked_slug(name, "figure name")
+    with warnings.catch_warnings(), style.context(["default", _SETTINGS]):
+        # matplotlib's font only measures the text here; the page's font draws it, and may well have the letter.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure = Figure(figsize=inches, layout="constrained")
+        plot(figure)
+        written = io.StringIO()
+        figure.savefig(written, format="svg", transparent=True, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    return _for_a_page(written.getvalue(), name)
+
+
+def not_measured(name: str, inches: tuple[float, float], why: str) -> str:
+    """A drawing of the same size that says so, for a figure without data."""
+
+    def plot(figure: Figure) -> None:
+        figure.text(0.5, 0.55, "not measured", ha="center", va="center", fontsize=12, color=COLOURS["muted"])
+        figure.text(0.5, 0.42, why, ha="center", va="center", color=COLOURS["muted"])
+
+    return draw(name, inches, plot)
+
+
+def legend(figure: Figure, entries: Sequence[tuple[str, str, str]]) -> None:
+    """Above the plot: for each (text, role, form) a line ("-", "--"), a marker ("o", "v") or a "patch" in the role's colour."""
+
+    def handle(text: str, role: str, form: str) -> Artist:
+        if form == "patch":
+            return Patch(facecolor=COLOURS[role], label=text)
+        line, marker = (form, "") if form.startswith("-") else ("none", form)
+        return Line2D([], [], color=COLOURS[role], linestyle=line, marker=marker, markersize=4.5, markeredgewidth=0, label=text)
+
+    handles = [handle(*entry) for entry in entries]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(entries), frameon=False, handlelength=1.8)
+
+
+def plain(text: str, most: int = 30) -> str:
+    """`text` on one line that XML can hold, cut with an ellipsis at `most` letters."""
+    line = " ".join(_NO_TEXT_IN_XML.sub(" ", text).split())
+    return line if len(line) <= most else line[: most - 1].rstrip() + "…"
+
+
+def _for_a_page(svg: str, name: str) -> str:
+    body = svg[svg.index("<svg") :]
+    body = re.sub(r"<(style|metadata)\b.*?</\1>", "", body, flags=re.DOTALL)
+    wanted = set(re.findall(r'(?:url\(|xlink:href=")#([^")]+)', body))
+    defined = wanted.intersection(re.findall(r'\bid="([^"]*)"', body))
+    body = _TAG.sub(lambda tag: _rewritten(tag, name, defined), body)
+    return re.sub(r">\s+<", "><", body.strip())
+
+
+def _rewritten(tag: re.Match[str], name: str, defined: set[str]) -> str:
+    closing, element, rest, empty = tag.groups()
+    if closing:
+        return tag.group(0)
+    attributes: dict[str, str] = {}
+    for key, value in _ATTRIBUTE.findall(rest):
+        attributes.update(_declarations(value) if key == "style" else {key.removeprefix("xlink:"): value})
+    if element == "svg":
+        attributes = {"class": f"plot plot-{name}", "viewBox": attributes["viewBox"], "xmlns": attributes["xmlns"]}
+    if element == "a":
+        attributes = {"href": attributes["href"], "tabindex": "-1"}
+    kept = {key: value for key, value in _with_classes(attributes).items() if _kept(key, value, defined)}
+    text = "".join(f' {key}="{_value(key, value, name, defined)}"' for key, value in kept.items())
+    return f"<{element}{text}{empty}>"
+
+
+def _declarations(css: str) -> dict[str, str]:
+    pairs = (part.split(":", 1) for part in css.split(";") if part.strip())
+    known = {key.strip(): value.strip() for key, value in pairs}
+    known.pop("font-family", None)  # the page's
+    return {key: value.removesuffix("px") if key == "font-size" else value for key, value in known.items()}
+
+
+def _with_classes(attributes: dict[str, str]) -> dict[str, str]:
+    classes = [f"{key}-{_ROLES[attributes[key]]}" for key in ("fill", "stroke") if attributes.get(key) in _ROLES]
+    return {"class": " ".join(classes), **attributes} if classes else attributes
+
+
+def _kept(key: str, value: str, defined: set[str]) -> bool:
+    return not (key == "id" and value not in defined) and not (key == "transform" and value.startswith("rotate(-0 ")) and key != "target"
+
+
+def _value(key: str, value: str, name: str, defined: set[str]) -> str:
+    if key == "id":
+        return f"{name}-{value}"
+    if key in {"href", "clip-path"}:
+        target = value.removeprefix("url(").removesuffix(")").removeprefix("#")
+        return value.replace(f"#{target}", f"#{name}-{target}") if target in defined else escape(value)
+    return _LONG_NUMBER.sub(lambda number: f"{float(number.group(0)):.2f}", " ".join(value.split()))

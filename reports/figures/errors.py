@@ -1,0 +1,127 @@
+"""Errors as plots: the cloud with its limit circle, the histogram, the strips of each axis. Knows nothing but millimetres."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+from numpy.typing import ArrayLike
+
+from reports.figures.arrays import Floats, finite, together
+from reports.figures.drawing import COLOURS, HALF_INCHES, WIDE_INCHES, draw, legend, not_measured, plain
+
+_SQUARE = (HALF_INCHES, 4.2)
+
+
+def error_scatter(
+    lateral_mm: ArrayLike,
+    depth_mm: ArrayLike,
+    limit_mm: float,
+    *,
+    accept_mm: float | None = None,
+    links: Sequence[str] | None = None,
+    name: str = "error-scatter",
+) -> str:
+    """Error across (n,) against error along the viewing axis (n,), with the limit as a circle and, dashed, the acceptance limit.
+
+    `links`: for each point the `#id` that a click opens. Equal scales, so that the shape of the cloud is the shape of the error.
+    """
+    across, along = together("error_scatter", lateral_mm=lateral_mm, depth_mm=depth_mm)
+    if not across.size:
+        return not_measured(name, _SQUARE, "no teat end was paired with a truth")
+
+    def plot(figure: Figure) -> None:
+        axes = figure.add_subplot(aspect="equal")
+        reach = 1.12 * max(limit_mm, float(np.abs(across).max()), float(np.abs(along).max()))
+        axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="lateral error (mm)", ylabel="depth error (mm)")
+        axes.axhline(0, color=COLOURS["muted"], linewidth=0.6)
+        axes.axvline(0, color=COLOURS["muted"], linewidth=0.6)
+        axes.add_patch(Circle((0, 0), limit_mm, fill=False, edgecolor=COLOURS["limit"], linewidth=1.4))
+        if accept_mm is not None:
+            axes.add_patch(Circle((0, 0), accept_mm, fill=False, edgecolor=COLOURS["accept"], linewidth=1, linestyle="--"))
+        points = axes.scatter(across, along, s=18, color=COLOURS["ours"], alpha=0.7, linewidths=0)
+        if links is not None:
+            points.set_urls(list(links))
+        legend(figure, _limits(limit_mm, accept_mm))
+
+    if links is not None and len(links) != across.size:
+        raise ValueError(f"error_scatter: {len(links)} links for {across.size} points; give one a point")
+    return draw(name, _SQUARE, plot)
+
+
+def error_histogram(errors_mm: ArrayLike, limit_mm: float, *, accept_mm: float | None = None, name: str = "error-histogram") -> str:
+    """Counts of the radial errors (n,) in bins of at most a tenth of the limit's range, their cumulative share, and the limit."""
+    errors = finite("error_histogram", "errors_mm", errors_mm)
+    if not errors.size:
+        return not_measured(name, _SQUARE, "no teat end was paired with a truth")
+
+    def plot(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        reach = 1.12 * max(limit_mm, float(errors.max()))
+        axes.hist(errors, bins=np.linspace(0, reach, 23).tolist(), color=COLOURS["span"], edgecolor=COLOURS["ours"], linewidth=0.7)
+        axes.set(xlim=(0, reach), xlabel="radial error (mm)", ylabel="teat ends")
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        share = axes.twinx()
+        steps = np.r_[0, np.arange(1, errors.size + 1) / errors.size, 1]
+        share.step(np.r_[0, np.sort(errors), reach], steps, where="post", color=COLOURS["ink"])
+        share.set(ylim=(0, 1.1), ylabel="share at or below")
+        share.yaxis.set_major_formatter(PercentFormatter(1))
+        share.grid(visible=False)
+        share.axvline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
+        if accept_mm is not None:
+            share.axvline(accept_mm, color=COLOURS["accept"], linestyle="--", linewidth=1)
+        legend(figure, [("cumulative", "ink", "-"), *_limits(limit_mm, accept_mm)])
+
+    return draw(name, _SQUARE, plot)
+
+
+def per_axis_errors(
+    situations: Sequence[str],
+    errors_mm: Sequence[ArrayLike],
+    limit_mm: float,
+    *,
+    axes_names: tuple[str, str, str] = ("x", "y", "z"),
+    name: str = "per-axis-errors",
+) -> str:
+    """Signed errors of each situation, (n_k, 3) in mm: every point, the mean as a bar, the limit on both sides; one panel an axis."""
+    if len(situations) != len(errors_mm):
+        raise ValueError(f"per_axis_errors: {len(situations)} situations for {len(errors_mm)} arrays; give one array a situation")
+    arrays = [finite("per_axis_errors", f"errors_mm[{k}]", errors).reshape(-1, 3) for k, errors in enumerate(errors_mm)]
+    inches = (WIDE_INCHES, 0.9 + 0.3 * max(len(situations), 3))
+    if not any(array.size for array in arrays):
+        return not_measured(name, inches, "no teat end was paired with a truth")
+
+    def plot(figure: Figure) -> None:
+        panels = figure.subplots(1, 3, sharex=True, sharey=True)
+        reach = 1.1 * max(limit_mm, *(float(np.abs(array).max()) for array in arrays if array.size))
+        for axis, panel in enumerate(panels):
+            panel.axvline(0, color=COLOURS["muted"], linewidth=0.6)
+            for side in (-limit_mm, limit_mm):
+                panel.axvline(side, color=COLOURS["limit"], linewidth=1)
+            for row, array in enumerate(arrays):
+                _strip(panel, row, array[:, axis])
+            panel.set(xlim=(-reach, reach), ylim=(len(situations) - 0.5, -0.5), xlabel=f"{plain(axes_names[axis])} error (mm)")
+            panel.grid(visible=False, axis="y")
+            panel.tick_params(axis="y", length=0)
+        legend(figure, [("one teat end", "ours", "o"), ("mean", "ink", "-"), (f"limit ± {limit_mm:g} mm", "limit", "-")])
+        panels[0].set_yticks(range(len(situations)), [plain(text) for text in situations])
+
+    return draw(name, inches, plot)
+
+
+def _limits(limit_mm: float, accept_mm: float | None) -> list[tuple[str, str, str]]:
+    accepted = [] if accept_mm is None else [(f"accepted to {accept_mm:.3f} mm", "accept", "--")]
+    return [(f"limit {limit_mm:g} mm", "limit", "-"), *accepted]
+
+
+def _strip(axes: Axes, row: int, values: Floats) -> None:
+    """Points of one situation, spread in a fixed zigzag so that equal values stay apart, and their mean."""
+    if not values.size:
+        axes.text(0, row, "not measured", ha="center", va="center", color=COLOURS["muted"], fontsize=7.5)
+        return
+    spread = row + 0.11 * (np.arange(values.size) % 5 - 2)
+    axes.plot(values, spread, linestyle="none", marker="o", markersize=3, color=COLOURS["ours"], alpha=0.6, markeredgewidth=0)
+    mean = float(values.mean())
+    axes.plot([mean, mean], [row - 0.36, row + 0.36], color=COLOURS["ink"], linewidth=1.6)

@@ -1,0 +1,148 @@
+"""Frames of a trial and what is drawn over them, as data: shapes at pixel coordinates, grouped in layers that can be switched off.
+
+Coordinates are those of the image file named by `src`: x to the right, y down, the first pixel's centre at (0, 0).
+May not know: what a teat, a truth or a detector is; a layer's tone only picks its colour and its switch.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from reports.trust import PageError, address, one_of
+
+LayerTone = Literal["truth", "nomination", "region", "point", "model", "other"]
+LAYER_TONES: tuple[LayerTone, ...] = ("truth", "nomination", "region", "point", "model", "other")
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """A ring; `title` is what the pointer shows over it."""
+
+    kind: ClassVar[str] = "circle"
+    x_px: float
+    y_px: float
+    radius_px: float = 8.0
+    title: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Cross:
+    """Two strokes that meet at (x, y); `turned` makes an X of the plus."""
+
+    kind: ClassVar[str] = "cross"
+    x_px: float
+    y_px: float
+    arm_px: float = 8.0
+    turned: bool = False
+    title: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Rect:
+    """A rectangle by its top left corner and its size. A region of pixels x to x + n - 1 starts at x - 0.5 and is n wide."""
+
+    kind: ClassVar[str] = "rect"
+    x_px: float
+    y_px: float
+    width_px: float
+    height_px: float
+    title: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Polyline:
+    """Straight lines through `points_px`, (x, y) pairs; `closed` joins the last to the first."""
+
+    kind: ClassVar[str] = "polyline"
+    points_px: tuple[tuple[float, float], ...]
+    closed: bool = False
+    title: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """A short text whose baseline starts at (x, y); its size follows the view, not the pixels."""
+
+    kind: ClassVar[str] = "label"
+    x_px: float
+    y_px: float
+    text: str
+
+
+Shape = Circle | Cross | Rect | Polyline | Label
+
+
+@dataclass(frozen=True, slots=True)
+class Overlay:
+    """One layer: `tone` picks colour and switch, `name` stands in the legend and is the same in every frame of the page."""
+
+    tone: LayerTone
+    name: str
+    shapes: tuple[Shape, ...]
+
+    def __post_init__(self) -> None:
+        one_of(self.tone, LAYER_TONES, f"overlay {self.name!r}")
+        for shape in self.shapes:
+            if not all(math.isfinite(number) for number in _numbers(shape)):
+                raise PageError(f"overlay {self.name!r}: {shape} has a coordinate that is not finite; leave the shape out")
+
+
+@dataclass(frozen=True, slots=True)
+class ImageView:
+    """An image file beside the page, or the part of it that `view_box` (x, y, width, height in whole pixels) cuts out.
+
+    `src`, and `original` (what a click on the picture opens; `src` where empty), are paths relative to the page's folder. `width`, `height`
+    are the pixels of the image that the overlays count in.
+    """
+
+    label: str
+    src: str
+    width: int
+    height: int
+    alt: str
+    overlays: tuple[Overlay, ...] = ()
+    view_box: tuple[int, int, int, int] | None = None
+    original: str = ""
+
+    def __post_init__(self) -> None:
+        what = f"image {self.label!r}"
+        for path in (self.src, self.original or self.src):
+            if path.startswith("#"):
+                raise PageError(f"{what}: {path!r} is no file; give a path relative to the page's folder")
+            address(path, what)
+        if self.width <= 0 or self.height <= 0:
+            raise PageError(f"{what}: {self.width} x {self.height} pixels; both must be above 0")
+        x, y, width, height = self.shown
+        if width <= 0 or height <= 0 or x < 0 or y < 0 or x + width > self.width or y + height > self.height:
+            raise PageError(f"{what}: view_box {self.view_box} leaves the image of {self.width} x {self.height} pixels")
+
+    @property
+    def shown(self) -> tuple[int, int, int, int]:
+        """The part that is shown at first: (x, y, width, height) in pixels."""
+        return self.view_box or (0, 0, self.width, self.height)
+
+
+def layers(images: Iterable[ImageView]) -> dict[LayerTone, str]:
+    """Tone and name of every layer, in the order of LAYER_TONES. Raises PageError where one tone goes by two names."""
+    names: dict[LayerTone, str] = {}
+    for image in images:
+        for overlay in image.overlays:
+            known = names.setdefault(overlay.tone, overlay.name)
+            if known != overlay.name:
+                raise PageError(f"image {image.label!r}: layer {overlay.tone!r} is called {overlay.name!r} here and {known!r} elsewhere")
+    return {tone: names[tone] for tone in LAYER_TONES if tone in names}
+
+
+def _numbers(shape: Shape) -> tuple[float, ...]:
+    match shape:
+        case Circle():
+            return shape.x_px, shape.y_px, shape.radius_px
+        case Cross():
+            return shape.x_px, shape.y_px, shape.arm_px
+        case Rect():
+            return shape.x_px, shape.y_px, shape.width_px, shape.height_px
+        case Polyline():
+            return tuple(number for point in shape.points_px for number in point)
+        case Label():
+            return shape.x_px, shape.y_px

@@ -1,0 +1,148 @@
+"""The parts that a page is made of: requirement rows, tables, figures, lists, text.
+
+Strategy: frozen values that check themselves when made. All text is plain text; numbers arrive as text with their units, already
+rounded by whoever knows their meaning. May not know: bench, instruments, detectors.
+"""
+
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+from reports.trust import PageError, SvgFacts, address, one_of, svg_facts
+
+Verdict = Literal["met", "not met", "inconclusive", "not measured", "aborted", "no verdict"]
+VERDICTS: tuple[Verdict, ...] = ("met", "not met", "inconclusive", "not measured", "aborted", "no verdict")
+Tone = Literal["plain", "good", "bad", "warn", "info", "muted"]
+TONES: tuple[Tone, ...] = ("plain", "good", "bad", "warn", "info", "muted")
+Align = Literal["left", "right", "center"]
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """One row of the verdict: `rule` says how it is decided, `n` on how many values or poses, `margin` what is left to the limit."""
+
+    name: str
+    rule: str
+    n: int
+    measured: str
+    limit: str
+    margin: str
+    verdict: Verdict
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        one_of(self.verdict, VERDICTS, f"requirement {self.name!r}, verdict")
+        if self.n <= 0 and self.verdict in {"met", "not met"}:
+            raise PageError(f"requirement {self.name!r}: {self.verdict!r} on {self.n} values; a verdict on nothing is 'not measured'")
+
+
+@dataclass(frozen=True, slots=True)
+class Requirements:
+    """The table of requirements; on a narrow screen each row becomes a card."""
+
+    kind: ClassVar[str] = "requirements"
+    caption: str
+    rows: tuple[Requirement, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A text with more to it: a tone, a link (`#id` or a relative path), a value to sort by, fixed-width letters for hashes."""
+
+    text: str
+    tone: Tone = "plain"
+    href: str = ""
+    sort: float | None = None
+    mono: bool = False
+
+    def __post_init__(self) -> None:
+        one_of(self.tone, TONES, f"cell {self.text!r}, tone")
+        if self.href:
+            address(self.href, f"cell {self.text!r}, link")
+
+
+Entry = tuple[str, str | Cell]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a table: the unit stands under the title, `hint` is shown on hovering."""
+
+    title: str
+    align: Align = "left"
+    unit: str = ""
+    hint: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows of cells. `searchable` adds a filter box and sorting; rows whose first link is a trial's then hide that trial with them."""
+
+    kind: ClassVar[str] = "table"
+    caption: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[str | Cell, ...], ...]
+    note: str = ""
+    searchable: bool = False
+
+    def __post_init__(self) -> None:
+        for number, row in enumerate(self.rows, start=1):
+            if len(row) != len(self.columns):
+                raise PageError(f"table {self.caption!r}, row {number}: {len(row)} cells for {len(self.columns)} columns")
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A drawing of `reports.figures`, with a caption and the words that stand for it where it can't be seen. `wide` fills the page."""
+
+    kind: ClassVar[str] = "figure"
+    svg: str
+    caption: str
+    alt: str
+    wide: bool = False
+    facts: SvgFacts = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "facts", svg_facts(self.svg, f"figure {self.caption!r}"))
+
+
+@dataclass(frozen=True, slots=True)
+class KeyValues:
+    """A list of names and values, as for provenance."""
+
+    kind: ClassVar[str] = "key-values"
+    title: str
+    entries: tuple[Entry, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Paragraph:
+    """Running text; a tone other than plain puts it in a box. Line ends are kept."""
+
+    kind: ClassVar[str] = "paragraph"
+    text: str
+    tone: Tone = "plain"
+
+    def __post_init__(self) -> None:
+        one_of(self.tone, TONES, f"paragraph {self.text[:40]!r}, tone")
+
+
+@dataclass(frozen=True, slots=True)
+class Notes:
+    """Short points under a title: deviations, exclusions, warnings."""
+
+    kind: ClassVar[str] = "notes"
+    title: str
+    items: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """A command or a file's text, letter for letter."""
+
+    kind: ClassVar[str] = "code"
+    title: str
+    text: str
+
+
+Part = Requirements | Table | Figure | KeyValues | Paragraph | Notes | Code

@@ -1,0 +1,141 @@
+"use strict";
+(() => {
+  const all = (selector, root = document) => [...root.querySelectorAll(selector)];
+  const trials = all("article.trial");
+  const boxes = all("#layers input");
+  const filter = document.querySelector(".filter input");
+  const help = document.getElementById("keys");
+  let here = null;
+  let remembered = null;
+
+  all(".filter, .buttons, .keys-button").forEach((element) => { element.hidden = false; });
+
+  // Trials: which one the reader is at, and the way to its neighbours among those that the filter leaves.
+  const mark = (trial) => {
+    if (here) here.classList.remove("here");
+    here = trial;
+    if (here) here.classList.add("here");
+  };
+  const go = (trial) => {
+    history.replaceState(null, "", "#" + trial.id);
+    mark(trial);
+    trial.scrollIntoView({ behavior: "instant", block: "start" });
+    trial.focus({ preventScroll: true });
+  };
+  const step = (by) => {
+    const open = trials.filter((trial) => !trial.hidden);
+    if (!open.length) return;
+    const top = (trial) => trial.getBoundingClientRect().top;
+    const at = open.indexOf(here);
+    const seen = at >= 0 && top(here) < innerHeight && here.getBoundingClientRect().bottom > 0;
+    const last = open.length - 1;
+    if (seen) go(open[Math.min(Math.max(at + by, 0), last)]);
+    else go(by > 0 ? open.find((trial) => top(trial) > innerHeight / 4) ?? open[last] : open.findLast((trial) => top(trial) < 0) ?? open[0]);
+  };
+  const arrive = () => {
+    const trial = trials.find((one) => "#" + one.id === location.hash);
+    if (trial && trial.hidden) clear();
+    mark(trial || null);
+    if (trial) trial.scrollIntoView({ behavior: "instant", block: "start" });
+  };
+
+  // Layers: the check boxes work by style sheet alone; here only the switch for all of them.
+  const overlays = () => {
+    const shown = boxes.filter((box) => box.checked);
+    boxes.forEach((box) => { box.checked = shown.length ? false : !remembered || remembered.includes(box); });
+    remembered = shown.length ? shown : null;
+  };
+  const whole = () => {
+    const on = document.body.classList.toggle("whole");
+    all("[data-act=whole]").forEach((button) => button.setAttribute("aria-pressed", on));
+    all(".pane svg").forEach((svg) => {
+      const next = svg.dataset.whole;
+      svg.dataset.whole = svg.getAttribute("viewBox");
+      svg.setAttribute("viewBox", next);
+      svg.setAttribute("font-size", Number(next.split(" ")[2]) / 26);
+    });
+  };
+
+  // Searchable tables: filter by every word typed, sort by a column.
+  const sift = (input) => {
+    const part = input.closest(".part");
+    const words = input.value.toLowerCase().split(/\s+/).filter(Boolean);
+    const rows = all("tbody tr", part);
+    rows.forEach((row) => {
+      const text = row.textContent.toLowerCase();
+      row.hidden = !words.every((word) => text.includes(word));
+      const link = row.querySelector("a[href^='#']");
+      const trial = link && trials.find((one) => "#" + one.id === link.getAttribute("href"));
+      if (trial) trial.hidden = row.hidden;
+    });
+    part.querySelector(".count").textContent = words.length ? rows.filter((row) => !row.hidden).length + " of " + rows.length : "";
+  };
+  const clear = () => all(".filter input").forEach((input) => { input.value = ""; sift(input); });
+  const worth = (cell) => {
+    const text = cell.dataset.sort ?? cell.textContent.trim();
+    const number = Number(text.replace("\u2212", "-").match(/^[^\d-]{0,2}(-?\d+(\.\d+)?)/)?.[1] ?? NaN);
+    return Number.isNaN(number) ? text.toLowerCase() : number;
+  };
+  const order = (a, b) => {
+    if (typeof a === typeof b) return a < b ? -1 : a > b ? 1 : 0;
+    return typeof a === "number" ? -1 : 1;
+  };
+  const sort = (head) => {
+    const table = head.closest("table");
+    const column = [...head.parentNode.children].indexOf(head);
+    const down = head.getAttribute("aria-sort") === "ascending";
+    all("th[aria-sort]", table).forEach((other) => other.removeAttribute("aria-sort"));
+    head.setAttribute("aria-sort", down ? "descending" : "ascending");
+    const rows = all("tbody tr", table).map((row) => [worth(row.children[column]), row]);
+    rows.sort((a, b) => (down ? -1 : 1) * order(a[0], b[0]));
+    table.tBodies[0].append(...rows.map((pair) => pair[1]));
+  };
+  all("table[data-searchable] thead th").forEach((head) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.append(head.firstChild);  // the title; the unit stays below it
+    button.addEventListener("click", () => sort(head));
+    head.prepend(button);
+  });
+  all(".filter input").forEach((input) => input.addEventListener("input", () => sift(input)));
+
+  const acts = {
+    help: () => (help.open ? help.close() : help.showModal()),
+    overlays,
+    whole,
+  };
+  all("[data-act]").forEach((button) => button.addEventListener("click", () => acts[button.dataset.act]()));
+  const keys = {
+    j: () => step(1),
+    k: () => step(-1),
+    o: overlays,
+    z: whole,
+    "?": acts.help,
+    "/": () => filter && (filter.scrollIntoView({ block: "center" }), filter.focus(), filter.select()),
+  };
+  document.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const typing = event.target.matches("input[type=search], textarea, select");
+    if (event.key === "Escape") {
+      if (help.open) return;
+      clear();
+      document.activeElement.blur();
+    } else if (!typing && Object.hasOwn(keys, event.key) && (!help.open || event.key === "?")) {
+      event.preventDefault();
+      keys[event.key]();
+    }
+  });
+
+  // The contents mark the chapter that is being read.
+  const links = new Map(all("#contents li a").map((link) => [link.getAttribute("href").slice(1), link]));
+  const seen = new IntersectionObserver((entries) => {
+    entries.filter((entry) => entry.isIntersecting).forEach((entry) => {
+      links.forEach((link) => link.removeAttribute("aria-current"));
+      links.get(entry.target.id)?.setAttribute("aria-current", "true");
+    });
+  }, { rootMargin: "-10% 0px -80% 0px" });
+  all("section.chapter").forEach((section) => seen.observe(section));
+
+  window.addEventListener("hashchange", arrive);
+  if (location.hash) arrive();
+})();

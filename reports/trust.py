@@ -1,0 +1,131 @@
+"""What may enter a page as an id, as an address, or as ready-made SVG; everything else is text and is escaped.
+
+Strategy: allow-lists. An address is a fragment of the page or a relative path; no scheme can be written in either. SVG passes only
+when every element and attribute is one that a plot needs. Knows nothing of pages.
+"""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from html.parser import HTMLParser
+from urllib.parse import quote
+
+_SLUG = re.compile(r"[a-z][a-z0-9-]{0,79}")
+_UNSAFE_IN_PATH = re.compile(r"[\x00-\x1f\x7f-\x9f:\\]")
+_LOCAL_REFERENCE = re.compile(r"#[A-Za-z0-9._-]+")
+_SVG_ELEMENTS = frozenset({"svg", "g", "defs", "path", "use", "text", "tspan", "rect", "circle", "line", "clippath", "a", "title"})
+_SVG_ATTRIBUTES = frozenset(
+    {
+        "class", "clip-path", "clip-rule", "cx", "cy", "d", "dx", "dy", "fill", "fill-opacity", "fill-rule", "font-size", "font-style",
+        "font-weight", "height", "href", "id", "opacity", "r", "rx", "ry", "stroke", "stroke-dasharray", "stroke-dashoffset",
+        "stroke-linecap", "stroke-linejoin", "stroke-miterlimit", "stroke-opacity", "stroke-width", "tabindex", "text-anchor", "transform",
+        "version", "viewbox", "width", "x", "x1", "x2", "xml:space", "xmlns", "y", "y1", "y2",
+    }
+)  # fmt: skip
+
+
+class PageError(ValueError):
+    """A page can't be written as described: the message names the part, the value, and what is allowed."""
+
+
+@dataclass(frozen=True, slots=True)
+class SvgFacts:
+    """What a page needs to know of a drawing: the ids it defines, the fragments it links to."""
+
+    ids: tuple[str, ...]
+    links: tuple[str, ...]
+
+
+def checked_slug(value: str, what: str) -> str:
+    """`value`, when it can be an id and an anchor: lower case letters, digits and hyphens, a letter first. Raises PageError."""
+    if not _SLUG.fullmatch(value):
+        raise PageError(f"{what}: {value!r} can't be an id; use lower case letters, digits and hyphens, a letter first, at most 80")
+    return value
+
+
+def address(value: str, what: str) -> str:
+    """The URL text of `value`, which is `#id` or the relative path of a file beside the page. Raises PageError.
+
+    A path is a plain file path with forward slashes, not yet percent-encoded; `..` may lead out of the page's folder.
+    """
+    if value.startswith("#"):
+        return "#" + checked_slug(value[1:], what)
+    if not value or value.startswith("/") or _UNSAFE_IN_PATH.search(value):
+        raise PageError(f"{what}: {value!r} is no address in this page; use '#id' or a relative path with forward slashes and no ':'")
+    return quote(value, safe="/-._~()", errors="replace")
+
+
+def one_of(value: str, allowed: Iterable[str], what: str) -> str:
+    """`value`, when it is one of `allowed`. Raises PageError."""
+    words = tuple(allowed)
+    if value not in words:
+        raise PageError(f"{what}: {value!r} is none of {', '.join(repr(word) for word in words)}")
+    return value
+
+
+def svg_facts(svg: str, what: str) -> SvgFacts:
+    """The ids and links of one `<svg>` element. Raises PageError for anything that a plot has no use for."""
+    if not svg.startswith("<svg"):
+        raise PageError(f"{what}: the drawing must start with '<svg', not {svg[:30]!r}; take it from reports.figures")
+    reader = _SvgReader(what)
+    reader.feed(svg)
+    reader.close()
+    if reader.open_elements:
+        raise PageError(f"{what}: the drawing ends before </{reader.open_elements[-1]}>")
+    return SvgFacts(tuple(reader.ids), tuple(reader.links))
+
+
+class _SvgReader(HTMLParser):
+    """Walks one drawing with the rules of HTML, as the browser will, and refuses what is not on the lists."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.what = what
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.open_elements: list[str] = []
+        self.finished = False
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_startendtag(tag, attrs)
+        self.open_elements.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if self.finished or tag not in _SVG_ELEMENTS or (tag == "svg") != (not self.open_elements):
+            raise PageError(f"{self.what}: the drawing may not hold <{tag}> here; take it from reports.figures")
+        for name, value in attrs:
+            self._read_attribute(tag, name, value or "")
+
+    def _read_attribute(self, tag: str, name: str, value: str) -> None:
+        refers = name == "href" or "url(" in value
+        target = value.removeprefix("url(").removesuffix(")")
+        if name not in _SVG_ATTRIBUTES or (refers and not _LOCAL_REFERENCE.fullmatch(target)):
+            raise PageError(f"{self.what}: the drawing may not hold {name}={value[:60]!r} in <{tag}>; take it from reports.figures")
+        if name == "id":
+            self.ids.append(value)
+        if name == "href" and tag == "a":
+            self.links.append(value)
+
+    def handle_endtag(self, tag: str) -> None:
+        if not self.open_elements or self.open_elements.pop() != tag:
+            raise PageError(f"{self.what}: the drawing closes </{tag}> where it isn't open")
+        self.finished = not self.open_elements
+
+    def handle_data(self, data: str) -> None:
+        if data.strip() and (not self.open_elements or self.open_elements[-1] not in {"text", "tspan", "title"}):
+            raise PageError(f"{self.what}: the drawing holds the text {data.strip()[:40]!r} outside a text element")
+
+    def _refuse(self, what: str) -> None:
+        raise PageError(f"{self.what}: the drawing may not hold {what}; take it from reports.figures")
+
+    def handle_comment(self, data: str) -> None:
+        self._refuse(f"the comment {data[:40]!r}")
+
+    def handle_decl(self, decl: str) -> None:
+        self._refuse(f"the declaration {decl[:40]!r}")
+
+    def handle_pi(self, data: str) -> None:
+        self._refuse(f"the instruction {data[:40]!r}")
+
+    def unknown_decl(self, data: str) -> None:
+        self._refuse(f"the declaration {data[:40]!r}")

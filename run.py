@@ -1,0 +1,137 @@
+"""Everything from a fresh machine: make .venv, install, then run the demo or the tests.
+
+    python3 run.py demo [arguments of "teatbench run"]
+    python3 run.py test [arguments of pytest]
+
+Standard library only, so that it starts with nothing but Python 3.11 and pip. A second call finds the
+installation by its stamp and starts at once. It works on Linux, macOS and Windows.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import venv
+from collections.abc import Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+VENV = ROOT / ".venv"
+NEEDED = (3, 11)
+DID_ITS_WORK = (0, 1, 4)  # met, not met, inconclusive: a verdict on the detector, not a fault of the bench
+
+HINT_NETWORK = """The package index can't be reached. Check the network, or the proxy (set HTTPS_PROXY, or 'pip config set global.proxy URL').
+Without a network: on another machine with the same Python run 'pip download -d wheels .[test] hatchling', copy the folder here and
+set PIP_NO_INDEX=1 and PIP_FIND_LINKS=wheels before calling run.py again."""
+HINT_VENV = """Python can't make a virtual environment here. On Debian or Ubuntu: 'sudo apt install python3-venv'. Elsewhere install Python from
+python.org with pip included. If the folder can't be written, copy the project to a place of your own."""
+HINT_PIP = """pip could not install the packages; its last lines are above. Often an old pip or a Python without ready-made packages is the cause:
+use CPython 3.11, 3.12 or 3.13 (64 bit), delete the folder .venv and call run.py again."""
+NETWORK_SIGNS = (
+    "NewConnectionError",
+    "Temporary failure",
+    "getaddrinfo",
+    "Max retries",
+    "ConnectTimeout",
+    "ProxyError",
+    "Network is unreachable",
+)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run one of the two jobs; gives back the exit code."""
+    if sys.version_info < NEEDED:
+        needed = ".".join(str(part) for part in NEEDED)
+        return complain(f"Python {needed} or newer is needed; this is {sys.version.split()[0]}.", "Call run.py with a newer python.")
+    if not arguments or arguments[0] not in ("demo", "test"):
+        print((__doc__ or "").strip())
+        return 0 if arguments[:1] in (["-h"], ["--help"]) else 2
+    job, rest = arguments[0], arguments[1:]
+    fault = install("test" if job == "test" else "")
+    if fault:
+        return fault
+    if job == "test":
+        return call([str(python()), "-m", "pytest", *rest], ROOT)
+    code = call([str(python()), "-m", "bench.cli", "run", *rest])
+    return 0 if code in DID_ITS_WORK else code
+
+
+def install(extra: str) -> int:
+    """Bring .venv up to date; 0 when it is. What is installed is known by a stamp, so that this costs nothing twice."""
+    stamp = VENV / f"teatbench-{extra or 'run'}.stamp"
+    if python().exists() and stamp.exists() and stamp.read_text(encoding="utf-8") == fingerprint():
+        return 0
+    print("Setting up .venv (once; a few minutes) ...", flush=True)
+    fault = make_venv()
+    if fault:
+        return fault
+    what = f"{ROOT}[{extra}]" if extra else str(ROOT)
+    done = subprocess.run(
+        [str(python()), "-m", "pip", "install", "--disable-pip-version-check", "--quiet", "--editable", what],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        check=False,
+    )
+    if done.returncode:
+        last = "\n".join(done.stdout.strip().splitlines()[-15:])
+        return complain(last, HINT_NETWORK if any(sign in done.stdout for sign in NETWORK_SIGNS) else HINT_PIP)
+    stamp.write_text(fingerprint(), encoding="utf-8")
+    return 0
+
+
+def make_venv() -> int:
+    """Make .venv where it is missing, broken or of another Python; 0 when it works and has pip."""
+    same = f"import sys; sys.exit(sys.version_info[:2] != {tuple(sys.version_info[:2])})"
+    if python().exists() and works(["-c", same]) and works(["-m", "pip", "--version"]):
+        return 0
+    try:
+        venv.EnvBuilder(with_pip=True, clear=VENV.exists()).create(VENV)
+    except (OSError, subprocess.CalledProcessError, SystemExit) as error:
+        return complain(f".venv can't be made: {error}", HINT_VENV)
+    return 0 if works(["-m", "pip", "--version"]) else complain(".venv has no pip.", HINT_VENV)
+
+
+def python() -> Path:
+    """The interpreter of .venv."""
+    return VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+
+
+def works(arguments: Sequence[str]) -> bool:
+    """Whether .venv's interpreter does this without complaint."""
+    try:
+        done = subprocess.run([str(python()), *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
+    except OSError:
+        return False
+    return done.returncode == 0
+
+
+def fingerprint() -> str:
+    """Changes when the dependencies, the place or the Python change."""
+    text = (ROOT / "pyproject.toml").read_bytes() + str(ROOT).encode() + sys.version.encode()
+    return hashlib.sha256(text).hexdigest()
+
+
+def call(command: Sequence[str], folder: Path | None = None) -> int:
+    """Run a command with this terminal; Ctrl-C is the child's to answer, and its exit code is ours."""
+    environment = {**os.environ, "PYTHONUTF8": "1"}
+    with subprocess.Popen(command, cwd=folder, env=environment) as child:
+        while True:
+            try:
+                return child.wait()
+            except KeyboardInterrupt:
+                continue  # the child got it too and goes to safe
+
+
+def complain(what: str, hint: str) -> int:
+    """Say what is wrong and what to do; gives back exit code 2."""
+    print(f"run.py: {what}\n{hint}", file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

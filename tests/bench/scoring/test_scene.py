@@ -1,0 +1,150 @@
+"""One scene's score, its way through JSON, and scenes pooled by their counts."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.scoring.matching import Counts
+from bench.scoring.pool import Pool, pool
+from bench.scoring.rates import Rate
+from bench.scoring.scene import SceneScore, scene_from_dict, score_scene
+
+TRUTH = np.array([[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]])  # table 5.1
+ALL = (True, True, True, True)
+THREE = (True, True, True, False)
+
+
+def score(found: Any, visible: tuple[bool, ...] = ALL, **changes: Any) -> SceneScore:
+    settings: dict[str, Any] = {"u_mm": 0.23, "seconds": 0.4, "limit_mm": 5.0, "time_limit_s": 2.0, **changes}
+    return score_scene(found, TRUTH, visible, **settings)
+
+
+def moved(teat: int, by_mm: float) -> Any:
+    found = TRUTH.copy()
+    found[teat, 2] += by_mm
+    return found
+
+
+def test_a_perfect_scene() -> None:
+    s = score(TRUTH[::-1], hidden_claimed=0)
+    assert s.success
+    assert s.in_time
+    assert s.hidden_right
+    assert s.counts == Counts(visible=4, matched=4)
+    assert s.gospa_mm == 0.0
+    assert not s.errors_mm.any()
+
+
+@pytest.mark.parametrize(
+    ("found", "changes"),
+    [
+        (TRUTH[:3], {}),  # one is missing
+        (moved(1, 5.01), {}),  # one is too far off
+        (np.vstack([TRUTH, [[0, 0, 0]]]), {}),  # one is false
+        (TRUTH, {"seconds": 2.01}),  # too late
+        ([], {}),
+    ],
+)
+def test_what_makes_a_scene_fail(found: Any, changes: dict[str, Any]) -> None:
+    assert not score(found, **changes).success
+
+
+def test_the_limits_themselves_succeed() -> None:
+    assert score(TRUTH, seconds=2.0).success
+    assert score(moved(1, 1.0), limit_mm=1.0 + 1e-9).success
+
+
+def test_a_hidden_teat_fails_nothing_found_or_not() -> None:
+    assert score(TRUTH[:3], THREE).success
+    both = score(TRUTH, THREE)
+    assert both.success
+    assert both.counts == Counts(visible=3, hidden=1, matched=3, on_hidden=1)
+    assert both.errors_mm.shape == (3, 3)
+
+
+def test_the_hidden_count_is_scored_beside_the_success() -> None:
+    assert score(TRUTH[:3], THREE, hidden_claimed=1).hidden_right is True
+    wrong = score(TRUTH[:3], THREE, hidden_claimed=0)
+    assert wrong.hidden_right is False
+    assert wrong.success
+    assert score(TRUTH[:3], THREE).hidden_right is None
+
+
+def test_errors_are_found_minus_truth_in_the_order_of_the_teats() -> None:
+    s = score(moved(2, -3.0)[::-1])
+    assert s.errors_mm == pytest.approx(np.array([[0, 0, 0], [0, 0, 0], [0, 0, -3], [0, 0, 0]], dtype=float))
+    assert s.radial_mm == pytest.approx((0, 0, 3, 0))
+    with pytest.raises(ValueError, match="read-only"):
+        s.errors_mm[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(("off", "doubtful"), [(4.60, ()), (4.62, (1,)), (5.37, (1,)), (5.39, ())])
+def test_doubtful_are_the_teats_in_the_guard_band(off: float, doubtful: tuple[int, ...]) -> None:
+    assert score(moved(1, off)).doubtful == doubtful
+
+
+@given(st.lists(st.tuples(*[st.floats(-300, 300)] * 3), max_size=6), st.tuples(*[st.booleans()] * 4), st.sampled_from([None, 0, 1]))
+def test_a_score_survives_json_exactly(found: list[tuple[float, ...]], visible: tuple[bool, ...], claimed: int | None) -> None:
+    s = score(found, visible, hidden_claimed=claimed)
+    back = scene_from_dict(json.loads(json.dumps(s.as_dict())))
+    assert back.as_dict() == s.as_dict()
+    assert back.match == s.match
+    assert (back.errors_mm == s.errors_mm).all()
+
+
+def test_a_stored_score_that_lacks_a_key_is_named() -> None:
+    stored = score(TRUTH).as_dict()
+    del stored["missed"]
+    with pytest.raises(ValueError, match="key 'missed' is missing"):
+        scene_from_dict(stored)
+
+
+def test_impossible_input() -> None:
+    with pytest.raises(ValueError, match="seconds"):
+        score(TRUTH, seconds=float("inf"))
+    with pytest.raises(ValueError, match="hidden_claimed"):
+        score(TRUTH, hidden_claimed=-1)
+
+
+class TestPool:
+    GOOD, BAD = score(TRUTH, hidden_claimed=0), score(moved(0, 7.0)[:3], hidden_claimed=1, seconds=3.0)
+
+    def test_rates_count_poses_and_a_pose_needs_all_its_repeats(self) -> None:
+        p = pool([self.GOOD, self.GOOD, self.GOOD, self.BAD], ["a", "a", "b", "b"])
+        assert (p.frames, p.success, p.in_time, p.hidden_right) == (Rate(3, 4), Rate(1, 2), Rate(1, 2), Rate(1, 2))
+        assert p.counts == Counts(visible=16, matched=15, missed=1)
+        assert p.counts.recall == Rate(15, 16)
+        assert p.seconds == (0.4, 0.4, 0.4, 3.0)
+
+    def test_errors_keep_their_pose_and_their_teat(self) -> None:
+        p = pool([self.GOOD, self.BAD], ["a", "b"])
+        assert p.errors_mm.shape == (7, 3)
+        assert p.error_poses == ("a",) * 4 + ("b",) * 3
+        assert p.errors_of_teat(0).tolist() == [[0, 0, 0], [0, 0, pytest.approx(7.0)]]
+        assert p.errors_of_teat(3).shape == (1, 3)
+        assert p.summary().radial.max_mm == pytest.approx(7.0)
+
+    def test_two_pools_merge_to_what_one_would_have_been(self) -> None:
+        first, second = pool([self.GOOD, self.BAD], ["a", "b"]), pool([self.BAD], ["a"])
+        merged = first + second
+        assert merged == Pool((self.GOOD, self.BAD, self.BAD), ("a", "b", "a"))
+        assert merged.success == Rate(0, 2)  # pose a failed in its second repeat: adding the two rates would have hidden it
+        assert merged.counts == first.counts + second.counts
+        assert merged.summary().n == first.summary().n + second.summary().n
+
+    def test_no_claim_on_hidden_teats_is_not_measured(self) -> None:
+        assert pool([score(TRUTH)]).hidden_right.value is None
+
+    def test_an_empty_pool_measured_nothing(self) -> None:
+        p = Pool()
+        assert (p.success.value, p.counts, p.summary().radial.mean_mm, p.errors_of_teat(0).shape) == (None, Counts(), None, (0, 3))
+
+    def test_poses_have_to_fit(self) -> None:
+        with pytest.raises(ValueError, match="1 scores with 2 pose names"):
+            Pool((self.GOOD,), ("a", "b"))

@@ -1,0 +1,109 @@
+"""Opens pages from disk in the machine's own Chromium, offline, and notes what they ask for and complain about.
+
+Strategy: plain functions over Playwright, so that any test can use them: `with browser_page() as seen: seen.open(path)`. A machine without
+a browser skips, saying so. Nothing here knows what a report says.
+"""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from playwright.sync_api import Browser, ConsoleMessage, Page, Request, ViewportSize, sync_playwright
+
+Scheme = Literal["light", "dark"]
+NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+ARGUMENTS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+
+
+@dataclass(slots=True)
+class Seen:
+    """One page in the browser, and what happened in it."""
+
+    page: Page
+    requests: list[str] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)  # console errors and warnings, exceptions, requests that failed
+
+    def open(self, path: Path, fragment: str = "") -> Page:
+        """Opens the file, at `#fragment` where one is given, and waits until it has loaded."""
+        self.page.goto(path.resolve().as_uri() + (f"#{fragment}" if fragment else ""))
+        return self.page
+
+    def network_requests(self) -> list[str]:
+        """Everything that was asked for beyond this disk and the page itself."""
+        return [url for url in self.requests if not url.startswith(("file:", "data:", "blob:", "about:"))]
+
+    def image_widths(self) -> dict[str, int]:
+        """Width in pixels of every image as decoded, by its address; 0 where it could not be. Lazy images are fetched first."""
+        script = """async () => {
+            const images = [...document.images];
+            images.forEach((image) => { image.loading = 'eager'; });
+            await Promise.all(images.map((image) => image.decode().catch(() => null)));
+            return Object.fromEntries(images.map((image) => [image.src, image.naturalWidth]));
+        }"""
+        return dict(self.page.evaluate(script))
+
+
+def chromium() -> str:
+    """The path of the machine's Chromium or Chrome; skips the test where there is none."""
+    found = next((path for path in map(shutil.which, NAMES) if path), None)
+    if found is None:
+        pytest.skip(f"needs a browser ({', '.join(NAMES)}): none is installed; on Debian: apt-get install chromium")
+    return found
+
+
+@contextmanager
+def launched() -> Iterator[Browser]:
+    """The browser, running; one at a time, since Playwright's loop can't be entered twice."""
+    executable = chromium()
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=executable, args=list(ARGUMENTS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@contextmanager
+def window(browser: Browser, width: int = 1440, height: int = 900, scheme: Scheme = "light", javascript: bool = True) -> Iterator[Seen]:
+    """A fresh, offline window of the given size and colour scheme in a browser that runs."""
+    size = ViewportSize(width=width, height=height)
+    context = browser.new_context(viewport=size, color_scheme=scheme, offline=True, java_script_enabled=javascript)
+    try:
+        seen = Seen(context.new_page())
+        _listen(seen)
+        yield seen
+    finally:
+        context.close()
+
+
+@contextmanager
+def browser_page(width: int = 1440, height: int = 900, scheme: Scheme = "light", javascript: bool = True) -> Iterator[Seen]:
+    """Both in one: a window in a browser of its own."""
+    with launched() as browser, window(browser, width, height, scheme, javascript) as seen:
+        yield seen
+
+
+def _listen(seen: Seen) -> None:
+    def on_console(message: ConsoleMessage) -> None:
+        if message.type in {"error", "warning"}:
+            seen.complaints.append(f"console: {message.text}")
+
+    def on_failure(request: Request) -> None:
+        seen.complaints.append(f"failed: {request.url}: {request.failure}")
+
+    seen.page.on("console", on_console)
+    seen.page.on("pageerror", lambda error: seen.complaints.append(f"exception: {error}"))
+    seen.page.on("requestfailed", on_failure)
+    seen.page.on("request", lambda request: seen.requests.append(request.url))

@@ -1,0 +1,156 @@
+"""The calibration file: what it gives, what it derives, and every fault at once."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from detector.calibration import DEFAULT_PLANE_DEPTH_MM, Calibration, CalibrationError, dump_calibration, file_hash, load_calibration
+from detector.geometry import apply_homography
+
+Edit = Callable[[str], str]
+
+
+@pytest.fixture
+def load(tmp_path: Path, rig_file: Path) -> Callable[[Edit], Calibration]:
+    """Load the shipped file after an edit of its text."""
+    def edited(edit: Edit) -> Calibration:
+        path = tmp_path / "calibration.toml"
+        path.write_text(edit(rig_file.read_text(encoding="utf-8")), encoding="utf-8")
+        return load_calibration(path)
+    return edited
+
+
+def without(text: str, *starts: str) -> str:
+    return "\n".join(line for line in text.splitlines() if not line.startswith(starts))
+
+
+def block_removed(text: str, block: str) -> str:
+    before, _, rest = text.partition(f"\n[{block}]")
+    return before + "\n" + ("[" + rest.split("\n[", 1)[1] if "\n[" in rest else "")
+
+
+def test_published_figures_arrive(rig: Calibration) -> None:
+    assert rig.left.image_size == (1360, 1024)
+    assert rig.left.fc == (1291.0, 1295.2)
+    assert rig.right.kc == (-0.212, 0.301, -0.003, 0.0, 0.0)
+    assert np.allclose(rig.right_from_left.T, [-100.317, 0.242, -0.401])
+    assert np.allclose(rig.right_from_left.om, [-0.0011, -0.0008, 0.0085], atol=1e-12)
+    assert (rig.thermal.sensor_size, rig.thermal.mirrored, rig.thermal.polarity) == ((160, 120), True, "hot_is_black")
+    assert rig.baseline_mm == pytest.approx(100.318, abs=1e-3)
+
+
+def test_dump_and_load_are_inverse(rig: Calibration, tmp_path: Path) -> None:
+    path = tmp_path / "again.toml"
+    path.write_text(dump_calibration(rig, "two\nlines"), encoding="utf-8")
+    again = load_calibration(path)
+    assert (again.left, again.right, again.thermal) == (rig.left, rig.right, rig.thermal)
+    assert again.thermal_from_left is not None
+    assert rig.thermal_from_left is not None
+    assert np.allclose(again.thermal_from_left.R, rig.thermal_from_left.R, atol=1e-9)
+    assert np.allclose(again.homographies.left, rig.homographies.left, rtol=1e-9)
+    assert path.read_text(encoding="utf-8").startswith("# two\n# lines\n")
+
+
+def test_an_absent_homography_is_derived(rig: Calibration, load: Callable[[Edit], Calibration]) -> None:
+    at_depth = load(lambda text: without(text, "left = [[", "right = [["))
+    corners = np.array([[0.0, 0], [639, 0], [0, 479], [639, 479]])
+    assert at_depth.homographies.plane_depth_mm == rig.homographies.plane_depth_mm
+    for side in ("left", "right"):
+        ours, given = getattr(at_depth.homographies, side), getattr(rig.homographies, side)
+        assert np.abs(apply_homography(ours, corners) - apply_homography(given, corners)).max() < 1e-3
+    assert load(lambda text: block_removed(text, "homography")).homographies.plane_depth_mm == DEFAULT_PLANE_DEPTH_MM
+
+
+def test_a_rig_may_have_only_homographies(rig: Calibration, load: Callable[[Edit], Calibration]) -> None:
+    def edit(text: str) -> str:
+        head, _, tail = block_removed(text, "thermal").partition("[cameras.thermal]")
+        return head + "[cameras.thermal]" + without(tail, "fc", "cc", "alpha_c", "kc")
+    bare = load(edit)
+    assert bare.thermal.lens is None
+    assert bare.thermal_from_left is None
+    assert bare.thermal_from_right is None
+    assert np.array_equal(bare.homographies.right, rig.homographies.right)
+
+
+def faults(load: Callable[[Edit], Calibration], edit: Edit) -> dict[str, str]:
+    with pytest.raises(CalibrationError) as caught:
+        load(edit)
+    for fault in caught.value.faults:
+        assert str(fault) in str(caught.value)
+    return {".".join(fault.key): fault.message for fault in caught.value.faults}
+
+
+CASES: list[tuple[Edit, str, str]] = [
+    (lambda t: t.replace("fc = [1291.0", "fc = [-1291.0"), "cameras.left.fc", "above zero"),
+    (lambda t: t.replace("fc = [1291.0, ", "fc = ["), "cameras.left.fc", "must have 2 numbers"),
+    (lambda t: t.replace("fc = [1291.0", 'fc = ["1291"'), "cameras.left.fc", "must be a number, not text"),
+    (lambda t: t.replace("fc = [1291.0", "fc = [true"), "cameras.left.fc", "must be a number, not true or false"),
+    (lambda t: t.replace("fc = [1291.0", "fc = [inf"), "cameras.left.fc", "finite"),
+    (lambda t: t.replace("fc = [1291.0", "fc = [1" + "0" * 400), "cameras.left.fc", "finite"),
+    (lambda t: t.replace("alpha_c = 0.0", "alpha_k = 0.0", 1), "cameras.left.alpha_k", "did you mean 'alpha_c'"),
+    (lambda t: t.replace("[1360, 1024]", "[1360.0, 1024]", 1), "cameras.left.image_size", "whole numbers"),
+    (lambda t: t.replace("[1360, 1024]", "[0, 1024]", 1), "cameras.left.image_size", "1 to 65535"),
+    (lambda t: t.replace("hot_is_black", "hot_is_blakc"), "cameras.thermal.polarity", "did you mean 'hot_is_black'"),
+    (lambda t: t.replace("mirrored = true", "mirrored = 1"), "cameras.thermal.mirrored", "true or false"),
+    (lambda t: t.replace("[world]", "[wrold]"), "world", "missing block [world]"),
+    (lambda t: t.replace("[world]", "[wrold]"), "wrold", "did you mean 'world'"),
+    (lambda t: t.replace("[cameras.left]", "[cameras.lift]"), "cameras.lift", "did you mean 'left'"),
+    (lambda t: t.replace("T = [-100.317, 0.242, -0.401]", "T = [0, 0, 0]"), "stereo.T", "no depth"),
+    (lambda t: t.replace("om = [-0.0011, -0.0008, 0.0085]\n", ""), "stereo.om", "missing"),
+    (lambda t: block_removed(t, "thermal"), "thermal", "lens but no pose"),
+    (lambda t: without(t, "right = [["), "homography.right", "missing"),
+    (lambda t: without(t, "left = [[") + "\nleft = [[1, 0, 0], [0, -1, 0], [0, 0, 1]]", "homography.left", "neither mirrors"),
+    (lambda t: without(t, "left = [[") + "\nleft = [[1, 0, 0], [0, 1, 0]]", "homography.left", "three rows"),
+    (lambda t: without(t, "plane_depth") + "\nplane_depth_mm = -3", "homography.plane_depth_mm", "above zero"),
+    (lambda t: "stereo = 3\n" + block_removed(t, "stereo"), "stereo", "must be a block"),
+    (lambda t: "cameras = 3\n" + t[t.index("[stereo]"):], "cameras.left", "missing block"),
+]
+
+
+@pytest.mark.parametrize(("edit", "key", "message"), CASES)
+def test_each_fault_is_named_where_it_is(load: Callable[[Edit], Calibration], edit: Edit, key: str, message: str) -> None:
+    assert message in faults(load, edit)[key]
+
+
+def test_all_faults_come_at_once(load: Callable[[Edit], Calibration]) -> None:
+    found = faults(load, lambda t: t.replace("fc = [1291.0", "fc = [-1").replace("hot_is_black", "hot").replace("[world]", "[wrold]"))
+    assert set(found) == {"cameras.left.fc", "cameras.thermal.polarity", "wrold", "world"}
+
+
+def test_a_plane_that_the_cameras_cannot_see_is_a_fault(load: Callable[[Edit], Calibration]) -> None:
+    def backwards(text: str) -> str:
+        turned = text.replace("om = [-0.01086", "om = [3.01086")
+        assert turned != text
+        return without(turned, "left = [[", "right = [[")
+    assert "isn't in front of both cameras" in faults(load, backwards)["homography"]
+
+
+@pytest.mark.parametrize(("content", "message"), [(b"= 3", "not TOML"), (b"\xff\xfe", "not UTF-8"), (b"", "missing block [cameras.left]")])
+def test_a_file_that_is_no_calibration(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "c.toml"
+    path.write_bytes(content)
+    with pytest.raises(CalibrationError, match=r"c\.toml") as caught:
+        load_calibration(path)
+    assert message in str(caught.value)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match="can't be read"):
+        load_calibration(tmp_path / "absent.toml")
+
+
+def test_the_hash_is_of_the_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "c.toml"
+    path.write_bytes(b"abc")
+    assert file_hash(path) == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert file_hash(path) == hashlib.sha256(b"abc").hexdigest()
+
+
+def test_path_traced_calibration_is_read(shared: Path) -> None:
+    calibration = load_calibration(shared / "data" / "path_traced" / "calibration.toml")
+    assert calibration.homographies.plane_depth_mm == pytest.approx(1076.193, abs=1e-3)

@@ -1,0 +1,177 @@
+"""Geometry against OpenCV, against itself there and back, and against the thesis's table 5.2."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
+
+from detector.calibration import Calibration
+from detector.geometry import (
+    Camera,
+    Motion,
+    apply_homography,
+    rigid_fit,
+    rotation_from_vector,
+    triangulate,
+    vector_from_rotation,
+)
+
+Array = NDArray[np.float64]
+
+LEFT = Camera((1360, 1024), (1291.0, 1295.2), (727.4, 528.1), 0.0, (-0.186, 0.230, 0.0, 0.0, 0.0))
+RIGHT = Camera((1360, 1024), (1288.3, 1290.6), (701.4, 558.7), 0.0, (-0.212, 0.301, -0.003, 0.0, 0.0))
+STRONG = Camera((640, 480), (500.0, 510.0), (322.0, 236.5), 0.0, (-0.31, 0.12, 0.0021, -0.0017, -0.02))
+STEREO = Motion.from_vectors([-0.0011, -0.0008, 0.0085], [-100.317, 0.242, -0.401])
+
+vectors = arrays(np.float64, 3, elements=st.floats(-1.7, 1.7, allow_subnormal=False))
+
+
+def matrix(camera: Camera) -> Array:
+    return np.array([[camera.fc[0], 0, camera.cc[0]], [0, camera.fc[1], camera.cc[1]], [0, 0, 1]])
+
+
+def pixels_over(camera: Camera) -> Array:
+    x, y = np.meshgrid(np.linspace(0, camera.image_size[0] - 1, 15), np.linspace(0, camera.image_size[1] - 1, 11))
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+@given(vectors)
+def test_rotation_matches_opencv_and_goes_back(om: Array) -> None:
+    R = rotation_from_vector(om)
+    assert np.allclose(R, cv2.Rodrigues(om)[0], atol=1e-13)
+    assert np.allclose(rotation_from_vector(vector_from_rotation(R)), R, atol=1e-13)
+
+
+@pytest.mark.parametrize("om", [[0, 0, 0], [1e-9, 0, 0], [np.pi, 0, 0], [0, np.pi - 1e-9, 0], [0, 0, -np.pi + 1e-7], [2.0, -1.0, 1.5]])
+def test_rotation_vector_survives_the_awkward_angles(om: list[float]) -> None:
+    R = rotation_from_vector(om)
+    back = vector_from_rotation(R)
+    assert np.linalg.norm(back) <= np.pi + 1e-12
+    assert np.allclose(rotation_from_vector(back), R, atol=1e-14)
+
+
+@given(vectors, vectors, vectors)
+def test_motions_compose_and_invert(om: Array, T: Array, point: Array) -> None:
+    a, b = Motion.from_vectors(om, 100 * T), Motion.from_vectors(-0.5 * T, om)
+    assert np.allclose((a @ b).apply(point), a.apply(b.apply(point)), atol=1e-10)
+    assert np.allclose((a @ a.inverse()).apply(point), point, atol=1e-10)
+
+
+def test_a_mirror_image_or_a_scale_is_no_motion() -> None:
+    for R in (np.diag([1.0, 1.0, -1.0]), 0.92 * np.eye(3)):
+        with pytest.raises(ValueError, match="not a rotation matrix"):
+            Motion(R, np.zeros(3))
+
+
+@given(vectors, vectors)
+@settings(max_examples=50)
+def test_rigid_fit_finds_the_motion(om: Array, T: Array) -> None:
+    motion = Motion.from_vectors(om, 50 * T)
+    source = np.array([[0.0, 0, 0], [100, 3, 1], [-20, 80, 5], [4, -7, 60]])
+    found = rigid_fit(motion.apply(source), source)
+    assert np.allclose(found.R, motion.R, atol=1e-12)
+    assert np.allclose(found.T, motion.T, atol=1e-10)
+
+
+def test_rigid_fit_never_mirrors() -> None:
+    source = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    assert np.linalg.det(rigid_fit(source * [1, 1, -1], source).R) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("points", [np.zeros((2, 3)), np.outer(np.arange(5.0), [1, 2, 3])])
+def test_rigid_fit_refuses_what_fixes_no_rotation(points: Array) -> None:
+    with pytest.raises(ValueError, match="rigid fit needs"):
+        rigid_fit(points, points)
+
+
+@pytest.mark.parametrize("camera", [LEFT, RIGHT, STRONG])
+def test_projection_is_opencvs(camera: Camera) -> None:
+    points = np.random.default_rng(1).uniform([-300, -250, 700], [300, 250, 1500], (400, 3))
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix(camera), np.array(camera.kc))
+    assert np.allclose(camera.project(points), expected.reshape(-1, 2), atol=1e-9)
+
+
+@pytest.mark.parametrize("camera", [LEFT, RIGHT, STRONG])
+def test_normalize_undoes_the_lens_to_1e10_and_agrees_with_opencv(camera: Camera) -> None:
+    pixels = pixels_over(camera)
+    x = camera.normalize(pixels)
+    again = camera.project(np.column_stack([x, np.ones(len(x))]))
+    assert np.abs((again - pixels) / camera.fc).max() < 1e-10
+    opencv = cv2.undistortPoints(pixels[:, None], matrix(camera), np.array(camera.kc), None, None, None)[:, 0]
+    assert np.abs(x - opencv).max() < 2e-3       # OpenCV stops after a few fixed-point steps; a loose bound on a wrong sign or order
+
+
+def test_skew_goes_there_and_back() -> None:
+    camera = replace(LEFT, alpha_c=0.01)
+    pixels = pixels_over(camera)
+    assert np.allclose(camera.project(camera.rays(pixels) * 900), pixels, atol=1e-8)
+    shift = camera.project([[0.0, 100.0, 1000.0]]) - LEFT.project([[0.0, 100.0, 1000.0]])
+    assert shift[0, 1] == 0
+    assert shift[0, 0] == pytest.approx(1291.0 * 0.01 * 0.1, rel=0.01)
+
+
+def test_what_is_behind_the_camera_or_beyond_the_lens_is_nan() -> None:
+    assert np.isnan(LEFT.project([[0.0, 0.0, -5.0], [0.0, 0.0, 0.0]])).all()
+    barrel = Camera((100, 100), (50.0, 50.0), (50.0, 50.0), 0.0, (-0.5, 0.0, 0.0, 0.0, 0.0))
+    x = barrel.normalize([[50.0, 50.0], [50000.0, 50.0]])
+    assert np.allclose(x[0], 0)
+    # k1 = -0.5 bends back at r = 0.816: no ray inside of that reaches so far out
+    assert np.isnan(x[1]).all() or np.linalg.norm(x[1]) > 0.816
+
+
+def test_triangulation_gives_table_5_2_back(shared: Path) -> None:
+    published = tomllib.loads((shared / "seed" / "published.toml").read_text(encoding="utf-8"))
+    A = np.array(published["world"]["transformation"])
+    teats = np.array(published["table_5_2"]["teat_ends_mm"])
+    in_right = np.linalg.solve(A[:3, :3], (teats - A[:3, 3]).T).T
+    right_px, left_px = RIGHT.project(in_right), LEFT.project(STEREO.inverse().apply(in_right))
+    found, gap = triangulate(left_px, right_px, LEFT, RIGHT, STEREO)
+    assert np.abs(found @ A[:3, :3].T + A[:3, 3] - teats).max() < 1e-6
+    assert gap.max() < 1e-6
+
+
+def test_triangulation_is_the_midpoint_of_the_shortest_bridge() -> None:
+    left_px, right_px = np.array([[800.0, 500.0], [650.0, 410.0]]), np.array([[660.0, 540.0], [520.0, 420.0]])
+    found, gap = triangulate(left_px, right_px, LEFT, RIGHT, STEREO)
+    left_rays, right_rays = LEFT.rays(left_px) @ STEREO.R.T, RIGHT.rays(right_px)
+    for i in range(2):
+        # an independent solution: least squares for both distances along the rays
+        distances = np.linalg.lstsq(np.column_stack([left_rays[i], -right_rays[i]]), -STEREO.T, rcond=None)[0]
+        on_left, on_right = distances[0] * left_rays[i] + STEREO.T, distances[1] * right_rays[i]
+        assert np.allclose(found[i], (on_left + on_right) / 2, atol=1e-7)
+        assert gap[i] == pytest.approx(np.linalg.norm(on_left - on_right), abs=1e-7)
+
+
+def test_parallel_rays_have_no_crossing() -> None:
+    camera = Camera((100, 100), (100.0, 100.0), (50.0, 50.0))
+    found, gap = triangulate([[50.0, 50.0]], [[50.0, 50.0]], camera, camera, Motion(np.eye(3), np.array([-100.0, 0, 0])))
+    assert np.isnan(found).all()
+    assert np.isnan(gap).all()
+
+
+def test_one_pixel_of_disparity_costs_what_the_formula_says(rig: Calibration) -> None:
+    world = np.array([[-180.0, 240.0, 137.0]])
+    left_px, right_px = rig.project(world)
+    ends = [rig.world_from_right.apply(triangulate(left_px, right_px + [d, 0], rig.left, rig.right, rig.right_from_left)[0]) for d in (-0.5, 0.5)]
+    assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(rig.depth_per_disparity_px_mm(world)[0], rel=0.02)
+
+
+def test_homography_divides_and_refuses_the_horizon() -> None:
+    H = [[2.0, 0, 1], [0, 3, 0], [0.1, 0, 1]]
+    assert np.allclose(apply_homography(H, [[10.0, 4.0]]), [[21 / 2, 12 / 2]])
+    assert np.isnan(apply_homography(H, [[-10.0, 4.0]])).all()
+
+
+@pytest.mark.parametrize("bad", [np.zeros(3), np.zeros((4, 2)), np.zeros((1, 1, 3))])
+def test_wrong_shapes_are_named(bad: Array) -> None:
+    with pytest.raises(ValueError, match=r"shape \(n, 3\)"):
+        LEFT.project(bad)

@@ -1,0 +1,133 @@
+"""The edge detector on pictures whose edges are known, and its parts against direct evaluations of what they stand for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from detector.thesis.canny import Edges, automatic_threshold, canny, gradient, hysteresis, kernels, ridges, thin_once
+
+
+def edges(picture: NDArray[np.uint8], sigma: float = 12.0) -> Edges:
+    return canny(picture, sigma, 30, 0.7, 64, 0.4)
+
+
+@pytest.mark.parametrize("at", [60, 101, 150])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_straight_step_gives_one_edge_on_the_step(at: int, turned: bool) -> None:
+    picture = np.full((200, 240), 200, dtype=np.uint8)
+    picture[:, :at] = 30                              # the step lies between columns at - 1 and at
+    mask = edges(picture.T if turned else picture).mask
+    mask = mask.T if turned else mask
+    rows, columns = np.nonzero(mask)
+    assert np.abs(columns - (at - 0.5)).max() <= 1
+    # all the way down but for the ends: the outermost pixels are never ridges, and a doubled line's end loses one more to the thinning
+    assert set(range(3, 197)) <= set(rows.tolist())
+    assert len(rows) == len(set(rows.tolist()))
+
+
+def test_a_slanted_step_is_followed_within_a_pixel() -> None:
+    y, x = np.mgrid[:240, :320]
+    distance = (x - 160 + 0.35 * (y - 120)) / np.hypot(1, 0.35)
+    mask = edges(np.where(distance > 0, 220, 60).astype(np.uint8), sigma=4.0).mask
+    mask[[0, 1, 2, -3, -2, -1]] = False     # the border's replicated pixels bend the gradient there
+    assert np.abs(distance[mask]).max() <= 1
+    assert mask[20:220].any(axis=1).all()
+
+
+def test_a_disc_is_a_closed_thin_ring() -> None:
+    y, x = np.mgrid[:300, :300]
+    mask = edges(np.where(np.hypot(x - 150, y - 150) < 70, 20, 210).astype(np.uint8)).mask
+    radii = np.hypot(*(np.argwhere(mask) - 150).T)
+    assert np.ptp(radii) < 3
+    assert ndimage.label(mask, np.ones((3, 3)))[1] == 1
+    assert not ndimage.binary_fill_holes(mask)[0, 0]
+    assert ndimage.binary_fill_holes(mask)[150, 150]
+
+
+@pytest.mark.parametrize("grey", [0, 128, 255])
+def test_a_flat_picture_has_no_edge(grey: int) -> None:
+    assert not edges(np.full((120, 160), grey, dtype=np.uint8)).mask.any()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (2, 2), (3, 3)])
+def test_tiny_pictures_do_no_harm(shape: tuple[int, int]) -> None:
+    picture = np.arange(np.prod(shape), dtype=np.uint8).reshape(shape)
+    assert edges(picture).mask.shape == shape
+
+
+def test_edges_do_not_hang_on_gain_offset_or_polarity() -> None:
+    picture = np.kron(np.random.default_rng(2).integers(0, 2, (6, 8)), np.ones((40, 40))).astype(np.uint8)
+    base = edges(picture * 100 + 20).mask
+    # rounding in 32 bits may move a tie by a pixel: nearly all must agree
+    assert np.count_nonzero(base ^ edges(picture * 200).mask) < 0.01 * np.count_nonzero(base)
+    assert np.count_nonzero(base ^ edges(220 - picture * 100).mask) < 0.01 * np.count_nonzero(base)
+
+
+def test_gradient_is_two_gaussians_and_a_slope() -> None:
+    picture = np.zeros((201, 201), dtype=np.uint8)
+    picture[:, 100:] = 200
+    gx, gy = gradient(picture, 6.0, 30)
+    # a step through two Gaussians of sigma 6 has the slope 200 / (sqrt(2 pi) sqrt(72)) at the step
+    assert gx[100, 99:101].mean() == pytest.approx(200 / np.sqrt(2 * np.pi * 72), rel=0.01)
+    assert np.abs(gy).max() < 1e-3
+
+
+def test_kernels_end_at_30_px_or_where_the_gaussian_dies() -> None:
+    assert len(kernels(12.0, 30)[0]) == 61
+    assert len(kernels(1.0, 30)[0]) == 9       # exp(-t^2 / 2) > 1e-4 up to t = 4
+    gauss, slope = kernels(12.0, 30)
+    assert gauss.sum() == pytest.approx(1, abs=1e-6)
+    assert (slope * np.arange(-30, 31)).sum() == pytest.approx(1, abs=1e-5)
+
+
+def test_threshold_is_where_seventy_in_a_hundred_lie_below() -> None:
+    length = np.zeros((10, 10), dtype=np.float32)
+    length.flat[:71] = 0.0
+    length.flat[71:] = 1.0
+    assert automatic_threshold(length, 0.7, 64) == 1 / 64
+    length.flat[70] = 1.0                       # now just 70 of 100 lie in the first bin: not more than 70 %
+    assert automatic_threshold(length, 0.7, 64) == 1.0
+    middle = np.full((10, 10), 10 / 63, dtype=np.float32)
+    assert automatic_threshold(middle, 0.7, 64) == 11 / 64
+
+
+def test_ridges_are_the_maxima_along_the_gradient() -> None:
+    y, x = np.mgrid[:40, :60].astype(np.float32)
+    length = np.exp(-(((x - 30.2) / 5) ** 2)).astype(np.float32)
+    keep = ridges(np.ones_like(length), np.zeros_like(length), length, 0.1)
+    assert set(np.nonzero(keep)[1]) == {30}
+    diagonal = np.exp(-(((x - y - 8.4) / 5) ** 2)).astype(np.float32)
+    keep = ridges(np.ones_like(length), -np.ones_like(length), diagonal, 0.1)
+    rows, columns = np.nonzero(keep)
+    assert set(columns - rows) == {8, 9}        # a step along the diagonal passes over every other one of them
+    assert not keep[[0, -1]].any()
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=30)
+def test_hysteresis_is_reconstruction(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    weak = rng.random((20, 30)) < 0.4
+    strong = weak & (rng.random((20, 30)) < 0.1)
+    assert np.array_equal(hysteresis(weak, strong), ndimage.binary_propagation(strong, np.ones((3, 3)), weak))
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=30)
+def test_thinning_keeps_every_piece_and_every_hole(seed: int) -> None:
+    mask = ndimage.binary_dilation(np.random.default_rng(seed).random((25, 30)) < 0.06)
+    thin = thin_once(mask)
+    assert not (thin & ~mask).any()
+    assert ndimage.label(thin, np.ones((3, 3)))[1] == ndimage.label(mask, np.ones((3, 3)))[1]
+    assert ndimage.label(~np.pad(thin, 1))[1] == ndimage.label(~np.pad(mask, 1))[1]
+
+
+def test_thinning_makes_a_double_line_single() -> None:
+    mask = np.zeros((20, 20), dtype=np.bool_)
+    mask[4:16, 9:11] = True
+    assert thin_once(mask)[6:14].sum(axis=1).tolist() == [1] * 8

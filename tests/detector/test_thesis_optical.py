@@ -1,0 +1,148 @@
+"""Regions, dilations and the row search in optical pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from detector.thesis.optical import binary_dilation, cut_region, grey_dilation, locate_end, nominate, refine
+from detector.thesis.parameters import Parameters
+
+P = Parameters()
+FIGURE_4_12 = np.array([[int(c) for c in row] for row in ("0011111100", "0111111110", *["1111111111"] * 7)])
+
+
+def matlab_dilation(image: NDArray[np.uint8], element: NDArray[np.int_]) -> NDArray[np.uint8]:
+    """max over the element of image(x - b), b counted from the element's origin floor((size + 1) / 2), outside of the picture nothing."""
+    rows, columns = element.shape
+    origin = (rows + 1) // 2 - 1, (columns + 1) // 2 - 1
+    result = np.zeros_like(image)
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            for i, j in np.argwhere(element):
+                v, u = y - (i - origin[0]), x - (j - origin[1])
+                if 0 <= v < image.shape[0] and 0 <= u < image.shape[1]:
+                    result[y, x] = max(result[y, x], image[v, u])
+    return result
+
+
+@pytest.mark.parametrize(("dilate", "element"), [(grey_dilation, FIGURE_4_12), (binary_dilation, np.ones((10, 7), dtype=int))])
+def test_dilations_are_matlabs(dilate: Callable[..., NDArray[np.uint8]], element: NDArray[np.int_]) -> None:
+    image = np.random.default_rng(6).integers(0, 256, (24, 22)).astype(np.uint8)
+    image = (image > 245).astype(np.uint8) if dilate is binary_dilation else image
+    given_image = image.astype(np.bool_) if dilate is binary_dilation else image
+    assert np.array_equal(dilate(given_image, P).astype(np.uint8), matlab_dilation(image, element))
+
+
+def test_one_bright_pixel_dilates_to_figure_4_12() -> None:
+    image = np.zeros((41, 41), dtype=np.uint8)
+    image[20, 20] = 200
+    grown = grey_dilation(image, P)
+    assert np.array_equal(grown[16:25, 16:26], FIGURE_4_12 * 200)
+    assert np.count_nonzero(grown) == FIGURE_4_12.sum()
+
+
+def dark_region(*lines: tuple[int, int, int]) -> NDArray[np.bool_]:
+    """A bright region (41, 41) with dark lines (row, first column, last column)."""
+    dark = np.zeros((41, 41), dtype=np.bool_)
+    for row, first, last in lines:
+        dark[row, first:last + 1] = True
+    return dark
+
+
+def test_the_end_lies_half_a_line_above_its_middle() -> None:
+    end = locate_end(dark_region((15, 14, 25), (16, 10, 30)), P)
+    assert end is not None
+    assert end.tolist() == [20.0, 9.0]      # columns 14 and 26 (the first bright one), 12 long
+
+
+def test_short_lines_and_the_last_dark_row_are_passed_over() -> None:
+    end = locate_end(dark_region((12, 5, 13), (15, 5, 15), (16, 5, 15)), P)
+    assert end is not None
+    assert end[1] == 15 - 11 / 2
+    assert locate_end(dark_region((12, 5, 13), (15, 5, 15)), P) is None
+
+
+def test_a_line_may_reach_the_regions_edge() -> None:
+    end = locate_end(dark_region((15, 29, 40), (16, 0, 0)), P)
+    assert end is not None
+    assert end.tolist() == [34.5, 15 - 5.5]     # from column 29 to the last, 40
+    assert locate_end(dark_region((15, 31, 40), (16, 0, 0)), P) is None       # ten pixels, but the search ends at column 30
+
+
+def literal_search(dark: NDArray[np.bool_]) -> tuple[int, int, int] | None:
+    """The listing's search, in its own count from 1: row, first column, column after the last (or the last of the region)."""
+    def at(row: int, column: int) -> bool:
+        return bool(dark[row - 1, column - 1])
+    s = dark.shape[1]
+    counted = [(r, int(dark[r - 1].sum())) for r in range(1, s + 1) if dark[r - 1].any()]
+    for row, count in counted[:-1]:
+        if count <= 9:
+            continue
+        ind = next(c for c in range(1, s + 1) if at(row, c))
+        while ind + 10 < s + 1:
+            if all(at(row, c) for c in range(ind, ind + 10)):
+                return row, ind, next((c for c in range(ind, s + 1) if not at(row, c)), s)
+            step = next((f for f, c in enumerate(range(ind + 1, 41), start=1) if not at(row, c)), None)
+            if step is None:
+                break
+            ind += step + 1
+    return None
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.5, 0.97))
+@settings(max_examples=200)
+def test_row_search_is_the_listings(seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    dark = (rng.random((41, 41)) < share) & (rng.random((41, 1)) < 0.3)
+    end, expected = locate_end(dark, P), literal_search(dark)
+    if expected is None:
+        assert end is None
+    else:
+        row, first, after = expected
+        assert end is not None
+        assert end.tolist() == [(first + after) / 2 - 1, row - 1 - (after - first) / 2]
+
+
+def test_a_dark_teat_on_a_bright_ground_is_moved() -> None:
+    picture = np.full((200, 300), 200, dtype=np.uint8)
+    picture[95:, 138:164] = 20              # 26 px wide, its end at row 95
+    refined = refine(picture, np.array([150.0, 90.0]), P)
+    assert refined.moved
+    # what the dilations leave: the dark top sinks by 4 + 5 rows, the width shrinks from 26 to 26 - 9 - 6 = 11 columns
+    first, after, row = 138 + 5 + 3, 138 + 5 + 3 + 11, 95 + 4 + 5
+    assert refined.end_px.tolist() == [(first + after) / 2 + 1, row - 5.5 + 1]
+
+
+@pytest.mark.parametrize("grey", [0, 76])
+def test_too_dark_a_region_keeps_the_nomination(grey: int) -> None:
+    refined = refine(np.full((200, 300), grey, dtype=np.uint8), np.array([150.0, 90.0]), P)
+    assert not refined.moved
+    assert refined.end_px.tolist() == [150, 90]
+    assert not refined.bright.any()         # im2bw: above 0.3 * 255 = 76.5 is bright
+
+
+def test_a_bright_region_keeps_the_nomination() -> None:
+    refined = refine(np.full((200, 300), 77, dtype=np.uint8), np.array([150.0, 90.0]), P)
+    assert refined.bright.all()
+    assert not refined.moved
+
+
+@pytest.mark.parametrize(("x", "y", "fits"), [(20, 20, True), (19, 20, False), (20, 19, False), (279, 179, True), (280, 179, False),
+                                             (279, 180, False), (np.nan, 50, False), (-1e9, 50, False)])
+def test_a_region_must_lie_in_the_picture(x: float, y: float, fits: bool) -> None:
+    picture = np.zeros((200, 300), dtype=np.uint8)
+    region = cut_region(picture, np.array([x, y]), 20)
+    assert (region is not None) == fits
+    assert refine(picture, np.array([x, y]), P).region.shape == (41, 41)
+
+
+def test_nominations_are_rounded_and_divided() -> None:
+    H = np.array([[0.615, 0.007, 672.822], [-0.004, 0.616, 363.601], [0.0, 0.0, 1.0]])
+    assert nominate(H, np.array([[126.0, 100.0]])).tolist() == [[751, 425]]     # 751.01, 424.70
+    assert nominate(2 * H, np.array([[126.0, 100.0]])).tolist() == [[751, 425]]

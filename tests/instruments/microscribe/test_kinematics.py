@@ -1,0 +1,134 @@
+"""Forward kinematics against the fact sheet's check values, and the way back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from instruments.microscribe import configuration as conf
+from instruments.microscribe.kinematics import HALF_RANGE_RAD, ArmGeometry, Floats, OutOfReachError, encoded, inverse
+
+PARAMETERS = bytes.fromhex("C0 24 0000 3FF5 FFF9 3FE5 C002 C00C 0000 03C0 2810 0215 FE6F 018F 206C FC92 FFFD 241C 0140 EB66")
+TURNS = (16384, 16384, 8192, 4096, 4096, 0)
+ARM = ArmGeometry.from_block(conf.decode_parameters(PARAMETERS), conf.angle_rad(3), TURNS)
+HOME = (13903, 6238, 6868, 4098, 3193, 8416)
+SHEET = [
+    ((0, 6238, 6868, 4098, 3193, 8416), (73.6746, 14.0353, 212.2005), (0.00842, -0.00297, 0.99996)),
+    ((0, 0, 0, 0, 0, 0), (298.3763, 12.8422, -157.9246), (0, 0.00297, 1)),
+    ((4096, 2048, 1024, 512, 256, 0), (19.6568, 563.1507, 438.6562), (-0.27183, -0.92310, -0.27201)),
+]
+
+
+@pytest.mark.parametrize(("counts", "tip", "axis"), SHEET)
+def test_check_values_of_the_sheet(counts: tuple[int, ...], tip: tuple[float, ...], axis: tuple[float, ...]) -> None:
+    tips, axes = ARM.forward(counts)
+    np.testing.assert_allclose(tips, [tip], atol=1e-4)
+    np.testing.assert_allclose(axes, [axis], atol=1e-5)
+
+
+def test_many_poses_at_once_are_the_same_poses() -> None:
+    tips, axes = ARM.forward([counts for counts, _, _ in SHEET])
+    np.testing.assert_allclose(tips, [tip for _, tip, _ in SHEET], atol=1e-3)
+    np.testing.assert_allclose(axes, [axis for _, _, axis in SHEET], atol=1e-5)
+
+
+def test_the_home_pose_stands_where_the_sheet_says() -> None:
+    tip, axis = ARM.forward(HOME)
+    assert np.hypot(tip[0, 0], tip[0, 1]) == pytest.approx(75, abs=0.5)
+    assert tip[0, 2] == pytest.approx(212, abs=0.5)
+    assert axis[0, 2] > 0.999
+
+
+def test_counts_past_one_turn_are_the_same_pose_and_the_sixth_joint_is_none() -> None:
+    once = np.array([100, 200, 300, 2, 400, 0])
+    np.testing.assert_array_equal(ARM.forward(once)[0], ARM.forward(once + [0, 0, 8192, 4096, 3 * 4096, 77])[0])
+
+
+def test_rounding_alone_moves_the_tip_by_what_the_sheet_says() -> None:
+    counts = np.random.default_rng(7).uniform(0, 16384, (20000, 6))
+    moved = np.linalg.norm(ARM.forward(np.rint(counts))[0] - ARM.forward(counts)[0], axis=1)
+    assert np.sqrt(np.mean(moved**2)) == pytest.approx(0.105, abs=0.003)
+    assert moved.max() < 0.4
+
+
+def test_frames_end_where_forward_says() -> None:
+    angles = ARM.angles([counts for counts, _, _ in SHEET])
+    rotations, origins = ARM.frames(angles)
+    tips, axes = ARM.forward_angles(angles)
+    np.testing.assert_allclose(origins[:, -1], tips, atol=1e-9)
+    np.testing.assert_allclose(rotations[:, -1, :, 2], axes, atol=1e-12)
+    np.testing.assert_allclose(rotations @ rotations.transpose(0, 1, 3, 2), np.tile(np.eye(3), (3, 6, 1, 1)), atol=1e-12)
+
+
+def test_the_jacobian_is_the_slope() -> None:
+    counts = np.random.default_rng(1).uniform(0, 16384, (20, 6))
+    slopes = ARM.jacobian(counts)
+    for joint in range(6):
+        step = np.zeros(6)
+        step[joint] = 1e-3
+        (up, up_axis), (down, down_axis) = ARM.forward(counts + step), ARM.forward(counts - step)
+        numeric = np.concatenate([up - down, up_axis - down_axis], axis=1) / 2e-3
+        np.testing.assert_allclose(slopes[:, :, joint], numeric, atol=1e-8)
+    assert not slopes[:, :, 5].any()
+
+
+def tilted(tilt_deg: float, towards_deg: float) -> Floats:
+    tilt, towards = np.radians([tilt_deg, towards_deg])
+    return np.array([np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards), np.cos(tilt)])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(-260, -110), st.floats(190, 290), st.floats(120, 145), st.floats(0, 40), st.floats(0, 360))
+def test_the_arm_reaches_the_teats_with_the_stylus_from_above(x: float, y: float, z: float, tilt: float, towards: float) -> None:
+    direction = tilted(tilt, towards)
+    counts = inverse(ARM, (x, y, z), direction, start=HOME)
+    tips, axes = ARM.forward(counts)
+    np.testing.assert_allclose(tips, [(x, y, z)], atol=1e-6)
+    np.testing.assert_allclose(axes, [direction], atol=1e-8)
+    turned = (counts - HOME)[:5] / TURNS[:5] * 2 * np.pi
+    assert (np.abs(turned) <= HALF_RANGE_RAD[:5]).all()
+    assert counts[5] == HOME[5]
+    assert np.linalg.norm(ARM.forward(encoded(counts))[0] - tips) < 0.4
+
+
+def test_without_a_direction_any_pose_at_the_point_will_do() -> None:
+    point = (-180.0, 240.0, 130.0)
+    np.testing.assert_allclose(ARM.forward(inverse(ARM, point, start=HOME))[0], [point], atol=1e-6)
+
+
+def test_home_is_found_at_home() -> None:
+    tips, axes = ARM.forward(HOME)
+    np.testing.assert_allclose(inverse(ARM, tips[0], axes[0], start=HOME), HOME, atol=1e-6)
+
+
+def test_what_is_too_far_is_out_of_reach_and_says_by_how_much() -> None:
+    with pytest.raises(OutOfReachError, match=r"\(2000, 0, 0\) mm.*misses by 1\d\d\d"):
+        inverse(ARM, (2000, 0, 0), (0, 0, 1), start=HOME)
+
+
+def test_a_joint_past_its_range_is_out_of_reach() -> None:
+    narrow = HALF_RANGE_RAD * 0.01
+    with pytest.raises(OutOfReachError, match="past its range"):
+        inverse(ARM, (-180, 240, 130), (0, 0, 1), start=HOME, half_range_rad=narrow)
+
+
+def test_counts_are_rounded_as_encoders_do() -> None:
+    np.testing.assert_array_equal(encoded([0.4, 0.6, -1, 16384, 20000.2, 16383.6]), [0, 1, 16383, 0, 3616, 0])
+
+
+@pytest.mark.parametrize("direction", [(0, 0, 0), (0, 1), (0, 0, float("nan"))])
+def test_a_direction_that_is_none_is_refused(direction: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="direction"):
+        inverse(ARM, (0, 200, 100), direction, start=HOME)
+
+
+def test_five_counts_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"not \(n, 6\)"):
+        ARM.forward([1, 2, 3, 4, 5])
+
+
+def test_an_arm_of_five_joints_is_refused() -> None:
+    with pytest.raises(ValueError, match="six|6 joints"):
+        ArmGeometry.from_block(conf.decode_parameters(PARAMETERS), 0.0, TURNS[:5])

@@ -1,0 +1,184 @@
+"""The page in a real browser, from disk, offline: nothing is asked of a network, everything shows, keys and switches work."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, expect
+
+from reports.render import write_report
+from tests.chromium import Scheme, Seen, launched, window
+from tests.reports.sample import sample_page
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    return write_report(sample_page(folder), folder)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with launched() as running:
+        yield running
+
+
+@pytest.fixture
+def seen(browser: Browser, report: Path) -> Iterator[Seen]:
+    """The report in a fresh window, at its top."""
+    with window(browser) as fresh:
+        fresh.open(report)
+        yield fresh
+
+
+def test_opens_from_disk_without_a_word_to_the_network(seen: Seen) -> None:
+    expect(seen.page.locator(".kind")).to_have_text("EMULATED INSTRUMENTS")
+    expect(seen.page.locator(".word-text")).to_have_text("not met")
+    widths = seen.image_widths()
+    assert len(widths) == 18
+    assert set(widths.values()) == {640}
+    assert seen.network_requests() == []
+    assert seen.complaints == []
+
+
+def test_the_policy_stops_what_would_call_out(seen: Seen) -> None:
+    """Were text ever to slip through as markup, it still could not run or load anything."""
+    seen.page.evaluate(
+        """() => { const image = new Image(); image.src = 'http://example.invalid/x.png'; document.body.append(image);
+        const script = document.createElement('script'); script.textContent = 'window.slipped = 1'; document.body.append(script); }"""
+    )
+    seen.page.wait_for_function("() => true")
+    assert seen.page.evaluate("() => window.slipped") is None
+    assert sum("Content Security Policy" in text for text in seen.complaints) >= 2
+
+
+def test_deep_link_shows_its_trial(seen: Seen, report: Path) -> None:
+    seen.page.goto("about:blank")
+    page = seen.open(report, "trial-002")
+    expect(page.locator("#trial-002")).to_be_in_viewport()
+    top = page.locator("#trial-002").evaluate("element => element.getBoundingClientRect().top")
+    covered = page.locator("#layers").evaluate("element => element.getBoundingClientRect().bottom")
+    assert covered <= top < 200
+
+
+def test_overlays_switch_one_by_one_and_all_at_once(seen: Seen) -> None:
+    page = seen.page
+    truth, region = page.locator("#trial-001 .pane .layer-truth").first, page.locator("#trial-001 .pane .layer-region").first
+    expect(truth).to_be_visible()
+    page.get_by_label("truth").uncheck()
+    expect(truth).to_be_hidden()
+    expect(region).to_be_visible()
+    page.keyboard.press("o")
+    expect(region).to_be_hidden()
+    page.keyboard.press("o")
+    expect(region).to_be_visible()
+    expect(truth).to_be_hidden()
+
+
+def test_overlay_lies_over_its_pixel_in_both_views(seen: Seen) -> None:
+    """The first teat's truth, pixel (190, 250), is where that pixel of the picture is drawn, cropped and whole."""
+    gap = """() => { const pane = document.querySelector('#trial-001 .pane'), image = pane.querySelector('img').getBoundingClientRect();
+        const mark = pane.querySelector('.layer-truth circle').getBoundingClientRect();
+        const x = image.left + (190.5 / 640) * image.width, y = image.top + (250.5 / 480) * image.height;
+        return [mark.left + mark.width / 2 - x, mark.top + mark.height / 2 - y, image.width / 640]; }"""
+    seen.page.locator("#trial-001").scroll_into_view_if_needed()
+    close = seen.page.evaluate(gap)
+    seen.page.keyboard.press("z")
+    whole = seen.page.evaluate(gap)
+    assert close[:2] == pytest.approx([0, 0], abs=0.25)
+    assert whole[:2] == pytest.approx([0, 0], abs=0.25)
+    assert close[2] == pytest.approx(1.6 * whole[2], rel=0.01)
+
+
+def test_keys_walk_through_the_trials(seen: Seen) -> None:
+    page = seen.page
+    for key, expected in (("j", "001"), ("j", "002"), ("j", "003"), ("k", "002")):
+        page.keyboard.press(key)
+        assert page.url.endswith(f"#trial-{expected}")
+        expect(page.locator(f"#trial-{expected}")).to_be_in_viewport()
+
+
+def test_filter_narrows_the_list_and_the_trials(seen: Seen) -> None:
+    page = seen.page
+    page.keyboard.press("/")
+    page.keyboard.type("hot ends")
+    expect(page.locator("#trial-list tbody tr:visible")).to_have_count(1)
+    expect(page.locator(".count")).to_have_text("1 of 6")
+    expect(page.locator("article.trial:visible")).to_have_count(1)
+    page.keyboard.press("Escape")
+    expect(page.locator("article.trial:visible")).to_have_count(6)
+
+
+def test_columns_sort_by_number_and_back(seen: Seen) -> None:
+    head = seen.page.locator("#trial-list th").nth(4).get_by_role("button")
+    cells = seen.page.locator("#trial-list tbody tr td:last-child")
+    head.click()
+    rising = [float(text) for text in cells.all_inner_texts()]
+    head.click()
+    falling = [float(text) for text in cells.all_inner_texts()]
+    assert rising == sorted(rising)
+    assert falling == rising[::-1]
+
+
+def test_help_opens_and_closes(seen: Seen) -> None:
+    dialog = seen.page.locator("#keys")
+    seen.page.keyboard.press("?")
+    expect(dialog).to_be_visible()
+    seen.page.keyboard.press("Escape")
+    expect(dialog).to_be_hidden()
+
+
+def test_a_point_of_the_plot_opens_its_trial(seen: Seen) -> None:
+    seen.page.locator("#accuracy .plot a").first.click()
+    assert seen.page.url.endswith("#trial-001")
+
+
+@pytest.mark.parametrize("width", [1440, 820, 390])
+def test_nothing_sticks_out_of_the_page(seen: Seen, width: int) -> None:
+    seen.page.set_viewport_size({"width": width, "height": 844})
+    assert seen.page.evaluate("() => document.documentElement.scrollWidth") <= width
+    expect(seen.page.locator("#verdict .next")).to_be_visible()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_stands_out_from_its_ground(browser: Browser, report: Path, scheme: Scheme) -> None:
+    """WCAG 2.1, 1.4.3: 4.5 : 1 for every text of the page, against the first opaque ground behind it."""
+    with window(browser, scheme=scheme) as seen:
+        seen.open(report)
+        weak = seen.page.evaluate(
+            """() => { const line = (v) => v <= .04045 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4;
+            const light = (rgb) => { const [r, g, b] = rgb.map((v) => line(v / 255));
+              return .2126 * r + .7152 * g + .0722 * b; };
+            const rgb = (css) => css.match(/[\\d.]+/g).map(Number);
+            const ground = (node) => { for (let at = node; at; at = at.parentElement) {
+              const c = rgb(getComputedStyle(at).backgroundColor); if (c.length < 4 || c[3] === 1) return c; } return [255, 255, 255]; };
+            const out = new Set(); const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+            while (walk.nextNode()) { const node = walk.currentNode.parentElement;
+              if (!walk.currentNode.data.trim() || node.closest('script, .pane, .swatch, .kind')) continue;
+              const css = getComputedStyle(node), ink = rgb(node.closest('svg') ? css.fill : css.color).slice(0, 3);
+              const a = light(ink), b = light(ground(node).slice(0, 3)), ratio = (Math.max(a, b) + .05) / (Math.min(a, b) + .05);
+              if (ratio < 4.5) out.add(node.className + ' ' + walk.currentNode.data.trim().slice(0, 30) + ' ' + ratio.toFixed(2)); }
+            return [...out]; }"""
+        )
+    assert weak == []
+
+
+def test_readable_without_javascript(browser: Browser, report: Path) -> None:
+    with window(browser, javascript=False) as seen:
+        page = seen.open(report, "trial-003")
+        expect(page.locator("#trial-003")).to_be_in_viewport()
+        expect(page.locator("#trial-003 .pane .layer-point").first).to_be_visible()
+        expect(page.locator(".filter")).to_be_hidden()
+        page.get_by_label("final point").uncheck()
+        expect(page.locator("#trial-003 .pane .layer-point").first).to_be_hidden()
+        assert seen.network_requests() == []
+
+
+def test_prints_in_light_colours_without_the_controls(seen: Seen) -> None:
+    seen.page.emulate_media(media="print", color_scheme="dark")
+    expect(seen.page.locator("#contents")).to_be_hidden()
+    expect(seen.page.locator("#layers")).to_be_hidden()
+    assert seen.page.evaluate("() => getComputedStyle(document.body).color") == "rgb(27, 39, 51)"
+    assert seen.page.pdf().startswith(b"%PDF-")
