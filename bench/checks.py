@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import asdict, is_dataclass
 from typing import Any
 
 from bench.emulation import EmulatedRig
@@ -41,7 +42,8 @@ def _check_all(
 
 
 def _identity(device: Any) -> list[str]:
-    return [f"{key}: {value}" for key, value in device.identity.items()]
+    identity = asdict(device.identity) if is_dataclass(device.identity) else dict(device.identity)
+    return [f"{key}: {value}" for key, value in identity.items()]
 
 
 def _arm(arm: Any) -> Iterator[tuple[str, str]]:

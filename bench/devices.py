@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Protocol
 
 from instruments.camera.frame import FrameSet
@@ -39,7 +39,7 @@ class Devices:
     def identities(self) -> dict[str, dict[str, str]]:
         """What each instrument says of itself."""
         stage = {"stage": dict(self.stage.identity)} if self.stage else {}
-        return {"arm": dict(self.arm.identity), "bath": dict(self.bath.identity), **stage, "cameras": dict(self.cameras.identity)}
+        return {"arm": asdict(self.arm.identity), "bath": dict(self.bath.identity), **stage, "cameras": dict(self.cameras.identity)}
 
     def make_safe(self, tell: Callable[[str], None]) -> bool:
         """Bath to standby, stage still, arm's session ended: each tried whatever became of the others. True when all are safe."""

@@ -10,7 +10,6 @@ from instruments.camera.emulator import EmulatedCameras
 from bench.config import read_text
 from bench.rig import LoadedRig
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_profile
 from instruments.clock import Clock
 from instruments.listener import Device, Listener
 from instruments.microscribe.emulator import ArmEmulator
@@ -33,9 +32,9 @@ class EmulatedRig:
         self._clock = clock
         self._host = host
         self._listeners: list[Listener] = []
-        arm = ArmEmulator(self.world, seed=seed, accuracy_mm=emulation.arm_accuracy_mm, tremor_mm=emulation.hand_tremor_mm)
+        arm = ArmEmulator(self.world, clock, seed=seed, accuracy_mm=emulation.arm_accuracy_mm, tremor_mm=emulation.hand_tremor_mm)
         self.urls = {"arm": self._listen("arm", arm)}
-        bath = BathEmulator(self.world.plant, load_profile(rig.rig.bath.profile), clock)
+        bath = BathEmulator(self.world.plant, rig.profile, clock)
         self.urls["bath"] = self._listen("bath", bath).replace("socket://", "tcp://")
         if rig.rig.stage:
             stage = StageEmulator(clock)

@@ -19,7 +19,6 @@ from bench.devices import Cameras, Devices
 from bench.emulation import EmulatedRig
 from bench.rig import EMULATED, LoadedRig
 from instruments.bath.driver import Bath
-from instruments.bath.profile import load_profile
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError
 from instruments.link import Link
@@ -88,7 +87,7 @@ def driver_openers(rig: LoadedRig, clock: Clock, urls: dict[str, str]) -> dict[s
     r = rig.rig
     openers: dict[str, Callable[[], Any]] = {
         "arm": lambda: MicroScribe(Link(urls["arm"], clock, who="arm", baud=r.arm.baud), clock),
-        "bath": lambda: Bath(urls["bath"], load_profile(r.bath.profile), clock),
+        "bath": lambda: Bath(urls["bath"], rig.profile, clock),
     }
     if r.stage:
         baud = r.stage.baud

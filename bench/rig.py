@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 
 from bench.config import ConfigError, Section, did_you_mean, located, read_config, read_text
 from detector.calibration import Calibration, CalibrationError, load_calibration
-from instruments.bath.profile import ProfileError, load_profile, shipped_profiles
+from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
 
 RIGS = Path(__file__).parent / "rigs"
 EMULATED = "emulator:"
@@ -61,7 +61,7 @@ class Bath(Section):
     @field_validator("profile")
     @classmethod
     def _known(cls, name: str) -> str:
-        known = shipped_profiles()
+        known = profile_names()
         if name not in known and not name.endswith(".toml"):
             raise ValueError(f"no such profile{did_you_mean(name, known)} (shipped: {', '.join(known)}; or a path that ends in .toml)")
         return name
@@ -155,6 +155,7 @@ class LoadedRig:
     path: Path
     text: str
     rig: Rig
+    profile: Profile
     calibration_path: Path
     calibration: Calibration
 
@@ -183,13 +184,13 @@ def load_rig(path: Path) -> LoadedRig:
     """The rig file at ``path`` with its calibration. Raises ConfigError with all faults of the first wrong file."""
     rig = read_config(path, Rig)
     text = read_text(path)
-    _check_profile(path, text, rig)
+    profile = _profile(path, text, rig)
     real = set(rig.urls) - set(rig.emulated)
     if rig.emulated and real:
         message = f"emulated and real instruments don't mix: they would not share one world (real here: {', '.join(sorted(real))})"
         raise located(path, text, [((name, "url"), message, False) for name in rig.emulated])
     calibration_path = path.parent / rig.calibration
-    return LoadedRig(path, text, rig, calibration_path, read_calibration(calibration_path))
+    return LoadedRig(path, text, rig, profile, calibration_path, read_calibration(calibration_path))
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -197,15 +198,16 @@ def read_calibration(path: Path) -> Calibration:
     try:
         return load_calibration(path)
     except CalibrationError as error:
-        raise located(path, read_text(path), [(tuple(key), message, False) for key, message in error.faults]) from error
+        raise located(path, read_text(path), [(fault.key, fault.message, False) for fault in error.faults]) from error
 
 
-def _check_profile(path: Path, text: str, rig: Rig) -> None:
+def _profile(path: Path, text: str, rig: Rig) -> Profile:
     name = rig.bath.profile
+    own = path.parent / name if name.endswith(".toml") else None
+    if own is not None and not own.is_file():
+        raise located(path, text, [(("bath", "profile"), f"no such file ({own})", False)])
     try:
-        load_profile(str(path.parent / name) if name.endswith(".toml") else name)
+        return load_profile(own or name)
     except ProfileError as error:
-        if error.path is None or not Path(error.path).is_file():
-            raise located(path, text, [(("bath", "profile"), str(error), False)]) from error
-        faults = [(tuple(key), message, False) for key, message in error.faults]
+        faults = [(tuple(int(k) if k.isdigit() else k for k in key.split(".")), message, False) for key, message in error.faults]
         raise located(Path(error.path), read_text(Path(error.path)), faults) from error

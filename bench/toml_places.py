@@ -36,7 +36,10 @@ def find_places(text: str) -> Mapping[KeyPath, Place]:
         header = _HEADER.match(line)
         if header:
             table = _open_table(_split(header[2]), is_array=header[1] == "[[", counts=counts)
-            places.setdefault(table, Place(number, header.start(2), header.end(2), header.start(2)))
+            place = Place(number, header.start(2), header.end(2), header.start(2))
+            places.setdefault(table, place)
+            if isinstance(table[-1], int):
+                places.setdefault(table[:-1], place)
         elif key := _KEY.match(line):
             path = table + _split(key[1])
             places[path] = Place(number, key.start(1), key.end(1), key.end())

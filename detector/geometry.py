@@ -1,7 +1,7 @@
 """Rigid motions, the camera model, homographies and triangulation: pixels to millimetres and back, without a file or a picture.
 
-Strategy: vectorised closed forms where there are any, Newton where there is none. Pixel centres lie at whole numbers from 0, lengths are mm.
-What has no answer (a point behind the camera, rays that are parallel) is NaN in its row and never spoils the other rows.
+Strategy: vectorised closed forms where there are any, Newton where there is none. Pixel centres lie at whole numbers from 0,
+lengths are mm. What has no answer (a point behind the camera, rays that are parallel) is NaN in its row and never spoils the other rows.
 The module may not know how a calibration is stored or which detector asks.
 """
 

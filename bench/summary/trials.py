@@ -38,7 +38,8 @@ def trial_parts(run: RunRecord, calibration: Calibration, folder: Path) -> Itera
 def trial_table(run: RunRecord) -> Table:
     """All trials with links to their parts."""
     columns = (
-        Column("trial"), Column("situation"), Column("detector"), Column("found", "right"), Column("missed", "right"), Column("false", "right"),
+        Column("trial"), Column("situation"), Column("detector"),
+        Column("found", "right"), Column("missed", "right"), Column("false", "right"),
         Column("max error", "right", "mm"), Column("time", "right", "s"), Column("scene"),
     )  # fmt: skip
     rows = []
@@ -107,7 +108,8 @@ def _teats(trial: TrialRecord, detector: str) -> Table:
     found = [row for row in trial.found if row["detector"] == detector]
     columns = (
         Column("teat"), Column("truth x, y, z", "right", "mm"), Column("u", "right", "mm"), Column("found x, y, z", "right", "mm"),
-        Column("dx", "right", "mm"), Column("dy", "right", "mm"), Column("dz", "right", "mm"), Column("distance", "right", "mm"), Column("is"),
+        Column("dx", "right", "mm"), Column("dy", "right", "mm"), Column("dz", "right", "mm"),
+        Column("distance", "right", "mm"), Column("is"),
     )  # fmt: skip
     pairs = {truth: (answer, k) for k, (answer, truth) in enumerate(score.match.pairs)} if score else {}
     rows: list[tuple[str | Cell, ...]] = []

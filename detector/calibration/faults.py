@@ -33,7 +33,8 @@ class CalibrationError(ValueError):
     def __init__(self, path: Path, faults: Sequence[Fault]) -> None:
         self.path = path
         self.faults = tuple(faults)
-        super().__init__(f"calibration {path}: {len(faults)} fault{'' if len(faults) == 1 else 's'}\n" + "\n".join(f"  {f}" for f in faults))
+        count = f"{len(faults)} fault{'' if len(faults) == 1 else 's'}"
+        super().__init__("\n".join([f"calibration {path}: {count}", *(f"  {fault}" for fault in faults)]))
 
 
 class Wrong(Exception):  # noqa: N818 (a check's verdict, caught by the reader; never seen by a caller)

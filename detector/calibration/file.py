@@ -151,8 +151,8 @@ class _Blocks:
             self.faults.append(Fault(("cameras", "thermal", "fc"), "missing (fc, cc, kc): there is a pose in [thermal] but no lens"))
         given = [name for name in ("left", "right") if isinstance(maps, dict) and name in maps]
         if len(given) == 1 or (not given and not (lens and pose)):
-            self.faults += [Fault(("homography", n), "missing; both are needed" + ("" if lens and pose else " where the thermal camera has no pose"))
-                            for n in ("left", "right") if n not in given]
+            why = "missing; both are needed" + ("" if lens and pose else " where the thermal camera has no pose")
+            self.faults += [Fault(("homography", n), why) for n in ("left", "right") if n not in given]
 
     def _check_baseline(self) -> None:
         if self.found.get(("stereo",), {}).get("T") == (0.0, 0.0, 0.0):

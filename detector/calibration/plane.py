@@ -36,7 +36,8 @@ def through_plane(thermal_px: Array, thermal: Camera, thermal_from_right: Motion
     return np.asarray(origin + direction * np.where(distance > 0, distance, np.nan)[:, None])
 
 
-def plane_homography(thermal: Camera, optical: Camera, thermal_from_right: Motion, optical_from_right: Motion, plane_depth_mm: float) -> Array:
+def plane_homography(thermal: Camera, optical: Camera, thermal_from_right: Motion, optical_from_right: Motion,
+                     plane_depth_mm: float) -> Array:
     """The (3, 3) homography, last entry 1, from un-mirrored thermal pixels to optical pixels on the plane Z = plane_depth_mm.
 
     The plane is parallel to the right camera's image plane. Raises ValueError where the plane isn't in front of both cameras.

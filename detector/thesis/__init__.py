@@ -1,1 +1,1 @@
-"""The published algorithm (chapter 4 and appendix A of the thesis), stage by stage: the baseline that every other detector is compared with."""
+"""The published algorithm (chapter 4 and appendix A of the thesis), stage by stage: the baseline of every comparison."""

@@ -34,8 +34,8 @@ def canny(picture: NDArray[np.uint8], sigma_px: float, reach_px: int, not_edges:
     if picture.min() == picture.max():
         return Edges(np.zeros(picture.shape, dtype=np.bool_), 0.0, 0.0)
     gx, gy = gradient(picture, sigma_px, reach_px)
-    length = cv2.magnitude(gx, gy)
-    length /= length.max()
+    length = np.asarray(cv2.magnitude(gx, gy), dtype=np.float32)
+    length /= max(float(length.max()), float(np.finfo(np.float32).tiny))
     high = automatic_threshold(length, not_edges, bins)
     low = ratio * high
     weak = ridges(gx, gy, length, low)
@@ -54,7 +54,7 @@ def kernels(sigma_px: float, reach_px: int) -> tuple[Single, Single]:
 
 
 def gradient(picture: NDArray[np.uint8], sigma_px: float, reach_px: int) -> tuple[Single, Single]:
-    """Slopes along columns and along rows, grey levels a pixel, of the picture smoothed twice; outside counts as the nearest border pixel."""
+    """Slopes along columns and along rows, grey levels a pixel, of the picture smoothed twice; outside is as the nearest pixel."""
     gauss, slope = kernels(sigma_px, reach_px)
     border = cv2.BORDER_REPLICATE
     smooth = cv2.sepFilter2D(picture.astype(np.float32), cv2.CV_32F, gauss, gauss, borderType=border)
@@ -84,7 +84,8 @@ def ridges(gx: Single, gy: Single, length: Single, low: float) -> Mask:
     u, v, here = gx[rows, columns], gy[rows, columns], length[rows, columns]
     steep = np.abs(v) > np.abs(u)
     along_x, along_y = np.sign(u).astype(np.intp), np.sign(v).astype(np.intp)
-    share = np.minimum(np.abs(u), np.abs(v)) / np.maximum(np.abs(u), np.abs(v))     # of the diagonal neighbour; here > low >= 0, so no 0 / 0
+    # the diagonal neighbour's share; the gradient here is longer than low >= 0, so never 0 / 0
+    share = np.minimum(np.abs(u), np.abs(v)) / np.maximum(np.abs(u), np.abs(v))
     straight_row, straight_column = np.where(steep, along_y, 0), np.where(steep, 0, along_x)
     ridge = np.ones(len(rows), dtype=np.bool_)
     for side in (1, -1):

@@ -57,7 +57,8 @@ class ThesisDetector:
         """Teat ends in the world frame, no covariances, and the trace of every stage that was reached."""
         trace: list[Stage] = []
         try:
-            left, right = _optical(frames.left, calibration.left.image_size, "left"), _optical(frames.right, calibration.right.image_size, "right")
+            left = _optical(frames.left, calibration.left.image_size, "left")
+            right = _optical(frames.right, calibration.right.image_size, "right")
             thermal_px, hidden = _find_in_thermal(_thermal(frames, calibration), self.settings, trace)
             teats, reason = _locate(left, right, thermal_px, calibration, self.settings, trace)
         except _NoAnswer as stop:
@@ -92,7 +93,8 @@ def _thermal(frames: Frames, calibration: Calibration) -> Grey:
 
 def _check_size(picture: NDArray[Any], size: tuple[int, int], camera: str) -> None:
     if picture.shape[:2] != (size[1], size[0]):
-        raise _NoAnswer(f"the {camera} picture is {' x '.join(map(str, picture.shape[1::-1]))}, the calibration is for {size[0]} x {size[1]}")
+        given = " x ".join(map(str, picture.shape[1::-1]))
+        raise _NoAnswer(f"the {camera} picture is {given}, the calibration is for {size[0]} x {size[1]}")
 
 
 def _find_in_thermal(picture: Grey, p: Parameters, trace: list[Stage]) -> tuple[Array, int]:
@@ -144,7 +146,7 @@ def _locate(left: Grey, right: Grey, thermal_px: Array, calibration: Calibration
 def _inside(points_px: Array, picture: Grey) -> NDArray[np.bool_]:
     """Which points (n, 2) lie on the picture: nothing can be said of a teat that the camera doesn't see."""
     with np.errstate(invalid="ignore"):
-        return np.all((points_px >= -0.5) & (points_px < np.array(picture.shape[::-1]) - 0.5), axis=1)
+        return np.asarray(np.all((points_px >= -0.5) & (points_px < np.array(picture.shape[::-1]) - 0.5), axis=1))
 
 
 def _seen(camera: str, refined: list[Refined]) -> dict[str, NDArray[Any]]:

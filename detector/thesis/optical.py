@@ -1,4 +1,4 @@
-"""From the thermal picture to the optical ones: nominations, regions, and the search for the teat's end in each (sections 4.2, 4.3; A.3, A.4).
+"""From the thermal picture to the optical ones: nominations, regions, and the teat's end in each (sections 4.2, 4.3; A.3, A.4).
 
 What the original did wrong, and what stands here:
 - A region that left the picture stopped it with an error. Here such a teat stays where the homography put it.
@@ -7,7 +7,7 @@ What the original did wrong, and what stands here:
   the rest of the listing mean the line's own row, which is what stands here.
 - `locateteat` never looks at the last dark row, and its search ends one column before the region does. Kept.
 - The last lines of `locateteat` are lost. Section 4.3.5: the end lies above the line's middle by half its length. The middle is taken
-  between the listing's two columns, the line's first and the first one after it, and nothing is rounded. No line found leaves the nomination.
+  between the listing's two columns, the line's first and the first one after it; nothing is rounded. No line leaves the nomination.
 - Its way back from region to picture is one pixel off for an end that was found; where none was, (20, 20) leads to the nomination. Kept.
 """
 

@@ -1,0 +1,1 @@
+"""The motion stage: GRBL axes that move the phantom."""

@@ -64,7 +64,8 @@ def read_settings(values: Mapping[int, str], *, who: str) -> StageSettings:
         except ValueError:
             value = float("nan")
         if not least <= value < 1e9:
-            raise ProtocolError(who, f"setting ${key} is not usable", asked="$$", seen=text or "nothing", hint=f"Set ${key} on the controller.")
+            hint = f"Set ${key} on the controller."
+            raise ProtocolError(who, f"setting ${key} is not usable", asked="$$", seen=text or "nothing", hint=hint)
         return value
 
     def axes(first: int) -> Axes:

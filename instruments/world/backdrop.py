@@ -22,10 +22,13 @@ TEXEL_MM = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Backdrop:
-    """Table at z = 0 with its front edge, and an upright board behind; world frame, mm. ``…_texture`` is the share that albedo varies by."""
+    """Table at z = 0 with its front edge, and an upright board behind; world frame, mm.
+
+    ``…_texture`` is the share that an albedo varies by.
+    """
 
     board_albedo: float = 0.55
-    board_texture: float = 0.10
+    board_texture: float = 0.08
     table_albedo: float = 0.50
     table_texture: float = 0.12
     front_albedo: float = 0.10

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -122,6 +123,7 @@ def _cut(owner: Ints, start: Floats, end: Floats, camera: CameraModel) -> tuple[
     return owner[edge], _bent(begin, camera, low, high), _bent(begin + way, camera, low, high)
 
 
+@lru_cache(maxsize=16)  # cameras are few and never change
 def _plane_window(camera: CameraModel) -> tuple[Floats, Floats]:
     """A rectangle of the ideal plane that holds the image and its margin: beyond it a lens model may fold over."""
     w, h = camera.width_px + MARGIN_PX, camera.height_px + MARGIN_PX

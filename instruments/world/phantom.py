@@ -11,6 +11,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -115,7 +116,7 @@ class Phantom:
             return ()
         middle = bases.mean(axis=0)
         away = np.array([[70.0, 25.0, 0.0]]) * np.where(bases[[0, -1]][:, :1] >= middle[0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0])
-        legs = [(bases[0] + away[0], bases[0]), *zip(bases[:-1], bases[1:], strict=True), (bases[-1], bases[-1] + away[1])]
+        legs = [(bases[0] + away[0], bases[0]), *pairwise(bases), (bases[-1], bases[-1] + away[1])]
         return tuple(self._hose(start, end, middle) for start, end in legs)
 
     def _hose(self, start: Floats, end: Floats, middle: Floats) -> tuple[Hull, ...]:
@@ -124,7 +125,7 @@ class Phantom:
         out = 0.5 * (start + end) - middle
         bow = out / max(float(np.linalg.norm(out)), 1.0) * 24.0 + np.array([0.0, 0.0, 14.0])
         path = self._placed(start + t * (end - start) + 4.0 * t * (1.0 - t) * bow)
-        return tuple(Hull(_point(a), _point(b), HOSE_RADIUS_MM, HOSE_RADIUS_MM) for a, b in zip(path[:-1], path[1:], strict=True))
+        return tuple(Hull(_point(a), _point(b), HOSE_RADIUS_MM, HOSE_RADIUS_MM) for a, b in pairwise(path))
 
     def _turn(self) -> Floats:
         c, s = np.cos(self.pose.yaw_rad), np.sin(self.pose.yaw_rad)
@@ -152,12 +153,9 @@ def _table_5_1() -> Phantom:
 def _non_vertical() -> Phantom:
     """Section 5.2.1: each teat leans by less than 20 degrees, each another way, in the middle of the thermal camera's view."""
     leans_deg = ((9.0, 4.0), (-7.0, -10.0), (5.0, 8.0), (-8.0, -13.0))
-    teats = zip(_upright(TABLE_5_1_MM).teats, leans_deg, strict=True)
-    return Phantom(
-        tuple(
-            Teat((teat.base_mm[0] + 40.0, teat.base_mm[1]), teat.shape, (float(np.radians(x)), float(np.radians(y)))) for teat, (x, y) in teats
-        )
-    )
+    upright = _upright(tuple((x + 40.0, y, z) for x, y, z in TABLE_5_1_MM))
+    leans_rad = [(float(np.radians(x)), float(np.radians(y))) for x, y in leans_deg]
+    return Phantom(tuple(replace(teat, tilt_rad=lean) for teat, lean in zip(upright.teats, leans_rad, strict=True)))
 
 
 def _overlapping() -> Phantom:

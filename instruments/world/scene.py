@@ -97,7 +97,7 @@ def _refuse_outside(stage: Stage, backdrop: Backdrop) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedSet:
-    """``left``, ``right`` uint8; ``thermal_8bit`` uint8 as delivered; ``thermal_ck`` uint16 centi-kelvin at sensor resolution, un-mirrored."""
+    """``left``, ``right`` uint8; ``thermal_8bit`` uint8 as delivered; ``thermal_ck`` uint16 centi-kelvin, sensor resolution, un-mirrored."""
 
     left: NDArray[np.uint8]
     right: NDArray[np.uint8]

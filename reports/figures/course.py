@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from reports.figures.arrays import Floats, finite, together
-from reports.figures.drawing import COLOURS, HALF_INCHES, WIDE_INCHES, draw, legend, not_measured
+from reports.figures.drawing import COLOURS, HALF_INCHES, WIDE_INCHES, LegendEntry, draw, legend, not_measured
 
 
 def bath_curve(
@@ -47,8 +47,8 @@ def bath_curve(
         marks = close.plot(captures / 60, np.full(captures.size, 1.0), linestyle="none", marker="v", markersize=5, color=COLOURS["ink"])
         marks[0].set(transform=close.get_xaxis_transform(), clip_on=False)
         close.set_xlabel("time (min)")
-        teat_entry = [] if teats is None else [("teats", "theirs", "-")]
-        limits = [(f"set point {setpoint_c:g} °C ± {band_k:g} K", "good", "--"), ("stable", "span", "patch")]
+        teat_entry: list[LegendEntry] = [] if teats is None else [("teats", "theirs", "-")]
+        limits: list[LegendEntry] = [(f"set point {setpoint_c:g} °C ± {band_k:g} K", "good", "--"), ("stable", "span", "patch")]
         legend(figure, [("bath", "ours", "-"), *teat_entry, *limits, (f"capture ({captures.size})", "ink", "v")])
 
     return draw(name, inches, plot)

@@ -9,7 +9,7 @@ import io
 import re
 import warnings
 from collections.abc import Callable, Sequence
-from html import escape
+from typing import Literal
 
 from matplotlib import style
 from matplotlib.artist import Artist
@@ -25,6 +25,8 @@ COLOURS = {
     "accept": "#7a4b9e", "good": "#1b7a3d", "band": "#cfe6d6", "span": "#dfe9f5", "paper": "#fdfdfe",
 }  # fmt: skip
 HALF_INCHES, WIDE_INCHES = 4.7, 9.4
+LegendForm = Literal["-", "--", "o", "v", "patch"]
+LegendEntry = tuple[str, str, LegendForm]  # text, role, form
 _ROLES = {colour: role for role, colour in COLOURS.items()}
 _SETTINGS = {
     "svg.fonttype": "none",
@@ -83,14 +85,15 @@ def not_measured(name: str, inches: tuple[float, float], why: str) -> str:
     return draw(name, inches, plot)
 
 
-def legend(figure: Figure, entries: Sequence[tuple[str, str, str]]) -> None:
+def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
     """Above the plot: for each (text, role, form) a line ("-", "--"), a marker ("o", "v") or a "patch" in the role's colour."""
 
-    def handle(text: str, role: str, form: str) -> Artist:
+    def handle(text: str, role: str, form: LegendForm) -> Artist:
         if form == "patch":
             return Patch(facecolor=COLOURS[role], label=text)
-        line, marker = (form, "") if form.startswith("-") else ("none", form)
-        return Line2D([], [], color=COLOURS[role], linestyle=line, marker=marker, markersize=4.5, markeredgewidth=0, label=text)
+        if form == "-" or form == "--":
+            return Line2D([], [], color=COLOURS[role], linestyle=form, label=text)
+        return Line2D([], [], color=COLOURS[role], linestyle="none", marker=form, markersize=4.5, markeredgewidth=0, label=text)
 
     handles = [handle(*entry) for entry in entries]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(entries), frameon=False, handlelength=1.8)
@@ -124,7 +127,8 @@ def _rewritten(tag: re.Match[str], name: str, defined: set[str]) -> str:
         attributes = {"href": attributes["href"], "tabindex": "-1"}
     kept = {key: value for key, value in _with_classes(attributes).items() if _kept(key, value, defined)}
     text = "".join(f' {key}="{_value(key, value, name, defined)}"' for key, value in kept.items())
-    return f"<{element}{text}{empty}>"
+    name_of_link = f"<title>{attributes['href'].removeprefix('#')}</title>" if element == "a" else ""
+    return f"<{element}{text}{empty}>{name_of_link}"
 
 
 def _declarations(css: str) -> dict[str, str]:
@@ -148,5 +152,5 @@ def _value(key: str, value: str, name: str, defined: set[str]) -> str:
         return f"{name}-{value}"
     if key in {"href", "clip-path"}:
         target = value.removeprefix("url(").removesuffix(")").removeprefix("#")
-        return value.replace(f"#{target}", f"#{name}-{target}") if target in defined else escape(value)
+        return value.replace(f"#{target}", f"#{name}-{target}") if target in defined else value
     return _LONG_NUMBER.sub(lambda number: f"{float(number.group(0)):.2f}", " ".join(value.split()))

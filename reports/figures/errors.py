@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import ArrayLike
 
 from reports.figures.arrays import Floats, finite, together
-from reports.figures.drawing import COLOURS, HALF_INCHES, WIDE_INCHES, draw, legend, not_measured, plain
+from reports.figures.drawing import COLOURS, HALF_INCHES, WIDE_INCHES, LegendEntry, draw, legend, not_measured, plain
 
 _SQUARE = (HALF_INCHES, 4.2)
 
@@ -111,8 +111,8 @@ def per_axis_errors(
     return draw(name, inches, plot)
 
 
-def _limits(limit_mm: float, accept_mm: float | None) -> list[tuple[str, str, str]]:
-    accepted = [] if accept_mm is None else [(f"accepted to {accept_mm:.3f} mm", "accept", "--")]
+def _limits(limit_mm: float, accept_mm: float | None) -> list[LegendEntry]:
+    accepted: list[LegendEntry] = [] if accept_mm is None else [(f"accepted to {accept_mm:.3f} mm", "accept", "--")]
     return [(f"limit {limit_mm:g} mm", "limit", "-"), *accepted]
 
 

@@ -161,12 +161,13 @@ def test_parallel_rays_have_no_crossing() -> None:
 def test_one_pixel_of_disparity_costs_what_the_formula_says(rig: Calibration) -> None:
     world = np.array([[-180.0, 240.0, 137.0]])
     left_px, right_px = rig.project(world)
-    ends = [rig.world_from_right.apply(triangulate(left_px, right_px + [d, 0], rig.left, rig.right, rig.right_from_left)[0]) for d in (-0.5, 0.5)]
-    assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(rig.depth_per_disparity_px_mm(world)[0], rel=0.02)
+    shifts = [np.array([d, 0.0]) for d in (-0.5, 0.5)]
+    near, far = (triangulate(left_px, right_px + d, rig.left, rig.right, rig.right_from_left)[0] for d in shifts)
+    assert np.linalg.norm(far - near) == pytest.approx(rig.depth_per_disparity_px_mm(world)[0], rel=0.02)
 
 
 def test_homography_divides_and_refuses_the_horizon() -> None:
-    H = [[2.0, 0, 1], [0, 3, 0], [0.1, 0, 1]]
+    H = np.array([[2.0, 0, 1], [0, 3, 0], [0.1, 0, 1]])
     assert np.allclose(apply_homography(H, [[10.0, 4.0]]), [[21 / 2, 12 / 2]])
     assert np.isnan(apply_homography(H, [[-10.0, 4.0]])).all()
 

@@ -94,10 +94,10 @@ def frame_views(anchor: str) -> tuple[ImageView, ...]:
 def trial_part(outcome: Outcome) -> TrialPart:
     radial = np.linalg.norm(outcome.errors_mm, axis=1)
     columns = (Column("teat"), *(Column(axis, "right", "mm") for axis in ("x error", "y error", "z error", "radial")))
-    rows = tuple(
-        (f"teat {k}", *(f"{value:+.2f}" for value in error), Cell(f"{r:.2f}", "bad" if r > 5 else "plain"))
+    rows: list[tuple[str | Cell, ...]] = [
+        (f"teat {k}", *(f"{value:+.2f}".replace("-", "−") for value in error), Cell(f"{r:.2f}", "bad" if r > 5 else "plain"))
         for k, (error, r) in enumerate(zip(outcome.errors_mm, radial, strict=True), 1)
-    )
+    ]
     missed = 4 - len(rows)
     return TrialPart(
         id=outcome.anchor,
@@ -107,7 +107,7 @@ def trial_part(outcome: Outcome) -> TrialPart:
         tone="bad" if not rows else "warn" if missed else "good",
         summary=(("Found, missed, false", f"{len(rows)}, {missed}, 0"), ("Time", f"{outcome.seconds:.3f} s"), ("Bath", "33.01 °C")),
         images=frame_views(outcome.anchor),
-        tables=(Table("Errors of the teats found", columns, rows),),
+        tables=(Table("Errors of the teats found", columns, tuple(rows)),),
         notes=("The detector refused: no vertical line ends in the thermal image.",) if not rows else (),
     )
 

@@ -135,7 +135,7 @@ def test_a_point_of_the_plot_opens_its_trial(seen: Seen) -> None:
     assert seen.page.url.endswith("#trial-001")
 
 
-@pytest.mark.parametrize("width", [1440, 820, 390])
+@pytest.mark.parametrize("width", [1440, 1153, 1150, 961, 820, 390, 320])
 def test_nothing_sticks_out_of_the_page(seen: Seen, width: int) -> None:
     seen.page.set_viewport_size({"width": width, "height": 844})
     assert seen.page.evaluate("() => document.documentElement.scrollWidth") <= width

@@ -18,7 +18,7 @@ from instruments.stage.emulator.controller import Controller
 from instruments.stage.emulator.dialect import CLASSIC, Dialect
 from instruments.stage.emulator.faults import IN_MOTION, NOISE, Fault
 from instruments.stage.emulator.homing import Switch
-from instruments.stage.emulator.motion import Vector
+from instruments.stage.emulator.phases import Vector
 from instruments.stage.emulator.store import Store
 
 _BROKEN = {Fault.NO_SWITCH: Switch.MISSING, Fault.STUCK_SWITCH: Switch.STUCK}
@@ -130,7 +130,8 @@ class StageEmulator:
             self._later(late, lambda: self._send(text.encode("ascii") + b"\r\n"))
 
     def _tell_switches(self) -> None:
-        self._controller.broken_switches = {0: switch for fault, switch in _BROKEN.items() if fault in self._faults}
+        broken = [switch for fault, switch in _BROKEN.items() if fault in self._faults]
+        self._controller.broken_switches = {0: broken[0]} if broken else {}
 
     def _arm(self) -> None:
         """Plan the faults that strike in the motion that runs now."""

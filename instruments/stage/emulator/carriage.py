@@ -7,7 +7,9 @@ make them differ, homing brings them together. It may not know the protocol, or 
 from __future__ import annotations
 
 from instruments.stage.emulator.homing import HomingRates, HomingRun, Switch, homing
-from instruments.stage.emulator.motion import SOON_S, AxisRates, Block, Motion, Vector
+from instruments.stage.emulator.motion import Motion
+from instruments.stage.emulator.phases import SOON_S, Vector
+from instruments.stage.emulator.planner import AxisRates, Block
 
 
 def shifted(a: Vector, b: Vector, times: float = 1.0) -> Vector:

@@ -6,7 +6,7 @@ may not know why anything is so. Source: the firmware's interface document, sect
 
 from __future__ import annotations
 
-from instruments.stage.emulator.motion import Vector
+from instruments.stage.emulator.phases import Vector
 
 _IDLE_EVERY = 10
 _BUSY_WCO_EVERY = 30

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from instruments.stage.emulator.homing import HomingRates
-from instruments.stage.emulator.motion import AxisRates, Vector
+from instruments.stage.emulator.phases import Vector
+from instruments.stage.emulator.planner import AxisRates
 
 DEFAULTS: dict[int, float] = {
     0: 10, 1: 25, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0,

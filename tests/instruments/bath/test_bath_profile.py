@@ -122,7 +122,7 @@ def test_the_small_profile_is_whole(tmp_path: Path) -> None:
         ('name = "run"', 'name = "set_point"', "rows.2.name", "a second row 'set_point'"),
         ('family = "SMALL"', 'familly = "SMALL"', "familly", "Extra inputs are not permitted"),
         ('evidence = "CERTAIN"\n[[rows]]\nname = "run"', '[[rows]]\nname = "run"', "rows.1.evidence", "Field required"),
-        ('comms_loss = "unknown"', 'comms_loss = "unknown"\norder_from = { row = "run", codes = {} }', "order_from.row", "order of its own"),
+        ('comms_loss = "unknown"', 'comms_loss = "unknown"\norder_from = { row = "run", codes = {} }', "order_from.row", "of its own"),
         ('comms_loss = "unknown"', 'comms_loss = "unknown"\nbefore_start = { run = "up" }', "before_start.run", "with the value 'up'"),
     ],
 )

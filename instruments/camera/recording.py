@@ -1,0 +1,247 @@
+"""Recordings: folders of frames with calibration and truth, read and written (docs: recording-format.md).
+
+Files appear whole or not at all: each is written beside its place and then moved there. Every fault of a folder is a
+`RecordingError` that names the file and, in a table, the line. May not know what the frames show.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from instruments.camera.frame import FrameSet, grey8
+from instruments.errors import DeviceError
+
+PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+COLUMNS = ("frame", "situation", "teat", "x_mm", "y_mm", "z_mm", "visible")
+OPTIONAL = ("u_mm",)
+UNSAFE = set('<>:"/\\|?*')
+
+
+class RecordingError(ValueError):
+    """A recording's folder is incomplete or damaged; the message says which file, which line, and what was expected."""
+
+
+@dataclass(frozen=True, slots=True)
+class TruthRow:
+    """One teat of one frame: its end in world mm, whether every camera sees it, standard uncertainty in mm where known."""
+
+    situation: str
+    teat: str
+    xyz_mm: tuple[float, float, float]
+    visible: bool
+    u_mm: float | None = None
+
+
+class Recording:
+    """A recording on disk. Truth and names are read at once, images when asked for. Raises RecordingError."""
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        if not self.path.is_dir():
+            raise RecordingError(f"{self.path}: there is no such folder; a recording is a folder with frames/, and perhaps truth.csv")
+        frames = self.path / "frames"
+        if not frames.is_dir():
+            raise RecordingError(f"{frames}: missing; a recording keeps its images in frames/<id>/left.png and right.png")
+        self.frames: tuple[str, ...] = tuple(sorted(entry.name for entry in frames.iterdir() if entry.is_dir()))
+        if not self.frames:
+            raise RecordingError(f"{frames}: holds no frames; each is a folder with left.png and right.png")
+        self.calibration_path = self.path / "calibration.toml"
+        self.truth: dict[str, tuple[TruthRow, ...]] = self._truth()
+
+    def load(self, frame_id: str) -> FrameSet:
+        """The images of a frame. The thermal ones may be absent. Raises RecordingError."""
+        folder = self.path / "frames" / frame_id
+        if frame_id not in self.frames:
+            raise RecordingError(f"{folder}: there is no frame {frame_id!r}; the first of {len(self.frames)} is {self.frames[0]!r}")
+        left, right = (_grey(folder / f"{side}.png") for side in ("left", "right"))
+        eight, radiometric = folder / "thermal.png", folder / "thermal_radiometric.png"
+        thermal = _grey(eight) if eight.exists() else None
+        return FrameSet(left, right, thermal, _centikelvin(radiometric) if radiometric.exists() else None)
+
+    def _truth(self) -> dict[str, tuple[TruthRow, ...]]:
+        path = self.path / "truth.csv"
+        if not path.exists():
+            return {}
+        found: dict[str, list[TruthRow]] = {}
+        try:
+            with path.open(encoding="utf-8-sig", newline="") as file:
+                lines = csv.DictReader(file, strict=True)
+                _check_header(path, lines.fieldnames)
+                for line in lines:
+                    frame, row = _truth_row(f"{path}:{lines.line_num}", line)
+                    self._add(f"{path}:{lines.line_num}", found.setdefault(frame, []), frame, row)
+        except (csv.Error, UnicodeDecodeError) as fault:
+            raise RecordingError(f"{path}: is not a table of comma-separated values in UTF-8: {fault}") from fault
+        return {frame: tuple(rows) for frame, rows in found.items()}
+
+    def _add(self, where: str, rows: list[TruthRow], frame: str, row: TruthRow) -> None:
+        if frame not in self.frames:
+            raise RecordingError(f"{where}: names frame {frame!r}, but frames/ has no such folder")
+        if any(other.teat == row.teat for other in rows):
+            raise RecordingError(f"{where}: teat {row.teat!r} of frame {frame!r} stands here a second time")
+        if rows and rows[0].situation != row.situation:
+            raise RecordingError(f"{where}: frame {frame!r} is {row.situation!r} here and {rows[0].situation!r} above")
+        rows.append(row)
+
+
+def _check_header(path: Path, names: Sequence[str] | None) -> None:
+    missing = [name for name in COLUMNS if name not in (names or ())]
+    if missing:
+        raise RecordingError(f"{path}:1: the column(s) {', '.join(missing)} are missing; the first line must name {','.join(COLUMNS)}")
+
+
+def _truth_row(where: str, line: Mapping[str | Any, Any]) -> tuple[str, TruthRow]:
+    if None in line or any(line.get(name) is None for name in COLUMNS):
+        raise RecordingError(f"{where}: has another number of values than the first line has names")
+    x, y, z = (_number(where, name, line[name]) for name in ("x_mm", "y_mm", "z_mm"))
+    if line["visible"].strip() not in ("0", "1"):
+        raise RecordingError(f"{where}: visible must be 0 or 1, is {line['visible']!r}")
+    given = (line.get("u_mm") or "").strip()
+    u_mm = _number(where, "u_mm", given) if given else None
+    if u_mm is not None and u_mm < 0.0:
+        raise RecordingError(f"{where}: u_mm, a standard uncertainty, can't be below zero: {given}")
+    row = TruthRow(line["situation"].strip(), line["teat"].strip(), (x, y, z), line["visible"].strip() == "1", u_mm)
+    return line["frame"].strip(), row
+
+
+def _number(where: str, name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise RecordingError(f"{where}: {name} must be a number in mm, is {text!r}") from None
+    if not math.isfinite(value):
+        raise RecordingError(f"{where}: {name} must be finite, is {text!r}")
+    return value
+
+
+def _image(path: Path) -> NDArray[Any]:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise RecordingError(f"{path}: missing; every frame needs it") from None
+    except OSError as fault:
+        raise RecordingError(f"{path}: can't be read: {fault}") from fault
+    # Through memory, for imread knows only the ASCII paths of Windows.
+    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    if image is None:
+        raise RecordingError(f"{path}: is not an image that can be read ({len(data)} bytes)")
+    return image
+
+
+def _grey(path: Path) -> NDArray[np.uint8]:
+    try:
+        return grey8(_image(path))
+    except RecordingError:
+        raise
+    except ValueError as fault:
+        raise RecordingError(f"{path}: {fault}") from fault
+
+
+def _centikelvin(path: Path) -> NDArray[np.uint16]:
+    image = _image(path)
+    if image.dtype != np.uint16 or image.ndim != 2:
+        raise RecordingError(f"{path}: must be 16-bit grey in centi-kelvin, is {image.dtype} with {image.ndim} dimensions")
+    return np.asarray(image, dtype=np.uint16)
+
+
+class RecordingWriter:
+    """Writes a recording, frame by frame; after every call the folder is a whole recording. Raises RecordingError, OSError.
+
+    A folder that exists is added to: its truth is kept, a frame it has already is refused.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        (self.path / "frames").mkdir(parents=True, exist_ok=True)
+        there = (self.path / "truth.csv").exists()
+        self._truth: dict[str, tuple[TruthRow, ...]] = dict(Recording(self.path).truth) if there else {}
+
+    def add_calibration(self, text: str) -> None:
+        """Write calibration.toml, as the text that it was read from."""
+        _write(self.path / "calibration.toml", text.encode())
+
+    def add(self, frame_id: str, frames: FrameSet) -> None:
+        """Write a frame's images as PNG; the folder appears when all of them are there."""
+        if not frame_id or frame_id != frame_id.strip(" .") or UNSAFE & set(frame_id) or not frame_id.isprintable():
+            raise RecordingError(f"a frame's id must be a name that any file system takes, is {frame_id!r}")
+        folder = self.path / "frames" / frame_id
+        if folder.exists():
+            raise RecordingError(f"{folder}: there is such a frame already")
+        images = {"left": frames.left, "right": frames.right, "thermal": frames.thermal, "thermal_radiometric": frames.thermal_ck}
+        # Beside frames/, not in it: whoever reads meanwhile must not take it for a frame.
+        making = self.path / f"making {frame_id}"
+        making.mkdir(exist_ok=True)
+        for name, image in images.items():
+            if image is not None:
+                _write(making / f"{name}.png", _png(image))
+        making.replace(folder)
+
+    def add_truth(self, frame_id: str, rows: Sequence[TruthRow]) -> None:
+        """Add the truth of a frame, which `add` has written, and write truth.csv anew."""
+        if not (self.path / "frames" / frame_id).is_dir():
+            raise RecordingError(f"truth for frame {frame_id!r}, but no such frame was added")
+        if frame_id in self._truth:
+            raise RecordingError(f"{self.path}: frame {frame_id!r} has its truth already")
+        if len({row.teat for row in rows}) != len(rows) or len({row.situation for row in rows}) > 1:
+            raise RecordingError(f"frame {frame_id!r}: each teat once, one situation; got {[(row.situation, row.teat) for row in rows]}")
+        self._truth[frame_id] = tuple(rows)
+        _write(self.path / "truth.csv", _truth_table(self._truth).encode())
+
+
+def _truth_table(truth: Mapping[str, Sequence[TruthRow]]) -> str:
+    lines = [",".join((*COLUMNS, *OPTIONAL))]
+    for frame, rows in truth.items():
+        for row in rows:
+            u_mm = "" if row.u_mm is None else repr(float(row.u_mm))
+            values = (frame, row.situation, row.teat, *(repr(float(v)) for v in row.xyz_mm), str(int(row.visible)), u_mm)
+            if any(set(value) & set(',"\r\n') for value in values):
+                raise RecordingError(f"frame {frame!r}: names in truth.csv can't hold commas, quotes or line ends, got {values[:3]}")
+            lines.append(",".join(values))
+    return "\n".join(lines) + "\n"
+
+
+def _png(image: NDArray[Any]) -> bytes:
+    good, data = cv2.imencode(".png", image, PNG_FAST)
+    if not good:
+        raise RecordingError(f"an image {image.shape} of {image.dtype} can't be written as PNG")
+    return data.tobytes()
+
+
+def _write(path: Path, data: bytes) -> None:
+    beside = path.with_name(path.name + ".part")
+    beside.write_bytes(data)
+    beside.replace(path)
+
+
+class RecordingCameras:
+    """Cameras that play a recording's frames in order, once."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._next = 0
+
+    @property
+    def identity(self) -> Mapping[str, str]:
+        """Where the pictures come from, for each camera."""
+        return dict.fromkeys(("left", "right", "thermal"), f"recording {self._recording.path}")
+
+    def capture(self) -> FrameSet:
+        """The next frame set. Raises DeviceError after the last."""
+        frames = self._recording.frames
+        if self._next >= len(frames):
+            played = f"all {len(frames)} frames have been played"
+            raise DeviceError(f"cameras of {self._recording.path}", played, hint="Record more, or play fewer.")
+        self._next += 1
+        return self._recording.load(frames[self._next - 1])
+
+    def close(self) -> None:
+        """Nothing is held open."""

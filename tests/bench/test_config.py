@@ -1,0 +1,172 @@
+"""Files that people write: every fault at once, each in its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bench.config import ConfigError, read_config
+from bench.rig import RIGS, find_rig, load_rig
+from bench.script import TRIALS, Script, find_script, load_script
+from bench.toml_places import find_places, nearest
+
+
+def rig_with(tmp_path: Path, change: dict[str, str]) -> Path:
+    """A copy of the emulated rig in which each key of ``change`` is replaced."""
+    text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
+    for old, new in change.items():
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "rig.toml"
+    path.write_text(text, encoding="utf-8")
+    (tmp_path / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", ["emulated", "lab.example"])
+def test_shipped_rigs_load(name: str) -> None:
+    loaded = load_rig(find_rig(name))
+    assert bool(loaded.rig.emulated) == (name == "emulated")
+
+
+def test_the_lab_example_explains_every_key() -> None:
+    text = (RIGS / "lab.example.toml").read_text(encoding="utf-8")
+    lab = load_rig(find_rig("lab.example")).rig.model_dump(exclude={"emulation"})
+    places = find_places(text)
+    lines = text.split("\n")
+    for section, value in lab.items():
+        for path in [(section, key) for key in value] if isinstance(value, dict) else [(section,)]:
+            place, exact = nearest(places, path)
+            assert exact, f"{path} is not in lab.example.toml"
+            assert "#" in lines[place.line - 1], f"{path} is not explained"
+
+
+def test_an_emulated_and_a_real_rig_have_the_same_keys() -> None:
+    emulated, lab = (load_rig(find_rig(name)).rig for name in ("emulated", "lab.example"))
+    assert set(emulated.urls) == set(lab.urls)
+
+
+def test_all_faults_come_at_once_each_with_its_line(tmp_path: Path) -> None:
+    path = rig_with(
+        tmp_path,
+        {
+            'profile = "julabo-presto"': 'profle = "julabo-presto"',
+            "seed = 1": "seed = -1",
+            '[stage]\nurl = "emulator:"': '[stage]\nurl = "nonsense"\nfeed_mm_per_min = "fast"',
+        },
+    )
+    with pytest.raises(ConfigError) as caught:
+        load_rig(path)
+    text = str(caught.value)
+    lines = path.read_text(encoding="utf-8").split("\n")
+    for word in ("profle", "seed = -1", "nonsense", '"fast"'):
+        number = next(i for i, line in enumerate(lines, 1) if word in line)
+        assert f"{path}:{number}: " in text
+    assert 'did you mean "profile"' in text
+    assert "bath.profile: is missing" in text
+    assert len(caught.value.faults) == 5
+
+
+def test_the_caret_stands_under_the_value(tmp_path: Path) -> None:
+    path = rig_with(tmp_path, {"seed = 1": "seed = -17"})
+    with pytest.raises(ConfigError) as caught:
+        load_rig(path)
+    shown, caret = str(caught.value).split("\n")[-2:]
+    assert shown[shown.index("-17") :].startswith("-17")
+    assert caret.index("^") == shown.index("-17")
+    assert caret.count("^") == 3
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({'url = "emulator:"\nprofile': 'url = "serial:x"\nprofile'}, 'allowed: "emulator:", "tcp://host:port"'),
+        ({'profile = "julabo-presto"': 'profile = "julabo-prest"'}, 'did you mean "julabo-presto"'),
+        ({'profile = "julabo-presto"': 'profile = "mine.toml"'}, "no such file"),
+        ({'calibration = "calibration.toml"': 'calibration = "nowhere.toml"'}, "no such file beside the rig file"),
+        ({'[operator]\nurl = "emulator:"': '[operator]\nurl = "emulater:"'}, 'did you mean "emulator:"'),
+        ({'[stage]\nurl = "emulator:"': '[stage]\nurl = "COM5"'}, "don't mix"),
+        ({"[cameras]": "[limits]\nset_point_c = [36, 20]\n[cameras]"}, "smaller one"),
+        ({"[cameras]": "[cameras"}, "not TOML"),
+        ({"[cameras]": "[cameras]\nsettle_s = inf"}, "cameras.settle_s"),
+    ],
+)
+def test_each_wrong_value_says_what_is_allowed(tmp_path: Path, change: dict[str, str], message: str) -> None:
+    path = rig_with(tmp_path, change)
+    with pytest.raises(ConfigError) as caught:
+        load_rig(path)
+    assert message in str(caught.value)
+
+
+def test_a_fault_in_the_calibration_is_shown_in_the_calibration(tmp_path: Path) -> None:
+    path = rig_with(tmp_path, {})
+    calibration = tmp_path / "calibration.toml"
+    calibration.write_text(calibration.read_text(encoding="utf-8").replace("mirrored = true", 'mirrored = "yes"'), encoding="utf-8")
+    with pytest.raises(ConfigError, match="cameras.thermal.mirrored") as caught:
+        load_rig(path)
+    assert str(caught.value).startswith(str(calibration))
+
+
+def test_shipped_scripts_load() -> None:
+    script = load_script(find_script(None)).script
+    assert [trial.situation for trial in script.trials] == [
+        "non_vertical", "overlapping", "spurious_teat", "hot_body_at_base", "hot_body_at_ends", "cooler_bodies",
+    ]  # fmt: skip
+    assert [trial.published.found for trial in script.trials if trial.published] == [4, 3, 4, 4, 0, 3]
+    assert len(script.planned) == 18
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('layout = "overlapping"', 'layout = "overlaping"', "did you mean"),
+        ('{ kind = "cold_teat" }', '{ kind = "cold_teet" }', "object 1"),
+        ('detectors = ["thesis"]', 'detectors = ["thesys"]', 'did you mean "thesis"'),
+        ('kind = "success"', 'kind = "sucess"', "success"),
+        ("limit_mm = 5.0", "limit_mm = -5.0", "requirements[1].limit_mm"),
+        ('name = "overlapping"', 'name = "non-vertical"', "two have the name"),
+        ("rate = 0.95", "rate = 1.0", "rate"),
+        ("window_s = 600.0", "window_s = 600.0\nwindov_s = 1", 'did you mean "window_s"'),
+    ],
+)
+def test_a_wrong_script_says_where(tmp_path: Path, old: str, new: str, message: str) -> None:
+    text = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "script.toml"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        read_config(path, Script)
+    assert message in str(caught.value)
+    line = next(i for i, line in enumerate(path.read_text(encoding="utf-8").split("\n"), 1) if new.split("\n")[-1] in line)
+    assert any(abs(fault.line - line) <= 2 for fault in caught.value.faults)
+
+
+def test_a_set_point_that_the_rig_forbids_is_refused() -> None:
+    with pytest.raises(ConfigError, match="outside what the rig allows"):
+        load_script(find_script(None), (20.0, 30.0))
+
+
+def test_names_that_are_not_there_list_what_is(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="six-situations"):
+        find_script("six-situation")
+    with pytest.raises(ConfigError, match="can't be read"):
+        load_rig(tmp_path / "none.toml")
+
+
+def test_bytes_that_are_no_utf8_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_bytes(b'name = "\xff"\n')
+    with pytest.raises(ConfigError, match="UTF-8"):
+        load_rig(path)
+
+
+def test_places_of_arrays_strings_and_tables() -> None:
+    text = 'a = [\n  [1, 2],\n]\nt = """\n[no]\nx = 1\n"""\n[b.c]\nkey = 1 # ]\n[[d]]\nk = 1\n[[d]]\nk = { z = 1 }\n"quoted key" = 2\n'
+    places = find_places(text)
+    assert places["b", "c", "key"].line == 9
+    assert places["d", 0, "k"].line == 11
+    assert places["d", 1, "k"].line == 13
+    assert places["d", 1, "quoted key"].line == 14
+    assert ("no",) not in places
+    assert nearest(places, ("d", 1, "k", "z")) == (places["d", 1, "k"], False)

@@ -1,0 +1,294 @@
+"""The heated circuit against its physics, and against the figures of the fact sheet's own simulation (section 5)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from instruments.world.plant import Plant, PlantConstants
+
+CW_12_L = 49_800.0  # J/K
+NO_CUT_OUT = PlantConstants(cut_out_c=1000.0)
+
+
+def settled(seed: int = 1, constants: PlantConstants = NO_CUT_OUT) -> Plant:
+    """Held at 33 degC for an hour."""
+    plant = Plant(seed, start_c=33.0, constants=constants)
+    plant.run(33.0)
+    plant.advance_to(3600.0)
+    return plant
+
+
+def seconds_until(plant: Plant, done: Callable[[Plant], bool], at_most_s: float = 3600.0) -> float:
+    start = plant.t_s
+    while not done(plant):
+        plant.advance_to(plant.t_s + plant.constants.step_s)
+        assert plant.t_s - start < at_most_s
+    return plant.t_s - start
+
+
+def heated(plant: Plant, minutes: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Heating from 20 to 33 degC: time in minutes, measured and true temperature."""
+    plant.run(33.0)
+    rows = []
+    for step in range(int(minutes * 60.0 / plant.constants.step_s)):
+        plant.advance_to((step + 1) * plant.constants.step_s)
+        rows.append((plant.t_s / 60.0, plant.pv_c, plant.bath_c))
+    time_min, pv_c, bath_c = np.array(rows).T
+    return time_min, pv_c, bath_c
+
+
+def in_band_from(time_min: NDArray[np.float64], pv_c: NDArray[np.float64], band_k: float) -> float:
+    """When the ten minutes begin in which the measured value never leaves the band."""
+    window = round(10.0 / (time_min[1] - time_min[0]))
+    inside = np.convolve(np.abs(pv_c - 33.0) <= band_k + 1e-9, np.ones(window), "valid")
+    return float(time_min[np.argmax(inside == window)])
+
+
+def test_steady_heat_in_is_heat_out_within_1_percent() -> None:
+    plant = settled()
+    start, heat_j, lost_j = plant.t_s, 0.0, 0.0
+    bath_before, k = plant.bath_c, plant.constants
+    for step in range(7200):
+        plant.advance_to(start + (step + 1) * 0.5)
+        hoses_w = k.hose_loss_w_per_k * (plant.bath_c - 20.0) * 2
+        teats_w = k.teat_out_w_per_k * float((plant.teat_c - 20.0).sum())
+        heat_j += (plant.heat_w + k.pump_w) * 0.5
+        lost_j += (k.loss_w_per_k * (plant.bath_c - 20.0) + hoses_w + teats_w) * 0.5
+    stored_j = (plant.bath_c - bath_before) * CW_12_L
+    assert heat_j == pytest.approx(lost_j + stored_j, rel=0.01)
+
+
+def test_no_heat_is_lost_or_made_on_the_way() -> None:
+    """Without losses, all that heater and pump give is in water and metal."""
+    tight = PlantConstants(loss_w_per_k=0.0, hose_loss_w_per_k=0.0, teat_out_w_per_k=0.0, evaporation_g_per_h=0.0, cut_out_c=1000.0)
+    plant = Plant(1, constants=tight)
+    plant.run(60.0)
+    plant.advance_to(300.0)
+    plant.dead_heater = True
+    plant.set_point_c = 0.0
+    plant.advance_to(900.0)  # all is at one temperature but for the pump's heat
+    hoses_j_per_k = 2 * 0.1 * 4154.0
+    capacity = CW_12_L + 800.0 + 4 * 30.0 + hoses_j_per_k
+    given_j = 300.0 * 1500.0 + 900.0 * 12.0
+    assert (plant.bath_c - 20.0) * capacity == pytest.approx(given_j, rel=0.005)
+
+
+def test_full_power_rate_of_12_l_with_1500_w() -> None:
+    """Section 4.3: 12 L take 1.2 K/min a kilowatt, so 1.8 here; losses and the heater's own heat take under 6 %."""
+    plant = Plant(1, constants=NO_CUT_OUT)
+    plant.run(60.0)
+    plant.advance_to(60.0)
+    start_c = plant.bath_c
+    plant.advance_to(240.0)
+    assert plant.power_percent == 100.0
+    assert (plant.bath_c - start_c) / 3.0 == pytest.approx(1.8, rel=0.06)
+
+
+def test_free_cooling_has_the_time_constant_of_bath_and_loss() -> None:
+    still = PlantConstants(evaporation_g_per_h=0.0)
+    plant = Plant(1, start_c=33.0, constants=still)
+    tau_s = CW_12_L / 3.0  # 4.6 h
+    plant.advance_to(tau_s)
+    assert not plant.pump_on
+    assert plant.bath_c - 20.0 == pytest.approx(13.0 * math.exp(-1.0), rel=0.02)  # the heater's 800 J/K slow it by 1.6 %
+
+
+# Fact sheet, section 5: band K, integral s, derivative s; overshoot K, in +-0.1 K from, in +-0.05 K from (minutes).
+@pytest.mark.parametrize(
+    ("band_k", "integral_s", "derivative_s", "overshoot_k", "within_100_mk_min", "within_50_mk_min"),
+    [
+        (4.0, 240.0, 40.0, 0.99, 35.0, 37.0),
+        (4.0, 900.0, 40.0, 0.38, 40.0, 48.0),
+        (2.0, 600.0, 30.0, 0.16, 22.0, 29.0),
+        (1.0, 600.0, 20.0, 0.05, 8.7, 20.0),
+        (1.0, 1200.0, 20.0, 0.02, 8.9, 9.2),
+    ],
+)
+def test_the_table_of_tunings_within_20_percent(
+    band_k: float, integral_s: float, derivative_s: float, overshoot_k: float, within_100_mk_min: float, within_50_mk_min: float
+) -> None:
+    tuning = PlantConstants(band_k=band_k, integral_s=integral_s, derivative_s=derivative_s)
+    time_min, pv_c, bath_c = heated(Plant(1, constants=tuning), 80.0)
+    assert bath_c.max() - 33.0 == pytest.approx(overshoot_k, rel=0.2)
+    assert in_band_from(time_min, pv_c, 0.1) == pytest.approx(within_100_mk_min, rel=0.2)
+    assert in_band_from(time_min, pv_c, 0.05) == pytest.approx(within_50_mk_min, rel=0.2)
+
+
+def test_steady_state_is_as_simulated() -> None:
+    """Section 5: water sd 0.3 to 3 mK, output 2.6 %, teats 320 mK below the water."""
+    plant = settled()
+    plant.advance_to(7200.0)  # the integral is slow: 20 min, and the pump's heat came as a surprise
+    start, bath_c, power = plant.t_s, [], []
+    for step in range(3600):
+        plant.advance_to(start + (step + 1) * 0.5)
+        bath_c.append(plant.bath_c)
+        power.append(plant.power_percent)
+    assert 0.0003 <= np.std(bath_c) <= 0.003
+    assert np.mean(power) == pytest.approx(2.6, rel=0.05)
+    assert plant.teat_c.shape == (4,)
+    np.testing.assert_allclose(plant.teat_c - plant.bath_c, -0.320, atol=0.010)
+
+
+@pytest.mark.parametrize(("to_c", "seconds"), [(38.0, 180.0), (45.0, 428.0)])
+def test_a_stuck_heater_runs_away(to_c: float, seconds: float) -> None:
+    plant = settled()
+    plant.stuck_heater = True
+    assert seconds_until(plant, lambda plant: plant.bath_c >= to_c) == pytest.approx(seconds, rel=0.05)
+    assert plant.power_percent == 0.0  # the controller does not know
+
+
+def test_the_cut_out_ends_it_and_latches() -> None:
+    plant = settled(constants=PlantConstants(cut_out_c=40.0))
+    plant.stuck_heater = True
+    seconds_until(plant, lambda plant: plant.alarm == "over-temperature")
+    plant.advance_to(plant.t_s + 1200.0)
+    assert 38.5 < plant.bath_c < 40.0  # cooling, at 4 K/h
+    assert plant.heat_w == 0.0
+    plant.acknowledge()
+    plant.stuck_heater = False
+    plant.advance_to(plant.t_s + 1.0)
+    assert plant.alarm == ""
+
+
+def test_a_dead_heater_shows_after_143_s() -> None:
+    plant = settled()
+    plant.dead_heater = True
+    start_c = plant.bath_c
+    assert seconds_until(plant, lambda plant: plant.bath_c <= start_c - 0.1) == pytest.approx(143.0, rel=0.05)
+
+
+@pytest.mark.parametrize(("teat_j_per_k", "seconds"), [(30.0, 54.0), (76.0, 138.0)])
+def test_teats_lose_1_k_when_the_pump_stops(teat_j_per_k: float, seconds: float) -> None:
+    plant = settled(constants=PlantConstants(teat_j_per_k=teat_j_per_k))
+    plant.stopped_pump = True
+    start_c = float(plant.teat_c[0])
+    assert seconds_until(plant, lambda plant: float(plant.teat_c[0]) <= start_c - 1.0) == pytest.approx(seconds, rel=0.03)
+    assert not plant.pump_on
+
+
+def test_low_level_stops_heater_and_pump_until_filled_and_acknowledged() -> None:
+    plant = settled()
+    plant.fill(8.9)
+    plant.advance_to(plant.t_s + 1.0)
+    assert (plant.alarm, plant.pump_on, plant.power_percent) == ("level", False, 0.0)
+    plant.fill(12.0)
+    plant.advance_to(plant.t_s + 1.0)
+    assert plant.alarm == "level"
+    plant.acknowledge()
+    plant.advance_to(plant.t_s + 1.0)
+    assert (plant.alarm, plant.pump_on) == ("", True)
+
+
+def test_water_evaporates_26_g_an_hour() -> None:
+    plant = Plant(1)
+    plant.advance_to(24 * 3600.0)
+    assert 12.0 - plant.level_l == pytest.approx(24 * 26.0 / 994.0, rel=1e-6)
+
+
+def test_a_broken_sensor_stops_the_heater() -> None:
+    plant = Plant(1)
+    plant.run(33.0)
+    plant.advance_to(60.0)
+    plant.broken_sensor = True
+    plant.advance_to(61.0)
+    assert (plant.alarm, plant.heat_w) == ("sensor", 0.0)
+
+
+def test_standby_stops_all() -> None:
+    plant = settled()
+    plant.standby()
+    plant.advance_to(plant.t_s + 0.5)
+    assert (plant.running, plant.pump_on, plant.power_percent, plant.heat_w) == (False, False, 0.0, 0.0)
+
+
+def test_a_ramp_is_kept() -> None:
+    plant = Plant(1, constants=PlantConstants(ramp_k_per_min=0.5))
+    plant.run(33.0)
+    plant.advance_to(600.0)
+    assert plant.controlled_c == pytest.approx(25.0, abs=0.05)
+    assert plant.bath_c == pytest.approx(25.0, abs=0.5)
+
+
+def test_an_output_limit_is_kept() -> None:
+    plant = Plant(1, constants=PlantConstants(output_max=0.4))
+    plant.run(33.0)
+    plant.advance_to(60.0)
+    assert plant.power_percent == pytest.approx(40.0)
+
+
+def test_hoses_delay_by_their_transit_time() -> None:
+    """2 m of 8 mm bore at 1 L/min take 6 s (section 4.3), so the teats stay cold for so long."""
+    plant = Plant(1, constants=PlantConstants(sensor_noise_k=0.0, loss_w_per_k=0.0, hose_loss_w_per_k=0.0, pump_w=0.0))
+    plant.set_flow(1.0)
+    plant.bath_c = 33.0
+    plant.run(33.0)
+    plant.advance_to(6.0)
+    np.testing.assert_array_equal(plant.teat_c, 20.0)
+    plant.advance_to(7.0)
+    assert (plant.teat_c > 20.1).all()
+
+
+@pytest.mark.parametrize(("flow_l_per_min", "drop_mk"), [(1.0, 62.0), (3.0, 21.0), (6.0, 10.0), (10.0, 6.0)])
+def test_hoses_cool_the_water_as_tabled(flow_l_per_min: float, drop_mk: float) -> None:
+    """Section 4.3, foamed hose at 33/20 degC; with no heat through the teats they sit at the supply's temperature."""
+    plant = settled(constants=PlantConstants(teat_out_w_per_k=0.0, flow_l_per_min=flow_l_per_min))
+    assert (plant.bath_c - plant.teat_c[0]) * 1000.0 == pytest.approx(drop_mk, rel=0.05, abs=0.6)
+
+
+def test_the_sensor_has_steps_of_10_mk_and_noise_of_4_mk() -> None:
+    plant = Plant(3)
+    seen = []
+    for step in range(4000):
+        plant.advance_to((step + 1) * 0.5)
+        seen.append(plant.pv_c)
+    np.testing.assert_allclose(np.round(np.array(seen) * 100.0), np.array(seen) * 100.0, atol=1e-9)
+    assert np.std(seen) == pytest.approx(math.hypot(0.004, 0.010 / math.sqrt(12.0)), rel=0.15)
+
+
+@settings(max_examples=25, deadline=None)
+@given(looks=st.lists(st.floats(0.0, 300.0), max_size=20))
+def test_how_often_somebody_looks_changes_nothing(looks: list[float]) -> None:
+    watched, alone = Plant(5), Plant(5)
+    for plant in (watched, alone):
+        plant.run(33.0)
+    for t_s in sorted(looks):
+        watched.advance_to(t_s)
+        assert watched.t_s <= t_s + 1e-9
+    for plant in (watched, alone):
+        plant.advance_to(300.25)
+    assert (watched.pv_c, watched.bath_c, *watched.teat_c) == (alone.pv_c, alone.bath_c, *alone.teat_c)
+    assert watched.t_s == 300.0
+
+
+def test_the_seed_is_the_noise() -> None:
+    def run(seed: int) -> list[float]:
+        plant = Plant(seed)
+        return [plant.pv_c for step in range(200) if plant.advance_to(step * 0.5) is None]
+
+    assert run(1) == run(1)
+    assert run(1) != run(2)
+
+
+def test_time_does_not_go_back() -> None:
+    plant = Plant(1)
+    plant.advance_to(10.0)
+    plant.advance_to(5.0)
+    assert plant.t_s == 10.0
+
+
+@pytest.mark.parametrize("step_s", [0.0, 1.5])
+def test_a_step_too_long_is_refused(step_s: float) -> None:
+    with pytest.raises(ValueError, match="step_s"):
+        PlantConstants(step_s=step_s)
+
+
+def test_the_step_hardly_matters() -> None:
+    ends = [heated(Plant(1, constants=PlantConstants(step_s=step_s)), 20.0)[2][-1] for step_s in (0.25, 1.0)]
+    assert ends[0] == pytest.approx(ends[1], abs=0.02)
