@@ -49,7 +49,7 @@ def _identity(device: Any) -> list[str]:
 def _arm(arm: Any) -> Iterator[tuple[str, str]]:
     arm.sign_on()
     packet = arm.poll()
-    yield "counts", " ".join(str(count) for count in packet.encoders)
+    yield "counts", " ".join(str(count) for count in packet.counts)
     yield "position", "only after homing is confirmed ('teatbench run' asks for it)"
 
 

@@ -37,9 +37,9 @@ class Devices:
     operator: Operator
 
     def identities(self) -> dict[str, dict[str, str]]:
-        """What each instrument says of itself."""
-        stage = {"stage": dict(self.stage.identity)} if self.stage else {}
-        return {"arm": asdict(self.arm.identity), "bath": dict(self.bath.identity), **stage, "cameras": dict(self.cameras.identity)}
+        """What each instrument says of itself; where it was reached stands in the rig file."""
+        stage = {"stage": asdict(self.stage.identity)} if self.stage else {}
+        return {"arm": asdict(self.arm.identity), "bath": {key: value for key, value in self.bath.identity.items() if key != "url"}, **stage, "cameras": dict(self.cameras.identity)}
 
     def make_safe(self, tell: Callable[[str], None]) -> bool:
         """Bath to standby, stage still, arm's session ended: each tried whatever became of the others. True when all are safe."""

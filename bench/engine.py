@@ -155,7 +155,7 @@ class Engine:
         truth, touches = self._touch_all(trial_id, placed)
         self._check()
         answers = self._detect(frames)
-        rows = [TruthRow(i, t.point_mm, placed.visible[i - 1], t.uncertainty.u_mm) for i, t in enumerate(truth, 1)]
+        rows = [TruthRow(str(i), t.point_mm, placed.visible[i - 1], t.uncertainty.u_mm) for i, t in enumerate(truth, 1)]
         head: Row = {
             "id": trial_id,
             "number": number,
@@ -194,7 +194,7 @@ class Engine:
             return
         self._progress.state(f"moving the phantom: {trial.name}")
         (x, y), (dx, dy) = self._rig.stage.reference_mm, trial.stage_mm
-        stage.move_to(x + dx, y + dy, feed_mm_per_min=self._rig.stage.feed_mm_per_min)
+        stage.move_to(x + dx, y + dy, feed_mm_min=self._rig.stage.feed_mm_per_min)
         self._check()
 
     def _arrangement(self, trial: Trial) -> Arrangement:
@@ -259,7 +259,7 @@ class Engine:
     ) -> None:
         trial_id = str(head["id"])
         exact = self._exact_ends() if self._exact_ends else None
-        truth_rows = [truth_row(trial_id, row, None if exact is None else exact[row.teat - 1]) for row in rows]
+        truth_rows = [truth_row(trial_id, row, None if exact is None else exact[int(row.teat) - 1]) for row in rows]
         detections, found, scores = judged(trial_id, answers, rows, self._script.visible_within_mm, self._script.time_limit_s)
         self._store.finished(FinishedTrial(head, frame_rows(self._store, trial_id, frames), touches, truth_rows, detections, found, scores))
         self._store.fact("truth budget", truth[-1].uncertainty.as_dict() if truth else None)

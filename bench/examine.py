@@ -36,7 +36,7 @@ class Answer:
 class TruthRow:
     """One teat as the scorer takes it. ``u_mm`` is the standard uncertainty along an axis."""
 
-    teat: int
+    teat: str
     point_mm: tuple[float, float, float]
     visible: bool
     u_mm: float | None

@@ -93,14 +93,15 @@ def driver_openers(rig: LoadedRig, clock: Clock, urls: dict[str, str]) -> dict[s
         baud = r.stage.baud
         openers["stage"] = lambda: Stage(Link(urls["stage"], clock, who="stage", baud=baud), clock)
     if r.cameras.url != EMULATED:
-        openers["cameras"] = lambda: open_cameras(r.cameras.url, rig.path.parent)
+        openers["cameras"] = lambda: open_cameras(r.cameras.url, rig.path.parent, clock)
     return openers
 
 
-def open_cameras(url: str, folder: Path) -> Cameras:
+def open_cameras(url: str, folder: Path, clock: Clock) -> Cameras:
     """Real cameras or a recording by their URL; a recording's path is taken from ``folder``."""
     kind, _, rest = url.partition(":")
     if kind == "recording":
         return RecordingCameras(Recording(folder / rest))
     names = ("left", "right", "thermal")
-    return OpenCvCameras(dict(zip(names, rest.split(","), strict=False)))
+    sources = [int(part) if part.isdecimal() else part for part in rest.split(",")]
+    return OpenCvCameras(dict(zip(names, sources, strict=False)), clock)

@@ -83,7 +83,7 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
             frames = recording.load(frame)
             answers = [examine(detector, frames, calibration) for detector in under_test]
             known = recording.truth.get(frame, ())
-            truth = [TruthRow(t.teat, t.point_mm, t.visible, t.u_mm) for t in known]
+            truth = [TruthRow(t.teat, t.xyz_mm, t.visible, t.u_mm) for t in known]
             situation = known[0].situation if known else "unknown"
             trial = f"{number:03d}-{frame}"
             head = _head(trial, number, frame, situation)

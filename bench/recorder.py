@@ -9,7 +9,7 @@ from instruments.camera.frame import FrameSet
 from instruments.camera.recording import RecordingWriter
 from instruments.camera.recording import TruthRow as RecordedTruth
 
-from bench.config import ConfigError
+from bench.config import ConfigError, read_text
 from bench.examine import TruthRow
 
 
@@ -19,9 +19,11 @@ class Recorder:
     def __init__(self, folder: Path, calibration: Path) -> None:
         if folder.exists() and any(folder.iterdir()):
             raise ConfigError.plain(f"--record {folder}: the folder is not empty. Name a new one.")
-        self._writer = RecordingWriter(folder, calibration)
+        self._writer = RecordingWriter(folder)
+        self._writer.add_calibration(read_text(calibration))
 
     def trial(self, trial_id: str, situation: str, frames: FrameSet, truth: Sequence[TruthRow]) -> None:
         """Add a trial's frame set with its truth."""
         self._writer.add(trial_id, frames)
-        self._writer.add_truth([RecordedTruth(trial_id, situation, row.teat, row.point_mm, row.visible, row.u_mm) for row in truth])
+        rows = [RecordedTruth(situation, row.teat, row.point_mm, row.visible, row.u_mm) for row in truth]
+        self._writer.add_truth(trial_id, rows)

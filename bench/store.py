@@ -33,10 +33,10 @@ CREATE TABLE trials (id TEXT PRIMARY KEY, number INTEGER NOT NULL, name TEXT NOT
   started_s REAL, ended_s REAL, captured_s REAL, bath_c REAL, bath_state TEXT, note TEXT, wall_time TEXT NOT NULL);
 CREATE TABLE frames (trial TEXT NOT NULL REFERENCES trials, camera TEXT NOT NULL, path TEXT NOT NULL, sha256 TEXT NOT NULL, exposed_s REAL,
   PRIMARY KEY (trial, camera));
-CREATE TABLE touches (trial TEXT NOT NULL REFERENCES trials, teat INTEGER NOT NULL, touch INTEGER NOT NULL, t_s REAL NOT NULL,
+CREATE TABLE touches (trial TEXT NOT NULL REFERENCES trials, teat TEXT NOT NULL, touch INTEGER NOT NULL, t_s REAL NOT NULL,
   x_mm REAL NOT NULL, y_mm REAL NOT NULL, z_mm REAL NOT NULL, spread_mm REAL NOT NULL, packets INTEGER NOT NULL, counts TEXT NOT NULL,
   PRIMARY KEY (trial, teat, touch));
-CREATE TABLE truth (trial TEXT NOT NULL REFERENCES trials, teat INTEGER NOT NULL,
+CREATE TABLE truth (trial TEXT NOT NULL REFERENCES trials, teat TEXT NOT NULL,
   x_mm REAL NOT NULL, y_mm REAL NOT NULL, z_mm REAL NOT NULL, u_mm REAL, visible INTEGER NOT NULL, exact_mm TEXT,
   PRIMARY KEY (trial, teat));
 CREATE TABLE detections (trial TEXT NOT NULL REFERENCES trials, detector TEXT NOT NULL, hidden INTEGER NOT NULL, reason TEXT,

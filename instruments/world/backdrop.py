@@ -118,7 +118,7 @@ def _texture(patch: Patch, points_mm: Floats) -> NDArray[np.float32]:
         cv2.remap(cloth, u[i : i + 30000, None], v[i : i + 30000, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         for i in range(0, len(u), 30000)  # remap takes at most 32767 rows
     ]
-    return np.concatenate(values).reshape(-1) if values else np.zeros(0, dtype=np.float32)
+    return np.asarray(np.concatenate([np.zeros((0, 1)), *values]).reshape(-1), dtype=np.float32)
 
 
 def _cloth(seed: int, width: int, height: int) -> NDArray[np.float32]:
@@ -127,5 +127,5 @@ def _cloth(seed: int, width: int, height: int) -> NDArray[np.float32]:
     cloth = np.zeros((height, width), dtype=np.float32)
     for cell, weight in ((120, 0.5), (40, 0.3), (12, 0.2), (3, 0.15), (1, 0.12)):
         lattice = rng.standard_normal((height // cell + 2, width // cell + 2), dtype=np.float32)
-        cloth += weight * cv2.resize(lattice, (width, height), interpolation=cv2.INTER_CUBIC)
-    return np.clip(cloth, -1.5, 1.5)
+        cloth += np.float32(weight) * cv2.resize(lattice, (width, height), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(np.clip(cloth, -1.5, 1.5), dtype=np.float32)

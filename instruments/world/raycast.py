@@ -8,15 +8,19 @@ May not know of pixels, paint or lights.
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from instruments.world.solids import Bools, Floats, Ints, Solids
+import numpy as np
+from numpy.typing import NDArray
+
+from instruments.world.optics import Floats
+from instruments.world.solids import Bools, Ints, Solids
 
 BLOCK = 8192  # pairs at a time: what is worked out on the way stays in the processor's cache
 
 
-def dot(u: Floats, v: Floats) -> Floats:
-    """Scalar products of the columns of (3, n) with those of (3, n) or (3, 1)."""
+def dot(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
+    """Scalar products of the columns of (3, n) with those of (3, n), (3, 1) or (3,), float32 or float64."""
     return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
 
 

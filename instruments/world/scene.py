@@ -97,7 +97,7 @@ def _refuse_outside(stage: Stage, backdrop: Backdrop) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedSet:
-    """``left``, ``right`` uint8; ``thermal_8bit`` uint8 as delivered; ``thermal_ck`` uint16 centi-kelvin, sensor resolution, un-mirrored."""
+    """``left``, ``right`` uint8; ``thermal_8bit`` uint8 as delivered; ``thermal_ck`` uint16 centi-kelvin on the sensor's grid, un-mirrored."""
 
     left: NDArray[np.uint8]
     right: NDArray[np.uint8]
@@ -198,15 +198,19 @@ class OpticalCamera:
 
 def _bounds(covered: Cover, dark: Shade | None, shape: tuple[int, ...]) -> tuple[slice, slice] | None:
     """The part of an image that surfaces and shadows change, with the reach of the lens's blur around it."""
-    spans = [[(axis.min(), axis.max() + 1) for axis in (covered.row, covered.column)]] if len(covered.share) else []
-    spans += [[(dark.rows.start, dark.rows.stop), (dark.columns.start, dark.columns.stop)]] if dark is not None else []
-    if not spans:
-        return None
-    rows, columns = (
-        slice(max(int(min(low for low, _ in axis)) - BLUR_REACH_PX, 0), min(int(max(high for _, high in axis)) + BLUR_REACH_PX, size))
-        for axis, size in zip(zip(*spans, strict=True), shape, strict=True)
-    )
-    return rows, columns
+    rows: list[tuple[int, int]] = []
+    columns: list[tuple[int, int]] = []
+    if len(covered.share):
+        rows.append((int(covered.row.min()), int(covered.row.max()) + 1))
+        columns.append((int(covered.column.min()), int(covered.column.max()) + 1))
+    if dark is not None:
+        rows.append((dark.rows.start, dark.rows.stop))
+        columns.append((dark.columns.start, dark.columns.stop))
+    return (_around(rows, shape[0]), _around(columns, shape[1])) if rows else None
+
+
+def _around(spans: list[tuple[int, int]], size: int) -> slice:
+    return slice(max(min(low for low, _ in spans) - BLUR_REACH_PX, 0), min(max(high for _, high in spans) + BLUR_REACH_PX, size))
 
 
 def _within(part: slice, whole: slice) -> slice:

@@ -35,7 +35,8 @@ def normal_noise(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
     count = shape[0] * shape[1]
     bits = rng.integers(0, 2**64, size=-(-count // 4), dtype=np.uint64, endpoint=False)
     level = bits.astype("<u8", copy=False).view("<u2")[:count].reshape(shape)
-    return np.take(_normal_levels(), level, mode="clip")
+    noise: Image = np.take(_normal_levels(), level, mode="clip")
+    return noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +88,9 @@ class OpticalReadout:
     def blurred(self, light: Image) -> Image:
         """Through the lens's blur."""
         sigma = self.sensor.blur_px
-        return cv2.GaussianBlur(light, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE) if sigma > 0.0 else light
+        if sigma <= 0.0:
+            return light
+        return np.asarray(cv2.GaussianBlur(light, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
 
     def expected(self, light: Image, rows: slice, columns: slice) -> Expected:
         """What light (h, w) on that part of the sensor gives.

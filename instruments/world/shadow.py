@@ -84,7 +84,7 @@ def _nearest(points: Rows, way: Rows, a: Rows, b: Rows) -> tuple[Rows, Rows, Row
     along = np.maximum(part * cross - d_way, 0.0)
     off += along * way
     off -= part * span[:, None]
-    return np.sqrt(dot(off, off)), along, part
+    return np.asarray(np.sqrt(dot(off, off))), along, part
 
 
 def _sky_left(solids: Solids, casters: Ints, points: Rows) -> Rows:
@@ -125,7 +125,8 @@ def shade(shadows: ShadowMap, backdrop: Backdrop, camera: CameraModel, rays: tup
     to_x, to_y, to_z = (camera.R[0, i] * x + camera.R[1, i] * y + camera.R[2, i] for i in range(3))
     depth = -camera.centre_mm[2] / np.minimum(to_z, -1e-6)
     table_x, table_y = camera.centre_mm[0] + depth * to_x, camera.centre_mm[1] + depth * to_y
-    on_map = [((at - origin) / TEXEL_MM).astype(np.float32) for at, origin in ((table_x, shadows.x_mm), (table_y, shadows.y_mm))]
-    share = cv2.remap(shadows.share, *on_map, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1.0)
+    on_x, on_y = (((at - origin) / TEXEL_MM).astype(np.float32) for at, origin in ((table_x, shadows.x_mm), (table_y, shadows.y_mm)))
+    looked_up = cv2.remap(shadows.share, on_x, on_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1.0)
+    share = np.asarray(looked_up, dtype=np.float32)
     share[(table_y > high[1]) | (table_y < low[1]) | (to_z > -1e-6)] = 1.0
     return Shade(slice(int(top), int(bottom)), slice(int(left), int(right)), share)

@@ -58,4 +58,4 @@ def _free(points_mm: Floats, solids: Solids, itself: int, camera: CameraModel) -
     point = np.repeat(seen, count, axis=0)
     depth, _, hit = meet(solids, which, point[:, 0] / point[:, 2], point[:, 1] / point[:, 2])
     blocks = hit & (depth > 0.0) & (depth < point[:, 2])
-    return ~(blocks & (which != itself)).reshape(len(seen), count).any(axis=1)
+    return np.asarray(~(blocks & (which != itself)).reshape(len(seen), count).any(axis=1))
