@@ -6,14 +6,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
-from instruments.camera.frame import FrameSet
-from instruments.stage.driver import Stage
-
 from instruments.bath.driver import Bath
+from instruments.camera.frame import FrameSet
 from instruments.clock import Clock
 from instruments.errors import InstrumentError
 from instruments.microscribe.driver import MicroScribe
 from instruments.operators.operator import Operator
+from instruments.stage.driver import Stage
 
 
 class Cameras(Protocol):
@@ -39,7 +38,12 @@ class Devices:
     def identities(self) -> dict[str, dict[str, str]]:
         """What each instrument says of itself; where it was reached stands in the rig file."""
         stage = {"stage": asdict(self.stage.identity)} if self.stage else {}
-        return {"arm": asdict(self.arm.identity), "bath": {key: value for key, value in self.bath.identity.items() if key != "url"}, **stage, "cameras": dict(self.cameras.identity)}
+        return {
+            "arm": asdict(self.arm.identity),
+            "bath": {key: value for key, value in self.bath.identity.items() if key != "url"},
+            **stage,
+            "cameras": dict(self.cameras.identity),
+        }
 
     def make_safe(self, tell: Callable[[str], None]) -> bool:
         """Bath to standby, stage still, arm's session ended: each tried whatever became of the others. True when all are safe."""

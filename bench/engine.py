@@ -16,11 +16,10 @@ from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
-from instruments.camera.frame import FrameSet
 from numpy.typing import NDArray
 
 from bench.devices import Devices
-from bench.examine import Answer, TruthRow, detection_rows, examine, score_answer, score_row
+from bench.examine import Answer, TruthRow, detection_rows, examine, score_answer, score_row, stage_pictures
 from bench.interlocks import InterlockTrip
 from bench.rig import LoadedRig
 from bench.script import LoadedScript, Trial
@@ -29,6 +28,7 @@ from bench.store import FinishedTrial, Row, Store
 from bench.truth import TruthPoint, touched
 from bench.watch import Watch
 from detector.protocol import Detector
+from instruments.camera.frame import FrameSet
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
 from instruments.operators.operator import Arrangement, OperatorAbort, Placed
@@ -261,7 +261,9 @@ class Engine:
         exact = self._exact_ends() if self._exact_ends else None
         truth_rows = [truth_row(trial_id, row, None if exact is None else exact[int(row.teat) - 1]) for row in rows]
         detections, found, scores = judged(trial_id, answers, rows, self._script.visible_within_mm, self._script.time_limit_s)
-        self._store.finished(FinishedTrial(head, frame_rows(self._store, trial_id, frames), touches, truth_rows, detections, found, scores))
+        self._store.finished(
+            FinishedTrial(head, frame_rows(self._store, trial_id, frames, answers), touches, truth_rows, detections, found, scores)
+        )
         self._store.fact("truth budget", truth[-1].uncertainty.as_dict() if truth else None)
 
     def _wait(self, seconds: float) -> None:
@@ -279,9 +281,12 @@ class Engine:
         self._store.event(self._devices.clock.now(), kind, text, wall_time())
 
 
-def frame_rows(store: Store, trial_id: str, frames: FrameSet) -> list[Row]:
-    """Write the frames of a trial; gives back their rows."""
-    images = {"left": frames.left, "right": frames.right, "thermal": frames.thermal, "thermal_radiometric": frames.thermal_ck}
+def frame_rows(store: Store, trial_id: str, frames: FrameSet, answers: Sequence[Answer]) -> list[Row]:
+    """Write the frames of a trial, and the pictures that the detectors' stages left; gives back their rows."""
+    images: dict[str, NDArray[np.generic] | None] = {"left": frames.left, "right": frames.right}
+    images |= {"thermal": frames.thermal, "thermal_radiometric": frames.thermal_ck}
+    for answer in answers:
+        images |= stage_pictures(answer)
     return [
         store.frame(trial_id, name, image, frames.exposed_s.get(name.split("_")[0])) for name, image in images.items() if image is not None
     ]

@@ -103,6 +103,16 @@ def detection_rows(trial: str, answer: Answer) -> tuple[Row, list[Row]]:
     return head, found
 
 
+def stage_pictures(answer: Answer) -> dict[str, NDArray[np.generic]]:
+    """The two-dimensional masks among a detector's stages as 8-bit pictures, by ``detector-stage``."""
+    return {
+        f"{answer.detector}-{stage.name.replace(' ', '-')}": np.where(mask, np.uint8(255), np.uint8(0))
+        for stage in answer.detection.trace
+        for mask in stage.data.values()
+        if mask.dtype == np.bool_ and mask.ndim == 2
+    }
+
+
 def score_row(trial: str, detector: str, score: SceneScore) -> Row:
     """The row of the table ``scores``: what depends on real time stands apart, so that the rest repeats with the seed."""
     whole = score.as_dict()
@@ -115,6 +125,6 @@ def _json(value: Any) -> str | None:
 
 
 def _small(value: Any) -> Any:
-    """Points and figures go into the record; pictures are told by their shape, as the frames can make them again."""
+    """Points and figures go into the record; pictures are told by their shape (masks are kept as files of their own)."""
     array = np.asarray(value)
     return array.tolist() if array.size <= 400 else {"shape": list(array.shape), "type": str(array.dtype)}

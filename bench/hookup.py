@@ -10,21 +10,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from instruments.camera.opencv import OpenCvCameras
-from instruments.camera.recording import Recording, RecordingCameras
-from instruments.stage.driver import Stage
 from numpy.typing import NDArray
 
 from bench.devices import Cameras, Devices
 from bench.emulation import EmulatedRig
 from bench.rig import EMULATED, LoadedRig
 from instruments.bath.driver import Bath
+from instruments.camera.opencv import OpenCvCameras
+from instruments.camera.recording import Recording, RecordingCameras
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.operators.console import ConsoleOperator
 from instruments.operators.operator import Operator
+from instruments.stage.driver import Stage
 
 
 class BringUpError(InstrumentError):

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
-
-from instruments.camera.recording import Recording
 
 from bench.config import ConfigError, read_config, read_text
 from bench.engine import Ending, Engine, Progress, frame_rows, judged, truth_row
@@ -18,8 +17,12 @@ from bench.script import RECORDING_RULES, LoadedScript, Rules, check_detectors
 from bench.store import RULES, SCRIPT, FinishedTrial, Store, new_run_folder
 from detector import registry
 from detector.protocol import Detector
+from instruments.camera.recording import Recording
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
+
+
+SAME_POSE_MM = 1.5  # touches of one end scatter by less, and no bench sets a pose up again this well by chance
 
 
 def make_detectors(names: Sequence[str]) -> list[Detector]:
@@ -76,6 +79,7 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
         "about": str(path.resolve()),
         "planned": len(recording.frames),
     }
+    poses = pose_names(recording)
     try:
         write_facts(store, facts, under_test, recording.calibration_path)
         for number, frame in enumerate(recording.frames, 1):
@@ -86,10 +90,10 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
             truth = [TruthRow(t.teat, t.xyz_mm, t.visible, t.u_mm) for t in known]
             situation = known[0].situation if known else "unknown"
             trial = f"{number:03d}-{frame}"
-            head = _head(trial, number, frame, situation)
+            head = _head(trial, number, poses[frame], situation)
             scored = judged(trial, answers, truth, rules.visible_within_mm, rules.time_limit_s)
             rows = [truth_row(trial, row) for row in truth]
-            store.finished(FinishedTrial(head, frame_rows(store, trial, frames), [], rows, *scored))
+            store.finished(FinishedTrial(head, frame_rows(store, trial, frames, answers), [], rows, *scored))
         progress.trial(len(recording.frames), len(recording.frames), "")
         _end(store, Ending.FINISHED)
     except KeyboardInterrupt:
@@ -98,6 +102,24 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
     finally:
         store.close()
     return store.folder
+
+
+def pose_names(recording: Recording) -> dict[str, str]:
+    """For each frame the first one that shows the same pose: frames of one pose are repeats, not independent trials.
+
+    A recording has no word for it, so it is told by the truth: same situation, same teats, each end within SAME_POSE_MM.
+    """
+    names: dict[str, str] = {}
+    for frame in recording.frames:
+        names[frame] = next((first for first in dict.fromkeys(names.values()) if _same_pose(recording, first, frame)), frame)
+    return names
+
+
+def _same_pose(recording: Recording, one: str, other: str) -> bool:
+    a, b = recording.truth.get(one, ()), recording.truth.get(other, ())
+    if not a or [(t.situation, t.teat) for t in a] != [(t.situation, t.teat) for t in b]:
+        return False
+    return all(math.dist(p.xyz_mm, q.xyz_mm) <= SAME_POSE_MM for p, q in zip(a, b, strict=True))
 
 
 def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -> Store:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from bench.config import ConfigError, read_text
+from bench.examine import TruthRow
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import RecordingWriter
 from instruments.camera.recording import TruthRow as RecordedTruth
-
-from bench.config import ConfigError, read_text
-from bench.examine import TruthRow
 
 
 class Recorder:

@@ -92,7 +92,7 @@ def decide_error(
     quantity = "distance" if along == "radial" else "error along an axis"
     what = f"largest {quantity}" if statistic == "max" else f"{_exact(rate)} quantile of the {quantity}"
     rule = (
-        f"{what} of the found teats: accepted up to {_mm(accept)}, refused from {refuse:.3f} mm (T = {limit_mm:g} mm, u = {u_mm:g} mm, "
+        f"{what} of the found teats: accepted up to {_mm(accept)}, refused from {refuse:.3f} mm (T = {limit_mm:g} mm, u = {u_mm:.3g} mm, "
         f"5 % false acceptance); at least {needed} poses show it for {_exact(rate)} of poses with {_exact(confidence)} confidence"
     )
     if not len(worst):

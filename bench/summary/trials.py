@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bench.record import RunRecord, TrialRecord
 from bench.scoring.scene import SceneScore
-from bench.store import write_synced
+from bench.store import png_bytes, write_synced
 from bench.summary.wording import number
 from detector.calibration import Calibration
 from reports.page import Cell, Circle, Column, Cross, ImageView, Label, Overlay, Rect, Shape, Table, Tone, TrialPart
@@ -161,6 +161,28 @@ def _images(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder
             view_box=None if camera == "thermal" else _round_teats(points, width, height),
             original=f"../{paths[camera]}",
         )
+    for detection in trial.detections:
+        yield from _stage_image(run, trial, detection["detector"], folder)
+
+
+def _stage_image(run: RunRecord, trial: TrialRecord, detector: str, folder: Path) -> Iterator[ImageView]:
+    """The detector's edge picture, where it has one, with the points that were taken from it."""
+    path = next((row["path"] for row in trial.frames if row["camera"] == f"{detector}-edges"), None)
+    detection = next(d for d in trial.detections if d["detector"] == detector)
+    image = None if path is None else cv2.imread(str(run.folder / path), cv2.IMREAD_GRAYSCALE)
+    if path is None or image is None:
+        return
+    name = f"images/{trial.id}-{detector}-edges.png"
+    write_synced(folder / name, png_bytes(255 - image))
+    trace = json.loads(detection["trace"])
+    points = [(stage, p) for stage in ("vertical ends", "horizontal middles") for p in _points(trace, stage, "points_px")]
+    overlays = [Overlay("other", "line ends and middles", tuple(Circle(p[0], p[1], 4, stage) for stage, p in points))]
+    ends = _points(trace, "teat ends", "points_px")
+    overlays.append(Overlay("nomination", "thermal nomination", tuple(Cross(x, y, 6, title="nominated") for x, y in ends)))
+    label = f"{detector}: edges in the thermal frame"
+    height, width = image.shape
+    alt = f"{label}, trial {trial.id}"
+    yield ImageView(label, name, width, height, alt, tuple(o for o in overlays if o.shapes), original=f"../{path}")
 
 
 def project_all(calibration: Calibration, world_mm: Points) -> dict[str, Points | None]:

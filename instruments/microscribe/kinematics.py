@@ -19,12 +19,14 @@ Counts = npt.NDArray[np.int64]
 JOINTS = 6
 COUNT_MODULUS = 1 << 14  # counts go on past one turn, modulo this
 BETA_JOINT = 2  # the only joint with the extra angle
-# How far each joint turns either way from the home pose. The maker states none: ours let the elbow stay up and
-# keep the stylus clear of its own forearm, and reach all that stands on a table beside the arm.
-HALF_RANGE_RAD: Floats = np.radians([178.0, 120.0, 150.0, 178.0, 150.0, 178.0])
+# How far each joint turns from the home pose, (6, 2) rad. The maker states none. Ours: the base all around, the
+# upper arm from leaning back to lying forward, the elbow from folded to nearly straight, so that it stays above the
+# wrist and never bends the wrong way, and a wrist that goes most of the way around.
+RANGES_RAD: Floats = np.radians([(-180, 180), (-140, 30), (-25, 140), (-178, 178), (-150, 150), (-180, 180)])
 
 _DIRECTION_MM = 100.0  # weighs the stylus direction against the tip: 0.01 mm is worth 0.1 mrad
 _TOLERANCE_MM = 1e-7
+_BLIND_RAD = 0.02
 _STEPS = 60
 _STARTS = 48
 
@@ -149,21 +151,26 @@ def inverse(
     direction: npt.ArrayLike | None = None,
     *,
     start: npt.ArrayLike,
-    half_range_rad: Floats = HALF_RANGE_RAD,
+    ranges_rad: Floats = RANGES_RAD,
 ) -> Floats:
     """The counts (6,), not rounded, that hold the tip at ``point_mm`` (3,) with the stylus along ``direction`` (3,).
 
-    ``direction`` points from the tip up the stylus; None leaves it to the arm. ``start`` (6,) counts is the home
-    pose: joints stay within ``half_range_rad`` of it, and of several poses the nearest to it is taken. Damped
+    ``direction`` points from the tip up the stylus; None leaves it to the arm. It is met exactly but where the stylus
+    is in line with the forearm: the wrist's axes aren't quite square, which leaves a blind cone of about a degree,
+    and the nearest direction outside it is taken, at most 0.02 rad away. ``start`` (6,) counts is the home
+    pose: joints stay within ``ranges_rad`` (6, 2) of it, and of several poses the nearest to it is taken. Damped
     least squares from many starts at once. Raises OutOfReachError where no pose fits.
     """
     goal = np.asarray(point_mm, dtype=np.float64)
     stylus = None if direction is None else _unit(direction)
     home = geometry.angles(start)[0]
-    angles = _starts(geometry, goal, stylus, home, half_range_rad)
+    angles = _starts(geometry, goal, stylus, home, ranges_rad)
     angles, misses_mm = _settle(geometry, angles, goal, stylus)
+    if _TOLERANCE_MM < misses_mm.min() < _BLIND_RAD * _DIRECTION_MM:
+        angles, misses_mm = _settle(geometry, angles[misses_mm < _BLIND_RAD * _DIRECTION_MM], goal, None)
     turned = np.mod(angles - home + np.pi, 2.0 * np.pi) - np.pi
-    fits = (misses_mm < _TOLERANCE_MM) & (np.abs(turned[:, geometry.active]) <= half_range_rad[geometry.active]).all(axis=1)
+    within = (turned >= ranges_rad[:, 0]) & (turned <= ranges_rad[:, 1])
+    fits = (misses_mm < _TOLERANCE_MM) & within[:, geometry.active].all(axis=1)
     if not fits.any():
         raise OutOfReachError(_why_not(goal, stylus, float(misses_mm.min())))
     nearest = turned[fits][np.argmin(np.linalg.norm(turned[fits], axis=1))]
@@ -178,16 +185,17 @@ def _why_not(goal: Floats, stylus: Floats | None, miss_mm: float) -> str:
     return f"out of reach: {where}; the nearest pose misses by {miss_mm:.1f} mm. Move the target nearer to the arm"
 
 
-def _starts(geometry: ArmGeometry, goal: Floats, stylus: Floats | None, home: Floats, half_range_rad: Floats) -> Floats:
+def _starts(geometry: ArmGeometry, goal: Floats, stylus: Floats | None, home: Floats, ranges_rad: Floats) -> Floats:
     """Home and the best poses of a lattice over the joint ranges, each with its base turned to face the goal."""
-    steps = [np.zeros(1)] + [np.linspace(-0.9, 0.9, 7) * half_range_rad[j] * geometry.active[j] for j in range(1, 5)] + [np.zeros(1)]
-    lattice = home + np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, JOINTS)
-    poses = np.concatenate([home[None], lattice])
+    steps = [np.zeros(1)] + [np.linspace(low, high, 9)[1:-1] * geometry.active[j] for j, (low, high) in enumerate(ranges_rad[1:-1], 1)]
+    lattice = home + np.stack(np.meshgrid(*steps, np.zeros(1), indexing="ij"), axis=-1).reshape(-1, JOINTS)
+    poses: Floats = np.concatenate([home[None], lattice])
     tips, _ = geometry.forward_angles(poses)
     poses[:, 0] += np.arctan2(goal[1], goal[0]) - np.arctan2(tips[:, 1], tips[:, 0])
     misses_mm = np.linalg.norm(_misses(geometry, poses, goal, stylus), axis=1)
     best = np.argsort(misses_mm[1:], kind="stable")[: _STARTS - 1] + 1
-    return poses[np.concatenate([[0], best])]
+    chosen: Floats = poses[np.concatenate([[0], best])]
+    return chosen
 
 
 def _misses(geometry: ArmGeometry, angles: Floats, goal: Floats, stylus: Floats | None) -> Floats:

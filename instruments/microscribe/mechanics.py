@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from instruments.microscribe.kinematics import HALF_RANGE_RAD, JOINTS, ArmGeometry, Floats, inverse
+from instruments.microscribe.kinematics import JOINTS, RANGES_RAD, ArmGeometry, Floats, inverse
 
 _POSES = 4000
 _BLOCK = 1024
@@ -66,7 +66,7 @@ class KinematicError:
 
 def workspace(geometry: ArmGeometry, home_rad: Floats, chance: np.random.Generator) -> Floats:
     """Poses (n, 6) rad spread over the joint ranges whose tip is above the table that the arm stands on."""
-    poses = home_rad + chance.uniform(-1.0, 1.0, (_POSES, JOINTS)) * HALF_RANGE_RAD * geometry.active
+    poses = home_rad + chance.uniform(RANGES_RAD[:, 0], RANGES_RAD[:, 1], (_POSES, JOINTS)) * geometry.active
     tips, _ = geometry.forward_angles(poses)
     return poses[tips[:, 2] > 0.0]
 

@@ -56,7 +56,7 @@ class Dialogue:
         pushed: list[Response] = []
         start = self._clock.now()
         while True:
-            answer = self._next(start + timeout_s)
+            answer = self._next(start + timeout_s) if self._clock.now() <= start + timeout_s else None
             if answer is None:
                 hint = "Check power and cable; then recover() starts the controller anew."
                 raise LinkError(self.who, "no answer", asked=text, seconds=timeout_s, hint=hint)
@@ -97,6 +97,7 @@ class Dialogue:
 
     def start(self) -> Welcome:
         """Wait for the welcome of a board that the opening of its port has reset, or reset it. For a new link."""
+        self.upsets += 1
         return self._welcome(START_S) or self.restart()
 
     def restart(self) -> Welcome:
@@ -106,7 +107,8 @@ class Dialogue:
         self._write(SOFT_RESET)
         welcome = self._welcome(START_S)
         if welcome is None:
-            raise LinkError(self.who, "no welcome after a reset", asked=SOFT_RESET, seconds=START_S, hint="Check power, cable and baud rate.")
+            hint = "Check power, cable and baud rate."
+            raise LinkError(self.who, "no welcome after a reset", asked=SOFT_RESET, seconds=START_S, hint=hint)
         return welcome
 
     def _welcome(self, timeout_s: float) -> Welcome | None:
@@ -143,7 +145,7 @@ class Dialogue:
     def _next(self, until_s: float) -> Response | None:
         """The next answer or push that is good; None once the time is over. Raises for the others."""
         while not self._inbox:
-            data = self._receive(until_s)
+            data = self._receive(until_s)  # at least once, even when the time is over
             if not data:
                 return None
             self._inbox.extend(self._decoder.feed(data))
@@ -151,7 +153,8 @@ class Dialogue:
 
     def _judge(self, answer: Response) -> Response:
         if isinstance(answer, Nonsense):
-            raise ProtocolError(self.who, f"nonsense: {answer.why}", asked=self.owed, seen=answer.raw[:60], hint="Check cable and earthing.")
+            hint = "Check cable and earthing."
+            raise ProtocolError(self.who, f"nonsense: {answer.why}", asked=self.owed, seen=answer.raw[:60], hint=hint)
         if isinstance(answer, Ok | ErrorReply):
             if self.owed is None:
                 raise ProtocolError(self.who, "an answer that nothing was asked for", seen=str(answer), hint="Call recover().")

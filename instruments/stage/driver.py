@@ -18,28 +18,15 @@ from numpy.typing import NDArray
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError
 from instruments.link import Link
-from instruments.stage.dialogue import Dialogue
+from instruments.stage.dialogue import ANSWER_S, Dialogue
 from instruments.stage.protocol import HOLD, RESUME, Message, Setting, Status, Welcome, move_line
-from instruments.stage.settings import AxisLimits, StageSettings, read_settings
+from instruments.stage.settings import AxisLimits, StageIdentity, StageSettings, read_settings
 
 POLL_S = 0.2  # the firmware asks for no more than 5 queries a second
 STOP_S = 10.0  # braking takes a second at most; more means that the stage doesn't obey
 TOLERANCE_MM = 0.01
-_STILL = frozenset({"Idle", "Alarm", "Sleep", "Check", "Hold:0", "Door:0", "Door:1"})
+_STILL = frozenset({"Idle", "Alarm", "Sleep", "Check", "Hold:0", "Door:0", "Door:1"})  # states, or states with a substate
 _MOVING = frozenset({"Run", "Jog", "Home"})
-
-
-@dataclass(frozen=True, slots=True)
-class StageIdentity:
-    """Who answers: the firmware's dialect and version, its build and its build options as ``$I`` prints them."""
-
-    dialect: str
-    version: str
-    build: str
-    options: str
-
-    def __str__(self) -> str:
-        return f"{self.dialect} {self.version} (build {self.build or 'unknown'}, options {self.options or 'unknown'})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +105,12 @@ class Stage:
         settings = self.settings
         if not settings.homing:
             raise LimitError(self._talk.who, "homing is switched off in the controller", hint="Fit the switches and set $22=1.")
-        self._move = None
+        if self._move is not None:
+            raise LimitError(self._talk.who, "a move is under way", asked="$H", hint="Call finish_move(), or stop() and recover().")
         self._homed_at = None
         self._talk.command("$H", settings.homing_bound_s)
         status = self._talk.status()
-        if status.name != "Idle":
+        if status.state != "Idle":
             raise DeviceError(self._talk.who, "not idle after homing", asked="$H", seen=status.name, hint="Call recover(), then home().")
         self._homed_at = self._talk.upsets
 
@@ -153,16 +141,17 @@ class Stage:
         if self._move is None:
             raise LimitError(self._talk.who, "no move is under way", hint="Call begin_move().")
         self._await_idle(self._move)
-        self._talk.command("G4P0")
+        # Idle may be reported before the move has begun: only the dwell behind it shows that it is over.
+        self._talk.command("G4P0", max(ANSWER_S, self._move.deadline_s - self._clock.now()))
         status = self._talk.status()
-        if status.name != "Idle":
+        if status.state != "Idle":
             raise DeviceError(self._talk.who, "not idle after the move", seen=status.name, hint="Was the stage held at its own panel?")
         self._compare(self._move, status)
         self._move = None
 
     def hold(self) -> None:
         """Brake and come back when the stage stands. Leaves the move to ``resume``; an idle stage is left alone."""
-        if self._talk.status().name in _MOVING:
+        if self._talk.status().state in _MOVING:
             self._talk.realtime(HOLD)
         self._await_still()
 
@@ -203,9 +192,11 @@ class Stage:
         """Leave an alarm, a hold, or a conversation out of step: restart the controller. The stage must be homed again after it."""
         self._move = None
         self._talk.restart()
-        state = self._talk.status().name
-        if state not in ("Idle", "Alarm"):
-            raise DeviceError(self._talk.who, "neither idle nor locked after a reset", seen=state, hint="Switch the controller off and on.")
+        status = self._talk.status()
+        if status.state not in ("Idle", "Alarm"):
+            raise DeviceError(
+                self._talk.who, "neither idle nor locked after a reset", seen=status.name, hint="Switch the controller off and on."
+            )
 
     def close(self) -> None:
         """Close the link. Does not stop the stage: call ``stop`` before."""
@@ -224,26 +215,26 @@ class Stage:
             raise LimitError(self._talk.who, "no move before homing", asked=line, hint="Call home(); after an alarm recover() first.")
         for axis, value in target.items():
             limits = self.limits[axis]
-            if not limits.hold(value):
+            if not limits.hold(round(value, 3)):  # as it is sent
                 what = f"{axis} = {value:.3f} mm is outside the travel, {limits.low_mm:g} to {limits.high_mm:g} mm"
                 raise LimitError(self._talk.who, what, asked=line, hint="Machine coordinates are negative, 0 is at the switch.")
 
     def _check_ready(self, status: Status, line: str) -> None:
         if not self.homed:  # the report may have brought bad news with it
             raise LimitError(self._talk.who, "no move before homing", asked=line, hint="Call home().")
-        if status.name != "Idle" or self._move is not None:
+        if status.state != "Idle" or self._move is not None:
             hint = "Call resume() and finish_move(), or recover()." if status.state == "Hold" else "Call finish_move(), or stop()."
             raise LimitError(self._talk.who, "a move is still under way, or the stage is not idle", asked=line, seen=status.name, hint=hint)
 
     def _await_idle(self, move: _Move) -> None:
-        while (name := self._talk.status().name) != "Idle":
-            if name not in _MOVING:
-                self._lost_if_locked(name)
-                hint = "Call resume() and finish_move()." if name.startswith("Hold") else "See the controller's panel; then recover()."
-                raise DeviceError(self._talk.who, "the move was interrupted", seen=name, hint=hint)
+        while (status := self._talk.status()).state != "Idle":
+            if status.state not in _MOVING:
+                self._lost_if_locked(status)
+                hint = "Call resume() and finish_move()." if status.state == "Hold" else "See the controller's panel; then recover()."
+                raise DeviceError(self._talk.who, "the move was interrupted", seen=status.name, hint=hint)
             if self._clock.now() > move.deadline_s:
                 hint = "Is a feed override set, or does an axis stick?"
-                raise DeviceError(self._talk.who, "the move takes too long", seen=name, seconds=move.allowed_s, hint=hint)
+                raise DeviceError(self._talk.who, "the move takes too long", seen=status.name, seconds=move.allowed_s, hint=hint)
             self._talk.wait(POLL_S)
 
     def _compare(self, move: _Move, status: Status) -> None:
@@ -252,22 +243,22 @@ class Stage:
         for axis, value in move.target_mm.items():
             if not abs(here[axis] - value) <= max(TOLERANCE_MM, 0.5 / steps[axis] + 0.001):
                 self._homed_at = None
-                seen = f"{axis} = {here[axis]:.3f} mm"
-                raise DeviceError(self._talk.who, f"the stage is not at its target, {axis} = {value:.3f} mm", seen=seen, hint="Home it again.")
+                what, seen = f"the stage is not at its target, {axis} = {value:.3f} mm", f"{axis} = {here[axis]:.3f} mm"
+                raise DeviceError(self._talk.who, what, seen=seen, hint="Home it again.")
 
     def _await_still(self) -> Status:
         deadline = self._clock.now() + STOP_S
-        while (status := self._talk.status()).name not in _STILL:
+        while not _STILL & {(status := self._talk.status()).state, status.name}:
             if self._clock.now() > deadline:
                 hint = "Cut its power."
                 raise DeviceError(self._talk.who, "the stage does not stop", seen=status.name, seconds=STOP_S, hint=hint)
             self._talk.wait(POLL_S)
-        self._lost_if_locked(status.name)
+        self._lost_if_locked(status)
         return status
 
-    def _lost_if_locked(self, name: str) -> None:
+    def _lost_if_locked(self, status: Status) -> None:
         """A controller that is locked without our having seen why has lost its position."""
-        if name in ("Alarm", "Sleep"):
+        if status.state in ("Alarm", "Sleep"):
             self._homed_at = None
 
     def _stop_hard(self, error: InstrumentError) -> None:

@@ -195,7 +195,7 @@ def move_line(target_mm: Mapping[str, float], feed_mm_min: float, *, who: str = 
     """
     if not target_mm or any(axis not in "XYZABC" or len(axis) != 1 for axis in target_mm):
         raise LimitError(who, f"no such axes to move: {', '.join(target_mm) or 'none'}", hint="Use X, Y, Z or A.")
-    if not feed_mm_min > 0:
+    if not feed_mm_min >= 0.001:
         raise LimitError(who, f"a feed of {feed_mm_min} mm/min is no feed")
     words = "".join(f"{axis}{_decimal(value, who)}" for axis, value in target_mm.items())
     return f"G21G90G94G53G1{words}F{_decimal(feed_mm_min, who)}"

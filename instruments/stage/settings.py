@@ -1,4 +1,4 @@
-"""What the driver must know of the controller's stored settings, read from the answers to ``$$``.
+"""What a controller says of itself: who it is, and its stored settings as the answers to ``$$`` give them.
 
 Pure. It may not know a wire, or what the settings are used for.
 """
@@ -11,6 +11,19 @@ from dataclasses import dataclass
 from instruments.errors import ProtocolError
 
 Axes = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class StageIdentity:
+    """Who answers: the firmware's dialect and version, its build and its build options as ``$I`` prints them."""
+
+    dialect: str
+    version: str
+    build: str
+    options: str
+
+    def __str__(self) -> str:
+        return f"{self.dialect} {self.version} (build {self.build or 'unknown'}, options {self.options or 'unknown'})"
 
 
 @dataclass(frozen=True, slots=True)

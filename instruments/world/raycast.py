@@ -39,12 +39,10 @@ def meet(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Flo
 def _meet_block(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats, Bools]:
     depth, height, hit = _meet_cone(solids, which, x, y)
     rays = np.stack([x, y, np.ones_like(x)])
-    slope = solids.slope[which]
+    slope, radius_0, *vectors = np.take(np.stack([solids.slope, solids.radius_0, *solids.a.T, *solids.axis.T]), which, axis=1)
     # Off the axis, and tilted by the cone's slope: n = p - a - h axis - k (r0 + k h) axis.
-    along = height + slope * (solids.radius_0[which] + slope * height)
-    normal = depth * rays
-    normal -= np.ascontiguousarray(solids.a.T)[:, which]
-    normal -= along * np.ascontiguousarray(solids.axis.T)[:, which]
+    along = height + slope * (radius_0 + slope * height)
+    normal = np.stack([depth * ray - start - along * axis for ray, start, axis in zip(rays, vectors[:3], vectors[3:], strict=True)])
     for below in (True, False):
         beyond = height < solids.low[which] if below else height > solids.high[which]
         flat = (solids.flat_a if below else solids.flat_b)[which]
@@ -64,7 +62,7 @@ def _meet_cone(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Float
     # qb is linear in the ray: its coefficients, and those of the height, are one for each solid.
     to_b = -a - (bend * h0 + k * r0) * axis
     qc = dot(a, a) - bend * h0 * h0 - 2.0 * k * r0 * h0 - r0 * r0
-    axis_x, axis_y, axis_z, b_x, b_y, b_z, bend, h0, qc = np.stack([*axis, *to_b, bend, h0, qc])[:, which]
+    axis_x, axis_y, axis_z, b_x, b_y, b_z, bend, h0, qc = np.take(np.stack([*axis, *to_b, bend, h0, qc]), which, axis=1)
     dh = x * axis_x + y * axis_y + axis_z
     qb = x * b_x + y * b_y + b_z
     qa = np.maximum(x * x + y * y + 1.0 - bend * dh * dh, 1e-9)  # a ray along the axis meets an end, never the body

@@ -35,8 +35,7 @@ def normal_noise(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
     count = shape[0] * shape[1]
     bits = rng.integers(0, 2**64, size=-(-count // 4), dtype=np.uint64, endpoint=False)
     level = bits.astype("<u8", copy=False).view("<u2")[:count].reshape(shape)
-    noise: Image = np.take(_normal_levels(), level, mode="clip")
-    return noise
+    return np.asarray(np.take(_normal_levels(), level, mode="clip"), dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,7 +71,7 @@ def _lamp_left(solids: Solids, casters: Ints, points: Rows, lamp: Lamp) -> Rows:
         radius = np.float32(solids.radius_a[i]) + part * np.float32(solids.radius_b[i] - solids.radius_a[i])
         half_shade = np.maximum(along, 2.0) * (LAMP_RADIUS_MM / far)
         np.minimum(left, np.clip(0.5 + 0.5 * (gap - radius) / half_shade, 0.0, 1.0), out=left)
-    return left
+    return np.asarray(left)
 
 
 def _nearest(points: Rows, way: Rows, a: Rows, b: Rows) -> tuple[Rows, Rows, Rows]:
@@ -98,7 +98,7 @@ def _sky_left(solids: Solids, casters: Ints, points: Rows) -> Rows:
         x, y = solids.a[i, :2].astype(np.float32)
         d2 = np.maximum((points[0] - x) ** 2 + (points[1] - y) ** 2, radius**2)
         left *= 1.0 - np.arcsin(radius / np.sqrt(d2)) / np.float32(np.pi) * height**2 / (height**2 + d2)
-    return left
+    return np.asarray(left)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -156,7 +156,7 @@ def test_text_stands_out_from_its_ground(browser: Browser, report: Path, scheme:
               const c = rgb(getComputedStyle(at).backgroundColor); if (c.length < 4 || c[3] === 1) return c; } return [255, 255, 255]; };
             const out = new Set(); const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
             while (walk.nextNode()) { const node = walk.currentNode.parentElement;
-              if (!walk.currentNode.data.trim() || node.closest('script, .pane, .swatch, .kind')) continue;
+              if (!walk.currentNode.data.trim() || node.closest('script, title, .pane, .swatch, .kind')) continue;
               const css = getComputedStyle(node), ink = rgb(node.closest('svg') ? css.fill : css.color).slice(0, 3);
               const a = light(ink), b = light(ground(node).slice(0, 3)), ratio = (Math.max(a, b) + .05) / (Math.min(a, b) + .05);
               if (ratio < 4.5) out.add(node.className + ' ' + walk.currentNode.data.trim().slice(0, 30) + ' ' + ratio.toFixed(2)); }

@@ -136,4 +136,3 @@ class Carriage:
         if self._stalled_at:
             self._slip = shifted(self._stalled_at, self._motion.position(now_s), -1.0)
             self._stalled_at = None
-

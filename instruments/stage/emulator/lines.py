@@ -94,8 +94,7 @@ def _move(board: Board, move: Move) -> Wait:
 
 def _soft_limit(board: Board) -> Wait:
     """Come to a stand without losing steps, then be deaf until a reset."""
-    if board.moving:
-        board.carriage.cancel(board.now)
+    board.carriage.cancel(board.now)
     yield from _until_still(board)
     board.alarm(2, critical=True)
     while True:
@@ -103,15 +102,15 @@ def _soft_limit(board: Board) -> Wait:
 
 
 def _plan(board: Board, move: Move) -> Wait:
-    while len(board.carriage.blocks(board.now)) >= board.dialect.planner_blocks:
-        yield board.carriage.due_s(board.now)
+    while len(board.carriage.blocks(now := board.now)) >= board.dialect.planner_blocks:
+        yield board.carriage.due_s(now)
     feed = None if move.feed_mm_min is None else move.feed_mm_min / 60
     board.carriage.go(board.settings.whole_steps(move.target_mm), feed, board.settings.rates, board.now)
 
 
 def _until_still(board: Board) -> Wait:
-    while board.moving:
-        yield board.carriage.due_s(board.now)
+    while board.carriage.moving(now := board.now):
+        yield board.carriage.due_s(now)
 
 
 def _jog(board: Board, text: str) -> Task:

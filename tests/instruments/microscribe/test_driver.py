@@ -262,8 +262,9 @@ def test_what_is_no_arm_is_refused(change: Callable[[bytes], bytes], error: type
 
 def test_nothing_is_known_before_sign_on(rig: Rig) -> None:
     driver = rig.driver()
-    asks: list[Callable[[], object]] = [lambda: driver.identity, lambda: driver.geometry, driver.poll, driver.read, driver.confirm_homed, driver.home]
-    for ask in asks:
+    known: list[Callable[[], object]] = [lambda: driver.identity, lambda: driver.maxima, lambda: driver.parameters, lambda: driver.geometry]
+    asks: list[Callable[[], object]] = [driver.poll, driver.read, driver.confirm_homed, driver.home]
+    for ask in known + asks:
         with pytest.raises(LimitError, match="Sign on first"):
             ask()
     assert rig.tap.heard == b""
@@ -273,7 +274,7 @@ def test_no_position_before_homing_is_confirmed(rig: Rig) -> None:
     driver = rig.driver()
     driver.sign_on()
     assert driver.poll().counts == UNIT_40937.home
-    with pytest.raises(LimitError, match="before homing is confirmed.*stylus on its peg"):
+    with pytest.raises(LimitError, match=r"before homing is confirmed.*stylus on its peg"):
         driver.read()
     driver.confirm_homed()
     assert driver.homed
@@ -366,7 +367,7 @@ def test_power_loss_is_noticed_and_costs_the_homing(rig: Rig) -> None:
     rig.hand.point = POINT
     driver.read()
     rig.arm.power_cycle()
-    with pytest.raises(LinkError, match="fallen silent.*power.*peg"):
+    with pytest.raises(LinkError, match=r"fallen silent.*power.*peg"):
         driver.read()
     assert not driver.homed
     with pytest.raises(LimitError, match="no session"):

@@ -58,7 +58,10 @@ def test_the_recorded_packet_is_what_we_encode() -> None:
     assert wire.encode_packet(REST) == AT_REST
 
 
-@pytest.mark.parametrize(("command", "header", "length"), [(0x03, 0x83, 13), (0x23, 0xA3, 15), (0x01, 0x81, 11), (0x02, 0x82, 15), (0, 0x80, 1)])
+@pytest.mark.parametrize(
+    ("command", "header", "length"),
+    [(0x03, 0x83, 13), (0x23, 0xA3, 15), (0x01, 0x81, 11), (0x02, 0x82, 15), (0, 0x80, 1)],
+)
 def test_packet_lengths_of_the_sheet(command: int, header: int, length: int) -> None:
     counts = (1,) * {0x03: 6, 0x23: 6, 0x01: 5, 0x02: 7, 0: 0}[command]
     data = wire.encode_packet(Packet(command, 1, counts, ticks=5 if command & 0x20 else None))
@@ -272,7 +275,15 @@ def test_the_table_of_states(event: Event, after: dict[State, State]) -> None:
 
 @pytest.mark.parametrize(
     ("byte", "event"),
-    [(0x03, Event.POLL), (0x83, Event.POLL), (0x42, Event.CONFIGURE), (0xC5, Event.END), (0x45, Event.END), (0x4F, Event.STREAM), (0xD2, Event.MARKER)],
+    [
+        (0x03, Event.POLL),
+        (0x83, Event.POLL),
+        (0x42, Event.CONFIGURE),
+        (0xC5, Event.END),
+        (0x45, Event.END),
+        (0x4F, Event.STREAM),
+        (0xD2, Event.MARKER),
+    ],
 )
 def test_bit_7_of_a_command_means_nothing(byte: int, event: Event) -> None:
     assert wire.event_of(byte) is event

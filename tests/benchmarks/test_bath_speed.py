@@ -1,0 +1,83 @@
+"""How fast the bath is polled and its plant steps. Figures only; nothing is asserted about them."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Iterator
+
+import pytest
+from pymodbus.client import AsyncModbusTcpClient
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from instruments.bath.driver import Bath
+from instruments.bath.emulator import BathEmulator
+from instruments.bath.profile import load_profile
+from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.listener import Listener
+from instruments.world.plant import Plant
+
+
+@pytest.fixture(params=[VirtualClock, RealClock], ids=["virtual", "real"])
+def served(request: pytest.FixtureRequest) -> Iterator[tuple[Clock, Listener]]:
+    clock = request.param()
+    listener = Listener(BathEmulator(Plant(1), load_profile("julabo-presto"), clock), clock, lock=threading.RLock(), name="bath")
+    yield clock, listener
+    listener.close()
+    if isinstance(clock, RealClock):
+        clock.close()
+
+
+def test_poll(benchmark: BenchmarkFixture, served: tuple[Clock, Listener]) -> None:
+    clock, listener = served
+    bath = Bath(f"tcp://127.0.0.1:{listener.port}", load_profile("julabo-presto"), clock)
+    assert benchmark(bath.read).temp_c > 19.0
+    bath.close()
+
+
+def test_the_same_question_by_pymodbus_alone(benchmark: BenchmarkFixture, served: tuple[Clock, Listener]) -> None:
+    _, listener = served
+    loop = asyncio.new_event_loop()
+    client = loop.run_until_complete(_connected(listener.port))
+
+    async def ten() -> int:
+        for _ in range(10):  # ten at once, so that starting and stopping the loop hardly counts
+            answer = await client.read_input_registers(5, count=13)
+        return len(answer.registers)
+
+    assert benchmark(lambda: loop.run_until_complete(ten())) == 13
+    client.close()
+    loop.run_until_complete(asyncio.sleep(0.01))
+    loop.close()
+
+
+async def _connected(port: int) -> AsyncModbusTcpClient:
+    client = AsyncModbusTcpClient("127.0.0.1", port=port)
+    await client.connect()
+    return client
+
+
+def test_heating_with_1200_polls(benchmark: BenchmarkFixture) -> None:
+    def heat() -> float:
+        clock = VirtualClock()
+        listener = Listener(BathEmulator(Plant(1), load_profile("julabo-presto"), clock), clock, lock=threading.RLock(), name="bath")
+        bath = Bath(f"tcp://127.0.0.1:{listener.port}", load_profile("julabo-presto"), clock)
+        bath.start(33.0)
+        for _ in range(1200):
+            clock.sleep(1.0)
+            reading = bath.read()
+        bath.close()
+        listener.close()
+        return reading.temp_c
+
+    assert benchmark(heat) == pytest.approx(33.0, abs=0.1)
+
+
+def test_3600_steps_of_the_plant(benchmark: BenchmarkFixture) -> None:
+    def half_an_hour() -> float:
+        plant = Plant(1)
+        plant.run(33.0)
+        plant.advance_to(1800.0)
+        return plant.pv_c
+
+    assert benchmark(half_an_hour) == pytest.approx(33.0, abs=0.1)

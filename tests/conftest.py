@@ -1,0 +1,51 @@
+"""For all tests: what leaks a thread fails the test that leaked it; runs on the emulated rig are shared where they may be."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bench.rig import RIGS
+from bench.script import TRIALS
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT.parent / "shared"
+
+
+@pytest.fixture(autouse=True)
+def no_leaked_threads() -> Iterator[None]:
+    before = set(threading.enumerate())
+    yield
+    deadline = time.monotonic() + 2.0
+    while (leaked := set(threading.enumerate()) - before) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not leaked, f"leaked threads: {[thread.name for thread in leaked]}"
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of data beside the project; tests that need it are skipped where it is absent."""
+    if not SHARED.is_dir():
+        pytest.skip("needs ../shared, which is absent on this machine")
+    return SHARED / "data"
+
+
+@pytest.fixture(scope="session")
+def short_script(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The six situations once each, with a stability gate of one minute."""
+    text = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
+    for old, new in {"repeats = 3": "repeats = 1", "window_s = 600.0": "window_s = 60.0"}.items():
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path_factory.mktemp("scripts") / "short.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="session")
+def emulated_rig_text() -> str:
+    return (RIGS / "emulated.toml").read_text(encoding="utf-8")

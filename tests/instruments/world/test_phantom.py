@@ -1,0 +1,97 @@
+"""The phantom: where its teat ends are, and what its solids have to do with them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from instruments.world.phantom import LAYOUTS, PIVOT_MM, Phantom, PlatePose, Teat, TeatShape, make_phantom
+
+TABLE_5_1_MM = [[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]]
+
+
+def test_table_5_1_to_the_last_digit() -> None:
+    phantom = make_phantom("table-5-1")
+    assert phantom.ends_mm == pytest.approx(np.array(TABLE_5_1_MM), abs=1e-9)
+    assert phantom.axes == pytest.approx(np.tile([0.0, 0.0, 1.0], (4, 1)))
+
+
+def test_a_leaning_teat_by_hand() -> None:
+    """30 degrees towards +x: the end is length x (sin, 0, cos) from the base."""
+    phantom = Phantom((Teat((10.0, 20.0), TeatShape(100.0, 10.0), (np.pi / 6, 0.0)),))
+    assert phantom.ends_mm[0] == pytest.approx([60.0, 20.0, 86.60254], abs=1e-5)
+
+
+@given(x=st.floats(-60, 60), y=st.floats(-60, 60), z=st.floats(0, 40), yaw=st.floats(-3.1, 3.1), name=st.sampled_from(sorted(LAYOUTS)))
+def test_a_pose_is_a_rigid_motion_about_the_pivot(x: float, y: float, z: float, yaw: float, name: str) -> None:
+    home = make_phantom(name)
+    moved = make_phantom(name, PlatePose(x, y, z, yaw))
+    c, s = np.cos(yaw), np.sin(yaw)
+    pivot = np.array([*PIVOT_MM, 0.0])
+    turned = (home.ends_mm - pivot) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + pivot + [x, y, z]
+    assert moved.ends_mm == pytest.approx(turned, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", sorted(LAYOUTS))
+def test_the_end_is_the_apex_of_the_ball(name: str) -> None:
+    phantom = make_phantom(name, PlatePose(5.0, -7.0, 0.0, 0.3))
+    for hull, end, axis, teat in zip(phantom.teat_hulls(), phantom.ends_mm, phantom.axes, phantom.teats, strict=True):
+        assert np.array(hull.b_mm) + teat.shape.radius_mm * axis == pytest.approx(end, abs=1e-9)
+        assert hull.flat_a
+        assert not hull.flat_b
+
+
+def test_non_vertical_leans_by_less_than_20_degrees() -> None:
+    phantom = make_phantom("non-vertical")
+    lean_deg = np.degrees(np.arccos(phantom.axes[:, 2]))
+    assert (lean_deg < 20.0).all()
+    assert (lean_deg > 5.0).all()
+
+
+def test_overlapping_has_two_that_touch() -> None:
+    phantom = make_phantom("overlapping")
+    first, second = phantom.bases_mm[:2]
+    radii = sum(teat.shape.radius_mm for teat in phantom.teats[:2])
+    assert np.linalg.norm(first - second) == pytest.approx(radii)
+
+
+@pytest.mark.parametrize("name", sorted(LAYOUTS))
+def test_no_two_teats_share_room(name: str) -> None:
+    hulls = make_phantom(name).teat_hulls()
+    t = np.linspace(0.0, 1.0, 60)[:, None]
+    lines = [np.array(h.a_mm) + t * (np.array(h.b_mm) - np.array(h.a_mm)) for h in hulls]
+    for i, one in enumerate(lines):
+        for j in range(i):
+            gap = np.linalg.norm(one[:, None] - lines[j][None], axis=2).min()
+            assert gap >= hulls[i].radius_a_mm + hulls[j].radius_a_mm - 1e-6
+
+
+def test_an_unknown_layout_is_explained() -> None:
+    with pytest.raises(ValueError, match=r"no phantom layout 'overlaping'; did you mean 'overlapping'\? Known: table-5-1"):
+        make_phantom("overlaping")
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: TeatShape(10.0, 11.0),
+        lambda: TeatShape(100.0, 0.0),
+        lambda: TeatShape(float("nan"), 11.0),
+        lambda: Teat((0.0, 0.0), tilt_rad=(1.2, 0.0)),
+        lambda: Teat((0.0, 0.0), tilt_rad=(float("nan"), 0.0)),
+        lambda: PlatePose(x_mm=float("inf")),
+        lambda: PlatePose(z_mm=-1.0),
+    ],
+)
+def test_nonsense_is_refused(make: object) -> None:
+    assert callable(make)
+    with pytest.raises(ValueError, match=r"must|needs|may lean|can't stand"):
+        make()
+
+
+def test_a_phantom_without_teats_is_empty() -> None:
+    empty = Phantom(())
+    assert empty.ends_mm.shape == (0, 3)
+    assert empty.hose_hulls() == empty.teat_hulls() == empty.flange_hulls() == ()
