@@ -42,7 +42,7 @@ def _check_all(
 
 
 def _identity(device: Any) -> list[str]:
-    identity = asdict(device.identity) if is_dataclass(device.identity) else dict(device.identity)
+    identity = asdict(device.identity) if is_dataclass(device.identity) and not isinstance(device.identity, type) else dict(device.identity)
     return [f"{key}: {value}" for key, value in identity.items()]
 
 

@@ -24,7 +24,7 @@ from bench.interlocks import InterlockTrip
 from bench.rig import LoadedRig
 from bench.script import LoadedScript, Trial
 from bench.stability import StabilityGate, State
-from bench.store import FinishedTrial, Row, Store
+from bench.store import FinishedTrial, Picture, Row, Store
 from bench.truth import TruthPoint, touched
 from bench.watch import Watch
 from detector.protocol import Detector
@@ -175,18 +175,19 @@ class Engine:
             self._sink.trial(trial_id, trial.situation, frames, rows)
 
     def _settle(self) -> None:
-        if self._watch.state is State.STABLE:
-            return
+        """Wait until the stability gate is open. Raises InterlockTrip where that takes longer than the script allows."""
         gate, start = self._script.bath, self._devices.clock.now()
-        while self._watch.state is not State.STABLE:
+        waited = False
+        while self._watch.state != State.STABLE:
+            waited = True
             self._wait(1.0)
-            waited_s = self._devices.clock.now() - start
-            last = self._watch.last
-            self._progress.state(f"bath {last.temp_c:.2f} degC, {self._watch.state.value}" if last else "bath")
-            if waited_s > gate.timeout_s:
+            if self._watch.last:
+                self._progress.state(f"bath {self._watch.last.temp_c:.2f} degC, {self._watch.state.value}")
+            if self._devices.clock.now() - start > gate.timeout_s:
                 why = f"the bath was not stable within {gate.timeout_s:g} s: {self._watch.why_not_stable}"
                 raise InterlockTrip("settling time", why, "Check level, lid and pump, or allow more time in the script.")
-        self._event("stable", f"the bath is stable at {gate.set_point_c:g} degC")
+        if waited:
+            self._event("stable", f"the bath is stable at {gate.set_point_c:g} degC")
 
     def _move(self, trial: Trial) -> None:
         stage = self._devices.stage
@@ -283,7 +284,7 @@ class Engine:
 
 def frame_rows(store: Store, trial_id: str, frames: FrameSet, answers: Sequence[Answer]) -> list[Row]:
     """Write the frames of a trial, and the pictures that the detectors' stages left; gives back their rows."""
-    images: dict[str, NDArray[np.generic] | None] = {"left": frames.left, "right": frames.right}
+    images: dict[str, Picture | None] = {"left": frames.left, "right": frames.right}
     images |= {"thermal": frames.thermal, "thermal_radiometric": frames.thermal_ck}
     for answer in answers:
         images |= stage_pictures(answer)

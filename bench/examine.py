@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.scoring.scene import SceneScore, score_scene
-from bench.store import Row
+from bench.store import Picture, Row
 from detector.calibration import Calibration
 from detector.protocol import Detection, Detector, Frames
 from instruments.clock import stopwatch_s
@@ -95,7 +95,7 @@ def detection_rows(trial: str, answer: Answer) -> tuple[Row, list[Row]]:
         "trace": json.dumps({stage.name: {key: _small(value) for key, value in stage.data.items()} for stage in detection.trace}),
         "wall_seconds": answer.seconds,
     }
-    found = []
+    found: list[Row] = []
     for number, teat in enumerate(detection.teats, 1):
         x, y, z = (float(v) for v in teat.world_mm)
         places = {"covariance_mm2": _json(teat.covariance_mm2), "left_px": _json(teat.left_px), "right_px": _json(teat.right_px)}
@@ -103,7 +103,7 @@ def detection_rows(trial: str, answer: Answer) -> tuple[Row, list[Row]]:
     return head, found
 
 
-def stage_pictures(answer: Answer) -> dict[str, NDArray[np.generic]]:
+def stage_pictures(answer: Answer) -> dict[str, Picture]:
     """The two-dimensional masks among a detector's stages as 8-bit pictures, by ``detector-stage``."""
     return {
         f"{answer.detector}-{stage.name.replace(' ', '-')}": np.where(mask, np.uint8(255), np.uint8(0))

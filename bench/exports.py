@@ -77,7 +77,7 @@ def junit_xml(run: RunRecord, judgements: Sequence[Judgement]) -> str:
         failures = sum(d.verdict is Verdict.NOT_MET for d in decisions)
         undecided = sum(d.verdict in (Verdict.INCONCLUSIVE, Verdict.NOT_MEASURED) for d in decisions)
         numbers = {"tests": str(len(decisions)), "failures": str(failures), "skipped": str(undecided), "errors": "0"}
-        suite = ET.SubElement(root, "testsuite", name=judgement.detector, **numbers)
+        suite = ET.SubElement(root, "testsuite", {"name": judgement.detector, **numbers})
         for decision in decisions:
             _case(suite, judgement.detector, decision)
     ET.indent(root)

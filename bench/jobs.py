@@ -21,7 +21,6 @@ from instruments.camera.recording import Recording
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
 
-
 SAME_POSE_MM = 1.5  # touches of one end scatter by less, and no bench sets a pose up again this well by chance
 
 

@@ -49,6 +49,7 @@ CREATE TABLE scores (trial TEXT NOT NULL, detector TEXT NOT NULL, score TEXT NOT
 """
 
 Row = Mapping[str, Any]
+Picture = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +114,7 @@ class Store:
         names = ("frames", "touches", "truth", "detections", "found", "scores")
         self._write(tables + [(name, getattr(done, name)) for name in names])
 
-    def frame(self, trial: str, camera: str, image: NDArray[np.generic], exposed_s: float | None) -> Row:
+    def frame(self, trial: str, camera: str, image: Picture, exposed_s: float | None) -> Row:
         """Write a frame as PNG, synced and renamed; gives back its row for the trial."""
         path = self.folder / "frames" / trial / f"{camera}.png"
         data = png_bytes(image)
@@ -141,7 +142,7 @@ class Store:
         self._db.execute("COMMIT")
 
 
-def png_bytes(image: NDArray[np.generic]) -> bytes:
+def png_bytes(image: Picture) -> bytes:
     """``image`` as a PNG, compressed fast. Raises ValueError when OpenCV can't."""
     done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     if not done:

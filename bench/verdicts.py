@@ -49,9 +49,15 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
         case ErrorRequirement():
             errors = np.linalg.norm(scores.errors_mm, axis=1)
             u_mm = max((score.u_mm for score in scores.scores), default=0.0)
-            claim = {"rate": rule.rate, "confidence": rule.confidence}
             return decide_error(
-                rule.name, errors, limit_mm=rule.limit_mm, u_mm=u_mm, poses=scores.error_poses, statistic=rule.statistic, **claim
+                rule.name,
+                errors,
+                limit_mm=rule.limit_mm,
+                u_mm=u_mm,
+                rate=rule.rate,
+                confidence=rule.confidence,
+                poses=scores.error_poses,
+                statistic=rule.statistic,
             )
         case SuccessRequirement():
             return decide_rate(rule.name, scores.success, required=rule.rate, confidence=rule.confidence)

@@ -15,7 +15,7 @@ from bench.interlocks import COMMUNICATIONS, COMMUNICATIONS_THEN, RATE_SPAN_S, I
 from bench.rig import Limits
 from bench.stability import StabilityGate, State
 from bench.store import Row
-from instruments.bath.driver import BathReading
+from instruments.bath.reading import BathReading
 from instruments.clock import Clock
 from instruments.errors import InstrumentError
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bench.record import RunRecord, TrialRecord
 from bench.scoring.scene import SceneScore
-from bench.store import png_bytes, write_synced
+from bench.store import Picture, png_bytes, write_synced
 from bench.summary.wording import number
 from detector.calibration import Calibration
 from reports.page import Cell, Circle, Column, Cross, ImageView, Label, Overlay, Rect, Shape, Table, Tone, TrialPart
@@ -141,11 +141,11 @@ def _images(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder
     for camera in CAMERAS:
         if camera not in paths:
             continue
-        image = cv2.imread(str(run.folder / paths[camera]), cv2.IMREAD_GRAYSCALE)
+        image = _grey(run.folder / paths[camera])
         if image is None:
             continue  # the store's check names a frame that is gone; the page does without
         if camera == "thermal" and calibration.thermal.mirrored:
-            image = np.ascontiguousarray(image[:, ::-1])
+            image = np.ascontiguousarray(image[:, ::-1])  # as the detector and the overlays count
         height, width = image.shape
         name = f"images/{trial.id}-{camera}.jpg"
         _write_jpeg(folder / name, image)
@@ -169,7 +169,7 @@ def _stage_image(run: RunRecord, trial: TrialRecord, detector: str, folder: Path
     """The detector's edge picture, where it has one, with the points that were taken from it."""
     path = next((row["path"] for row in trial.frames if row["camera"] == f"{detector}-edges"), None)
     detection = next(d for d in trial.detections if d["detector"] == detector)
-    image = None if path is None else cv2.imread(str(run.folder / path), cv2.IMREAD_GRAYSCALE)
+    image = None if path is None else _grey(run.folder / path)
     if path is None or image is None:
         return
     name = f"images/{trial.id}-{detector}-edges.png"
@@ -244,7 +244,15 @@ def _round_teats(points: Points | None, width: int, height: int) -> tuple[int, i
     return x, y, view_width, view_height
 
 
-def _write_jpeg(path: Path, image: NDArray[np.generic]) -> None:
+def _grey(path: Path) -> NDArray[np.uint8] | None:
+    """A frame as 8-bit grey; None where it is gone. Read through memory: OpenCV opens only ASCII paths on Windows."""
+    if not path.is_file():
+        return None
+    image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    return None if image is None else np.asarray(image, dtype=np.uint8)
+
+
+def _write_jpeg(path: Path, image: Picture) -> None:
     done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not done:
         raise ValueError(f"OpenCV can't write {path} as JPEG")

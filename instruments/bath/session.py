@@ -73,7 +73,7 @@ class Session:
             while not task.done():
                 loop.run_forever()
                 if not task.done():
-                    loop.let_time_pass()
+                    pass
         except BaseException:
             self.close()
             raise

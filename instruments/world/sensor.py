@@ -47,7 +47,7 @@ class OpticalSensor:
     """
 
     full_well_e: float = 13000.0
-    read_noise_e: float = 12.0
+    read_noise_e: float = 20.0
     offset_dn: float = 4.0
     white_dn: float = 255.0
     prnu: float = 0.006

@@ -40,19 +40,23 @@ class Hand:
 
 
 class Tap:
-    """Notes what the emulator hears, and may eat or change it."""
+    """Notes what the emulator hears; ``late_s`` holds the next bytes up for so long, once."""
 
     def __init__(self, arm: ArmEmulator) -> None:
         self.arm = arm
         self.heard = b""
-        self.change: Callable[[bytes], bytes] = bytes
+        self.late_s = 0.0
 
     def connect(self, connection: Connection) -> None:
         self.arm.connect(connection)
 
     def receive(self, connection: Connection, data: bytes) -> None:
         self.heard += data
-        self.arm.receive(connection, self.change(data))
+        late_s, self.late_s = self.late_s, 0.0
+        if late_s:
+            connection.after(late_s, lambda: self.arm.receive(connection, data))
+        else:
+            self.arm.receive(connection, data)
 
     def disconnect(self, connection: Connection) -> None:
         self.arm.disconnect(connection)
@@ -360,6 +364,14 @@ def test_one_lost_question_is_asked_again(rig: Rig) -> None:
     driver = rig.signed_on()
     rig.arm.faults.inject("silent", 1)
     driver.read()
+
+
+def test_a_late_answer_is_not_taken_for_the_next_one(rig: Rig) -> None:
+    driver = rig.signed_on()
+    rig.tap.late_s = 0.15  # after the time-out, before the silence that the driver then waits for
+    assert driver.poll().counts == UNIT_40937.home
+    rig.hand.point = POINT
+    assert driver.poll().counts != UNIT_40937.home
 
 
 def test_power_loss_is_noticed_and_costs_the_homing(rig: Rig) -> None:

@@ -1,0 +1,186 @@
+"""Recordings: what is written is read back, and every damage is named with its file and line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from instruments.camera.frame import FrameSet
+from instruments.camera.recording import Recording, RecordingCameras, RecordingError, RecordingWriter, TruthRow
+from instruments.errors import DeviceError
+
+ROOT = Path(__file__).resolve().parents[3]
+HEAD = "frame,situation,teat,x_mm,y_mm,z_mm,visible\n"
+TRUTH = (TruthRow("ideal", "1", (-110.2, 284.2, 134.2), True, 0.23), TruthRow("ideal", "2", (-161.9, 1 / 3, 137.6), False))
+
+
+def frame_set(seed: int, *, thermal: bool = True) -> FrameSet:
+    rng = np.random.default_rng(seed)
+    left, right = rng.integers(0, 256, (2, 24, 32), dtype=np.uint8)
+    if not thermal:
+        return FrameSet(left, right)
+    return FrameSet(left, right, rng.integers(0, 256, (12, 16), dtype=np.uint8), rng.integers(28000, 31000, (3, 4), dtype=np.uint16))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A recording of two frames, the second without a thermal camera."""
+    writer = RecordingWriter(tmp_path / "aufnahme ä")
+    writer.add_calibration("# none\n")
+    writer.add("0000", frame_set(0))
+    writer.add_truth("0000", TRUTH)
+    writer.add("0001", frame_set(1, thermal=False))
+    return tmp_path / "aufnahme ä"
+
+
+def test_what_is_written_is_read_back(folder: Path) -> None:
+    recording = Recording(folder)
+    assert recording.frames == ("0000", "0001")
+    assert recording.truth == {"0000": TRUTH}
+    assert recording.calibration_path.read_text(encoding="utf-8") == "# none\n"
+    for seed, name in enumerate(recording.frames):
+        written, read = frame_set(seed, thermal=seed == 0), recording.load(name)
+        for field in ("left", "right", "thermal", "thermal_ck"):
+            one, two = getattr(written, field), getattr(read, field)
+            assert (one is None and two is None) or np.array_equal(one, two)
+
+
+def test_nothing_half_written_is_left(folder: Path) -> None:
+    assert not list(folder.rglob("*.part"))
+    assert sorted(p.name for p in folder.iterdir()) == ["calibration.toml", "frames", "truth.csv"]
+
+
+def test_a_folder_is_continued(folder: Path) -> None:
+    writer = RecordingWriter(folder)
+    writer.add("0002", frame_set(2))
+    writer.add_truth("0002", TRUTH)
+    assert sorted(Recording(folder).truth) == ["0000", "0002"]
+
+
+def test_a_half_made_frame_of_an_earlier_run_is_no_frame(folder: Path) -> None:
+    (folder / "making 0005").mkdir()
+    (folder / "making 0005" / "left.png.part").write_bytes(b"x")
+    assert "0005" not in Recording(folder).frames
+    RecordingWriter(folder).add("0005", frame_set(5))
+    assert Recording(folder).load("0005").left.shape == (24, 32)
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "a:b", "..", "a ", "a?b", "a\nb"])
+def test_a_frame_id_that_a_file_system_refuses(folder: Path, name: str) -> None:
+    with pytest.raises(RecordingError, match="a frame's id must be"):
+        RecordingWriter(folder).add(name, frame_set(1))
+
+
+def test_a_frame_or_its_truth_twice_is_refused(folder: Path) -> None:
+    writer = RecordingWriter(folder)
+    with pytest.raises(RecordingError, match="there is such a frame already"):
+        writer.add("0000", frame_set(0))
+    with pytest.raises(RecordingError, match="has its truth already"):
+        writer.add_truth("0000", TRUTH)
+    with pytest.raises(RecordingError, match="no such frame was added"):
+        writer.add_truth("0009", TRUTH)
+    with pytest.raises(RecordingError, match="each teat once"):
+        writer.add_truth("0001", (TRUTH[0], TRUTH[0]))
+
+
+def test_colour_and_sixteen_bits_are_read_as_grey(folder: Path) -> None:
+    colour = np.full((24, 32, 3), (0, 255, 0), dtype=np.uint8)
+    assert cv2.imwrite(str(folder.parent / "c.png"), colour)
+    (folder.parent / "c.png").replace(folder / "frames/0000/left.png")
+    assert cv2.imwrite(str(folder.parent / "d.png"), np.full((24, 32), 65535, dtype=np.uint16))
+    (folder.parent / "d.png").replace(folder / "frames/0000/right.png")
+    frames = Recording(folder).load("0000")
+    assert frames.left[0, 0] == 150
+    assert frames.right[0, 0] == 255
+
+
+def test_a_folder_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="there is no such folder"):
+        Recording(tmp_path / "nowhere")
+    with pytest.raises(RecordingError, match=r"frames: missing"):
+        Recording(tmp_path)
+    (tmp_path / "frames").mkdir()
+    with pytest.raises(RecordingError, match=r"holds no frames"):
+        Recording(tmp_path)
+
+
+def test_damaged_images_are_named(folder: Path) -> None:
+    (folder / "frames/0001/right.png").unlink()
+    with pytest.raises(RecordingError, match=r"0001.right\.png: missing"):
+        Recording(folder).load("0001")
+    (folder / "frames/0000/left.png").write_bytes(b"not an image")
+    with pytest.raises(RecordingError, match=r"left\.png: is not an image .*12 bytes"):
+        Recording(folder).load("0000")
+    with pytest.raises(RecordingError, match=r"no frame '7'"):
+        Recording(folder).load("7")
+
+
+def test_a_radiometric_picture_of_eight_bits_is_refused(folder: Path) -> None:
+    assert cv2.imwrite(str(folder.parent / "e.png"), np.zeros((3, 4), np.uint8))
+    (folder.parent / "e.png").replace(folder / "frames/0000/thermal_radiometric.png")
+    with pytest.raises(RecordingError, match=r"thermal_radiometric\.png: must be 16-bit grey"):
+        Recording(folder).load("0000")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("frame,teat\n", r"truth\.csv:1: the column\(s\) situation, x_mm"),
+        ("", r"truth\.csv:1: the column"),
+        (HEAD + "0000,ideal,1,1,2,3,1\n0000,ideal,1,1,2,4,1\n", r"truth\.csv:3: teat '1' of frame '0000' stands here a second time"),
+        (HEAD + "0000,ideal,1,1,2,x,1\n", r"truth\.csv:2: z_mm must be a number in mm, is 'x'"),
+        (HEAD + "0000,ideal,1,1,nan,3,1\n", r"truth\.csv:2: y_mm must be finite"),
+        (HEAD + "0000,ideal,1,1,2,3,yes\n", r"truth\.csv:2: visible must be 0 or 1, is 'yes'"),
+        (HEAD + "0000,ideal,1,1,2\n", r"truth\.csv:2: has another number of values"),
+        (HEAD + "0000,ideal,1,1,2,3,1,4\n", r"truth\.csv:2: has another number of values"),
+        (HEAD + "0000,ideal,1,1,2,3,1\n0000,other,2,1,2,3,1\n", r"truth\.csv:3: frame '0000' is 'other' here and 'ideal' above"),
+        (HEAD + "0007,ideal,1,1,2,3,1\n", r"truth\.csv:2: names frame '0007', but frames/ has no such folder"),
+        (HEAD.strip() + ",u_mm\n0000,ideal,1,1,2,3,1,-1\n", r"truth\.csv:2: u_mm, a standard uncertainty"),
+        (HEAD + '0000,"ideal,1,1,2,3,1\n', r"truth\.csv: is not a table"),
+    ],
+)
+def test_a_damaged_truth_is_named_with_its_line(folder: Path, text: str, message: str) -> None:
+    (folder / "truth.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(RecordingError, match=message):
+        Recording(folder)
+
+
+def test_truth_that_is_not_text(folder: Path) -> None:
+    (folder / "truth.csv").write_bytes(HEAD.encode() + b"\xff\xfe\n")
+    with pytest.raises(RecordingError, match="is not a table of comma-separated values in UTF-8"):
+        Recording(folder)
+
+
+def test_names_that_a_table_can_not_hold(folder: Path) -> None:
+    with pytest.raises(RecordingError, match="can't hold commas"):
+        RecordingWriter(folder).add_truth("0001", (TruthRow("a,b", "1", (0.0, 0.0, 0.0), True),))
+
+
+def test_cameras_play_a_recording_once(folder: Path) -> None:
+    cameras = RecordingCameras(Recording(folder))
+    assert np.array_equal(cameras.capture().left, frame_set(0).left)
+    assert cameras.capture().thermal is None
+    with pytest.raises(DeviceError, match="all 2 frames have been played"):
+        cameras.capture()
+    assert "aufnahme" in cameras.identity["left"]
+    cameras.close()
+
+
+def test_the_path_traced_recording() -> None:
+    folder = ROOT / "../shared/data/path_traced"
+    if not folder.is_dir():
+        pytest.skip("needs ../shared/data/path_traced: absent on this machine")
+    recording = Recording(folder)
+    assert len(recording.frames) == 33
+    frames = recording.load("0000")
+    assert frames.left.shape == frames.right.shape == (1024, 1360)
+    assert frames.thermal is not None
+    assert frames.thermal_ck is not None
+    assert frames.thermal.shape == (480, 640)
+    assert frames.thermal_ck.shape == (120, 160)
+    # From the first line of its truth.csv, by eye.
+    assert recording.truth["0000"][0] == TruthRow("ideal", "1", (-250.7173, 294.5578, 131.3914), True)
+    assert sum(not row.visible for rows in recording.truth.values() for row in rows) == 2

@@ -1,0 +1,107 @@
+"""run.py: what it says when the machine isn't ready, and that a second call costs nothing."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from tests.conftest import ROOT
+
+
+@pytest.fixture
+def run_py(tmp_path: Path) -> ModuleType:
+    """The script as a module, in a copy of the project's folder that has no .venv."""
+    (tmp_path / "run.py").write_text((ROOT / "run.py").read_text(encoding="utf-8"), encoding="utf-8")
+    (tmp_path / "pyproject.toml").write_text((ROOT / "pyproject.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    spec = importlib.util.spec_from_file_location("run_py", tmp_path / "run.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def fake_python(run_py: ModuleType, text: str) -> None:
+    """Put a shell script where .venv's interpreter would be."""
+    path: Path = run_py.python()
+    path.parent.mkdir(parents=True)
+    path.write_text(f"#!/bin/sh\n{text}\n", encoding="utf-8")
+    path.chmod(0o755)
+
+
+def test_it_uses_the_standard_library_only() -> None:
+    text = (ROOT / "run.py").read_text(encoding="utf-8")
+    modules = {line.split()[1].split(".")[0] for line in text.split("\n") if line.startswith(("import ", "from "))}
+    assert modules <= sys.stdlib_module_names
+
+
+def test_an_old_python_is_told(run_py: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(run_py, "NEEDED", (99, 0))
+    assert run_py.main(["demo"]) == 2
+    assert "Python 99.0 or newer is needed" in capsys.readouterr().err
+
+
+def test_without_a_job_it_says_what_there_is(run_py: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_py.main([]) == 2
+    assert run_py.main(["--help"]) == 0
+    assert "run.py demo" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
+@pytest.mark.parametrize(
+    ("says", "hint"),
+    [
+        ("NewConnectionError: Failed to establish a new connection", "HTTPS_PROXY"),
+        ("ERROR: No matching distribution found for numpy>=2.0", "CPython 3.11, 3.12 or 3.13"),
+    ],
+)
+def test_a_failing_pip_gets_a_hint(run_py: ModuleType, capsys: pytest.CaptureFixture[str], says: str, hint: str) -> None:
+    fake_python(run_py, f'case "$*" in *install*) echo "{says}"; exit 1;; esac')
+    assert run_py.main(["demo"]) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert hint in error
+
+
+def test_a_folder_that_cannot_hold_an_environment(run_py: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / ".venv").write_text("in the way", encoding="utf-8")
+    assert run_py.main(["demo"]) == 2
+    assert "can't be made" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
+@pytest.mark.parametrize(("code", "expected"), [(0, 0), (1, 0), (4, 0), (2, 2), (3, 3)])
+def test_demo_gives_0_when_the_bench_did_its_work(run_py: ModuleType, code: int, expected: int) -> None:
+    fake_python(run_py, f'case "$*" in *bench.cli*) exit {code};; esac')
+    assert run_py.main(["demo"]) == expected
+
+
+@pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
+def test_a_second_call_installs_nothing(run_py: ModuleType, tmp_path: Path) -> None:
+    log = tmp_path / "calls"
+    fake_python(run_py, f'echo "$*" >> "{log}"')
+    assert run_py.main(["test", "-q"]) == 0
+    assert "pip install" in log.read_text(encoding="utf-8")
+    log.unlink()
+    start = time.perf_counter()
+    done = subprocess.run([sys.executable, str(tmp_path / "run.py"), "test", "-q"], check=False)
+    assert done.returncode == 0
+    assert log.read_text(encoding="utf-8") == "-m pytest -q\n", f"{time.perf_counter() - start:.2f} s"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
+def test_other_dependencies_are_installed_anew(run_py: ModuleType, tmp_path: Path) -> None:
+    log = tmp_path / "calls"
+    fake_python(run_py, f'echo "$*" >> "{log}"')
+    run_py.main(["demo"])
+    log.unlink()
+    (tmp_path / "pyproject.toml").write_text("# other\n", encoding="utf-8")
+    run_py.main(["demo"])
+    assert "pip install" in log.read_text(encoding="utf-8")
