@@ -4,6 +4,7 @@ Strategy: plain functions over Playwright, so that any test can use them: `with 
 a browser skips, saying so. Nothing here knows what a report says.
 """
 
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -56,8 +57,10 @@ class Seen:
 
 
 def chromium() -> str:
-    """The path of the machine's Chromium or Chrome; skips the test where there is none."""
+    """The path of the machine's Chromium or Chrome; skips the test where there is none, or fails it where CI promised one."""
     found = next((path for path in map(shutil.which, NAMES) if path), None)
+    if found is None and os.environ.get("TEATBENCH_NEED_BROWSER"):
+        pytest.fail("no browser is installed, and TEATBENCH_NEED_BROWSER says that there has to be one")
     if found is None:
         pytest.skip(f"needs a browser ({', '.join(NAMES)}): none is installed; on Debian: apt-get install chromium")
     return found

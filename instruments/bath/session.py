@@ -73,7 +73,7 @@ class Session:
             while not task.done():
                 loop.run_forever()
                 if not task.done():
-                    pass
+                    loop.let_time_pass()
         except BaseException:
             self.close()
             raise

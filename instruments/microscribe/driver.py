@@ -25,7 +25,7 @@ from instruments.microscribe.protocol import Packet
 from instruments.microscribe.session import Session, Unit
 
 ATTEMPTS = 3
-# Eight packets of a still arm spread by 0.3 mm at most from rounding (0.31 mm a packet) and some tremor.
+# Eight packets of a still arm spread by some 0.35 mm at most: rounding (0.31 mm a packet) and a hand's tremor.
 MAX_SPREAD_MM = 1.0
 INTERVAL_S = 0.01
 

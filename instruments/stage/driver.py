@@ -105,9 +105,9 @@ class Stage:
         settings = self.settings
         if not settings.homing:
             raise LimitError(self._talk.who, "homing is switched off in the controller", hint="Fit the switches and set $22=1.")
-        if self._move is not None:
+        if self._under_way:
             raise LimitError(self._talk.who, "a move is under way", asked="$H", hint="Call finish_move(), or stop() and recover().")
-        self._homed_at = None
+        self._move = self._homed_at = None
         self._talk.command("$H", settings.homing_bound_s)
         status = self._talk.status()
         if status.state != "Idle":
@@ -138,15 +138,16 @@ class Stage:
 
     def finish_move(self) -> None:
         """Wait for the move that was begun, or resumed. Raises DeviceError when it is held, too slow, or ends elsewhere."""
-        if self._move is None:
+        move = self._under_way
+        if move is None:
             raise LimitError(self._talk.who, "no move is under way", hint="Call begin_move().")
-        self._await_idle(self._move)
+        self._await_idle(move)
         # Idle may be reported before the move has begun: only the dwell behind it shows that it is over.
-        self._talk.command("G4P0", max(ANSWER_S, self._move.deadline_s - self._clock.now()))
+        self._talk.command("G4P0", max(ANSWER_S, move.deadline_s - self._clock.now()))
         status = self._talk.status()
         if status.state != "Idle":
             raise DeviceError(self._talk.who, "not idle after the move", seen=status.name, hint="Was the stage held at its own panel?")
-        self._compare(self._move, status)
+        self._compare(move, status)
         self._move = None
 
     def hold(self) -> None:
@@ -160,8 +161,7 @@ class Stage:
         status = self._await_still()
         if status.name != "Hold:0":
             raise LimitError(self._talk.who, "nothing to resume: the stage is not held", seen=status.name)
-        if self._move:
-            move = self._move
+        if move := self._under_way:
             self._move = _Move(move.target_mm, self._clock.now() + move.allowed_s, move.allowed_s)
         self._talk.realtime(RESUME)
         status = self._talk.status()
@@ -180,7 +180,7 @@ class Stage:
             self._talk.restart()
             return
         try:
-            if self._move is not None:
+            if self._under_way:
                 self._talk.realtime(HOLD)
             self.hold()
         except InstrumentError as error:
@@ -202,6 +202,11 @@ class Stage:
         """Close the link. Does not stop the stage: call ``stop`` before."""
         self._link.close()
 
+    @property
+    def _under_way(self) -> _Move | None:
+        """The move that was begun and not finished. Whatever costs the position ends it."""
+        return self._move if self.homed else None
+
     def _ask_identity(self, welcome: Welcome) -> StageIdentity:
         told = {answer.kind: answer.text for answer in self._talk.command("$I") if isinstance(answer, Message)}
         return StageIdentity(welcome.dialect, welcome.version, told.get("VER", "").strip(":"), told.get("OPT", ""))
@@ -222,7 +227,7 @@ class Stage:
     def _check_ready(self, status: Status, line: str) -> None:
         if not self.homed:  # the report may have brought bad news with it
             raise LimitError(self._talk.who, "no move before homing", asked=line, hint="Call home().")
-        if status.state != "Idle" or self._move is not None:
+        if status.state != "Idle" or self._under_way:
             hint = "Call resume() and finish_move(), or recover()." if status.state == "Hold" else "Call finish_move(), or stop()."
             raise LimitError(self._talk.who, "a move is still under way, or the stage is not idle", asked=line, seen=status.name, hint=hint)
 

@@ -135,7 +135,8 @@ class StageEmulator:
 
     def _arm(self) -> None:
         """Plan the faults that strike in the motion that runs now."""
-        for fault in sorted(IN_MOTION & self._faults.keys(), key=lambda fault: fault.value):
+        ready = IN_MOTION & self._faults.keys() - ({Fault.LIMIT_HIT} if self._carriage.homing else set())  # homing is there to hit switches
+        for fault in sorted(ready, key=lambda fault: fault.value):
             after = self._faults.pop(fault)
             self._later(after, lambda fault=fault: self._strike(fault))  # type: ignore[misc]
 

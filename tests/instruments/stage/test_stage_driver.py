@@ -109,7 +109,9 @@ def test_a_move_takes_its_trapezoid_and_at_most_one_poll_more(bench: Bench) -> N
     assert 2.25 <= bench.clock.now() - start <= 2.25 + 0.2 + 1e-9
 
 
-@pytest.mark.parametrize("place", [(0.001, -1.0), (-300.001, -1.0), (-1.0, -275.01), (-1.0, 1e6), (float("nan"), -1.0), (-1.0, float("inf"))])
+@pytest.mark.parametrize(
+    "place", [(0.001, -1.0), (-300.001, -1.0), (-1.0, -275.01), (-1.0, 1e6), (float("nan"), -1.0), (-1.0, float("inf"))]
+)
 def test_a_target_beyond_the_travel_is_refused_before_sending(make: Make, place: tuple[float, float]) -> None:
     bench = make()
     stage = bench.homed()

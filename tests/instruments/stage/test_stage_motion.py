@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -54,7 +55,7 @@ def test_a_profile_covers_its_length_and_joins_without_steps(length: float, entr
     assert last.place_mm(last.end_s) == pytest.approx(length, rel=1e-9, abs=1e-9)
     assert last.speed_at(last.end_s) == pytest.approx(0.0, abs=1e-5)
     assert phases[0].speed_mm_s == entry
-    for before, after in zip(phases, phases[1:], strict=False):
+    for before, after in itertools.pairwise(phases):
         assert before.speed_at(before.end_s) == pytest.approx(after.speed_mm_s, abs=1e-6)
 
 

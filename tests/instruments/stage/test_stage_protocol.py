@@ -42,7 +42,9 @@ VECTORS: list[tuple[bytes, Response]] = [
     ),
     (
         b"<Alarm|MPos:1.000,2.000,3.000,4.000|H:0|A:S|TLR:0|Pn>",
-        Status("Alarm", None, (1.0, 2.0, 3.0, 4.0), None, None, {"MPos": "1.000,2.000,3.000,4.000", "H": "0", "A": "S", "TLR": "0", "Pn": ""}),
+        Status(
+            "Alarm", None, (1.0, 2.0, 3.0, 4.0), None, None, {"MPos": "1.000,2.000,3.000,4.000", "H": "0", "A": "S", "TLR": "0", "Pn": ""}
+        ),
     ),
 ]
 NONSENSE = [

@@ -69,7 +69,7 @@ def test_small_balls_lie_where_opencv_projects_them(which: str) -> None:
     camera = _eye(which).view.camera
     places = [(x, y, z) for x in (-620.0, -200.0, 250.0) for y, z in ((150.0, 130.0), (700.0, 420.0))]
     share = hidden_share(which, *(ball(place, 4.0) for place in places))
-    for place, (u, v) in zip(places, by_opencv(camera, np.array(places)), strict=True):
+    for u, v in by_opencv(camera, np.array(places)):
         rows, columns = slice(round(v) - 14, round(v) + 15), slice(round(u) - 14, round(u) + 15)
         patch = share[rows, columns]
         at = np.array(

@@ -1,0 +1,149 @@
+"""The commands with good and bad input: one sentence, the right exit code, never a traceback."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from bench.cli import main
+from instruments.bath.driver import Bath
+from instruments.bath.profile import load_profile
+from instruments.clock import RealClock
+from instruments.link import Link
+from instruments.microscribe.driver import MicroScribe
+from tests.bench.test_end_to_end import started
+from tests.conftest import ROOT
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "no-such-script"], 'no trial script "no-such-script"'),
+        (["run", "six-situation"], 'did you mean "six-situations"'),
+        (["run", "--rig", "none.toml"], "can't be read"),
+        (["run", "--detector", "thesys"], "did you mean \"thesis\""),
+        (["report", "nowhere"], "is no run"),
+        (["score", "nowhere"], "no such folder"),
+        (["detect", "nowhere"], "no such folder"),
+        (["check", "emulatd"], 'did you mean "emulated"'),
+    ],
+)
+def test_wrong_use_gives_2_and_a_sentence(
+    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert "Traceback" not in captured.err
+    assert list(tmp_path.iterdir()) == [], "wrong use leaves nothing behind"
+
+
+@pytest.mark.parametrize("arguments", [[], ["fly"], ["run", "--seed", "x"], ["run", "--seed", "-1"]])
+def test_wrong_arguments_give_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 2
+    assert "usage" in capsys.readouterr().err
+
+
+def test_runs_that_cannot_be_kept_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    assert main(["run", "--out", str(tmp_path / "file")]) == 2
+    assert "--out" in capsys.readouterr().err
+
+
+def test_a_recording_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "rec").mkdir()
+    (tmp_path / "rec" / "mine.txt").write_text("precious", encoding="utf-8")
+    assert main(["run", "--out", str(tmp_path / "runs"), "--record", str(tmp_path / "rec")]) == 2
+    assert "not empty" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+
+
+def test_check_prints_every_instrument(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check"]) == 0
+    said = capsys.readouterr().out
+    for words in ("arm: ok", "serial_number: 40937", "bath: ok", "temperature: 20.0", "stage: ok", "Grbl", "cameras: ok", "1360 x 1024"):
+        assert words in said, words
+
+
+def test_check_names_every_instrument_that_does_not_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "bench" / "rigs" / "lab.example.toml").read_text(encoding="utf-8")
+    for real, dead in {
+        '"/dev/ttyUSB0"            #': '"/dev/no-such-port" #',
+        '"tcp://192.168.0.40:502"': '"tcp://127.0.0.1:1"',
+        '"/dev/ttyACM0"            #': '"socket://127.0.0.1:1" #',
+        '"opencv:0,1,2"': '"opencv:none1.avi,none2.avi,none3.avi"',
+    }.items():
+        assert real in text
+        text = text.replace(real, dead)
+    (tmp_path / "lab.toml").write_text(text, encoding="utf-8")
+    calibration = (ROOT / "bench" / "rigs" / "calibration.toml").read_text(encoding="utf-8")
+    (tmp_path / "calibration.toml").write_text(calibration, encoding="utf-8")
+    assert main(["check", str(tmp_path / "lab.toml")]) == 3
+    said = capsys.readouterr().out
+    for name in ("arm", "bath", "stage", "cameras"):
+        assert f"{name}: FAULT" in said
+    assert "Traceback" not in said
+
+
+def test_detect_prints_the_lines_of_the_format(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["detect", str(shared_data / "path_traced"), "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.strip().split("\n")]
+    assert len(lines) == 33
+    for line in lines:
+        assert line["detector"] == "thesis"
+        assert line["seconds"] > 0
+        assert all(len(teat["world_mm"]) == 3 for teat in line["teats"])
+    assert any(line["teats"] for line in lines)
+
+
+def test_score_runs_over_frames_that_another_program_rendered(shared_data: Path, tmp_path: Path) -> None:
+    assert main(["score", str(shared_data / "path_traced"), "--out", str(tmp_path)]) in (0, 1, 4)
+    (folder,) = tmp_path.iterdir()
+    table = json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))
+    assert len(table["trials"]) == 33
+    visible = sum(row["visible"] for trial in table["trials"] for row in trial["truth"])
+    scored = sum(len(t["scores"]["thesis"]["pairs"]) + len(t["scores"]["thesis"]["missed"]) for t in table["trials"])
+    assert scored == visible == 129
+    assert "RECORDED FRAMES" in (folder / "report" / "index.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
+def test_emulate_serves_drivers_of_another_process() -> None:
+    with started(["emulate"]) as child:
+        assert child.stdout is not None
+        urls = dict(child.stdout.readline().split() for _ in range(3))
+        assert list(urls) == ["arm", "bath", "stage"]
+        clock = RealClock()
+        arm = MicroScribe(Link(urls["arm"], clock, who="arm"), clock)
+        assert arm.sign_on().serial_number == "40937"
+        arm.close()
+        bath = Bath(urls["bath"], load_profile("julabo-presto"), clock)
+        assert 19.0 < bath.read().temp_c < 21.0
+        bath.close()
+        child.send_signal(signal.SIGINT)
+        output, _ = child.communicate(timeout=20)
+        assert child.returncode == 0, output
+
+
+def test_a_closed_pipe_is_no_fault(tmp_path: Path) -> None:
+    command = f'"{sys.executable}" -m bench.cli trials | true'
+    done = subprocess.run(
+        command, shell=True, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False  # noqa: S602
+    )
+    assert "Traceback" not in done.stderr
+
+
+def test_nothing_is_left_running(capsys: pytest.CaptureFixture[str]) -> None:
+    before = threading.active_count()
+    main(["check"])
+    assert threading.active_count() == before

@@ -1,0 +1,71 @@
+"""A real run's report, opened from disk in a real browser without a network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bench.cli import main
+from tests.chromium import browser_page
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> Path:
+    out = tmp_path_factory.mktemp("browsed")
+    assert main(["run", str(short_script), "--out", str(out)]) in (0, 1, 4)
+    (folder,) = out.iterdir()
+    return folder / "report" / "index.html"
+
+
+def test_the_first_screen_says_what_and_why_and_what_next(report: Path) -> None:
+    with browser_page() as seen:
+        page = seen.open(report)
+        top = page.locator("#verdict").inner_text().lower()
+        assert "emulated instruments" in page.locator("body").inner_text().lower()
+        for words in ("not met", "error below 5 mm", "what to do next", "how sure", "detector thesis on 6 frame sets"):
+            assert words in top, words
+        assert seen.network_requests() == []
+        assert seen.complaints == []
+
+
+def test_every_picture_is_there_and_nothing_is_asked_of_a_network(report: Path) -> None:
+    with browser_page() as seen:
+        seen.open(report)
+        widths = seen.image_widths()
+        assert len(widths) == 6 * 4
+        assert all(width > 0 for width in widths.values()), widths
+        assert sorted(set(widths.values())) == [640, 1360]
+        assert seen.network_requests() == []
+        assert not [url for url in seen.requests if url.startswith("http")]
+        assert seen.complaints == []
+
+
+def test_a_deep_link_opens_its_trial(report: Path) -> None:
+    with browser_page() as seen:
+        page = seen.open(report, "trial-004")
+        part = page.locator("#trial-004")
+        box = part.bounding_box()
+        assert box is not None
+        assert -5 <= box["y"] < 500
+        assert "hot-body-at-base" in part.inner_text()
+        assert part.locator("img").count() == 4
+        assert part.locator("svg").count() >= 3
+
+
+def test_links_of_the_trial_list_lead_to_the_trials(report: Path) -> None:
+    with browser_page() as seen:
+        page = seen.open(report)
+        links = page.locator("#trial-list a[href^='#trial-']")
+        assert links.count() == 6
+        links.nth(2).click()
+        assert page.url.endswith("#trial-003")
+
+
+def test_it_fits_a_telephone_and_the_dark(report: Path) -> None:
+    with browser_page(width=390, height=800, scheme="dark") as seen:
+        page = seen.open(report)
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        assert seen.complaints == []
