@@ -11,13 +11,12 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from typing import Literal, TypeVar
-from urllib.parse import parse_qs, urlsplit
 
 from instruments.bath.profile import Profile
 from instruments.bath.reading import BathReading, Poll
 from instruments.bath.registers import Order
 from instruments.bath.rows import Row, Table
-from instruments.bath.transactions import ILLEGAL_ADDRESS, BrokenError, RefusedError, Transactions
+from instruments.bath.transactions import ILLEGAL_ADDRESS, BrokenError, RefusedError, Transactions, address
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 
@@ -47,7 +46,7 @@ class Bath:
         self._poll = Poll(profile, self._order, gaps=True, who=self.who)
         self._set_at = -math.inf
         self._identity: dict[str, str] = {}
-        host, port, unit_id = _address(url, profile.unit_id, self.who)
+        host, port, unit_id = address(url, profile.unit_id, self.who)
         if "tcp" not in profile.transports:
             raise LinkError(self.who, f"{profile.family} does not speak Modbus TCP", hint=f"It has: {', '.join(profile.transports)}.")
         self._wire = Transactions(host, port, unit_id, clock, who=self.who)
@@ -249,17 +248,3 @@ class Bath:
         if remote is None:
             return "Switch it at the controller."
         return f"Its remote control is '{remote.label(self._get(remote))}': set it to Modbus at the controller, or switch it by hand."
-
-
-def _address(url: str, unit_id: int, who: str) -> tuple[str, int, int]:
-    hint = "Write tcp://host:port, and ?unit=2 behind it for another unit than the profile's."
-    try:
-        parts = urlsplit(url)
-        host, port = parts.hostname, parts.port or 502
-        query = parse_qs(parts.query, strict_parsing=bool(parts.query))
-        unit = int(query.pop("unit", [str(unit_id)])[-1])
-    except ValueError as error:
-        raise LinkError(who, f"not a link: {error}", hint=hint) from error
-    if parts.scheme != "tcp" or not host or query or not 1 <= unit <= 247:
-        raise LinkError(who, "not a link to a Modbus TCP device", hint=hint)
-    return host, port, unit

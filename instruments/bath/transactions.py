@@ -11,6 +11,7 @@ import logging
 import socket
 from collections.abc import Awaitable, Sequence
 from typing import Literal
+from urllib.parse import parse_qs, urlsplit
 
 from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
@@ -153,3 +154,18 @@ class Transactions:
     def _nonsense(self, what: str, asked: str) -> ProtocolError:
         seen = self._session.seen if self._session else b""
         return ProtocolError(self.who, what, asked=asked, seen=seen, hint="Is this a Modbus TCP device of the right family?")
+
+
+def address(url: str, unit_id: int, who: str) -> tuple[str, int, int]:
+    """Host, port and unit of ``tcp://host[:502][?unit=1]``; ``unit_id`` where it names none. Raises LinkError."""
+    hint = "Write tcp://host:port, and ?unit=2 behind it for another unit than the profile's."
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port or 502
+        query = parse_qs(parts.query, strict_parsing=bool(parts.query))
+        unit = int(query.pop("unit", [str(unit_id)])[-1])
+    except ValueError as error:
+        raise LinkError(who, f"not a link: {error}", hint=hint) from error
+    if parts.scheme != "tcp" or not host or query or not 1 <= unit <= 247:
+        raise LinkError(who, "not a link to a Modbus TCP device", hint=hint)
+    return host, port, unit

@@ -67,7 +67,7 @@ def _cold_teat(
 
 def _hot_cup(
     x_mm: float = -192.0, y_mm: float = 240.0, height_mm: float = 85.0, radius_mm: float = 30.0, *, foot_radius_mm: float | None = None,
-    temperature: Warmth = "teat", offset_k: float = 2.0, albedo: float = 0.7, gloss: float = 0.1, emissivity: float = 0.94,
+    temperature: Warmth = "teat", offset_k: float = 1.0, albedo: float = 0.7, gloss: float = 0.1, emissivity: float = 0.94,
 ) -> SceneObject:  # fmt: skip
     """Section 5.2.4: a cup amid the teats that stands for the udder; wider at its rim than at its foot."""
     foot = 0.8 * radius_mm if foot_radius_mm is None else foot_radius_mm

@@ -27,7 +27,7 @@ def _normal_levels() -> Image:
     """Quantiles of the unit normal at (k + 1/2) / 65536, scaled to unit variance."""
     half = [NormalDist().inv_cdf((k + 0.5) / NOISE_LEVELS) for k in range(NOISE_LEVELS // 2, NOISE_LEVELS)]
     levels = np.concatenate([-np.array(half)[::-1], half])
-    return (levels / levels.std()).astype(np.float32)
+    return np.asarray(levels / levels.std(), dtype=np.float32)
 
 
 def normal_noise(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
@@ -35,7 +35,8 @@ def normal_noise(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
     count = shape[0] * shape[1]
     bits = rng.integers(0, 2**64, size=-(-count // 4), dtype=np.uint64, endpoint=False)
     level = bits.astype("<u8", copy=False).view("<u2")[:count].reshape(shape)
-    return np.asarray(np.take(_normal_levels(), level, mode="clip"), dtype=np.float32)
+    noise: Image = np.asarray(_normal_levels().take(level, mode="clip"), dtype=np.float32)
+    return noise
 
 
 @dataclass(frozen=True, slots=True)

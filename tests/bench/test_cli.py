@@ -28,7 +28,7 @@ from tests.conftest import ROOT
         (["run", "no-such-script"], 'no trial script "no-such-script"'),
         (["run", "six-situation"], 'did you mean "six-situations"'),
         (["run", "--rig", "none.toml"], "can't be read"),
-        (["run", "--detector", "thesys"], "did you mean \"thesis\""),
+        (["run", "--detector", "thesys"], 'did you mean "thesis"'),
         (["report", "nowhere"], "is no run"),
         (["score", "nowhere"], "no such folder"),
         (["detect", "nowhere"], "no such folder"),
@@ -138,7 +138,13 @@ def test_emulate_serves_drivers_of_another_process() -> None:
 def test_a_closed_pipe_is_no_fault(tmp_path: Path) -> None:
     command = f'"{sys.executable}" -m bench.cli trials | true'
     done = subprocess.run(
-        command, shell=True, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False  # noqa: S602
+        command,
+        shell=True,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert "Traceback" not in done.stderr
 

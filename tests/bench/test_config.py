@@ -103,7 +103,7 @@ def test_a_fault_in_the_calibration_is_shown_in_the_calibration(tmp_path: Path) 
     path = rig_with(tmp_path, {})
     calibration = tmp_path / "calibration.toml"
     calibration.write_text(calibration.read_text(encoding="utf-8").replace("mirrored = true", 'mirrored = "yes"'), encoding="utf-8")
-    with pytest.raises(ConfigError, match="cameras.thermal.mirrored") as caught:
+    with pytest.raises(ConfigError, match=r"cameras\.thermal\.mirrored") as caught:
         load_rig(path)
     assert str(caught.value).startswith(str(calibration))
 

@@ -84,7 +84,7 @@ def test_trials_csv_has_a_line_a_trial(done: Done) -> None:
 
 
 def test_junit_has_a_case_a_requirement(done: Done) -> None:
-    root = ET.parse(done.run.folder / "report" / "junit.xml").getroot()  # noqa: S314 - our own file
+    root = ET.parse(done.run.folder / "report" / "junit.xml").getroot()
     cases = root.findall(".//testcase")
     table = json.loads((done.run.folder / "report" / "run.json").read_text(encoding="utf-8"))
     verdicts = {d["name"]: d["verdict"] for d in table["judgements"][0]["requirements"]}

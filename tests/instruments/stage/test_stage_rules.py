@@ -16,7 +16,8 @@ from instruments.listener import Listener
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, Fault, StageEmulator
 
-PLACES = st.tuples(st.floats(-310, 10), st.floats(-285, 10))
+INSIDE = st.tuples(st.floats(-300, 0), st.floats(-275, 0))
+PLACES = st.one_of(INSIDE, INSIDE, st.tuples(st.floats(-310, 10), st.floats(-285, 10)))
 FAULTS = (
     Fault.LOST_OK,
     Fault.LATE_OK,
@@ -39,6 +40,8 @@ class StageRules(RuleBasedStateMachine):
         self.emulator = StageEmulator(self.clock, dialect=dialect)
         self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="stage")
         self.plug_in()
+        self.target = (-1.0, -1.0)
+        self.stage.home()
 
     def plug_in(self) -> None:
         self.stage = Stage(Link(self.listener.url, self.clock, who="stage"), self.clock)
@@ -67,6 +70,9 @@ class StageRules(RuleBasedStateMachine):
         assert self.at(place)
 
     @rule(place=PLACES)
+    def begin_a_move(self, place: tuple[float, float]) -> None:
+        self.begin(place)
+
     def begin(self, place: tuple[float, float]) -> None:
         homed = self.stage.homed
         try:
@@ -85,7 +91,7 @@ class StageRules(RuleBasedStateMachine):
         assert self.at(self.target)
 
     @rule(seconds=st.floats(0.01, 3))
-    def wait(self, seconds: float) -> None:
+    def let_time_pass(self, seconds: float) -> None:
         self.clock.sleep(seconds)
 
     @rule()
@@ -104,6 +110,9 @@ class StageRules(RuleBasedStateMachine):
             return
 
     @rule()
+    def stop_now(self) -> None:
+        self.stop()
+
     def stop(self) -> None:
         start = self.clock.now()
         try:
@@ -113,6 +122,12 @@ class StageRules(RuleBasedStateMachine):
         finally:
             assert self.clock.now() - start < 15
         self.stands()
+
+    @rule(place=INSIDE, seconds=st.floats(0.01, 1))
+    def stop_on_the_way(self, place: tuple[float, float], seconds: float) -> None:
+        self.begin(place)
+        self.clock.sleep(seconds)
+        self.stop()
 
     def stands(self) -> None:
         before = self.emulator.position_mm()

@@ -6,6 +6,7 @@ import tomllib
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -153,9 +154,9 @@ def test_the_nearer_thing_is_drawn_over_the_farther() -> None:
         assert seen[v, u + 30] > 60.0
 
 
-def warm(layout: str = "table-5-1", teat_c: float = 32.5, ambient_c: float = 20.0, **more: object) -> SceneState:
+def warm(layout: str = "table-5-1", teat_c: float = 32.5, ambient_c: float = 20.0, **more: Any) -> SceneState:
     phantom = make_phantom(layout)
-    return SceneState(phantom, (teat_c,) * len(phantom.teats), teat_c - 0.5, ambient_c, **more)  # type: ignore[arg-type]
+    return SceneState(phantom, (teat_c,) * len(phantom.teats), teat_c - 0.5, ambient_c, **more)
 
 
 def test_same_state_and_seed_same_bytes() -> None:
@@ -292,7 +293,7 @@ def test_a_standing_thing_darkens_the_table_at_its_foot() -> None:
         ({"objects": (make_object("ball", y_mm=1200.0),)}, "ball stands behind the board"),
     ],
 )
-def test_a_scene_that_makes_no_sense_is_refused(change: dict[str, object], message: str) -> None:
+def test_a_scene_that_makes_no_sense_is_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replace(warm(), **change)
 

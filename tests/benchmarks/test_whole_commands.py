@@ -1,0 +1,48 @@
+"""Whole commands as a user calls them: seconds and peak memory, printed beside the aims and not asserted."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from tests.conftest import ROOT
+
+CHILD = """
+import resource, runpy, sys
+try:
+    runpy.run_module("bench.cli", run_name="__main__", alter_sys=True)
+finally:
+    print("peak", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, file=sys.stderr)
+"""
+
+
+def call(*arguments: str) -> str:
+    """Run a command in a fresh process; its standard error."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, *arguments], env=environment, capture_output=True, text=True, encoding="utf-8", check=False
+    )
+    assert done.returncode in (0, 1, 4), done.stderr
+    return done.stderr
+
+
+def show(what: str, stderr: str, aim: str) -> None:
+    peak_mib = int(stderr.split("peak ")[1].split()[0]) / 1024
+    print(f"\n{what}: peak memory {peak_mib:.0f} MiB (aims: {aim})")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the peak memory is read from the POSIX module resource")
+def test_the_demo(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
+    stderr = benchmark.pedantic(lambda: call("run", "--out", str(tmp_path)), rounds=1)
+    show("demo, six situations, 3 repeats each", stderr, "at most 60 s, under 1024 MiB")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the peak memory is read from the POSIX module resource")
+def test_help(benchmark: BenchmarkFixture) -> None:
+    stderr = benchmark.pedantic(lambda: call("--help"), rounds=5, warmup_rounds=1)
+    show("teatbench --help", stderr, "at most 0.3 s")

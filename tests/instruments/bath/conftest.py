@@ -1,0 +1,19 @@
+"""The stand that the bath's tests share; whoever leaves a thread behind fails."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from tests.instruments.bath.stand import Stand
+
+
+@pytest.fixture
+def stand() -> Iterator[Stand]:
+    before = threading.active_count()
+    stand = Stand()
+    yield stand
+    stand.close()
+    assert threading.active_count() == before

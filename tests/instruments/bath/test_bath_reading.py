@@ -1,0 +1,70 @@
+"""Polls from registers typed by hand: 33.0 as a float32 is 4204 0000, not-a-number 7FC0 0000."""
+
+from __future__ import annotations
+
+import pytest
+
+from instruments.bath.profile import load_profile
+from instruments.bath.reading import BathReading, Poll
+from instruments.bath.registers import Order
+from instruments.errors import DeviceError, ProtocolError
+
+HEAD = "0004 0000 0002 0000 0000 "  # Modbus in charge, no alarm, warning 2, a gap
+
+
+def read(registers: str, *, order: Order = "ABCD", gaps: bool = True) -> BathReading:
+    """The reading at 7 s; blocks are cut apart by ``|``."""
+    poll = Poll(load_profile("julabo-presto"), order, gaps=gaps, who="bath")
+    return poll.reading(7.0, [[int(word, 16) for word in block.split()] for block in registers.split("|")])
+
+
+def test_a_reading() -> None:
+    assert read(HEAD + "4204 0000  41F0 0000  FFCE 0000  4204 8000") == BathReading(
+        t_s=7.0,
+        temp_c=33.0,
+        raw=(0x4204, 0x0000),
+        external_c=30.0,
+        power_percent=-50.0,
+        safety_c=33.125,
+        alarm=0,
+        warning=2,
+        remote=True,
+    )
+
+
+def test_three_blocks_say_the_same_as_one() -> None:
+    apart = read("0004 0000 0002 | 4204 0000  41F0 0000  FFCE | 4204 8000", gaps=False)
+    assert apart == read(HEAD + "4204 0000  41F0 0000  FFCE 0000  4204 8000")
+
+
+def test_sensors_that_are_not_there_are_none() -> None:
+    reading = read(HEAD + "4204 0000  7FC0 0000  0000 0000  7FC0 0000")
+    assert (reading.external_c, reading.safety_c) == (None, None)
+
+
+def test_another_remote_control_shows() -> None:
+    assert read("0000 0000 0000 0000 0000  4204 0000 4204 0000 0000 0000 4204 0000").remote is False
+
+
+@pytest.mark.parametrize(
+    "registers",
+    [
+        HEAD + "0000 4204  0000 4204  0000 0000  7FC0 0000",  # 33 with its words swapped is 2.4e-41
+        HEAD + "4285 0000  4204 0000  0000 0000  7FC0 0000",  # 66.5
+        HEAD + "C0C0 0000  4204 0000  0000 0000  7FC0 0000",  # -6
+        HEAD + "7F80 0000  4204 0000  0000 0000  7FC0 0000",  # infinite
+        HEAD + "4204 0000  4204 0000  0000 0000  4300 0000",  # the safety sensor at 128
+    ],
+)
+def test_what_no_bath_has_is_not_believed(registers: str) -> None:
+    with pytest.raises(ProtocolError, match="can't be: not within -5 to 60 degC"):
+        read(registers)
+
+
+def test_no_temperature_is_told_with_the_alarm() -> None:
+    with pytest.raises(DeviceError, match=r"no temperature .*alarm 5, working sensor"):
+        read("0004 0005 0000 0000 0000  7FC0 0000  4204 0000  0000 0000  4204 0000")
+
+
+def test_freezing_water_is_believed() -> None:
+    assert read(HEAD + "0000 0000  0000 0000  0000 0000  0000 0000").temp_c == 0.0

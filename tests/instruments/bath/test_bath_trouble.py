@@ -1,0 +1,382 @@
+"""The driver when things break: silence, late answers, pulled cables, liars, Ctrl-C, and any order of them."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+
+from instruments.bath.driver import Bath
+from instruments.bath.emulator import BathEmulator
+from instruments.bath.profile import load_profile
+from instruments.bath.transactions import Transactions
+from instruments.clock import RealClock, VirtualClock
+from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
+from instruments.listener import Connection, Listener
+from instruments.world.plant import Plant
+from tests.instruments.bath.stand import Stand
+
+# ---- trouble under way
+
+
+def test_silence_costs_2_s_of_virtual_time_and_then_all_is_well(stand: Stand) -> None:
+    bath = stand.bath()
+    stand.emulator.fault("silence")
+    real = time.perf_counter()
+    with pytest.raises(LinkError, match=r"no answer \(asked input registers 5 to 17, after 2 s\)"):
+        bath.read()
+    assert time.perf_counter() - real < 0.5
+    assert stand.clock.now() == pytest.approx(2.0)
+    stand.emulator.fault("silence", on=False)
+    assert bath.read().temp_c == 20.0
+
+
+def test_a_late_answer_is_never_taken_for_the_next_one(stand: Stand) -> None:
+    bath = stand.bath()
+    bath.start(33.0)
+    stand.emulator.fault("late answer")
+    stand.emulator.late_s = 2.5  # both attempts are over by then
+    with pytest.raises(LinkError, match="no answer"):
+        bath.read()
+    stand.emulator.fault("late answer", on=False)
+    for wanted in (21.0, 22.0, 23.0):
+        bath.set_point(wanted)
+        stand.clock.sleep(0.7)
+        assert bath.get("set_point") == wanted
+
+
+def test_an_answer_within_the_second_attempt_counts(stand: Stand) -> None:
+    bath = stand.bath()
+    stand.emulator.fault("late answer")
+    assert bath.read().temp_c == pytest.approx(20.0)
+    assert stand.clock.now() == pytest.approx(1.5)
+
+
+def test_a_wrong_length_is_nonsense(stand: Stand) -> None:
+    bath = stand.bath()
+    stand.emulator.fault("wrong length")
+    with pytest.raises(ProtocolError, match=r"12 registers were answered where 13 were asked.*got 00"):
+        bath.read()
+
+
+def test_a_cable_pulled_between_two_questions_is_mended(stand: Stand) -> None:
+    bath = stand.bath()
+    bath.start(33.0)
+    for connection in list(stand.emulator.hosts):
+        connection.hang_up()
+    assert bath.read().temp_c == pytest.approx(20.0, abs=0.05)
+    assert [address for _, function, address in stand.emulator.asked if function == 3].count(93) == 2  # looked at anew
+
+
+def test_a_power_cut_is_told_once(stand: Stand) -> None:
+    bath = stand.bath()
+    bath.start(33.0)
+    stand.plant.standby()
+    for connection in list(stand.emulator.hosts):
+        connection.hang_up()
+    with pytest.raises(DeviceError, match="stopped by itself: a power cut"):
+        bath.read()
+    assert bath.read().power_percent == 0.0
+    bath.start(33.0)
+    assert stand.plant.running
+
+
+def test_a_controller_switched_off_is_a_link_error(stand: Stand) -> None:
+    bath = stand.bath()
+    stand.listener.close()
+    with pytest.raises(LinkError, match="nothing took the connection"):
+        bath.read()
+    with pytest.raises(LinkError, match="nothing took the connection"):
+        bath.safe()
+
+
+def test_an_event_of_virtual_time_may_ask_while_an_answer_is_awaited(stand: Stand) -> None:
+    bath = stand.bath()
+    stand.emulator.fault("late answer")
+    seen: list[float] = []
+    stand.clock.call_at(0.5, lambda: seen.append(bath.read().temp_c))
+    assert bath.read().temp_c == pytest.approx(20.0)
+    assert seen == [pytest.approx(20.0)]
+
+
+def test_an_interrupted_question_drops_the_link(stand: Stand) -> None:
+    bath = stand.bath()
+    bath.start(33.0)
+    stand.emulator.fault("late answer")
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    stand.clock.call_at(stand.clock.now() + 0.5, interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        bath.read()
+    stand.emulator.fault("late answer", on=False)
+    bath.safe()
+    assert not stand.plant.running
+    assert bath.read().temp_c == pytest.approx(20.0, abs=0.05)
+    assert [address for _, _, address in stand.emulator.asked].count(93) == 2  # over a new link, looked at anew
+
+
+# ---- safe
+
+
+@pytest.mark.parametrize("fault", ["fahrenheit", "sensor break", "low level", "word order", "gaps refused", "stuck heater"])
+def test_safe_is_standby_whatever_is_wrong(stand: Stand, fault: str) -> None:
+    bath = stand.bath()
+    bath.start(33.0)
+    stand.emulator.fault(fault)
+    stand.clock.sleep(1.0)
+    bath.safe()
+    bath.safe()
+    assert not stand.plant.running
+
+
+def test_safe_writes_even_what_seems_so_already(stand: Stand) -> None:
+    bath = stand.bath()
+    bath.safe()
+    assert [address for _, address in stand.emulator.writes()] == [0]
+
+
+def test_safe_gets_over_a_silence_that_ends(stand: Stand) -> None:
+    bath = stand.bath()
+    bath.start(33.0)
+    stand.emulator.fault("silence")
+    stand.clock.call_at(stand.clock.now() + 3.0, lambda: stand.emulator.fault("silence", on=False))
+    bath.safe()
+    assert not stand.plant.running
+
+
+@pytest.mark.parametrize(("fault", "error"), [("silence", LinkError), ("busy", DeviceError), ("manual mode", DeviceError)])
+def test_safe_says_so_when_it_can_not(stand: Stand, fault: str, error: type[InstrumentError]) -> None:
+    bath = stand.bath()
+    bath.start(33.0)
+    stand.emulator.fault(fault)
+    start = stand.clock.now()
+    with pytest.raises(error):
+        bath.safe()
+    assert stand.clock.now() - start < 10.0
+    stand.emulator.fault(fault, on=False)
+    bath.safe()
+    assert not stand.plant.running
+
+
+def test_whoever_cleans_up_needs_no_look_at_the_controller(stand: Stand) -> None:
+    stand.bath().start(33.0)
+    stand.emulator.fault("fahrenheit")
+    other = stand.bath(identify=False)
+    other.safe()
+    assert not stand.plant.running
+    with pytest.raises(DeviceError, match="degC"):
+        other.read()
+
+
+# ---- a controller of another make: answers that pymodbus lets through
+
+
+class Liar:
+    """Answers every request with ``reply(request)``."""
+
+    def __init__(self, reply: Callable[[bytes], bytes]) -> None:
+        self.reply = reply
+
+    def connect(self, connection: Connection) -> None:
+        """Nothing unasked."""
+
+    def disconnect(self, connection: Connection) -> None:
+        """Nothing to forget."""
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        connection.send(self.reply(data))
+
+
+@pytest.mark.parametrize(
+    ("reply", "message"),
+    [
+        (lambda asked: asked[:2] + bytes.fromhex("0000 0005 01 04 02 0000"), "function 4 was answered to function 3"),
+        (lambda asked: b"\0\x63" + bytes.fromhex("0000 0005 01 03 02 0000"), "what came is no answer to this"),  # another transaction
+        (lambda asked: asked[:2] + bytes.fromhex("0000 0005 02 03 02 0000"), "what came is no answer to this"),  # another unit
+        (lambda asked: asked[:2] + bytes.fromhex("0000 0005 01 2A 02 0000"), "what came is no answer to this"),  # no such function
+        (lambda asked: b"HTTP/1.1 400 Bad Request\r\n\r\n", r"what came is no answer to this.*got 48 54 54 50"),
+    ],
+)
+def test_answers_that_are_none(reply: Callable[[bytes], bytes], message: str) -> None:
+    clock = VirtualClock()
+    listener = Listener(Liar(reply), clock, lock=threading.RLock(), name="liar")
+    with pytest.raises(ProtocolError, match=message):
+        Bath(f"tcp://127.0.0.1:{listener.port}", load_profile("julabo-presto"), clock)
+    listener.close()
+
+
+@pytest.mark.parametrize(
+    ("single", "confirmed"),
+    [
+        (True, "06 0001 0001"),  # another register
+        (True, "06 0000 0000"),  # another value
+        (False, "10 0004 0002"),
+        (False, "10 0002 0001"),  # half of it
+    ],
+)
+def test_a_write_that_is_confirmed_wrongly(single: bool, confirmed: str) -> None:
+    clock = VirtualClock()
+    reply = bytes.fromhex("0000 0006 01" + confirmed)
+    listener = Listener(Liar(lambda asked: asked[:2] + reply), clock, lock=threading.RLock(), name="liar")
+    link = Transactions("127.0.0.1", listener.port, 1, clock, who="bath")
+    link.connect()
+    with pytest.raises(ProtocolError, match="confirms another write"):
+        link.write(0 if single else 2, [1] if single else [0x4204, 0], single=single)
+    link.close()
+    listener.close()
+
+
+# ---- real time
+
+
+def test_in_real_time_it_works_from_several_threads() -> None:
+    before, clock = threading.active_count(), RealClock()
+    profile, plant = load_profile("julabo-presto"), Plant(1)
+    listener = Listener(BathEmulator(plant, profile, clock), clock, lock=threading.RLock(), name="bath")
+    bath = Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock)
+    wrong: list[object] = []
+
+    def poll() -> None:
+        for _ in range(100):
+            if not 19.9 < bath.read().temp_c < 20.1:
+                wrong.append(bath.read())
+
+    threads = [threading.Thread(target=poll) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    bath.set_point(25.0)
+    for thread in threads:
+        thread.join()
+    assert not wrong
+    assert plant.set_point_c == 25.0
+    bath.close()
+    bath.close()
+    listener.close()
+    clock.close()
+    assert threading.active_count() == before
+
+
+def test_in_real_time_silence_takes_2_s() -> None:
+    clock, profile = RealClock(), load_profile("julabo-presto")
+    emulator = BathEmulator(Plant(1), profile, clock)
+    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
+    bath = Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock)
+    emulator.fault("silence")
+    start = clock.now()
+    with pytest.raises(LinkError, match="no answer"):
+        bath.read()
+    assert 1.9 < clock.now() - start < 3.5
+    bath.close()
+    listener.close()
+    clock.close()
+
+
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """Ctrl-C raises KeyboardInterrupt, also where a shell has started us in the background, and so without it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals to a thread: POSIX only")
+@pytest.mark.usefixtures("ctrl_c")
+def test_in_real_time_ctrl_c_ends_a_question_at_once() -> None:
+    clock, profile, plant = RealClock(), load_profile("julabo-presto"), Plant(1)
+    emulator = BathEmulator(plant, profile, clock)
+    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
+    bath = Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock)
+    bath.start(33.0)
+    emulator.fault("silence")
+    main = threading.main_thread().ident
+    assert main is not None
+    clock.call_at(clock.now() + 0.2, lambda: signal.pthread_kill(main, signal.SIGINT))
+    start = clock.now()
+    with pytest.raises(KeyboardInterrupt):
+        bath.read()
+    assert clock.now() - start < 0.9
+    emulator.fault("silence", on=False)
+    bath.safe()
+    assert not plant.running
+    bath.close()
+    listener.close()
+    clock.close()
+
+
+# ---- any order of trouble
+
+
+class BathUnderFaults(RuleBasedStateMachine):
+    """Whatever breaks in whatever order: never a wrong value, never heat after safe, always mended in the end."""
+
+    faults = st.sampled_from(["silence", "busy", "wrong length", "late answer", "manual mode", "fahrenheit", "gaps refused"])
+
+    @initialize()
+    def open(self) -> None:
+        self.stand = Stand()
+        self.bath = self.stand.bath()
+
+    @rule(fault=faults, on=st.booleans())
+    def break_or_mend(self, fault: str, on: bool) -> None:
+        self.stand.emulator.fault(fault, on=on)
+
+    @rule()
+    def pull_the_cable(self) -> None:
+        for connection in list(self.stand.emulator.hosts):
+            connection.hang_up()
+
+    @rule(seconds=st.floats(0.0, 60.0))
+    def wait(self, seconds: float) -> None:
+        self.stand.clock.sleep(seconds)
+
+    @rule()
+    def read(self) -> None:
+        try:
+            reading = self.bath.read()
+        except InstrumentError:
+            return
+        late_k = 2.0 * 1.8 / 60.0  # a late answer is up to 2 s old, at 1.8 K/min
+        assert reading.temp_c == pytest.approx(self.stand.plant.pv_c, abs=late_k + 0.03)
+
+    @rule(wanted=st.sampled_from([20.0, 25.5, 33.0]))
+    def start(self, wanted: float) -> None:
+        try:
+            self.bath.start(wanted)
+        except InstrumentError:
+            return
+        assert self.stand.plant.running
+
+    @rule()
+    def safe(self) -> None:
+        try:
+            self.bath.safe()
+        except InstrumentError:
+            return
+        assert not self.stand.plant.running
+
+    @invariant()
+    def no_set_point_that_nobody_asked_for(self) -> None:
+        if hasattr(self, "stand"):
+            assert self.stand.plant.set_point_c in (20.0, 25.5, 33.0)
+
+    def teardown(self) -> None:
+        if not hasattr(self, "stand"):
+            return
+        for fault in self.stand.emulator.faults:
+            self.stand.emulator.fault(fault, on=False)
+        self.bath.safe()
+        assert not self.stand.plant.running
+        self.stand.close()
+
+
+TestBathUnderFaults = BathUnderFaults.TestCase
+TestBathUnderFaults.settings = settings(max_examples=40, stateful_step_count=25, deadline=None)
