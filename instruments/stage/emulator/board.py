@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,7 +139,7 @@ class StageEmulator:
         ready = IN_MOTION & self._faults.keys() - ({Fault.LIMIT_HIT} if self._carriage.homing else set())  # homing is there to hit switches
         for fault in sorted(ready, key=lambda fault: fault.value):
             after = self._faults.pop(fault)
-            self._later(after, lambda fault=fault: self._strike(fault))  # type: ignore[misc]
+            self._later(after, partial(self._strike, fault))
 
     def _strike(self, fault: Fault) -> None:
         if not self._controller.moving:

@@ -1,4 +1,8 @@
-"""How the two firmwares differ, as far as a driver meets it. Facts only."""
+"""How the two firmwares differ, as far as a driver meets it. Facts only.
+
+The classic firmware's are recorded. Of grblHAL, welcome, buffer size, more fields and the answer to ``?`` in alarm 2 are;
+the number of planner blocks is that firmware's default.
+"""
 
 from __future__ import annotations
 
