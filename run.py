@@ -22,13 +22,13 @@ VENV = ROOT / ".venv"
 NEEDED = (3, 11)
 DID_ITS_WORK = (0, 1, 4)  # met, not met, inconclusive: a verdict on the detector, not a fault of the bench
 
-HINT_NETWORK = """The package index can't be reached. Check the network, or the proxy (set HTTPS_PROXY, or 'pip config set global.proxy URL').
-Without a network: on another machine with the same Python run 'pip download -d wheels .[test] hatchling', copy the folder here and
-set PIP_NO_INDEX=1 and PIP_FIND_LINKS=wheels before calling run.py again."""
-HINT_VENV = """Python can't make a virtual environment here. On Debian or Ubuntu: 'sudo apt install python3-venv'. Elsewhere install Python from
-python.org with pip included. If the folder can't be written, copy the project to a place of your own."""
-HINT_PIP = """pip could not install the packages; its last lines are above. Often an old pip or a Python without ready-made packages is the cause:
-use CPython 3.11, 3.12 or 3.13 (64 bit), delete the folder .venv and call run.py again."""
+HINT_NETWORK = """The package index can't be reached. Check the network, or the proxy (set HTTPS_PROXY, or call
+'pip config set global.proxy URL'). Without a network: on another machine with the same Python run 'pip download -d wheels .[test]
+hatchling', copy the folder here, and set PIP_NO_INDEX=1 and PIP_FIND_LINKS=wheels before calling run.py again."""
+HINT_VENV = """Python can't make a virtual environment here. On Debian or Ubuntu: 'sudo apt install python3-venv'. Elsewhere install
+Python from python.org with pip included. If the folder can't be written, copy the project to a place of your own."""
+HINT_PIP = """pip could not install the packages; its last lines are above. Often an old pip, or a Python without ready-made packages, is
+the cause: use CPython 3.11, 3.12 or 3.13 (64 bit), delete the folder .venv and call run.py again."""
 NETWORK_SIGNS = (
     "NewConnectionError",
     "Temporary failure",

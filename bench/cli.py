@@ -29,9 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if hasattr(signal, "SIGTERM"):
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C: through safe
     given = _parser().parse_args(arguments)
-    from instruments.camera.recording import RecordingError
-
     from bench.config import ConfigError
+    from instruments.camera.recording import RecordingError
     from instruments.errors import InstrumentError
 
     try:

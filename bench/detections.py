@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from instruments.camera.recording import Recording, RecordingError
 
 from bench.examine import Answer, examine
 from bench.jobs import make_detectors
 from bench.rig import read_calibration
+from instruments.camera.recording import Recording, RecordingError
 
 
 def detect_lines(path: Path, names: Sequence[str]) -> Iterator[tuple[dict[str, Any], str]]:

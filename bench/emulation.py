@@ -5,11 +5,10 @@ from __future__ import annotations
 import tomllib
 from types import TracebackType
 
-from instruments.camera.emulator import EmulatedCameras
-
 from bench.config import read_text
 from bench.rig import LoadedRig
 from instruments.bath.emulator import BathEmulator
+from instruments.camera.emulator import EmulatedCameras
 from instruments.clock import Clock
 from instruments.listener import Device, Listener
 from instruments.microscribe.emulator import ArmEmulator

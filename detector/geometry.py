@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 _NEWTON_STEPS = 60
-_NEWTON_TOLERANCE = 1e-13   # normalised units; three decades under what is promised, so that the last step is beyond doubt
+_NEWTON_TOLERANCE = 1e-13  # normalised units; three decades under what is promised, so that the last step is beyond doubt
 
 
 def rotation_from_vector(om_rad: ArrayLike) -> Array:
@@ -34,12 +34,14 @@ def vector_from_rotation(R: ArrayLike) -> Array:
     """
     m = np.asarray(R, dtype=np.float64)
     squares = np.array([1 + m.trace(), *(1 + 2 * np.diag(m) - m.trace())])
-    outer = np.array([
-        [squares[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
-        [m[2, 1] - m[1, 2], squares[1], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
-        [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], squares[2], m[1, 2] + m[2, 1]],
-        [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], squares[3]],
-    ])
+    outer = np.array(
+        [
+            [squares[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], squares[1], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
+            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], squares[2], m[1, 2] + m[2, 1]],
+            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], squares[3]],
+        ]
+    )
     q = outer[int(np.argmax(squares))]
     q = q / np.linalg.norm(q) * (1.0 if q[0] >= 0 else -1.0)
     sine = float(np.linalg.norm(q[1:]))
@@ -190,15 +192,18 @@ def _distortion_jacobian(x: Array, kc: tuple[float, ...]) -> tuple[Array, Array,
     r2 = u * u + v * v
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
-    return (radial + slope * u * u + 2 * p1 * v + 6 * p2 * u, slope * u * v + 2 * p1 * u + 2 * p2 * v,
-            radial + slope * v * v + 6 * p1 * v + 2 * p2 * u)
+    return (
+        radial + slope * u * u + 2 * p1 * v + 6 * p2 * u,
+        slope * u * v + 2 * p1 * u + 2 * p2 * v,
+        radial + slope * v * v + 6 * p1 * v + 2 * p2 * u,
+    )
 
 
 def _undistort(distorted: Array, kc: tuple[float, ...]) -> Array:
     if not any(kc):
         return distorted
     x = distorted.copy()
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):   # rows without an answer run away, and are caught below
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # rows without an answer run away, and are caught below
         for _ in range(_NEWTON_STEPS):
             error = _distort(x, kc) - distorted
             a, b, d = _distortion_jacobian(x, kc)

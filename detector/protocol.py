@@ -43,7 +43,7 @@ class Teat:
     covariance_mm2: Array | None = None
     left_px: Array | None = None
     right_px: Array | None = None
-    thermal_px: Array | None = None     # in the un-mirrored picture
+    thermal_px: Array | None = None  # in the un-mirrored picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,8 +22,11 @@ class _Entry:
 
 
 _SHIPPED = {
-    "thesis": _Entry("the published algorithm, stage by stage: thermal edges, one homography, dark line in a 41 x 41 region",
-                     "detector.thesis.detector", "ThesisDetector"),
+    "thesis": _Entry(
+        "the published algorithm, stage by stage: thermal edges, one homography, dark line in a 41 x 41 region",
+        "detector.thesis.detector",
+        "ThesisDetector",
+    ),
 }
 
 

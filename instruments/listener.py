@@ -64,6 +64,8 @@ class Connection:
     def hang_up(self) -> None:
         """Break the connection from the device's side: a pulled cable, a power cut."""
         self.open = False
+        if self._wire:
+            self._wire.closed()  # at once, so that virtual time does not run on while the host waits
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 

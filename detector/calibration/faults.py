@@ -43,12 +43,14 @@ class Wrong(Exception):  # noqa: N818 (a check's verdict, caught by the reader; 
 
 def numbers(length: int, what: str) -> Callable[[Any], tuple[float, ...]]:
     """A check for an array of exactly `length` finite numbers."""
+
     def check(value: Any) -> tuple[float, ...]:
         if not isinstance(value, list):
             raise Wrong(f"must be an array of {length} numbers ({what}), not {_kind(value)}")
         if len(value) != length:
             raise Wrong(f"must have {length} numbers ({what}), has {len(value)}")
         return tuple(number(v) for v in value)
+
     return check
 
 
@@ -61,6 +63,7 @@ def positive_numbers(length: int, what: str) -> Callable[[Any], tuple[float, ...
         if min(found) <= 0:
             raise Wrong(f"must be above zero ({what}), got {value}")
         return found
+
     return check
 
 
@@ -102,11 +105,13 @@ def flag(value: Any) -> bool:
 
 def one_of(allowed: Sequence[str]) -> Callable[[Any], str]:
     """A check for one of a few words."""
+
     def check(value: Any) -> str:
         if value in allowed and isinstance(value, str):
             return value
         near = get_close_matches(str(value), allowed, n=1)
         raise Wrong(f"must be one of {', '.join(map(repr, allowed))}, got {value!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
+
     return check
 
 
@@ -118,8 +123,10 @@ def matrix(value: Any) -> tuple[tuple[float, ...], ...]:
     (a, b, c), (d, e, f), (g, h, i) = rows = tuple(row(r) for r in value)
     determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
     if not (i > 0 and math.isfinite(determinant) and determinant > 0):
-        raise Wrong("must be a homography that neither mirrors nor flattens, its last entry above zero: "
-                    f"determinant {determinant:g}, last entry {i:g}")
+        raise Wrong(
+            "must be a homography that neither mirrors nor flattens, its last entry above zero: "
+            f"determinant {determinant:g}, last entry {i:g}"
+        )
     return rows
 
 

@@ -58,7 +58,7 @@ def load_calibration(path: Path) -> Calibration:
         raise CalibrationError(path, blocks.faults)
     try:
         return _build(blocks)
-    except ValueError as error:     # no homography can be derived: the one thing that only shows once the parts are together
+    except ValueError as error:  # no homography can be derived: the one thing that only shows once the parts are together
         raise CalibrationError(path, [Fault(("homography",) if ("homography",) in blocks.found else ("thermal",), str(error))]) from None
 
 
@@ -76,15 +76,24 @@ def dump_calibration(calibration: Calibration, heading: str = "") -> str:
     lines = [f"# {line}".rstrip() for line in heading.splitlines()] + [""]
     for name, camera in (("left", calibration.left), ("right", calibration.right)):
         lines += [f"[cameras.{name}]", *_lens_lines(camera.image_size, camera), ""]
-    lines += ["[cameras.thermal]", *_lens_lines(thermal.image_size, thermal.lens), f"sensor_size = {list(thermal.sensor_size)}",
-              f"mirrored = {str(thermal.mirrored).lower()}", f'polarity = "{thermal.polarity}"', ""]
+    lines += [
+        "[cameras.thermal]",
+        *_lens_lines(thermal.image_size, thermal.lens),
+        f"sensor_size = {list(thermal.sensor_size)}",
+        f"mirrored = {str(thermal.mirrored).lower()}",
+        f'polarity = "{thermal.polarity}"',
+        "",
+    ]
     poses = {"stereo": calibration.right_from_left, "thermal": calibration.thermal_from_left, "world": calibration.world_from_right}
     meaning = {"stereo": "X_right = R(om) X_left + T", "thermal": "X_thermal = R(om) X_left + T", "world": "X_world = R(om) X_right + T"}
     for name, pose in poses.items():
         if pose is not None:
             lines += [f"[{name}]    # {meaning[name]}", f"om = {_text(pose.om)}", f"T = {_text(pose.T)}", ""]
-    lines += ["[homography]    # un-mirrored thermal pixel -> optical pixel, right on one plane only",
-              f"left = {_text(maps.left)}", f"right = {_text(maps.right)}"]
+    lines += [
+        "[homography]    # un-mirrored thermal pixel -> optical pixel, right on one plane only",
+        f"left = {_text(maps.left)}",
+        f"right = {_text(maps.right)}",
+    ]
     return "\n".join([*lines, *([] if maps.plane_depth_mm is None else [f"plane_depth_mm = {_text(maps.plane_depth_mm)}"])]) + "\n"
 
 
@@ -143,8 +152,11 @@ class _Blocks:
             return
         lens, pose = any(name in camera for name in _LENS), "thermal" in self.document
         if lens:
-            self.faults += [Fault(("cameras", "thermal", n), "missing, while other keys of the lens are given")
-                            for n in _LENS if n not in camera and n not in _NEVER_REQUIRED]
+            self.faults += [
+                Fault(("cameras", "thermal", n), "missing, while other keys of the lens are given")
+                for n in _LENS
+                if n not in camera and n not in _NEVER_REQUIRED
+            ]
         if lens and not pose:
             self.faults.append(Fault(("thermal",), "missing block [thermal] (om, T): cameras.thermal has a lens but no pose"))
         if pose and not lens:
@@ -177,8 +189,14 @@ def _build(blocks: _Blocks) -> Calibration:
         homographies = Homographies(np.array(maps["left"]), np.array(maps["right"]), depth_mm)
     else:
         # _check_thermal has made sure of lens and pose wherever a homography is missing
-        homographies = derive_homographies(cast(Camera, lens), left, right, cast(Motion, thermal_from_left), right_from_left,
-                                           DEFAULT_PLANE_DEPTH_MM if depth_mm is None else depth_mm)
+        homographies = derive_homographies(
+            cast(Camera, lens),
+            left,
+            right,
+            cast(Motion, thermal_from_left),
+            right_from_left,
+            DEFAULT_PLANE_DEPTH_MM if depth_mm is None else depth_mm,
+        )
     return Calibration(left, right, thermal, right_from_left, thermal_from_left, _motion(found["world",]), homographies)
 
 

@@ -36,8 +36,9 @@ def through_plane(thermal_px: Array, thermal: Camera, thermal_from_right: Motion
     return np.asarray(origin + direction * np.where(distance > 0, distance, np.nan)[:, None])
 
 
-def plane_homography(thermal: Camera, optical: Camera, thermal_from_right: Motion, optical_from_right: Motion,
-                     plane_depth_mm: float) -> Array:
+def plane_homography(
+    thermal: Camera, optical: Camera, thermal_from_right: Motion, optical_from_right: Motion, plane_depth_mm: float
+) -> Array:
     """The (3, 3) homography, last entry 1, from un-mirrored thermal pixels to optical pixels on the plane Z = plane_depth_mm.
 
     The plane is parallel to the right camera's image plane. Raises ValueError where the plane isn't in front of both cameras.
@@ -52,10 +53,19 @@ def plane_homography(thermal: Camera, optical: Camera, thermal_from_right: Motio
     return np.asarray(H / H[2, 2], dtype=np.float64)
 
 
-def derive_homographies(thermal: Camera, left: Camera, right: Camera, thermal_from_left: Motion, right_from_left: Motion,
-                        plane_depth_mm: float = DEFAULT_PLANE_DEPTH_MM) -> Homographies:
+def derive_homographies(
+    thermal: Camera,
+    left: Camera,
+    right: Camera,
+    thermal_from_left: Motion,
+    right_from_left: Motion,
+    plane_depth_mm: float = DEFAULT_PLANE_DEPTH_MM,
+) -> Homographies:
     """Both homographies of a rig at one plane. Raises ValueError as `plane_homography` does."""
     left_from_right = right_from_left.inverse()
     thermal_from_right = thermal_from_left @ left_from_right
-    return Homographies(plane_homography(thermal, left, thermal_from_right, left_from_right, plane_depth_mm),
-                        plane_homography(thermal, right, thermal_from_right, Motion.identity(), plane_depth_mm), plane_depth_mm)
+    return Homographies(
+        plane_homography(thermal, left, thermal_from_right, left_from_right, plane_depth_mm),
+        plane_homography(thermal, right, thermal_from_right, Motion.identity(), plane_depth_mm),
+        plane_depth_mm,
+    )

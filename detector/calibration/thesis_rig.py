@@ -18,16 +18,16 @@ from detector.calibration.plane import derive_homographies, thermal_grid, throug
 from detector.calibration.values import Calibration, ThermalCamera
 from detector.geometry import Array, Camera, Motion, apply_homography, rigid_fit
 
-IMAGE_SIZE = (1360, 1024)                                                                                # section 3.1.1
-LEFT = Camera(IMAGE_SIZE, (1291.0, 1295.2), (727.4, 528.1), 0.0, (-0.186, 0.230, 0.0, 0.0, 0.0))        # table 3.1
-RIGHT = Camera(IMAGE_SIZE, (1288.3, 1290.6), (701.4, 558.7), 0.0, (-0.212, 0.301, -0.003, 0.0, 0.0))    # table 3.2
-STEREO_OM_RAD, STEREO_T_MM = (-0.0011, -0.0008, 0.0085), (-100.317, 0.242, -0.401)                       # section 3.2.1.2
-HOMOGRAPHY_LEFT = ((0.615, 0.007, 672.822), (-0.004, 0.616, 363.601), (0.0, 0.0, 1.0))                  # section 3.2.2
+IMAGE_SIZE = (1360, 1024)  # section 3.1.1
+LEFT = Camera(IMAGE_SIZE, (1291.0, 1295.2), (727.4, 528.1), 0.0, (-0.186, 0.230, 0.0, 0.0, 0.0))  # table 3.1
+RIGHT = Camera(IMAGE_SIZE, (1288.3, 1290.6), (701.4, 558.7), 0.0, (-0.212, 0.301, -0.003, 0.0, 0.0))  # table 3.2
+STEREO_OM_RAD, STEREO_T_MM = (-0.0011, -0.0008, 0.0085), (-100.317, 0.242, -0.401)  # section 3.2.1.2
+HOMOGRAPHY_LEFT = ((0.615, 0.007, 672.822), (-0.004, 0.616, 363.601), (0.0, 0.0, 1.0))  # section 3.2.2
 HOMOGRAPHY_RIGHT = ((0.618, 0.002, 536.133), (-0.002, 0.619, 401.948), (0.0, 0.0, 1.0))
-WORLD_MATRIX = ((0.99, 0.0, 0.02), (-0.02, -0.01, 0.92), (0.0, -1.0, -0.01))                            # section 3.3.2
+WORLD_MATRIX = ((0.99, 0.0, 0.02), (-0.02, -0.01, 0.92), (0.0, -1.0, -0.01))  # section 3.3.2
 WORLD_T_MM = (-161.80, -760.40, 64.52)
-TEAT_ENDS_MM = ((-109.8, 285.7, 135.5), (-161.3, 191.7, 137.8), (-224.2, 197.4, 137.4), (-260.5, 269.9, 137.4))   # table 5.2
-THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE = (640, 480), (160, 120)                                        # sections 3.1.1, 4.1.1
+TEAT_ENDS_MM = ((-109.8, 285.7, 135.5), (-161.3, 191.7, 137.8), (-224.2, 197.4, 137.4), (-260.5, 269.9, 137.4))  # table 5.2
+THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE = (640, 480), (160, 120)  # sections 3.1.1, 4.1.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,14 +78,15 @@ def fit_world() -> Motion:
     def residual(p: Array) -> Array:
         return np.asarray((stereo_pixels(Motion.from_vectors(p[:3], p[3:]).apply(teats)) - wanted).ravel())
 
-    found = least_squares(residual, np.concatenate([start.om, start.T]), x_scale=np.array([1e-3] * 3 + [1.0] * 3), xtol=1e-14, ftol=1e-14,
-                          gtol=1e-14).x
+    found = least_squares(
+        residual, np.concatenate([start.om, start.T]), x_scale=np.array([1e-3] * 3 + [1.0] * 3), xtol=1e-14, ftol=1e-14, gtol=1e-14
+    ).x
     return Motion.from_vectors(found[:3], found[3:]).inverse()
 
 
 def fit_thermal() -> ThermalFit:
     """The thermal camera that meets both printed homographies best, over an even grid of the thermal picture."""
-    midway = 0.5 * right_from_left().T          # the left camera's centre, in the right camera's frame, is T
+    midway = 0.5 * right_from_left().T  # the left camera's centre, in the right camera's frame, is T
     left_from_right, grid = right_from_left().inverse(), thermal_grid(THERMAL_IMAGE_SIZE)
     wanted = np.stack([apply_homography(HOMOGRAPHY_LEFT, grid), apply_homography(HOMOGRAPHY_RIGHT, grid)])
     centre = ((THERMAL_IMAGE_SIZE[0] - 1) / 2, (THERMAL_IMAGE_SIZE[1] - 1) / 2)

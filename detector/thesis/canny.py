@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 Mask = NDArray[np.bool_]
 Single = NDArray[np.float32]
 
-_DIE_OFF = 1e-4     # kernels end where the Gaussian falls below this part of its peak, if their greatest reach lets them
+_DIE_OFF = 1e-4  # kernels end where the Gaussian falls below this part of its peak, if their greatest reach lets them
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -123,8 +123,9 @@ def _find_in_thermal(picture: Grey, p: Parameters, trace: list[Stage]) -> tuple[
     return teats_px, hidden
 
 
-def _locate(left: Grey, right: Grey, thermal_px: Array, calibration: Calibration, p: Parameters,
-            trace: list[Stage]) -> tuple[tuple[Teat, ...], str | None]:
+def _locate(
+    left: Grey, right: Grey, thermal_px: Array, calibration: Calibration, p: Parameters, trace: list[Stage]
+) -> tuple[tuple[Teat, ...], str | None]:
     """Thermal teat ends (n, 2) to teats in the world, and what was left out on the way (sections 4.2, 4.3, 3.2.1.2, 3.3.2)."""
     maps = calibration.homographies
     nominated = nominate(maps.left, thermal_px), nominate(maps.right, thermal_px)
@@ -132,8 +133,17 @@ def _locate(left: Grey, right: Grey, thermal_px: Array, calibration: Calibration
     refined = [refine(left, n, p) for n in nominated[0]], [refine(right, n, p) for n in nominated[1]]
     trace.append(Stage("regions", {**_seen("left", refined[0]), **_seen("right", refined[1])}))
     left_px, right_px = (np.array([r.end_px for r in side]) for side in refined)
-    trace.append(Stage("ends", {"left_px": left_px, "right_px": right_px, "left_moved": np.array([r.moved for r in refined[0]]),
-                                "right_moved": np.array([r.moved for r in refined[1]])}))
+    trace.append(
+        Stage(
+            "ends",
+            {
+                "left_px": left_px,
+                "right_px": right_px,
+                "left_moved": np.array([r.moved for r in refined[0]]),
+                "right_moved": np.array([r.moved for r in refined[1]]),
+            },
+        )
+    )
     right_mm, gap_mm = triangulate(left_px, right_px, calibration.left, calibration.right, calibration.right_from_left)
     world_mm = calibration.world_from_right.apply(right_mm)
     trace.append(Stage("triangulation", {"right_mm": right_mm, "gap_mm": gap_mm, "world_mm": world_mm}))

@@ -24,14 +24,13 @@ from detector.thesis.verticals import half_up
 
 Whole = NDArray[np.int64]
 
-_WINDOW_SLIP_PX = 1     # see above
+_WINDOW_SLIP_PX = 1  # see above
 
 
 def window_fits(shape: tuple[int, ...], centre: tuple[int, int], p: Parameters) -> bool:
     """Whether the window around centre (column, row) lies inside of a picture of that shape (rows, columns)."""
     x, y = centre
-    return (y >= p.window_rows[0] and y + p.window_rows[1] < shape[0]
-            and x >= p.window_columns[0] and x + p.window_columns[1] < shape[1])
+    return y >= p.window_rows[0] and y + p.window_rows[1] < shape[0] and x >= p.window_columns[0] and x + p.window_columns[1] < shape[1]
 
 
 def horizontal_middles(mask: Mask, centre: tuple[int, int], p: Parameters) -> Array:
@@ -52,8 +51,8 @@ def merge_rows(rows: Whole, columns: Whole, row_reach: int, column_reach: int) -
     """
     merged = rows.copy()
     for i in range(len(merged) - 1):
-        y, after = merged[i], merged[i + 1:]
-        after[(after > y) & (after <= y + row_reach) & (np.abs(columns[i + 1:] - columns[i]) <= column_reach)] = y
+        y, after = merged[i], merged[i + 1 :]
+        after[(after > y) & (after <= y + row_reach) & (np.abs(columns[i + 1 :] - columns[i]) <= column_reach)] = y
     return merged
 
 
@@ -88,5 +87,5 @@ def teat_ends(middles: Array, p: Parameters) -> tuple[Array, int]:
 def _points_in_window(mask: Mask, centre: tuple[int, int], p: Parameters) -> tuple[Whole, Whole]:
     """Rows and columns (n,) each, of the true pixels in the window, sorted by row, then column, counted in the picture."""
     top, left = max(centre[1] - p.window_rows[0], 0), max(centre[0] - p.window_columns[0], 0)
-    rows, columns = np.nonzero(mask[top:max(centre[1] + p.window_rows[1] + 1, 0), left:max(centre[0] + p.window_columns[1] + 1, 0)])
+    rows, columns = np.nonzero(mask[top : max(centre[1] + p.window_rows[1] + 1, 0), left : max(centre[0] + p.window_columns[1] + 1, 0)])
     return rows.astype(np.int64) + top, columns.astype(np.int64) + left

@@ -24,7 +24,7 @@ from detector.thesis.canny import Mask
 from detector.thesis.parameters import Parameters
 from detector.thesis.thermal import Grey
 
-_REGION_SLIP_PX = 1     # see above
+_REGION_SLIP_PX = 1  # see above
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +63,7 @@ def cut_region(picture: Grey, centre_px: Array, reach_px: int) -> Grey | None:
     x, y = (int(v) for v in np.nan_to_num(centre_px, nan=-1.0))
     if not (reach_px <= x < picture.shape[1] - reach_px and reach_px <= y < picture.shape[0] - reach_px):
         return None
-    return picture[y - reach_px:y + reach_px + 1, x - reach_px:x + reach_px + 1]
+    return picture[y - reach_px : y + reach_px + 1, x - reach_px : x + reach_px + 1]
 
 
 def grey_dilation(region: Grey, p: Parameters) -> Grey:
@@ -98,9 +98,9 @@ def _line_start(line: Mask, least_px: int) -> int | None:
         return None
     width, start = len(line), int(np.argmax(line))
     while start + least_px < width:
-        if line[start:start + least_px].all():
+        if line[start : start + least_px].all():
             return start
-        bright = np.flatnonzero(~line[start + 1:width - 1])
+        bright = np.flatnonzero(~line[start + 1 : width - 1])
         if len(bright) == 0:
             return None
         start += int(bright[0]) + 2
@@ -110,6 +110,6 @@ def _line_start(line: Mask, least_px: int) -> int | None:
 def _dilate(image: NDArray[np.uint8], element: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Matlab's imdilate: the element is turned by 180 degrees and, where a side is even, its origin is the one before the middle."""
     rows, columns = element.shape
-    anchor = (columns // 2, rows // 2)      # of the turned element, (column, row) as OpenCV wants it
+    anchor = (columns // 2, rows // 2)  # of the turned element, (column, row) as OpenCV wants it
     turned = np.ascontiguousarray(element[::-1, ::-1])
     return np.asarray(cv2.dilate(image, turned, anchor=anchor), dtype=np.uint8)

@@ -17,7 +17,7 @@ class Parameters:
 
     # Edges of the thermal picture: appendix A.1 and Matlab's own defaults of the time
     canny_sigma_px: float = 12.0
-    canny_kernel_reach_px: int = 30                 # Matlab's kernels ended there, at 2.5 sigma, whatever the sigma
+    canny_kernel_reach_px: int = 30  # Matlab's kernels ended there, at 2.5 sigma, whatever the sigma
     canny_not_edges: float = 0.7
     canny_histogram_bins: int = 64
     canny_threshold_ratio: float = 0.4
@@ -36,10 +36,10 @@ class Parameters:
     # Middles of horizontals: appendix A.2.3
     window_rows: tuple[int, int] = (65, 50)
     window_columns: tuple[int, int] = (250, 280)
-    window_outside: Literal["clip", "refuse"] = "clip"      # the original stopped with an error there: see horizontals.py
+    window_outside: Literal["clip", "refuse"] = "clip"  # the original stopped with an error there: see horizontals.py
     horizontal_merge_rows: int = 2
     horizontal_merge_columns: int = 15
-    horizontal_points_between: tuple[int, int] = (5, 50)    # exclusive
+    horizontal_points_between: tuple[int, int] = (5, 50)  # exclusive
     segment_points: int = 6
     segment_widest_px: int = 12
     segment_skip_px: int = 10
@@ -52,7 +52,7 @@ class Parameters:
 
     # Optical refinement: section 4.2, 4.3, appendix A.4
     region_reach_px: int = 20
-    grey_dilation_size: tuple[int, int] = (9, 10)           # rows, columns; figure 4.12 has the corners off
+    grey_dilation_size: tuple[int, int] = (9, 10)  # rows, columns; figure 4.12 has the corners off
     binary_level: float = 0.3
     binary_dilation_size: tuple[int, int] = (10, 7)
     least_bright_px: int = 1100

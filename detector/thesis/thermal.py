@@ -51,7 +51,7 @@ def find_edges(picture: Grey, p: Parameters) -> Edges:
     """Canny edges with the published column taken out (appendix A.1: BW(:,631)=0; a narrower picture has no such column)."""
     edges = canny(picture, p.canny_sigma_px, p.canny_kernel_reach_px, p.canny_not_edges, p.canny_histogram_bins, p.canny_threshold_ratio)
     mask = edges.mask.copy()
-    mask[:, p.blanked_column:p.blanked_column + 1] = False
+    mask[:, p.blanked_column : p.blanked_column + 1] = False
     return Edges(mask, edges.low, edges.high)
 
 

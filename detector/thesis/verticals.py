@@ -15,7 +15,7 @@ from detector.geometry import Array
 from detector.thesis.canny import Mask
 from detector.thesis.parameters import Parameters
 
-Run = tuple[int, int]       # a column, and how many successive points have it
+Run = tuple[int, int]  # a column, and how many successive points have it
 
 
 def half_up(value: float) -> int:
@@ -29,14 +29,14 @@ def vertical_ends(mask: Mask, p: Parameters) -> Array:
     A line is a merged column with at least 35 points; its end is its highest point. None gives (0, 2), where the original stopped
     with an error. The original's `countelement` is lost: it is taken to count each value, in rising order.
     """
-    columns, rows = np.nonzero(mask.T)      # by column, then by row, as Matlab's find()
+    columns, rows = np.nonzero(mask.T)  # by column, then by row, as Matlab's find()
     merged = np.array(merge_columns(columns.tolist(), p.vertical_merge_px), dtype=np.int64)
     values, counts = np.unique(merged, return_counts=True)
     lines = values[counts >= p.vertical_least_points]
     if len(lines) == 0:
         return np.empty((0, 2))
     ends = np.column_stack([lines, [rows[merged == line].min() for line in lines]])
-    highest = ends[np.argsort(ends[:, 1], kind="stable")][:p.vertical_most_lines]
+    highest = ends[np.argsort(ends[:, 1], kind="stable")][: p.vertical_most_lines]
     return highest[np.argsort(highest[:, 0], kind="stable")].astype(np.float64)
 
 
@@ -60,7 +60,7 @@ def merge_columns(columns: Sequence[int], reach: int) -> list[int]:
             runs = _draw(runs, at, offset, reach)
             done += 1
         else:
-            done += count - offset      # nothing is in reach of this column: its other points change nothing either
+            done += count - offset  # nothing is in reach of this column: its other points change nothing either
     return [column for column, count in runs for _ in range(count)]
 
 
@@ -72,7 +72,7 @@ def _draw(runs: list[Run], at: int, offset: int, reach: int) -> list[Run]:
     after: list[Run] = []
     for column, many in [*runs[:at], (here, offset)]:
         mine = _meet(before, mine, column, many, reach)
-    for column, many in [(here, count - offset - 1), *runs[at + 1:]]:
+    for column, many in [(here, count - offset - 1), *runs[at + 1 :]]:
         mine = _meet(after, mine, column, many, reach)
     result: list[Run] = []
     for column, many in [*before, (mine, 1), *after]:
@@ -84,7 +84,7 @@ def _meet(result: list[Run], mine: int, column: int, many: int, reach: int) -> i
     """Let `many` points of one column pass the point at `mine`; appends where they end up, returns where the point does."""
     while many and column != mine and abs(column - mine) <= reach:
         middle = (mine + column + 1) // 2
-        taken = many if middle == mine else 1       # once the point no longer moves, all the others follow it
+        taken = many if middle == mine else 1  # once the point no longer moves, all the others follow it
         _append(result, middle, taken)
         mine, many = middle, many - taken
     _append(result, column, many)

@@ -48,7 +48,7 @@ class ConsoleOperator:
             self._out.flush()
             line = self._answers.readline()
             words = line.replace(",", " ").lower().split()
-            if not line or words[:1] and words[0] in ABORT:
+            if not line or (words and words[0] in ABORT):
                 raise OperatorAbort("the operator aborted the run" if line else "nobody is at the terminal any more")
             if not words:
                 return set()

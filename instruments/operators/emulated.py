@@ -21,7 +21,7 @@ class EmulatedOperator:
         self._hand_error_mm = hand_error_mm
         self._rng = np.random.default_rng([world.seed, *b"hand"])
 
-    def confirm_homing(self, instruction: str) -> None:
+    def confirm_homing(self, instruction: str) -> None:  # noqa: ARG002 - it needs no telling
         self._world.hold(None)
 
     def set_up(self, arrangement: Arrangement) -> Placed:
@@ -29,7 +29,7 @@ class EmulatedOperator:
         seen = self._world.renderer.visible_ends(self._world.scene())
         return Placed(tuple(bool(row.all()) for row in np.asarray(seen)))
 
-    def touch(self, teat: int, of: int) -> None:
+    def touch(self, teat: int, of: int) -> None:  # noqa: ARG002 - nor how many there are
         end = self._world.ends_mm()[teat - 1]
         self._world.hold(end + self._rng.normal(0.0, self._hand_error_mm, 3), STYLUS_AXIS)
 

@@ -14,7 +14,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from instruments.world.phantom import PlatePose
 from instruments.world.scene import Renderer, SceneState
-from instruments.world.situations import SITUATIONS, situation
+from tests.situations import SITUATIONS, situation
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -33,7 +33,7 @@ def make_renderer() -> Renderer:
 
 
 def _time(benchmark: BenchmarkFixture, work: Callable[[], object], rounds: int) -> None:
-    benchmark.pedantic(work, rounds=rounds, warmup_rounds=1)  # type: ignore[no-untyped-call]
+    benchmark.pedantic(work, rounds=rounds, warmup_rounds=1)
 
 
 @pytest.mark.parametrize("name", sorted(SITUATIONS))

@@ -57,6 +57,7 @@ def teats_mm() -> NDArray[np.float64]:
 @pytest.fixture(scope="session")
 def draw(rig: Calibration) -> Draw:
     """A function that draws dark round-ended teats of 22 mm before a bright ground in all three cameras: flat, without a scene."""
+
     def pictures(ends_mm: NDArray[np.float64], mirrored: bool = True) -> Pictures:
         assert rig.thermal.lens is not None
         assert rig.thermal_from_right is not None
@@ -67,6 +68,7 @@ def draw(rig: Calibration) -> Draw:
         left = teats_picture(rig.left.image_size, left_px, 11 * rig.left.fc[0] / in_right[:, 2])
         right = teats_picture(rig.right.image_size, right_px, 11 * rig.right.fc[0] / in_right[:, 2])
         return Pictures(left, right, np.ascontiguousarray(thermal[:, ::-1]) if mirrored else thermal)
+
     return pictures
 
 

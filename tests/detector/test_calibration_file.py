@@ -18,10 +18,12 @@ Edit = Callable[[str], str]
 @pytest.fixture
 def load(tmp_path: Path, rig_file: Path) -> Callable[[Edit], Calibration]:
     """Load the shipped file after an edit of its text."""
+
     def edited(edit: Edit) -> Calibration:
         path = tmp_path / "calibration.toml"
         path.write_text(edit(rig_file.read_text(encoding="utf-8")), encoding="utf-8")
         return load_calibration(path)
+
     return edited
 
 
@@ -70,6 +72,7 @@ def test_a_rig_may_have_only_homographies(rig: Calibration, load: Callable[[Edit
     def edit(text: str) -> str:
         head, _, tail = block_removed(text, "thermal").partition("[cameras.thermal]")
         return head + "[cameras.thermal]" + without(tail, "fc", "cc", "alpha_c", "kc")
+
     bare = load(edit)
     assert bare.thermal.lens is None
     assert bare.thermal_from_left is None
@@ -108,7 +111,7 @@ CASES: list[tuple[Edit, str, str]] = [
     (lambda t: without(t, "left = [[") + "\nleft = [[1, 0, 0], [0, 1, 0]]", "homography.left", "three rows"),
     (lambda t: without(t, "plane_depth") + "\nplane_depth_mm = -3", "homography.plane_depth_mm", "above zero"),
     (lambda t: "stereo = 3\n" + block_removed(t, "stereo"), "stereo", "must be a block"),
-    (lambda t: "cameras = 3\n" + t[t.index("[stereo]"):], "cameras.left", "missing block"),
+    (lambda t: "cameras = 3\n" + t[t.index("[stereo]") :], "cameras.left", "missing block"),
 ]
 
 
@@ -127,6 +130,7 @@ def test_a_plane_that_the_cameras_cannot_see_is_a_fault(load: Callable[[Edit], C
         turned = text.replace("om = [-0.01086", "om = [3.01086")
         assert turned != text
         return without(turned, "left = [[", "right = [[")
+
     assert "isn't in front of both cameras" in faults(load, backwards)["homography"]
 
 

@@ -107,7 +107,7 @@ def test_normalize_undoes_the_lens_to_1e10_and_agrees_with_opencv(camera: Camera
     again = camera.project(np.column_stack([x, np.ones(len(x))]))
     assert np.abs((again - pixels) / camera.fc).max() < 1e-10
     opencv = cv2.undistortPoints(pixels[:, None], matrix(camera), np.array(camera.kc), None, None, None)[:, 0]
-    assert np.abs(x - opencv).max() < 2e-3       # OpenCV stops after a few fixed-point steps; a loose bound on a wrong sign or order
+    assert np.abs(x - opencv).max() < 2e-3  # OpenCV stops after a few fixed-point steps; a loose bound on a wrong sign or order
 
 
 def test_skew_goes_there_and_back() -> None:

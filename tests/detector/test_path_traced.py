@@ -42,6 +42,7 @@ def read(recording: Path) -> Callable[[Path], Recorded]:
         assert left is not None
         assert right is not None
         return Recorded(left, right, thermal, None if centikelvin is None else centikelvin / 100.0)
+
     return frame
 
 

@@ -25,6 +25,8 @@ def test_an_unknown_name_gets_the_nearest() -> None:
 
 
 def test_listing_loads_no_picture_library() -> None:
-    code = ("import sys; from detector.registry import available; available();"
-            "sys.exit(any(m in sys.modules for m in ('numpy', 'cv2', 'scipy')))")
+    code = (
+        "import sys; from detector.registry import available; available();"
+        "sys.exit(any(m in sys.modules for m in ('numpy', 'cv2', 'scipy')))"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0

@@ -20,7 +20,7 @@ def edges(picture: NDArray[np.uint8], sigma: float = 12.0) -> Edges:
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_straight_step_gives_one_edge_on_the_step(at: int, turned: bool) -> None:
     picture = np.full((200, 240), 200, dtype=np.uint8)
-    picture[:, :at] = 30                              # the step lies between columns at - 1 and at
+    picture[:, :at] = 30  # the step lies between columns at - 1 and at
     mask = edges(picture.T if turned else picture).mask
     mask = mask.T if turned else mask
     rows, columns = np.nonzero(mask)
@@ -34,7 +34,7 @@ def test_a_slanted_step_is_followed_within_a_pixel() -> None:
     y, x = np.mgrid[:240, :320]
     distance = (x - 160 + 0.35 * (y - 120)) / np.hypot(1, 0.35)
     mask = edges(np.where(distance > 0, 220, 60).astype(np.uint8), sigma=4.0).mask
-    mask[[0, 1, 2, -3, -2, -1]] = False     # the border's replicated pixels bend the gradient there
+    mask[[0, 1, 2, -3, -2, -1]] = False  # the border's replicated pixels bend the gradient there
     assert np.abs(distance[mask]).max() <= 1
     assert mask[20:220].any(axis=1).all()
 
@@ -79,7 +79,7 @@ def test_gradient_is_two_gaussians_and_a_slope() -> None:
 
 def test_kernels_end_at_30_px_or_where_the_gaussian_dies() -> None:
     assert len(kernels(12.0, 30)[0]) == 61
-    assert len(kernels(1.0, 30)[0]) == 9       # exp(-t^2 / 2) > 1e-4 up to t = 4
+    assert len(kernels(1.0, 30)[0]) == 9  # exp(-t^2 / 2) > 1e-4 up to t = 4
     gauss, slope = kernels(12.0, 30)
     assert gauss.sum() == pytest.approx(1, abs=1e-6)
     assert (slope * np.arange(-30, 31)).sum() == pytest.approx(1, abs=1e-5)
@@ -90,7 +90,7 @@ def test_threshold_is_where_seventy_in_a_hundred_lie_below() -> None:
     length.flat[:71] = 0.0
     length.flat[71:] = 1.0
     assert automatic_threshold(length, 0.7, 64) == 1 / 64
-    length.flat[70] = 1.0                       # now just 70 of 100 lie in the first bin: not more than 70 %
+    length.flat[70] = 1.0  # now just 70 of 100 lie in the first bin: not more than 70 %
     assert automatic_threshold(length, 0.7, 64) == 1.0
     middle = np.full((10, 10), 10 / 63, dtype=np.float32)
     assert automatic_threshold(middle, 0.7, 64) == 11 / 64
@@ -104,7 +104,7 @@ def test_ridges_are_the_maxima_along_the_gradient() -> None:
     diagonal = np.exp(-(((x - y - 8.4) / 5) ** 2)).astype(np.float32)
     keep = ridges(np.ones_like(length), -np.ones_like(length), diagonal, 0.1)
     rows, columns = np.nonzero(keep)
-    assert set(columns - rows) == {8, 9}        # a step along the diagonal passes over every other one of them
+    assert set(columns - rows) == {8, 9}  # a step along the diagonal passes over every other one of them
     assert not keep[[0, -1]].any()
 
 

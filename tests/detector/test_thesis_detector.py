@@ -19,8 +19,19 @@ from detector.thesis.parameters import Parameters
 from detector.thesis.thermal import eight_bit, picture_from_kelvin, unmirror
 
 Array = NDArray[np.float64]
-STAGES = ["thermal", "edges", "verticals", "horizontals", "vertical ends", "horizontal middles", "teat ends",
-          "nominations", "regions", "ends", "triangulation"]
+STAGES = [
+    "thermal",
+    "edges",
+    "verticals",
+    "horizontals",
+    "vertical ends",
+    "horizontal middles",
+    "teat ends",
+    "nominations",
+    "regions",
+    "ends",
+    "triangulation",
+]
 
 
 @pytest.fixture(scope="module")

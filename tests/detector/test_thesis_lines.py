@@ -43,9 +43,9 @@ def test_lines_drawn_from_the_tables_come_out_as_the_tables() -> None:
     """Sides that begin at table 4.1's ends, tops at table 4.2's middles: all the steps between the filters and section 4.1.7."""
     verticals, horizontals = np.zeros((480, 640), dtype=np.bool_), np.zeros((480, 640), dtype=np.bool_)
     for x, y in (TABLE_4_1 - 1).astype(int):
-        verticals[y:y + 150, x] = True
+        verticals[y : y + 150, x] = True
     for x, y in (TABLE_4_2 - 1).astype(int):
-        horizontals[y, x - 5:x + 5] = True
+        horizontals[y, x - 5 : x + 5] = True
     ends = vertical_ends(verticals, P)
     assert (ends + 1).tolist() == TABLE_4_1.tolist()
     middles = horizontal_middles(horizontals, window_centre(ends), P)
@@ -95,7 +95,7 @@ def test_merging_rows_is_the_double_loop(points: list[tuple[int, int]], row_reac
 @given(st.lists(st.integers(1, 80), max_size=60))
 @settings(max_examples=200)
 def test_segments_are_the_listings(columns: list[int]) -> None:
-    x, k, middles = sorted(columns), 1, []          # the listing's own count, from 1
+    x, k, middles = sorted(columns), 1, []  # the listing's own count, from 1
     while k + 5 <= len(x):
         if x[k + 5 - 1] - x[k - 1] <= 12:
             middles.append(half_up((x[k - 1] + x[k + 5 - 1]) / 2) + 2)
@@ -108,8 +108,8 @@ def test_segments_are_the_listings(columns: list[int]) -> None:
 
 def test_a_line_needs_35_points_and_ends_at_its_highest() -> None:
     mask = np.zeros((200, 100), dtype=np.bool_)
-    mask[50:85, 20] = True      # 35 points
-    mask[50:84, 60] = True      # 34
+    mask[50:85, 20] = True  # 35 points
+    mask[50:84, 60] = True  # 34
     assert vertical_ends(mask, P).tolist() == [[20, 50]]
 
 
@@ -126,7 +126,7 @@ def test_the_highest_eight_lines_are_kept_by_column() -> None:
     mask = np.zeros((300, 400), dtype=np.bool_)
     tops = [100, 20, 60, 40, 90, 30, 70, 50, 80, 10]
     for i, top in enumerate(tops):
-        mask[top:top + 60, 20 + 35 * i] = True
+        mask[top : top + 60, 20 + 35 * i] = True
     ends = vertical_ends(mask, P)
     assert ends[:, 1].tolist() == [20, 60, 40, 30, 70, 50, 80, 10]
     assert (np.diff(ends[:, 0]) > 0).all()
@@ -141,7 +141,7 @@ def test_no_line_gives_no_end() -> None:
 @pytest.mark.parametrize("length", [5, 6, 49, 50])
 def test_horizontal_lines_have_6_to_49_points(length: int) -> None:
     mask = np.zeros((200, 640), dtype=np.bool_)
-    mask[100, 100:100 + length] = True
+    mask[100, 100 : 100 + length] = True
     assert (len(horizontal_middles(mask, (300, 110), P)) > 0) == (5 < length < 50)
 
 
@@ -149,16 +149,16 @@ def test_only_the_window_counts_and_it_may_leave_the_picture() -> None:
     mask = np.zeros((480, 640), dtype=np.bool_)
     mask[34, 20:30] = mask[35, 60:70] = mask[150, 100:110] = mask[151, 140:150] = mask[100, 381:391] = True
     rows = horizontal_middles(mask, (100, 100), P)[:, 1]
-    assert rows.tolist() == [36, 151]               # rows 35 to 150 of the window, each a pixel low as published
+    assert rows.tolist() == [36, 151]  # rows 35 to 150 of the window, each a pixel low as published
     assert horizontal_middles(mask, (-900, -900), P).shape == (0, 2)
 
 
 def test_teat_ends_are_apart_level_and_four() -> None:
     row_of = [(50, 100), (75, 100), (90, 131), (120, 100), (170, 100), (230, 100), (300, 100)]
-    ends, hidden = teat_ends(np.array(row_of, dtype=np.float64), P)     # mean row 104.4: 131 is within 30 of it
+    ends, hidden = teat_ends(np.array(row_of, dtype=np.float64), P)  # mean row 104.4: 131 is within 30 of it
     assert ends.tolist() == [[50, 100], [90, 131], [170, 100], [230, 100]]
     assert hidden == 0
-    ends, hidden = teat_ends(np.array([[50.0, 10.0], [150.0, 200.0]]), P)       # 95 rows from their mean: neither
+    ends, hidden = teat_ends(np.array([[50.0, 10.0], [150.0, 200.0]]), P)  # 95 rows from their mean: neither
     assert (len(ends), hidden) == (0, 4)
 
 

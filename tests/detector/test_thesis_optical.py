@@ -49,14 +49,14 @@ def dark_region(*lines: tuple[int, int, int]) -> NDArray[np.bool_]:
     """A bright region (41, 41) with dark lines (row, first column, last column)."""
     dark = np.zeros((41, 41), dtype=np.bool_)
     for row, first, last in lines:
-        dark[row, first:last + 1] = True
+        dark[row, first : last + 1] = True
     return dark
 
 
 def test_the_end_lies_half_a_line_above_its_middle() -> None:
     end = locate_end(dark_region((15, 14, 25), (16, 10, 30)), P)
     assert end is not None
-    assert end.tolist() == [20.0, 9.0]      # columns 14 and 26 (the first bright one), 12 long
+    assert end.tolist() == [20.0, 9.0]  # columns 14 and 26 (the first bright one), 12 long
 
 
 def test_short_lines_and_the_last_dark_row_are_passed_over() -> None:
@@ -69,14 +69,16 @@ def test_short_lines_and_the_last_dark_row_are_passed_over() -> None:
 def test_a_line_may_reach_the_regions_edge() -> None:
     end = locate_end(dark_region((15, 29, 40), (16, 0, 0)), P)
     assert end is not None
-    assert end.tolist() == [34.5, 15 - 5.5]     # from column 29 to the last, 40
-    assert locate_end(dark_region((15, 31, 40), (16, 0, 0)), P) is None       # ten pixels, but the search ends at column 30
+    assert end.tolist() == [34.5, 15 - 5.5]  # from column 29 to the last, 40
+    assert locate_end(dark_region((15, 31, 40), (16, 0, 0)), P) is None  # ten pixels, but the search ends at column 30
 
 
 def literal_search(dark: NDArray[np.bool_]) -> tuple[int, int, int] | None:
     """The listing's search, in its own count from 1: row, first column, column after the last (or the last of the region)."""
+
     def at(row: int, column: int) -> bool:
         return bool(dark[row - 1, column - 1])
+
     s = dark.shape[1]
     counted = [(r, int(dark[r - 1].sum())) for r in range(1, s + 1) if dark[r - 1].any()]
     for row, count in counted[:-1]:
@@ -109,7 +111,7 @@ def test_row_search_is_the_listings(seed: int, share: float) -> None:
 
 def test_a_dark_teat_on_a_bright_ground_is_moved() -> None:
     picture = np.full((200, 300), 200, dtype=np.uint8)
-    picture[95:, 138:164] = 20              # 26 px wide, its end at row 95
+    picture[95:, 138:164] = 20  # 26 px wide, its end at row 95
     refined = refine(picture, np.array([150.0, 90.0]), P)
     assert refined.moved
     # what the dilations leave: the dark top sinks by 4 + 5 rows, the width shrinks from 26 to 26 - 9 - 6 = 11 columns
@@ -122,7 +124,7 @@ def test_too_dark_a_region_keeps_the_nomination(grey: int) -> None:
     refined = refine(np.full((200, 300), grey, dtype=np.uint8), np.array([150.0, 90.0]), P)
     assert not refined.moved
     assert refined.end_px.tolist() == [150, 90]
-    assert not refined.bright.any()         # im2bw: above 0.3 * 255 = 76.5 is bright
+    assert not refined.bright.any()  # im2bw: above 0.3 * 255 = 76.5 is bright
 
 
 def test_a_bright_region_keeps_the_nomination() -> None:
@@ -131,8 +133,19 @@ def test_a_bright_region_keeps_the_nomination() -> None:
     assert not refined.moved
 
 
-@pytest.mark.parametrize(("x", "y", "fits"), [(20, 20, True), (19, 20, False), (20, 19, False), (279, 179, True), (280, 179, False),
-                                             (279, 180, False), (np.nan, 50, False), (-1e9, 50, False)])
+@pytest.mark.parametrize(
+    ("x", "y", "fits"),
+    [
+        (20, 20, True),
+        (19, 20, False),
+        (20, 19, False),
+        (279, 179, True),
+        (280, 179, False),
+        (279, 180, False),
+        (np.nan, 50, False),
+        (-1e9, 50, False),
+    ],
+)
 def test_a_region_must_lie_in_the_picture(x: float, y: float, fits: bool) -> None:
     picture = np.zeros((200, 300), dtype=np.uint8)
     region = cut_region(picture, np.array([x, y]), 20)
@@ -142,5 +155,5 @@ def test_a_region_must_lie_in_the_picture(x: float, y: float, fits: bool) -> Non
 
 def test_nominations_are_rounded_and_divided() -> None:
     H = np.array([[0.615, 0.007, 672.822], [-0.004, 0.616, 363.601], [0.0, 0.0, 1.0]])
-    assert nominate(H, np.array([[126.0, 100.0]])).tolist() == [[751, 425]]     # 751.01, 424.70
+    assert nominate(H, np.array([[126.0, 100.0]])).tolist() == [[751, 425]]  # 751.01, 424.70
     assert nominate(2 * H, np.array([[126.0, 100.0]])).tolist() == [[751, 425]]

@@ -54,11 +54,11 @@ def test_the_world_is_rigid_and_shows_the_teats_where_the_printed_matrix_does(ri
 
 def test_the_thermal_camera_meets_the_printed_homographies_as_derived() -> None:
     fit = made.fit_thermal()
-    assert fit.plane_depth_mm == pytest.approx(1168.0, abs=1.0)         # [derived] homography_plane_mm
+    assert fit.plane_depth_mm == pytest.approx(1168.0, abs=1.0)  # [derived] homography_plane_mm
     assert fit.lens.fc == pytest.approx((2088.0, 2088.0), abs=5.0)
     assert fit.rms_px == pytest.approx(3.2, abs=0.1)
     vertical = fit.residual_px[:, :, 1].mean(axis=1)
-    assert vertical[0] - vertical[1] == pytest.approx(6.3, abs=0.1)     # homography_stereo_vertical_disagreement_px
+    assert vertical[0] - vertical[1] == pytest.approx(6.3, abs=0.1)  # homography_stereo_vertical_disagreement_px
     assert max(fit.rms_without_constant_px) < 0.9
     centre = fit.thermal_from_right.inverse().T
     assert np.linalg.norm(centre) == pytest.approx(np.linalg.norm(centre - made.right_from_left().T))

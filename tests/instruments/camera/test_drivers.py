@@ -16,7 +16,7 @@ from instruments.camera.opencv import OpenCvCameras
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, LinkError
 from instruments.world.scene import Renderer, SceneState
-from instruments.world.situations import situation
+from tests.situations import situation
 
 ROOT = Path(__file__).resolve().parents[3]
 

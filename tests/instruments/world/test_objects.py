@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from instruments.world.objects import KINDS, make_object, parameters
-from instruments.world.situations import SITUATIONS, situation
 from instruments.world.solids import Hull, Solids, ball, cylinder
+from tests.situations import SITUATIONS, situation
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))

@@ -21,9 +21,9 @@ from instruments.world.scene import Renderer, SceneState
 from instruments.world.sensor import Image
 from instruments.world.shading import Lighting, Paint
 from instruments.world.sheet import contact_sheet
-from instruments.world.situations import SITUATIONS, situation
 from instruments.world.solids import Hull, ball
 from instruments.world.state import Stage
+from tests.situations import SITUATIONS, situation
 
 ROOT = Path(__file__).resolve().parents[3]
 BLACK = Paint(albedo=0.0)
