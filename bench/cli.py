@@ -9,6 +9,7 @@ import argparse
 import json
 import os
 import signal
+import sqlite3
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -43,6 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(str(error), FAULT)
     except KeyboardInterrupt:
         return _complain("interrupted", FAULT)
+    except sqlite3.Error as error:
+        return _complain(f"the run's record can't be written or read: {error}. Is the disk full, or the folder read-only?", FAULT)
     except BrokenPipeError:  # the reader of our output has gone (`| head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return MET

@@ -6,7 +6,6 @@ is, and what the report will say.
 
 from __future__ import annotations
 
-import json
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -19,22 +18,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.devices import Devices
-from bench.examine import Answer, TruthRow, detection_rows, examine, score_answer, score_row, stage_pictures
+from bench.examine import Answer, TruthRow, examine
 from bench.interlocks import InterlockTrip
 from bench.rig import LoadedRig
+from bench.rows import frame_rows, judged, truth_row
 from bench.script import LoadedScript, Trial
 from bench.stability import StabilityGate, State
-from bench.store import FinishedTrial, Picture, Row, Store
-from bench.truth import TruthPoint, touched
+from bench.store import FinishedTrial, Row, Store
+from bench.touching import touch_all
+from bench.truth import TruthPoint
 from bench.watch import Watch
 from detector.protocol import Detector
 from instruments.camera.frame import FrameSet
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
-from instruments.operators.operator import Arrangement, OperatorAbort, Placed
+from instruments.operators.operator import Arrangement, OperatorAbort
 
 HOMING = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
-CAMERAS = ("left", "right", "thermal")
 
 
 class Ending(StrEnum):
@@ -152,7 +152,8 @@ class Engine:
         captured_s = self._devices.clock.now()
         bath = self._watch.last
         bath_state = self._watch.state
-        truth, touches = self._touch_all(trial_id, placed)
+        self._progress.state("touching the teat ends")
+        truth, touches = touch_all(self._devices, self._rig.arm, trial_id, len(placed.visible), self._check)
         self._check()
         answers = self._detect(frames)
         rows = [TruthRow(str(i), t.point_mm, placed.visible[i - 1], t.uncertainty.u_mm) for i, t in enumerate(truth, 1)]
@@ -217,37 +218,6 @@ class Engine:
             raise InstrumentError("cameras", what, hint="Use a common trigger, or allow more skew in the rig file if nothing moves.")
         return frames
 
-    def _touch_all(self, trial_id: str, placed: Placed) -> tuple[list[TruthPoint], list[Row]]:
-        self._progress.state("touching the teat ends")
-        points, rows = [], []
-        for teat in range(1, len(placed.visible) + 1):
-            tips = []
-            for touch in range(1, self._rig.arm.touches + 1):
-                row = self._touch(trial_id, teat, touch, len(placed.visible))
-                rows.append(row)
-                tips.append([row["x_mm"], row["y_mm"], row["z_mm"]])
-            points.append(touched(np.array(tips), accuracy_mm=self._rig.arm.accuracy_mm, definition_mm=self._rig.arm.definition_mm))
-        self._devices.operator.release()
-        return points, rows
-
-    def _touch(self, trial_id: str, teat: int, touch: int, of: int) -> Row:
-        self._check()
-        self._devices.operator.touch(teat, of)
-        reading = self._devices.arm.read(self._rig.arm.packets, max_spread_mm=self._rig.arm.max_spread_mm)
-        x, y, z = (float(v) for v in reading.tip_mm)
-        return {
-            "trial": trial_id,
-            "teat": teat,
-            "touch": touch,
-            "t_s": self._devices.clock.now(),
-            "x_mm": x,
-            "y_mm": y,
-            "z_mm": z,
-            "spread_mm": float(reading.spread_mm),
-            "packets": reading.n,
-            "counts": json.dumps([int(c) for c in reading.counts]),
-        }
-
     def _detect(self, frames: FrameSet) -> list[Answer]:
         answers = []
         for detector in self._detectors:
@@ -282,47 +252,15 @@ class Engine:
         self._store.event(self._devices.clock.now(), kind, text, wall_time())
 
 
-def frame_rows(store: Store, trial_id: str, frames: FrameSet, answers: Sequence[Answer]) -> list[Row]:
-    """Write the frames of a trial, and the pictures that the detectors' stages left; gives back their rows."""
-    images: dict[str, Picture | None] = {"left": frames.left, "right": frames.right}
-    images |= {"thermal": frames.thermal, "thermal_radiometric": frames.thermal_ck}
-    for answer in answers:
-        images |= stage_pictures(answer)
-    return [
-        store.frame(trial_id, name, image, frames.exposed_s.get(name.split("_")[0])) for name, image in images.items() if image is not None
-    ]
-
-
-def truth_row(trial_id: str, row: TruthRow, exact: NDArray[np.float64] | None = None) -> Row:
-    """The row of the table ``truth``."""
-    x, y, z = row.point_mm
-    kept = None if exact is None else json.dumps([float(v) for v in exact])
-    place = {"x_mm": x, "y_mm": y, "z_mm": z, "u_mm": row.u_mm, "visible": int(row.visible), "exact_mm": kept}
-    return {"trial": trial_id, "teat": row.teat, **place}
-
-
-def judged(
-    trial_id: str, answers: Sequence[Answer], truth: Sequence[TruthRow], limit_mm: float, time_limit_s: float
-) -> tuple[list[Row], list[Row], list[Row]]:
-    """Rows of ``detections``, ``found`` and ``scores`` for all answers on one frame set; no scores without truth."""
-    detections, found, scores = [], [], []
-    for answer in answers:
-        head, ends = detection_rows(trial_id, answer)
-        detections.append(head)
-        found.extend(ends)
-        if truth:
-            scores.append(score_row(trial_id, answer.detector, score_answer(answer, truth, limit_mm=limit_mm, time_limit_s=time_limit_s)))
-    return detections, found, scores
-
-
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Ctrl-C waits while this lasts: going to safe is short and bounded, and must not be cut off."""
+    """Ctrl-C and SIGTERM wait while this lasts: going to safe is short and bounded, and must not be cut off."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

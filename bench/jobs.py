@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.config import ConfigError, read_config, read_text
-from bench.engine import Ending, Engine, Progress, frame_rows, judged, truth_row
+from bench.engine import Ending, Engine, Progress
 from bench.examine import TruthRow, examine
 from bench.facts import write_facts
 from bench.hookup import open_rig
 from bench.recorder import Recorder
 from bench.rig import LoadedRig, read_calibration
+from bench.rows import frame_rows, judged, truth_row
 from bench.script import RECORDING_RULES, LoadedScript, Rules, check_detectors
 from bench.store import RULES, SCRIPT, FinishedTrial, Store, new_run_folder
 from detector import registry

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.examine import TruthRow, detection_rows, examine, score_answer, score_row, stage_pictures
+from bench.examine import TruthRow, examine, score_answer
 from bench.rig import RIGS, read_calibration
+from bench.rows import detection_rows, score_row, stage_pictures
 from bench.scoring.scene import scene_from_dict
 from detector.calibration import Calibration
 from detector.protocol import Detection, Frames, Stage, Teat
