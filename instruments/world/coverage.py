@@ -162,10 +162,13 @@ def _areas(count: int, owner: Ints, start: Floats, end: Floats, camera: CameraMo
     change = np.bincount(cell, rise - right_part, total) + np.bincount(cell + 1, right_part, total)
     share = np.minimum(np.abs(np.cumsum(change)), 1.0)
     flat = np.flatnonzero(share > NOTHING)
-    solid = np.searchsorted(offset, flat, side="right") - 1
-    local = flat - offset[solid]
-    row, column = np.divmod(local, width[solid])
-    row, column = row + y0[solid], column + x0[solid]
+    cells = np.diff(np.searchsorted(flat, offset))  # both are in order, so each solid's cells are one run
+    solid = np.repeat(np.arange(count), cells)
+    local = flat - np.repeat(offset[:-1], cells)
+    across = np.repeat(width, cells)
+    row = local // across
+    column = local - row * across + np.repeat(x0, cells)
+    row += np.repeat(y0, cells)
     inside: Bools = (row >= 0) & (column >= 0) & (row < camera.height_px) & (column < camera.width_px)
     return Cover(solid[inside], row[inside], column[inside], share[flat[inside]])
 
