@@ -17,6 +17,7 @@ import serial
 
 from instruments.clock import Clock, VirtualClock, Wire
 from instruments.errors import LinkError
+from instruments.tap import NoTap, Tap
 
 PATIENCE_S = 10.0  # real time that an emulator's thread gets to take bytes before we call it hung
 
@@ -24,34 +25,53 @@ PATIENCE_S = 10.0  # real time that an emulator's thread gets to take bytes befo
 class _Port(Protocol):
     def read_some(self, timeout_s: float) -> bytes: ...
     def write(self, data: bytes) -> None: ...
+    def set_baud(self, baud: int) -> None: ...
     def close(self) -> None: ...
 
 
 class Link:
     """One open link. One owner: not for use by two threads.
 
-    Raises LinkError when it can't be opened, or breaks.
+    ``tap`` sees all bytes. Raises LinkError when the link can't be opened, or breaks.
     """
 
-    def __init__(self, url: str, clock: Clock, *, who: str, baud: int = 115200) -> None:
+    def __init__(self, url: str, clock: Clock, *, who: str, baud: int = 115200, tap: Tap | None = None) -> None:
         self.url = url
         self.who = f"{who} at {url}"
         self.clock = clock
+        self.baud = baud
+        self._tap: Tap = tap or NoTap()
+        self._open()
+
+    def reopen(self) -> None:
+        """Open again, after a cable was out: nothing that came before counts. Raises LinkError while the port is not back."""
+        self.close()
+        self._open()
+
+    def set_baud(self, baud: int) -> None:
+        """Speak at another rate from now on; a link that is no serial port has none, and only notes it."""
+        self.baud = baud
+        self._port.set_baud(baud)
+
+    def _open(self) -> None:
         self._buffer = b""
-        self._port, near_end = _open(url, baud, self.who)
+        self._port, near_end = _open(self.url, self.baud, self.who)
         self._near_end = near_end or 0
         self._virtual: tuple[VirtualClock, Wire] | None = None
-        if isinstance(clock, VirtualClock) and near_end is not None:
-            self._virtual = clock, clock.wire(near_end)
+        self._tap.opened(self.url)
+        if isinstance(self.clock, VirtualClock) and near_end is not None:
+            self._virtual = self.clock, self.clock.wire(near_end)
             self._settle(self._virtual[1])
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``. Raises LinkError when the link is broken."""
         if self._virtual:
             self._virtual[1].add(to_device=len(data))
+        self._tap.sent(data)
         try:
             self._port.write(data)
         except OSError as error:
+            self._tap.closed()
             raise LinkError(self.who, f"the link broke while sending: {error}", asked=data, hint="Check cable and power.") from error
 
     def receive(self, timeout_s: float) -> bytes:
@@ -90,6 +110,7 @@ class Link:
 
     def close(self) -> None:
         """Close the link; once more is no error."""
+        self._tap.closed()
         if self._virtual:
             self._virtual[0].forget_wire(self._near_end)
         self._port.close()
@@ -109,9 +130,13 @@ class Link:
 
     def _receive_really(self, timeout_s: float) -> bytes:
         try:
-            return self._port.read_some(timeout_s)
+            data = self._port.read_some(timeout_s)
         except OSError as error:
+            self._tap.closed()
             raise LinkError(self.who, f"the link broke while reading: {error}", hint="Check cable and power.") from error
+        if data:
+            self._tap.received(data)
+        return data
 
     def _receive_virtually(self, clock: VirtualClock, wire: Wire, timeout_s: float) -> bytes:
         deadline = clock.now() + timeout_s
@@ -169,6 +194,9 @@ class _TcpPort:
     def write(self, data: bytes) -> None:
         self._socket.sendall(data)
 
+    def set_baud(self, baud: int) -> None:
+        """A socket has no rate; what is at its other end keeps its own."""
+
     def close(self) -> None:
         with contextlib.suppress(OSError):  # the other end may be gone already
             self._socket.shutdown(socket.SHUT_RDWR)
@@ -193,6 +221,9 @@ class _SerialPort:
     def write(self, data: bytes) -> None:
         self._serial.write(data)
         self._serial.flush()
+
+    def set_baud(self, baud: int) -> None:
+        self._serial.baudrate = baud
 
     def close(self) -> None:
         self._serial.close()

@@ -147,3 +147,52 @@ def test_planned_actions_run_in_order_of_time() -> None:
     clock.sleep(5.0)
     assert seen == [(1.0, "a"), (2.0, "b"), (2.0, "c")]
     assert clock.now() == 5.0
+
+
+class Heard:
+    """A tap that notes what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, bytes | str]] = []
+
+    def opened(self, url: str) -> None:
+        self.told.append(("opened", url))
+
+    def sent(self, data: bytes) -> None:
+        self.told.append(("sent", data))
+
+    def received(self, data: bytes) -> None:
+        self.told.append(("received", data))
+
+    def closed(self) -> None:
+        self.told.append(("closed", ""))
+
+
+def test_a_tap_hears_every_byte_once_and_in_order() -> None:
+    clock, tap = VirtualClock(), Heard()
+    listener = Listener(Echo(), clock, lock=threading.RLock(), name="echo")
+    link = Link(listener.url, clock, who="echo", tap=tap)
+    link.read_until(b"\n", 1.0)
+    link.write(b"one\ntwo")
+    link.read_until(b"\n", 1.0)
+    link.read(3, 1.0)
+    link.close()
+    listener.close()
+    assert tap.told == [
+        ("opened", listener.url), ("received", b"hello\n"), ("sent", b"one\ntwo"), ("received", b"ONE\nTWO"), ("closed", ""),
+    ]  # fmt: skip
+
+
+def test_a_reopened_link_has_forgotten_what_came_before() -> None:
+    clock = VirtualClock()
+    listener = Listener(Echo(), clock, lock=threading.RLock(), name="echo")
+    link = Link(listener.url, clock, who="echo")
+    link.read_until(b"\n", 1.0)
+    link.write(b"old\nolder")
+    assert link.read_until(b"\n", 1.0) == b"OLD\n"
+    link.reopen()
+    assert link.drain(20.0) == b"hello\n"
+    listener.close()
+    with pytest.raises(LinkError, match="nothing takes the connection"):
+        link.reopen()
+    link.close()

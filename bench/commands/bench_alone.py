@@ -1,0 +1,51 @@
+"""`check` and `emulate`: the rig itself, without a script."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from bench.commands import CODES, Commands, add_rig
+
+
+def add_to(commands: Commands) -> None:
+    """The family's commands with their arguments."""
+    add_rig(commands.add("check", "connect to every instrument, print who it is and one reading", _check))
+    emulate = commands.add("emulate", "only the emulators of a rig, in real time, until Ctrl-C", _emulate)
+    add_rig(emulate)
+    emulate.add_argument("--listen", default="127.0.0.1", metavar="HOST", help="address to listen on (default: 127.0.0.1)")
+
+
+def _check(given: argparse.Namespace) -> int:
+    from bench.checks import check_rig
+    from bench.rig import find_rig, load_rig
+
+    failed = False
+    for name, fault, lines in check_rig(load_rig(find_rig(given.rig))):
+        failed |= fault
+        print(f"{name}: {'FAULT' if fault else 'ok'}")
+        for line in lines:
+            print(f"  {line}")
+    return CODES.fault if failed else CODES.met
+
+
+def _emulate(given: argparse.Namespace) -> int:
+    from bench.emulation import EmulatedRig
+    from bench.rig import find_rig, load_rig
+    from instruments.clock import RealClock
+
+    rig = load_rig(find_rig(given.rig))
+    clock = RealClock()
+    try:
+        with EmulatedRig(rig, clock, rig.rig.seed, host=given.listen) as twin:
+            for name, url in twin.urls.items():
+                print(f"{name} {url}", flush=True)
+            while True:
+                clock.sleep(0.5)
+    except KeyboardInterrupt:
+        return CODES.met
+    except OSError as error:
+        print(f"teatbench: can't listen on {given.listen}: {error}", file=sys.stderr)
+        return CODES.wrong_use
+    finally:
+        clock.close()
