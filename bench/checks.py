@@ -9,32 +9,33 @@ from typing import Any
 from bench.emulation import EmulatedRig
 from bench.hookup import driver_openers
 from bench.rig import LoadedRig
+from instruments.capture import NO_CAPTURE, Captures
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError
 
 
-def check_rig(rig: LoadedRig) -> Iterator[tuple[str, bool, list[str]]]:
+def check_rig(rig: LoadedRig, capture: Captures = NO_CAPTURE) -> Iterator[tuple[str, bool, list[str]]]:
     """For each instrument: its name, whether it has a fault, and lines to print."""
     if rig.rig.emulated:
         clock = VirtualClock()
         with EmulatedRig(rig, clock, rig.rig.seed) as twin:
-            yield from _check_all(rig, clock, twin.urls, {"cameras": lambda: twin.cameras})
+            yield from _check_all(rig, clock, twin.urls, {"cameras": lambda: twin.cameras}, capture)
         return
     real = RealClock()
     try:
-        yield from _check_all(rig, real, rig.rig.urls, {})
+        yield from _check_all(rig, real, rig.rig.urls, {}, capture)
     finally:
         real.close()
 
 
 def _check_all(
-    rig: LoadedRig, clock: Clock, urls: dict[str, str], more: dict[str, Callable[[], Any]]
+    rig: LoadedRig, clock: Clock, urls: dict[str, str], more: dict[str, Callable[[], Any]], capture: Captures
 ) -> Iterator[tuple[str, bool, list[str]]]:
-    for name, opener in {**driver_openers(rig, clock, urls), **more}.items():
+    for name, opener in {**driver_openers(rig, clock, urls, capture), **more}.items():
         try:
             device = opener()
             try:
-                yield name, False, [*(f"{key}: {value}" for key, value in _READ[name](device)), *_identity(device)]
+                yield name, False, [*(f"{key}: {value}" for key, value in _READ[name](device)), *_identity(device), *_safe_state(device)]
             finally:
                 device.close()
         except InstrumentError as error:
@@ -46,10 +47,17 @@ def _identity(device: Any) -> list[str]:
     return [f"{key}: {value}" for key, value in identity.items()]
 
 
+def _safe_state(device: Any) -> list[str]:
+    """As the driver declares it; cameras have none."""
+    return [f"safe state: {device.safe_state}"] if hasattr(device, "safe_state") else []
+
+
 def _arm(arm: Any) -> Iterator[tuple[str, str]]:
     arm.sign_on()
     packet = arm.poll()
     yield "counts", " ".join(str(count) for count in packet.counts)
+    for warning in arm.warnings:
+        yield "warning", warning
     yield "position", "only after homing is confirmed ('teatbench run' asks for it)"
 
 

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import sqlite3
 import sys
 from collections.abc import Sequence
 
 from bench import __version__
-from bench.commands import CODES, EXIT_CODES, Commands, bench_alone, frames, lists, runs
+from bench.commands import CODES, EXIT_CODES, Commands, arm, bath, bench_alone, frames, lists, runs, wire
+from bench.exits import installed
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -21,18 +21,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(encoding="utf-8", errors="replace")  # a Windows console may be set to less
-    if hasattr(signal, "SIGTERM"):
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C: through safe
-    given = parser().parse_args(arguments)
+    with installed():
+        return _run(parser().parse_args(arguments))
+
+
+def _run(given: argparse.Namespace) -> int:
+    """The command, and what each kind of failure means for the exit code."""
     from bench.config import ConfigError
     from instruments.camera.recording import RecordingError
+    from instruments.capture import CaptureError
     from instruments.errors import InstrumentError
 
     try:
         code: int = given.command(given)
         sys.stdout.flush()
         return code
-    except (ConfigError, RecordingError) as error:
+    except (ConfigError, RecordingError, CaptureError) as error:
         return complain(str(error), CODES.wrong_use)
     except InstrumentError as error:
         return complain(str(error), CODES.fault)
@@ -50,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(prog="teatbench", description="A hardware-in-the-loop test bench for teat detectors.", epilog=EXIT_CODES)
     top.add_argument("--version", action="version", version=f"teatbench {__version__}")
     commands = Commands(top.add_subparsers(title="commands", metavar="COMMAND", required=True))
-    for family in (runs, frames, bench_alone, lists):
+    for family in (runs, frames, bench_alone, arm, bath, wire, lists):
         family.add_to(commands)
     return top
 

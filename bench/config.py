@@ -148,7 +148,7 @@ def _without_tags(path: KeyPath, table: Any) -> KeyPath:
     """``path`` without the tags that pydantic puts in for the members of a union."""
     kept: list[str | int] = []
     for index, part in enumerate(path):
-        inside = isinstance(table, list) if isinstance(part, int) else isinstance(table, dict) and part in table
+        inside = isinstance(table, list) and part < len(table) if isinstance(part, int) else isinstance(table, dict) and part in table
         if inside:
             table = table[part]
         if inside or index == len(path) - 1:

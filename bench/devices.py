@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
+from bench.safing import heater_off, run_pump_on
 from instruments.bath.driver import Bath
 from instruments.camera.frame import FrameSet
 from instruments.clock import Clock
@@ -45,18 +46,30 @@ class Devices:
             "cameras": dict(self.cameras.identity),
         }
 
-    def make_safe(self, tell: Callable[[str], None]) -> bool:
-        """Bath to standby, stage still, arm's session ended: each tried whatever became of the others. True when all are safe."""
-        safe = True
-        steps = [("bath", self.bath.safe), *([("stage", self.stage.safe)] if self.stage else []), ("arm", self.arm.safe)]
-        for name, step in steps:
+    def safe_states(self) -> dict[str, str]:
+        """What safe is, as each driver declares it."""
+        stage = {"stage": self.stage.safe_state} if self.stage else {}
+        return {"bath": self.bath.safe_state, **stage, "arm": self.arm.safe_state, "cameras": "nothing to make safe"}
+
+    def make_safe(self, tell: Callable[[str], None], cut_short: Callable[[], bool] = lambda: False) -> tuple[str, ...]:
+        """Bath to standby, stage still, arm's session ended: each tried whatever became of the others; who could not be made safe.
+
+        ``cut_short`` ends the wait for a pump that runs on.
+        """
+        steps: dict[str, Callable[[], object]] = {"bath": lambda: heater_off(self.bath)}
+        if self.stage:
+            steps["stage"] = self.stage.safe
+        steps |= {"arm": self.arm.safe, "pump": lambda: run_pump_on(self.bath, self.clock.sleep, cut_short)}
+        unsafe: list[str] = []
+        for name, step in steps.items():
             try:
-                step()
-                tell(f"{name} is safe")
+                said = step()
+                if name != "pump" or said:
+                    tell(str(said or f"{name} is safe"))
             except InstrumentError as error:
-                safe = False
+                unsafe.append(name)
                 tell(f"{name} could not be made safe: {error}")
-        return safe
+        return tuple(unsafe)
 
     def close(self) -> None:
         """Close all links."""

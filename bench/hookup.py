@@ -12,12 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.arm.pedals import pedal_watch
 from bench.devices import Cameras, Devices
 from bench.emulation import EmulatedRig
 from bench.rig import EMULATED, LoadedRig
 from instruments.bath.driver import Bath
+from instruments.bath.relay import PumpAt
 from instruments.camera.opencv import OpenCvCameras
 from instruments.camera.recording import Recording, RecordingCameras
+from instruments.capture import NO_CAPTURE, Captures
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError
 from instruments.link import Link
@@ -45,17 +48,21 @@ class Hookup:
 
 
 @contextmanager
-def open_rig(rig: LoadedRig, *, seed: int, realtime: bool = False) -> Iterator[Hookup]:
-    """The drivers of ``rig``, with its emulators where it is an emulated one. Raises BringUpError."""
+def open_rig(rig: LoadedRig, *, seed: int, realtime: bool = False, capture: Captures = NO_CAPTURE) -> Iterator[Hookup]:
+    """The drivers of ``rig``, with its emulators where it is an emulated one; ``capture`` taps links. Raises BringUpError."""
     emulated = bool(rig.rig.emulated)
     clock: Clock = VirtualClock() if emulated and not realtime else RealClock()
     try:
         if emulated:
-            with EmulatedRig(rig, clock, seed) as twin, _connected(rig, clock, twin.urls, twin.cameras, twin.operator) as devices:
+            with (
+                EmulatedRig(rig, clock, seed) as twin,
+                _connected(rig, clock, twin.urls, twin.cameras, twin.operator, capture) as devices,
+            ):
                 yield Hookup(devices, twin.world.ends_mm)
         else:
             operator = ConsoleOperator(sys.stdin, sys.stdout)
-            with _connected(rig, clock, rig.rig.urls, None, operator) as devices:
+            with _connected(rig, clock, rig.rig.urls, None, operator, capture) as devices:
+                operator.watch_pedals(lambda: pedal_watch(devices.arm, clock))
                 yield Hookup(devices, None)
     finally:
         if isinstance(clock, RealClock):
@@ -63,8 +70,10 @@ def open_rig(rig: LoadedRig, *, seed: int, realtime: bool = False) -> Iterator[H
 
 
 @contextmanager
-def _connected(rig: LoadedRig, clock: Clock, urls: dict[str, str], cameras: Cameras | None, operator: Operator) -> Iterator[Devices]:
-    openers = driver_openers(rig, clock, urls)
+def _connected(
+    rig: LoadedRig, clock: Clock, urls: dict[str, str], cameras: Cameras | None, operator: Operator, capture: Captures
+) -> Iterator[Devices]:
+    openers = driver_openers(rig, clock, urls, capture)
     if cameras is not None:
         openers["cameras"] = lambda: cameras
     opened, faults = {}, {}
@@ -82,16 +91,23 @@ def _connected(rig: LoadedRig, clock: Clock, urls: dict[str, str], cameras: Came
             device.close()
 
 
-def driver_openers(rig: LoadedRig, clock: Clock, urls: dict[str, str]) -> dict[str, Callable[[], Any]]:
-    """For each instrument of the rig, what opens its driver; each may raise InstrumentError."""
+def driver_openers(rig: LoadedRig, clock: Clock, urls: dict[str, str], capture: Captures = NO_CAPTURE) -> dict[str, Callable[[], Any]]:
+    """For each instrument of the rig, what opens its driver, with a tap of ``capture``; each may raise InstrumentError."""
     r = rig.rig
+
+    def link(name: str, baud: int) -> Link:
+        return Link(urls[name], clock, who=name, baud=baud, tap=capture.tap(name, clock))
+
+    pump = PumpAt(r.bath.pump_url, rig.relay, capture.tap("pump", clock)) if rig.relay else None
     openers: dict[str, Callable[[], Any]] = {
-        "arm": lambda: MicroScribe(Link(urls["arm"], clock, who="arm", baud=r.arm.baud), clock),
-        "bath": lambda: Bath(urls["bath"], rig.profile, clock),
+        "arm": lambda: MicroScribe(link("arm", r.arm.baud), clock),
+        "bath": lambda: Bath(
+            urls["bath"], rig.profile, clock, allow_inferred=r.bath.allow_inferred, tap=capture.tap("bath", clock), pump=pump
+        ),
     }
     if r.stage:
         baud = r.stage.baud
-        openers["stage"] = lambda: Stage(Link(urls["stage"], clock, who="stage", baud=baud), clock)
+        openers["stage"] = lambda: Stage(link("stage", baud), clock)
     if r.cameras.url != EMULATED:
         openers["cameras"] = lambda: open_cameras(r.cameras.url, rig.path.parent, clock)
     return openers

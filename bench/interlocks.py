@@ -1,83 +1,119 @@
-"""What must never happen while the bath is hot: a table of rules over its readings, each with the reason that it trips for.
+"""Holds the table of interlocks against each reading of the bath, with what the rules have to remember.
 
-Pure: a reading and the one before it in, a sentence or nothing out. Who acts on a trip is the watch's and the engine's
-business. None of this is a safety function; the bath's independent cut-out is.
+Pure: readings with their times in, a trip or nothing out. Who acts on a trip is the watch's and the engine's business.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+import math
+from collections import deque
+from collections.abc import Mapping
 
+from bench.interlock_looks import RATE_SPAN_S, Bath, Look, Reading
+from bench.interlock_rules import COMMUNICATIONS, IMPLAUSIBLE, RULES, rule_named
 from bench.rig import Limits
+from instruments.bath.profile import Profile
 
-RATE_SPAN_S = 30.0  # a rate from two readings a second apart would be all noise
-
-
-class Reading(Protocol):
-    """What the rules look at."""
-
-    @property
-    def t_s(self) -> float: ...
-    @property
-    def temp_c(self) -> float: ...
-    @property
-    def alarm(self) -> int | None: ...
-
-
-@dataclass(frozen=True, slots=True)
-class Rule:
-    """``broken(now, earlier, limits)`` says what is wrong, or gives None; ``earlier`` is at least RATE_SPAN_S older, or None."""
-
-    name: str
-    broken: Callable[[Reading, Reading | None, Limits], str | None]
-    then: str
+SETTLED_WITHIN_K, SETTLED_S = 0.5, 120.0  # near the set point for so long, the teats have caught up with the water
+KEPT = 10  # readings that go into the record with a trip
 
 
 class InterlockTrip(Exception):  # noqa: N818 - the field's word
-    """A rule is broken; the bench has to go to safe and stay there."""
+    """A rule is broken; the bench goes to safe and stays there. ``values`` are the readings that led to it, oldest first."""
 
-    def __init__(self, rule: str, why: str, then: str) -> None:
+    def __init__(self, rule: str, why: str, then: str, values: tuple[Mapping[str, object], ...] = ()) -> None:
         self.rule = rule
+        self.why = why
+        self.then = then
+        self.values = values
         super().__init__(f"interlock {rule}: {why}. {then}")
 
-
-def _too_hot(now: Reading, _: Reading | None, limits: Limits) -> str | None:
-    hot = now.temp_c > limits.bath_max_c
-    return f"the bath is at {now.temp_c:.2f} degC, above {limits.bath_max_c:g} degC" if hot else None
-
-
-def _implausible(now: Reading, _: Reading | None, limits: Limits) -> str | None:
-    low, high = limits.bath_plausible_c
-    return None if low <= now.temp_c <= high else f"the bath reads {now.temp_c:.2f} degC, which no water bath has"
+    def as_dict(self) -> dict[str, object]:
+        """For a record: plain text, numbers and None."""
+        return {"rule": self.rule, "why": self.why, "then": self.then, "values": list(self.values)}
 
 
-def _too_fast(now: Reading, earlier: Reading | None, limits: Limits) -> str | None:
-    if earlier is None:
+class Interlocks:
+    """Holds the table against each reading. ``t_s`` of the readings has to advance."""
+
+    def __init__(self, limits: Limits, bath: Bath) -> None:
+        self._limits = limits
+        self._bath = bath
+        self._awake = [rule for rule in RULES if not rule.needs or rule.needs in bath.tells]
+        self._since: dict[str, Reading] = {}
+        self._recent: deque[Reading] = deque()
+        self._near_since_s = math.nan
+        self._asked_c: float | None = None
+
+    @property
+    def asleep(self) -> tuple[str, ...]:
+        """Names of the rules that can't work because the family doesn't tell what they need."""
+        return tuple(rule.name for rule in RULES if rule not in self._awake)
+
+    def heating(self, set_point_c: float) -> None:
+        """The bath has been started: the other sensors may lag again, and who stops it now is not the bench."""
+        self._asked_c = set_point_c
+        self._near_since_s = math.nan
+
+    def add(self, now: Reading, pump_on: bool | None = None) -> InterlockTrip | None:
+        """The first rule of the table that trips with this reading."""
+        settled = self._has_settled(now)
+        earlier = self._earlier(now)
+        for rule in self._awake:
+            since = self._since.setdefault(rule.name, now)
+            why = rule.wrong(Look(now, since, earlier, self._asked_c, pump_on, settled, self._limits, self._bath))
+            if why is None:
+                self._since[rule.name] = now
+            elif now.t_s - since.t_s >= rule.after_s:
+                return InterlockTrip(rule.name, why, rule.then, self.values)
         return None
-    rate = 60.0 * (now.temp_c - earlier.temp_c) / (now.t_s - earlier.t_s)
-    return f"the bath changed by {rate:+.1f} K/min" if abs(rate) > limits.bath_rate_k_per_min else None
+
+    def silent(self, silent_s: float, error: Exception, *, answered: bool) -> InterlockTrip | None:
+        """The trip that a missing reading means: nobody answers, or (``answered``) there is no temperature in the answer."""
+        if silent_s < self._limits.bath_silence_s:
+            return None
+        rule = rule_named(IMPLAUSIBLE if answered else COMMUNICATIONS)
+        what = "no usable reading" if answered else "no reading"
+        return InterlockTrip(rule.name, f"{what} for {silent_s:.0f} s ({error})", rule.then, self.values)
+
+    @property
+    def values(self) -> tuple[Mapping[str, object], ...]:
+        """The last readings as plain numbers, oldest first."""
+        return tuple(_plain(reading) for reading in list(self._recent)[-KEPT:])
+
+    def _earlier(self, now: Reading) -> Reading | None:
+        self._recent.append(now)
+        while len(self._recent) > 1 and now.t_s - self._recent[1].t_s >= RATE_SPAN_S:
+            self._recent.popleft()
+        oldest = self._recent[0]
+        return oldest if now.t_s - oldest.t_s >= RATE_SPAN_S else None
+
+    def _has_settled(self, now: Reading) -> bool:
+        """Once settled it stays so, or a bath that is driven off its set point would switch its own interlock off."""
+        if self._asked_c is None:
+            return False
+        if math.isnan(self._near_since_s) or now.t_s - self._near_since_s < SETTLED_S:
+            near = abs(now.temp_c - self._asked_c) <= SETTLED_WITHIN_K
+            if not near:
+                self._near_since_s = math.nan
+            elif math.isnan(self._near_since_s):
+                self._near_since_s = now.t_s
+        return not math.isnan(self._near_since_s) and now.t_s - self._near_since_s >= SETTLED_S
 
 
-def _alarm(now: Reading, _: Reading | None, _limits: Limits) -> str | None:
-    return f"the controller reports alarm {now.alarm}" if now.alarm else None
+def bath_of(profile: Profile) -> Bath:
+    """What the rules have to know of a family."""
+    rows = {"output": ("power",), "other sensor": ("external", "safety")}
+    tells = {what for what, names in rows.items() if any(profile.find(name) for name in names)}
+    levels = [alarm.code for alarm in profile.alarms if alarm.cause == "level"]
+    bits = any(row.alarm == "bits" for row in profile.rows)
+
+    def low_level(alarm: int) -> bool:
+        return any(alarm & level if bits else alarm == level for level in levels)
+
+    return Bath(frozenset(tells), low_level, profile.alarm_text)
 
 
-RULES = (
-    Rule("over-temperature", _too_hot, "Check the controller's set point and its heater relay before you start again."),
-    Rule("implausible reading", _implausible, "Check the bath's sensor and its plug."),
-    Rule("rate", _too_fast, "Check that the sensor hangs in the water, and the water level."),
-    Rule("controller alarm", _alarm, "Read the controller's display, clear the cause and the alarm there."),
-)
-COMMUNICATIONS = "communications lost"
-COMMUNICATIONS_THEN = "The bath may still heat: look at it. Check its cable and power."
-
-
-def first_broken(now: Reading, earlier: Reading | None, limits: Limits) -> InterlockTrip | None:
-    """The first rule of the table that this reading breaks."""
-    for rule in RULES:
-        why = rule.broken(now, earlier, limits)
-        if why:
-            return InterlockTrip(rule.name, why, rule.then)
-    return None
+def _plain(reading: Reading) -> Mapping[str, object]:
+    names = ("t_s", "temp_c", "external_c", "safety_c", "power_percent", "alarm")
+    return {name: getattr(reading, name) for name in names}

@@ -7,18 +7,22 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.config import ConfigError, read_config, read_text
-from bench.engine import Ending, Engine, Progress
+from bench.engine import Ending, Engine
 from bench.examine import TruthRow, examine
 from bench.facts import write_facts
 from bench.hookup import open_rig
+from bench.latch import refuse_latched
+from bench.lifeline import guarded
 from bench.recorder import Recorder
 from bench.rig import LoadedRig, read_calibration
 from bench.rows import frame_rows, judged, truth_row
 from bench.script import RECORDING_RULES, LoadedScript, Rules, check_detectors
+from bench.showing import Progress
 from bench.store import RULES, SCRIPT, FinishedTrial, Store, new_run_folder
 from detector import registry
 from detector.protocol import Detector
 from instruments.camera.recording import Recording
+from instruments.capture import NO_CAPTURE, Captures
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
 
@@ -44,12 +48,17 @@ def run_script(
     detectors: Sequence[str] = (),
     record: Path | None = None,
     realtime: bool = False,
+    capture: Captures = NO_CAPTURE,
 ) -> tuple[Path, Ending]:
-    """Run ``script`` on ``rig``; gives back the run's folder and how it ended. Raises ConfigError before anything is opened."""
+    """Run ``script`` on ``rig``; gives back the run's folder and how it ended.
+
+    Raises ConfigError before anything is opened, and LatchedError where an interlock's trip has not been acknowledged.
+    """
+    refuse_latched(rig)
     under_test = make_detectors(detectors or script.script.detectors)
     used_seed = rig.rig.seed if seed is None else seed
     recorder = Recorder(record, rig.calibration_path) if record else None
-    store = _new_store(out, script.name, {"rig.toml": rig.text, SCRIPT: script.text}, rig.calibration_path)
+    store = _new_store(out, script.name, {**rig.arm_files, "rig.toml": rig.text, SCRIPT: script.text}, rig.calibration_path)
     emulated = set(rig.rig.emulated)
     kind = "emulated" if emulated else "recorded" if rig.rig.cameras.url.startswith("recording:") else "real"
     facts = {"kind": kind, "title": script.script.title, "about": script.script.about, "seed": used_seed, "rig": rig.rig.name}
@@ -57,9 +66,18 @@ def run_script(
     try:
         write_facts(store, facts, under_test, rig.calibration_path)
         try:
-            with open_rig(rig, seed=used_seed, realtime=realtime) as hookup:
-                engine = Engine(rig, script, hookup.devices, store, under_test, progress, exact_ends=hookup.exact_ends, sink=recorder)
-                return store.folder, engine.run()
+            with open_rig(rig, seed=used_seed, realtime=realtime, capture=capture) as hookup:
+                bath, clock = hookup.devices.bath, hookup.devices.clock
+                with guarded(bath.url, rig.profile_source, store.folder, clock) as (pulse, lifeline):
+                    engine = Engine(
+                        rig, script, hookup.devices, store, under_test, progress,
+                        exact_ends=hookup.exact_ends, sink=recorder, pulse=pulse, lifeline=lifeline,
+                    )  # fmt: skip
+                    try:
+                        return store.folder, engine.run()
+                    finally:
+                        if lifeline and engine.bath_is_safe:
+                            lifeline.done()
         except (InstrumentError, KeyboardInterrupt) as error:  # before the engine had the instruments: nothing was switched on
             return store.folder, _never_started(store, error)
     finally:

@@ -40,6 +40,9 @@ class TerminalProgress:
         if not self._console.is_terminal:
             self._console.print(f"trial {done + 1} of {total}: {name}" if done < total else f"{total} of {total} trials done")
 
+    def warn(self, text: str) -> None:
+        self._console.print(text, style="bold red", markup=False, soft_wrap=True)
+
     def __enter__(self) -> TerminalProgress:
         self._bar.start()
         return self

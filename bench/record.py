@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bench.config import ConfigError
 from bench.scoring.scene import SceneScore, scene_from_dict
-from bench.store import DATABASE, SCHEMA_VERSION
+from bench.store import DATABASE, GUARDIAN, SCHEMA_VERSION
 
 Row = Mapping[str, Any]
 
@@ -48,7 +48,10 @@ class TrialRecord:
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
-    """A run as it stands on disk. ``facts`` hold for the whole run; ``bath`` has columns t_s, temp_c, power_percent (n, 3)."""
+    """A run as it stands on disk. ``facts`` hold for the whole run; ``bath`` has columns t_s, temp_c, power_percent (n, 3).
+
+    ``external_c`` (n,) is not-a-number where there is no such sensor. ``guardian`` is what the guardian wrote when it acted.
+    """
 
     folder: Path
     facts: Mapping[str, Any]
@@ -56,6 +59,8 @@ class RunRecord:
     events: tuple[Row, ...]
     bath: NDArray[np.float64]
     bath_states: tuple[str, ...]
+    external_c: NDArray[np.float64]
+    guardian: Mapping[str, Any] | None
 
     @property
     def ending(self) -> str:
@@ -86,16 +91,29 @@ def read_run(folder: Path) -> RunRecord:
 
 def _read(folder: Path, db: sqlite3.Connection) -> RunRecord:
     facts = {row["key"]: json.loads(row["value"]) for row in db.execute("SELECT key, value FROM facts")}
-    bath = list(db.execute("SELECT t_s, temp_c, power_percent, state FROM bath ORDER BY t_s"))
-    columns = [[np.nan if row[k] is None else row[k] for k in range(3)] for row in bath]
+    bath = list(db.execute("SELECT t_s, temp_c, power_percent, external_c, state FROM bath ORDER BY t_s"))
+    columns = [[np.nan if row[k] is None else row[k] for k in range(4)] for row in bath]
+    table = np.array(columns, dtype=np.float64).reshape(-1, 4)
     return RunRecord(
         folder=folder,
         facts=facts,
         trials=tuple(_trials(db)),
         events=tuple(dict(row) for row in db.execute("SELECT * FROM events ORDER BY number")),
-        bath=np.array(columns, dtype=np.float64).reshape(-1, 3),
+        bath=table[:, :3],
         bath_states=tuple(row["state"] for row in bath),
+        external_c=table[:, 3],
+        guardian=_guardian(folder / GUARDIAN),
     )
+
+
+def _guardian(path: Path) -> Mapping[str, Any] | None:
+    """What the guardian wrote; it writes whole files only, so one that can't be read was not written by it."""
+    if not path.is_file():
+        return None
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except ValueError as error:
+        raise ConfigError.plain(f"{path} can't be read: {error}. Delete it to see the rest of the run.") from error
 
 
 def _trials(db: sqlite3.Connection) -> Iterator[TrialRecord]:

@@ -12,24 +12,36 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
+from bench.arm.files import load_frame, load_verification
+from bench.arm.frame import TableFrame
+from bench.arm.verification import Verification
 from bench.config import ConfigError, Section, did_you_mean, located, read_config, read_text
+from bench.faults import check_wish
 from detector.calibration import Calibration, CalibrationError, load_calibration
-from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
+from instruments.bath.line import ALLOWED, LineError, parse_line
+from instruments.bath.profile import Profile, ProfileError, RelayProfile, load_profile, load_relay, profile_names
+from instruments.microscribe.unit import ArmIdentity, UnitError, load_unit
 
 RIGS = Path(__file__).parent / "rigs"
 EMULATED = "emulator:"
 
 
-def _serial_url(url: str) -> str:
+def serial_url(url: str) -> str:
+    """``url`` where it is a serial link's. Raises ValueError that says what is allowed."""
     if url == EMULATED or re.match(r"(socket|rfc2217)://[^/:]+:\d+$", url) or re.match(r"(/dev/\S+|COM\d+)$", url):
         return url
     raise ValueError('not a link; allowed: "emulator:", "/dev/ttyUSB0", "COM5", "socket://host:port", "rfc2217://host:port"')
 
 
-def _bath_url(url: str) -> str:
-    if url == EMULATED or re.match(r"tcp://[^/:]+:\d+$", url):
+def bath_url(url: str) -> str:
+    """``url`` where it is a bath's. Raises ValueError that says what is allowed."""
+    if url == EMULATED:
         return url
-    raise ValueError('not a link; allowed: "emulator:", "tcp://host:port"')
+    try:
+        parse_line(url)
+    except LineError as error:
+        raise ValueError(str(error).replace(ALLOWED, f'"{EMULATED}", {ALLOWED}')) from error
+    return url
 
 
 def _camera_url(url: str) -> str:
@@ -40,23 +52,55 @@ def _camera_url(url: str) -> str:
     )
 
 
+def _beside(name: str, info: ValidationInfo) -> str:
+    folder: Any = (info.context or {}).get("folder")
+    if folder is not None and not (Path(folder) / name).is_file():
+        raise ValueError(f"no such file beside the rig file ({Path(folder) / name})")
+    return name
+
+
+def _beside_if_named(name: str, info: ValidationInfo) -> str:
+    return _beside(name, info) if name else name
+
+
 Millimetres = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Point = tuple[Millimetres, Millimetres, Millimetres]
+Radians = Annotated[float, Field(ge=-7, le=7, allow_inf_nan=False)]
 
 
 class Arm(Section):
-    url: Annotated[str, AfterValidator(_serial_url)]
+    url: Annotated[str, AfterValidator(serial_url)]
     baud: Literal[9600, 14400, 19200, 28800, 38400, 57600, 115200] = 115200
     accuracy_mm: Positive = 0.23
     packets: Annotated[int, Field(ge=2, le=1000)] = 8
     max_spread_mm: Positive = 1.0
     touches: Annotated[int, Field(ge=1, le=100)] = 3
     definition_mm: Positive = 0.1
+    frame: Annotated[str, AfterValidator(_beside_if_named)] = ""
+    verification: Annotated[str, AfterValidator(_beside_if_named)] = ""
+    check_point_mm: Point | None = None
+    check_touches: Annotated[int, Field(ge=2, le=100)] = 5
+
+
+def _relay_url(url: str) -> str:
+    try:
+        if url:
+            parse_line(url)
+    except LineError as error:
+        raise ValueError(str(error)) from error
+    return url
 
 
 class Bath(Section):
-    url: Annotated[str, AfterValidator(_bath_url)]
+    url: Annotated[str, AfterValidator(bath_url)]
     profile: str
+    allow_inferred: bool = False
+    pump_url: Annotated[str, AfterValidator(_relay_url)] = ""
+    pump_profile: Annotated[str, AfterValidator(_beside_if_named)] = ""
+    accuracy_k: Positive = 0.1
+    external_accuracy_k: Positive = 0.1
+    room_c: Annotated[float, Field(ge=-10, le=40)] = 20.0
 
     @field_validator("profile")
     @classmethod
@@ -68,7 +112,7 @@ class Bath(Section):
 
 
 class Stage(Section):
-    url: Annotated[str, AfterValidator(_serial_url)]
+    url: Annotated[str, AfterValidator(serial_url)]
     baud: Literal[9600, 19200, 38400, 57600, 115200] = 115200
     reference_mm: tuple[Millimetres, Millimetres] = (-150.0, -137.5)
     feed_mm_per_min: Positive = 1500.0
@@ -90,6 +134,7 @@ class Limits(Section):
     bath_plausible_c: tuple[float, float] = (-5.0, 60.0)
     bath_rate_k_per_min: Positive = 4.0
     bath_silence_s: Positive = 5.0
+    sensors_differ_k: Positive = 2.0
     detection_timeout_s: Positive = 30.0
 
     @field_validator("set_point_c", "bath_plausible_c")
@@ -106,6 +151,29 @@ class Limits(Section):
         return self
 
 
+class Placed(Section):
+    """Where something stands: X_world = R(om) X + T, a rotation vector in rad and mm."""
+
+    om: tuple[Radians, Radians, Radians] = (0.0, 0.0, 0.0)
+    T: Point = (0.0, 0.0, 0.0)
+
+
+class EmulatedFault(Section):
+    """Something that goes wrong ``at_s`` after the emulators started, for ``for_s``, or for good where that is left out."""
+
+    instrument: Literal["arm", "bath", "stage"]
+    name: str
+    at_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    for_s: Positive | None = None
+    times: Annotated[int, Field(ge=1)] | None = None
+    amount: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+
+    @model_validator(mode="after")
+    def _known(self) -> EmulatedFault:
+        check_wish(self.instrument, self)
+        return self
+
+
 class Emulation(Section):
     """What the emulated world is like; a real rig has no use for it."""
 
@@ -114,12 +182,15 @@ class Emulation(Section):
     arm_accuracy_mm: Annotated[float, Field(ge=0, le=5)] = 0.23
     hand_tremor_mm: Annotated[float, Field(ge=0, le=5)] = 0.05
     hand_error_mm: Annotated[float, Field(ge=0, le=10)] = 0.1
+    arm_placed: Placed = Placed()
+    arm_unit: Annotated[str, AfterValidator(_beside_if_named)] = ""
+    faults: tuple[EmulatedFault, ...] = ()
 
 
 class Rig(Section):
     name: str
     seed: Annotated[int, Field(ge=0)] = 1
-    calibration: str
+    calibration: Annotated[str, AfterValidator(_beside)]
     operator: Operator
     arm: Arm
     bath: Bath
@@ -127,14 +198,6 @@ class Rig(Section):
     cameras: Cameras
     limits: Limits = Limits()
     emulation: Emulation = Emulation()
-
-    @field_validator("calibration")
-    @classmethod
-    def _there(cls, name: str, info: ValidationInfo) -> str:
-        folder: Any = (info.context or {}).get("folder")
-        if folder is not None and not (Path(folder) / name).is_file():
-            raise ValueError(f"no such file beside the rig file ({Path(folder) / name})")
-        return name
 
     @property
     def urls(self) -> dict[str, str]:
@@ -158,6 +221,22 @@ class LoadedRig:
     profile: Profile
     calibration_path: Path
     calibration: Calibration
+    frame: TableFrame | None = None
+    verification: Verification | None = None
+    arm_unit: ArmIdentity | None = None
+    relay: RelayProfile | None = None
+
+    @property
+    def profile_source(self) -> str:
+        """What another process loads the bath's profile by: a shipped name, or a whole path."""
+        name = self.rig.bath.profile
+        return str((self.path.parent / name).resolve()) if name.endswith(".toml") else name
+
+    @property
+    def arm_files(self) -> dict[str, str]:
+        """The text of each file about the arm that the rig names, by its name; for the run's folder."""
+        names = [name for name in (self.rig.arm.frame, self.rig.arm.verification) if name]
+        return {Path(name).name: read_text(self.path.parent / name) for name in names}
 
 
 def find_rig(name: str | None) -> Path:
@@ -190,7 +269,16 @@ def load_rig(path: Path) -> LoadedRig:
         message = f"emulated and real instruments don't mix: they would not share one world (real here: {', '.join(sorted(real))})"
         raise located(path, text, [((name, "url"), message, False) for name in rig.emulated])
     calibration_path = path.parent / rig.calibration
-    return LoadedRig(path, text, rig, profile, calibration_path, read_calibration(calibration_path))
+    homeless = [i for i, fault in enumerate(rig.emulation.faults) if fault.instrument not in rig.urls]
+    if homeless:
+        missing = "this rig has no such instrument"
+        raise located(path, text, [(("emulation", "faults", i, "instrument"), missing, False) for i in homeless])
+    frame = load_frame(path.parent / rig.arm.frame) if rig.arm.frame else None
+    verification = load_verification(path.parent / rig.arm.verification) if rig.arm.verification else None
+    unit = _arm_unit(path.parent / rig.emulation.arm_unit) if rig.emulation.arm_unit else None
+    relay = _relay(path, text, rig, profile)
+    calibration = read_calibration(calibration_path)
+    return LoadedRig(path, text, rig, profile, calibration_path, calibration, frame, verification, unit, relay)
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -201,6 +289,13 @@ def read_calibration(path: Path) -> Calibration:
         raise located(path, read_text(path), [(fault.key, fault.message, False) for fault in error.faults]) from error
 
 
+def _arm_unit(path: Path) -> ArmIdentity:
+    try:
+        return load_unit(path)
+    except UnitError as error:
+        raise located(path, read_text(path), [(key, message, False) for key, message in error.located]) from error
+
+
 def _profile(path: Path, text: str, rig: Rig) -> Profile:
     name = rig.bath.profile
     own = path.parent / name if name.endswith(".toml") else None
@@ -209,5 +304,30 @@ def _profile(path: Path, text: str, rig: Rig) -> Profile:
     try:
         return load_profile(own or name)
     except ProfileError as error:
-        faults = [(tuple(int(k) if k.isdigit() else k for k in key.split(".")), message, False) for key, message in error.faults]
-        raise located(Path(error.path), read_text(Path(error.path)), faults) from error
+        raise _profile_faults(error) from error
+
+
+def _relay(path: Path, text: str, rig: Rig, profile: Profile) -> RelayProfile | None:
+    """The profile of the relay that switches the pump, where the rig has one."""
+    bath = rig.bath
+    if not (bath.pump_url or bath.pump_profile):
+        return None
+    key = "pump_url" if bath.pump_url else "pump_profile"
+    wrong = ""
+    if not (bath.pump_url and bath.pump_profile):
+        wrong = f"{'pump_profile' if bath.pump_url else 'pump_url'} is missing: a pump's relay has both, or there is none"
+    elif bath.url == EMULATED:
+        wrong = "an emulated bath has its pump already: leave pump_url and pump_profile out"
+    elif profile.capabilities.pump != "none":
+        wrong = f"{profile.family} has a pump of its own: leave pump_url and pump_profile out"
+    if wrong:
+        raise located(path, text, [(("bath", key), wrong, False)])
+    try:
+        return load_relay(path.parent / bath.pump_profile)
+    except ProfileError as error:
+        raise _profile_faults(error) from error
+
+
+def _profile_faults(error: ProfileError) -> ConfigError:
+    faults = [(tuple(int(k) if k.isdigit() else k for k in key.split(".")), message, False) for key, message in error.faults]
+    return located(Path(error.path), read_text(Path(error.path)), faults)

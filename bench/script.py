@@ -27,7 +27,7 @@ class BathGate(Section):
     """Set point and stability gate; the defaults are those of the bench's bath sheet, section 4.2."""
 
     set_point_c: float
-    window_s: Annotated[float, Field(ge=30, le=7200)] = 600.0
+    window_s: Annotated[float, Field(ge=2, le=7200)] = 600.0  # far less than 600 s shows nothing: for trying a rig out
     mean_k: Positive = 0.10
     half_range_k: Positive = 0.05
     slope_k_per_min: Positive = 0.01
@@ -75,8 +75,24 @@ class BathRequirement(Section):
     source: str = ""
 
 
+class ArmRequirement(Section):
+    """The arm checked before and after the trials, and verified on a day not long ago (docs/arm.md). Limits in mm."""
+
+    kind: Literal["arm_verified"]
+    name: str
+    location_limit_mm: Positive
+    shift_limit_mm: Positive
+    drift_limit_mm: Positive
+    length_limit_mm: Positive | None = None
+    max_age_days: Positive
+    least_touches: Annotated[int, Field(ge=2, le=100)] = 5
+    dated_required: bool = False
+    source: str = ""
+
+
 Requirement = Annotated[
-    ErrorRequirement | TimeRequirement | SuccessRequirement | FalseRequirement | BathRequirement, Field(discriminator="kind")
+    ErrorRequirement | TimeRequirement | SuccessRequirement | FalseRequirement | BathRequirement | ArmRequirement,
+    Field(discriminator="kind"),
 ]
 
 

@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import sqlite3
+import threading
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 SCHEMA_VERSION = 1
 DATABASE, SCRIPT, RULES = "run.sqlite", "script.toml", "rules.toml"
+GUARDIAN = "guardian.json"  # written by the guardian, when it had to act
 FLUSH_EVERY = 60  # bath readings a transaction: one sync a minute of run time
 
 SCHEMA = """
@@ -75,6 +77,7 @@ class Store:
         self._db.execute("PRAGMA synchronous = FULL")
         self._db.execute("PRAGMA foreign_keys = ON")
         self._readings: list[Row] = []
+        self._lock = threading.RLock()  # the watch writes on the clock's thread, all others on the main one
 
     @classmethod
     def create(cls, folder: Path, files: Mapping[str, str]) -> Store:
@@ -88,7 +91,8 @@ class Store:
 
     def fact(self, key: str, value: Any) -> None:
         """Write down (or over) something that holds for the whole run; ``value`` is kept as JSON."""
-        self._db.execute("INSERT OR REPLACE INTO facts VALUES (?, ?)", (key, json.dumps(value, ensure_ascii=False)))
+        with self._lock:
+            self._db.execute("INSERT OR REPLACE INTO facts VALUES (?, ?)", (key, json.dumps(value, ensure_ascii=False)))
 
     def event(self, t_s: float | None, kind: str, text: str, wall_time: datetime) -> None:
         """Write down what happened, durable at once."""
@@ -97,22 +101,25 @@ class Store:
 
     def bath(self, reading: Row) -> None:
         """Write down a bath reading; durable with the next event or trial, or after a minute of readings."""
-        self._readings.append(reading)
-        if len(self._readings) >= FLUSH_EVERY:
-            self.flush()
+        with self._lock:
+            self._readings.append(reading)
+            if len(self._readings) >= FLUSH_EVERY:
+                self.flush()
 
     def flush(self) -> None:
         """Make all bath readings durable."""
-        if self._readings:
-            readings, self._readings = self._readings, []
-            self._write([("bath", readings)])
+        with self._lock:
+            if self._readings:
+                readings, self._readings = self._readings, []
+                self._write([("bath", readings)])
 
     def finished(self, done: FinishedTrial) -> None:
         """Write a whole trial in one transaction, durable on return."""
-        readings, self._readings = self._readings, []
-        tables: list[tuple[str, Sequence[Row]]] = [("bath", readings), ("trials", [done.trial])]
         names = ("frames", "touches", "truth", "detections", "found", "scores")
-        self._write(tables + [(name, getattr(done, name)) for name in names])
+        with self._lock:
+            readings, self._readings = self._readings, []
+            tables: list[tuple[str, Sequence[Row]]] = [("bath", readings), ("trials", [done.trial])]
+            self._write(tables + [(name, getattr(done, name)) for name in names])
 
     def frame(self, trial: str, camera: str, image: Picture, exposed_s: float | None) -> Row:
         """Write a frame as PNG, synced and renamed; gives back its row for the trial."""
@@ -125,21 +132,24 @@ class Store:
 
     def close(self) -> None:
         """Flush and close; once more is no error."""
-        self.flush()
-        self._db.close()
+        with self._lock:
+            self.flush()
+            self._db.close()
 
     def _write(self, tables: Iterable[tuple[str, Sequence[Row]]]) -> None:
-        try:
-            self._db.execute("BEGIN IMMEDIATE")
-            for table, rows in tables:
-                for row in rows:
-                    marks = ", ".join("?" * len(row))
-                    self._db.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", tuple(row.values()))  # noqa: S608 - our names
-        except BaseException:
-            if self._db.in_transaction:
-                self._db.execute("ROLLBACK")
-            raise
-        self._db.execute("COMMIT")
+        with self._lock:
+            try:
+                self._db.execute("BEGIN IMMEDIATE")
+                for table, rows in tables:
+                    for row in rows:
+                        marks = ", ".join("?" * len(row))
+                        command = f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})"  # noqa: S608 - our names
+                        self._db.execute(command, tuple(row.values()))
+                self._db.execute("COMMIT")
+            except BaseException:  # Ctrl-C too: an open transaction would keep the run's end from being written
+                if self._db.in_transaction:
+                    self._db.execute("ROLLBACK")
+                raise
 
 
 def png_bytes(image: Picture) -> bytes:

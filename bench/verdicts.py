@@ -7,18 +7,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bench.arm.decision import decide_arm
 from bench.record import RunRecord
 from bench.scoring.decisions import Decision, Verdict, decide_condition, decide_count, decide_error, decide_rate, decide_time, overall
 from bench.scoring.pool import Pool, pool
-from bench.script import BathRequirement, ErrorRequirement, FalseRequirement, Requirement, Rules, SuccessRequirement, TimeRequirement
+from bench.script import (
+    ArmRequirement,
+    BathRequirement,
+    ErrorRequirement,
+    FalseRequirement,
+    Requirement,
+    Rules,
+    SuccessRequirement,
+    TimeRequirement,
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """One detector's decisions, in the order of the script's requirements, and the verdict that they add up to."""
+    """One detector's decisions, in the order of the script's requirements, and the verdict that they add up to.
+
+    ``of_bench`` names the requirements that the bench has to meet, not the detector.
+    """
 
     detector: str
     decisions: tuple[Decision, ...]
+    of_bench: frozenset[str] = frozenset()
 
     @property
     def verdict(self) -> Verdict:
@@ -28,8 +42,10 @@ class Judgement:
 
 def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
     """Each detector's judgement. An unfinished run is judged on the trials that it has."""
+    of_bench = frozenset(rule.name for rule in rules.requirements if isinstance(rule, ArmRequirement | BathRequirement))
     return tuple(
-        Judgement(name, tuple(_decide(rule, run, scored(run, name), name) for rule in rules.requirements)) for name in run.detectors
+        Judgement(name, tuple(_decide(rule, run, scored(run, name), name) for rule in rules.requirements), of_bench)
+        for name in run.detectors
     )
 
 
@@ -68,6 +84,8 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
             return decide_time(rule.name, seconds, limit_s=rule.limit_s, statistic=rule.statistic)
         case BathRequirement():
             return _bath(rule, run)
+        case ArmRequirement():
+            return decide_arm(rule, run.facts)
 
 
 def _bath(rule: BathRequirement, run: RunRecord) -> Decision:

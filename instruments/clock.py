@@ -7,8 +7,10 @@ waits or why. Events planned with ``call_at`` run in the thread that moves the t
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import itertools
+import queue
 import threading
 import time
 from collections.abc import Callable
@@ -42,6 +44,9 @@ def stopwatch_s() -> float:
     return time.perf_counter()
 
 
+PATIENCE_S = 10.0  # real time that an emulator's thread gets to take bytes before it is called hung
+
+
 class RealClock:
     """Time as it passes. Planned actions run on a thread of their own, which ``close`` ends."""
 
@@ -49,9 +54,9 @@ class RealClock:
         self._start = time.monotonic()
         self._planned: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
+        self._wake: queue.SimpleQueue[bool] = queue.SimpleQueue()  # False ends the thread
         self._worker: threading.Thread | None = None
-        self._closing = False
 
     def now(self) -> float:
         return time.monotonic() - self._start
@@ -61,31 +66,32 @@ class RealClock:
             time.sleep(seconds)
 
     def call_at(self, when_s: float, action: Callable[[], None]) -> None:
-        with self._changed:
+        with self._lock:
             heapq.heappush(self._planned, (when_s, next(self._order), action))
             if self._worker is None:
                 self._worker = threading.Thread(target=self._work, name="clock", daemon=True)
                 self._worker.start()
-            self._changed.notify()
+        self._wake.put(True)
 
     def close(self) -> None:
         """Drop what is still planned and end the thread."""
-        with self._changed:
-            self._closing = True
+        with self._lock:
             self._planned.clear()
-            self._changed.notify()
+        self._wake.put(False)
         if self._worker is not None and self._worker is not threading.current_thread():
             self._worker.join()
 
     def _work(self) -> None:
         while True:
-            with self._changed:
-                while not self._closing and (not self._planned or self._planned[0][0] > self.now()):
-                    self._changed.wait(self._planned[0][0] - self.now() if self._planned else None)
-                if self._closing:
+            with self._lock:
+                wait_s = self._planned[0][0] - self.now() if self._planned else None
+                due = wait_s is not None and wait_s <= 0
+                action = heapq.heappop(self._planned)[2] if due else None
+            if action:
+                action()
+            with contextlib.suppress(queue.Empty):
+                if not self._wake.get(timeout=0 if action else wait_s):
                     return
-                _, _, action = heapq.heappop(self._planned)
-            action()
 
 
 class VirtualClock:
@@ -111,7 +117,12 @@ class VirtualClock:
             heapq.heappush(self._planned, (when_s, next(self._order), action))
 
     def step(self, limit_s: float) -> bool:
-        """Move to the next planned action and run it, or to ``limit_s`` if none comes before; False at the limit."""
+        """Move to the next planned action and run it, or to ``limit_s`` if none comes before; False at the limit.
+
+        What is on its way to an emulator is taken first: it was sent before time moved.
+        """
+        for wire in list(self._wires.values()):
+            wire.wait_taken(PATIENCE_S)
         with self._lock:
             due = bool(self._planned) and self._planned[0][0] <= limit_s
             when, _, action = heapq.heappop(self._planned) if due else (limit_s, 0, None)
@@ -136,11 +147,13 @@ class Wire:
     """Counts of bytes between a link and an emulator of one process, so that time stands still while any is in flight.
 
     Without it a reader under virtual time could not tell "the emulator has nothing to say" from "its thread
-    has not run yet", and how far time moves would depend on the machine's load.
+    has not run yet", and how far time moves would depend on the machine's load. Ctrl-C may strike the host's thread
+    anywhere: only locks of the interpreter's own are used, which `with` never leaves taken.
     """
 
     def __init__(self) -> None:
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
+        self._waiter: threading.Lock | None = None
         self._accepted = False
         self._closed = False
         self._to_device = 0
@@ -148,32 +161,58 @@ class Wire:
 
     def accepted(self) -> None:
         """The emulator has the connection and has said what it says unasked."""
-        with self._changed:
+        with self._lock:
             self._accepted = True
-            self._changed.notify_all()
+            self._tell()
 
     def closed(self) -> None:
         """The emulator has hung up; nothing more will come."""
-        with self._changed:
+        with self._lock:
             self._closed = True
-            self._changed.notify_all()
+            self._tell()
 
     def add(self, *, to_device: int = 0, to_host: int = 0) -> None:
         """Bytes sent (positive) or taken (negative) in either direction."""
-        with self._changed:
+        with self._lock:
             self._to_device += to_device
             self._to_host += to_host
-            self._changed.notify_all()
+            self._tell()
 
     def settle(self, patience_s: float) -> bool:
         """Wait until bytes are there for the host (True), or nothing is in flight (False).
 
         Raises TimeoutError when the emulator's thread does neither within ``patience_s`` of real time.
         """
-        with self._changed:
-            if not self._changed.wait_for(self._settled, patience_s):
+        self._wait_for(self._settled, patience_s)
+        return self._to_host > 0 or self._closed
+
+    def wait_taken(self, patience_s: float) -> None:
+        """Wait until the emulator has taken all that was sent to it. Raises TimeoutError as ``settle`` does."""
+        self._wait_for(self._taken, patience_s)
+
+    def nothing_came(self) -> None:
+        """The host looked and found no byte, whatever the count says: an interrupt has come between reading and counting."""
+        with self._lock:
+            self._to_host = 0
+
+    def _wait_for(self, done: Callable[[], bool], patience_s: float) -> None:
+        deadline = time.monotonic() + patience_s
+        while True:
+            with self._lock:
+                if done():
+                    return
+                waiter = self._waiter = threading.Lock()
+                waiter.acquire()
+            if not waiter.acquire(timeout=max(0.0, deadline - time.monotonic())):
                 raise TimeoutError(f"{self._to_device} bytes stayed untaken for {patience_s} s")
-            return self._to_host > 0 or self._closed
+
+    def _tell(self) -> None:
+        if self._waiter is not None:
+            waiter, self._waiter = self._waiter, None
+            waiter.release()
+
+    def _taken(self) -> bool:
+        return self._closed or self._to_device <= 0
 
     def _settled(self) -> bool:
-        return self._to_host > 0 or self._closed or (self._accepted and self._to_device == 0)
+        return self._to_host > 0 or self._closed or (self._accepted and self._to_device <= 0)

@@ -10,16 +10,18 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
+from pathlib import Path
 from typing import Protocol
 from urllib.parse import urlsplit
 
 import serial
+from serial.tools import list_ports
 
-from instruments.clock import Clock, VirtualClock, Wire
+from instruments.clock import PATIENCE_S, Clock, VirtualClock, Wire
 from instruments.errors import LinkError
 from instruments.tap import NoTap, Tap
 
-PATIENCE_S = 10.0  # real time that an emulator's thread gets to take bytes before we call it hung
+COUNTED_S = 2.0  # real time until bytes that an emulator has counted must have come over loopback
 
 
 class _Port(Protocol):
@@ -49,9 +51,15 @@ class Link:
         self._open()
 
     def set_baud(self, baud: int) -> None:
-        """Speak at another rate from now on; a link that is no serial port has none, and only notes it."""
+        """Speak at another rate from now on; a link that is no serial port has none, and only notes it.
+
+        Raises LinkError where the port can't do that rate; it keeps its own then.
+        """
+        try:
+            self._port.set_baud(baud)
+        except (OSError, ValueError) as error:
+            raise LinkError(self.who, f"the port can't speak at {baud} baud: {error}", hint=f"Stay at {self.baud} baud.") from error
         self.baud = baud
-        self._port.set_baud(baud)
 
     def _open(self) -> None:
         self._buffer = b""
@@ -65,14 +73,14 @@ class Link:
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``. Raises LinkError when the link is broken."""
-        if self._virtual:
-            self._virtual[1].add(to_device=len(data))
         self._tap.sent(data)
         try:
             self._port.write(data)
         except OSError as error:
-            self._tap.closed()
+            self._tap.closed(str(error))
             raise LinkError(self.who, f"the link broke while sending: {error}", asked=data, hint="Check cable and power.") from error
+        if self._virtual:  # counted after: an interrupt between the two must not leave bytes that nobody will ever take
+            self._virtual[1].add(to_device=len(data))
 
     def receive(self, timeout_s: float) -> bytes:
         """Whatever has come, waiting ``timeout_s`` at most for the first byte; empty when nothing came.
@@ -132,7 +140,7 @@ class Link:
         try:
             data = self._port.read_some(timeout_s)
         except OSError as error:
-            self._tap.closed()
+            self._tap.closed(str(error))
             raise LinkError(self.who, f"the link broke while reading: {error}", hint="Check cable and power.") from error
         if data:
             self._tap.received(data)
@@ -140,13 +148,16 @@ class Link:
 
     def _receive_virtually(self, clock: VirtualClock, wire: Wire, timeout_s: float) -> bytes:
         deadline = clock.now() + timeout_s
-        while not self._settle(wire):
-            if clock.now() >= deadline:
-                return b""
-            clock.step(deadline)
-        data = self._receive_really(PATIENCE_S)
-        wire.add(to_host=-len(data))
-        return data
+        while True:
+            while not self._settle(wire):
+                if clock.now() >= deadline:
+                    return b""
+                clock.step(deadline)
+            data = self._receive_really(COUNTED_S)
+            if data:
+                wire.add(to_host=-len(data))
+                return data
+            wire.nothing_came()
 
     def _settle(self, wire: Wire) -> bool:
         try:
@@ -206,9 +217,9 @@ class _TcpPort:
 class _SerialPort:
     def __init__(self, url: str, baud: int, who: str) -> None:
         try:
-            self._serial = serial.serial_for_url(url, baudrate=baud, timeout=0, write_timeout=2.0)
+            self._serial = serial.serial_for_url(url, baudrate=baud, timeout=0, write_timeout=2.0, exclusive=True)
         except (serial.SerialException, ValueError, OSError) as error:
-            raise LinkError(who, f"the port can't be opened: {error}", hint=_port_hint(error)) from error
+            raise LinkError(who, f"the port can't be opened: {error}", hint=_port_hint(url, error)) from error
 
     def read_some(self, timeout_s: float) -> bytes:
         self._serial.timeout = timeout_s
@@ -229,10 +240,21 @@ class _SerialPort:
         self._serial.close()
 
 
-def _port_hint(error: Exception) -> str:
+def _port_hint(url: str, error: Exception) -> str:
     text = str(error).lower()
-    if "permission" in text or "access is denied" in text:
-        return "Close other programs that use the port; on Linux join the group 'dialout' and log in again."
+    if "exclusively lock" in text or "busy" in text or "access is denied" in text:
+        return f"Another program has the port open: close it. On Linux 'fuser -v {url}' names it."
+    if "permission" in text:
+        group = _group(url)
+        return f"You may not use the port: it belongs to the group '{group}'. 'sudo usermod -aG {group} $USER', then log in again."
     if "no such file" in text or "filenotfound" in text.replace(" ", ""):
-        return "Is the adapter plugged in? 'python -m serial.tools.list_ports' lists the ports."
+        here = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
+        return f"Is the adapter plugged in, and the port's name right? Serial ports on this machine: {here}."
     return "Check the port's name and that no other program uses it."
+
+
+def _group(url: str) -> str:
+    try:
+        return Path(url).group()
+    except (OSError, KeyError, NotImplementedError):  # no such file any more, a group without a name, or Windows
+        return "dialout"

@@ -1,19 +1,21 @@
 """The emulators' end of a link: listens on loopback TCP and hands bytes to a device that never waits.
 
-One listener serves one device, on a port that the system chooses. It may not know what the bytes mean. A
-device answers at once through its connection, or later through ``after``; it never sleeps, and it is never
-called by two threads at the same time: all emulators of a world share one lock.
+One listener serves one device, on a port that the system chooses; ``pty_listener`` does the same on a pseudo-terminal.
+It may not know what the bytes mean. A device answers at once through its connection, or later through ``after``; it
+never sleeps, and it is never called by two threads at the same time: all emulators of a world share one lock.
 """
 
 from __future__ import annotations
 
 import contextlib
+import select
 import socket
 import threading
 from collections.abc import Callable
 from typing import Protocol
 
 from instruments.clock import Clock, VirtualClock, Wire
+from instruments.pacing import Pacer, Port, check_pace, pacer_for
 
 
 class Device(Protocol):
@@ -35,11 +37,12 @@ class Device(Protocol):
 class Connection:
     """One host's connection to a device: the device's way to answer."""
 
-    def __init__(self, sock: socket.socket, clock: Clock, lock: threading.RLock, wire: Wire | None) -> None:
-        self._socket = sock
+    def __init__(self, port: Port, clock: Clock, lock: threading.RLock, *, wire: Wire | None = None, pacer: Pacer | None = None) -> None:
+        self._port = port
         self._clock = clock
         self._lock = lock
         self._wire = wire
+        self._pacer = pacer
         self.open = True
 
     def send(self, data: bytes) -> None:
@@ -48,8 +51,11 @@ class Connection:
             return
         if self._wire:
             self._wire.add(to_host=len(data))
+        if self._pacer:
+            self._pacer.send(data)
+            return
         with contextlib.suppress(OSError):
-            self._socket.sendall(data)
+            self._port.write(data)
 
     def after(self, seconds: float, action: Callable[[], None]) -> None:
         """Run ``action`` once the clock has moved on by ``seconds``, unless the host has gone by then."""
@@ -61,23 +67,91 @@ class Connection:
 
         self._clock.call_at(self._clock.now() + seconds, run)
 
+    def busy_s(self) -> float:
+        """How long the line will take for what was sent already, as a transmitter's empty flag tells; 0 where it isn't paced."""
+        return self._pacer.busy_s() if self._pacer else 0.0
+
+    def baud(self) -> int | None:
+        """The rate that the host's port is set to; None where the device's end can't tell."""
+        return self._port.baud()
+
     def hang_up(self) -> None:
-        """Break the connection from the device's side: a pulled cable, a power cut."""
+        """Break the connection from the device's side: a pulled cable, a power cut. What was sent before arrives."""
         self.open = False
         if self._wire:
             self._wire.closed()  # at once, so that virtual time does not run on while the host waits
-        with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)
+        if self._pacer:
+            self._pacer.hang_up()
+        else:
+            self._port.hang_up()
+
+    def abort(self) -> None:
+        """Break the connection because the listener closes: what is still on the line is lost."""
+        self.hang_up()
+        if self._pacer:
+            self._pacer.abort()
+
+    def serve(self, device: Device) -> None:
+        """Hand ``device`` what comes, until the host goes or somebody hangs up: the work of a listener's thread."""
+        with self._lock:
+            device.connect(self)
+        if self._wire:
+            self._wire.accepted()
+        try:
+            if self._pacer:
+                self._pacer.run(lambda data: self._receive(device, data))
+            else:
+                self._pump(device)
+        finally:
+            with self._lock:
+                self.open = False
+                device.disconnect(self)
+            if self._wire:
+                self._wire.closed()
+
+    def _pump(self, device: Device) -> None:
+        while True:
+            try:
+                data = self._port.read(65536)
+            except OSError:
+                return
+            if not data:
+                return
+            self._receive(device, data)
+
+    def _receive(self, device: Device, data: bytes) -> None:
+        with self._lock:
+            device.receive(self, data)
+        if self._wire:
+            self._wire.add(to_device=-len(data))
 
 
 class Listener:
-    """Serves ``device`` until closed. ``url`` is what a driver opens. Raises OSError when the address is taken."""
+    """Serves ``device`` until closed. ``url`` is what a driver opens.
 
-    def __init__(self, device: Device, clock: Clock, *, lock: threading.RLock, name: str, host: str = "127.0.0.1", port: int = 0) -> None:
+    With ``baud``, bytes come and go at 10 bits a byte of real time, as on a serial line; with ``latency_s``, the host
+    sees each byte so much later, as behind an adapter. Raises OSError when the address is taken, and ValueError for a
+    pace under virtual time.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        clock: Clock,
+        *,
+        lock: threading.RLock,
+        name: str,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        baud: int | None = None,
+        latency_s: float = 0.0,
+    ) -> None:
+        check_pace(clock, baud, latency_s)
         self.name = name
         self._device = device
         self._clock = clock
         self._lock = lock
+        self._pace = baud, latency_s
         self._server = socket.create_server((host, port))
         self.port: int = self._server.getsockname()[1]
         self.url = f"socket://{host}:{self.port}"
@@ -95,7 +169,7 @@ class Listener:
         with self._lock:
             connections = list(self._connections)
         for connection in connections:
-            connection.hang_up()
+            connection.abort()
         for thread in self._threads:
             thread.join()
 
@@ -118,32 +192,34 @@ class Listener:
     def _serve(self, sock: socket.socket, host_port: int) -> None:
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         wire = self._clock.wire(host_port) if isinstance(self._clock, VirtualClock) else None
-        connection = Connection(sock, self._clock, self._lock, wire)
-        with self._lock:
-            self._connections.add(connection)
-            self._device.connect(connection)
-        if wire:
-            wire.accepted()
-        try:
-            self._pump(sock, connection, wire)
-        finally:
+        with sock:
             with self._lock:
-                connection.open = False
-                self._connections.discard(connection)
-                self._device.disconnect(connection)
-            if wire:
-                wire.closed()
-            sock.close()
-
-    def _pump(self, sock: socket.socket, connection: Connection, wire: Wire | None) -> None:
-        while not self._closing:
+                if self._closing:
+                    return
+                port = _TcpPort(sock)
+                connection = Connection(port, self._clock, self._lock, wire=wire, pacer=pacer_for(port, self._clock, *self._pace))
+                self._connections.add(connection)
             try:
-                data = sock.recv(65536)
-            except OSError:
-                return
-            if not data:
-                return
-            with self._lock:
-                self._device.receive(connection, data)
-            if wire:
-                wire.add(to_device=-len(data))
+                connection.serve(self._device)
+            finally:
+                with self._lock:
+                    self._connections.discard(connection)
+
+
+class _TcpPort:
+    def __init__(self, sock: socket.socket) -> None:
+        self._socket = sock
+        self.fileno = sock.fileno
+        self.read = self.take = sock.recv
+        self.write = sock.sendall
+
+    def ready(self) -> bool:
+        return bool(select.select([self._socket], [], [], 0)[0])
+
+    def hang_up(self) -> None:
+        with contextlib.suppress(OSError):  # gone already
+            self._socket.shutdown(socket.SHUT_RDWR)
+
+    def baud(self) -> int | None:
+        """TCP doesn't carry it."""
+        return None

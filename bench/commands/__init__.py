@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from bench.commands.capturing import add_capture
+
 if TYPE_CHECKING:
     SubParsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
@@ -34,10 +36,15 @@ class Commands:
     def __init__(self, subparsers: SubParsers) -> None:
         self._subparsers = subparsers
 
-    def add(self, name: str, what: str, command: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
-        """A command that calls ``command``; gives back its parser for its arguments."""
+    def add(
+        self, name: str, what: str, command: Callable[[argparse.Namespace], int], *, opens_links: bool = True
+    ) -> argparse.ArgumentParser:
+        """A command that calls ``command``; gives back its parser for its arguments.
+
+        One that opens links has ``--capture FILE``, and asks ``given.capture.tap(name, clock)`` for each link's tap.
+        """
         sub = self._subparsers.add_parser(name, help=what, description=what, epilog=EXIT_CODES)
-        sub.set_defaults(command=command)
+        sub.set_defaults(command=add_capture(sub, command) if opens_links else command)
         return sub
 
     def group(self, name: str, what: str) -> Commands:

@@ -11,9 +11,11 @@ from bench.commands import CODES, Commands, add_rig
 def add_to(commands: Commands) -> None:
     """The family's commands with their arguments."""
     add_rig(commands.add("check", "connect to every instrument, print who it is and one reading", _check))
-    emulate = commands.add("emulate", "only the emulators of a rig, in real time, until Ctrl-C", _emulate)
+    emulate = commands.add("emulate", "only the emulators of a rig, in real time, until Ctrl-C", _emulate, opens_links=False)
     add_rig(emulate)
     emulate.add_argument("--listen", default="127.0.0.1", metavar="HOST", help="address to listen on (default: 127.0.0.1)")
+    emulate.add_argument("--pty", action="store_true", help="serial instruments on pseudo-terminals (Linux and macOS)")
+    emulate.add_argument("--paced", action="store_true", help="serial instruments at the rig's baud rate, 10 bits a byte")
 
 
 def _check(given: argparse.Namespace) -> int:
@@ -21,7 +23,7 @@ def _check(given: argparse.Namespace) -> int:
     from bench.rig import find_rig, load_rig
 
     failed = False
-    for name, fault, lines in check_rig(load_rig(find_rig(given.rig))):
+    for name, fault, lines in check_rig(load_rig(find_rig(given.rig)), given.capture):
         failed |= fault
         print(f"{name}: {'FAULT' if fault else 'ok'}")
         for line in lines:
@@ -37,15 +39,18 @@ def _emulate(given: argparse.Namespace) -> int:
     rig = load_rig(find_rig(given.rig))
     clock = RealClock()
     try:
-        with EmulatedRig(rig, clock, rig.rig.seed, host=given.listen) as twin:
-            for name, url in twin.urls.items():
-                print(f"{name} {url}", flush=True)
+        with EmulatedRig(rig, clock, rig.rig.seed, host=given.listen, pty=given.pty, paced=given.paced) as twin:
+            shown: dict[str, str] = {}
             while True:
+                for name, url in twin.urls.items():
+                    if shown.get(name) != url:  # a pty comes back under another name after the instrument hung up
+                        print(f"{name} {url}", flush=True)
+                        shown[name] = url
                 clock.sleep(0.5)
     except KeyboardInterrupt:
         return CODES.met
     except OSError as error:
-        print(f"teatbench: can't listen on {given.listen}: {error}", file=sys.stderr)
+        print(f"teatbench: can't listen on {'pseudo-terminals' if given.pty else given.listen}: {error}", file=sys.stderr)
         return CODES.wrong_use
     finally:
         clock.close()

@@ -11,7 +11,7 @@ from bench.commands import CODES, Commands, add_detectors
 
 def add_to(commands: Commands) -> None:
     """The family's commands with their arguments."""
-    detect = commands.add("detect", "detect only: what each detector finds in recorded frames", _detect)
+    detect = commands.add("detect", "detect only: what each detector finds in recorded frames", _detect, opens_links=False)
     detect.add_argument("recording", type=Path, help="a recording's folder")
     detect.add_argument("--json", action="store_true", help="one JSON line a frame")
     add_detectors(detect)

@@ -9,9 +9,9 @@ from bench.commands import CODES, Commands
 
 def add_to(commands: Commands) -> None:
     """The family's commands."""
-    commands.add("rigs", "the rig files that ship", _rigs)
-    commands.add("trials", "the trial scripts that ship", _trials)
-    commands.add("detectors", "the detectors that ship", _detectors)
+    commands.add("rigs", "the rig files that ship", _rigs, opens_links=False)
+    commands.add("trials", "the trial scripts that ship", _trials, opens_links=False)
+    commands.add("detectors", "the detectors that ship", _detectors, opens_links=False)
 
 
 def _rigs(_: argparse.Namespace) -> int:

@@ -19,9 +19,9 @@ def add_to(commands: Commands) -> None:
     run.add_argument("--realtime", action="store_true", help="emulated rig only: let time pass as it does")
     add_out(run)
     add_detectors(run)
-    report = commands.add("report", "(re)write the report of a run", _report)
+    report = commands.add("report", "(re)write the report of a run", _report, opens_links=False)
     report.add_argument("run", type=Path, help="the run's folder")
-    score = commands.add("score", "score detectors on recorded frames", _score)
+    score = commands.add("score", "score detectors on recorded frames", _score, opens_links=False)
     score.add_argument("recording", type=Path, help="a recording's folder")
     add_out(score)
     add_detectors(score)
@@ -46,7 +46,15 @@ def _run(given: argparse.Namespace) -> int:
     console = Console()
     with TerminalProgress(console) as progress:
         folder, _ = run_script(
-            rig, script, given.out, progress, seed=given.seed, detectors=given.detector, record=given.record, realtime=given.realtime
+            rig,
+            script,
+            given.out,
+            progress,
+            seed=given.seed,
+            detectors=given.detector,
+            record=given.record,
+            realtime=given.realtime,
+            capture=given.capture,
         )
         progress.state("writing the report")
         code, show = _reported(folder)

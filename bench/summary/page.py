@@ -17,12 +17,14 @@ from bench.scoring.rates import zero_failure_n
 from bench.script import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement
 from bench.store import RULES, SCRIPT
 from bench.summary import tables
+from bench.summary.arm import arm_parts
+from bench.summary.bath import bath_parts
 from bench.summary.trials import trial_id, trial_parts, trial_table
-from bench.summary.wording import headline, number
+from bench.summary.wording import headline
 from bench.truth import DEFINITION
 from bench.verdicts import Judgement, judge, scored
 from detector.calibration import Calibration
-from reports.figures import bath_curve, error_histogram, error_scatter, found_bars, latency_strip, per_axis_errors
+from reports.figures import error_histogram, error_scatter, found_bars, latency_strip, per_axis_errors
 from reports.page import Banner, Code, Column, Figure, Notes, Page, Paragraph, Part, Section, Table
 from reports.render import write_report
 
@@ -65,7 +67,7 @@ def build_page(run: RunRecord, rules: Rules, judgements: Sequence[Judgement], ca
         Section("results", "Results by situation", tuple(_result_parts(run, rules))),
         Section("accuracy", "Accuracy", tuple(_accuracy_parts(run, rules, calibration))),
         Section("latency", "Time", tuple(_latency_parts(run, rules))),
-        Section("environment", "Bath and environment", tuple(_bath_parts(run, rules))),
+        Section("environment", "Bath and environment", tuple(bath_parts(run, rules))),
         Section("reference", "Measurand and reference", tuple(_reference_parts(run))),
         Section("provenance", "Provenance", tuple(_provenance_parts(run))),
         Section("trial-list", "Trials", (trial_table(run),)),
@@ -153,34 +155,6 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     yield Table("Detection time", columns, tuple(rows), "Wall-clock time of the detector alone, on the machine named under Provenance.")
 
 
-def _bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
-    captures = [t.head["captured_s"] for t in run.trials if t.head["captured_s"] is not None]
-    set_point = run.facts.get("set_point_c")
-    if set_point is None or not len(run.bath):
-        yield Paragraph("No bath belongs to recorded frames.", tone="muted")
-        return
-    band_k = rules.bath.leave_k if isinstance(rules, Script) else 0.15
-    svg = bath_curve(run.bath[:, 0], run.bath[:, 1], set_point, band_k, captures, _stable_spans(run))
-    temps = [t.head["bath_c"] for t in run.trials if t.head["bath_c"] is not None]
-    caption = "Bath temperature over the run's time; captures are marked"
-    yield Figure(svg, caption, f"{len(run.bath)} readings, {len(captures)} captures", wide=True)
-    entries: list[tuple[str, object]] = [("set point", number(set_point, "°C")), ("readings", len(run.bath))]
-    if temps:
-        entries.append(("at the captures", f"{min(temps):.2f} to {max(temps):.2f} °C"))
-    yield tables.key_values("Bath", entries)
-    yield Paragraph("The bath is not the stimulus: the teats' skin sits a few tenths of a kelvin below the water.", tone="info")
-
-
-def _stable_spans(run: RunRecord) -> list[tuple[float, float]]:
-    spans: list[tuple[float, float]] = []
-    for t_s, state in zip(run.bath[:, 0].tolist(), run.bath_states, strict=True):
-        if state == "stable":
-            joined = spans and t_s - spans[-1][1] < 5.0
-            start = spans.pop()[0] if joined else t_s
-            spans.append((start, t_s))
-    return spans
-
-
 def _reference_parts(run: RunRecord) -> Iterator[Part]:
     yield Paragraph(f"Measurand: {DEFINITION}")
     yield Paragraph("An answer that triangulates silhouettes measures another point; this report does not correct for it.", tone="info")
@@ -190,6 +164,7 @@ def _reference_parts(run: RunRecord) -> Iterator[Part]:
         rows = [(c["name"], f"{c['u_mm']:.3f}", c["source"]) for c in budget["components"]]
         rows.append(("combined, along one axis", f"{budget['u_mm']:.3f}", "root of the sum of squares"))
         yield Table("Uncertainty budget of the truth (last teat end)", columns, tuple(rows))
+    yield from arm_parts(run)
     exact = _truth_error(run)
     if exact:
         yield Paragraph(exact, tone="info")

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bench.record import RunRecord, TrialRecord
 from bench.scoring.scene import SceneScore
 from bench.store import Picture, png_bytes, write_synced
+from bench.summary.bath import surface_at, surface_told
 from bench.summary.wording import number
 from detector.calibration import Calibration
 from reports.page import Cell, Circle, Column, Cross, ImageView, Label, Overlay, Rect, Shape, Table, Tone, TrialPart
@@ -74,6 +75,7 @@ def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: 
         ("situation", str(head["situation"])),
         ("repeat", str(head["repeat"])),
         ("bath at capture", number(head["bath_c"], "°C") + (f", {head['bath_state']}" if head["bath_state"] else "")),
+        ("teats' surface", surface_told(surface_at(run, trial))),
         *((f"time, {d['detector']}", f"{d['wall_seconds']:.3f} s") for d in trial.detections),
         *((f"hidden, {d['detector']}", f"claims {d['hidden']}") for d in trial.detections),
     )

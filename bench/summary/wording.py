@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from bench.record import RunRecord
 from bench.scoring.decisions import Decision, Verdict
@@ -50,15 +51,29 @@ def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdi
         return "no verdict", "The recording has no truth, so nothing was scored.", "Add truth.csv to the recording, then score it again."
     verdict = run_verdict(judgements)
     worst = _worst(judgements, verdict)
-    return verdict.value, _why(worst, len(judgements)), _next_action(verdict, worst)
+    return verdict.value, _why(worst, len(judgements)), _next_action(verdict, worst, judgements[0].of_bench)
 
 
 def _why_ended(run: RunRecord) -> str:
     told = [event["text"] for event in run.events if event["kind"] in ("fault", "aborted")]
     done, planned = len(run.trials), run.facts.get("planned", "?")
     if run.ending == "interrupted":
-        return f"The bench died before the run was over; {done} of {planned} trials are kept."
+        died = f"The bench died before the run was over; {done} of {planned} trials are kept."
+        return f"{died} {guardian_told(run.guardian)}" if run.guardian else died
     return f"The run was {run.ending} after {done} of {planned} trials: {told[-1] if told else 'no reason was recorded'}."
+
+
+def guardian_told(record: Mapping[str, Any]) -> str:
+    """What befell the bench and when, and when the guardian had the bath in standby, or that it had not."""
+    when, why = record["wall_noticed"], record["why"]
+    befell = {
+        "died": f"The bench died at {when}",
+        "hung": f"The bench hung ({why}); its last sign of life was at {record['wall_last_sign']}",
+        "gave up": f"At {when} the bench gave up: {why}",
+    }[record["cause"]]
+    if record["standby"]:
+        return f"{befell}; the guardian had the bath in standby at {record['wall_safe']}, {record['seconds']:.1f} s after it took notice."
+    return f"{befell}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries ({record['error']}): switch it off by hand."
 
 
 def _after_ending(run: RunRecord) -> str:
@@ -76,10 +91,14 @@ def _why(worst: Sequence[tuple[str, Decision]], detectors: int) -> str:
     return " ".join(f"{f'{name}: ' if detectors > 1 else ''}{d.name[0].upper()}{d.name[1:]}: {d.sentence}" for name, d in worst)
 
 
-def _next_action(verdict: Verdict, worst: Sequence[tuple[str, Decision]]) -> str:
+def _next_action(verdict: Verdict, worst: Sequence[tuple[str, Decision]], of_bench: frozenset[str]) -> str:
     if verdict is Verdict.MET:
         return "Keep this run folder as the evidence; it names everything that is needed to repeat it."
-    names = ", ".join(dict.fromkeys(decision.name for _, decision in worst))
+    named = list(dict.fromkeys(decision.name for _, decision in worst))
+    bench, names = (", ".join(name for name in named if (name in of_bench) is of) for of in (True, False))
     if verdict is Verdict.NOT_MET:
-        return f"The detector has to become better at: {names}. Start with the trials marked below; each shows where its points went wrong."
-    return f"Run more poses to decide: {names}. Each row says how many are missing."
+        first = f"Put the bench right before all else: {bench}; what it measured may be wrong. " if bench else ""
+        then = "Start with the trials marked below; each shows where its points went wrong."
+        return (first + (f"The detector has to become better at: {names}. {then}" if names else "Then run the script again.")).strip()
+    first = f"Complete what is missing of: {bench}. " if bench else ""
+    return (first + (f"Run more poses to decide: {names}. Each row says how many are missing." if names else "")).strip()

@@ -1,76 +1,118 @@
-"""The emulated controller: a Modbus TCP server whose registers are the plant's state, laid out by a profile.
+"""The emulated controller: a Modbus server whose registers are the plant's state, laid out by a profile.
 
-Asked for a register, it moves the plant on to the clock's time and looks; told a value, it acts on the plant. What
-no document says was chosen: addresses between a table's rows read as 0, a broken sensor reads as not-a-number, the
-pump's stage is a quarter of the full flow each. It never waits, and may not know who is asking or why.
+Asked for a register, it moves the plant on to the clock's time and looks; told a value, it acts on the plant. It speaks
+Modbus TCP or RTU over whatever carries its bytes. It never waits, and may not know who is asking or why. What registers mean:
+`meanings`; where they are: `cells`; a family's ways: `families`.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from itertools import cycle
+from typing import Literal
 
-from instruments.bath import protocol
+from instruments.bath import protocol, rtu
+from instruments.bath.cells import Cells
+from instruments.bath.controller import Controller
+from instruments.bath.families import manners_of
+from instruments.bath.meanings import Meanings
 from instruments.bath.profile import Profile
-from instruments.bath.protocol import Frame, FrameReader, Read, Refused, Write
-from instruments.bath.registers import Order
-from instruments.bath.rows import Row, Table
+from instruments.bath.protocol import Frame, FrameReader, Plain, Read, Refused, Request, Write
+from instruments.bath.rtu import RtuFrame, RtuReader
 from instruments.clock import Clock
 from instruments.listener import Connection
 from instruments.world.plant import Plant
 
-FIRMWARE = 10400
-WIRE_FAULTS = ("silence", "busy", "wrong length", "late answer", "gaps refused")
-SETTING_FAULTS = ("fahrenheit", "word order", "manual mode")
+Framing = Literal["tcp", "rtu"]
+
+WIRE_FAULTS = ("silence", "busy", "wrong length", "surplus", "late answer", "garbage", "bad CRC", "gaps refused", "controller reset")
+SETTING_FAULTS = {"fahrenheit": "fahrenheit", "word order": "turned", "manual mode": "manual_mode"}
 PLANT_FAULTS = {
     "sensor break": "broken_sensor",
+    "frozen sensor": "frozen_sensor",
     "stuck heater": "stuck_heater",
     "dead heater": "dead_heater",
     "pump stopped": "stopped_pump",
     "low level": "",
 }
 FAULTS = (*WIRE_FAULTS, *SETTING_FAULTS, *PLANT_FAULTS)
+GARBAGE = (0x00, 0xFF, 0x01, 0x03)  # ahead of an answer, one byte each time (fact sheet, P6)
 
 
 class BathEmulator:
     """Serves ``plant`` as a controller of ``profile``'s family. Other unit ids get no answer.
 
-    ``late_s`` is how long an answer takes under the fault "late answer".
+    "wrong length" leaves a register (or eight bits) out of an answer, "surplus" adds one.
+    ``framing``: "tcp" for Modbus TCP, "rtu" for RTU on a pty or over TCP; by default what the family has, TCP first.
+    ``as_shipped``: in the factory's unit, which is degF for some. ``late_s`` is how long an answer takes under the fault
+    "late answer". Raises ValueError for a framing that is none.
     """
 
-    def __init__(self, plant: Plant, profile: Profile, clock: Clock, *, unit_id: int | None = None) -> None:
+    def __init__(
+        self,
+        plant: Plant,
+        profile: Profile,
+        clock: Clock,
+        *,
+        unit_id: int | None = None,
+        framing: Framing | None = None,
+        as_shipped: bool = False,
+    ) -> None:
         self.plant = plant
         self.profile = profile
         self.late_s = 1.5
         self.unit_id = unit_id or profile.unit_id
+        self.framing: Framing = framing or ("tcp" if "tcp" in profile.transports else "rtu")
+        if self.framing not in ("tcp", "rtu"):
+            raise ValueError(f"no framing '{framing}'; there are tcp and rtu")
         self._clock = clock
+        self._manners = manners_of(profile)
         self._faults: set[str] = set()
-        self._actuating = 0.0
-        self._limit = plant.output_max
-        self._readers: dict[Connection, FrameReader] = {}
-        self._rows = {(row.table, address): row for row in profile.rows for address in range(row.address, row.end)}
-        self._reads = _reads(self)
-        self._writes = _writes(self)
+        self._back_at_s = 0.0
+        self._garbage = cycle(GARBAGE)
+        self._readers: dict[Connection, FrameReader | RtuReader] = {}
+        self._controller = Controller(plant, profile, self._manners, self.unit_id)
+        self._controller.fahrenheit = as_shipped and self._manners.fahrenheit_as_shipped
+        self._meanings = Meanings(self._controller)
+        self._cells = Cells(profile, self._manners, self._meanings)
+        plant.fit(circulator=profile.capabilities.pump == "with run")
 
     @property
     def faults(self) -> frozenset[str]:
         """What is broken at the moment."""
-        return frozenset(self._faults)
+        settings = {name for name, attribute in SETTING_FAULTS.items() if getattr(self._controller, attribute)}
+        resetting = {"controller reset"} if self._clock.now() < self._back_at_s else set()
+        return frozenset(self._faults | settings | resetting)
 
     def fault(self, name: str, *, on: bool = True) -> None:
-        """Break something, or mend it. Raises ValueError for a name that is not in ``FAULTS``."""
-        if name not in FAULTS:
-            raise ValueError(f"no fault '{name}'; there are {', '.join(FAULTS)}")
-        (self._faults.add if on else self._faults.discard)(name)
+        """Break something, or mend it. Raises ValueError as `check_fault` does.
+
+        "controller reset" happens once and mends itself; to mend it is to have it back at once. The settings may also be
+        changed over the wire, where the family allows it.
+        """
+        self.check_fault(name)
+        if name == "controller reset":
+            self._reset() if on else self._come_back()
+        elif name in SETTING_FAULTS:
+            setattr(self._controller, SETTING_FAULTS[name], on)
+        else:
+            (self._faults.add if on else self._faults.discard)(name)
         if name == "low level":
             k = self.plant.constants
             self.plant.fill(k.volume_min_l - 0.5 if on else k.volume_l)
         elif name in PLANT_FAULTS:
             setattr(self.plant, PLANT_FAULTS[name], on)
+        self._cells.gaps_refused = "gaps refused" in self._faults
+
+    def check_fault(self, name: str) -> None:
+        """Raise ValueError for a fault that there is not, or that this framing can't have."""
+        if name not in FAULTS:
+            raise ValueError(f"no fault '{name}'; there are {', '.join(FAULTS)}")
+        if name == "bad CRC" and self.framing == "tcp":
+            raise ValueError("the bath speaks Modbus TCP, which has no check sum: it can't have the fault 'bad CRC'")
 
     def connect(self, connection: Connection) -> None:
         """A host has connected; Modbus says nothing unasked."""
-        self._readers[connection] = FrameReader()
+        self._readers[connection] = FrameReader() if self.framing == "tcp" else RtuReader()
 
     def disconnect(self, connection: Connection) -> None:
         """The host has gone; the bath carries on as it is."""
@@ -79,136 +121,79 @@ class BathEmulator:
     def receive(self, connection: Connection, data: bytes) -> None:
         """Answer every request that ``data`` completes; hang up on what is no Modbus TCP."""
         try:
-            for frame in self._readers[connection].feed(data):
+            for frame in self._readers[connection].feed(data, self._clock.now()):
                 self._serve(connection, frame)
         except protocol.UnframedError:
             connection.hang_up()
 
-    def _serve(self, connection: Connection, frame: Frame) -> None:
-        if frame.unit != self.unit_id or "silence" in self._faults:
+    def _serve(self, connection: Connection, frame: Frame | RtuFrame) -> None:
+        to_all = self.framing == "rtu" and frame.unit == rtu.BROADCAST
+        deaf = "silence" in self._faults or self._clock.now() < self._back_at_s
+        if deaf or (frame.unit != self.unit_id and not to_all):
             return
         self.plant.advance_to(self._clock.now())
-        answer = frame.answer(self._answer(frame.pdu))
+        pdu = self._answer(frame.pdu)
+        if pdu and not to_all:
+            self._send(connection, self._spoilt(frame.answer(pdu)))
+
+    def _send(self, connection: Connection, answer: bytes) -> None:
         if "late answer" in self._faults:
             connection.after(self.late_s, lambda: connection.send(answer))
         else:
             connection.send(answer)
 
+    def _spoilt(self, answer: bytes) -> bytes:
+        if "bad CRC" in self._faults:
+            answer = answer[:-1] + bytes((answer[-1] ^ 0xFF,))
+        return bytes((next(self._garbage),)) + answer if "garbage" in self._faults else answer
+
     def _answer(self, pdu: bytes) -> bytes:
+        """The PDU to answer with; empty for none."""
+        function = pdu[0]
         try:
             if "busy" in self._faults:
-                raise Refused(protocol.BUSY)
-            request = protocol.parse(pdu)
-            if isinstance(request, Read):
-                return protocol.answer_read(request, self._registers(request))
-            self._write(request)
-            return protocol.answer_write(request)
+                return protocol.answer_refusal(function, protocol.BUSY) if self._manners.says_busy else b""
+            if function not in self._manners.functions:
+                raise Refused(protocol.ILLEGAL_FUNCTION)
+            return self._done(protocol.parse(pdu))
         except Refused as refused:
-            return protocol.answer_refusal(pdu[0], refused.code)
+            unheard_of = refused.code == protocol.ILLEGAL_FUNCTION and self._manners.unknown_function == "silence"
+            return b"" if unheard_of else protocol.answer_refusal(function, refused.code)
 
-    def _registers(self, request: Read) -> list[int]:
-        table: Table = "holding" if request.function == protocol.READ_HOLDING else "input"
-        end = request.address + request.count
-        if (table, request.address) not in self._rows or (table, end - 1) not in self._rows:
-            raise Refused(protocol.ILLEGAL_ADDRESS)
-        registers: list[int] = []
-        order = self._order()
-        address = request.address
-        while address < end:
-            row = self._rows.get((table, address))
-            if row is None and "gaps refused" in self._faults:
-                raise Refused(protocol.ILLEGAL_ADDRESS)
-            words = row.encode(self._reads[row.name](), order)[address - row.address :] if row else (0,)
-            registers += words
-            address += len(words)
-        return registers[: request.count - ("wrong length" in self._faults)]
+    def _done(self, request: Request) -> bytes:
+        if isinstance(request, Read):
+            return protocol.answer_read(request, self._read(request))
+        if isinstance(request, Write):
+            self._cells.write(request)
+            return protocol.answer_write(request)
+        if isinstance(request, Plain):
+            return self._plain(request)
+        self._cells.read(request.read)  # refused before anything is written
+        self._cells.write(request.write)
+        return protocol.answer_read(request.read, self._read(request.read))
 
-    def _write(self, request: Write) -> None:
-        """All of the request or nothing, and whole rows only."""
-        wanted: list[tuple[Row, float]] = []
-        address, end = request.address, request.address + len(request.registers)
-        while address < end:
-            row = self._rows.get(("holding", address))
-            if row is None or row.access != "rw" or row.address != address or row.end > end:
-                raise Refused(protocol.ILLEGAL_ADDRESS)
-            if row.words > 1 and request.function == protocol.WRITE_ONE:
-                raise Refused(protocol.ILLEGAL_ADDRESS)
-            value = row.decode(request.registers[address - request.address :][: row.words], self._order())
-            if not math.isfinite(value) or row.refusal(self._celsius(value) if row.unit == "degC" else value):
+    def _read(self, request: Read) -> list[int]:
+        values = self._cells.read(request)
+        byte_or_word = 8 if request.function in protocol.BITS else 1
+        if "surplus" in self._faults:
+            values += [0] * byte_or_word
+        return values[:-byte_or_word] if "wrong length" in self._faults else values
+
+    def _plain(self, request: Plain) -> bytes:
+        """The status byte, or the loopback's echo."""
+        if request.function == protocol.LOOPBACK:
+            if len(request.body) != 4 or request.body[:2] != b"\0\0":
                 raise Refused(protocol.ILLEGAL_VALUE)
-            wanted.append((row, value))
-            address = row.end
-        if "manual mode" not in self._faults:
-            for row, value in wanted:
-                self._writes[row.name](value)
+            return bytes((request.function,)) + request.body
+        status = self.profile.find("status")
+        return bytes((request.function, self._meanings.words(status)[0] & 0xFF if status else 0))
 
-    def _order(self) -> Order:
-        turned = "word order" in self._faults
-        return self.profile.order_for(3 if turned else 0) or self.profile.order
+    def _reset(self) -> None:
+        self._controller.reset()
+        self._back_at_s = self._clock.now() + self._manners.reset_s
+        if self.framing == "tcp":
+            for connection in list(self._readers):
+                connection.hang_up()
 
-    def _shown(self, celsius: float) -> float:
-        return celsius * 1.8 + 32.0 if "fahrenheit" in self._faults else celsius
-
-    def _celsius(self, shown: float) -> float:
-        return (shown - 32.0) / 1.8 if "fahrenheit" in self._faults else shown
-
-    def _alarm(self) -> float:
-        return next((float(alarm.code) for alarm in self.profile.alarms if alarm.cause == self.plant.alarm), 0.0)
-
-
-def _reads(bath: BathEmulator) -> dict[str, Callable[[], float]]:
-    """Where each row's value comes from."""
-    plant, faults, shown = bath.plant, bath._faults, bath._shown
-
-    def code(row: str, label: str) -> float:
-        return float(bath.profile.row(row).values[label])
-
-    return {
-        "run": lambda: code("run", "started" if plant.running else "standby"),
-        "actuating": lambda: bath._actuating,
-        "set_point": lambda: shown(plant.set_point_c),
-        "heating_limit": lambda: bath._limit * 100.0,
-        "pump_stage": lambda: 4.0 * plant.flow_l_per_min / plant.constants.flow_l_per_min,
-        "unit": lambda: code("unit", "f" if "fahrenheit" in faults else "c"),
-        "encoding": lambda: 3.0 if "word order" in faults else 0.0,
-        "firmware": lambda: float(FIRMWARE),
-        "remote": lambda: code("remote", "manual" if "manual mode" in faults else "modbus"),
-        "alarm": bath._alarm,
-        "warning": lambda: 0.0,
-        "temperature": lambda: shown(math.nan if plant.broken_sensor else plant.pv_c),
-        "external": lambda: shown(float(plant.teat_c.mean())),
-        "power": lambda: plant.power_percent,
-        "safety": lambda: shown(plant.bath_c),
-        "cut_out": lambda: shown(plant.constants.cut_out_c),
-    }
-
-
-def _writes(bath: BathEmulator) -> dict[str, Callable[[float], None]]:
-    """What each row's value does."""
-    plant = bath.plant
-    started = bath.profile.row("run").values["started"]
-
-    def run(value: float) -> None:
-        if value == started:
-            plant.run(plant.set_point_c)
-        else:
-            plant.standby()
-
-    def limit() -> None:  # "digital" heats with a power of its own, which is 0 until somebody sets it: no row here does
-        plant.output_max = bath._limit if bath._actuating == 0 else 0.0
-
-    def actuating(value: float) -> None:
-        bath._actuating = value
-        limit()
-
-    def set_point(value: float) -> None:
-        plant.set_point_c = bath._celsius(value)
-
-    def heating_limit(value: float) -> None:
-        bath._limit = value / 100.0
-        limit()
-
-    def pump_stage(value: float) -> None:
-        plant.set_flow(plant.constants.flow_l_per_min * value / 4.0)
-
-    return {"run": run, "actuating": actuating, "set_point": set_point, "heating_limit": heating_limit, "pump_stage": pump_stage}
+    def _come_back(self) -> None:
+        self._back_at_s = self._clock.now()

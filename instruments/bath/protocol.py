@@ -1,8 +1,8 @@
-"""Modbus TCP as a server hears and answers it: bytes to requests, answers to bytes, no I/O.
+"""Modbus as a server hears and answers it: bytes to requests, answers to bytes, and the framing of Modbus TCP. No I/O.
 
 Written from the public specification (Modbus application protocol 1.1b3, messaging on TCP/IP 1.0b) and not from
-the library that the driver uses, so that the two ends can't be wrong together. Only register functions are here;
-what registers mean is for somebody else to know.
+the library that the driver uses, so that the two ends can't be wrong together. What registers mean, and which
+functions a family has, is for somebody else to know.
 """
 
 from __future__ import annotations
@@ -13,15 +13,20 @@ from dataclasses import dataclass
 
 HEADER = struct.Struct(">HHHB")  # transaction, protocol (0 is Modbus), bytes that follow it, unit
 LONGEST = 254  # unit and PDU
-MOST_READ, MOST_WRITTEN = 125, 123
+MOST_READ, MOST_WRITTEN, MOST_EXCHANGED = 125, 123, 121
+MOST_BITS_READ, MOST_BITS_WRITTEN = 2000, 1968
 
-READ_HOLDING, READ_INPUT, WRITE_ONE, WRITE_MANY = 3, 4, 6, 16
+READ_COILS, READ_DISCRETE, READ_HOLDING, READ_INPUT = 1, 2, 3, 4
+WRITE_COIL, WRITE_ONE, STATUS, LOOPBACK, WRITE_COILS, WRITE_MANY, EXCHANGE = 5, 6, 7, 8, 15, 16, 23
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, FAILURE, BUSY = 1, 2, 3, 4, 6
+
+READS = {READ_COILS: MOST_BITS_READ, READ_DISCRETE: MOST_BITS_READ, READ_HOLDING: MOST_READ, READ_INPUT: MOST_READ}
+BITS = (READ_COILS, READ_DISCRETE, WRITE_COIL, WRITE_COILS)
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One request as framed: whose it is, and its function code with what follows."""
+    """One request as framed by Modbus TCP: whose it is, and its function code with what follows."""
 
     transaction: int
     unit: int
@@ -34,7 +39,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """Function 3 or 4: ``count`` registers from ``address``."""
+    """Functions 1 to 4: ``count`` bits or registers from ``address``."""
 
     function: int
     address: int
@@ -43,11 +48,30 @@ class Read:
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """Function 6 or 16: ``registers`` to ``address`` and up."""
+    """Functions 5, 6, 15 and 16: ``values`` (bits as 0 and 1, or registers) to ``address`` and up."""
 
     function: int
     address: int
-    registers: tuple[int, ...]
+    values: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """Function 23: ``write`` first, then ``read``, in one go."""
+
+    read: Read
+    write: Write
+
+
+@dataclass(frozen=True, slots=True)
+class Plain:
+    """Functions 7 (status byte) and 8 (loopback): what follows the function code, as it came."""
+
+    function: int
+    body: bytes
+
+
+Request = Read | Write | Exchange | Plain
 
 
 class Refused(Exception):  # noqa: N818 - it is an answer, not a fault
@@ -63,13 +87,13 @@ class UnframedError(ValueError):
 
 
 class FrameReader:
-    """Takes bytes cut anywhere, gives whole frames."""
+    """Takes bytes cut anywhere, gives whole frames of Modbus TCP."""
 
     def __init__(self) -> None:
         self._buffer = b""
 
-    def feed(self, data: bytes) -> Iterator[Frame]:
-        """The frames that ``data`` completes. Raises UnframedError when the stream can't be Modbus TCP."""
+    def feed(self, data: bytes, now_s: float) -> Iterator[Frame]:  # noqa: ARG002 - the same face as the other framing's
+        """The frames that ``data`` completes; time means nothing here. Raises UnframedError when this can't be Modbus TCP."""
         self._buffer += data
         while len(self._buffer) >= HEADER.size:
             transaction, protocol, length, unit = HEADER.unpack_from(self._buffer)
@@ -82,43 +106,81 @@ class FrameReader:
             yield Frame(transaction, unit, pdu)
 
 
-def parse(pdu: bytes) -> Read | Write:
+def parse(pdu: bytes) -> Request:
     """What is asked. Raises Refused, with the code that the specification's state diagrams give."""
     function, body = pdu[0], pdu[1:]
-    if function in (READ_HOLDING, READ_INPUT):
-        address, count = _two(body, exactly=True)
-        if not 1 <= count <= MOST_READ:
-            raise Refused(ILLEGAL_VALUE)
+    if function in READS:
+        address, count = _numbers(body, 2, exactly=True)
+        _demand(1 <= count <= READS[function])
         return Read(function, address, count)
+    if function == WRITE_COIL:
+        address, value = _numbers(body, 2, exactly=True)
+        _demand(value in (0x0000, 0xFF00))
+        return Write(function, address, (value >> 15,))
     if function == WRITE_ONE:
-        address, register = _two(body, exactly=True)
-        return Write(function, address, (register,))
+        address, value = _numbers(body, 2, exactly=True)
+        return Write(function, address, (value,))
+    if function == WRITE_COILS:
+        address, count = _numbers(body, 2, exactly=False)
+        return Write(function, address, unpacked(_counted(body[4:], -(-count // 8)), count, MOST_BITS_WRITTEN))
     if function == WRITE_MANY:
-        address, count = _two(body, exactly=False)
-        if not 1 <= count <= MOST_WRITTEN or len(body) != 5 + 2 * count or body[4] != 2 * count:
-            raise Refused(ILLEGAL_VALUE)
-        return Write(function, address, struct.unpack(f">{count}H", body[5:]))
+        address, count = _numbers(body, 2, exactly=False)
+        return Write(function, address, _registers(body[4:], count, MOST_WRITTEN))
+    if function == EXCHANGE:
+        address, count, target, written = _numbers(body, 4, exactly=False)
+        _demand(1 <= count <= MOST_READ)
+        return Exchange(Read(function, address, count), Write(function, target, _registers(body[8:], written, MOST_EXCHANGED)))
+    if function in (STATUS, LOOPBACK):
+        return Plain(function, body)
     raise Refused(ILLEGAL_FUNCTION)
 
 
-def _two(body: bytes, *, exactly: bool) -> tuple[int, int]:
-    if len(body) < 4 or (exactly and len(body) != 4):
-        raise Refused(ILLEGAL_VALUE)
-    first, second = struct.unpack_from(">HH", body)
-    return first, second
-
-
-def answer_read(request: Read, registers: Sequence[int]) -> bytes:
-    """The PDU that carries ``registers``; as many as there are, so a wrong number can be sent on purpose."""
-    return struct.pack(f">BB{len(registers)}H", request.function, 2 * len(registers), *registers)
+def answer_read(request: Read, values: Sequence[int]) -> bytes:
+    """The PDU that carries ``values``; as many as there are, so a wrong number can be sent on purpose."""
+    data = packed(values) if request.function in BITS else struct.pack(f">{len(values)}H", *values)
+    return bytes((request.function, len(data))) + data
 
 
 def answer_write(request: Write) -> bytes:
     """The PDU that confirms a write."""
-    said = request.registers[0] if request.function == WRITE_ONE else len(request.registers)
-    return struct.pack(">BHH", request.function, request.address, said)
+    single = {WRITE_ONE: request.values[0], WRITE_COIL: request.values[0] * 0xFF00}
+    return struct.pack(">BHH", request.function, request.address, single.get(request.function, len(request.values)))
 
 
 def answer_refusal(function: int, code: int) -> bytes:
     """The PDU that says no."""
     return bytes((function | 0x80, code))
+
+
+def packed(bits: Sequence[int]) -> bytes:
+    """Bits to bytes, the first in the lowest place."""
+    whole = sum(bit << at for at, bit in enumerate(bits))
+    return whole.to_bytes(-(-len(bits) // 8), "little")
+
+
+def unpacked(data: bytes, count: int, most: int) -> tuple[int, ...]:
+    """The first ``count`` bits of ``data``. Raises Refused where that is none, or more than ``most``."""
+    _demand(1 <= count <= most)
+    whole = int.from_bytes(data, "little")
+    return tuple(whole >> at & 1 for at in range(count))
+
+
+def _registers(counted: bytes, count: int, most: int) -> tuple[int, ...]:
+    _demand(1 <= count <= most)
+    return struct.unpack(f">{count}H", _counted(counted, 2 * count))
+
+
+def _counted(counted: bytes, length: int) -> bytes:
+    """What follows a count of bytes, which must be ``length``."""
+    _demand(len(counted) == length + 1 and counted[0] == length)
+    return counted[1:]
+
+
+def _numbers(body: bytes, count: int, *, exactly: bool) -> tuple[int, ...]:
+    _demand(len(body) >= 2 * count and (len(body) == 2 * count or not exactly))
+    return struct.unpack_from(f">{count}H", body)
+
+
+def _demand(condition: bool) -> None:
+    if not condition:
+        raise Refused(ILLEGAL_VALUE)

@@ -1,28 +1,32 @@
-"""Questions and answers over Modbus TCP, as plain calls that block.
+"""Questions and answers over Modbus, as plain calls that block: TCP, RTU over TCP, RTU on a serial port.
 
-What pymodbus's client leaves unchecked is checked here: length, function and echo of an answer, a first connect that
-fails, a link that breaks in the middle. It may not know what registers mean.
+What clients of this kind get wrong is done here (fact sheet, 2.3). Over RTU nothing tells whose an answer is, so after a
+question without one nothing else is asked until the late answer has come or can't come any more, and until a question that
+can't be confused with it was answered. Length, function and echo of every answer are checked, garbage ahead of
+one is passed over, a first connect that fails is tried again. It may not know what registers mean.
 """
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import socket
-from collections.abc import Awaitable, Sequence
-from typing import Literal
-from urllib.parse import parse_qs, urlsplit
+from collections.abc import Sequence
+from dataclasses import replace
 
-from pymodbus.exceptions import ConnectionException, ModbusException
-from pymodbus.pdu import ModbusPDU
-
+from instruments.bath.answers import Answers
+from instruments.bath.line import Line
+from instruments.bath.questions import EXCEPTION, Question, read_question, values_in, write_question
 from instruments.bath.session import Session
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError, ProtocolError
+from instruments.tap import NoTap, Tap
 
-TIMEOUT_S = 1.0
-RETRIES = 1
+TIMEOUT_S, QUIET_S = 1.0, 0.5
+CONNECT_TIMEOUT_S = 1.0
+ATTEMPTS = 2
+FORGET_S = 10.0  # no device answers later than this
 CONNECT_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts; then we give up
+GAP_CHARACTERS, LEAST_GAP_S = 3.5, 0.00175  # of silence between frames (Modbus over serial line 1.02, section 2.5.1.1)
 ILLEGAL_ADDRESS = 2
 EXCEPTIONS = {
     1: "it does not know this function",
@@ -37,6 +41,8 @@ EXCEPTIONS = {
     11: "the gateway got no answer from it",
 }
 
+Marker = tuple[int, int, int]
+
 
 class RefusedError(DeviceError):
     """The device answered with a Modbus exception, ``code``."""
@@ -49,14 +55,34 @@ class BrokenError(LinkError):
 
 
 class Transactions:
-    """One connection to one unit. Calls come one at a time: the owner holds a lock."""
+    """One connection to one unit, and its only owner. Calls come one at a time: whoever shares it holds a lock.
 
-    def __init__(self, host: str, port: int, unit_id: int, clock: Clock, *, who: str) -> None:
+    ``markers`` are reads (function, address, count) that the device surely answers, as many shapes as there are; without
+    any, time alone has to tell that no late answer is under way.
+    """
+
+    def __init__(
+        self,
+        line: Line,
+        clock: Clock,
+        *,
+        who: str,
+        tap: Tap | None = None,
+        timeout_s: float = TIMEOUT_S,
+        quiet_s: float = QUIET_S,
+        markers: Sequence[Marker] = (),
+    ) -> None:
         self.who = who
-        self._address = host, port
-        self._unit_id = unit_id
+        self._line = line
+        self._unit_id = line.unit_id or 1
         self._clock = clock
+        self._tap: Tap = tap or NoTap()
+        self._timeout_s = timeout_s
+        self._quiet_s = quiet_s
+        self._markers = markers
         self._session: Session | None = None
+        self._answers = Answers(rtu=line.is_rtu)
+        self._strange_until_s = self._heard_s = 0.0
         if not logging.getLogger("pymodbus").handlers:  # or its complaints, which our errors carry, go to stderr
             logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
@@ -69,103 +95,181 @@ class Transactions:
         """Open the link, trying again with growing pauses. Raises LinkError when nobody takes it in the end."""
         start = self._clock.now()
         for pause_s in (*CONNECT_PAUSES_S, None):
-            if self._connect_once():
+            why = self._connect_once()
+            if why is None:
                 return
             if pause_s is not None:
                 self._clock.sleep(pause_s)
-        tries = len(CONNECT_PAUSES_S) + 1
-        hint = "Is the controller on, on this network, and set to Modbus TCP?"
-        raise LinkError(self.who, f"nothing took the connection in {tries} tries", seconds=self._clock.now() - start, hint=hint)
+        tries, took_s = len(CONNECT_PAUSES_S) + 1, self._clock.now() - start
+        if self._line.kind == "serial":
+            hint = "Is the adapter plugged in, and is it yours to open? 'python -m serial.tools.list_ports' lists the ports."
+            raise LinkError(self.who, f"the port can't be opened in {tries} tries: {why}", seconds=took_s, hint=hint)
+        hint = f"Is the controller on, on this network, and set to Modbus {self._line.transport.upper()}?"
+        raise LinkError(self.who, f"nothing took the connection in {tries} tries: {why}", seconds=took_s, hint=hint)
 
-    def read(self, table: Literal["holding", "input"], address: int, count: int) -> list[int]:
-        """``count`` registers of ``table``. Raises LinkError, ProtocolError, RefusedError."""
-        client = self._open().client
-        ask = client.read_holding_registers if table == "holding" else client.read_input_registers
-        asked = f"{table} registers {address} to {address + count - 1}"
-        answer = self._ask(ask(address, count=count, device_id=self._unit_id), 3 if table == "holding" else 4, asked)
-        registers = list(answer.registers)
-        if len(registers) != count:
-            raise self._nonsense(f"{len(registers)} registers were answered where {count} were asked", asked)
-        return registers
+    @property
+    def place(self) -> str:
+        """The line that it is on, whatever the unit."""
+        return self._line.url
 
-    def write(self, address: int, registers: Sequence[int], *, single: bool) -> None:
-        """Write holding registers from ``address``; ``single`` with function 6. Raises as ``read`` does."""
-        client = self._open().client
-        asked = f"write {list(registers)} to holding register {address}"
-        if single:
-            answer = self._ask(client.write_register(address, registers[0], device_id=self._unit_id), 6, asked)
-            echoed = answer.address == address and list(answer.registers) == [registers[0]]
-        else:
-            answer = self._ask(client.write_registers(address, list(registers), device_id=self._unit_id), 16, asked)
-            echoed = answer.address == address and answer.count == len(registers)
-        if not echoed:
-            raise self._nonsense("the answer confirms another write", asked)
+    def read(self, function: int, address: int, count: int, *, unit_id: int | None = None) -> list[int]:
+        """``count`` registers, or bits, from ``address``. Raises LinkError, ProtocolError, RefusedError.
+
+        ``unit_id`` asks another unit on the same line.
+        """
+        question = read_question(function, address, count, unit_id or self._unit_id)
+        answer = self._ask(question)
+        values = values_in(answer)
+        if len(answer) != question.length:
+            kind = "bits" if function in (1, 2) else "registers"
+            raise self._nonsense(f"{len(values)} {kind} were answered where {count} were asked", question)
+        return values[:count]
+
+    def write(self, function: int, address: int, values: Sequence[int], *, unit_id: int | None = None, urgent: bool = False) -> None:
+        """Write ``values`` from ``address``. Raises as ``read`` does.
+
+        ``urgent``: sent at once, whatever late answer is still under way; the caller has to look whether it stands.
+        """
+        question = write_question(function, address, values, unit_id or self._unit_id)
+        answer = self._ask(question, urgent=urgent)
+        if not question.fits(answer):
+            raise self._nonsense("the answer confirms another write", question)
 
     def close(self) -> None:
-        """Drop the link; once more is no error."""
+        """Drop the link; once more is no error. What is owed over RTU stays owed: another link may lead to the same line."""
+        self._answers.open = None
         if self._session is not None:
             self._session.close()
             self._session = None
 
-    def _connect_once(self) -> bool:
+    def _connect_once(self) -> str | None:
+        """Why nobody took the connection, or None."""
         self.close()
         try:
-            host = socket.getaddrinfo(*self._address, type=socket.SOCK_STREAM)[0][4][0]
-        except OSError:  # no such name yet: a controller's name may turn up after it has started
-            return False
-        self._session = Session(str(host), self._address[1], self._clock, timeout_s=TIMEOUT_S, retries=RETRIES)
-        if not self._session.connect():
-            self.close()
-            return False
-        return True
+            hosts = dict.fromkeys(_addresses(self._line))
+        except OSError as error:  # no such name yet: a controller's name may turn up after it has started
+            return str(error)
+        why = ""
+        for host in hosts:
+            session = Session(replace(self._line, host=host), self._clock, self._hear, timeout_s=CONNECT_TIMEOUT_S, tap=self._tap)
+            if session.connect():
+                self._session = session
+                self._strange_until_s = self._clock.now() + self._quiet_s  # somebody else's answer may still be under way
+                return None
+            why = session.refusal or "no answer"
+            session.close()
+        return why
 
-    def _open(self) -> Session:
+    def _up(self) -> Session:
         if self._session is None or not self._session.connected:
             raise BrokenError(self.who, "the link is down", hint="Check cable and power.")
         return self._session
 
-    def _ask(self, question: Awaitable[ModbusPDU], function: int, asked: str) -> ModbusPDU:
-        session, start = self._open(), self._clock.now()
-        session.forget_seen()
-        try:
-            answer = session.run(question)
-        except (ConnectionException, asyncio.CancelledError) as error:
-            session.close()
-            raise BrokenError(self.who, "the link broke", asked=asked, hint="Check cable and power.") from error
-        except TimeoutError as error:
-            raise LinkError(self.who, "the emulator hangs", asked=asked) from error
-        except ModbusException as error:
-            if session.seen:
-                raise self._nonsense("what came is no answer to this", asked) from error
-            hint = "Is the unit id right, and the controller still on?"
-            raise LinkError(self.who, "no answer", asked=asked, seconds=self._clock.now() - start, hint=hint) from error
-        if answer.isError():
-            raise self._refused(answer.exception_code, asked)
-        if answer.function_code != function:
-            raise self._nonsense(f"function {answer.function_code} was answered to function {function}", asked)
+    # ---- one question
+
+    def _ask(self, question: Question, *, urgent: bool = False) -> bytes:
+        """The answer, which is to the right function. Over TCP an answer to the first attempt may come in the second."""
+        start = self._clock.now()
+        for _ in range(ATTEMPTS):
+            self._finish_open()
+            self._answers.forget(start - FORGET_S)
+            if self._line.is_rtu and not urgent:
+                self._come_clean(start)
+            if question.answer is not None or self._put(question):  # the late one is as good
+                break
+        answer = question.answer
+        if answer is None:
+            raise self._silence(question, start)
+        if answer[1] == question.function | EXCEPTION:
+            raise self._refused(answer[2], question)
+        if answer[1] != question.function:
+            raise self._nonsense(f"function {answer[1]} was answered to function {question.function}", question)
         return answer
 
-    def _refused(self, code: int, asked: str) -> RefusedError:
+    def _put(self, question: Question) -> bool:
+        """Send ``question`` and wait for its answer; whether one came."""
+        session = self._up()
+        self._keep_gap()
+        if self._line.is_rtu:
+            session.drain()  # what lies there unasked is nobody's answer
+        session.send(self._answers.put(question, self._clock.now()))
+        self._wait(question)
+        return question.answer is not None
+
+    def _wait(self, question: Question) -> None:
+        session = self._up()
+        try:
+            session.wait(self._deadline_s(question), lambda: question.answer is not None)
+        except TimeoutError as error:
+            raise LinkError(self.who, "the emulator hangs", asked=question.asked) from error
+        if question.answer is None and not session.connected:
+            raise BrokenError(self.who, "the link broke", asked=question.asked, hint="Check cable and power.")
+
+    def _deadline_s(self, question: Question) -> float:
+        on_the_wire_s = (len(question.request.encode()) + question.length + 6) * self._line.character_s
+        return question.sent_s + self._timeout_s + on_the_wire_s
+
+    def _finish_open(self) -> None:
+        """An event of virtual time may ask in the midst of another question: that one comes first."""
+        question = self._answers.open
+        if question is not None and question.answer is None and self._clock.now() < self._deadline_s(question):
+            self._wait(question)
+
+    def _keep_gap(self) -> None:
+        if self._line.character_s:
+            gap_s = max(GAP_CHARACTERS * self._line.character_s, LEAST_GAP_S)
+            self._clock.sleep(self._heard_s + gap_s - self._clock.now())
+
+    def _hear(self, data: bytes) -> int:
+        self._heard_s = self._clock.now()
+        return self._answers.hear(data)
+
+    # ---- what is owed
+
+    def _come_clean(self, start_s: float) -> None:
+        """See that no answer to an earlier question can be taken for the next one's."""
+        session, answers = self._up(), self._answers
+        if self._clock.now() < self._strange_until_s:
+            session.wait(self._strange_until_s, lambda: False)
+        if not answers.owed:
+            return
+        session.wait(self._deadline_s(answers.owed[-1]) + self._quiet_s, lambda: not answers.owed)
+        if answers.owed and self._markers:
+            self._prove(start_s)
+        answers.owed.clear()
+
+    def _prove(self, start_s: float) -> None:
+        """Ask what can't be confused with anything owed. Raises LinkError when that is not answered."""
+        marker = self._answers.unmistakable([read_question(*marker, self._unit_id) for marker in self._markers])
+        if marker is None:
+            hint = "It is asked again once none of its answers can come any more."
+            what = f"no answer to {len(self._answers.owed)} questions"
+            raise LinkError(self.who, what, seconds=self._clock.now() - start_s, hint=hint)
+        if not self._put(marker):
+            raise self._silence(marker, start_s)
+
+    # ---- errors
+
+    def _silence(self, question: Question, start_s: float) -> LinkError | ProtocolError:
+        if self._session and self._session.seen:
+            return self._nonsense("what came is no answer to this", question)
+        hint = "Is the unit id right, and the controller still on?"
+        return LinkError(self.who, "no answer", asked=question.asked, seconds=self._clock.now() - start_s, hint=hint)
+
+    def _refused(self, code: int, question: Question) -> RefusedError:
         meaning = EXCEPTIONS.get(code, "a code that Modbus does not know")
-        error = RefusedError(self.who, f"refused: {meaning}", asked=asked, seen=f"Modbus exception {code}")
+        error = RefusedError(self.who, f"refused: {meaning}", asked=question.asked, seen=f"Modbus exception {code}")
         error.code = code
         return error
 
-    def _nonsense(self, what: str, asked: str) -> ProtocolError:
+    def _nonsense(self, what: str, question: Question) -> ProtocolError:
         seen = self._session.seen if self._session else b""
-        return ProtocolError(self.who, what, asked=asked, seen=seen, hint="Is this a Modbus TCP device of the right family?")
+        hint = f"Is this a Modbus {self._line.transport.upper()} device of the right family?"
+        return ProtocolError(self.who, what, asked=question.asked, seen=seen, hint=hint)
 
 
-def address(url: str, unit_id: int, who: str) -> tuple[str, int, int]:
-    """Host, port and unit of ``tcp://host[:502][?unit=1]``; ``unit_id`` where it names none. Raises LinkError."""
-    hint = "Write tcp://host:port, and ?unit=2 behind it for another unit than the profile's."
-    try:
-        parts = urlsplit(url)
-        host, port = parts.hostname, parts.port or 502
-        query = parse_qs(parts.query, strict_parsing=bool(parts.query))
-        unit = int(query.pop("unit", [str(unit_id)])[-1])
-    except ValueError as error:
-        raise LinkError(who, f"not a link: {error}", hint=hint) from error
-    if parts.scheme != "tcp" or not host or query or not 1 <= unit <= 247:
-        raise LinkError(who, "not a link to a Modbus TCP device", hint=hint)
-    return host, port, unit
+def _addresses(line: Line) -> list[str]:
+    """Where the line's host is; asyncio would look a name up on a thread of its own."""
+    if line.kind == "serial":
+        return [""]
+    return [str(found[4][0]) for found in socket.getaddrinfo(line.host, line.port, type=socket.SOCK_STREAM)]

@@ -22,9 +22,14 @@ MAXIMA_BYTES = 25  # with the code
 PARAMETER_BYTES = 36  # without the code and the length
 EXTENDED_BYTES = 4  # with the code and the length
 
+
 _MAXIMA = struct.Struct(">BH8BB6H")
 _PARAMETERS = struct.Struct(">18h")
 _INCH_MM = 25.4
+
+
+class BlockLengthError(WireError):
+    """A block of parameters says that it has another length than the one whose meaning is known. Not for missing bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +183,23 @@ def decode_stream(data: bytes) -> StreamRequest:
     return StreamRequest(v[0], v[1], v[2], v[3:11], v[11:])
 
 
+def reply_length(code: int, data: bytes) -> int | None:
+    """How long the reply to ``code`` is that ``data`` begins with; None while too little has come to say, or to be whole.
+
+    Replies have 8-bit data, so that nothing but their place tells where they end.
+    """
+    if code in NAMES:
+        end = data.find(b"\0") + 1 or (NAME_MAX_BYTES + 1 if len(data) > NAME_MAX_BYTES else 0)
+    elif code in (Code.PARAMETERS, Code.EXTENDED):
+        end = 2 + data[1] if len(data) > 1 else 0
+    else:
+        end = _FIXED.get(code, 1)
+    return end if 0 < end <= len(data) else None
+
+
+_FIXED: dict[int, int] = {Code.MAXIMA: MAXIMA_BYTES, Code.MARKER: 2}
+
+
 def expect_echo(code: int, reply: bytes) -> None:
     """Raise WireError unless the reply is the bare code."""
     if _body(code, reply):
@@ -209,7 +231,7 @@ def _body(code: int, reply: bytes) -> bytes:
 def _block(code: int, reply: bytes, length: int) -> bytes:
     body = _body(code, reply)
     if body[:1] != bytes([length]):
-        raise WireError(f"the block behind {code:02X} says it has {body[0] if body else 'no'} bytes; {length} are understood")
+        raise BlockLengthError(f"the block behind {code:02X} says it has {body[0] if body else 'no'} bytes; {length} are understood")
     if len(body) != length + 1:
         raise WireError(f"the block behind {code:02X} has {len(body) - 1} bytes, not the {length} it says")
     return body[1:]

@@ -1,181 +1,159 @@
 """The host's end of a MicroScribe arm: who it is, packets, and readings that can be trusted.
 
-The protocol has no checksum and no error codes, so what keeps a position honest is here: damaged packets are asked
-for again, several packets make a reading, a silent arm has lost its session and with it its homing, and no
-position leaves before the operator has confirmed homing (../shared/instruments/microscribe.md). It may not know
-what the other end is, nor any frame of reference but the arm's own.
+The protocol has no checksum and no error codes, so what keeps a position honest is on this side: damaged packets are asked
+for again, several packets make a reading, a silent arm or a broken link has lost its session and with it its homing, and
+no position leaves before the operator has confirmed homing (../shared/instruments/microscribe.md). A loss is told once, by
+the call that notices it; ``recover`` or ``sign_on`` brings the arm back. It may not know what the other end is, nor any
+frame of reference but the arm's own.
 """
 
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import ClassVar
 
-import numpy as np
-import numpy.typing as npt
-
 from instruments.clock import Clock
-from instruments.errors import LimitError, LinkError, ProtocolError
+from instruments.errors import LinkError
 from instruments.link import Link
-from instruments.microscribe import protocol as wire
+from instruments.microscribe.attachment import Attachment
 from instruments.microscribe.configuration import Identity, Maxima, Parameters, angle_rad
 from instruments.microscribe.kinematics import ArmGeometry
+from instruments.microscribe.latency import SYSFS, latency_warning
+from instruments.microscribe.pedals import DEBOUNCE_S, PedalEvent
+from instruments.microscribe.portrait import Portrait
 from instruments.microscribe.protocol import Packet
-from instruments.microscribe.session import Session, Unit
+from instruments.microscribe.reading import Reading, reading_of
+from instruments.microscribe.refusals import ArmMovesError, NoSessionError
+from instruments.microscribe.stream import Sample, Sampler, poll_command, stream_request
+from instruments.microscribe.streaming import Streaming
 
-ATTEMPTS = 3
+__all__ = ["INTERVAL_S", "MAX_SPREAD_MM", "MicroScribe", "PedalEvent", "Reading", "Sample"]
+
 # Eight packets of a still arm spread by some 0.35 mm at most: rounding (0.31 mm a packet) and a hand's tremor.
 MAX_SPREAD_MM = 1.0
 INTERVAL_S = 0.01
-
-_HOMING_HINT = "Put the stylus on its peg, switch the arm off and on, sign on, and confirm that it was homed"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading:
-    """One position in the arm's frame.
-
-    ``tip_mm`` (3,) is the mean tip, ``spread_mm`` the largest distance of one packet's tip from it, ``axis`` (3,) the
-    unit mean direction from the tip up the stylus, ``n`` the packets, ``counts`` the last packet's.
-    """
-
-    tip_mm: npt.NDArray[np.float64]
-    spread_mm: float
-    axis: npt.NDArray[np.float64]
-    n: int
-    counts: tuple[int, ...]
+PEDAL_INTERVAL_S = 0.005
+RECOVER_S = 30.0
 
 
 class MicroScribe:
-    """One arm on one link, which it owns. It has no motor: only a hand moves it."""
+    """One arm on one link, which it owns. It has no motor: only a hand moves it.
+
+    ``rates``: what sign-on tries, by default the link's own rate and then, on a serial port, all others. ``tip_longer_mm``:
+    how much longer than the standard tip the fitted one is. ``sysfs``: where Linux shows its adapters.
+    """
 
     moves: ClassVar[bool] = False
+    safe_state: ClassVar[str] = "session ended; it has no motor"
 
-    def __init__(self, link: Link, clock: Clock) -> None:
+    def __init__(
+        self, link: Link, clock: Clock, *, rates: Sequence[int] | None = None, tip_longer_mm: float = 0.0, sysfs: Path = SYSFS
+    ) -> None:
         self.who = link.who
         self._link = link
         self._clock = clock
-        self._session = Session(link, clock)
-        self._unit: Unit | None = None
-        self._geometry: ArmGeometry | None = None
-        self._homed = False
+        self._tip_longer_mm = tip_longer_mm
+        self._sysfs = sysfs
+        self._arm = Attachment(link, clock, rates)
+        self._geometry: tuple[Portrait, ArmGeometry] | None = None
+
+    # Who it is
 
     @property
     def identity(self) -> Identity:
-        """The seven names, as read at sign-on. Raises LimitError before it."""
+        """The seven names, as read at sign-on. Raises NoSessionError before it."""
         return self._known().identity
 
     @property
     def maxima(self) -> Maxima:
-        """Full scales, as read at sign-on. Raises LimitError before it."""
+        """Full scales, as read at sign-on. Raises NoSessionError before it."""
         return self._known().maxima
 
     @property
     def parameters(self) -> Parameters:
-        """Denavit-Hartenberg parameters, as read at sign-on. Raises LimitError before it."""
+        """Denavit-Hartenberg parameters, as read at sign-on. Raises NoSessionError before it."""
         return self._known().parameters
 
     @property
     def beta_rad(self) -> float:
-        """The extended parameter, 0 where the arm has none. Raises LimitError before sign-on."""
+        """The extended parameter, 0 where the arm has none. Raises NoSessionError before sign-on."""
         return angle_rad(self._known().beta)
 
     @property
     def geometry(self) -> ArmGeometry:
-        """The arm's shape, from maxima and parameters. Raises LimitError before sign-on."""
-        if self._geometry is None:
-            unit = self._known()
-            self._geometry = ArmGeometry.from_block(unit.parameters, self.beta_rad, unit.maxima.turns)
-        return self._geometry
+        """The arm's shape with the fitted tip, from maxima and parameters. Raises NoSessionError before sign-on."""
+        portrait = self._known()
+        if self._geometry is None or self._geometry[0] is not portrait:
+            self._geometry = portrait, portrait.geometry(self._tip_longer_mm)
+        return self._geometry[1]
+
+    @property
+    def baud(self) -> int:
+        """The rate that the link is at: after sign-on, the one that worked."""
+        return self._link.baud
+
+    def record(self) -> dict[str, object]:
+        """All that the arm says of itself and how it was read, for a run's record. Raises NoSessionError before sign-on."""
+        return {**self._known().record(), "baud": self.baud, "tip_longer_mm": self._tip_longer_mm}
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a person should know, a sentence each: a slow adapter; and after sign-on, another rate, joints that lose count."""
+        told = [latency_warning(self._link.url, self._sysfs)]
+        if self._arm.portrait:
+            told += [self._arm.rate_warning(), *self._arm.portrait.warnings()]
+        return tuple(sentence for sentence in told if sentence)
 
     @property
     def homed(self) -> bool:
         """Whether homing has been confirmed in this session."""
-        return self._homed and self._session.live
+        return self._arm.homing.confirmed and self.live
+
+    @property
+    def live(self) -> bool:
+        """Whether a session is open, as far as is known."""
+        return self._arm.session.live
 
     @property
     def damaged(self) -> int:
         """Packets that came damaged since the driver was made."""
-        return self._session.damaged
+        return self._arm.session.damaged
+
+    # Sessions
 
     def sign_on(self) -> Identity:
         """Find the arm, open a session, and read who it is; homing has to be confirmed afterwards.
 
-        Raises LinkError when nothing answers, ProtocolError when what answers is no arm that we understand.
+        A link that broke is opened again first. Raises LinkError while the port is not back; SilentArmError when nothing
+        answers, NoMicroScribeError when something else does; InterfaceBoxError, UnknownFormatError, ParameterLengthError for
+        an arm that we don't understand; UnstableUnitError or ProtocolError for answers that come damaged.
         """
-        self._homed = False
-        self._unit = self._geometry = None
-        self._unit = self._session.open()
-        return self._unit.identity
+        return self._arm.sign_on().identity
 
-    def confirm_homed(self) -> None:
-        """The operator says: the stylus sat on its peg when the arm was switched on, or was homed since.
+    def recover(self, timeout_s: float = RECOVER_S) -> Identity:
+        """After a loss: wait for port and arm to come back, and sign on again, at the rate that worked.
 
-        Raises LimitError without a session.
+        Homing has to be confirmed afterwards even if the arm kept its session: nobody can tell whether it kept its power.
+        Raises what ``sign_on`` raised last when ``timeout_s`` have passed, at once what is refused for good, and
+        AnotherArmError for an arm with another serial number.
         """
-        self._need_session("to confirm homing")
-        self._homed = True
+        return self._arm.recover(timeout_s).identity
 
-    def home(self) -> None:
-        """Make the arm load its home counts. Only with the stylus on its peg: anywhere else ruins every position.
-
-        Raises LimitError without a session, LinkError or ProtocolError when the arm doesn't confirm.
-        """
-        self._need_session("to home")
-        self._homed = False
-        self._session.ask_home()
-        self._homed = True
-
-    def poll(self) -> Packet:
-        """One packet of six counts, asked for again when damaged.
-
-        Raises LimitError without a session; ProtocolError when every attempt came damaged; LinkError when the link
-        breaks or the arm stays silent: the session is lost then, and with it the homing.
-        """
-        self._need_session("a packet")
-        seen, start = b"", self._clock.now()
-        for _ in range(ATTEMPTS):
-            packet, came = self._ask()
-            if packet is not None:
-                return packet
-            seen = came or seen
-        asked = bytes([wire.POLL])
-        if seen:
-            what = f"{ATTEMPTS} packets in a row came damaged"
-            raise ProtocolError(self.who, what, asked=asked, seen=seen, hint="Check cable, plugs and baud rate")
-        self._lose_session()
-        what = "the arm has fallen silent: it lost its power or its cable, and with it its session and its homing"
-        raise LinkError(self.who, what, asked=asked, seen=b"", seconds=self._clock.now() - start, hint=_HOMING_HINT)
-
-    def read(self, n: int = 8, max_spread_mm: float = MAX_SPREAD_MM, *, interval_s: float = INTERVAL_S) -> Reading:
-        """One position from ``n`` packets, ``interval_s`` apart.
-
-        Raises LimitError before homing is confirmed, and while the arm moves: a tip further than ``max_spread_mm``
-        from the mean. Raises as ``poll`` does, and ValueError for n below 1.
-        """
-        if n < 1:
-            raise ValueError(f"a reading needs one packet at least, not {n}")
-        self._need_homing()
-        counts = [self.poll().counts]
-        for _ in range(n - 1):
-            self._clock.sleep(interval_s)
-            counts.append(self.poll().counts)
-        tips, axes = self.geometry.forward(np.array(counts))
-        tip, axis = tips.mean(axis=0), axes.mean(axis=0)
-        spread_mm = float(np.linalg.norm(tips - tip, axis=1).max())
-        if not spread_mm <= max_spread_mm:
-            what = f"the arm moves: {n} packets spread by {spread_mm:.2f} mm, more than {max_spread_mm:g} mm"
-            raise LimitError(self.who, what, asked="a reading", hint="Hold the tip still in its place and read again")
-        return Reading(tip, spread_mm, axis / np.linalg.norm(axis), n, counts[-1])
+    def set_baud(self, baud: int) -> None:
+        """Go on at another rate, and see that the arm does. Raises LimitError for a rate that no arm has, else as ``poll``."""
+        self._arm.need_session("another rate")
+        with self._arm.noticing():
+            self._arm.session.ask_baud(baud)
+        self.poll()
 
     def safe(self) -> None:
         """End the session. The arm has no motion to stop. Nothing to do, and no error, without a session.
 
         Raises LinkError when the link is broken; the session counts as ended then too.
         """
-        self._homed = False
-        self._session.end()
+        self._arm.end()
 
     def close(self) -> None:
         """End the session and close the link; once more is no error."""
@@ -185,28 +163,106 @@ class MicroScribe:
         finally:
             self._link.close()
 
-    def _ask(self) -> tuple[Packet | None, bytes]:
+    # Homing
+
+    def confirm_homed(self) -> None:
+        """The operator says: the stylus sat on its peg when the arm was switched on, or was homed since.
+
+        Raises NoSessionError without a session; NotHomedError where a word doesn't do: after a search for the rate.
+        """
+        self._arm.need_session("to confirm homing")
+        self._arm.homing.confirm()
+
+    def home(self) -> None:
+        """Make the arm load its home counts. Only with the stylus on its peg: anywhere else ruins every position.
+
+        Raises NoSessionError without a session, LinkError or ProtocolError when the arm doesn't confirm.
+        """
+        self._arm.need_session("to home")
+        self._arm.homing.lost("the arm was asked to home, and did not confirm it")
+        with self._arm.noticing():
+            self._arm.session.ask_home()
+        self._arm.homing.homed()
+
+    # Packets and positions
+
+    def poll(self, *, encoders: int = 6, stamped: bool = False) -> Packet:
+        """One packet of six counts, or five; asked for again when damaged.
+
+        Raises NoSessionError without a session, StreamingError within a stream; ProtocolError when every attempt came
+        damaged; SilentArmError when the arm stays silent, LinkError when the link breaks: the session is lost then, and with
+        it the homing.
+        """
+        self._arm.need_session("a packet")
+        return self._arm.packet(poll_command(encoders, stamped))
+
+    def read(self, n: int = 8, max_spread_mm: float = MAX_SPREAD_MM, *, interval_s: float = INTERVAL_S) -> Reading:
+        """One position from ``n`` packets, ``interval_s`` apart.
+
+        Raises NotHomedError before homing is confirmed, ArmMovesError while the arm moves: a tip further than
+        ``max_spread_mm`` from the mean. Raises as ``poll`` does, and ValueError for n below 1.
+        """
+        if n < 1:
+            raise ValueError(f"a reading needs one packet at least, not {n}")
+        self._arm.need_session("a reading")
+        self._arm.homing.require("a reading")
+        counts = [self.poll().counts]
+        for _ in range(n - 1):
+            self._clock.sleep(interval_s)
+            counts.append(self.poll().counts)
+        reading = reading_of(self.geometry, counts)
+        if not reading.spread_mm <= max_spread_mm:
+            what = f"the arm moves: {n} packets spread by {reading.spread_mm:.2f} mm, more than {max_spread_mm:g} mm"
+            raise ArmMovesError(self.who, what, asked="a reading", hint="Hold the tip still in its place and read again")
+        return reading
+
+    def wait_for_pedal(
+        self, timeout_s: float, *, debounce_s: float = DEBOUNCE_S, interval_s: float = PEDAL_INTERVAL_S
+    ) -> PedalEvent | None:
+        """The next press of a pedal, on the host's clock; None when ``timeout_s`` pass without one.
+
+        A pedal that is down already has to come up first. Raises as ``poll`` does, and ValueError for a negative time.
+        """
+        sampler = Sampler(self._arm.arm_time, debounce_s)
+        deadline = self._clock.now() + timeout_s
+        while True:
+            for event in sampler.sample(self.poll(), self._clock.now()).events:
+                if event.pressed:
+                    return event
+            if self._clock.now() >= deadline:
+                return None
+            self._clock.sleep(interval_s)
+
+    @contextlib.contextmanager
+    def stream(
+        self, rate_hz: float | None = None, *, encoders: int = 6, stamped: bool = True, debounce_s: float = DEBOUNCE_S
+    ) -> Iterator[Iterator[Sample]]:
+        """Samples without end, at ``rate_hz`` at least (None: as fast as it goes): ``with arm.stream(50) as samples:``.
+
+        The stream is ended on the way out, and what it left on the link is dropped. A stream that falls silent is started
+        again if the arm still answers. Raises NoSessionError, StreamingError, ValueError for a rate that can't be had; while
+        it runs, as ``poll`` does.
+        """
+        self._arm.need_session("a stream")
+        request = stream_request(rate_hz, poll_command(encoders, stamped))
+        streaming = Streaming(self._arm, self._clock, request, Sampler(self._arm.arm_time, debounce_s))
+        streaming.start()
         try:
-            return self._session.ask_packet()
-        except LinkError:
-            self._lose_session()
-            raise
+            yield streaming.samples()
+        finally:
+            streaming.stop()
 
-    def _lose_session(self) -> None:
-        self._homed = False
-        self._session.lose()
+    def position(self, samples: Sequence[Sample]) -> Reading:
+        """The reading that samples make, whatever their spread: to show while the arm moves, not to measure with.
 
-    def _known(self) -> Unit:
-        if self._unit is None:
-            raise LimitError(self.who, "who the arm is has not been read yet", hint="Sign on first")
-        return self._unit
+        Raises NotHomedError, NoSessionError, and ValueError for no samples.
+        """
+        if not samples:
+            raise ValueError("a reading needs one sample at least")
+        self._arm.homing.require("a position")
+        return reading_of(self.geometry, [sample.counts for sample in samples])
 
-    def _need_session(self, asked: str) -> None:
-        if not self._session.live:
-            raise LimitError(self.who, "there is no session with the arm", asked=asked, hint="Sign on first")
-
-    def _need_homing(self) -> None:
-        self._need_session("a reading")
-        if not self._homed:
-            what = "no positions before homing is confirmed: an arm that was not homed gives plausible, wrong ones"
-            raise LimitError(self.who, what, asked="a reading", hint=_HOMING_HINT)
+    def _known(self) -> Portrait:
+        if self._arm.portrait is None:
+            raise NoSessionError(self.who, "who the arm is has not been read yet", hint="Sign on first")
+        return self._arm.portrait

@@ -1,39 +1,35 @@
-"""The other end of a MicroScribe's wire, byte for byte, with the hazards of the real one.
+"""The other end of a MicroScribe's wire: firmware, encoders, pedals, cable and adapter, with the hazards of the real ones.
 
-What is stated or recorded in ../shared/instruments/microscribe.md is done as stated; what is not known there is an
-argument or a fault. In a live session bit 7 of a command is ignored, so that letters are commands; what is not
-supported gets silence. It never waits: it answers at once. Methods that change it from outside (``power_cycle``,
-``faults``) are to be called under the world's lock. It may not know its driver.
+It never waits: it answers at once, or has the connection do so later. What changes it from outside (``power_cycle``,
+``faults``, ``buttons``) is to be called under the world's lock. It may not know its driver.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from instruments.clock import Clock
 from instruments.listener import Connection
-from instruments.microscribe import configuration as conf
 from instruments.microscribe import protocol as wire
+from instruments.microscribe.contacts import Contacts
 from instruments.microscribe.faults import Fault, Faults
-from instruments.microscribe.kinematics import Counts, Floats, OutOfReachError, encoded
+from instruments.microscribe.firmware import Firmware, Stream
+from instruments.microscribe.habits import Habits, Look
+from instruments.microscribe.kinematics import COUNT_MODULUS, Floats, OutOfReachError
 from instruments.microscribe.mechanics import Hand, Mechanics
-from instruments.microscribe.protocol import Code, Event, Packet, State
-from instruments.microscribe.unit import UNIT_40937, ArmIdentity
+from instruments.microscribe.protocol import Event, State
+from instruments.microscribe.unit import ArmIdentity, shipped_unit
 
 ACCURACY_MM = 0.23  # the maker's figure for a 3DX
 TREMOR_MM = 0.05
-FASTEST_STREAM_S = 1.0 / 823.0  # 115200 baud, six encoders
-
-_LIVE = (State.SESSION, State.STREAMING)
+CATCH_UP_S = 0.1  # a stream makes up for ticks that came late, but not for an emulator that stood still
 
 
 class ArmEmulator:
-    """An arm in a hand, switched on with its stylus on the peg.
+    """An arm in a hand, switched on with its stylus on the peg; ``unit`` is the one that ships unless told.
 
-    ``echo_after`` is how many IMMC it wants to hear. ``buttons`` are the pedals (bit 0 right, bit 1 left).
-    ``unreachable`` tells why the connection was broken when the hand asked for what no arm can do.
+    ``echo_after`` is how many IMMC it wants to hear. ``unreachable`` tells why the connection was broken when the hand
+    asked for what no arm can do. Raises ValueError for a ``unit`` whose tip never comes above the table.
     """
 
     def __init__(
@@ -41,35 +37,51 @@ class ArmEmulator:
         hand: Hand,
         clock: Clock,
         *,
-        unit: ArmIdentity = UNIT_40937,
+        unit: ArmIdentity | None = None,
         seed: int = 0,
         accuracy_mm: float = ACCURACY_MM,
         tremor_mm: float = TREMOR_MM,
         echo_after: int = 1,
+        habits: Habits | None = None,
     ) -> None:
-        self.unit = unit
-        self.faults = Faults(seed)
-        self.buttons = 0
+        self.unit = unit or shipped_unit("40937")
+        self.faults = Faults(seed, self._fault_came_or_went)
         self.unreachable: OutOfReachError | None = None
-        self.eeprom_attempts = 0
-        self.packets = 0
-        self._mechanics = Mechanics(unit.geometry(), unit.home, hand, seed=seed, accuracy_mm=accuracy_mm, tremor_mm=tremor_mm)
+        home = self.unit.home
+        self._firmware = Firmware(self.unit, self, self.faults, habits or Habits(), echo_after)
+        self._mechanics = Mechanics(self.unit.geometry(), home, hand, seed=seed, accuracy_mm=accuracy_mm, tremor_mm=tremor_mm)
+        self._contacts = Contacts(seed)
         self._clock = clock
-        self._echo_after = echo_after
-        self._home: Counts = np.array(unit.home, dtype=np.int64)
-        self._offset: Counts = np.zeros_like(self._home)
+        self._looks = 0
+        self._runs = 0
+        self._offset = [0] * len(home)
         self._powered = True
-        self._replies = unit.replies()
-        self._state = State.FINDING_BAUD
-        self._heard = b""
-        self._syncs = 0
-        self._command = bytearray()
-        self._stream = 0
+        self._sent_until_s = 0.0
 
     @property
     def state(self) -> State:
         """Where the arm's side of the conversation stands."""
-        return self._state
+        return self._firmware.state
+
+    @property
+    def packets(self) -> int:
+        """How many were sent."""
+        return self._firmware.packets
+
+    @property
+    def eeprom_attempts(self) -> int:
+        """How often a write to the EEPROM was asked for: no driver ever should."""
+        return self._firmware.eeprom_attempts
+
+    @property
+    def buttons(self) -> int:
+        """The pedals that are pressed: bit 0 the single or right one, bit 1 the left one."""
+        return self._contacts.meant
+
+    @buttons.setter
+    def buttons(self, pressed: int) -> None:
+        bounce_s = self.faults.amount(Fault.PEDAL_BOUNCE) if self.faults.strikes(Fault.PEDAL_BOUNCE) else 0.0
+        self._contacts.move(pressed, self._clock.now(), bounce_s)
 
     def check_reach(self, point_mm: Floats, direction: Floats | None) -> None:
         """Raise OutOfReachError unless the arm can hold its tip there: for the hand to ask before it tries."""
@@ -78,141 +90,132 @@ class ArmEmulator:
     def power_off(self) -> None:
         """Cut the power: the session is gone."""
         self._powered = False
-        self._enter(wire.next_state(self._state, Event.POWER_LOST))
+        self._firmware.enter(wire.next_state(self.state, Event.POWER_LOST))
 
     def power_on(self) -> None:
         """Wake with the home counts loaded, wherever the stylus is. Raises OutOfReachError for an impossible hand."""
         self._powered = True
-        self._load_home()
+        self.load_home()
+        self._displace()
 
     def power_cycle(self) -> None:
         """Off and on. Raises OutOfReachError for an impossible hand."""
         self.power_off()
         self.power_on()
 
+    def _fault_came_or_went(self, fault: Fault, came: bool) -> None:
+        if fault is Fault.POWER_LOSS:
+            (self.power_off if came else self.power_on)()
+        elif fault is Fault.NEVER_HOMED:
+            self._displace()
+
+    # The body behind the firmware
+
+    def look(self) -> Look:
+        """Pedals and encoders at this moment. Raises OutOfReachError for an impossible hand."""
+        self._looks += 1
+        counts = self._mechanics.whole(self._looks)
+        shown = tuple([(count + offset) % COUNT_MODULUS for count, offset in zip(counts, self._offset, strict=True)])
+        return Look(self._contacts.at(self._clock.now(), self._looks), shown)
+
+    def load_home(self) -> None:
+        """Show the home counts, wherever the stylus is. Raises OutOfReachError for an impossible hand."""
+        counts = self._mechanics.whole(self._looks)
+        self._offset = [home - count for home, count in zip(self.unit.home, counts, strict=True)]
+
+    def ticks(self) -> int:
+        """The time stamp of this moment."""
+        return int(self._clock.now() / wire.TICK_S) % wire.TICK_MODULUS
+
+    def _displace(self) -> None:
+        """The arm wakes with its stylus off the peg, where that is its fault."""
+        if not self.faults.strikes(Fault.NEVER_HOMED):
+            return
+        displaced = self.faults.displacement(len(self._offset))
+        self._offset = [offset + by for offset, by in zip(self._offset, displaced, strict=True)]
+
     # The device behind the listener
 
-    def connect(self, connection: Connection) -> None:  # noqa: ARG002 - the arm doesn't notice who plugs in
-        """A host plugs in."""
-        if self.faults.strikes(Fault.OLD_SESSION):
-            self._enter(State.SESSION)
+    def connect(self, connection: Connection) -> None:
+        """A host plugs in. The arm doesn't notice; what another host left behind is still there."""
+        self._sent_until_s = 0.0
+        if self._powered and self.faults.strikes(Fault.OLD_SESSION):
+            self._firmware.enter(State.SESSION)
+        if self._powered and connection.baud() is not None and self.faults.strikes(Fault.WRONG_BAUD):
+            self._firmware.enter(State.SESSION)
+            self._firmware.rate = int(self.faults.amount(Fault.WRONG_BAUD))
+        if self._firmware.stream:
+            self._run(self._firmware.stream, connection)
 
     def disconnect(self, connection: Connection) -> None:
         """The host's cable is out; the arm doesn't notice, and its session lives on."""
 
     def receive(self, connection: Connection, data: bytes) -> None:
         """Take bytes, cut anywhere, and answer."""
-        if self._powered and not self.faults.strikes(Fault.SILENT):
-            self._send(connection, lambda: b"".join([self._take(byte, connection) for byte in data]))
+        if not self._powered or self.faults.strikes(Fault.SILENT):
+            return
+        rate = connection.baud()
+        if self._garbled(rate):
+            self._put(connection, self.faults.noise(len(data)))
+            return
+        before = self._firmware.stream
+        heard = self.faults.mislay(data)
+        self._send(connection, lambda: b"".join([self.faults.damage(self._firmware.take(byte, rate)) for byte in heard]))
+        stream = self._firmware.stream
+        if stream is not None and stream is not before:
+            self._run(stream, connection)
+
+    def _garbled(self, rate: int | None) -> bool:
+        """Whether host and arm speak at different rates: where the host's can't be known, a fault says so."""
+        if rate is None:
+            return self.faults.strikes(Fault.WRONG_BAUD)
+        return self._firmware.rate not in (None, rate)
+
+    def _run(self, stream: Stream, connection: Connection) -> None:
+        """Send in time with the stream: by absolute times, no faster than the line takes it, until another command or host."""
+        self._runs += 1
+        run, due_s = self._runs, self._clock.now() + stream.period_s
+
+        def tick() -> None:
+            nonlocal due_s
+            if self._firmware.stream is not stream or self._runs != run:
+                return
+            self._send(connection, lambda: self._streamed(stream))
+            now = self._clock.now()
+            due_s = max(due_s + stream.period_s, now - CATCH_UP_S)
+            connection.after(max(0.0, due_s - now, connection.busy_s() - stream.period_s), tick)
+
+        connection.after(stream.period_s, tick)
+
+    def _streamed(self, stream: Stream) -> bytes:
+        look = self.look()
+        fires = stream.trigger is None or stream.trigger.fires(look)
+        return self.faults.damage(self._firmware.packet(stream.command, look)) if fires else b""
+
+    # Adapter and cable
 
     def _send(self, connection: Connection, answer: Callable[[], bytes]) -> None:
         try:
-            connection.send(answer())
+            self._put(connection, answer())
         except OutOfReachError as error:  # no position is better than a wrong one
             self.unreachable = error
             connection.hang_up()
 
-    # Bytes
+    def _put(self, connection: Connection, data: bytes) -> None:
+        """As late as the adapter is slow, in order, and up to where the cable breaks."""
+        data, broken = self.faults.cut(data)
+        if not data and not broken:
+            return
 
-    def _take(self, byte: int, connection: Connection) -> bytes:
-        if self._state not in _LIVE:
-            return self._listen(byte)
-        self._command.append(byte)
-        if len(self._command) <= _arguments(self._command):
-            return b""
-        command, self._command = bytes(self._command), bytearray()
-        return self._obey(command, connection)
+        def out() -> None:
+            connection.send(data)
+            if broken:
+                connection.hang_up()
 
-    def _listen(self, byte: int) -> bytes:
-        """Outside a session: words, and the end byte."""
-        self._heard = (self._heard + bytes([byte]))[-len(wire.BEGIN) :]
-        if byte == Code.END:
-            self._state = wire.next_state(self._state, Event.END)
-        elif self._heard.endswith(wire.SYNC):
-            self._syncs += 1
-            if self._syncs >= self._echo_after:
-                self._state = wire.next_state(self._state, Event.SYNC)
-                return wire.SYNC * (3 if self.faults.strikes(Fault.SURPLUS_ECHOES) else 1)
-        elif self._heard == wire.BEGIN and self._state is State.SYNCED:
-            self._enter(wire.next_state(self._state, Event.BEGIN))
-            return (wire.INTERFACE_BOX if self.faults.strikes(Fault.INTERFACE_BOX) else wire.PRODUCT_ID) + b"\0"
-        return b""
-
-    def _obey(self, command: bytes, connection: Connection) -> bytes:
-        """In a session: one whole command. Whatever it is, it ends a stream, but for the marker."""
-        event = wire.event_of(command[0])
-        state = wire.next_state(self._state, event)
-        if event is Event.MARKER:
-            return bytes([Code.MARKER]) + command[1:]
-        self._enter(state)
-        if event is Event.POLL:
-            return self._packet(command[0] & ~wire.MARK)
-        if event is Event.STREAM:
-            return self._start_stream(command, connection)
-        if event is Event.END:
-            return bytes([Code.END])
-        return self._configure(command)
-
-    def _configure(self, command: bytes) -> bytes:
-        """The reply to a configuration command; silence for what is not supported."""
-        code = command[0] | wire.MARK
-        self.eeprom_attempts += code in wire.FORBIDDEN
-        if code == Code.HOME:
-            self._load_home()
-            return bytes([code])
-        if code == Code.SET_BAUD:
-            return bytes([code]) if command[1] in wire.BAUD_CODES.values() else b""
-        reply = self._replies.get(code, b"")
-        if code == Code.PARAMETERS and self.faults.strikes(Fault.BLOCK_LENGTH):
-            return reply[:1] + bytes([conf.PARAMETER_BYTES - 2]) + reply[2:-2]
-        return reply
-
-    # Counts
-
-    def _load_home(self) -> None:
-        self._offset = self._home - np.rint(self._mechanics.counts(self.packets)).astype(np.int64)
-
-    def _packet(self, command: int) -> bytes:
-        if command not in range(wire.TIME_STAMP << 1) or command & wire.UNUSED:
-            return b""
-        self.packets += 1
-        counts = [int(v) for v in encoded(np.rint(self._mechanics.counts(self.packets)) + self._offset)]
-        ticks = int(self._clock.now() / wire.TICK_S) % wire.TICK_MODULUS if command & wire.TIME_STAMP else None
-        analogs = (0,) * wire.analog_count(command)  # nothing is plugged in
-        packet = Packet(
-            command, self.buttons & self.unit.maxima.button_mask, tuple([*counts, 0][: wire.encoder_count(command)]), ticks, analogs
-        )
-        return self.faults.damage(wire.encode_packet(packet), self.packets)
-
-    def _start_stream(self, command: bytes, connection: Connection) -> bytes:
-        """Echo, and send at a fixed rate. A stream by differences is not supported: silence, and back in the session."""
-        request = conf.decode_stream(bytes([Code.STREAM]) + command[1:])
-        if not request.fixed_rate:
-            self._enter(State.SESSION)
-            return b""
-        turn, period_s = self._stream, max(request.delay_ms / 1000.0, FASTEST_STREAM_S)
-
-        def tick() -> None:
-            if turn == self._stream:
-                self._send(connection, lambda: self._packet(request.command & ~wire.MARK))
-                connection.after(period_s, tick)
-
-        connection.after(period_s, tick)
-        return bytes([Code.STREAM])
-
-    def _enter(self, state: State) -> None:
-        """A state anew: nothing heard, no stream."""
-        self._state = state
-        self._heard = b""
-        self._syncs = 0
-        self._command = bytearray()
-        self._stream += 1
-
-
-def _arguments(command: bytearray) -> int:
-    """How many bytes follow the first one; known for a stream once the command within it has come."""
-    if not command[0] & wire.CONFIGURE:
-        return 0
-    code = command[0] | wire.MARK
-    sevenfold = code == Code.STREAM and len(command) > 3 and wire.encoder_count(command[3]) == 7
-    return wire.ARGUMENTS.get(code, 0) + (2 if sevenfold else 0)
+        now = self._clock.now()
+        late_s = self.faults.amount(Fault.SLOW_ADAPTER) if self.faults.strikes(Fault.SLOW_ADAPTER) else 0.0
+        self._sent_until_s = max(self._sent_until_s, now + late_s)
+        if self._sent_until_s > now:
+            connection.after(self._sent_until_s - now, out)
+        else:
+            out()

@@ -1,8 +1,12 @@
-"""What can be wrong with an emulated arm and its cable, each by name. It may not know the session."""
+"""What can be wrong with an emulated arm, its cable and its adapter, each by name. It may not know the session.
+
+Where a packet is hit follows from the seed and from how many answers were hit before, so that a run can be repeated.
+"""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from enum import StrEnum
 
 import numpy as np
@@ -20,53 +24,147 @@ class Fault(StrEnum):
     FLIPPED_BIT = "flipped bit"
     BIT_7 = "bit 7 in payload"
     LOST_BYTE = "lost byte"
+    LOST_QUESTION = "lost byte to the arm"
     GARBAGE = "garbage between packets"
     OLD_SESSION = "old session alive"
+    WRONG_BAUD = "wrong baud"
+    LATE_ECHO = "echo after repeats"
     SURPLUS_ECHOES = "surplus echoes"
     INTERFACE_BOX = "IBOX"
     BLOCK_LENGTH = "parameter block of another length"
+    POWER_LOSS = "power loss"  # until it is cleared: then the power is back
+    NEVER_HOMED = "never homed"
+    PEDAL_BOUNCE = "pedal bounce"
+    SLOW_ADAPTER = "slow adapter"
+    DISCONNECT = "disconnect"
+
+
+# What some faults have an amount of, and how much unless told.
+AMOUNTS: dict[Fault, float] = {
+    Fault.WRONG_BAUD: 9600,  # the rate of a session that somebody left: matters where the host's rate can be known, on a pty
+    Fault.LATE_ECHO: 3,  # the IMMC that is echoed first
+    Fault.NEVER_HOMED: 1000,  # counts that each joint stood off its peg when the arm was switched on, at most
+    Fault.PEDAL_BOUNCE: 0.02,  # seconds that a contact takes to settle
+    Fault.SLOW_ADAPTER: 0.016,  # seconds that each answer is held back
+    Fault.DISCONNECT: 0,  # bytes for the host that still pass
+}
 
 
 class Faults:
-    """The faults that are on, and how often each will still strike."""
+    """The faults that are on, and how often each will still strike. ``told`` hears of each that comes or goes."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, told: Callable[[Fault, bool], None] | None = None) -> None:
         self._seed = seed
+        self._told = told
         self._left: dict[Fault, int] = {}
+        self._spared: dict[Fault, int] = {}
+        self._amounts: dict[Fault, float] = dict(AMOUNTS)
+        self._hits = 0
 
-    def inject(self, fault: Fault | str, times: int = FOREVER) -> None:
-        """Let a fault strike the next ``times`` it can. Raises ValueError for a name that isn't one."""
-        self._left[_named(fault)] = times
+    def inject(self, fault: Fault | str, times: int = FOREVER, *, amount: float | None = None, after: int = 0) -> None:
+        """Let a fault strike the next ``times`` it can, or until it is cleared; ``amount`` is as `AMOUNTS` explains.
+
+        The first ``after`` times that it could strike it spares, to hit the seventh answer, say.
+
+        Raises ValueError for a name that isn't a fault's, and for an amount of what has none.
+        """
+        known = named(fault)
+        check_amount(known, amount)
+        if known in AMOUNTS:
+            self._amounts[known] = AMOUNTS[known] if amount is None else amount
+        self._left[known], self._spared[known] = times, after
+        self._tell(known, True)
 
     def clear(self, fault: Fault | str) -> None:
         """End a fault, whether it was on or not. Raises ValueError for a name that isn't one."""
-        self._left.pop(_named(fault), None)
+        known = named(fault)
+        if self._left.pop(known, None) is not None:
+            self._tell(known, False)
+
+    def on(self, fault: Fault) -> bool:
+        """Whether the fault would strike; none of its times is used up."""
+        return self._left.get(fault, 0) > 0
 
     def strikes(self, fault: Fault) -> bool:
         """Whether the fault happens now; one of its times is used up."""
         left = self._left.get(fault, 0)
+        if left > 0 and self._spared[fault] > 0:
+            self._spared[fault] -= 1
+            return False
         if left > 0:
             self._left[fault] = left - 1
         return left > 0
 
-    def damage(self, packet: bytes, number: int) -> bytes:
-        """The packet as it comes over the wire: where it is hit follows from the seed and its number."""
-        if not self._left:
-            return packet
-        chance = np.random.default_rng([self._seed, _CHANCE, number])
-        data = bytearray(packet)
-        at, bit, lost = int(chance.integers(1, len(data))), int(chance.integers(0, 7)), int(chance.integers(0, len(data)))
+    def amount(self, fault: Fault) -> float:
+        """How much of it, in the unit of `AMOUNTS`."""
+        return self._amounts[fault]
+
+    def damage(self, answer: bytes) -> bytes:
+        """One answer as it comes over the wire: where it is hit is chance; its first byte gets lost, but never changes."""
+        if not self._left or not answer:
+            return answer
+        chance = self._chance()
+        data = bytearray(answer)
+        at, bit, lost = (
+            int(chance.integers(min(1, len(data) - 1), len(data))),
+            int(chance.integers(0, 7)),
+            int(chance.integers(0, len(data))),
+        )
         if self.strikes(Fault.FLIPPED_BIT):
             data[at] ^= 1 << bit
         if self.strikes(Fault.BIT_7):
             data[at] |= MARK
         if self.strikes(Fault.LOST_BYTE):
             del data[lost]
-        garbage = bytes(chance.integers(0, 256, 5, dtype=np.uint8)) if self.strikes(Fault.GARBAGE) else b""
+        garbage = self.noise(5) if self.strikes(Fault.GARBAGE) else b""
         return garbage + bytes(data)
 
+    def mislay(self, question: bytes) -> bytes:
+        """What came from the host, not empty, less a byte that got lost on the way."""
+        if not self.strikes(Fault.LOST_QUESTION):
+            return question
+        lost = int(self._chance().integers(0, len(question)))
+        return question[:lost] + question[lost + 1 :]
 
-def _named(fault: Fault | str) -> Fault:
+    def noise(self, count: int) -> bytes:
+        """Bytes that mean nothing."""
+        return bytes(self._chance().integers(0, 256, count, dtype=np.uint8))
+
+    def cut(self, data: bytes) -> tuple[bytes, bool]:
+        """As much of ``data`` as passes, and whether the cable breaks behind it."""
+        passes = self._amounts[Fault.DISCONNECT]
+        if not self.on(Fault.DISCONNECT) or not data:
+            return data, False
+        if len(data) <= passes:
+            self._amounts[Fault.DISCONNECT] = passes - len(data)
+            return data, False
+        self.clear(Fault.DISCONNECT)
+        return data[: int(passes)], True
+
+    def displacement(self, joints: int) -> list[int]:
+        """How many counts each joint stands off its peg at a power-up that nobody homed: none of them near 0."""
+        most = int(self._amounts[Fault.NEVER_HOMED])
+        sizes = self._chance().integers(most // 2, most + 1, joints)
+        return [int(size) if joint % 2 else -int(size) for joint, size in enumerate(sizes)]
+
+    def _tell(self, fault: Fault, came: bool) -> None:
+        if self._told:
+            self._told(fault, came)
+
+    def _chance(self) -> np.random.Generator:
+        self._hits += 1
+        return np.random.default_rng([self._seed, _CHANCE, self._hits])
+
+
+def check_amount(fault: Fault, amount: float | None) -> None:
+    """Raise ValueError unless ``fault`` may have that amount."""
+    if amount is not None and (fault not in AMOUNTS or amount < 0):
+        with_amount = ", ".join(f"{one} ({usual:g})" for one, usual in AMOUNTS.items())
+        raise ValueError(f"the fault '{fault}' has no amount {amount:g}; an amount of 0 or more have: {with_amount}")
+
+
+def named(fault: Fault | str) -> Fault:
+    """The fault of that name. Raises ValueError that lists them all."""
     try:
         return Fault(fault)
     except ValueError:

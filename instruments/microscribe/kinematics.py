@@ -7,7 +7,7 @@ poses. Pure: no wire and no clock. It may not know the bytes that the parameters
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -64,18 +64,28 @@ class ArmGeometry:
             raise ValueError(f"an arm has {JOINTS} joints; alpha, a, d and counts per turn have {[len(c) for c in columns] + [len(turns)]}")
         return cls(columns[0], columns[1], columns[2], float(beta_rad), np.array(turns, dtype=np.int64))
 
+    def with_tip(self, longer_mm: float) -> ArmGeometry:
+        """The same arm with a tip that is ``longer_mm`` longer than the one its parameters are for: D_5 is more negative by it."""
+        return replace(self, d_mm=self.d_mm - np.array([0.0] * (JOINTS - 1) + [longer_mm]))
+
     @property
     def active(self) -> npt.NDArray[np.bool_]:
         """(6,) which joints have an encoder."""
         return self.turns > 0
 
     def angles(self, counts: npt.ArrayLike) -> Floats:
-        """Joint angles (n, 6) rad in [0, 2 pi) of counts (n, 6); 0 where a joint has no encoder. Manual, chapter 4."""
+        """Joint angles (n, 6) rad in [0, 2 pi) of counts (n, 6); 0 where a joint has no encoder. Manual, chapter 4.
+
+        (n, 5) will do where the sixth has none. Raises ValueError for another shape.
+        """
+        rows = np.atleast_2d(np.asarray(counts, dtype=np.float64))
+        if rows.ndim == 2 and rows.shape[1] == JOINTS - 1 and not self.active[-1]:
+            rows = np.pad(rows, ((0, 0), (0, 1)))
         per_turn = np.where(self.active, self.turns, 1)
-        return np.where(self.active, np.mod(_rows(counts), per_turn) * (2.0 * np.pi / per_turn), 0.0)
+        return np.where(self.active, np.mod(_rows(rows), per_turn) * (2.0 * np.pi / per_turn), 0.0)
 
     def forward(self, counts: npt.ArrayLike) -> tuple[Floats, Floats]:
-        """Tips (n, 3) mm and stylus axes (n, 3), unit, from the tip up the stylus, for counts (n, 6) or (6,)."""
+        """Tips (n, 3) mm and stylus axes (n, 3), unit, from the tip up the stylus, for counts as ``angles`` takes them."""
         return self.forward_angles(self.angles(counts))
 
     def forward_angles(self, angles_rad: Floats) -> tuple[Floats, Floats]:
@@ -115,6 +125,10 @@ class ArmGeometry:
             origin = origin + rotation[:, :, 2] * self.d_mm[joint]
             rotations[:, joint], origins[:, joint] = rotation, origin
         return rotations, origins
+
+    def orientations(self, counts: npt.ArrayLike) -> Floats:
+        """Rotations (n, 3, 3) arm_from_stylus for counts (n, 6); the third column is the stylus axis of ``forward``."""
+        return self.frames(self.angles(counts))[0][:, -1]
 
     def _turned(self, joint: int, theta: Floats) -> Floats:
         columns = [self._through(joint, theta, (x, y, z), 0.0) for x, y, z in _unit_columns(len(theta))]

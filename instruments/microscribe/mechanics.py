@@ -2,7 +2,7 @@
 
 A target goes through inverse kinematics, is moved by the arm's own inaccuracy (the same error for the same pose, as
 of a real arm whose stored parameters are a little off) and by the tremor of the hand (new for each packet), and
-comes out as counts not yet rounded. All chance comes from the seed and the packet's number. It may not know the
+comes out as counts, rounded last as encoders round. All chance comes from the seed and the packet's number. It may not know the
 wire, nor the driver.
 """
 
@@ -49,6 +49,8 @@ class KinematicError:
         )
         self._zeros_rad = later * geometry.active * chance.normal(0.0, 5e-4, JOINTS)
         poses = workspace(geometry, home_rad, chance)
+        if not len(poses):
+            raise ValueError("this arm's tip never comes above the table that it stands on: check its parameters and home counts")
         raw = self._raw(poses)
         self._mean = raw.mean(axis=0)
         self._scale = accuracy_mm / float(np.linalg.norm(raw - self._mean, axis=1).mean())
@@ -89,12 +91,13 @@ class Mechanics:
     ) -> None:
         self._geometry = geometry
         self._home = np.array(home, dtype=np.float64)
+        self._on_peg = home
         self._hand = hand
         self._seed = seed
         self._tremor_mm = tremor_mm
         self._error = KinematicError(geometry, geometry.angles(self._home)[0], seed=seed, accuracy_mm=accuracy_mm)
-        self._held: tuple[tuple[float, ...], _Pose] | None = None
-        self._block: tuple[int, Floats] | None = None
+        self._held: tuple[bytes, _Pose] | None = None
+        self._block: tuple[_Pose, int, list[list[int]]] | None = None
 
     def counts(self, packet: int) -> Floats:
         """Counts (6,), not rounded, at the ``packet``-th question. Raises OutOfReachError where no arm gets there."""
@@ -102,11 +105,24 @@ class Mechanics:
         if target is None:
             return self._home
         pose = self._pose(*target)
-        counts: Floats = pose.counts + pose.counts_per_mm @ self._tremor(packet)
+        block, row = divmod(packet, _BLOCK)
+        counts: Floats = pose.counts + pose.counts_per_mm @ self._tremor(block)[row]
         return counts
 
+    def whole(self, packet: int) -> list[int]:
+        """As ``counts``, rounded; a thousand at a time are made and kept, since a host that polls asks for thousands a second."""
+        target = self._hand.arm_target()
+        if target is None:
+            return list(self._on_peg)
+        pose = self._pose(*target)
+        block, row = divmod(packet, _BLOCK)
+        if self._block is None or self._block[0] is not pose or self._block[1] != block:
+            rounded = np.rint(pose.counts + self._tremor(block) @ pose.counts_per_mm.T).astype(np.int64)
+            self._block = pose, block, rounded.tolist()
+        return self._block[2][row]
+
     def _pose(self, point_mm: Floats, direction: Floats | None) -> _Pose:
-        key = (*map(float, point_mm), *map(float, () if direction is None else direction))
+        key = point_mm.tobytes() + (b"" if direction is None else direction.tobytes())
         if self._held is None or self._held[0] != key:
             self._held = key, self.solve(point_mm, direction)
         return self._held[1]
@@ -126,10 +142,7 @@ class Mechanics:
         moved: Floats = np.linalg.pinv(slopes) * per_rad[:, None]
         return moved
 
-    def _tremor(self, packet: int) -> Floats:
-        block, row = divmod(packet, _BLOCK)
-        if self._block is None or self._block[0] != block:
-            chance = np.random.default_rng([self._seed, _TREMOR, block])
-            self._block = block, chance.normal(0.0, self._tremor_mm / np.sqrt(3.0), (_BLOCK, 3))
-        moved: Floats = self._block[1][row]
-        return moved
+    def _tremor(self, block: int) -> Floats:
+        """How far the hand is off at each packet of a block, (n, 3) mm."""
+        chance = np.random.default_rng([self._seed, _TREMOR, block])
+        return chance.normal(0.0, self._tremor_mm / np.sqrt(3.0), (_BLOCK, 3))

@@ -80,6 +80,7 @@ class Event(Enum):
     POWER_LOST = "power loss"
 
 
+LIVE = (State.SESSION, State.STREAMING)
 _ALWAYS = {Event.END: State.FINDING_BAUD, Event.POWER_LOST: State.FINDING_BAUD}
 _IN_SESSION = _ALWAYS | {Event.POLL: State.SESSION, Event.CONFIGURE: State.SESSION, Event.STREAM: State.STREAMING}
 TABLE: dict[State, dict[Event, State]] = {
@@ -109,14 +110,19 @@ def event_of(command: int) -> Event:
 
 
 def refuse_forbidden(data: bytes, state: State) -> None:
-    """Raise WireError where ``data`` would start an EEPROM write.
+    """Raise WireError where ``data`` would start an EEPROM write, or could where a byte of it is lost.
 
     In a live session bit 7 is ignored, so that the letters C, G, P, Q count too; in sign-on they are words' letters.
+    What follows a command there is taken for commands when the command itself is lost on its way: so none of it may
+    configure. A stream every 66 ms (42) would re-home the arm.
     """
-    live = state in (State.SESSION, State.STREAMING)
+    live = state in LIVE
     for byte in data:
         if (byte | MARK if live else byte) in FORBIDDEN:
             raise WireError(f"byte {byte:02X} would start a write to the arm's EEPROM and is never sent")
+    for byte in data[1:] if live else b"":
+        if byte & CONFIGURE:
+            raise WireError(f"byte {byte:02X} would configure the arm if the byte before it were lost on its way")
 
 
 # Data packets
@@ -131,6 +137,13 @@ class Packet:
     counts: tuple[int, ...]
     ticks: int | None = None
     analogs: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Marker:
+    """A byte that the host sent into the stream, back in its place among the packets."""
+
+    value: int
 
 
 def encoder_count(command: int) -> int:
@@ -175,12 +188,14 @@ class PacketDecoder:
     """Finds packets in a stream cut anywhere; ``damaged`` counts those it had to drop.
 
     A byte with bit 7 inside a packet is damage, and is where the search for a header goes on. ``command``
-    names the only packet that is waited for; without it, any data header is one.
+    names the only packet that is waited for; without it, any data header is one. Markers are looked for only with
+    ``markers``: their value is 8-bit, and could be taken for a header.
     """
 
-    def __init__(self, command: int | None = None) -> None:
+    def __init__(self, command: int | None = None, *, markers: bool = False) -> None:
         self.damaged = 0
         self._wanted = None if command is None else command | MARK
+        self._markers = markers
         self._buffer = b""
 
     @property
@@ -195,10 +210,20 @@ class PacketDecoder:
 
     def feed(self, data: bytes) -> list[Packet]:
         """The packets that ``data`` completes, in order."""
+        return [item for item in self.feed_all(data) if isinstance(item, Packet)]
+
+    def feed_all(self, data: bytes) -> list[Packet | Marker]:
+        """The packets and markers that ``data`` completes, in order."""
         buffer, at = self._buffer + data, 0
-        packets: list[Packet] = []
+        items: list[Packet | Marker] = []
         while at < len(buffer):
             header = buffer[at]
+            if self._markers and header == Code.MARKER:
+                if at + 1 == len(buffer):
+                    break
+                items.append(Marker(buffer[at + 1]))
+                at += 2
+                continue
             if not self._is_header(header):
                 at = _next_marked(buffer, at)
                 continue
@@ -210,10 +235,10 @@ class PacketDecoder:
             elif end > len(buffer):
                 break
             else:
-                packets.append(_packet(header & 0x7F, payload))
+                items.append(_packet(header & 0x7F, payload))
                 at = end
         self._buffer = buffer[at:]
-        return packets
+        return items
 
     def _is_header(self, byte: int) -> bool:
         return byte == self._wanted if self._wanted is not None else byte & (MARK | CONFIGURE | UNUSED) == MARK

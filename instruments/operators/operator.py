@@ -37,10 +37,17 @@ class Placed:
 
 
 class Operator(Protocol):
-    """Asked in this order: homing once, then for each trial set-up and touches."""
+    """Asked in this order: homing once, the check point, then for each trial set-up and touches; the check point once more."""
 
     def confirm_homing(self, instruction: str) -> None:
         """Return once the arm's stylus is on its peg. Raises OperatorAbort."""
+        ...
+
+    def touch_check_point(self, touch: int, of: int) -> None:
+        """Return once the arm's tip rests in the divot of the check point and is held still, for the ``touch``-th time (from 1).
+
+        The stylus leans another way each time, so that wrist and elbow swing. Raises OperatorAbort.
+        """
         ...
 
     def set_up(self, arrangement: Arrangement) -> Placed:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,8 @@ class Stage:
     Every call may raise LinkError (silence, broken link), ProtocolError (nonsense), DeviceError (the controller
     refused, gave an alarm, or restarted by itself) and LimitError (we refused before sending).
     """
+
+    safe_state: ClassVar[str] = "at a stand and holding its position; after an alarm, locked until it is homed"
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self._link = link
@@ -155,6 +158,13 @@ class Stage:
         if self._talk.status().state in _MOVING:
             self._talk.realtime(HOLD)
         self._await_still()
+
+    def brake(self) -> None:
+        """Send the byte that brakes and don't wait: the one call that another thread than the owner's may make.
+
+        The owner's move then ends in a DeviceError. While homing, classic firmware ignores it. Raises LinkError.
+        """
+        self._talk.realtime(HOLD)
 
     def resume(self) -> None:
         """Go on after a hold, once the stage stands: sooner, the controller would lose the command. Raises LimitError unless held."""

@@ -3,7 +3,8 @@
 Every exchange of heat is booked on both sides, so the energy balance closes. Time comes in from outside and is
 made up in whole steps, and each step has its own draw of noise: how often somebody looks changes nothing. The
 plant may not know a clock, a register or a thread; who shares it holds the lock. Equations and constants:
-water-bath fact sheet, section 5; alarms latch until ``acknowledge``.
+water-bath fact sheet, section 5. Float switch and cut-out stand in the heater's own circuit and work whatever the
+controller does; a circulator knows of them and latches its alarm, a controller of its own (``fit``) does not.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ from numpy.typing import NDArray
 TEATS = 4
 NOISE_BLOCK = 1024
 HEAT_CAPACITY_J_PER_L_K = 0.994 * 4179.0  # water at 33 degC; 12 L give 49.8 kJ/K
+LOOP_BREAK_S, LOOP_BREAK_K = 120.0, 0.3  # full output for so long without so much of a rise (fact sheet, 4.1.5)
 
 Alarm = Literal["", "level", "sensor", "over-temperature"]
+Pump = Literal["with run", "on", "off"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +63,9 @@ class PlantConstants:
 class Plant:
     """The circuit at one moment. All temperatures in degC, starting at ``start_c``, in a room at ``ambient_c``.
 
-    ``stuck_heater``, ``dead_heater``, ``stopped_pump`` and ``broken_sensor`` are faults to set from outside.
+    ``stuck_heater``, ``dead_heater``, ``stopped_pump``, ``broken_sensor`` and ``frozen_sensor`` are faults to set from
+    outside; ``output_max``, ``manual_output`` (None: the controller decides) and ``ramp_k_per_min`` are settings.
+    ``loop_broken`` is what the controller concludes from an output that does nothing.
     """
 
     def __init__(self, seed: int, *, ambient_c: float = 20.0, start_c: float = 20.0, constants: PlantConstants | None = None) -> None:
@@ -68,8 +73,12 @@ class Plant:
         self.ambient_c = ambient_c
         self.set_point_c = start_c
         self.running = False
-        self.stuck_heater = self.dead_heater = self.stopped_pump = self.broken_sensor = False
+        self.pump: Pump = "with run"
+        self.stuck_heater = self.dead_heater = self.stopped_pump = self.broken_sensor = self.frozen_sensor = False
         self.alarm: Alarm = ""
+        self.loop_broken = False
+        self.manual_output: float | None = None
+        self.ramp_k_per_min = k.ramp_k_per_min
         self.level_l = k.volume_l
         self.bath_c = self.heater_c = self._sensor_c = self.pv_c = start_c
         self.output = 0.0
@@ -80,6 +89,9 @@ class Plant:
         self._noise: list[float] = []
         self._integral = self._slope = 0.0
         self._working_c = start_c
+        self._latching = True
+        self._cut_out = False
+        self._full_s, self._full_from_c = 0.0, start_c
         self._supply = deque([start_c])
         self._return = deque([start_c])
         self.set_flow(k.flow_l_per_min)
@@ -104,12 +116,18 @@ class Plant:
     @property
     def pump_on(self) -> bool:
         """Whether the water goes round."""
-        return self.running and not self.stopped_pump and self.alarm != "level"
+        wanted = self.running if self.pump == "with run" else self.pump == "on"
+        return wanted and not (self.stopped_pump or self.level_low or self.alarm == "level")
+
+    @property
+    def level_low(self) -> bool:
+        """Whether the float switch is open; heater and pump are cut by it."""
+        return self.level_l < self.constants.volume_min_l
 
     @property
     def heat_w(self) -> float:
         """What the heater takes from the mains at this moment."""
-        if self.dead_heater or self.alarm == "over-temperature":
+        if self.dead_heater or self.level_low or self._cut_out:
             return 0.0
         return self.constants.heater_w * (1.0 if self.stuck_heater else self.output)
 
@@ -118,22 +136,33 @@ class Plant:
         """The set point that the controller works to at this moment, after the ramp."""
         return self._working_c
 
+    def fit(self, *, circulator: bool) -> None:
+        """What controls the bath: a circulator, or a controller that knows only its sensor, beside a pump with its own switch."""
+        self.pump = "with run" if circulator else "on"
+        self._latching = circulator
+
+    @property
+    def rate_k_per_min(self) -> float:
+        """How fast the measured value changes, as the controller's filter sees it."""
+        return self._slope * 60.0
+
     def run(self, set_point_c: float) -> None:
-        """Pump and controller on. The integral starts from nothing, a ramp from the present temperature."""
+        """Controller on, and the pump where it turns with it. The integral starts from nothing, a ramp from the present temperature."""
         self.set_point_c = set_point_c
         if not self.running:
             self.running = True
             self._integral = self._slope = 0.0
-            self._working_c = self.pv_c if self.constants.ramp_k_per_min else set_point_c
+            self._working_c = self.pv_c if self.ramp_k_per_min else set_point_c
 
     def standby(self) -> None:
-        """Pump and controller off."""
+        """Controller off, and the pump where it turns with it."""
         self.running = False
         self.output = 0.0
 
     def acknowledge(self) -> None:
-        """Clear the alarm; it comes back with the next step when its cause is still there."""
+        """Clear the alarm, and the cut-out by hand; both come back with the next step when their cause is still there."""
         self.alarm = ""
+        self._cut_out = False
 
     def fill(self, volume_l: float) -> None:
         """Water of the bath's own temperature, up to ``volume_l``; less lets some out."""
@@ -158,7 +187,9 @@ class Plant:
     def _step(self) -> None:
         k, dt = self.constants, self.constants.step_s
         self._watch()
-        self.output = self._control() if self.running and not self.alarm else 0.0
+        stopped = self.alarm if self._latching else self.broken_sensor
+        self.output = self._control() if self.running and not stopped else 0.0
+        self._watch_loop()
         film_w = k.heater_film_w_per_k * (self.heater_c - self.bath_c)
         into_bath_w = film_w - k.loss_w_per_k * (self.bath_c - self.ambient_c)
         if self.pump_on:
@@ -172,19 +203,29 @@ class Plant:
         self._steps += 1
 
     def _watch(self) -> None:
-        if self.alarm:
+        self._cut_out = self._cut_out or self.bath_c >= self.constants.cut_out_c
+        if self.alarm and self._latching:
             return
         if self.broken_sensor:
             self.alarm = "sensor"
-        elif self.level_l < self.constants.volume_min_l:
+        elif self.level_low:
             self.alarm = "level"
-        elif self.bath_c >= self.constants.cut_out_c:
-            self.alarm = "over-temperature"
+        else:
+            self.alarm = "over-temperature" if self._cut_out else ""
+
+    def _watch_loop(self) -> None:
+        full = self.output >= 0.9 * self.output_max > 0.0
+        self._full_s = self._full_s + self.constants.step_s if full else 0.0
+        if not full or self._full_s >= LOOP_BREAK_S:
+            self.loop_broken = full and self.pv_c - self._full_from_c < LOOP_BREAK_K
+            self._full_s, self._full_from_c = 0.0, self.pv_c
 
     def _control(self) -> float:
         """Output 0..1: parallel PID with the derivative on the measured value."""
         k, dt = self.constants, self.constants.step_s
         self._ramp()
+        if self.manual_output is not None:
+            return min(max(self.manual_output, 0.0), self.output_max)
         error = self._working_c - self.pv_c
         wanted = error / k.band_k + self._integral - k.derivative_s / k.band_k * self._slope
         output = min(max(wanted, 0.0), self.output_max)
@@ -193,7 +234,7 @@ class Plant:
         return output
 
     def _ramp(self) -> None:
-        most = self.constants.ramp_k_per_min / 60.0 * self.constants.step_s
+        most = self.ramp_k_per_min / 60.0 * self.constants.step_s
         away = self.set_point_c - self._working_c
         self._working_c = self.set_point_c if not most or abs(away) <= most else self._working_c + math.copysign(most, away)
 
@@ -223,5 +264,8 @@ class Plant:
             self._noise = (self._noise_source.standard_normal(NOISE_BLOCK) * k.sensor_noise_k).tolist()
         self._sensor_c += self._sensor_follows * (self.bath_c - self._sensor_c)
         before, seen_c = self.pv_c, self._sensor_c + self._noise.pop()
+        if self.frozen_sensor:
+            self._slope = 0.0
+            return
         self.pv_c = round(seen_c / k.sensor_step_k) * k.sensor_step_k if k.sensor_step_k else seen_c
         self._slope += self._slope_follows * ((self.pv_c - before) / k.step_s - self._slope)

@@ -1,9 +1,11 @@
-"""How fast the arm's wire and kinematics are. Printed, not asserted: run with --benchmark-only."""
+"""How fast the arm's wire, driver and kinematics are. Figures beside their aims; nothing is asserted about them."""
 
 from __future__ import annotations
 
+import socket
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -16,10 +18,13 @@ from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.kinematics import Floats, inverse
 from instruments.microscribe.protocol import PacketDecoder
-from instruments.microscribe.unit import UNIT_40937
+from instruments.microscribe.unit import shipped_unit
+from tests.benchmarks.figures import figure
 
 AT_REST = bytes.fromhex("83 00 6C 4F 30 5E 35 54 20 02 18 79 41 60")
-ARM = UNIT_40937.geometry()
+UNIT = shipped_unit("40937")
+ARM = UNIT.geometry()
+LATENCY_S = 0.001  # what the sheet's highest rates reckon with
 
 
 class Hand:
@@ -27,40 +32,108 @@ class Hand:
         return np.array([-180.0, 240.0, 130.0]), np.array([0.0, 0.0, 1.0])
 
 
-@pytest.fixture(params=[RealClock, VirtualClock], ids=["real", "virtual"])
-def driver(request: pytest.FixtureRequest) -> Iterator[MicroScribe]:
-    clock: Clock = request.param()
-    listener = Listener(ArmEmulator(Hand(), clock), clock, lock=threading.RLock(), name="arm")
-    arm = MicroScribe(Link(listener.url, clock, who="arm"), clock)
-    arm.sign_on()
-    yield arm
-    arm.close()
-    listener.close()
+def best_s(benchmark: BenchmarkFixture) -> float:
+    """The best round: what else the machine does is no part of the figure."""
+    assert benchmark.stats is not None
+    return float(benchmark.stats.stats.min)
 
 
-def test_poll_round_trips_over_loopback(benchmark: BenchmarkFixture, driver: MicroScribe) -> None:
+Arms = Callable[..., tuple[MicroScribe, Listener]]
+
+
+@pytest.fixture
+def arms() -> Iterator[Arms]:
+    made: list[tuple[MicroScribe, Listener, Clock]] = []
+
+    def make(clock: Clock, *, baud: int | None = None, latency_s: float = 0.0) -> tuple[MicroScribe, Listener]:
+        listener = Listener(ArmEmulator(Hand(), clock), clock, lock=threading.RLock(), name="arm", baud=baud, latency_s=latency_s)
+        arm = MicroScribe(Link(listener.url, clock, who="arm"), clock)
+        made.append((arm, listener, clock))
+        arm.sign_on()
+        return arm, listener
+
+    yield make
+    for arm, listener, clock in made:
+        arm.close()
+        listener.close()
+        if isinstance(clock, RealClock):
+            clock.close()
+
+
+@pytest.mark.parametrize(("baud", "highest_hz"), [(115200, 434), (38400, 204)])
+def test_polls_a_second_on_a_paced_link(benchmark: BenchmarkFixture, arms: Arms, baud: int, highest_hz: int) -> None:
+    arm, _ = arms(RealClock(), baud=baud, latency_s=LATENCY_S)
+
+    def some() -> None:
+        for _ in range(25):
+            arm.poll()
+
+    benchmark.pedantic(some, rounds=20, iterations=1, warmup_rounds=1)
+    share = 25 / best_s(benchmark) / highest_hz
+    figure(benchmark, f"polls at {baud} baud, share of the sheet's highest rate", share, "at least 0.95")
+
+
+@pytest.mark.parametrize(("baud", "highest_hz"), [(115200, 823), (38400, 274)])
+def test_samples_a_second_streamed_on_a_paced_link(benchmark: BenchmarkFixture, arms: Arms, baud: int, highest_hz: int) -> None:
+    arm, _ = arms(RealClock(), baud=baud, latency_s=LATENCY_S)
+    with arm.stream(stamped=False) as samples:
+        next(samples)
+
+        def two_hundred() -> None:
+            for _ in range(200):
+                next(samples)
+
+        benchmark.pedantic(two_hundred, rounds=5, iterations=1, warmup_rounds=1)
+    assert benchmark.stats is not None
+    share = 200 / benchmark.stats.stats.mean / highest_hz  # the mean: a round may find samples that waited for it
+    figure(benchmark, f"samples streamed at {baud} baud, share of the sheet's highest rate", share, "at least 0.95")
+
+
+@pytest.mark.parametrize("clock", [RealClock, VirtualClock])
+def test_polls_a_second_of_the_driver_over_loopback(benchmark: BenchmarkFixture, arms: Arms, clock: type[Clock]) -> None:
+    arm, _ = arms(clock())
+
     def thousand() -> None:
         for _ in range(1000):
-            driver.poll()
+            arm.poll()
 
-    benchmark.extra_info["polls a round"] = 1000
     benchmark(thousand)
+    figure(benchmark, "polls of the driver over loopback a second", 1000 / best_s(benchmark), "none")
+
+
+def test_round_trips_of_the_emulator_over_loopback(benchmark: BenchmarkFixture, arms: Arms) -> None:
+    """A bare socket asks, so that the emulator and the listener are what is measured, and not our driver."""
+    _, listener = arms(RealClock())
+    with socket.create_connection(("127.0.0.1", listener.port)) as host:
+        host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for word, length in ((b"\xc5IMMC", 5), (b"BEGIN", 5)):
+            host.sendall(word)
+            time.sleep(0.05)
+            assert len(host.recv(100)) == length
+
+        def thousand() -> None:
+            for _ in range(1000):
+                host.sendall(b"\x03")
+                assert len(host.recv(100)) == 14
+
+        benchmark(thousand)
+    figure(benchmark, "round trips of the emulator a second", 1000 / best_s(benchmark), "at least 10 000")
 
 
 def test_packets_decoded_in_bulk(benchmark: BenchmarkFixture) -> None:
     stream = AT_REST * 100_000
     packets = benchmark(lambda: PacketDecoder(0x03).feed(stream))
-    benchmark.extra_info["packets a round"] = len(packets)
+    figure(benchmark, "packets decoded a second", len(packets) / best_s(benchmark), "at least 100 000")
 
 
 def test_kinematics_vectorised(benchmark: BenchmarkFixture) -> None:
     counts = np.random.default_rng(0).integers(0, 16384, (10_000, 6))
     tips, _ = benchmark(lambda: ARM.forward(counts))
-    benchmark.extra_info["poses a round"] = len(tips)
+    figure(benchmark, "poses of the kinematics a second", len(tips) / best_s(benchmark), "at least 1 000 000")
 
 
 def test_inverse_kinematics(benchmark: BenchmarkFixture) -> None:
-    benchmark(lambda: inverse(ARM, (-180.0, 240.0, 130.0), (0.3, 0.2, 1.0), start=UNIT_40937.home))
+    benchmark(lambda: inverse(ARM, (-180.0, 240.0, 130.0), (0.3, 0.2, 1.0), start=UNIT.home))
 
 
 def test_making_an_emulated_arm(benchmark: BenchmarkFixture) -> None:

@@ -1,13 +1,11 @@
-"""How fast the bath is polled and its plant steps. Figures only; nothing is asserted about them."""
+"""How fast the bath is polled and its plant steps. Figures only; comparisons are in `test_bath_round_trips`."""
 
 from __future__ import annotations
 
-import asyncio
 import threading
 from collections.abc import Iterator
 
 import pytest
-from pymodbus.client import AsyncModbusTcpClient
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from instruments.bath.driver import Bath
@@ -33,28 +31,6 @@ def test_poll(benchmark: BenchmarkFixture, served: tuple[Clock, Listener]) -> No
     bath = Bath(f"tcp://127.0.0.1:{listener.port}", load_profile("julabo-presto"), clock)
     assert benchmark(bath.read).temp_c > 19.0
     bath.close()
-
-
-def test_the_same_question_by_pymodbus_alone(benchmark: BenchmarkFixture, served: tuple[Clock, Listener]) -> None:
-    _, listener = served
-    loop = asyncio.new_event_loop()
-    client = loop.run_until_complete(_connected(listener.port))
-
-    async def ten() -> int:
-        for _ in range(10):  # ten at once, so that starting and stopping the loop hardly counts
-            answer = await client.read_input_registers(5, count=13)
-        return len(answer.registers)
-
-    assert benchmark(lambda: loop.run_until_complete(ten())) == 13
-    client.close()
-    loop.run_until_complete(asyncio.sleep(0.01))
-    loop.close()
-
-
-async def _connected(port: int) -> AsyncModbusTcpClient:
-    client = AsyncModbusTcpClient("127.0.0.1", port=port)
-    await client.connect()
-    return client
 
 
 def test_heating_with_1200_polls(benchmark: BenchmarkFixture) -> None:

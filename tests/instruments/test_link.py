@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -164,8 +165,8 @@ class Heard:
     def received(self, data: bytes) -> None:
         self.told.append(("received", data))
 
-    def closed(self) -> None:
-        self.told.append(("closed", ""))
+    def closed(self, why: str = "") -> None:
+        self.told.append(("closed", why))
 
 
 def test_a_tap_hears_every_byte_once_and_in_order() -> None:
@@ -196,3 +197,28 @@ def test_a_reopened_link_has_forgotten_what_came_before() -> None:
     with pytest.raises(LinkError, match="nothing takes the connection"):
         link.reopen()
     link.close()
+
+
+def test_what_was_sent_is_taken_before_time_moves() -> None:
+    class Slow(Echo):
+        """Notes when it hears, after a while of real time."""
+
+        def __init__(self, clock: VirtualClock) -> None:
+            super().__init__()
+            self.clock = clock
+            self.heard_s: list[float] = []
+
+        def receive(self, connection: Connection, data: bytes) -> None:
+            time.sleep(0.02)
+            self.heard_s.append(self.clock.now())
+
+    clock = VirtualClock()
+    device = Slow(clock)
+    listener = Listener(device, clock, lock=threading.RLock(), name="slow")
+    link = Link(listener.url, clock, who="slow")
+    for _ in range(5):
+        link.write(b"x")
+        clock.sleep(1.0)
+    link.close()
+    listener.close()
+    assert device.heard_s == [0.0, 1.0, 2.0, 3.0, 4.0]

@@ -31,11 +31,12 @@ class Watched(BathEmulator):
         self.hosts.discard(connection)
 
     def receive(self, connection: Connection, data: bytes) -> None:
-        self.asked.append((self.clock.now(), data[7], int.from_bytes(data[8:10], "big")))
+        at = 7 if self.framing == "tcp" else 1
+        self.asked.append((self.clock.now(), data[at], int.from_bytes(data[at + 1 : at + 3], "big")))
         super().receive(connection, data)
 
     def writes(self) -> list[tuple[float, int]]:
-        return [(when, address) for when, function, address in self.asked if function in (6, 16)]
+        return [(when, address) for when, function, address in self.asked if function in (5, 6, 16)]
 
 
 @dataclass
@@ -47,11 +48,11 @@ class Stand:
     def __post_init__(self) -> None:
         self.emulator = Watched(self.plant, self.profile, self.clock)
         self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="bath")
-        self.url = f"tcp://127.0.0.1:{self.listener.port}"
+        self.url = f"{'tcp' if self.emulator.framing == 'tcp' else 'rtu+tcp'}://127.0.0.1:{self.listener.port}"
         self._opened: list[Bath] = []
 
-    def bath(self, **options: bool) -> Bath:
-        self._opened.append(Bath(self.url, self.profile, self.clock, **options))
+    def bath(self, *, allow_inferred: bool = False, identify: bool = True) -> Bath:
+        self._opened.append(Bath(self.url, self.profile, self.clock, allow_inferred=allow_inferred, identify=identify))
         return self._opened[-1]
 
     def edited(self, row: str, **changes: object) -> None:

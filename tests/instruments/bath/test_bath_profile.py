@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from instruments.bath.polling import blocks
 from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
 from instruments.bath.registers import WORDS, Kind, Order, decode, encode
 
@@ -95,10 +96,12 @@ def test_the_presto_is_as_its_manual_says(name: str, table: str, address: int, k
     assert row.spacing_s == (0.25 if access == "rw" else 0.0)
 
 
-def test_the_prestos_poll_is_one_block_or_three_without_gaps() -> None:
+def test_the_prestos_poll_is_three_questions_or_seven_without_gaps() -> None:
     profile = load_profile("julabo-presto")
-    assert [(block.table, block.address, block.count) for block in profile.blocks(gaps=True)] == [("input", 5, 13)]
-    assert [(block.address, block.count) for block in profile.blocks(gaps=False)] == [(5, 3), (10, 5), (16, 2)]
+    asked = [(block.function, block.address, block.count) for block in blocks(profile, gaps=True)]
+    assert asked == [(3, 0, 4), (3, 90, 4), (4, 5, 13)]
+    asked_apart = [(block.address, block.count) for block in blocks(profile, gaps=False)]
+    assert asked_apart == [(0, 1), (2, 2), (90, 1), (93, 1), (5, 3), (10, 5), (16, 2)]
 
 
 def test_the_small_profile_is_whole(tmp_path: Path) -> None:

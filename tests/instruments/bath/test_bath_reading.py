@@ -9,13 +9,16 @@ from instruments.bath.reading import BathReading, Poll
 from instruments.bath.registers import Order
 from instruments.errors import DeviceError, ProtocolError
 
+RUN = "0001 0000 4204 8000 | 0000 0000 0000 0000 | "  # started, controller in charge, set point 33.125; degC, first order
+RUN_APART = "0001 | 4204 8000 | 0000 | 0000 | "
 HEAD = "0004 0000 0002 0000 0000 "  # Modbus in charge, no alarm, warning 2, a gap
 
 
 def read(registers: str, *, order: Order = "ABCD", gaps: bool = True) -> BathReading:
     """The reading at 7 s; blocks are cut apart by ``|``."""
     poll = Poll(load_profile("julabo-presto"), order, gaps=gaps, who="bath")
-    return poll.reading(7.0, [[int(word, 16) for word in block.split()] for block in registers.split("|")])
+    run = RUN if gaps else RUN_APART
+    return poll.reading(7.0, [[int(word, 16) for word in block.split()] for block in (run + registers).split("|")])
 
 
 def test_a_reading() -> None:
@@ -29,6 +32,8 @@ def test_a_reading() -> None:
         alarm=0,
         warning=2,
         remote=True,
+        running=True,
+        set_point_c=33.125,
     )
 
 

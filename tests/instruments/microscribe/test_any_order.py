@@ -1,29 +1,60 @@
-"""Driver against emulator through faults in any order: never a wrong position, and back in session when the arm is."""
+"""Driver against emulator through every fault in any order.
+
+Never a wrong position, never a byte that writes nor letters without an end before them, and back in session when the arm is
+back. The operator is honest: homing is confirmed only when the arm was switched on, or homed, on its peg.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import threading
 
 import numpy as np
-from hypothesis import settings
+from hypothesis import event, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from instruments.clock import VirtualClock
-from instruments.errors import InstrumentError, LimitError, LinkError
+from instruments.errors import InstrumentError, LinkError
 from instruments.link import Link
-from instruments.listener import Listener
+from instruments.listener import Connection, Listener
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.faults import Fault
 from instruments.microscribe.kinematics import Floats
 from instruments.microscribe.unit import UNIT_40937
+from tests.instruments.microscribe.bare_host import UP
 
-UP = np.array([0.0, 0.0, 1.0])
 PEG = UNIT_40937.geometry().forward(UNIT_40937.home)[0][0]
 POINTS = [None, np.array([-180.0, 240.0, 130.0]), np.array([-120.0, 200.0, 140.0])]
-PASSING = [Fault.FLIPPED_BIT, Fault.BIT_7, Fault.LOST_BYTE, Fault.GARBAGE, Fault.OLD_SESSION, Fault.SURPLUS_ECHOES]
+# A perfect arm in a hand that trembles by 0.05 mm: rounding alone is 0.31 mm at most (the sheet), and a bit flipped in one of
+# eight packets moves their mean by an eighth of what the reading's spread allows it.
+NOISE_MM = 0.31 + 0.15 + 0.1
+PASSING = [
+    Fault.SILENT, Fault.BIT_7, Fault.LOST_BYTE, Fault.GARBAGE, Fault.OLD_SESSION, Fault.WRONG_BAUD, Fault.SURPLUS_ECHOES,
+    Fault.INTERFACE_BOX, Fault.BLOCK_LENGTH, Fault.PEDAL_BOUNCE, Fault.SLOW_ADAPTER,
+]  # fmt: skip
+ONCE = [Fault.FLIPPED_BIT, Fault.LOST_QUESTION]
+WITH_RULES_OF_THEIR_OWN = [Fault.LATE_ECHO, Fault.DISCONNECT, Fault.POWER_LOSS, Fault.NEVER_HOMED]
+WRITES = {0xC3, 0xC7, 0xD0, 0xD1}
+
+
+class Ear:
+    """Notes what the arm is told."""
+
+    def __init__(self, arm: ArmEmulator) -> None:
+        self.connect, self.disconnect = arm.connect, arm.disconnect
+        self._arm = arm
+        self.heard = b""
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        self.heard += data
+        self._arm.receive(connection, data)
+
+
+def test_every_fault_has_its_turn() -> None:
+    assert {*PASSING, *ONCE, *WITH_RULES_OF_THEIR_OWN} == set(Fault)
 
 
 class ArmInAnyOrder(RuleBasedStateMachine):
@@ -33,17 +64,26 @@ class ArmInAnyOrder(RuleBasedStateMachine):
         super().__init__()
         self.point: Floats | None = None
         self.well_homed = True
-        self.powered = True
+        self.may_have_lost_c5 = False
         self.clock = VirtualClock()
-        self.arm = ArmEmulator(self, self.clock, seed=3)
-        self.listener = Listener(self.arm, self.clock, lock=threading.RLock(), name="arm")
+        self.arm = ArmEmulator(self, self.clock, seed=3, accuracy_mm=0.0)
+        self.ear = Ear(self.arm)
+        self.lock = threading.RLock()
+        self.listener: Listener | None = Listener(self.ear, self.clock, lock=self.lock, name="arm")
+        self.port = self.listener.port
         self.driver = self.plugged_in()
 
     def arm_target(self) -> tuple[Floats, Floats] | None:
         return None if self.point is None else (self.point, UP)
 
     def plugged_in(self) -> MicroScribe:
-        return MicroScribe(Link(self.listener.url, self.clock, who="arm"), self.clock)
+        return MicroScribe(Link(f"socket://127.0.0.1:{self.port}", self.clock, who="arm"), self.clock)
+
+    @property
+    def powered(self) -> bool:
+        return not self.arm.faults.on(Fault.POWER_LOSS)
+
+    # The arm, its cable, and the hand
 
     @rule(point=st.sampled_from(POINTS))
     def hold(self, point: Floats | None) -> None:
@@ -51,25 +91,68 @@ class ArmInAnyOrder(RuleBasedStateMachine):
 
     @rule(fault=st.sampled_from(PASSING), times=st.integers(1, 5))
     def trouble(self, fault: Fault, times: int) -> None:
-        self.arm.faults.inject(fault, times if fault is not Fault.FLIPPED_BIT else 1)
+        self.arm.faults.inject(fault, times)
 
-    @rule(questions=st.integers(1, 4))
-    def deafness(self, questions: int) -> None:
-        self.arm.faults.inject(Fault.SILENT, questions)
+    @rule(fault=st.sampled_from(ONCE))
+    def trouble_once(self, fault: Fault) -> None:
+        self.may_have_lost_c5 |= fault is Fault.LOST_QUESTION
+        self.arm.faults.inject(fault, 1)
+
+    @rule(repeats=st.integers(1, 8))
+    def late_echo(self, repeats: int) -> None:
+        self.arm.faults.inject(Fault.LATE_ECHO, amount=repeats)
+
+    @rule(at=st.integers(0, 250))
+    def break_cable(self, at: int) -> None:
+        self.arm.faults.inject(Fault.DISCONNECT, amount=at)
+
+    @rule(fault=st.sampled_from([Fault.LATE_ECHO, Fault.SLOW_ADAPTER, Fault.DISCONNECT]))
+    def cured(self, fault: Fault) -> None:
+        self.arm.faults.clear(fault)
+
+    @rule()
+    def slow_adapter(self) -> None:
+        self.arm.faults.inject(Fault.SLOW_ADAPTER)
 
     @rule()
     def power_off(self) -> None:
-        self.arm.power_off()
-        self.powered = False
+        if self.powered:
+            self.arm.faults.inject(Fault.POWER_LOSS)
 
     @rule()
     def power_on(self) -> None:
         if not self.powered:
-            self.arm.power_on()
-            self.powered, self.well_homed = True, self.point is None
+            self.arm.faults.clear(Fault.POWER_LOSS)
+            self.well_homed = self.point is None and not self.arm.faults.on(Fault.NEVER_HOMED)
+
+    @precondition(lambda self: self.powered)
+    @rule()
+    def switched_on_off_its_peg(self) -> None:
+        """Its counts jump, so it was switched on just now: no session of before is left."""
+        self.arm.power_cycle()
+        self.arm.faults.inject(Fault.NEVER_HOMED, 1)
+        self.well_homed = False
+
+    @rule(buttons=st.integers(0, 3))
+    def press(self, buttons: int) -> None:
+        self.arm.buttons = buttons
 
     @rule()
-    def replug(self) -> None:
+    def unplug(self) -> None:
+        if self.listener:
+            self.listener.close()
+            self.listener = None
+
+    @rule()
+    def plug_in(self) -> None:
+        if self.listener is None:
+            self.listener = Listener(self.ear, self.clock, lock=self.lock, name="arm", port=self.port)
+
+    # The host
+
+    @precondition(lambda self: self.listener is not None)
+    @rule()
+    def start_anew(self) -> None:
         self.driver.close()
         self.driver = self.plugged_in()
 
@@ -79,10 +162,16 @@ class ArmInAnyOrder(RuleBasedStateMachine):
             self.driver.sign_on()
             assert not self.driver.homed
 
+    @rule()
+    def recover(self) -> None:
+        with contextlib.suppress(InstrumentError):
+            self.driver.recover(5.0)
+            assert not self.driver.homed
+
     @precondition(lambda self: self.well_homed)
     @rule()
     def confirm_homed(self) -> None:
-        with contextlib.suppress(LimitError):
+        with contextlib.suppress(InstrumentError):
             self.driver.confirm_homed()
 
     @precondition(lambda self: self.point is None)
@@ -100,32 +189,97 @@ class ArmInAnyOrder(RuleBasedStateMachine):
         except LinkError:
             assert not self.driver.homed
         except InstrumentError:
-            return
+            event("refused")
         else:
             assert homed
             assert self.powered
-            assert np.linalg.norm(reading.tip_mm - (PEG if self.point is None else self.point)) < 1.0
+            assert np.linalg.norm(reading.tip_mm - (PEG if self.point is None else self.point)) < NOISE_MM
+            event("read")
+
+    @rule(point=st.sampled_from(POINTS))
+    def work(self, point: Floats | None) -> None:
+        """What an operator does all day: touch and read; and what it takes, if the arm asks for it."""
+        if not self.driver.live:
+            self.recover()
+        if not self.driver.homed and not self.well_homed:
+            self.point = None
+            self.home()
+        if not self.driver.homed and self.well_homed:
+            self.confirm_homed()
+        self.point = point
+        self.read()
+
+    @rule(point=st.sampled_from(POINTS[1:]), fault=st.sampled_from([*PASSING, *ONCE]))
+    def work_through_trouble(self, point: Floats, fault: Fault) -> None:
+        self.work(point)
+        self.may_have_lost_c5 |= fault is Fault.LOST_QUESTION
+        self.arm.faults.inject(fault, 1)
+        self.work(point)
+
+    @rule(fault=st.sampled_from([Fault.FLIPPED_BIT, Fault.LOST_BYTE]), after=st.sampled_from([0, 1, 5, 9, 10, 11, 20]))
+    def work_through_a_bad_sign_on(self, fault: Fault, after: int) -> None:
+        """Replies have no checksum: a bit flipped in maxima or parameters (9 to 11 answers after the echo's) bends the arm."""
+        with contextlib.suppress(LinkError):
+            self.driver.safe()
+        self.arm.faults.inject(fault, 1, after=after)
+        self.work(POINTS[1])
+
+    @rule(at=st.integers(0, 150))
+    def work_while_the_cable_breaks(self, at: int) -> None:
+        self.break_cable(at)
+        self.work(self.point)
+        self.work(self.point)
 
     @rule()
-    def recover(self) -> None:
-        if not self.powered:
-            self.power_on()
+    def stream(self) -> None:
+        with contextlib.suppress(InstrumentError), self.driver.stream(50) as samples:
+            assert len(list(itertools.islice(samples, 5))) == 5
+
+    @rule()
+    def wait_for_pedal(self) -> None:
+        with contextlib.suppress(InstrumentError):
+            event = self.driver.wait_for_pedal(0.2)
+            assert event is None or event.pressed
+
+    @rule()
+    def safe(self) -> None:
+        with contextlib.suppress(LinkError):
+            self.driver.safe()
+        assert not self.driver.live
+
+    @rule(asks_driver_to_recover=st.booleans())
+    def all_is_well_again(self, asks_driver_to_recover: bool) -> None:
+        self.plug_in()
+        self.power_on()
         for fault in Fault:
             self.arm.faults.clear(fault)
         self.point = None
-        self.driver.sign_on()
+        if asks_driver_to_recover:
+            self.driver.recover()
+        else:
+            with contextlib.suppress(LinkError):  # a cable that was out is told of once, and opened again the next time
+                self.driver.sign_on()
+            self.driver.sign_on()
         self.driver.home()
         self.well_homed = True
+        assert self.driver.identity == UNIT_40937.names
         assert self.driver.poll().counts == UNIT_40937.home
+        assert np.linalg.norm(self.driver.read().tip_mm - PEG) < 1e-9
+
+    # Always
 
     @invariant()
     def no_byte_that_writes(self) -> None:
-        assert self.arm.eeprom_attempts == 0
+        assert not WRITES & set(self.ear.heard)
+        assert self.ear.heard.count(b"IMMC") == self.ear.heard.count(b"\xc5IMMC")
+        # An end that was lost on its way leaves the letters behind it to a session that somebody left alive: no host can help it.
+        assert self.arm.eeprom_attempts == 0 or self.may_have_lost_c5
 
     def teardown(self) -> None:
         self.driver.close()
-        self.listener.close()
+        if self.listener:
+            self.listener.close()
 
 
 TestArmInAnyOrder = ArmInAnyOrder.TestCase
-TestArmInAnyOrder.settings = settings(max_examples=40, stateful_step_count=25, deadline=None)
+TestArmInAnyOrder.settings = settings(max_examples=40, stateful_step_count=30, deadline=None)

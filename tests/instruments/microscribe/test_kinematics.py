@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from instruments.microscribe import configuration as conf
 from instruments.microscribe.kinematics import RANGES_RAD, ArmGeometry, Floats, OutOfReachError, encoded, inverse
@@ -145,11 +149,34 @@ def test_a_direction_that_is_none_is_refused(direction: tuple[float, ...]) -> No
         inverse(ARM, (0, 200, 100), direction, start=HOME)
 
 
-def test_five_counts_are_refused() -> None:
+def test_four_counts_are_refused() -> None:
     with pytest.raises(ValueError, match=r"not \(n, 6\)"):
-        ARM.forward([1, 2, 3, 4, 5])
+        ARM.forward([1, 2, 3, 4])
 
 
 def test_an_arm_of_five_joints_is_refused() -> None:
     with pytest.raises(ValueError, match="6 joints"):
         ArmGeometry.from_block(conf.decode_parameters(PARAMETERS), 0.0, TURNS[:5])
+
+
+def test_five_counts_will_do_for_an_arm_without_a_sixth_encoder() -> None:
+    np.testing.assert_array_equal(ARM.forward([0, 6238, 6868, 4098, 3193])[0], ARM.forward([0, 6238, 6868, 4098, 3193, 0])[0])
+    six = dataclasses.replace(ARM, turns=np.array([16384, 16384, 8192, 4096, 4096, 4096]))
+    with pytest.raises(ValueError, match="shape"):
+        six.forward([0, 6238, 6868, 4098, 3193])
+
+
+@given(arrays(np.int64, (4, 6), elements=st.integers(0, 16383)), st.floats(-50.0, 200.0))
+def test_a_longer_tip_reaches_further_against_the_stylus_axis(counts: npt.NDArray[np.int64], longer_mm: float) -> None:
+    tips, axes = ARM.forward(counts)
+    further, same = ARM.with_tip(longer_mm).forward(counts)
+    np.testing.assert_allclose(further, tips - longer_mm * axes, atol=1e-9)
+    np.testing.assert_array_equal(same, axes)
+
+
+@given(arrays(np.int64, (4, 6), elements=st.integers(0, 16383)))
+def test_orientations_are_rotations_whose_third_column_is_the_axis(counts: npt.NDArray[np.int64]) -> None:
+    rotations = ARM.orientations(counts)
+    np.testing.assert_allclose(rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (4, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(rotations), 1.0)
+    np.testing.assert_allclose(rotations[:, :, 2], ARM.forward(counts)[1], atol=1e-12)

@@ -1,0 +1,90 @@
+"""The order in which a bath is started and stopped, whoever's the pump is (water-bath fact sheet, section 4.1, item 6).
+
+Start: level, pump, ten seconds of flow, set point, run. Stop: heater off, pump on for a minute, pump off. A pump that turns
+with the controller's run can't do that, and one that is not fitted isn't pretended. May not know why the bath is stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal, Protocol
+
+from instruments.bath.profile import Profile
+from instruments.bath.reading import BathReading
+from instruments.bath.relay import PUMP
+from instruments.errors import DeviceError
+
+ON, OFF = "on", "off"  # labels of the row of a pump that is switched by itself
+FLOW_S = 10.0
+OVERRUN_S = 60.0
+SLICE_S = 0.5
+
+
+class Bath(Protocol):
+    """What the order needs of a bath."""
+
+    @property
+    def who(self) -> str: ...
+    @property
+    def profile(self) -> Profile: ...
+    @property
+    def pump(self) -> Literal["none", "with run", "own"]: ...
+    def read(self) -> BathReading: ...
+    def get(self, name: str) -> float: ...
+    def set(self, name: str, value: float | str) -> None: ...
+    def start(self, set_point_c: float) -> None: ...
+    def safe(self) -> None: ...
+
+
+def has_own_pump(bath: Bath) -> bool:
+    """Whether the pump can be switched without the heater."""
+    return bath.pump == "own" and bath.profile.find(PUMP) is not None
+
+
+def pump_told(bath: Bath) -> str:
+    """What the record says of the pump."""
+    if has_own_pump(bath):
+        return f"switched by itself: {FLOW_S:g} s before the heater, {OVERRUN_S:g} s after it"
+    if bath.pump == "with run":
+        return "turns with the controller's run, and stops with standby: it can't run on alone"
+    return "not fitted to the controller: nothing here proves that the water goes round"
+
+
+def pump_on(bath: Bath, reading: BathReading) -> bool | None:
+    """Whether the pump is switched on; None where the family doesn't tell. Whether it turns, only the water knows."""
+    if has_own_pump(bath):
+        return bath.get(PUMP) == bath.profile.row(PUMP).values[ON]
+    return reading.running if bath.pump == "with run" else None
+
+
+def start_bath(bath: Bath, set_point_c: float, wait: Callable[[float], None]) -> None:
+    """Heat to ``set_point_c``, in order. Raises as the driver does, and DeviceError while the controller has an alarm."""
+    if has_own_pump(bath):
+        reading = bath.read()
+        if reading.alarm:  # the level among them: a pump must not run dry either
+            text = bath.profile.alarm_text(reading.alarm)
+            raise DeviceError(bath.who, f"not started: {text}", hint="Clear its cause and the alarm at the controller.")
+        bath.set(PUMP, ON)
+        wait(FLOW_S)
+    bath.start(set_point_c)
+
+
+def heater_off(bath: Bath) -> None:
+    """Standby at once; then the pump on, where it can run alone, to carry the heater's rest of heat away."""
+    bath.safe()
+    if has_own_pump(bath):
+        bath.set(PUMP, ON)
+
+
+def run_pump_on(bath: Bath, sleep: Callable[[float], None], cut_short: Callable[[], bool]) -> str:
+    """Let the pump run on and switch it off; says what became of it. ``cut_short`` ends the waiting and leaves it running."""
+    if not has_own_pump(bath):
+        return ""
+    left_s = OVERRUN_S
+    while left_s > 0.0:
+        if cut_short():
+            return f"the pump was left running: the rest of its {OVERRUN_S:g} s was cut short"
+        sleep(SLICE_S)
+        left_s -= SLICE_S
+    bath.set(PUMP, OFF)
+    return f"the pump ran on for {OVERRUN_S:g} s and is off"

@@ -1,0 +1,107 @@
+"""How warm the teats' surface is, which is the stimulus: the bath isn't. From a sensor at the phantom, or from the plant model.
+
+Pure. The model is the plant's own at rest (water-bath fact sheet, sections 4.3 and 5): the water cools a little in the hose,
+and a teat sits between water and room as its inner film and its outer surface divide the way. What is not known of a real
+phantom is in the uncertainty, the film first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from instruments.world.plant import HEAT_CAPACITY_J_PER_L_K, PlantConstants
+
+FILM_W_PER_M2K = 600.0  # what the plant's teat_in_w_per_k stands for
+FILM_SPAN_W_PER_M2K = (300.0, 1500.0)  # slow and fast flow inside the teat (section 4.3)
+ROOM_SPAN_K = 3.0  # how far the room may be from the rig file's figure
+SENSOR_SPAN_K = 0.2  # how far a sensor at the phantom may be from the mean surface: root to tip, teat to teat
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """One contribution: ``u_k`` is a standard uncertainty."""
+
+    name: str
+    u_k: float
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """The teats' mean surface temperature, ``how`` it was found, and what its uncertainty is made of."""
+
+    temp_c: float
+    how: str
+    components: tuple[Component, ...]
+
+    @property
+    def u_k(self) -> float:
+        """Standard uncertainty; twice that is the report's +/-."""
+        return math.sqrt(sum(c.u_k**2 for c in self.components))
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What the rig file says: the room, and the sensors' standard uncertainties."""
+
+    room_c: float = 20.0
+    accuracy_k: float = 0.1
+    external_accuracy_k: float = 0.1
+
+
+def surface(bath_c: Sequence[float], external_c: Sequence[float], figures: Figures) -> Surface | None:
+    """From readings about one moment: of the sensor at the phantom where there is one, else from the bath's. None without either."""
+    if external_c:
+        return _from_sensor(external_c, figures)
+    return _from_model(bath_c, figures) if bath_c else None
+
+
+def below_water_k(water_c: float, room_c: float, film_w_per_m2k: float = FILM_W_PER_M2K) -> float:
+    """How much colder a teat is than the water that flows into it, at rest."""
+    k = PlantConstants()
+    inside = k.teat_in_w_per_k * film_w_per_m2k / FILM_W_PER_M2K
+    return (water_c - room_c) * k.teat_out_w_per_k / (inside + k.teat_out_w_per_k)
+
+
+def hose_drop_k(water_c: float, room_c: float) -> float:
+    """What the water loses on its way to the teats."""
+    k = PlantConstants()
+    flow_w_per_k = k.flow_l_per_min / 60.0 * HEAT_CAPACITY_J_PER_L_K
+    return (water_c - room_c) * (1.0 - math.exp(-k.hose_loss_w_per_k / flow_w_per_k))
+
+
+def _from_sensor(external_c: Sequence[float], figures: Figures) -> Surface:
+    components = (
+        Component("sensor at the phantom", figures.external_accuracy_k, "rig file, external_accuracy_k"),
+        Component("the sensor's place", _rectangular(SENSOR_SPAN_K), f"± {SENSOR_SPAN_K:g} K, root to tip and teat to teat"),
+        _steadiness(external_c),
+    )
+    return Surface(_mean(external_c), "external sensor at the phantom", components)
+
+
+def _from_model(bath_c: Sequence[float], figures: Figures) -> Surface:
+    water_c, room_c = _mean(bath_c), figures.room_c
+    supply_c = water_c - hose_drop_k(water_c, room_c)
+    slow, fast = (below_water_k(supply_c, room_c, film) for film in FILM_SPAN_W_PER_M2K)
+    per_k = below_water_k(supply_c, room_c) / (supply_c - room_c) if supply_c != room_c else 0.0
+    components = (
+        Component("bath's own sensor", figures.accuracy_k, "rig file, accuracy_k"),
+        Component("film inside the teat", _rectangular(abs(slow - fast) / 2), "300 to 1500 W/m²K"),
+        Component("room", _rectangular(ROOM_SPAN_K * per_k), f"± {ROOM_SPAN_K:g} K"),
+        _steadiness(bath_c),
+    )
+    return Surface(supply_c - below_water_k(supply_c, room_c), "plant model", components)
+
+
+def _steadiness(readings_c: Sequence[float]) -> Component:
+    return Component("change during the capture", _rectangular((max(readings_c) - min(readings_c)) / 2), f"{len(readings_c)} readings")
+
+
+def _mean(values: Sequence[float]) -> float:
+    return math.fsum(values) / len(values)
+
+
+def _rectangular(half_width: float) -> float:
+    return half_width / math.sqrt(3.0)

@@ -1,0 +1,150 @@
+"""What the report says of the bath: its curve, the temperatures at every capture, the teats' surface, interlocks, and who watched."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.interlock_rules import RULES
+from bench.record import RunRecord, TrialRecord
+from bench.script import Rules, Script
+from bench.stimulus import Figures, Surface, surface
+from bench.summary import tables
+from bench.summary.wording import NOT_MEASURED, guardian_told, number
+from reports.figures import bath_curve
+from reports.page import Column, Figure, Paragraph, Part, Table
+
+AROUND_S = 5.0  # readings so near to a capture are those of the capture
+
+
+def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
+    """The section on bath and environment."""
+    set_point = run.facts.get("set_point_c")
+    if set_point is None or not len(run.bath):
+        yield Paragraph("No bath belongs to recorded frames.", tone="muted")
+        return
+    captures = [t.head["captured_s"] for t in run.trials if t.head["captured_s"] is not None]
+    band_k = rules.bath.leave_k if isinstance(rules, Script) else 0.15
+    svg = bath_curve(run.bath[:, 0], run.bath[:, 1], set_point, band_k, captures, _stable_spans(run))
+    caption = "Bath temperature over the run's time; captures are marked"
+    yield Figure(svg, caption, f"{len(run.bath)} readings, {len(captures)} captures", wide=True)
+    temps = [t.head["bath_c"] for t in run.trials if t.head["bath_c"] is not None]
+    entries: list[tuple[str, object]] = [("set point", number(set_point, "°C")), ("readings", len(run.bath))]
+    if temps:
+        entries.append(("at the captures", f"{min(temps):.2f} to {max(temps):.2f} °C"))
+    yield tables.key_values("Bath", entries)
+    yield from _capture_parts(run)
+    yield from _care_parts(run)
+
+
+def surface_at(run: RunRecord, trial: TrialRecord) -> Surface | None:
+    """The teats' surface at a trial's capture; None where nothing was read about then."""
+    figures = run.facts.get("bath figures")
+    if figures is None or trial.head["captured_s"] is None:
+        return None
+    bath, external = _readings(run, trial)
+    return surface(bath, external, Figures(**figures))
+
+
+def surface_told(found: Surface | None) -> str:
+    """``32.68 ± 0.35 °C (plant model)``; twice the standard uncertainty."""
+    return NOT_MEASURED if found is None else f"{found.temp_c:.2f} ± {2 * found.u_k:.2f} °C ({found.how})"
+
+
+def _readings(run: RunRecord, trial: TrialRecord) -> tuple[list[float], list[float]]:
+    """What bath and external sensor read about the capture."""
+    near = np.abs(run.bath[:, 0] - trial.head["captured_s"]) <= AROUND_S
+    external = run.external_c[near]
+    return run.bath[near, 1].tolist(), external[np.isfinite(external)].tolist()
+
+
+def _capture_parts(run: RunRecord) -> Iterator[Part]:
+    found = {trial.id: surface_at(run, trial) for trial in run.trials}
+    rows = [_capture_row(run, trial, found[trial.id]) for trial in run.trials if trial.head["captured_s"] is not None]
+    if not rows:
+        return
+    columns = (
+        Column("trial"),
+        Column("bath, mean", "right", "°C"),
+        Column("least", "right", "°C"),
+        Column("most", "right", "°C"),
+        Column("external", "right", "°C"),
+        Column("state"),
+        Column("teats' surface", "right", "°C"),
+        Column("±", "right", "K", hint="twice the standard uncertainty"),
+    )
+    note = f"Readings within {AROUND_S:g} s of each capture. The bath is not the stimulus: the teats' surface is."
+    yield Table("Temperatures at the captures", columns, tuple(rows), note)
+    last = next((surface for surface in reversed(found.values()) if surface), None)
+    if last:
+        budget = [(c.name, f"{c.u_k:.3f}", c.source) for c in last.components]
+        budget.append(("combined", f"{last.u_k:.3f}", "root of the sum of squares"))
+        title = f"Uncertainty budget of the teats' surface, by {last.how} (last capture)"
+        yield Table(title, (Column("component"), Column("u", "right", "K"), Column("source")), tuple(budget))
+
+
+def _capture_row(run: RunRecord, trial: TrialRecord, found: Surface | None) -> tuple[str, ...]:
+    bath, external = _readings(run, trial)
+    figures = [_mean(bath), min(bath, default=None), max(bath, default=None), _mean(external)]
+    estimate = (NOT_MEASURED, "") if found is None else (f"{found.temp_c:.2f}", f"{2 * found.u_k:.2f}")
+    return (trial.id, *(number(value) for value in figures), str(trial.head["bath_state"] or NOT_MEASURED), *estimate)
+
+
+def _care_parts(run: RunRecord) -> Iterator[Part]:
+    """Interlocks, safe states, and who acted when the bench could not."""
+    facts = run.facts
+    if "safe states" not in facts:
+        return  # a run of before, or one that never had the instruments
+    entries: list[tuple[str, object]] = [(f"safe state, {name}", state) for name, state in facts["safe states"].items()]
+    entries += [("pump", facts["pump"]), ("when the computer dies", COMMS_LOSS[facts["comms loss"]]), ("guardian", facts["guardian"])]
+    yield tables.key_values("Care", entries)
+    if run.guardian:
+        yield Paragraph(guardian_told(run.guardian), tone="warn")
+    asleep = set(facts["interlocks asleep"])
+    trip = facts.get("trip", {})
+    rows = [(r.name, r.trips, r.resets, _state(r.name, asleep, trip.get("rule"))) for r in RULES]
+    columns = (Column("interlock"), Column("trips"), Column("resets, once acknowledged"), Column("in this run"))
+    yield Table("Interlocks", columns, tuple(rows), "None of this is a safety function; the bath's independent cut-out is.")
+    if trip:
+        yield _trip_table(trip)
+
+
+COMMS_LOSS = {
+    "hold": "the controller holds its last set point: the bath stays hot until the guardian or a person switches it off",
+    "stop": "the controller stops by itself when it hears nothing",
+    "safe_setpoint": "the controller goes to its own safe set point when it hears nothing",
+    "unknown": "not known for this controller: take it that the bath stays hot",
+}
+
+
+def _state(name: str, asleep: set[str], tripped: str | None) -> str:
+    if name == tripped:
+        return "TRIPPED"
+    return "asleep: the controller doesn't tell what it needs" if name in asleep else "did not trip"
+
+
+def _trip_table(trip: dict[str, Any]) -> Table:
+    values: Sequence[dict[str, Any]] = trip["values"]
+    names = ("t_s", "temp_c", "external_c", "safety_c", "power_percent", "alarm")
+    titles = (("time", "s"), ("bath", "°C"), ("external", "°C"), ("safety", "°C"), ("output", "%"), ("alarm", ""))
+    columns = tuple(Column(title, "right", unit) for title, unit in titles)
+    rows = tuple(tuple("" if row[name] is None else f"{row[name]:g}" for name in names) for row in values)
+    return Table(
+        f"Readings that led to the trip: {trip['rule']}", columns, rows, f"{trip['why']}. {'; '.join(trip['done'])}. {trip['then']}"
+    )
+
+
+def _stable_spans(run: RunRecord) -> list[tuple[float, float]]:
+    spans: list[tuple[float, float]] = []
+    for t_s, state in zip(run.bath[:, 0].tolist(), run.bath_states, strict=True):
+        if state == "stable":
+            joined = spans and t_s - spans[-1][1] < 5.0
+            start = spans.pop()[0] if joined else t_s
+            spans.append((start, t_s))
+    return spans
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None

@@ -1,0 +1,79 @@
+"""Whose answer is what came. Over TCP its number tells; over RTU only what is still owed, in which order. Pure, no I/O.
+
+A device answers in order. So an answer that fits a question settles that one and all before it; what fits several
+settles the first, and nothing is taken for the last question's that an earlier one may have asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pymodbus.framer import FramerRTU, FramerSocket
+from pymodbus.pdu import DecodePDU
+
+from instruments.bath.questions import EXCEPTION, Question
+from instruments.bath.resync import frames
+
+
+class Answers:
+    """The questions that were put on one line and not answered yet, oldest first in ``owed``; ``open`` is the latest one put."""
+
+    def __init__(self, *, rtu: bool) -> None:
+        self.owed: list[Question] = []
+        self.open: Question | None = None
+        self._rtu = rtu
+        self._framer = (FramerRTU if rtu else FramerSocket)(DecodePDU(False))
+        self._number = 0
+
+    def put(self, question: Question, now_s: float) -> bytes:
+        """The bytes that ask ``question``, which is owed from now on. Over TCP it keeps its number when it is asked again."""
+        if not question.request.transaction_id:
+            question.request.transaction_id = self._number = self._number % 0xFFFF + 1
+        question.sent_s = now_s
+        self.open = question
+        self.owed.append(question)
+        return self._framer.buildFrame(question.request)
+
+    def forget(self, before_s: float) -> None:
+        """Drop what was asked before ``before_s``, and what was answered."""
+        self.owed = [question for question in self.owed if question.answer is None and question.sent_s >= before_s]
+
+    def hear(self, data: bytes) -> int:
+        """Take the answers in ``data``; how many bytes are done with."""
+        return self._hear_rtu(data) if self._rtu else self._hear_tcp(data)
+
+    def unmistakable(self, questions: Sequence[Question]) -> Question | None:
+        """The one of ``questions`` whose answer can least be confused with one that is owed; None where each can be."""
+        shapes = {owed.expects for owed in self.owed}
+        kinds = {owed.expects[:2] for owed in self.owed}
+        free = [question for question in questions if question.expects not in shapes]
+        return next((question for question in free if question.expects[:2] not in kinds), next(iter(free), None))
+
+    def _hear_tcp(self, data: bytes) -> int:
+        used = 0
+        while True:
+            size, unit_id, number, pdu = self._framer.decode(data[used:])
+            if not size:
+                return used
+            used += size
+            for question in self.owed if pdu else ():
+                if question.request.transaction_id == number and question.unit_id == unit_id:
+                    question.answer = bytes((unit_id, *pdu))
+
+    def _hear_rtu(self, data: bytes) -> int:
+        used = 0
+        for start, used in frames(data, {(question.unit_id, question.function) for question in self.owed}):
+            self._take(data[start : used - 2])
+        return used
+
+    def _take(self, answer: bytes) -> None:
+        current = self.open if self.owed and self.owed[-1] is self.open else None
+        at = next((at for at, question in enumerate(self.owed) if question.fits(answer)), None)
+        if at is None:
+            if current and len(self.owed) == 1:  # an answer that does not fit, and nobody else's
+                current.answer = answer
+                self.owed.clear()
+            return
+        if current and (self.owed[at] is current or (current.fits(answer) and not answer[1] & EXCEPTION)):
+            current.answer = answer
+        del self.owed[: at + 1]

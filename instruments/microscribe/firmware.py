@@ -1,0 +1,169 @@
+"""The emulated arm's side of the conversation: each byte that it hears, and what it answers.
+
+What is stated or recorded in ../shared/instruments/microscribe.md is done as stated; what is not known there is a habit.
+In a live session bit 7 of a command is ignored, so that letters are commands; what is not supported gets silence. Pure
+but for its own state: it may not know a clock, a connection or a hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from instruments.microscribe import configuration as conf
+from instruments.microscribe import protocol as wire
+from instruments.microscribe.faults import Fault, Faults
+from instruments.microscribe.habits import Habits, Look, Trigger
+from instruments.microscribe.protocol import Code, Event, Packet, State
+from instruments.microscribe.unit import ArmIdentity
+
+FASTEST_BAUD = 115200  # no stream is faster than this carries it
+_BITS_PER_BYTE = 10
+
+
+class Body(Protocol):
+    """The rest of the arm."""
+
+    def look(self) -> Look:
+        """Pedals and encoders at this moment."""
+        ...
+
+    def load_home(self) -> None:
+        """Have the encoders' counters show the home counts, wherever the stylus is."""
+        ...
+
+    def ticks(self) -> int:
+        """The time stamp of this moment."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """A stream that runs: packets for ``command`` every ``period_s``, or looks that often where there is a ``trigger``."""
+
+    command: int
+    period_s: float
+    trigger: Trigger | None
+
+
+class Firmware:
+    """One arm's conversation. ``rate`` is the session's, as far as known; ``stream`` what runs, None without one.
+
+    ``echo_after`` is how many IMMC it wants to hear. Raises WireError for a unit that doesn't fit its own replies.
+    """
+
+    def __init__(self, unit: ArmIdentity, body: Body, faults: Faults, habits: Habits, echo_after: int) -> None:
+        self.state = State.FINDING_BAUD
+        self.rate: int | None = None
+        self.stream: Stream | None = None
+        self.eeprom_attempts = 0
+        self.packets = 0
+        self._button_mask = unit.maxima.button_mask
+        self._replies = unit.replies()
+        self._body = body
+        self._faults = faults
+        self._habits = habits
+        self._echo_after = echo_after
+        self._heard = b""
+        self._syncs = 0
+        self._command = bytearray()
+
+    def enter(self, state: State) -> None:
+        """A state anew: nothing heard, no stream, and outside a session no rate."""
+        self.state = state
+        self.stream = None
+        self._heard = b""
+        self._syncs = 0
+        self._command = bytearray()
+        if state not in wire.LIVE:
+            self.rate = None
+
+    def take(self, byte: int, rate: int | None) -> bytes:
+        """The answer to one byte, which came at ``rate`` (None: nobody knows); nothing while a command isn't whole."""
+        if self.state not in wire.LIVE:
+            return self._listen(byte, rate)
+        self._command.append(byte)
+        if len(self._command) <= _arguments(self._command):
+            return b""
+        command, self._command = bytes(self._command), bytearray()
+        return self._obey(command)
+
+    def packet(self, command: int, look: Look) -> bytes:
+        """The answer to a data command; nothing for what isn't one."""
+        if command not in range(wire.TIME_STAMP << 1) or command & wire.UNUSED:
+            return b""
+        self.packets += 1
+        ticks = self._body.ticks() if command & wire.TIME_STAMP else None
+        analogs = (0,) * wire.analog_count(command)  # nothing is plugged in
+        counts = (*look.counts, 0)[: wire.encoder_count(command)]
+        return wire.encode_packet(Packet(command, look.buttons & self._button_mask, counts, ticks, analogs))
+
+    def _listen(self, byte: int, rate: int | None) -> bytes:
+        """Outside a session: words, and the end byte."""
+        self._heard = (self._heard + bytes([byte]))[-len(wire.BEGIN) :]
+        if byte == Code.END:
+            self.state = wire.next_state(self.state, Event.END)
+        elif self._heard.endswith(wire.SYNC):
+            return self._echo(rate)
+        elif self._heard == wire.BEGIN and self.state is State.SYNCED:
+            self.enter(wire.next_state(self.state, Event.BEGIN))
+            return (wire.INTERFACE_BOX if self._faults.strikes(Fault.INTERFACE_BOX) else wire.PRODUCT_ID) + b"\0"
+        return b""
+
+    def _echo(self, rate: int | None) -> bytes:
+        again = self.state is State.SYNCED
+        self._syncs += 1
+        wanted = self._faults.amount(Fault.LATE_ECHO) if self._faults.on(Fault.LATE_ECHO) else self._echo_after
+        if self._syncs < wanted or (again and not self._habits.echoes_again):
+            return b""
+        self.state = wire.next_state(self.state, Event.SYNC)
+        self.rate = rate
+        return wire.SYNC * (3 if self._faults.strikes(Fault.SURPLUS_ECHOES) else 1)
+
+    def _obey(self, command: bytes) -> bytes:
+        """In a session: one whole command. Whatever it is, it ends a stream, but for the marker."""
+        event = wire.event_of(command[0])
+        state = wire.next_state(self.state, event)
+        if event is Event.MARKER:
+            return bytes([Code.MARKER]) + command[1:]
+        self.enter(state)
+        if event is Event.POLL:
+            return self.packet(command[0] & ~wire.MARK, self._body.look())
+        if event is Event.STREAM:
+            return self._start(conf.decode_stream(bytes([Code.STREAM]) + command[1:]))
+        if event is Event.END:
+            return bytes([Code.END])
+        return self._configure(command)
+
+    def _configure(self, command: bytes) -> bytes:
+        """The reply to a configuration command; silence for what is not supported."""
+        code = command[0] | wire.MARK
+        self.eeprom_attempts += code in wire.FORBIDDEN
+        if code == Code.HOME:
+            self._body.load_home()
+            return bytes([code])
+        if code == Code.SET_BAUD:
+            rates = [rate for rate, number in wire.BAUD_CODES.items() if number == command[1]]
+            self.rate = rates[0] if rates else self.rate  # from the next byte on: the echo comes at the old rate
+            return bytes([code]) if rates else b""
+        reply = self._replies.get(code, b"")
+        if code == Code.PARAMETERS and self._faults.strikes(Fault.BLOCK_LENGTH):
+            return reply[:1] + bytes([conf.PARAMETER_BYTES - 2]) + reply[2:-2]
+        return reply
+
+    def _start(self, request: conf.StreamRequest) -> bytes:
+        """Echo; what follows is for whoever keeps the time to ask for."""
+        command = request.command & ~wire.MARK
+        wire_s = (1 + wire.payload_length(command)) * _BITS_PER_BYTE / FASTEST_BAUD
+        trigger = None if request.fixed_rate else Trigger(request, self._habits, self._body.look())
+        self.stream = Stream(command, max(request.delay_ms / 1000.0, wire_s), trigger)
+        return bytes([Code.STREAM])
+
+
+def _arguments(command: bytearray) -> int:
+    """How many bytes follow the first one; known for a stream once the command within it has come."""
+    if not command[0] & wire.CONFIGURE:
+        return 0
+    code = command[0] | wire.MARK
+    sevenfold = code == Code.STREAM and len(command) > 3 and wire.encoder_count(command[3]) == 7
+    return wire.ARGUMENTS.get(code, 0) + (2 if sevenfold else 0)

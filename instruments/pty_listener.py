@@ -1,0 +1,207 @@
+"""The emulators' end of a serial port: a pseudo-terminal whose other end a driver opens as it opens an adapter's port.
+
+Linux and macOS have them. A host that opens the terminal has plugged in, one that closes it has pulled its cable: the
+system tells of the second and not of the first, so that the listener's thread looks for a host every few milliseconds.
+When the device itself hangs up, the terminal goes and another one comes, as an adapter may come back under another
+name. It keeps real time only, and may not know what the bytes mean.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import threading
+
+from instruments.clock import Clock, VirtualClock
+from instruments.closings import either, watch
+from instruments.listener import Connection, Device
+from instruments.pacing import check_pace, pacer_for
+
+LOOK_S = 0.01
+RATES = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
+
+
+class PtyListener:
+    """Serves ``device`` on a pseudo-terminal until closed. ``url`` is its path, which pyserial opens.
+
+    ``baud`` and ``latency_s`` are as for a `Listener`. Raises OSError on a system without pseudo-terminals or with none
+    left, and ValueError under virtual time.
+    """
+
+    def __init__(
+        self, device: Device, clock: Clock, *, lock: threading.RLock, name: str, baud: int | None = None, latency_s: float = 0.0
+    ) -> None:
+        if isinstance(clock, VirtualClock):
+            raise ValueError(f"{name}: a pseudo-terminal keeps real time and can't be had under virtual time; take a Listener")
+        check_pace(clock, baud, latency_s)
+        self.name = name
+        self._device = device
+        self._clock = clock
+        self._lock = lock
+        self._pace = baud, latency_s
+        self._closing = threading.Event()
+        self._connection: Connection | None = None
+        self._terminal = _Terminal(name)
+        self._thread = threading.Thread(target=self._run, name=f"{name} emulator", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Where the next host finds the device: another path after the device has hung up."""
+        return self._terminal.path
+
+    def close(self) -> None:
+        """Hang up and wait for the thread to end; the terminal is gone then."""
+        self._closing.set()
+        with self._lock:
+            if self._connection:
+                self._connection.abort()
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while self._host_comes():
+                self._serve()
+        finally:
+            self._terminal.close()
+
+    def _host_comes(self) -> bool:
+        """Wait until a host is there; seen twice, so that it has set its port up and flushed it before anything is said."""
+        seen = 0
+        while seen < 2:
+            if self._closing.wait(LOOK_S):
+                return False
+            seen = seen + 1 if self._terminal.has_host() else 0
+        return True
+
+    def _serve(self) -> None:
+        terminal = self._terminal
+        with self._lock:
+            if self._closing.is_set():
+                return
+            self._connection = Connection(terminal, self._clock, self._lock, pacer=pacer_for(terminal, self._clock, *self._pace))
+        self._connection.serve(self._device)
+        with self._lock:
+            self._connection = None
+        if terminal.hung_up and not self._closing.is_set():
+            self._terminal = _Terminal(self.name)  # before the host notices, so that it finds the new one
+            terminal.close()
+
+
+class _Terminal:
+    """The near end of one pseudo-terminal, never blocking but in ``read``.
+
+    Where the system tells of it, a host that closes is noticed even if another opens at once; one that has a second program
+    open and close the terminal (``stty -F``) has replugged too.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._master, self.path = _open(name)
+        self._wake_near, self._wake_far = os.pipe()
+        self._closings = watch(self.path)
+        self._either = either(self._master, self._closings) if self._closings else None
+        self._lock = threading.Lock()
+        self._early = b""
+        self.hung_up = False
+
+    def fileno(self) -> int:
+        return self._either.fileno() if self._either else self._master
+
+    def has_host(self) -> bool:
+        """Whether anybody has the far end open. What it has said already is kept for ``read``."""
+        try:
+            data = os.read(self._master, 65536)
+        except BlockingIOError:
+            pass  # open, and nothing said
+        except OSError:
+            return bool(self._early)
+        else:
+            self._early += data
+            if not data:  # macOS says so
+                return bool(self._early)
+        _set_raw(self._master)
+        if self._closings:
+            self._closings.any()  # of hosts before this one
+        return True
+
+    def ready(self) -> bool:
+        """As `Port.ready`."""
+        return bool(self._early) or bool(select.select([self], [], [], 0)[0])
+
+    def take(self, count: int) -> bytes:
+        """As `Port.take`; a host that has gone leaves OSError on Linux, and nothing on macOS."""
+        if self._early:
+            data, self._early = self._early[:count], self._early[count:]
+            return data
+        try:
+            return os.read(self._master, count)
+        except BlockingIOError:
+            if self._closings and not self._closings.any():
+                raise
+            return b""  # there was something, and it wasn't bytes: a host closed, and one opened at once
+
+    def read(self, count: int) -> bytes:
+        """As `Port.read`, and as ``take``."""
+        while self._early or self._wake_near not in select.select([self.fileno(), self._wake_near], [], [])[0]:
+            with contextlib.suppress(BlockingIOError):
+                return self.take(count)
+        return b""
+
+    def write(self, data: bytes) -> None:
+        """What a host leaves unread beyond the system's buffer is lost, as on a port without flow control."""
+        with contextlib.suppress(BlockingIOError):
+            while data:
+                data = data[os.write(self._master, data) :]
+
+    def hang_up(self) -> None:
+        """As `Port.hang_up`: the terminal itself goes once whoever reads has noticed."""
+        with self._lock:
+            if not self.hung_up:
+                self.hung_up = True
+                os.write(self._wake_far, b"w")
+
+    def baud(self) -> int | None:
+        """The rate that the host has set; a terminal takes any."""
+        import termios
+
+        codes = {code: rate for rate in RATES if (code := getattr(termios, f"B{rate}", None)) is not None}
+        try:
+            return codes.get(termios.tcgetattr(self._master)[5])
+        except termios.error:
+            return None
+
+    def close(self) -> None:
+        """The terminal is gone, for its host too."""
+        with self._lock:
+            self.hung_up = True
+            for end in (self._master, self._wake_near, self._wake_far):
+                os.close(end)
+            for watcher in (self._either, self._closings):
+                if watcher:
+                    watcher.close()
+
+
+def _open(name: str) -> tuple[int, str]:
+    """The near end of a new pseudo-terminal, and the path of its far end, which nobody has open."""
+    if not hasattr(os, "openpty"):
+        raise OSError(f"{name}: this system has no pseudo-terminals (Linux and macOS have them); let the emulator listen on TCP")
+    master, slave = os.openpty()
+    try:
+        os.set_blocking(master, False)
+        _set_raw(slave)
+        return master, os.ttyname(slave)
+    except OSError:
+        os.close(master)
+        raise
+    finally:
+        os.close(slave)
+
+
+def _set_raw(end: int) -> None:
+    """Bytes as they are, no echo. Looked at first: macOS forgets it whenever a host closes, and a host's own choice stands."""
+    import termios
+    import tty
+
+    if termios.tcgetattr(end)[3] & (termios.ECHO | termios.ICANON):
+        tty.setraw(end, termios.TCSANOW)

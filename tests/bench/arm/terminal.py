@@ -1,0 +1,78 @@
+"""A command at a pseudo-terminal, driven as a person drives it: read what it says, type an answer."""
+
+from __future__ import annotations
+
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import pytest
+
+from tests.conftest import ROOT
+
+PATIENCE_S = 20.0
+
+
+class Terminal:
+    """The person's side of a running command. ``text`` is all that it has said."""
+
+    def __init__(self, child: subprocess.Popen[bytes], fd: int) -> None:
+        self._child = child
+        self._fd = fd
+        self._at = 0
+        self.text = ""
+
+    def expect(self, words: str) -> str:
+        """Wait until it says ``words``, after what was expected before; gives back what came up to their end."""
+        deadline = time.monotonic() + PATIENCE_S
+        while words not in self.text[self._at :]:
+            assert time.monotonic() < deadline, f"waited for {words!r}; it said:\n{self.text}"
+            assert self._more(), f"it ended before it said {words!r}:\n{self.text}"
+        start, self._at = self._at, self.text.index(words, self._at) + len(words)
+        return self.text[start : self._at]
+
+    def type(self, line: str) -> None:
+        """Type ``line`` and Enter."""
+        os.write(self._fd, f"{line}\n".encode())
+
+    def code(self) -> int:
+        """Read to its end; gives back its exit code."""
+        deadline = time.monotonic() + PATIENCE_S
+        while self._more():
+            assert time.monotonic() < deadline, f"it doesn't end; it said:\n{self.text}"
+        return self._child.wait(timeout=PATIENCE_S)
+
+    def _more(self) -> bool:
+        if not select.select([self._fd], [], [], 0.2)[0]:
+            return self._child.poll() is None
+        try:
+            data = os.read(self._fd, 65536)
+        except OSError:  # Linux says so when the other side has closed
+            return False
+        self.text += data.decode("utf-8", errors="replace").replace("\r\n", "\n")
+        return bool(data)
+
+
+@contextmanager
+def at_terminal(arguments: Sequence[str]) -> Iterator[Terminal]:
+    """``teatbench`` with ``arguments`` at a terminal of its own; skipped where there are none of this kind."""
+    if sys.platform == "win32":
+        pytest.skip("needs a pseudo-terminal, which Windows has not")
+    import pty
+
+    near, far = pty.openpty()
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200", "NO_COLOR": "1"}
+    command = [sys.executable, "-m", "bench.cli", *arguments]
+    child = subprocess.Popen(command, stdin=far, stdout=far, stderr=far, env=environment, cwd=ROOT, start_new_session=True)
+    os.close(far)
+    try:
+        yield Terminal(child, near)
+    finally:
+        if child.poll() is None:
+            child.kill()
+        child.wait(timeout=PATIENCE_S)
+        os.close(near)

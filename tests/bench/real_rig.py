@@ -1,0 +1,201 @@
+"""A rig that is real to the bench: emulators in this process, the bench in another, real time between them.
+
+What a kill of the bench leaves on the bath is seen from here, by the plant itself and by a second Modbus client.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from bench.emulation import EmulatedRig
+from bench.rig import RIGS, LoadedRig, find_rig, load_rig
+from instruments.camera.recording import RecordingWriter
+from instruments.clock import RealClock
+from instruments.operators.operator import Arrangement
+from tests.conftest import ROOT
+
+SCRIPT = """
+title = "Short"
+detectors = ["thesis"]
+repeats = {repeats}
+
+[bath]
+set_point_c = 33.0
+window_s = {window_s}
+slope_k_per_min = 10.0
+
+[[requirements]]
+kind = "bath_in_band"
+name = "bath"
+band_k = 0.15
+
+[[trials]]
+name = "one"
+situation = "ideal"
+layout = "table-5-1"
+set_up = "Teats as in table 5.1."
+stage_mm = [5.0, 0.0]
+"""
+
+STAGE = """
+[stage]
+url = "{stage}"
+feed_mm_per_min = 1500.0
+"""
+
+RIG = """
+name = "a real rig"
+calibration = "calibration.toml"
+
+[operator]
+url = "console:"
+
+[arm]
+url = "{arm}"
+touches = 1
+packets = 2
+
+[bath]
+url = "{bath}"
+profile = "julabo-presto"
+
+{stage_part}
+
+[cameras]
+url = "recording:recording"
+settle_s = {settle_s}
+
+[limits]
+bath_silence_s = 3.0
+{limits}
+"""
+
+
+@dataclass
+class RealRig:
+    """``twin`` is what answers at the rig's URLs; ``folder`` holds rig file, script and the runs' folder."""
+
+    twin: EmulatedRig
+    folder: Path
+    rig_path: Path
+    script_path: Path
+
+    @property
+    def out(self) -> Path:
+        return self.folder / "runs"
+
+    def run_folder(self) -> Path:
+        (found,) = self.out.iterdir()
+        return found
+
+
+@contextmanager
+def real_rig(
+    folder: Path,
+    recording: Path,
+    *,
+    window_s: float = 2.0,
+    settle_s: float = 0.1,
+    stage: bool = False,
+    repeats: int = 1,
+    start_c: float = 33.0,
+    limits: str = "",
+) -> Iterator[RealRig]:
+    """Emulators in real time, and the files that make them a real rig; the bath starts at the script's set point.
+
+    With a stage, each trial is a move of some seconds.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "recording").symlink_to(recording, target_is_directory=True)
+    clock = RealClock()
+    try:
+        with EmulatedRig(at_set_point(folder, start_c), clock, 3) as twin:
+            rig, script = folder / "lab.toml", folder / "short.toml"
+            figures = {"settle_s": settle_s, "limits": limits, "stage_part": STAGE.format(**twin.urls) if stage else ""}
+            rig.write_text(RIG.format(**twin.urls, **figures), encoding="utf-8")
+            script.write_text(SCRIPT.format(window_s=window_s, repeats=repeats), encoding="utf-8")
+            yield RealRig(twin, folder, rig, script)
+    finally:
+        clock.close()
+
+
+def at_set_point(folder: Path, start_c: float) -> LoadedRig:
+    text = find_rig(None).read_text(encoding="utf-8")
+    (folder / "twin.toml").write_text(f"{text}\n[emulation]\nbath_start_c = {start_c}\n", encoding="utf-8")
+    return load_rig(folder / "twin.toml")
+
+
+def record_one(folder: Path, frames: int = 3) -> Path:
+    """A recording of the emulated scene, for cameras that play it."""
+    with EmulatedRig(load_rig(find_rig(None)), clock := RealClock(), 3) as twin:
+        twin.operator.set_up(Arrangement("ideal", "table-5-1", (), "", 4))
+        writer = RecordingWriter(folder)
+        for number in range(frames):
+            writer.add(f"{number:03d}", twin.cameras.capture())
+    clock.close()
+    return folder
+
+
+@dataclass
+class Bench:
+    """The bench as a child of this process, with a person at its terminal."""
+
+    process: subprocess.Popen[str]
+    pieces: list[str] = field(default_factory=list)
+
+    @property
+    def said(self) -> str:
+        return "".join(self.pieces)
+
+    def answer(self, times: int = 1) -> None:
+        """Press Enter."""
+        assert self.process.stdin is not None
+        self.process.stdin.write("\n" * times)
+        self.process.stdin.flush()
+
+    def wait_for(self, words: str, within_s: float = 30.0) -> None:
+        """Until the terminal shows ``words``."""
+        self.wait_until(lambda: words in self.said, f"said {words!r}", within_s)
+
+    def wait_until(self, there: Callable[[], bool], what: str, within_s: float = 30.0) -> None:
+        deadline = time.monotonic() + within_s
+        while not there():
+            assert time.monotonic() < deadline, f"never {what}:\n{self.said}"
+            assert self.process.poll() is None, f"ended with {self.process.returncode} before it {what}:\n{self.said}"
+            time.sleep(0.005)
+
+
+@contextmanager
+def bench(rig: RealRig, more: Sequence[str] = ()) -> Iterator[Bench]:
+    """`teatbench run` on the rig, in another process; killed at the end if it still runs."""
+    command = [sys.executable, "-m", "bench.cli", "run", str(rig.script_path), "--rig", str(rig.rig_path), "--out", str(rig.out), *more]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, text=True, encoding="utf-8", env=environment
+    ) as process:
+        running = Bench(process)
+        reader = threading.Thread(target=_listen, args=(running,), daemon=True)
+        reader.start()
+        try:
+            yield running
+        finally:
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+            reader.join(5)
+
+
+def _listen(running: Bench) -> None:
+    assert running.process.stdout is not None
+    while piece := running.process.stdout.read(1):  # prompts don't end with a line
+        running.pieces.append(piece)

@@ -1,0 +1,109 @@
+"""Trips in whole runs: with emulated faults under virtual time, and in real time while the operator lets the bench wait."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bench.cli import main
+from bench.record import RunRecord, read_run
+from bench.rig import RIGS
+from tests.bench.real_rig import bench, real_rig, record_one
+
+FAULT = """
+[[emulation.faults]]
+instrument = "bath"
+name = "{name}"
+at_s = {at_s}
+"""
+
+
+def run_with_fault(name: str, at_s: float, short_script: Path, folder: Path) -> RunRecord:
+    """A run on the emulated rig whose bath gets a fault; it is still settling when the latest of them comes."""
+    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
+    (folder / "rig.toml").write_text(text + FAULT.format(name=name, at_s=at_s), encoding="utf-8")
+    script = short_script.read_text(encoding="utf-8").replace("window_s = 60.0", "window_s = 3000.0")
+    (folder / "script.toml").write_text(script, encoding="utf-8")
+    code = main(["run", str(folder / "script.toml"), "--rig", str(folder / "rig.toml"), "--out", str(folder / "runs")])
+    assert code == 3
+    (run,) = (folder / "runs").iterdir()
+    return read_run(run)
+
+
+@pytest.mark.parametrize(
+    ("fault", "at_s", "rule", "within_s"),
+    [
+        ("stuck heater", 1200.0, "over-temperature", 240.0),
+        ("dead heater", 300.0, "loop break", 150.0),
+        ("frozen sensor", 475.0, "frozen reading", 125.0),
+        ("sensor break", 300.0, "implausible reading", 7.0),
+        ("fahrenheit", 300.0, "implausible reading", 7.0),
+        ("silence", 300.0, "communications lost", 20.0),
+        ("controller reset", 300.0, "changed at the controller", 20.0),
+        ("low level", 300.0, "controller alarm", 3.0),
+        ("pump stopped", 1200.0, "sensor disagreement", 300.0),
+    ],
+)
+def test_each_fault_of_the_bath_trips_its_rule_in_time(
+    fault: str, at_s: float, rule: str, within_s: float, short_script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = run_with_fault(fault, at_s, short_script, tmp_path)
+    trip = run.facts["trip"]
+    assert trip["rule"] == rule
+    assert at_s <= trip["t_s"] <= at_s + within_s
+    assert run.ending == "faulted"
+    assert 1 <= len(trip["values"]) <= 10
+    kinds = [event["kind"] for event in run.events]
+    assert kinds.index("trip") < kinds.index("fault") < kinds.index("end")
+    said = capsys.readouterr().out.replace("\n", " ")
+    assert f"interlock {rule}" in said, "shown to the operator"
+    page = (run.folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert f"Readings that led to the trip: {rule}" in page
+    assert not list(tmp_path.glob("*.tripped.json")), "an emulated bath is a new one in each run: nothing is latched"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a symbolic link")
+def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowledged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = record_one(tmp_path / "recording")
+    with real_rig(tmp_path / "rig", recording) as rig:
+        plant = rig.twin.world.plant
+        with bench(rig) as running:
+            running.wait_for("on its peg")
+            running.answer()
+            running.wait_for("Enter when it stands")
+            assert plant.running
+            start = time.monotonic()
+            with rig.twin.world.lock:
+                plant.bath_c = 39.0
+            running.wait_until(lambda: not plant.running, "made safe", within_s=5.0)
+            assert time.monotonic() - start < 3.0, "nobody pressed Enter"
+            running.wait_for("interlock over-temperature", within_s=3.0)
+            assert running.process.poll() is None, "it waits for the answer"
+            running.answer()
+            assert running.process.wait(20) == 3, running.said
+        trip = read_run(rig.run_folder()).facts["trip"]
+        assert trip["values"][-1]["safety_c"] == pytest.approx(39.0, abs=0.2)
+        latch = rig.folder / "lab.tripped.json"
+        assert json.loads(latch.read_text(encoding="utf-8"))["rule"] == "over-temperature"
+
+        again = ["run", str(rig.script_path), "--rig", str(rig.rig_path), "--out", str(tmp_path / "elsewhere")]
+        assert main(again) == 3
+        assert "teatbench bath acknowledge" in capsys.readouterr().err
+        assert not (tmp_path / "elsewhere").exists(), "another folder is no way round"
+        assert main(["bath", "acknowledge", str(rig.rig_path)]) == 3
+        assert "has to cool below 36 degC" in capsys.readouterr().err
+        with rig.twin.world.lock:
+            plant.bath_c = plant.pv_c = 33.0
+            plant.acknowledge()
+        time.sleep(1.0)
+        assert main(["bath", "acknowledge", str(rig.rig_path)]) == 0
+        assert not latch.exists()
+        assert main(["bath", "acknowledge", str(rig.rig_path)]) == 0
+        assert "nothing is latched" in capsys.readouterr().out

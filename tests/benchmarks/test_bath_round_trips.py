@@ -1,0 +1,178 @@
+"""A question to the bath through our driver against the same question by pymodbus's own asynchronous client, on the same link.
+
+Both ends live in this process and share its lock; the emulator's part is the same for both. Medians of many; the two take
+turns, so that whatever else the machine does meets both.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import statistics
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import pytest
+from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
+from pymodbus.framer import FramerType
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from instruments.bath.driver import Bath
+from instruments.bath.emulator import BathEmulator
+from instruments.bath.polling import Block, blocks, reader
+from instruments.bath.profile import Profile, load_profile
+from instruments.bath.rows import Row
+from instruments.clock import RealClock
+from instruments.listener import Listener
+from instruments.pty_listener import PtyListener
+from instruments.world.plant import Plant
+
+AT_MOST, AT_MOST_OF_WIRE = 1.15, 1.1
+BAUD, BITS = 9600, 10
+GAP_CHARACTERS = 3.5  # of silence that belong to each frame (Modbus over serial line 1.02, section 2.5.1.1)
+Client = AsyncModbusTcpClient | AsyncModbusSerialClient
+
+pty = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals: POSIX only")
+
+
+@dataclass(frozen=True)
+class Served:
+    """An emulated bath somewhere, and how pymodbus opens it."""
+
+    url: str
+    profile: Profile
+    client: Callable[[], Client]
+
+    @property
+    def asked(self) -> Row:
+        """One quantity that is a question of its own."""
+        return self.profile.row("power")
+
+    @property
+    def function(self) -> int:
+        """The function that reads it."""
+        return reader(self.profile, self.asked.table)
+
+    @property
+    def polled(self) -> tuple[Block, ...]:
+        """The questions of a poll."""
+        return blocks(self.profile, gaps=True)
+
+
+@contextmanager
+def served(kind: str, family: str, baud: int | None = None) -> Iterator[Served]:
+    with ExitStack() as stack:
+        clock = RealClock()
+        stack.callback(clock.close)
+        profile = load_profile(family)
+        emulator = BathEmulator(Plant(1), profile, clock, framing="tcp" if kind == "tcp" else "rtu")
+        lock = threading.RLock()
+        if kind == "pty":
+            terminal = PtyListener(emulator, clock, lock=lock, name="bath", baud=baud)
+            stack.callback(terminal.close)
+            url = terminal.url
+            yield Served(f"{url}?baud={baud or 115200}", profile, lambda: AsyncModbusSerialClient(url, baudrate=baud or 115200))
+            return
+        listener = Listener(emulator, clock, lock=lock, name="bath")
+        stack.callback(listener.close)
+        framer = FramerType.SOCKET if kind == "tcp" else FramerType.RTU
+        yield Served(
+            f"{kind}://127.0.0.1:{listener.port}", profile, lambda: AsyncModbusTcpClient("127.0.0.1", port=listener.port, framer=framer)
+        )
+
+
+def ours(bath: Served, count: int, pause_s: float) -> tuple[list[float], list[float]]:
+    """Seconds that each of ``count`` questions takes after a pause, and that each of as many polls does."""
+    clock = RealClock()
+    driver = Bath(bath.url, bath.profile, clock)
+    questions, polls = [], []
+    for _ in range(count):
+        time.sleep(pause_s)
+        start = time.perf_counter()
+        driver.get(bath.asked.name)
+        questions.append(time.perf_counter() - start)
+    for _ in range(count):
+        start = time.perf_counter()
+        driver.read()
+        polls.append(time.perf_counter() - start)
+    driver.close()
+    clock.close()
+    return questions, polls
+
+
+async def theirs(bath: Served, count: int, pause_s: float) -> tuple[list[float], list[float]]:
+    """The same by pymodbus alone, in one loop that keeps running; it knows no silence between frames."""
+    client = bath.client()
+    await client.connect()
+    ask = {2: client.read_discrete_inputs, 3: client.read_holding_registers, 4: client.read_input_registers}
+    questions, polls = [], []
+    for _ in range(count):
+        time.sleep(pause_s)
+        start = time.perf_counter()
+        answer = await ask[bath.function](bath.asked.address, count=bath.asked.words)
+        questions.append(time.perf_counter() - start)
+        assert not answer.isError()
+    for _ in range(count):
+        start = time.perf_counter()
+        for block in bath.polled:
+            await ask[block.function](block.address, count=block.count)
+        polls.append(time.perf_counter() - start)
+    client.close()
+    await asyncio.sleep(0.05)
+    return questions, polls
+
+
+def turns(bath: Served, count: int, rounds: int, pause_s: float) -> dict[str, float]:
+    """Medians in seconds, each the median of the rounds'."""
+    medians: dict[str, list[float]] = {"question": [], "poll": [], "pymodbus question": [], "pymodbus poll": []}
+    for _ in range(rounds):
+        for whose, took in (("", ours(bath, count, pause_s)), ("pymodbus ", asyncio.run(theirs(bath, count, pause_s)))):
+            medians[f"{whose}question"].append(statistics.median(took[0]))
+            medians[f"{whose}poll"].append(statistics.median(took[1]))
+    return {name: statistics.median(rounded) for name, rounded in medians.items()}
+
+
+@pytest.mark.parametrize(
+    ("kind", "family"),
+    [
+        ("tcp", "julabo-presto"),
+        ("tcp", "watlow-pm-map2"),
+        ("rtu+tcp", "eurotherm-3200"),
+        pytest.param("pty", "eurotherm-3200", marks=pty),
+        pytest.param("pty", "omega-cn7", marks=pty),
+    ],
+)
+def test_a_question_takes_no_longer_than_by_pymodbus_alone(benchmark: BenchmarkFixture, kind: str, family: str) -> None:
+    with served(kind, family) as bath:
+        took_s = benchmark.pedantic(turns, args=(bath, 60, 15, 0.003 if kind == "pty" else 0.0), rounds=1)
+    told(benchmark, took_s)
+    assert took_s["question"] / took_s["pymodbus question"] <= AT_MOST
+    if kind != "pty":  # there the line's silence between two frames, which pymodbus leaves out, is most of a poll
+        assert took_s["poll"] / took_s["pymodbus poll"] <= AT_MOST
+
+
+@pty
+@pytest.mark.parametrize("family", ["eurotherm-3200", "omega-cn7"])
+def test_at_9600_baud_a_question_takes_the_wires_time(benchmark: BenchmarkFixture, family: str) -> None:
+    with served("pty", family, BAUD) as bath:
+        took_s = benchmark.pedantic(turns, args=(bath, 12, 2, 0.005), rounds=1)
+    character_s = BITS / BAUD
+    size, sizes = answered(bath.function, bath.asked.words), [answered(block.function, block.count) for block in bath.polled]
+    question_s, poll_s = size * character_s, sum(size + GAP_CHARACTERS for size in sizes) * character_s
+    told(benchmark, took_s | {"question of wire": took_s["question"] / question_s, "poll of wire": took_s["poll"] / poll_s})
+    assert took_s["question"] / question_s <= AT_MOST_OF_WIRE
+    assert took_s["poll"] / poll_s <= AT_MOST_OF_WIRE
+    assert took_s["question"] / took_s["pymodbus question"] <= AT_MOST
+
+
+def answered(function: int, count: int) -> int:
+    """Characters of a question and its answer."""
+    return 8 + 5 + (2 * count if function in (3, 4) else -(-count // 8))
+
+
+def told(benchmark: BenchmarkFixture, figures: dict[str, float]) -> None:
+    ratios = {f"{name} ratio": figures[name] / figures[f"pymodbus {name}"] for name in ("question", "poll")}
+    benchmark.extra_info |= {name: float(f"{figure:.4g}") for name, figure in (figures | ratios).items()}

@@ -1,0 +1,127 @@
+"""Independent Modbus programs: where they are, how they are built, and ports for them to meet the emulators at."""
+
+from __future__ import annotations
+
+import os
+import select
+import shutil
+import socket
+import subprocess
+import threading
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+from instruments.bath.profile import Profile
+from instruments.listener import Connection
+
+EXAMPLES = Path("/usr/share/doc/libmodbus-dev/examples")
+FIXED = {  # addresses in the examples' sources, and where a test's own come from
+    '"127.0.0.1", 1502': '"127.0.0.1", atoi(getenv("PEER_PORT"))',
+    '"/dev/ttyUSB0"': 'getenv("PEER_DEVICE")',
+}
+OVER_RTU = "modbus_new_rtu(\"/dev/ttyUSB0\", 19200, 'N', 8, 1); modbus_set_slave(ctx, SERVER_ID)"
+
+
+def absent(reason: str) -> NoReturn:
+    """Skip the test; fail it where TEATBENCH_NEED_PEERS says that nothing may be absent."""
+    if os.environ.get("TEATBENCH_NEED_PEERS"):
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
+def program(name: str) -> str:
+    """The path of an installed program; `absent` where there is none."""
+    path = shutil.which(name)
+    if path is None:
+        absent(f"needs {name}: apt-get install {name}")
+    return path
+
+
+def built(example: str, folder: Path, *, over_rtu: bool = False) -> Path:
+    """One of libmodbus's example programs, told its address by PEER_PORT or PEER_DEVICE; `absent` where it can't be built.
+
+    ``over_rtu`` makes a client that only knows TCP ask over a serial port.
+    """
+    source = EXAMPLES / f"{example}.c"
+    if not source.is_file() or not Path("/usr/include/modbus/modbus.h").is_file():
+        absent("needs libmodbus's headers and examples: apt-get install libmodbus-dev")
+    text = source.read_text(encoding="utf-8")
+    assert all(fixed in text for fixed in FIXED), f"{source} has changed"
+    if over_rtu:
+        text = text.replace('modbus_new_tcp("127.0.0.1", 1502)', OVER_RTU)
+    for fixed, told in FIXED.items():
+        text = text.replace(fixed, told)
+    copy = folder / source.name
+    copy.write_text(text, encoding="utf-8")
+    target = folder / example
+    command = [program("gcc"), "-w", "-I/usr/include/modbus", f"-I{EXAMPLES}", str(copy), "-lmodbus", "-o", str(target)]
+    subprocess.run(command, check=True, capture_output=True, timeout=60)
+    return target
+
+
+def memory_profile() -> Profile:
+    """A family without manners of its own: 100 coils and 100 registers that keep what is written, and a bath behind them."""
+    whole = {"evidence": "CERTAIN", "access": "rw"}
+    bath = [
+        {"name": "temperature", "table": "input", "address": 200, "type": "f32", "unit": "degC", "evidence": "CERTAIN"},
+        {"name": "set_point", "table": "holding", "address": 200, "type": "f32", "unit": "degC", "range": [0, 40], **whole},
+        {"name": "run", "table": "holding", "address": 202, "type": "u16", "values": {"standby": 0, "started": 1}, **whole},
+    ]
+    registers = [{"name": f"r{n}", "table": "holding", "address": n, "type": "u16", "range": [0, 65535], **whole} for n in range(100)]
+    coils = [{"name": f"c{n}", "table": "coil", "address": n, "type": "bit", "values": {"off": 0, "on": 1}, **whole} for n in range(100)]
+    return Profile.model_validate(
+        {
+            "family": "memory",
+            "source": "libmodbus's random-test-client",
+            "transports": ["tcp", "rtu"],
+            "functions": [1, 2, 3, 4, 5, 6, 16],
+            "comms_loss": "hold",
+            "comms_loss_evidence": "CERTAIN",
+            "rows": [*bath, *registers, *coils],
+        }
+    )
+
+
+class Bridge:
+    """A device that hands bytes on to a program's serial port: what the program takes for an adapter is ``path``."""
+
+    def __init__(self) -> None:
+        tty = pytest.importorskip("tty", reason="needs pseudo-terminals: Linux and macOS have them")
+        self._near, self._far = os.openpty()
+        tty.setraw(self._far)
+        self.path = os.ttyname(self._far)
+        self._hosts: set[Connection] = set()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._hand_back, name="bridge", daemon=True)
+        self._thread.start()
+
+    def connect(self, connection: Connection) -> None:
+        self._hosts.add(connection)
+
+    def disconnect(self, connection: Connection) -> None:
+        self._hosts.discard(connection)
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        os.write(self._near, data)
+
+    def close(self) -> None:
+        self._closing.set()
+        self._thread.join()
+        os.close(self._near)
+        os.close(self._far)
+
+    def _hand_back(self) -> None:
+        while not self._closing.is_set():
+            if select.select([self._near], [], [], 0.02)[0]:
+                data = os.read(self._near, 4096)
+                for host in list(self._hosts):
+                    host.send(data)
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on just now."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port: int = server.getsockname()[1]
+        return port

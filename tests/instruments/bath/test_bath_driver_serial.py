@@ -1,0 +1,158 @@
+"""The driver on a serial port, in real time: an emulated controller on a pseudo-terminal. And what a tap sees of each link."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+import pytest
+
+from instruments.bath.driver import Bath
+from instruments.bath.emulator import BathEmulator
+from instruments.bath.profile import load_profile
+from instruments.clock import RealClock, VirtualClock
+from instruments.errors import LinkError
+from instruments.listener import Connection
+from instruments.pty_listener import PtyListener
+from instruments.world.plant import Plant
+from tests.instruments.bath.far_end import FarEnd, rtu, served
+from tests.instruments.bath.stand import Stand
+
+pty = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals: POSIX only")
+
+
+class Watched(BathEmulator):
+    """Knows its hosts."""
+
+    def connect(self, connection: Connection) -> None:
+        super().connect(connection)
+        self.host = connection
+
+    def runs(self) -> bool:
+        return self.plant.running
+
+
+@contextmanager
+def terminal(family: str) -> Iterator[tuple[PtyListener, Watched, RealClock]]:
+    with ExitStack() as stack:
+        clock = RealClock()
+        stack.callback(clock.close)
+        emulator = Watched(Plant(1), load_profile(family), clock, framing="rtu")
+        listener = PtyListener(emulator, clock, lock=threading.RLock(), name="bath")
+        stack.callback(listener.close)
+        yield listener, emulator, clock
+
+
+@pty
+@pytest.mark.parametrize("family", ["eurotherm-3200", "watlow-pm-map1", "omega-cn7"])
+def test_a_serial_port_is_read_set_started_and_made_safe(family: str) -> None:
+    with terminal(family) as (listener, emulator, clock):
+        bath = Bath(f"{listener.url}?baud=19200", load_profile(family), clock)
+        assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)
+        bath.start(33.0)
+        assert emulator.runs()
+        assert bath.read().set_point_c == pytest.approx(33.0)
+        bath.safe()
+        assert not emulator.runs()
+        bath.close()
+
+
+@pty
+def test_garbage_and_a_damaged_answer_on_a_serial_port() -> None:
+    with terminal("omega-cn7") as (listener, emulator, clock):
+        bath = Bath(listener.url, load_profile("omega-cn7"), clock)
+        emulator.fault("garbage")
+        for _ in range(5):
+            assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)
+        emulator.fault("garbage", on=False)
+        emulator.fault("bad CRC")
+        clock.call_at(clock.now() + 0.5, lambda: emulator.fault("bad CRC", on=False))
+        assert bath.get("run") == 0.0
+        bath.close()
+
+
+@pty
+def test_an_adapter_that_is_unplugged_is_told_and_the_next_one_is_found() -> None:
+    with terminal("eurotherm-2400") as (listener, emulator, clock):
+        profile = load_profile("eurotherm-2400")
+        bath = Bath(listener.url, profile, clock)
+        emulator.host.hang_up()
+        with pytest.raises(LinkError, match=r"the port can't be opened in 6 tries: .*list_ports"):
+            bath.read()
+        bath.close()
+        again = Bath(listener.url, profile, clock)  # it came back under another name
+        assert again.read().temp_c == pytest.approx(20.0, abs=0.1)
+        again.close()
+
+
+@pty
+def test_at_exit_standby_needs_no_look_and_no_second() -> None:
+    with terminal("eurotherm-2400") as (listener, emulator, clock):
+        emulator.plant.run(33.0)
+        bath = Bath(listener.url, load_profile("eurotherm-2400"), clock, identify=False)
+        start = clock.now()
+        clock.call_at(start + 0.3, lambda: stands.append(not emulator.runs()))
+        stands: list[bool] = []
+        bath.safe()
+        assert not emulator.runs()
+        clock.sleep(max(0.0, start + 0.4 - clock.now()))
+        assert stands == [True]  # the proof that it stands took longer, the write did not
+        bath.close()
+
+
+# ---- taps
+
+
+class Noted:
+    """Keeps what a tap is told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, str | bytes]] = []
+
+    def opened(self, url: str) -> None:
+        self.told.append(("opened", url))
+
+    def sent(self, data: bytes) -> None:
+        self.told.append(("sent", data))
+
+    def received(self, data: bytes) -> None:
+        self.told.append(("received", data))
+
+    def closed(self, why: str = "") -> None:
+        self.told.append(("closed", why))
+
+
+def test_a_tap_sees_every_byte_garbage_too() -> None:
+    clock, tap = VirtualClock(), Noted()
+    far_end = FarEnd(clock)
+    far_end.memory = {0x1000: 200, 0x1001: 200}
+    with served(far_end) as url:
+        bath = Bath(url, load_profile("omega-cn7"), clock, tap=tap)
+        assert tap.told[0] == ("opened", url)
+        del tap.told[:]
+        far_end.spoils = [lambda frame: b"\xff" + frame]
+        bath.get("run")
+        assert tap.told == [("sent", rtu("01 02 0814 0001")), ("received", b"\xff" + rtu("01 02 01 00"))]
+        bath.close()
+        bath.close()
+    assert tap.told[2:] == [("closed", "")]
+
+
+def test_a_tap_is_told_of_a_link_that_breaks_and_of_the_next_one(stand: Stand) -> None:
+    tap = Noted()
+    bath = Bath(stand.url, stand.profile, stand.clock, tap=tap)
+    next(iter(stand.emulator.hosts)).hang_up()
+    bath.read()
+    bath.close()
+    events = [(what, told) for what, told in tap.told if what in ("opened", "closed")]
+    assert events == [("opened", stand.url), ("closed", "the other end hung up"), ("opened", stand.url), ("closed", "")]
+    sent = [told for what, told in tap.told if what == "sent"]
+    assert len(sent) - len(stand.emulator.asked) in (0, 1)  # one may have met nobody
+
+
+@pty
+def test_a_setting_that_the_port_does_not_have_is_told() -> None:
+    with terminal("omega-cn7") as (listener, _, clock), pytest.raises(LinkError, match=r"the port can't be opened in 6 tries"):
+        Bath(f"{listener.url}?parity=E", load_profile("omega-cn7"), clock)  # pseudo-terminals have no parity

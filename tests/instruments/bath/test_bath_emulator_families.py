@@ -1,0 +1,376 @@
+"""Each family's ways on the wire, by bytes typed from the fact sheet (section 1): addresses, areas, codes, refusals, silence."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from instruments.bath.emulator import BathEmulator
+from instruments.bath.profile import load_profile
+from instruments.bath.rtu import framed
+from instruments.clock import VirtualClock
+from instruments.listener import Connection
+from instruments.world.plant import Plant, PlantConstants
+
+EUROTHERMS = ["eurotherm-2400", "eurotherm-3200"]
+WATLOWS = ["watlow-pm-map1", "watlow-pm-map2"]
+OMEGA = "omega-cn7"
+
+
+def request_of(function: int, address: int, count: int) -> bytes:
+    return struct.pack(">BHH", function, address, count)
+
+
+class Sink:
+    """Takes what a device sends, and plans nothing."""
+
+    def __init__(self) -> None:
+        self.got = b""
+
+    def send(self, data: bytes) -> None:
+        self.got += data
+
+    def hang_up(self) -> None:
+        self.got += b"hung up"
+
+
+class Asked:
+    """An emulated controller on an RTU line, at 20 degC and without noise. ``ask`` gives the PDU answered, in hex; "" for silence."""
+
+    def __init__(self, profile: str, *, as_shipped: bool = False) -> None:
+        self.clock = VirtualClock()
+        self.plant = Plant(1, constants=PlantConstants(sensor_noise_k=0.0))
+        self.emulator = BathEmulator(self.plant, load_profile(profile), self.clock, unit_id=1, framing="rtu", as_shipped=as_shipped)
+        self.sink = Sink()
+        self.connection: Connection = self.sink  # type: ignore[assignment]
+        self.emulator.connect(self.connection)
+
+    def ask(self, pdu: str) -> str:
+        self.clock.sleep(0.1)
+        self.sink.got = b""
+        self.emulator.receive(self.connection, framed(1, bytes.fromhex(pdu)))
+        answer = self.sink.got
+        assert not answer or answer == framed(1, answer[1:-2])
+        return answer[1:-2].hex(" ").upper()
+
+    def word(self, address: int) -> int:
+        """One holding register."""
+        return int(self.ask(f"03 {address:04X} 0001")[6:].replace(" ", ""), 16)
+
+    def float(self, address: int, *, low_first: bool = False) -> float:
+        words = bytes.fromhex(self.ask(f"03 {address:04X} 0002")[6:])
+        value: float = struct.unpack(">f", words[2:] + words[:2] if low_first else words)[0]
+        return value
+
+
+# ---- Eurotherm: 1.1
+
+
+@pytest.mark.parametrize("profile", EUROTHERMS)
+@pytest.mark.parametrize(
+    ("request_", "answer"),
+    [
+        ("03 8002 0002", "03 04 41 A0 00 00"),  # PV in the IEEE area, high word first
+        ("04 8002 0002", "04 04 41 A0 00 00"),  # 3 and 4 are the same
+        ("03 0001 0001", "03 02 00 C8"),  # PV as an integer, one decimal
+        ("10 8004 0002 04 4204 0000", "10 80 04 00 02"),  # the target set point
+        ("06 0002 014A", "06 00 02 01 4A"),  # the same as an integer: 33.0
+        ("03 00C7 0001", "03 02 00 01"),  # standby
+        ("06 00C7 0000", "06 00 C7 00 00"),  # normal
+        ("03 8002 0001", "83 02"),  # half a pair
+        ("03 8003 0002", "83 02"),  # from an odd address
+        ("06 8004 4204", "86 02"),  # function 6 on a pair
+        ("10 8004 0001 02 4204", "90 02"),
+        ("06 00C7 0003", "86 03"),  # a mode that is none
+        ("06 0001 0000", "86 02"),  # the process value can't be written
+        ("2B 0E 01 00", ""),  # an unsupported function gets no reply
+        ("17 0000 0001 0002 0001 02 0001", ""),
+        ("0F 0000 0001 01 01", ""),
+        ("08 0000 1234", "08 00 00 12 34"),  # loopback
+        ("08 0001 1234", "88 03"),  # with another sub-function
+    ],
+)
+def test_eurotherm_bytes(profile: str, request_: str, answer: str) -> None:
+    controller = Asked(profile)
+    assert controller.ask(request_) == answer
+
+
+@pytest.mark.parametrize("profile", EUROTHERMS)
+def test_eurotherm_has_each_quantity_in_both_areas(profile: str) -> None:
+    controller = Asked(profile)
+    controller.ask("10 8004 0002 04 4207 0000")  # 33.75
+    assert controller.word(2) == 338
+    controller.ask("06 0002 014A")
+    assert controller.float(0x8004) == 33.0
+    assert controller.ask("03 818E 0002") == "03 04 00 01 80 00"  # 199: one word, padded
+
+
+@pytest.mark.parametrize("profile", EUROTHERMS)
+def test_eurotherm_confirms_a_lone_register_that_it_discards(profile: str) -> None:
+    controller = Asked(profile)
+    before = controller.word(0x1234)  # not configured: undefined, and no exception
+    assert controller.ask("10 1234 0001 02 0007") == "10 12 34 00 01"
+    assert controller.word(0x1234) == before != 7
+    assert controller.ask("06 1234 0007") == "86 02"
+    assert controller.ask("10 1234 0002 04 0007 0007") == "90 02"
+
+
+@pytest.mark.parametrize("profile", EUROTHERMS)
+def test_eurotherm_knows_exceptions_2_and_3_only(profile: str) -> None:
+    controller = Asked(profile)
+    controller.emulator.fault("busy")
+    assert controller.ask("03 8002 0002") == ""
+
+
+@pytest.mark.parametrize("profile", EUROTHERMS)
+def test_eurotherm_status_word(profile: str) -> None:
+    controller = Asked(profile)
+    assert controller.word(75) & 0x0020 == 0
+    controller.emulator.fault("sensor break")
+    controller.clock.sleep(1.0)
+    assert controller.word(75) & 0x0020 == 0x0020  # bit 5
+    assert controller.float(0x8002) == 20.0  # undocumented, and so the worst: the last value
+    assert int(controller.ask("07")[3:], 16) & 0x20 == 0x20  # the fast status byte is the lower half
+
+
+@pytest.mark.parametrize("profile", EUROTHERMS)
+def test_eurotherm_is_silent_for_5_s_when_it_resets_and_goes_on(profile: str) -> None:
+    controller = Asked(profile)
+    controller.ask("10 8004 0002 04 4204 0000")
+    controller.ask("06 00C7 0000")
+    controller.emulator.fault("controller reset")
+    controller.clock.sleep(4.7)
+    assert controller.ask("03 8002 0002") == ""
+    controller.clock.sleep(0.2)
+    assert controller.float(0x8004) == 33.0
+    assert controller.plant.running
+
+
+@pytest.mark.parametrize("profile", EUROTHERMS)
+def test_eurotherm_follows_the_remote_set_point_where_it_is_told_so(profile: str) -> None:
+    controller = Asked(profile)
+    controller.ask("10 8004 0002 04 4204 0000")  # local, parameter 2: 33
+    controller.ask("10 8034 0002 04 41F8 0000")  # remote, parameter 26: 31
+    assert controller.plant.set_point_c == 33.0
+    controller.ask("06 0114 0001")  # 276
+    assert controller.plant.set_point_c == 31.0
+    assert controller.float(0x8004) == 33.0
+    controller.ask("06 0114 0000")
+    assert controller.plant.set_point_c == 33.0
+
+
+@pytest.mark.parametrize("profile", EUROTHERMS)
+def test_eurotherm_ramp_output_limit_and_rate(profile: str) -> None:
+    controller = Asked(profile)
+    controller.ask("10 803C 0002 04 4220 0000")  # parameter 30: 40 %
+    controller.ask("10 8046 0002 04 3F80 0000")  # parameter 35: 1 K/min
+    controller.ask("10 8004 0002 04 4204 0000")
+    controller.ask("06 00C7 0000")
+    controller.clock.sleep(180.0)
+    assert controller.float(0x800A) == pytest.approx(23.0, abs=0.1)  # parameter 5, after the ramp
+    controller.ask("10 8046 0002 04 0000 0000")
+    controller.clock.sleep(30.0)
+    assert controller.float(0x8008) == pytest.approx(40.0)  # parameter 4
+    if profile == "eurotherm-3200":
+        assert controller.float(0x80CE) == pytest.approx(0.4 * 1.8, abs=0.3)  # parameter 103: 40 % of 1.8 K/min
+
+
+@pytest.mark.parametrize(("profile", "model"), [("eurotherm-2400", 0x2416), ("eurotherm-3200", 0x3216)])
+def test_eurotherm_says_which_it_is(profile: str, model: int) -> None:
+    assert Asked(profile).word(122) == model
+
+
+# ---- Watlow: 1.3
+
+
+@pytest.mark.parametrize(("profile", "set_point", "mode", "power"), [(WATLOWS[0], 2160, 1880, 1904), (WATLOWS[1], 2640, 2360, 2384)])
+def test_watlow_maps(profile: str, set_point: int, mode: int, power: int) -> None:
+    controller = Asked(profile)
+    assert controller.ask("03 0168 0002") == "03 04 00 00 41 A0"  # 360: 20.0 with the low word first
+    assert controller.ask("04 0168 0002") == "04 04 00 00 41 A0"
+    assert controller.word(mode) == 62  # off
+    assert controller.ask(f"10 {set_point:04X} 0002 04 0000 4204") == f"10 {set_point >> 8:02X} {set_point & 255:02X} 00 02"
+    assert controller.ask(f"06 {mode:04X} 000A")[-5:] == "00 0A"
+    assert controller.plant.running
+    assert controller.plant.set_point_c == 33.0
+    controller.clock.sleep(60.0)
+    controller.ask("03 0168 0002")
+    assert controller.float(power, low_first=True) == 100.0
+    assert controller.ask(f"06 {mode:04X} 003E")[-5:] == "00 3E"
+    assert not controller.plant.running
+
+
+@pytest.mark.parametrize(("profile", "unit"), [(WATLOWS[0], 2490), (WATLOWS[1], 2308)])
+def test_watlow_speaks_fahrenheit_until_it_is_told(profile: str, unit: int) -> None:
+    controller = Asked(profile, as_shipped=True)
+    assert controller.float(360, low_first=True) == pytest.approx(68.0)
+    assert controller.word(unit) == 30
+    controller.ask(f"06 {unit:04X} 000F")
+    assert controller.float(360, low_first=True) == 20.0
+    assert controller.word(unit) == 15
+
+
+@pytest.mark.parametrize("profile", WATLOWS)
+def test_watlow_words_may_be_set_the_other_way_round(profile: str) -> None:
+    controller = Asked(profile)
+    controller.emulator.fault("word order")
+    assert controller.float(360) == 20.0
+
+
+@pytest.mark.parametrize("profile", WATLOWS)
+def test_watlow_input_error(profile: str) -> None:
+    controller = Asked(profile)
+    assert controller.word(362) == 61
+    controller.emulator.fault("sensor break")
+    controller.clock.sleep(1.0)
+    assert controller.word(362) == 65
+
+
+# ---- Omega: 1.4
+
+
+@pytest.mark.parametrize(
+    ("request_", "answer"),
+    [
+        ("03 1000 0001", "03 02 00 C8"),  # 20.0
+        ("06 1001 014A", "06 10 01 01 4A"),  # set point 33.0
+        ("02 0814 0001", "02 01 00"),  # stopped
+        ("05 0814 FF00", "05 08 14 FF 00"),  # run
+        ("05 0814 0001", "85 03"),
+        ("01 0814 0001", "81 01"),  # 2, 3, 5 and 6 only
+        ("04 1000 0001", "84 01"),
+        ("10 1001 0001 02 014A", "90 01"),
+        ("03 2000 0001", "83 02"),
+    ],
+)
+def test_omega_bytes(request_: str, answer: str) -> None:
+    assert Asked(OMEGA).ask(request_) == answer
+
+
+def test_omega_runs_by_its_coil_and_shows_an_error_code_for_a_broken_sensor() -> None:
+    controller = Asked(OMEGA)
+    controller.ask("06 1001 014A")
+    controller.ask("05 0814 FF00")
+    assert controller.plant.running
+    assert controller.ask("02 0814 0001") == "02 01 01"
+    controller.clock.sleep(60.0)
+    controller.ask("03 1000 0001")
+    assert controller.word(0x1012) == 1000  # 100 %, in tenths
+    controller.emulator.fault("sensor break")
+    controller.clock.sleep(1.0)
+    assert controller.word(0x1000) == 0x8003
+    controller.emulator.fault("wrong length")
+    assert controller.ask("02 0814 0001") == "02 00"
+    controller.ask("05 0814 0000")
+    assert not controller.plant.running
+
+
+# ---- JULABO: 1.2
+
+
+@pytest.mark.parametrize("profile", ["julabo-magio", "julabo-presto"])
+def test_julabo_exchanges_registers(profile: str) -> None:
+    controller = Asked(profile)
+    assert controller.ask("17 0000 0004 0000 0004 08 0001 0000 4204 0000") == "17 08 00 01 00 00 42 04 00 00"
+    assert controller.plant.running
+    assert controller.ask("17 0000 0004 0000 0001 02 0007") == "97 03"
+    assert controller.ask("03 0003 0001") == "03 02 00 00"
+    assert controller.ask("0F 0000 0001 01 01") == "8F 01"
+
+
+def test_julabo_heats_with_a_power_of_its_own_when_that_is_digital() -> None:
+    controller = Asked("julabo-presto")
+    controller.ask("06 0000 0001")
+    controller.ask("06 0004 001E")  # 30 %
+    controller.ask("06 0001 0001")  # digital
+    controller.clock.sleep(1.0)
+    assert controller.ask("04 000E 0001") == "04 02 00 1E"
+    controller.ask("06 0004 0000")
+    controller.clock.sleep(1.0)
+    assert controller.ask("04 000E 0001") == "04 02 00 00"
+
+
+@pytest.mark.parametrize("code", range(4))
+def test_julabo_turns_every_register_but_the_one_that_tells_the_order(code: int) -> None:
+    """20.0 is 41A0 0000: no swap, little, big swapped, little swapped, as section 1.2 numbers them."""
+    controller = Asked("julabo-presto")
+    controller.ask(f"06 005D {code:04X}")
+    assert controller.word(93) == code
+    assert controller.ask("04 000A 0002") == "04 04 " + ["41 A0 00 00", "00 00 A0 41", "A0 41 00 00", "00 00 41 A0"][code]
+
+
+def test_julabo_forgets_the_start_command_in_a_reset() -> None:
+    controller = Asked("julabo-presto")
+    controller.ask("10 0000 0004 08 0001 0000 4204 0000")
+    controller.emulator.fault("controller reset")
+    controller.clock.sleep(2.0)
+    assert controller.ask("03 0000 0004") == "03 08 00 00 00 00 41 A0 00 00"
+    assert not controller.plant.running
+
+
+# ---- all of them
+
+
+@pytest.mark.parametrize(
+    ("profile", "place", "code"), [("eurotherm-3200", 273, 1), (WATLOWS[0], 1880, 54), (WATLOWS[1], 2362, 54), (OMEGA, 0x1005, 2)]
+)
+def test_a_controller_switched_to_manual_holds_its_output(profile: str, place: int, code: int) -> None:
+    controller = Asked(profile)
+    controller.plant.run(33.0)
+    controller.clock.sleep(60.0)
+    controller.word(place)  # whoever looks moves the plant on
+    controller.emulator.fault("manual mode")
+    controller.plant.set_point_c = 5.0
+    controller.clock.sleep(60.0)
+    assert controller.word(place) == code
+    assert controller.plant.power_percent == 100.0
+    assert "manual mode" in controller.emulator.faults
+    controller.emulator.fault("manual mode", on=False)
+    controller.clock.sleep(1.0)
+    assert controller.word(place) != code
+    assert controller.plant.power_percent == 0.0
+
+
+@pytest.mark.parametrize("profile", ["julabo-presto", *EUROTHERMS, *WATLOWS, OMEGA])
+@settings(max_examples=60)
+@given(pdu=st.binary(min_size=1, max_size=40) | st.builds(request_of, st.integers(1, 24), st.integers(0, 0xFFFF), st.integers(0, 260)))
+def test_any_request_gets_one_whole_answer_or_none(profile: str, pdu: bytes) -> None:
+    answer = bytes.fromhex(Asked(profile).ask(pdu.hex()))  # `ask` looks at unit and check sum
+    assert not answer or answer[0] & 0x7F == pdu[0] & 0x7F
+    if profile in EUROTHERMS and answer and answer[0] & 0x80:
+        assert answer[1] in (2, 3)
+
+
+def test_every_register_pair_of_a_reading_is_whole() -> None:
+    """What is asked in one request is of one moment: both words of a float, whatever time does."""
+    controller = Asked("julabo-presto")
+    controller.ask("10 0000 0004 08 0001 0000 4204 0000")
+    for _ in range(20):
+        controller.clock.sleep(7.3)
+        words = bytes.fromhex(controller.ask("04 000A 0002")[6:])
+        assert struct.unpack(">f", words)[0] == pytest.approx(controller.plant.pv_c, abs=1e-6)
+
+
+def test_a_pump_of_its_own_turns_whatever_the_controller_does() -> None:
+    circulator, controller = Asked("julabo-presto"), Asked(OMEGA)
+    assert (circulator.plant.pump_on, controller.plant.pump_on) == (False, True)
+
+
+@pytest.mark.parametrize("profile", [*EUROTHERMS, *WATLOWS, OMEGA])
+def test_a_controller_does_not_see_the_float_switch_but_the_heater_is_cut(profile: str) -> None:
+    controller = Asked(profile)
+    controller.plant.run(33.0)
+    controller.emulator.fault("low level")
+    levels = []
+    for _ in itertools.repeat(None, 40):
+        controller.plant.advance_to(controller.plant.t_s + 10.0)
+        levels.append((controller.plant.power_percent > 0.0, controller.plant.heat_w))
+    assert levels[-1] == (True, 0.0)
+    assert controller.plant.loop_broken
+    controller.emulator.fault("low level", on=False)
+    controller.plant.advance_to(controller.plant.t_s + 10.0)
+    assert controller.plant.heat_w > 0.0

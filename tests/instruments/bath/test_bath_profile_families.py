@@ -1,0 +1,385 @@
+"""The shipped families against the fact sheet: where each quantity is, and the bytes that go over the wire, typed from it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from instruments.bath.driver import Bath
+from instruments.bath.polling import blocks, markers
+from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
+from instruments.bath.wired import WiredRows, line_to, wire_to
+from instruments.clock import VirtualClock
+from instruments.errors import DeviceError, LimitError, ProtocolError
+from tests.instruments.bath.far_end import FarEnd, rtu, served
+
+SHIPPED = [
+    "eurotherm-2400",
+    "eurotherm-3200",
+    "julabo-magio",
+    "julabo-presto",
+    "omega-cn7",
+    "watlow-pm-map1",
+    "watlow-pm-map2",
+]
+
+# Fact sheet, sections 1.1 to 1.4: name, table, address, type, access, evidence.
+EUROTHERM = """
+temperature 0x8002 f32 r CERTAIN | set_point 0x8004 f32 rw CERTAIN | output_demand 0x8006 f32 r CERTAIN
+power 0x8008 f32 r CERTAIN | working_set_point 0x800A f32 r CERTAIN | range_low 0x8016 f32 r CERTAIN
+range_high 0x8018 f32 r CERTAIN | alarm1_high 0x801A f32 r CERTAIN | set_point_1 0x8030 f32 r CERTAIN
+set_point_2 0x8032 f32 r CERTAIN | remote_set_point 0x8034 f32 rw CERTAIN | heating_limit 0x803C f32 rw CERTAIN
+output_low 0x803E f32 r CERTAIN | sensor_break_output 0x8044 f32 rw CERTAIN | ramp 0x8046 f32 rw CERTAIN
+error 0x804E f32 r CERTAIN | set_point_high 0x80DE f32 r CERTAIN | set_point_low 0x80E0 f32 r CERTAIN
+set_point_select 15 u16 r CERTAIN | status 75 u16 r CERTAIN | version 107 u16 r CERTAIN | model 122 u16 r CERTAIN
+address 131 u16 r CERTAIN | run 199 u16 rw CERTAIN | sensor_break 258 u16 r CERTAIN | loop_break 263 u16 r CERTAIN
+auto_manual 273 u16 rw CERTAIN | acknowledge 274 u16 w CERTAIN | local_remote 276 u16 rw CERTAIN | unit 516 u16 r CERTAIN
+decimals 525 u16 r CERTAIN | resolution 12550 u16 r CERTAIN
+"""
+MAGIO = """
+run 0 u16 rw CERTAIN | actuating 1 u16 rw CERTAIN | set_point 2 f32 rw CERTAIN | heating_power 4 i16 r CERTAIN
+control_sensor 10 u16 r CERTAIN | band 12 f32 r CERTAIN | reset_time 14 u16 r CERTAIN | rate_time 15 u16 r CERTAIN
+cooling_limit 40 i16 r INFERRED | heating_limit 41 i16 rw INFERRED | pump_control 50 u16 r INFERRED
+pump_stage 52 u16 rw INFERRED | low_warning 60 f32 r INFERRED | high_warning 62 f32 r INFERRED
+cooling_gradient 64 f32 r INFERRED | heating_gradient 66 f32 r INFERRED | set_point_low 70 f32 r INFERRED
+set_point_high 72 f32 r INFERRED | unit 90 u16 r CERTAIN
+"""
+WATLOW_1 = """
+temperature 360 f32 r CERTAIN | input_error 362 u16 r INFERRED | set_point 2160 f32 rw CERTAIN | run 1880 u16 rw CERTAIN
+power 1904 f32 r FIELD | manual_power 2162 f32 r CERTAIN | alarm1_high 1480 f32 r CERTAIN | alarm1_low 1482 f32 r CERTAIN
+alarm1_state 1496 u16 r INFERRED | unit 2490 u16 r CERTAIN
+"""
+WATLOW_2 = """
+temperature 360 f32 r FIELD | filtered 402 f32 r FIELD | input_error 362 u16 r FIELD | set_point 2640 f32 rw FIELD
+working_set_point 2652 f32 r FIELD | set_point_low 2644 f32 r FIELD | set_point_high 2646 f32 r FIELD | run 2360 u16 rw FIELD
+run_active 2362 u16 r FIELD | power 2384 f32 r FIELD | cooling_power 2386 f32 r FIELD | output 2388 f32 r FIELD
+manual_power 2642 f32 r FIELD | loop_error 2408 u16 r FIELD | alarm1_high 1880 f32 r FIELD | alarm1_low 1882 f32 r FIELD
+alarm1_state 1896 u16 r FIELD | limit_high 726 f32 r FIELD | limit_state 730 u16 r FIELD | device_status 30 u16 r FIELD
+unit 2308 u16 r FIELD
+"""
+OMEGA = """
+temperature 0x1000 i16 r FIELD | set_point 0x1001 i16 rw FIELD | control 0x1005 u16 rw FIELD | power 0x1012 u16 r FIELD
+alarm1_high 0x1024 i16 r FIELD | alarm1_low 0x1025 i16 r FIELD | lamps 0x102A u16 r FIELD | error_status 0x102E u16 r FIELD
+"""
+
+
+def test_what_ships() -> None:
+    assert profile_names() == SHIPPED
+
+
+@pytest.mark.parametrize(
+    ("name", "sheet", "beside"),
+    [
+        ("eurotherm-2400", EUROTHERM, set()),
+        ("eurotherm-3200", EUROTHERM, {"rate"}),
+        ("watlow-pm-map1", WATLOW_1, set()),
+        ("watlow-pm-map2", WATLOW_2, set()),
+        ("omega-cn7", OMEGA, {"run"}),
+    ],
+)
+def test_the_families_are_as_the_sheet_says(name: str, sheet: str, beside: set[str]) -> None:
+    profile = load_profile(name)
+    assert {row.name for row in profile.rows} == told(profile, sheet, "holding") | beside
+
+
+def test_the_magio_is_as_its_pages_say() -> None:
+    profile = load_profile("julabo-magio")
+    told(profile, MAGIO, "holding")
+    assert profile.find("encoding") is None
+    assert profile.find("flow_set_point") is None
+    inputs = {"firmware": 0, "remote": 5, "alarm": 6, "warning": 7, "temperature": 10, "external": 12, "power": 14, "safety": 16}
+    assert {name: profile.row(name).address for name in inputs} == inputs
+    assert profile.row("cut_out").evidence == profile.row("pump_pressure").evidence == "INFERRED"
+
+
+def told(profile: Profile, sheet: str, table: str) -> set[str]:
+    """Check each row of ``sheet``; their names."""
+    names = set()
+    for text in re.split(r"[|\n]", sheet.strip()):
+        name, address, kind, access, evidence = text.split()
+        row = profile.row(name)
+        seen = (row.table, row.address, row.type, row.access, row.evidence)
+        assert seen == (table, int(address, 0), kind, access, evidence), name
+        names.add(name)
+    return names
+
+
+@pytest.mark.parametrize(
+    ("name", "functions", "order", "transports", "pump", "comms_loss"),
+    [
+        ("eurotherm-2400", (3, 4, 16), "ABCD", ("rtu",), "none", "hold"),
+        ("eurotherm-3200", (3, 4, 16), "ABCD", ("rtu",), "none", "hold"),
+        ("julabo-magio", (3, 4, 6, 16), "ABCD", ("tcp",), "with run", "hold"),
+        ("julabo-presto", (3, 4, 6, 16), "ABCD", ("tcp",), "with run", "hold"),
+        ("omega-cn7", (2, 3, 5, 6), "ABCD", ("rtu",), "none", "unknown"),
+        ("watlow-pm-map1", (3, 4, 6, 16), "CDAB", ("rtu", "tcp"), "none", "hold"),
+        ("watlow-pm-map2", (3, 4, 6, 16), "CDAB", ("rtu", "tcp"), "none", "hold"),
+    ],
+)
+def test_each_familys_ways(
+    name: str, functions: tuple[int, ...], order: str, transports: tuple[str, ...], pump: str, comms_loss: str
+) -> None:
+    profile = load_profile(name)
+    seen = (profile.functions, profile.order, profile.transports, profile.capabilities.pump, profile.comms_loss)
+    assert seen == (functions, order, transports, pump, comms_loss)
+    assert profile.comms_loss_evidence == "INFERRED"
+    fitted = profile.capabilities
+    expected = ("alarm", True, True) if "julabo" in name else ("none", False, False)
+    assert (fitted.level, fitted.external_sensor, fitted.safety_sensor) == expected
+    assert profile.timeout_s >= 1.0
+    written = [row for row in profile.rows if row.access != "r"]
+    assert all(row.values or row.range for row in written)
+    assert {"run", "set_point"} <= {row.name for row in written}
+    assert profile.row("set_point").range == (5.0, 36.0)
+
+
+def test_no_code_of_a_mode_that_may_do_harm_can_be_written() -> None:
+    assert load_profile("eurotherm-3200").row("run").values == {"started": 0, "standby": 1}
+    assert load_profile("eurotherm-3200").row("run").refusal(2.0) is not None
+    assert load_profile("watlow-pm-map1").row("run").values == {"standby": 62, "started": 10}
+    assert load_profile("watlow-pm-map1").row("run").refusal(54.0) is not None
+    assert load_profile("omega-cn7").row("control").refusal(2.0) is not None
+
+
+def test_a_polls_questions() -> None:
+    asked = {name: [(b.function, b.address, b.count) for b in blocks(load_profile(name), gaps=True)] for name in SHIPPED}
+    assert asked["eurotherm-3200"] == [(3, 75, 1), (3, 199, 1), (3, 516, 1), (3, 0x8002, 10)]
+    assert asked["omega-cn7"] == [(2, 0x0814, 1), (3, 0x1000, 2), (3, 0x1012, 1)]
+    assert asked["watlow-pm-map1"] == [(3, 360, 2), (3, 1880, 1), (3, 1904, 2), (3, 2160, 2), (3, 2490, 1)]
+    with_inferred = [block.address for block in blocks(load_profile("watlow-pm-map1"), gaps=True, inferred=True)]
+    assert with_inferred == [360, 1496, 1880, 1904, 2160, 2490]
+
+
+@pytest.mark.parametrize("name", [name for name in SHIPPED if "julabo" not in name])
+def test_there_are_shapes_enough_to_prove_a_line_clean(name: str) -> None:
+    """Whatever one question is owed, another is left that can't be taken for it."""
+    assert len({(function, count) for function, _, count in markers(load_profile(name))}) >= 3
+
+
+# ---- bytes, typed from the fact sheet: function, address, count; 33.0 is 4204 0000, 1.001 is 3F80 20C5, 75.0 is 4296 0000
+
+
+def asked_by(name: str, row: str, answer: str) -> tuple[bytes, float]:
+    """The one question that reads ``row``, and what the driver makes of the frame ``answer``."""
+    clock = VirtualClock()
+    far_end = FarEnd(clock)
+    with served(far_end) as url:
+        profile = load_profile(name)
+        wire = wire_to(line_to(url, profile, "bath"), profile, clock, who="bath")
+        rows = WiredRows(profile, wire, 1, clock, who="bath", allow_inferred=False)
+        rows.wire.connect()
+        far_end.spoils = [lambda _: rtu(answer)]
+        value = rows.value(rows.row(row))
+        rows.wire.close()
+    assert len(far_end.asked) == 1
+    return far_end.asked[0], value
+
+
+EUROTHERM_MEMORY = {122: 0x2416, 199: 1, 0x8002: 0x41A0, 0x8004: 0x41A0}  # all else 0
+WATLOW_MEMORY = {360: 0, 361: 0x41A0, 1880: 62, 2490: 15, 2160: 0, 2161: 0x41A0}
+OMEGA_MEMORY = {0x1000: 200, 0x1001: 200, 0x1005: 0, 0x0814: 0}
+BROWSED = {"eurotherm-2400": EUROTHERM_MEMORY, "watlow-pm-map1": WATLOW_MEMORY, "omega-cn7": OMEGA_MEMORY}
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "question", "answer", "value"),
+    [
+        ("eurotherm-2400", "temperature", "03 8002 0002", "01 03 04 3F80 20C5", 1.001),
+        ("eurotherm-2400", "set_point", "03 8004 0002", "01 03 04 4204 0000", 33.0),
+        ("eurotherm-2400", "status", "03 004B 0001", "01 03 02 0020", 32.0),
+        ("eurotherm-2400", "run", "03 00C7 0001", "01 03 02 0001", 1.0),
+        ("watlow-pm-map1", "temperature", "03 0168 0002", "01 03 04 0000 4296", 75.0),
+        ("watlow-pm-map1", "run", "03 0758 0001", "01 03 02 003E", 62.0),
+        ("omega-cn7", "temperature", "03 1000 0001", "01 03 02 014A", 33.0),
+        ("omega-cn7", "temperature", "03 1000 0001", "01 03 02 FFF6", -1.0),
+        ("omega-cn7", "power", "03 1012 0001", "01 03 02 01F4", 50.0),
+        ("omega-cn7", "run", "02 0814 0001", "01 02 01 01", 1.0),
+    ],
+)
+def test_questions_and_answers_by_the_byte(name: str, row: str, question: str, answer: str, value: float) -> None:
+    asked, seen = asked_by(name, row, answer)
+    assert asked == bytes.fromhex(question)
+    assert seen == pytest.approx(value, rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "value", "written"),
+    [
+        ("eurotherm-2400", "set_point", 33.0, "10 8004 0002 04 4204 0000"),
+        ("eurotherm-2400", "run", "started", "10 00C7 0001 02 0000"),
+        ("eurotherm-2400", "acknowledge", "acknowledge", "10 0112 0001 02 0001"),
+        ("eurotherm-2400", "heating_limit", 20.0, "10 803C 0002 04 41A0 0000"),
+        ("watlow-pm-map1", "set_point", 33.0, "10 0870 0002 04 0000 4204"),
+        ("watlow-pm-map1", "run", "started", "06 0758 000A"),
+        ("omega-cn7", "set_point", 33.0, "06 1001 014A"),
+        ("omega-cn7", "run", "started", "05 0814 FF00"),
+    ],
+)
+def test_writes_by_the_byte(name: str, row: str, value: float | str, written: str) -> None:
+    clock = VirtualClock()
+    far_end = FarEnd(clock)
+    far_end.memory = dict(BROWSED[name])
+    with served(far_end) as url:
+        bath = Bath(url, load_profile(name), clock)
+        bath.set(row, value)
+        bath.set(row, value)
+        bath.safe()
+        bath.close()
+    writes = [pdu for pdu in far_end.asked if pdu[0] in (5, 6, 16)]
+    assert writes[0] == bytes.fromhex(written)
+    assert len(writes) == (3 if row == "acknowledge" else 2)  # once, and standby; a command every time
+
+
+def test_standby_by_the_byte_whatever_is_there() -> None:
+    """A guardian that has never seen the controller: the first byte on the wire is the write."""
+    for name, written in {
+        "eurotherm-3200": "10 00C7 0001 02 0001",
+        "watlow-pm-map2": "06 0938 003E",
+        "omega-cn7": "05 0814 0000",
+    }.items():
+        clock = VirtualClock()
+        far_end = FarEnd(clock)
+        with served(far_end) as url:
+            bath = Bath(url, load_profile(name), clock, identify=False)
+            bath.safe()
+            bath.close()
+        assert far_end.asked[0] == bytes.fromhex(written)
+
+
+# ---- who is refused
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("eurotherm-2400", {122: 0x3216}, r"it is no Eurotherm 2400 .*hexadecimal 3216.*Is it a 3200"),
+        ("eurotherm-3200", {}, r"it is no Eurotherm 3200 .*hexadecimal 2416.*Is it a 2400"),
+        ("eurotherm-2400", {516: 1}, r"does not speak degC \(asked its unit, got f\)"),
+        ("watlow-pm-map1", {2490: 30}, r"does not speak degC \(asked its unit, got f\)"),
+        ("watlow-pm-map1", {1880: 0, 1881: 0x4296}, r"it is no Watlow EZ-ZONE PM map 1 .*Is it map 2"),
+        ("watlow-pm-map2", {}, r"it is no Watlow EZ-ZONE PM map 2 .*Is it map 1"),
+        ("omega-cn7", {0x1005: 0x1234}, r"it is no Omega CN7 .*1234"),
+    ],
+)
+def test_another_controller_is_refused_before_anything_is_written(name: str, changes: dict[int, int], message: str) -> None:
+    memory = next(known for other, known in BROWSED.items() if other[:5] == name[:5]) | changes
+    assert message_at_the_first_look(name, memory, DeviceError, message)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("watlow-pm-map1", {360: 0x41A0, 361: 0}, r"temperature can't be.*In the order ABCD it would be 20\.0 degC: set order"),
+        ("watlow-pm-map1", {360: 0x0000, 361: 0x42B6}, r"temperature can't be.*91 degC.*In degF it would be 32\.8 degC"),
+        ("eurotherm-2400", {0x8002: 0x0000, 0x8003: 0x41A0}, r"temperature can't be.*In the order CDAB it would be 20\.0 degC"),
+        ("omega-cn7", {0x1000: 680}, r"temperature can't be.*68 degC.*In degF it would be 20\.0 degC"),
+    ],
+)
+def test_the_wrong_order_or_unit_is_refused_with_what_it_may_be(name: str, changes: dict[int, int], message: str) -> None:
+    assert message_at_the_first_look(name, BROWSED[name] | changes, ProtocolError, message)
+
+
+def message_at_the_first_look(name: str, memory: dict[int, int], error: type[Exception], message: str) -> bool:
+    clock = VirtualClock()
+    far_end = FarEnd(clock)
+    far_end.memory = dict(memory)
+    with served(far_end) as url, pytest.raises(error, match=message):
+        Bath(url, load_profile(name), clock)
+    return all(pdu[0] not in (5, 6, 16) for pdu in far_end.asked)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "text"),
+    [
+        ("eurotherm-2400", {75: 0x0020, 0x8002: 0x447A}, "alarm 32, sensor break"),
+        ("omega-cn7", {0x1000: 0x8003}, r"alarm 32771, sensor not connected \(meaning inferred\)"),
+    ],
+)
+def test_a_broken_sensor_is_told_by_its_alarm(name: str, changes: dict[int, int], text: str) -> None:
+    assert message_at_the_first_look(name, BROWSED[name] | changes, DeviceError, rf"no temperature .*{text}")
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "alarm", "text"),
+    [
+        ("eurotherm-2400", {75: 0x0010}, 0, ""),  # manual: no alarm
+        ("eurotherm-2400", {75: 0x00C1}, 0xC1, "alarm 193, alarm 1 and loop break and heater failed"),
+        ("watlow-pm-map2", {1896: 7}, 7, "alarm 7, alarm 1 high"),
+        ("watlow-pm-map2", {1896: 88}, 0, ""),
+        ("watlow-pm-map2", {2408: 1274}, 1274, "alarm 1274, open loop"),
+        ("watlow-pm-map2", {362: 99}, 99, "alarm 99, see the controller's manual"),
+    ],
+)
+def test_alarms_of_each_kind(name: str, changes: dict[int, int], alarm: int, text: str) -> None:
+    map_2 = {30: 138, 360: 0, 361: 0x41A0, 362: 61, 1896: 61, 2308: 15, 2360: 62, 2408: 61, 2640: 0, 2641: 0x41A0}
+    clock = VirtualClock()
+    far_end = FarEnd(clock)
+    far_end.memory = (map_2 if "map2" in name else EUROTHERM_MEMORY) | changes
+    with served(far_end) as url:
+        bath = Bath(url, load_profile(name), clock)
+        reading = bath.read()
+        assert reading.alarm == alarm
+        if alarm:
+            assert bath.profile.alarm_text(alarm) == text
+            with pytest.raises(DeviceError, match=f"not started: {text}"):
+                bath.start(33.0)
+        bath.close()
+
+
+def test_a_family_without_a_pump_has_no_calls_for_one() -> None:
+    clock = VirtualClock()
+    far_end = FarEnd(clock)
+    far_end.memory = dict(OMEGA_MEMORY)
+    with served(far_end) as url:
+        bath = Bath(url, load_profile("omega-cn7"), clock)
+        assert bath.pump == "none"
+        for name in ("pump_stage", "pump"):
+            with pytest.raises(LimitError, match=f"Omega CN7 has no '{name}'"):
+                bath.set(name, 1.0)
+        assert (bath.read().safety_c, bath.read().external_c) == (None, None)
+        bath.close()
+
+
+def test_a_rounded_set_point_stands_and_is_not_written_again() -> None:
+    clock = VirtualClock()
+    far_end = FarEnd(clock)
+    far_end.memory = dict(EUROTHERM_MEMORY)
+    with served(far_end) as url:
+        bath = Bath(url, load_profile("eurotherm-2400"), clock)
+        good = [bytes] * 5  # a poll, and the look whether it stands already
+        far_end.spoils = [*good, lambda f: (far_end.memory.update({0x8004: 0x4204, 0x8005: 0}), f)[1]]  # 33.04 becomes 33.0
+        bath.set_point(33.04)
+        count = len(far_end.asked)
+        bath.set_point(33.04)
+        assert all(pdu[0] == 3 for pdu in far_end.asked[count:])
+        far_end.spoils = [*good, lambda f: (far_end.memory.update({0x8004: 0x41A0}), f)[1]]  # what was confirmed is not done
+        with pytest.raises(DeviceError, match=r"did not do it \(asked set_point = 34, got set_point = 20\)"):
+            bath.set_point(34.0)
+        bath.close()
+
+
+# ---- profiles that are refused
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        ("eurotherm-2400", "address = 0x8004", "address = 0x8003", "from 32768 on, rows take two registers at an even address"),
+        ("eurotherm-2400", "functions = [3, 4, 16]", "functions = [3, 4, 6]", "none of the functions 3, 4, 6 writes f32"),
+        ("omega-cn7", "functions = [2, 3, 5, 6]", "functions = [3, 5, 6]", "none of the functions 3, 5, 6 reads table coil"),
+        ("omega-cn7", "functions = [2, 3, 5, 6]", "functions = [2, 3, 7]", "functions"),
+        ("watlow-pm-map1", 'row = "run"', 'row = "rum"', "there is no row 'rum'"),
+        ("watlow-pm-map1", "seen = { manual = 54 }", "seen = { manual = 10 }", "mean the same code"),
+        ("omega-cn7", "not_yet = 0x8002", "not_yet = 0x18002", "is no register of 16 bits"),
+        ("omega-cn7", 'control = "pid"', 'control = "manual"', "that may be written with the value 'manual'"),
+    ],
+)
+def test_a_familys_rules_are_checked(tmp_path: Path, name: str, old: str, new: str, message: str) -> None:
+    text = (Path(__file__).parents[3] / f"instruments/bath/profiles/{name}.toml").read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "own.toml"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ProfileError, match=re.escape(message)):
+        load_profile(path)

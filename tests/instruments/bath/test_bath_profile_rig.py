@@ -1,0 +1,109 @@
+"""A rig file's bath: its URL, its own profile, and faults of that profile shown in their lines."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from bench.config import ConfigError
+from bench.rig import RIGS, load_rig
+from instruments.bath.profile import SHIPPED
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    """A folder with an emulated rig and a profile of its own, ``own.toml``."""
+    shutil.copy(RIGS / "calibration.toml", tmp_path)
+    shutil.copy(SHIPPED / "watlow-pm-map2.toml", tmp_path / "own.toml")
+    text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
+    path = tmp_path / "rig.toml"
+    path.write_text(text.replace('profile = "julabo-presto"', 'profile = "own.toml"'), encoding="utf-8")
+    return path
+
+
+def change(path: Path, old: str, new: str) -> int:
+    """Replace ``old`` once; the line where it stood, from 1."""
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    return text[: text.index(old)].count("\n") + 1
+
+
+def fault_of(rig: Path) -> str:
+    with pytest.raises(ConfigError) as caught:
+        load_rig(rig)
+    return str(caught.value)
+
+
+def test_a_profile_of_its_own(rig: Path) -> None:
+    assert load_rig(rig).profile.family == "Watlow EZ-ZONE PM map 2"
+    assert load_rig(rig).rig.bath.allow_inferred is False
+    change(rig, 'profile = "own.toml"', 'profile = "own.toml"\nallow_inferred = true')
+    assert load_rig(rig).rig.bath.allow_inferred is True
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("address = 1882", "address = 1881", "alarm1_low at holding 1881 overlaps alarm1_high at 1880"),
+        ("address = 2362", "address = 2360", "run_active at holding 2360 overlaps run at 2360"),
+        ('order = "CDAB"', 'order = "CDBA"', "CDBA"),
+        ("address = 2640", "address = 70000", "less than or equal to 65535"),
+        ("address = 2640", "address = 65535", "set_point: address 65535 leaves no room for 2 registers"),
+        ("range = [5.0, 36.0]", "range = [36.0, 5.0]", "is empty"),
+        ('row = "device_status"', 'row = "divice_status"', "there is no row 'divice_status'"),
+        ('comms_loss = "hold"', 'comms_loss = "maybe"', "'hold', 'stop', 'safe_setpoint' or 'unknown'"),
+        ('pump = "none"', 'pump = "perhaps"', "'none', 'with run' or 'own'"),
+        ('family = "', 'famly = "', "Extra inputs"),
+    ],
+)
+def test_a_fault_of_the_profile_is_shown_in_its_line(rig: Path, old: str, new: str, message: str) -> None:
+    own = rig.with_name("own.toml")
+    line = change(own, old, new)
+    said = fault_of(rig)
+    assert message in said
+    shown = [int(at) for at in re.findall(rf"{re.escape(str(own))}:(\d+): ", said)]
+    heads = [own.read_text(encoding="utf-8").split("\n")[at - 1] for at in shown]
+    assert line in shown or "[[rows]]" in heads, said  # a row's own fault is shown at its head
+    assert "^" in said
+
+
+def test_two_rows_far_apart_in_the_file_that_overlap(rig: Path) -> None:
+    own = rig.with_name("own.toml")
+    extra = '\n[[rows]]\nname = "mine"\ntable = "holding"\naddress = 361\ntype = "u16"\nevidence = "FIELD"\n'
+    own.write_text(own.read_text(encoding="utf-8") + extra, encoding="utf-8")
+    assert "mine at holding 361 overlaps temperature at 360" in fault_of(rig)
+
+
+def test_a_profile_that_is_not_there_or_no_toml(rig: Path) -> None:
+    own = rig.with_name("own.toml")
+    own.write_text("family = ", encoding="utf-8")
+    assert "is no TOML" in fault_of(rig)
+    own.unlink()
+    assert "no such file" in fault_of(rig)
+    change(rig, "own.toml", "eurotherm-3210")
+    assert 'did you mean "eurotherm-3200"?' in fault_of(rig)
+
+
+@pytest.mark.parametrize("url", ["tcp://10.0.0.7:502", "rtu+tcp://moxa:4001?unit=3", "/dev/ttyUSB0?unit=3&baud=9600&parity=E", "COM5"])
+def test_links_that_a_rig_may_name(rig: Path, url: str) -> None:
+    change(rig, 'url = "emulator:"\nprofile', f'url = "{url}"\nprofile')
+    assert "emulated and real instruments don't mix" in fault_of(rig)  # the URL itself is fine
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("socket://moxa:4001", 'did you mean "rtu+tcp://"?; allowed: "emulator:", "tcp://host:port"'),
+        ("tcp://h:502?untit=1", 'did you mean "unit"?'),
+        ("/dev/ttyUSB0?parity=even", "N (none), E (even) and O (odd)"),
+    ],
+)
+def test_links_that_are_none(rig: Path, url: str, message: str) -> None:
+    line = 1 + change(rig, '[bath]\nurl = "emulator:"', f'[bath]\nurl = "{url}"')
+    said = fault_of(rig)
+    assert message in said
+    assert f"rig.toml:{line}: " in said

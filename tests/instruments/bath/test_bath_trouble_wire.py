@@ -1,0 +1,372 @@
+"""What clients of Modbus get wrong on a bad wire (fact sheet, section 2.3, P1 to P10), each reproduced and shown cured.
+
+The far end holds 100 at register 0, 200 at 1 and so on: a value at the wrong address is a wrong value.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from instruments.bath.line import parse_line
+from instruments.bath.transactions import BrokenError, Transactions
+from instruments.clock import Clock, RealClock
+from instruments.errors import InstrumentError, LinkError, ProtocolError
+from instruments.listener import Listener
+from tests.instruments.bath.far_end import FarEnd, crc, rtu, served, virtual
+
+MARKERS = ((3, 0, 2), (4, 0, 1), (3, 0, 3))
+LATE_S = [0.1, 0.9, 1.1, 1.4, 1.6, 2.4, 2.6, 3.6, 7.0, 9.5]  # about the ends of time-out, quiet and proof
+
+
+@contextmanager
+def linked(framing: str = "rtu", *, gateway: bool = False) -> Iterator[tuple[FarEnd, Transactions]]:
+    with virtual(framing, gateway=gateway) as (far_end, url):
+        far_end.memory = {address: 100 * (address + 1) for address in range(16)}
+        link = Transactions(parse_line(url), far_end.clock, who="bath", markers=MARKERS)
+        link.connect()
+        try:
+            yield far_end, link
+        finally:
+            link.close()
+
+
+def right(address: int, count: int = 1) -> list[int]:
+    return [100 * (address + at + 1) for at in range(count)]
+
+
+# ---- P1, P5: late answers
+
+
+@pytest.mark.parametrize("late_s", LATE_S)
+@pytest.mark.parametrize("framing", ["rtu", "tcp"])
+def test_p1_a_late_answer_is_never_the_next_ones(framing: str, late_s: float) -> None:
+    with linked(framing) as (far_end, link):
+        far_end.delays_s = [late_s]
+        answered = 0
+        for address in (0, 1, 2, 3, 0, 1, 2, 3):
+            try:
+                assert link.read(3, address, 1) == right(address)
+                answered += 1
+            except LinkError:
+                far_end.clock.sleep(1.0)  # a poll a second
+        assert answered >= 2
+        assert link.read(3, 5, 1) == right(5)
+
+
+def test_p1_silence_costs_little_and_a_slow_answer_is_taken_for_what_it_is() -> None:
+    with linked() as (far_end, link):
+        start = far_end.clock.now() + 0.5  # the quiet after connecting
+        far_end.delays_s = [1.3]
+        assert link.read(3, 2, 1) == right(2)
+        assert far_end.clock.now() - start == pytest.approx(1.3)
+        assert len(far_end.asked) == 1
+        far_end.delays_s = [None]
+        assert link.read(3, 2, 1) == right(2)
+        assert far_end.clock.now() - start == pytest.approx(1.3 + 1.5)  # time-out and quiet; then the proof, and asked again
+        assert [pdu[0] for pdu in far_end.asked] == [3, 3, 4, 3]
+
+
+def test_a_dead_line_is_told_in_time_and_works_again_when_it_is_back() -> None:
+    with linked() as (far_end, link):
+        far_end.delays_s = [None] * 100
+        for _ in range(20):
+            start = far_end.clock.now()
+            with pytest.raises(LinkError, match="no answer"):
+                link.read(3, 0, 1)
+            assert far_end.clock.now() - start <= 4.0
+            far_end.clock.sleep(1.0)
+        far_end.delays_s = []
+        far_end.clock.sleep(10.0)
+        assert link.read(3, 1, 1) == right(1)
+
+
+Step = tuple[str, int, int, float | None]
+steps = st.tuples(
+    st.sampled_from(["read", "read", "read", "write"]),
+    st.integers(0, 7),
+    st.integers(1, 3),
+    st.one_of(st.just(0.0), st.none(), st.floats(0.0, 9.9)),
+)
+
+
+@given(script=st.lists(steps, min_size=2, max_size=12), pauses=st.lists(st.floats(0.0, 3.0), min_size=12, max_size=12))
+@settings(max_examples=150, deadline=None)
+def test_p1_whatever_is_late_no_wrong_value_gets_through(script: list[Step], pauses: list[float]) -> None:
+    with linked() as (far_end, link):
+        now = {address: 100 * (address + 1) for address in range(16)}
+        for number, ((kind, address, count, delay_s), pause_s) in enumerate(zip(script, pauses, strict=False)):
+            far_end.delays_s = [delay_s]
+            wanted = 1000 + number
+            try:
+                if kind == "write":
+                    link.write(16, address, [wanted])
+                else:
+                    assert link.read(3, address, count) == [now[address + at] for at in range(count)]
+            except InstrumentError:
+                pass
+            now = {known: far_end.memory.get(known, value) for known, value in now.items()}
+            far_end.clock.sleep(pause_s)
+        far_end.delays_s = []
+        far_end.clock.sleep(20.0)
+        assert link.read(3, 0, 1) == [now[0]]
+
+
+# ---- P2: lengths
+
+
+@pytest.mark.parametrize("framing", ["rtu", "tcp"])
+@pytest.mark.parametrize("sent", [0, 1, 3, 4, 125])
+def test_p2_a_wrong_number_of_registers_is_told(framing: str, sent: int) -> None:
+    with linked(framing) as (far_end, link):
+        registers = bytes((3, 2 * sent)) + b"\x12\x34" * sent
+
+        def wrong(frame: bytes) -> bytes:
+            if framing == "rtu":
+                return rtu(f"01 {registers.hex()}")
+            return frame[:4] + (len(registers) + 1).to_bytes(2, "big") + frame[6:7] + registers
+
+        far_end.spoils = [wrong]
+        with pytest.raises(ProtocolError, match=f"{sent} registers were answered where 2 were asked"):
+            link.read(3, 4, 2)
+        assert link.read(3, 4, 2) == right(4, 2)
+
+
+def test_p2_a_late_block_is_no_answer_to_a_single_register() -> None:
+    with linked() as (far_end, link):
+        far_end.delays_s = [None, None]
+        with pytest.raises(LinkError):
+            link.read(3, 0, 4)
+        far_end.hosts[0].send(rtu("01 03 08 0064 00C8 012C 0190"))  # a second too late
+        assert link.read(3, 1, 1) == right(1)
+
+
+@pytest.mark.parametrize(
+    ("function", "echo"),
+    [(6, "01 06 0001 0007"), (6, "01 06 0002 0008"), (16, "01 10 0002 0002"), (16, "01 10 0003 0001"), (5, "01 05 0002 0000")],
+)
+def test_a_write_that_is_confirmed_wrongly(function: int, echo: str) -> None:
+    with linked() as (far_end, link):
+        far_end.spoils = [lambda _: rtu(echo)]
+        with pytest.raises(ProtocolError, match="confirms another write"):
+            link.write(function, 2, [1 if function == 5 else 7])
+
+
+# ---- P3: interrupted questions
+
+
+@pytest.mark.parametrize("late_s", [0.6, 1.2, 2.0, 4.0])
+@pytest.mark.parametrize("gateway", [False, True])
+def test_p3_an_interrupted_question_quarantines_the_line(gateway: bool, late_s: float) -> None:
+    with linked(gateway=gateway) as (far_end, link):
+        link.read(3, 0, 1)
+        far_end.delays_s = [late_s]
+
+        def interrupt() -> None:
+            raise KeyboardInterrupt
+
+        far_end.clock.call_at(far_end.clock.now() + 0.5, interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            link.read(3, 0, 1)
+        assert not link.connected
+        with pytest.raises(BrokenError):
+            link.read(3, 1, 1)
+        link.connect()
+        for address in (1, 2, 3):
+            try:
+                assert link.read(3, address, 1) == right(address)
+            except LinkError:
+                far_end.clock.sleep(2.0)
+        assert link.read(3, 5, 1) == right(5)
+
+
+def test_an_answer_to_somebody_elses_question_is_let_go_by_after_connecting() -> None:
+    with virtual(gateway=True) as (far_end, url):
+        far_end.memory = {0: 100, 1: 200}
+        far_end.clock.call_at(0.3, lambda: far_end.send_all(rtu("01 03 02 0BAD")))
+        link = Transactions(parse_line(url), far_end.clock, who="bath", markers=MARKERS)
+        link.connect()
+        assert link.read(3, 1, 1) == right(1)
+        link.close()
+
+
+def test_an_urgent_write_does_not_wait_for_what_is_owed() -> None:
+    with linked() as (far_end, link):
+        far_end.delays_s = [3.0, None]
+        with pytest.raises(LinkError):
+            link.read(3, 0, 1)
+        sent_s = far_end.clock.now()
+        far_end.delays_s = []
+        far_end.clock.call_at(sent_s + 0.001, lambda: None)
+        link.write(6, 7, [1], urgent=True)
+        assert far_end.memory[7] == 1
+        assert len(far_end.asked) == 3
+        assert link.read(3, 1, 1) == right(1)
+
+
+# ---- P4: other numbers over TCP
+
+
+@pytest.mark.parametrize("other", ["another number", "another unit"])
+def test_p4_over_tcp_only_the_right_number_and_unit_count(other: str) -> None:
+    with linked("tcp") as (far_end, link):
+        damaged = (lambda f: b"\xff\xff" + f[2:]) if other == "another number" else (lambda f: f[:6] + b"\x02" + f[7:])
+        far_end.spoils = [damaged, damaged]
+        with pytest.raises(ProtocolError, match="what came is no answer to this"):
+            link.read(3, 0, 1)
+        assert link.read(3, 1, 1) == right(1)
+
+
+# ---- P6: garbage
+
+
+@pytest.mark.parametrize("garbage", ["00", "FF", "01", "03", "0103", "01 03 02", "0183", "01 03 FA 00", "00" * 40])
+def test_p6_garbage_ahead_of_an_answer_costs_nothing(garbage: str) -> None:
+    with linked() as (far_end, link):
+        link.read(3, 0, 1)
+        start = far_end.clock.now()
+        far_end.spoils = [lambda frame: bytes.fromhex(garbage) + frame] * 4
+        for address in range(4):
+            assert link.read(3, address, 2) == right(address, 2)
+        assert far_end.clock.now() == start
+        assert len(far_end.asked) == 5
+
+
+@given(ahead=st.binary(max_size=40), behind=st.binary(max_size=40), address=st.integers(0, 7), count=st.integers(1, 4))
+@settings(max_examples=150, deadline=None)
+def test_p6_any_garbage_around_answers(ahead: bytes, behind: bytes, address: int, count: int) -> None:
+    with linked() as (far_end, link):
+        far_end.spoils = [lambda frame: ahead + frame + behind] * 3
+        for _ in range(3):
+            assert link.read(3, address, count) == right(address, count)
+
+
+@pytest.mark.parametrize("damage", ["check sum", "cut short", "unit", "function"])
+def test_p6_one_damaged_answer_costs_a_time_out_and_no_more(damage: str) -> None:
+    with linked() as (far_end, link):
+        link.read(3, 0, 1)
+        start = far_end.clock.now()
+        far_end.spoils = [
+            {
+                "check sum": lambda frame: frame[:-1] + bytes((frame[-1] ^ 1,)),
+                "cut short": lambda frame: frame[:-3],
+                "unit": lambda frame: rtu("02" + frame[1:-2].hex()),
+                "function": lambda frame: rtu("01 04" + frame[2:-2].hex()),
+            }[damage]
+        ]
+        assert link.read(3, 3, 1) == right(3)
+        assert far_end.clock.now() - start <= 1.5 + 1e-9
+
+
+def test_p6_damage_that_stays_is_told_with_what_came() -> None:
+    with linked() as (far_end, link):
+        far_end.spoils = [lambda frame: frame[:-1] + bytes((frame[-1] ^ 1,))] * 3
+        with pytest.raises(ProtocolError, match=r"what came is no answer to this .*got 01 04 02 00 64"):
+            link.read(3, 3, 1)
+
+
+# ---- P7, P8: links that are not there, or go
+
+
+def test_p7_a_first_connect_that_fails_is_tried_again() -> None:
+    with virtual() as (elsewhere, url):
+        clock, port = elsewhere.clock, int(url.rpartition(":")[2])
+    listeners: list[Listener] = []
+    far_end = FarEnd(clock)
+    clock.call_at(1.0, lambda: listeners.append(Listener(far_end, clock, lock=threading.RLock(), name="far end", port=port)))
+    link = Transactions(parse_line(url), clock, who="bath")
+    link.connect()
+    assert clock.now() == pytest.approx(1.5)  # 0.1, 0.3, 0.7, 1.5 s: growing pauses
+    assert link.read(3, 0, 1) == [0]
+    link.close()
+    listeners[0].close()
+
+
+def test_p7_nobody_there_is_said_after_some_tries() -> None:
+    with virtual() as (far_end, url):
+        clock = far_end.clock
+    link = Transactions(parse_line(url), clock, who="bath at X")
+    with pytest.raises(LinkError, match=r"bath at X: nothing took the connection in 6 tries: .+ \(after 3\.1 s\)"):
+        link.connect()
+
+
+def test_a_port_that_is_not_there_is_said_with_the_systems_words() -> None:
+    with virtual() as (far_end, _):
+        link = Transactions(parse_line("/dev/no-such-port"), far_end.clock, who="bath")
+        with pytest.raises(LinkError, match=r"can't be opened in 6 tries: .*no-such-port.*list_ports"):
+            link.connect()
+
+
+def test_p8_a_link_that_breaks_raises_and_opens_once_more() -> None:
+    with linked() as (far_end, link):
+        for _ in range(5):
+            far_end.hosts[0].hang_up()
+            with pytest.raises(BrokenError):
+                link.read(3, 0, 1)
+            link.connect()
+            assert link.read(3, 1, 1) == right(1)
+            assert len(far_end.hosts) == 1
+
+
+# ---- P9, P10: real time
+
+
+@contextmanager
+def real(framing: str) -> Iterator[tuple[FarEnd, Transactions]]:
+    with ExitStack() as stack:
+        clock: Clock = RealClock()
+        stack.callback(clock.close)  # type: ignore[attr-defined]
+        far_end = FarEnd(clock, framing=framing)
+        far_end.memory = {address: 100 * (address + 1) for address in range(16)}
+        url = stack.enter_context(served(far_end))
+        link = Transactions(parse_line(url), clock, who="bath", quiet_s=0.1)
+        link.connect()
+        stack.callback(link.close)
+        yield far_end, link
+
+
+@pytest.mark.parametrize("framing", ["rtu", "tcp"])
+def test_p9_four_threads_with_a_lock_have_one_connection_and_no_wrong_value(framing: str) -> None:
+    lock, wrong = threading.Lock(), []
+    with real(framing) as (far_end, link):
+
+        def ask(address: int) -> None:
+            for _ in range(300):
+                with lock:
+                    if link.read(3, address, 1) != right(address):
+                        wrong.append(address)
+
+        threads = [threading.Thread(target=ask, args=(address,)) for address in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert not wrong
+        assert len(far_end.hosts) == 1
+
+
+@pytest.mark.parametrize("framing", ["rtu", "tcp"])
+def test_p10_bytes_one_by_one_are_one_answer(framing: str) -> None:
+    with real(framing) as (far_end, link):
+        link.read(3, 0, 1)
+
+        def drop(frame: bytes) -> bytes:
+            for at, byte in enumerate(frame):
+                far_end.clock.call_at(far_end.clock.now() + 0.02 * at, lambda byte=byte: far_end.hosts[0].send(bytes((byte,))))  # type: ignore[misc]
+            return b""
+
+        far_end.spoils = [drop]
+        start = time.perf_counter()
+        assert link.read(3, 0, 4) == right(0, 4)
+        assert time.perf_counter() - start > 0.02 * 10
+
+
+def test_the_far_end_of_these_tests_speaks_rtu_as_printed() -> None:
+    assert crc(bytes.fromhex("02 07")) == bytes.fromhex("41 12")  # Modbus over serial line 1.02
+    assert rtu("11 03 00 6B 00 03") == bytes.fromhex("11 03 00 6B 00 03 76 87")

@@ -1,0 +1,33 @@
+"""Rigs for the driver's tests. Whatever a test does, no rig has heard a byte that writes, or letters without an end before them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from instruments.microscribe.unit import ArmIdentity
+from tests.instruments.microscribe.driver_rig import Rig
+
+
+@pytest.fixture
+def make() -> Iterator[Callable[..., Rig]]:
+    rigs: list[Rig] = []
+
+    def build(*args: ArmIdentity, **options: float) -> Rig:
+        rigs.append(Rig(*args, **options))  # type: ignore[arg-type]
+        return rigs[-1]
+
+    yield build
+    for rig in rigs:
+        rig.close()
+        assert not {b for b in (0xC3, 0xC7, 0xD0, 0xD1) if bytes([b]) in rig.ear.heard}
+        assert rig.ear.heard.count(b"IMMC") == rig.ear.heard.count(b"\xc5IMMC")
+        assert rig.arm.eeprom_attempts == 0
+    assert not [thread.name for thread in threading.enumerate() if thread.name.endswith("emulator")]
+
+
+@pytest.fixture
+def rig(make: Callable[..., Rig]) -> Rig:
+    return make()

@@ -1,0 +1,157 @@
+"""Arms by file: the one that ships says what was recorded, any other emulates as well, and a wrong file says all that is wrong."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from instruments.clock import VirtualClock
+from instruments.link import Link
+from instruments.listener import Listener
+from instruments.microscribe import unit as units
+from instruments.microscribe.driver import MicroScribe
+from instruments.microscribe.emulator import ArmEmulator
+from instruments.microscribe.unit import SHIPPED, UNIT_40937, UnitError, load_unit, shipped_unit
+from tests.instruments.microscribe.bare_host import UP, Hand, Host
+
+# Made up: six encoders of other resolutions, longer links, and no "Beta".
+SIX = """
+[names]
+product = "MicroScribeX6"
+product_id = "MSCR"
+model = "LX"
+serial_number = "60001"
+comment = "Standard"
+format = "Format DH0.5"
+version = "HCI 2.1"
+
+[maxima]
+button_mask = 1
+timer = 0x3FFF
+analogs = [0, 0, 0, 0, 0, 0, 0, 0]
+analog_low_bits = 0
+encoders = [0x3FFF, 0x3FFF, 0x3FFF, 0x1FFF, 0x1FFF, 0x0FFF]
+
+[parameters]
+alpha = [0, 16384, 0, 16384, -16384, -16384]
+a = [0, 1200, 13000, 600, -400, 400]
+d = [9000, -900, 0, 11000, 300, -5500]
+
+[peg]
+counts = [0, 6238, 13736, 8196, 6386, 100]
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "arm.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_what_ships_is_the_arm_of_the_sheet() -> None:
+    assert [path.stem for path in SHIPPED.glob("*.toml")] == ["40937"]
+    replies = UNIT_40937.replies()
+    assert replies[0xC8] == b"\xc8MicroScribe3D\0"
+    assert replies[0xC6] == bytes.fromhex("C6 03 3FFF" + "00" * 8 + "00 3FFF 3FFF 1FFF 0FFF 0FFF 0000")
+    blocks = "0000 3FF5 FFF9 3FE5 C002 C00C 0000 03C0 2810 0215 FE6F 018F 206C FC92 FFFD 241C 0140 EB66"
+    assert replies[0xC0] == bytes.fromhex("C0 24" + blocks)
+    assert replies[0xD3] == bytes.fromhex("D3 02 0003")
+    assert UNIT_40937.home == (13903, 6238, 6868, 4098, 3193, 8416)
+    assert shipped_unit("40937") is UNIT_40937
+
+
+def test_only_what_ships_is_there() -> None:
+    with pytest.raises(FileNotFoundError, match="no arm ships under the serial number 1; there is 40937"):
+        shipped_unit("1")
+    with pytest.raises(AttributeError, match="no attribute 'UNIT_1'"):
+        getattr(units, "UNIT_1")  # noqa: B009 - the name is no attribute
+
+
+def test_an_arm_of_six_encoders(tmp_path: Path) -> None:
+    host = Host(unit=load_unit(written(tmp_path, SIX)))
+    host.session()
+    assert host.ask("CB") == "CB 36 30 30 30 31 00"
+    assert host.ask("C6").endswith("3F FF 3F FF 3F FF 1F FF 1F FF 0F FF")
+    assert host.ask("D3") == "", "without Beta"
+    assert host.counts() == (0, 6238, 13736, 8196, 6386, 100)
+    host.arm.buttons = 3
+    assert host.ask("00") == "80 01", "one pedal"
+    host.close()
+
+
+def test_a_driver_reads_that_arm_where_the_hand_holds_it(tmp_path: Path) -> None:
+    clock, hand = VirtualClock(), Hand()
+    arm = ArmEmulator(hand, clock, unit=load_unit(written(tmp_path, SIX)), accuracy_mm=0.0)
+    listener = Listener(arm, clock, lock=threading.RLock(), name="arm")
+    driver = MicroScribe(Link(listener.url, clock, who="arm"), clock)
+    driver.sign_on()
+    driver.confirm_homed()
+    for point in ((-200.0, 260.0, 150.0), (300.0, 100.0, 200.0)):
+        hand.point = np.array(point)
+        reading = driver.read(16)
+        assert np.linalg.norm(reading.tip_mm - point) < 0.2
+        assert reading.axis @ UP > 0.9995
+    driver.close()
+    listener.close()
+
+
+def test_all_faults_of_a_file_at_once(tmp_path: Path) -> None:
+    text = SIX
+    for old, new in {
+        '"60001"': '"6000é"',
+        "button_mask = 1": "button_mask = 200",
+        "0x1FFF, 0x0FFF]": "0x1FFF, 0x4000]",
+        "d = [9000, -900, 0, 11000, 300, -5500]": "dd = 1",
+        "6386, 100]": "6386]",
+    }.items():
+        assert old in text
+        text = text.replace(old, new)
+    with pytest.raises(UnitError) as caught:
+        load_unit(written(tmp_path, text))
+    assert [keys for keys, _ in caught.value.located] == [
+        ("names", "serial_number"), ("maxima", "button_mask"), ("maxima", "encoders", 5),
+        ("parameters", "d"), ("parameters", "dd"), ("peg", "counts", 5),
+    ]  # fmt: skip
+    message = str(caught.value)
+    assert message.startswith(str(tmp_path / "arm.toml"))
+    for part in (
+        "names.serial_number: '6000é' is no name for an arm: ASCII",
+        "maxima.button_mask: input should be less than or equal to 127 (found 200)",
+        "parameters.d: field required;",
+        "parameters.dd: extra inputs are not permitted",
+    ):
+        assert part in message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[names]", "[names", "not TOML: "),
+        ("d = [9000", "beta = 3\nd = [9000", 'beta has no meaning without "Beta" in names.comment'),
+        ("[0x3FFF, 0x3FFF, 0x3FFF, 0x1FFF, 0x1FFF, 0x0FFF]", "[0x3FFF, 0x3FFF, 0, 0, 0, 0]", "can't be moved in three dimensions"),
+        ("counts = [0,", "counts = [16384,", "peg.counts.0: input should be less than 16384"),
+        ("counts = [0,", 'counts = ["a",', "peg.counts.0: input should be a valid integer"),
+    ],
+    ids=["syntax", "beta without Beta", "two encoders", "a count too high", "a word"],
+)
+def test_a_file_that_describes_no_arm(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in SIX
+    with pytest.raises(UnitError, match=r"arm\.toml: ") as caught:
+        load_unit(written(tmp_path, SIX.replace(old, new)))
+    assert message in str(caught.value)
+
+
+def test_a_file_that_is_not_utf_8(tmp_path: Path) -> None:
+    path = tmp_path / "arm.toml"
+    path.write_bytes(SIX.encode("utf-8").replace(b"X6", b"\xff6"))
+    with pytest.raises(UnitError, match="not UTF-8 text"):
+        load_unit(path)
+
+
+def test_an_arm_below_its_table_cannot_be_emulated(tmp_path: Path) -> None:
+    text = SIX.replace("d = [9000", "d = [-32768")
+    with pytest.raises(ValueError, match="never comes above the table"):
+        ArmEmulator(Hand(), VirtualClock(), unit=load_unit(written(tmp_path, text)))

@@ -1,0 +1,202 @@
+"""A device on a pseudo-terminal, opened as an adapter's port is: by pyserial, and by nothing but the system."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+import serial
+
+from instruments.clock import RealClock, VirtualClock
+from instruments.errors import LinkError
+from instruments.link import Link
+from instruments.listener import Connection
+from instruments.pty_listener import PtyListener
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them")
+
+
+class Echo:
+    """Greets, answers in capitals, and hangs up when told ``x`` where ``obeys``."""
+
+    def __init__(self) -> None:
+        self.obeys = False
+        self.connections: list[Connection] = []
+        self.gone = 0
+
+    def connect(self, connection: Connection) -> None:
+        self.connections.append(connection)
+        connection.send(b"hello\n")
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        if data == b"x" and self.obeys:
+            connection.hang_up()
+            return
+        connection.send(data.upper())
+
+    def disconnect(self, connection: Connection) -> None:
+        self.gone += 1
+
+
+@pytest.fixture
+def echo() -> Echo:
+    return Echo()
+
+
+@pytest.fixture
+def clock() -> Iterator[RealClock]:
+    clock = RealClock()
+    yield clock
+    clock.close()
+
+
+@pytest.fixture(params=[None, 115200], ids=["unpaced", "paced"])
+def listener(request: pytest.FixtureRequest, echo: Echo, clock: RealClock) -> Iterator[PtyListener]:
+    listener = PtyListener(echo, clock, lock=threading.RLock(), name="echo", baud=request.param)
+    yield listener
+    listener.close()
+
+
+def until(true: Callable[[], bool]) -> bool:
+    deadline = time.monotonic() + 5.0
+    while not true() and time.monotonic() < deadline:
+        time.sleep(0.005)
+    return true()
+
+
+def test_a_link_opens_it_as_it_opens_an_adapter(listener: PtyListener, echo: Echo, clock: RealClock) -> None:
+    assert listener.url.startswith("/dev/")
+    link = Link(listener.url, clock, who="echo")
+    assert link.read_until(b"\n", 5.0) == b"hello\n"
+    every = bytes(range(256)) * 4  # nothing is echoed, turned into a line end, or taken for a command
+    link.write(every)
+    assert link.read(len(every), 5.0) == every.upper()
+    link.close()
+    assert until(lambda: echo.gone == 1)
+
+
+def test_a_host_that_closes_has_unplugged_and_may_plug_in_again(listener: PtyListener, echo: Echo, clock: RealClock) -> None:
+    url = listener.url
+    link = Link(url, clock, who="echo")
+    for turn in range(3):
+        assert link.read_until(b"\n", 5.0) == b"hello\n"
+        link.write(b"abc")
+        assert link.read(3, 5.0) == b"ABC"
+        link.close()
+        assert until(lambda: echo.gone == turn + 1), "noticed"  # noqa: B023 - called within its turn
+        link.reopen()
+    assert link.read_until(b"\n", 5.0) == b"hello\n"
+    assert not echo.connections[0].open
+    assert listener.url == url
+    link.close()
+
+
+def test_a_host_that_opens_again_at_once_has_replugged(listener: PtyListener, echo: Echo, clock: RealClock) -> None:
+    link = Link(listener.url, clock, who="echo")
+    for turn in range(10):
+        assert link.read_until(b"\n", 5.0) == b"hello\n", f"turn {turn}"
+        link.write(b"abc")
+        assert link.read(3, 5.0) == b"ABC"
+        link.reopen()
+    link.close()
+
+
+def test_a_host_that_sets_nothing_up_gets_raw_bytes_too(listener: PtyListener) -> None:
+    end = os.open(listener.url, os.O_RDWR | os.O_NOCTTY)
+    os.write(end, b"\x03\r\x04a")
+    got = b""
+    while len(got) < 10:
+        got += os.read(end, 64)
+    assert got == b"hello\n\x03\r\x04A"
+    os.close(end)
+
+
+def test_what_a_host_says_before_it_is_noticed_is_heard(listener: PtyListener, echo: Echo) -> None:
+    echo.obeys = True
+    end = os.open(listener.url, os.O_RDWR | os.O_NOCTTY)
+    os.write(end, b"x")  # the device hangs up, so that nothing is left to read but the end
+    os.close(end)
+    assert until(lambda: echo.gone == 1)
+
+
+def test_a_device_that_hangs_up_breaks_the_link_and_comes_back_elsewhere(listener: PtyListener, echo: Echo, clock: RealClock) -> None:
+    echo.obeys, before = True, listener.url
+    link = Link(before, clock, who="echo")
+    link.read_until(b"\n", 5.0)
+    link.write(b"x")
+    with pytest.raises(LinkError, match="broke"):  # noqa: PT012 - behind what came before
+        while True:
+            link.receive(5.0)
+    assert until(lambda: listener.url != before)
+    link.close()
+    again = Link(listener.url, clock, who="echo")
+    assert again.read_until(b"\n", 5.0) == b"hello\n"
+    again.close()
+
+
+def test_a_device_learns_the_rate_that_the_host_set(listener: PtyListener, echo: Echo, clock: RealClock) -> None:
+    for baud in (9600, 57600):
+        link = Link(listener.url, clock, who="echo", baud=baud)
+        link.read_until(b"\n", 5.0)
+        assert echo.connections[-1].baud() == baud
+        link.set_baud(19200)
+        assert echo.connections[-1].baud() == 19200
+        link.close()
+        assert until(lambda: not echo.connections[-1].open)
+
+
+def test_a_paced_terminal_is_as_fast_as_its_wire(echo: Echo, clock: RealClock) -> None:
+    listener = PtyListener(echo, clock, lock=threading.RLock(), name="echo", baud=9600)
+    port = serial.Serial(listener.url, 9600, timeout=5.0)
+    assert port.read(6) == b"hello\n"
+    start = time.monotonic()
+    port.write(bytes(95))
+    assert len(port.read(95)) == 95
+    assert 0.1 - 0.001 <= time.monotonic() - start < 2.0
+    port.close()
+    listener.close()
+
+
+def test_closing_ends_the_thread_and_the_terminal(echo: Echo, clock: RealClock) -> None:
+    listener = PtyListener(echo, clock, lock=threading.RLock(), name="echo")
+    link = Link(listener.url, clock, who="echo")
+    link.read_until(b"\n", 5.0)
+    listener.close()
+    with pytest.raises(LinkError, match="broke"):
+        link.receive(5.0)
+    link.close()
+    assert echo.gone == 1
+    assert not [thread for thread in threading.enumerate() if thread.name == "echo emulator"]
+    listener.close()  # once more is no error
+
+
+def test_bytes_that_no_host_reads_are_lost_as_on_a_port(echo: Echo, clock: RealClock) -> None:
+    listener = PtyListener(echo, clock, lock=threading.RLock(), name="echo")
+    port = serial.Serial(listener.url, 115200, timeout=0.5)
+    port.read(6)
+    written = 0
+    for _ in range(120):
+        written += port.write(bytes(2500)) or 0
+        time.sleep(0.001)
+    got = 0
+    while more := port.read(65536):
+        got += len(more)
+    assert 1000 < got < written == 300_000
+    port.write(b"still there?")
+    assert port.read(12) == b"STILL THERE?"
+    port.close()
+    listener.close()
+
+
+def test_virtual_time_is_refused(echo: Echo) -> None:
+    with pytest.raises(ValueError, match=r"arm: a pseudo-terminal keeps real time.*take a Listener"):
+        PtyListener(echo, VirtualClock(), lock=threading.RLock(), name="arm")
+
+
+def test_a_system_without_terminals_says_so(echo: Echo, clock: RealClock, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(os, "openpty")
+    with pytest.raises(OSError, match=r"arm: this system has no pseudo-terminals .*TCP"):
+        PtyListener(echo, clock, lock=threading.RLock(), name="arm")

@@ -1,0 +1,268 @@
+"""A session of each driver with its emulator, captured and replayed: the driver finds the same again, and no byte differs."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from instruments.bath.driver import Bath
+from instruments.bath.emulator import BathEmulator
+from instruments.bath.profile import load_profile
+from instruments.capture import CaptureFile
+from instruments.capture_reader import Capture, read_capture
+from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.errors import InstrumentError, LinkError
+from instruments.link import Link
+from instruments.listener import Connection, Device, Listener
+from instruments.microscribe.driver import MicroScribe
+from instruments.microscribe.emulator import ArmEmulator
+from instruments.microscribe.faults import Fault
+from instruments.microscribe.kinematics import Floats
+from instruments.replay import Replay
+from instruments.stage.driver import Stage
+from instruments.stage.emulator import StageEmulator
+from instruments.tap import Tap
+from instruments.world.plant import Plant
+
+FACTS = {"teatbench": "0", "command": "c", "machine": "m"}
+Found = list[object]
+Session = Callable[[str, Clock, Tap | None], Found]
+
+
+class Hand:
+    """Moves the tip along x, so that no two readings are alike."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+
+    def arm_target(self) -> tuple[Floats, Floats] | None:
+        return np.array([-180.0 + 0.5 * self.clock.now(), 240.0, 130.0]), np.array([0.0, 0.0, 1.0])
+
+
+def arm_session(url: str, clock: Clock, tap: Tap | None) -> Found:
+    arm = MicroScribe(Link(url, clock, who="arm", tap=tap), clock)
+    try:
+        found: Found = [asdict(arm.sign_on()), asdict(arm.parameters), arm.beta_rad]
+        arm.confirm_homed()
+        for _ in range(3):
+            reading = arm.read(8)
+            found += [reading.tip_mm.tolist(), reading.spread_mm, reading.counts]
+            clock.sleep(0.2)
+        return found
+    finally:
+        arm.close()
+
+
+def stage_session(url: str, clock: Clock, tap: Tap | None) -> Found:
+    stage = Stage(Link(url, clock, who="stage", tap=tap), clock)
+    try:
+        found: Found = [asdict(stage.connect()), asdict(stage.settings)]
+        stage.home()
+        for place in ((-20.0, -30.0), (-21.0, -30.5), (-5.0, -80.0)):
+            stage.move_to(*place)
+            found.append(stage.position().tolist())
+        stage.stop()
+        return found
+    finally:
+        stage.close()
+
+
+def bath_session(url: str, clock: Clock, tap: Tap | None) -> Found:
+    bath = Bath(url, load_profile("julabo-presto"), clock, tap=tap)
+    try:
+        found: Found = [{key: value for key, value in bath.identity.items() if key != "url"}]
+        bath.start(33.0)
+        for _ in range(60):
+            clock.sleep(1.0)
+            reading = bath.read()
+            found.append((reading.temp_c, reading.power_percent))
+        bath.standby()
+        return found
+    finally:
+        bath.close()
+
+
+SESSIONS: dict[str, Session] = {"arm": arm_session, "stage": stage_session, "bath": bath_session}
+
+
+def device(name: str, clock: Clock) -> Device:
+    if name == "arm":
+        return ArmEmulator(Hand(clock), clock, seed=3)
+    return StageEmulator(clock) if name == "stage" else BathEmulator(Plant(3), load_profile("julabo-presto"), clock)
+
+
+@contextmanager
+def served(far_end: Device, clock: Clock, name: str) -> Iterator[str]:
+    listener = Listener(far_end, clock, lock=threading.RLock(), name=name)
+    try:
+        yield listener.url.replace("socket://", "tcp://") if name == "bath" else listener.url
+    finally:
+        listener.close()
+
+
+def captured(name: str, path: Path, session: Session, far_end: Callable[[Clock], Device]) -> Found:
+    clock = VirtualClock()
+    with CaptureFile(path, FACTS) as capture, served(far_end(clock), clock, name) as url:
+        return session(url, clock, capture.tap(name, clock))
+
+
+def replayed(capture: Capture, name: str, session: Session, clock: Clock, *, fast: bool = False) -> tuple[Found, list[str]]:
+    """What the session finds now, and what the replay has to tell."""
+    with Replay(capture, clock, fast=fast) as replay:
+        found = session(replay.urls[name], clock, None)
+        real = RealClock()
+        while not replay.finished and real.now() < 5.0:
+            real.sleep(0.005)
+        return found, [*map(str, replay.mismatches), *replay.unplayed]
+
+
+@pytest.mark.parametrize("name", SESSIONS)
+def test_the_driver_finds_the_same_again(name: str, tmp_path: Path) -> None:
+    found = captured(name, tmp_path / "c", SESSIONS[name], lambda clock: device(name, clock))
+    capture = read_capture(tmp_path / "c")
+    assert replayed(capture, name, SESSIONS[name], VirtualClock()) == (found, [])
+    assert replayed(capture, name, SESSIONS[name], VirtualClock(), fast=True) == (found, [])
+
+
+@pytest.mark.parametrize("name", SESSIONS)
+def test_listening_in_changes_nothing(name: str, tmp_path: Path) -> None:
+    clock = VirtualClock()
+    with served(device(name, clock), clock, name) as url:
+        plain = SESSIONS[name](url, clock, None)
+    assert captured(name, tmp_path / "c", SESSIONS[name], lambda clock: device(name, clock)) == plain
+
+
+def test_a_replay_can_be_captured_and_is_the_capture(tmp_path: Path) -> None:
+    """All but the times, which a replay keeps to within its lead."""
+    captured("stage", tmp_path / "one", stage_session, lambda clock: device("stage", clock))
+    clock = VirtualClock()
+    with CaptureFile(tmp_path / "two", FACTS) as capture, Replay(read_capture(tmp_path / "one"), clock) as replay:
+        stage_session(replay.urls["stage"], clock, capture.tap("stage", clock))
+    (one,), (two,) = (read_capture(tmp_path / name).links["stage"] for name in ("one", "two"))
+    assert [e.asked for e in one.exchanges] == [e.asked for e in two.exchanges]
+    assert [b"".join(p.data for p in e.came) for e in one.exchanges] == [b"".join(p.data for p in e.came) for e in two.exchanges]
+    assert [e.asked_s for e in one.exchanges] == pytest.approx([e.asked_s for e in two.exchanges], abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["arm", "bath"])
+def test_a_session_in_real_time_is_replayed_in_real_time(name: str, tmp_path: Path) -> None:
+    def short(url: str, clock: Clock, tap: Tap | None) -> Found:
+        if name == "arm":
+            return arm_session(url, clock, tap)
+        bath = Bath(url, load_profile("julabo-presto"), clock, tap=tap)
+        found: Found = [bath.read().temp_c for _ in range(20)]
+        bath.close()
+        return found
+
+    clock, again = RealClock(), RealClock()
+    try:
+        with CaptureFile(tmp_path / "c", FACTS) as capture, served(device(name, clock), clock, name) as url:
+            found = short(url, clock, capture.tap(name, clock))
+        assert replayed(read_capture(tmp_path / "c"), name, short, again, fast=True) == (found, [])
+    finally:
+        clock.close()
+        again.close()
+
+
+def failing(session: Session) -> Session:
+    """The session, and where it fails, the error's sentence but for the link's URL."""
+
+    def tolerant(url: str, clock: Clock, tap: Tap | None) -> Found:
+        try:
+            return session(url, clock, tap)
+        except InstrumentError as error:
+            return [type(error).__name__, error.what.replace(url, "URL")]
+
+    return tolerant
+
+
+@pytest.mark.parametrize("fault", Fault, ids=str)
+def test_an_arm_with_a_fault_has_it_again(fault: Fault, tmp_path: Path) -> None:
+    """Whether the driver finds its way or gives up, it does the same, byte for byte, and says the same."""
+
+    def faulty(clock: Clock) -> Device:
+        arm = ArmEmulator(Hand(clock), clock, seed=3)
+        arm.faults.inject(fault)
+        return arm
+
+    found = captured("arm", tmp_path / "c", failing(arm_session), faulty)
+    assert replayed(read_capture(tmp_path / "c"), "arm", failing(arm_session), VirtualClock()) == (found, [])
+
+
+def test_a_bath_on_rtu_is_on_rtu_again(tmp_path: Path) -> None:
+    profile = load_profile("eurotherm-2400")
+
+    def session(url: str, clock: Clock, tap: Tap | None) -> Found:
+        bath = Bath(url.replace("socket://", "rtu+tcp://"), profile, clock, tap=tap)
+        found: Found = [bath.read().temp_c for _ in range(20)]
+        bath.close()
+        return found
+
+    clock = VirtualClock()
+    emulator = BathEmulator(Plant(3), profile, clock, framing="rtu")
+    with CaptureFile(tmp_path / "c", FACTS) as file, served(emulator, clock, "bath on RTU") as url:
+        found = session(url, clock, file.tap("bath", clock))
+    assert replayed(read_capture(tmp_path / "c"), "bath", session, VirtualClock()) == (found, [])
+
+
+class PulledCable:
+    """A stage whose cable is pulled ``after_s`` after somebody connected."""
+
+    def __init__(self, stage: StageEmulator, after_s: float) -> None:
+        self._after_s = after_s
+        self._stage = stage
+        self.receive = stage.receive
+        self.disconnect = stage.disconnect
+
+    def connect(self, connection: Connection) -> None:
+        self._stage.connect(connection)
+        connection.after(self._after_s, connection.hang_up)
+
+
+def test_a_pulled_cable_is_pulled_again(tmp_path: Path) -> None:
+    found = captured("stage", tmp_path / "c", failing(stage_session), lambda clock: PulledCable(StageEmulator(clock), 12.0))
+    assert found == ["LinkError", "the link broke while reading: the other end hung up"]
+    assert replayed(read_capture(tmp_path / "c"), "stage", failing(stage_session), VirtualClock()) == (found, [])
+
+
+def test_a_bath_that_broke_off_is_met_anew_in_the_replay(tmp_path: Path) -> None:
+    class Shaky(BathEmulator):
+        asked = 0
+
+        def receive(self, connection: Connection, data: bytes) -> None:
+            self.asked += 1
+            if self.asked % 20 == 0:
+                connection.hang_up()
+            else:
+                super().receive(connection, data)
+
+    found = captured("bath", tmp_path / "c", bath_session, lambda clock: Shaky(Plant(3), load_profile("julabo-presto"), clock))
+    capture = read_capture(tmp_path / "c")
+    assert len(capture.links["bath"]) > 2
+    assert all(talk.broke for talk in capture.links["bath"][:-1])
+    assert replayed(capture, "bath", bath_session, VirtualClock()) == (found, [])
+
+
+def test_a_driver_that_asks_otherwise_is_told_on(tmp_path: Path) -> None:
+    captured("stage", tmp_path / "c", stage_session, lambda clock: device("stage", clock))
+
+    def elsewhere(url: str, clock: Clock, tap: Tap | None) -> Found:
+        stage = Stage(Link(url, clock, who="stage", tap=tap), clock)
+        try:
+            stage.connect()
+            stage.home()
+            with pytest.raises(LinkError, match="no answer"):
+                stage.move_to(-20.0, -31.0)
+        finally:
+            stage.close()
+        return []
+
+    _, told = replayed(read_capture(tmp_path / "c"), "stage", elsewhere, VirtualClock())
+    assert "another than recorded" in told[0]
+    assert r"(expected 'G53G1X-20Y-30F3000\n', got 'G53G1X-20Y-31F3000\n')" in told[0]
