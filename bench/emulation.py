@@ -51,16 +51,12 @@ class EmulatedRig:
     that the bath can't have there.
     """
 
-    def __init__(
-        self, rig: LoadedRig, clock: Clock, seed: int, *, host: str = "127.0.0.1", pty: bool = False, paced: bool = False
-    ) -> None:
+    def __init__(self, rig: LoadedRig, clock: Clock, seed: int, *, host: str = "127.0.0.1", pty: bool = False, paced: bool = False) -> None:
         emulation = rig.rig.emulation
         cameras = cameras_from_calibration(tomllib.loads(read_text(rig.calibration_path)))
         self.world = World(clock, seed, Renderer(cameras, seed), ambient_c=emulation.ambient_c, bath_start_c=emulation.bath_start_c)
         self.cameras = EmulatedCameras(self.world)
-        self.operator = EmulatedOperator(
-            self.world, hand_error_mm=emulation.hand_error_mm, check_point_mm=rig.rig.arm.check_point_mm
-        )
+        self.operator = EmulatedOperator(self.world, hand_error_mm=emulation.hand_error_mm, check_point_mm=rig.rig.arm.check_point_mm)
         self._clock = clock
         self._host, self._pty, self._paced = host, pty, paced
         self._listeners: dict[str, Listener | PtyListener] = {}

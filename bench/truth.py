@@ -26,9 +26,7 @@ class TruthPoint:
     uncertainty: TruthUncertainty
 
 
-def touched(
-    tips_mm: NDArray[np.float64], *, accuracy_mm: float, definition_mm: float, registration_mm: float | None = None
-) -> TruthPoint:
+def touched(tips_mm: NDArray[np.float64], *, accuracy_mm: float, definition_mm: float, registration_mm: float | None = None) -> TruthPoint:
     """The mean of the touches (n, 3) at one teat end.
 
     ``accuracy_mm`` is the arm's own (the maker's figure), ``definition_mm`` how well a hand finds the apex; the

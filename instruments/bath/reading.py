@@ -111,7 +111,7 @@ class Poll:
         if math.isnan(values["temperature"]):
             said = self._profile.alarm_text(alarm) if alarm else "no alarm"
             raise DeviceError(self._who, "it has no temperature", asked="temperature", seen=said, hint="Look at the sensor and its plug.")
-        for name in ("temperature", "safety"):  # both: in another order of bytes, one number in 20 looks like a bath's
+        for name in ("temperature", "safety", "set_point"):  # all: in another order of bytes, one number in 20 looks like a bath's
             temp_c = values.get(name, math.nan)
             if not (math.isnan(temp_c) or self._is_plausible(temp_c)):
                 self._refuse(name, temp_c, raw, alarm)

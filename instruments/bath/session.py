@@ -30,6 +30,7 @@ try:
 except ImportError:  # Windows
     PORT_ERRORS = (OSError, ValueError)
 REMEMBERED = 300  # bytes kept for messages: more than the longest answer
+ROUNDING_S = 1e-8  # an event loop takes an appointment for due up to 1e-9 s before its time
 
 T = TypeVar("T")
 
@@ -91,7 +92,7 @@ class Session:
         try:
             while True:
                 loop.run_forever()
-                if done() or self._clock.now() >= until_s or not self.connected:
+                if done() or self._clock.now() >= until_s - ROUNDING_S or not self.connected:
                     return
                 loop.let_time_pass()
                 if done():
