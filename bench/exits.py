@@ -118,8 +118,15 @@ def undisturbed() -> Iterator[None]:
 
 
 def _amid_a_lock(frame: FrameType | None) -> bool:
-    """Whether Python's own code is just taking or giving back a lock: raised there, the lock would be held for ever."""
-    return frame is not None and frame.f_code.co_filename == threading.__file__ and frame.f_code.co_name in AMID_A_LOCK
+    """Whether Python's own code is just taking or giving back a lock: raised there, the lock would be held for ever.
+
+    All callers count: a signal that comes again may find us still at the handler's own work, called amid a lock.
+    """
+    while frame is not None:
+        if frame.f_code.co_filename == threading.__file__ and frame.f_code.co_name in AMID_A_LOCK:
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _come_again(number: int) -> None:
