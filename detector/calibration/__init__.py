@@ -1,9 +1,11 @@
 """Cameras, stereo, thermal and world: what they are, where they lie, and the file that says so."""
 
+from detector.calibration.dump import dump_calibration
 from detector.calibration.faults import CalibrationError, Fault
-from detector.calibration.file import dump_calibration, file_hash, load_calibration
+from detector.calibration.file import file_hash, load_calibration
 from detector.calibration.plane import DEFAULT_PLANE_DEPTH_MM, derive_homographies, plane_homography
-from detector.calibration.values import Calibration, Homographies, Polarity, ThermalCamera
+from detector.calibration.uncertainty import ParameterCovariance
+from detector.calibration.values import Calibration, Homographies, Polarity, Record, ThermalCamera
 
 __all__ = [
     "DEFAULT_PLANE_DEPTH_MM",
@@ -11,7 +13,9 @@ __all__ = [
     "CalibrationError",
     "Fault",
     "Homographies",
+    "ParameterCovariance",
     "Polarity",
+    "Record",
     "ThermalCamera",
     "derive_homographies",
     "dump_calibration",

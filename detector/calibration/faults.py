@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from datetime import date
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -128,6 +129,45 @@ def matrix(value: Any) -> tuple[tuple[float, ...], ...]:
             f"determinant {determinant:g}, last entry {i:g}"
         )
     return rows
+
+
+def word(value: Any) -> str:
+    """A check for a text."""
+    if not isinstance(value, str):
+        raise Wrong(f'must be a text in "quotes", not {_kind(value)}')
+    return value
+
+
+def day(value: Any) -> str:
+    """A check for a date, year-month-day, as a text."""
+    text = word(value)
+    try:
+        return date.fromisoformat(text).isoformat()
+    except ValueError:
+        raise Wrong(f'must be a day such as "2026-11-20", not {text!r}') from None
+
+
+def words(value: Any) -> dict[str, str]:
+    """A check for a table of texts."""
+    if not isinstance(value, dict):
+        raise Wrong(f'must be a table of texts, {{ name = "..." }}, not {_kind(value)}')
+    return {name: word(text) for name, text in value.items()}
+
+
+def parameters(value: Any) -> tuple[tuple[str, str], ...]:
+    """A check for names of parameters: an array of "owner name"; a thermal pose's owner has two words."""
+    if not isinstance(value, list) or not all(isinstance(v, str) and " " in v for v in value):
+        raise Wrong('must be an array of names such as "left fx" or "stereo T1"')
+    return tuple((v.rpartition(" ")[0], v.rpartition(" ")[2]) for v in value)
+
+
+def triangle(value: Any) -> tuple[tuple[float, ...], ...]:
+    """A check for the lower triangle of a symmetric matrix: rows of 1, 2, 3 ... numbers."""
+    if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
+        raise Wrong(f"must be an array of rows, not {_kind(value)}")
+    if any(len(row) != n for n, row in enumerate(value, 1)):
+        raise Wrong("must be a lower triangle: rows of 1, 2, 3 ... numbers")
+    return tuple(tuple(number(v) for v in row) for row in value)
 
 
 def unknown(key: str, allowed: Sequence[str], what: str) -> str:

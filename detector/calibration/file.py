@@ -1,4 +1,4 @@
-"""The calibration file of a recording or a rig: TOML in, `Calibration` out, and back.
+"""The calibration file of a recording or a rig: TOML in, `Calibration` out.
 
 Strategy: one table says which keys a block has and how each is checked; the reader walks it, gathers every fault there is, and builds the
 value only from a file without any. What the file may leave out (a skew, a homography, a thermal lens) is decided in one place each.
@@ -19,8 +19,9 @@ import numpy as np
 from detector.calibration import faults as check
 from detector.calibration.faults import CalibrationError, Fault, Key, Wrong
 from detector.calibration.plane import DEFAULT_PLANE_DEPTH_MM, derive_homographies
-from detector.calibration.values import POLARITIES, Calibration, Homographies, Polarity, ThermalCamera
-from detector.geometry import Camera, Motion
+from detector.calibration.uncertainty import ParameterCovariance
+from detector.calibration.values import POLARITIES, Calibration, Homographies, Polarity, Record, ThermalCamera
+from detector.geometry import Array, Camera, Motion
 
 Check = Callable[[Any], Any]
 
@@ -40,8 +41,10 @@ _BLOCKS: dict[Key, dict[str, Check]] = {
     ("thermal",): _POSE,
     ("world",): _POSE,
     ("homography",): {"left": check.matrix, "right": check.matrix, "plane_depth_mm": check.positive},
+    ("uncertainty",): {"parameters": check.parameters, "covariance": check.triangle},
+    ("record",): {"made": check.day, "by": check.word, "with_what": check.word, "cameras": check.words, "inputs": check.words},
 }
-_OPTIONAL_BLOCKS = {("thermal",), ("homography",)}
+_OPTIONAL_BLOCKS = {("thermal",), ("homography",), ("uncertainty",), ("record",)}
 _NEVER_REQUIRED = {"alpha_c", "plane_depth_mm"}
 
 
@@ -67,36 +70,6 @@ def file_hash(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def dump_calibration(calibration: Calibration, heading: str = "") -> str:
-    """The file's text for a calibration; `load_calibration` reads it back. Each line of `heading` becomes a comment at the top.
-
-    Numbers are rounded to 10 significant digits, far beyond what any calibration holds.
-    """
-    thermal, maps = calibration.thermal, calibration.homographies
-    lines = [f"# {line}".rstrip() for line in heading.splitlines()] + [""]
-    for name, camera in (("left", calibration.left), ("right", calibration.right)):
-        lines += [f"[cameras.{name}]", *_lens_lines(camera.image_size, camera), ""]
-    lines += [
-        "[cameras.thermal]",
-        *_lens_lines(thermal.image_size, thermal.lens),
-        f"sensor_size = {list(thermal.sensor_size)}",
-        f"mirrored = {str(thermal.mirrored).lower()}",
-        f'polarity = "{thermal.polarity}"',
-        "",
-    ]
-    poses = {"stereo": calibration.right_from_left, "thermal": calibration.thermal_from_left, "world": calibration.world_from_right}
-    meaning = {"stereo": "X_right = R(om) X_left + T", "thermal": "X_thermal = R(om) X_left + T", "world": "X_world = R(om) X_right + T"}
-    for name, pose in poses.items():
-        if pose is not None:
-            lines += [f"[{name}]    # {meaning[name]}", f"om = {_text(pose.om)}", f"T = {_text(pose.T)}", ""]
-    lines += [
-        "[homography]    # un-mirrored thermal pixel -> optical pixel, right on one plane only",
-        f"left = {_text(maps.left)}",
-        f"right = {_text(maps.right)}",
-    ]
-    return "\n".join([*lines, *([] if maps.plane_depth_mm is None else [f"plane_depth_mm = {_text(maps.plane_depth_mm)}"])]) + "\n"
-
-
 @dataclass(slots=True)
 class _Blocks:
     """The file's blocks while they are checked: values that passed, by block, and the faults so far."""
@@ -114,6 +87,7 @@ class _Blocks:
             self._check_block(key)
         self._check_thermal()
         self._check_baseline()
+        self._check_covariance()
 
     def _check_names(self, at: Key, table: Mapping[str, Any], allowed: list[str], what: str) -> None:
         self.faults += [Fault((*at, name), check.unknown(name, allowed, what)) for name in table if name not in allowed]
@@ -170,6 +144,22 @@ class _Blocks:
         if self.found.get(("stereo",), {}).get("T") == (0.0, 0.0, 0.0):
             self.faults.append(Fault(("stereo", "T"), "must not be zero: two cameras in one place see no depth"))
 
+    def _check_covariance(self) -> None:
+        given = self.found.get(("uncertainty",), {})
+        if len(given) == 2:
+            try:
+                given["matrix"] = ParameterCovariance(given["parameters"], _symmetric(given["covariance"]))
+            except ValueError as error:
+                self.faults.append(Fault(("uncertainty", "covariance"), str(error)))
+
+
+def _symmetric(triangle: tuple[tuple[float, ...], ...]) -> Array:
+    """The whole matrix of a lower triangle."""
+    lower = np.zeros((len(triangle), len(triangle)))
+    for at, row in enumerate(triangle):
+        lower[at, : at + 1] = row
+    return lower + np.tril(lower, -1).T
+
 
 def _not_required(key: Key) -> set[str]:
     """Keys that a block may leave out here; `_check_thermal` says when the thermal ones are needed after all."""
@@ -197,7 +187,9 @@ def _build(blocks: _Blocks) -> Calibration:
             right_from_left,
             DEFAULT_PLANE_DEPTH_MM if depth_mm is None else depth_mm,
         )
-    return Calibration(left, right, thermal, right_from_left, thermal_from_left, _motion(found["world",]), homographies)
+    record = Record(**found["record",]) if ("record",) in found else None
+    world_from_right, covariance = _motion(found["world",]), found.get(("uncertainty",), {}).get("matrix")
+    return Calibration(left, right, thermal, right_from_left, thermal_from_left, world_from_right, homographies, covariance, record)
 
 
 def _camera(table: Mapping[str, Any]) -> Camera:
@@ -215,13 +207,3 @@ def _read(path: Path) -> str:
         raise CalibrationError(path, [Fault((), f"can't be read: {error.strerror or error}")]) from None
     except UnicodeDecodeError as error:
         raise CalibrationError(path, [Fault((), f"is not UTF-8 text: byte {error.start} is {error.object[error.start]:#04x}")]) from None
-
-
-def _lens_lines(image_size: tuple[int, int], lens: Camera | None) -> list[str]:
-    given = [] if lens is None else [f"{name} = {_text(getattr(lens, name))}" for name in ("fc", "cc", "alpha_c", "kc")]
-    return [f"image_size = {list(image_size)}", *given]
-
-
-def _text(value: Any) -> str:
-    array = np.asarray(value, dtype=np.float64)
-    return repr(float(f"{array:.10g}")) if array.ndim == 0 else f"[{', '.join(_text(v) for v in array)}]"

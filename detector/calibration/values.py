@@ -6,12 +6,14 @@ file format, nor any detector.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from detector.calibration.uncertainty import Pair, ParameterCovariance, covariance_of_points
 from detector.geometry import Array, Camera, Motion
 
 Polarity = Literal["hot_is_black", "hot_is_white"]
@@ -44,11 +46,23 @@ class Homographies:
     plane_depth_mm: float | None
 
 
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Who calibrated, when (an ISO date), with what, on which cameras (identity by name), from which files (SHA-256 by name)."""
+
+    made: str
+    by: str
+    with_what: str
+    cameras: Mapping[str, str]
+    inputs: Mapping[str, str]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """A calibrated rig. Lengths mm; motions take points from the frame named last to the one named first.
 
-    `thermal.lens` and `thermal_from_left` are both there or both None: a rig may have nothing but homographies.
+    `thermal.lens` and `thermal_from_left` are both there or both None: a rig may have nothing but homographies. `covariance` is that of
+    all fitted parameters; None where the file doesn't say.
     """
 
     left: Camera
@@ -58,6 +72,8 @@ class Calibration:
     thermal_from_left: Motion | None
     world_from_right: Motion
     homographies: Homographies
+    covariance: ParameterCovariance | None = None
+    record: Record | None = None
 
     @property
     def thermal_from_right(self) -> Motion | None:
@@ -73,6 +89,18 @@ class Calibration:
     def baseline_mm(self) -> float:
         """Distance between the optical centres of the stereo pair."""
         return float(np.linalg.norm(self.right_from_left.T))
+
+    @property
+    def pair(self) -> Pair:
+        """What triangulation needs of it."""
+        return Pair(self.left, self.right, self.right_from_left, self.world_from_right)
+
+    def covariance_of(self, world_mm: ArrayLike, pixel_sd_px: float = 0.0) -> Array:
+        """Covariance (n, 3, 3) mm^2, world axes, of triangulated points (n, 3): the calibration's own, and the pixels' of `pixel_sd_px`.
+
+        NaN for a point that a camera can't see. Zero where the file gives no covariance and no pixel noise is asked for.
+        """
+        return covariance_of_points(self.pair, self.covariance, world_mm, pixel_sd_px)
 
     def project(self, world_mm: ArrayLike) -> tuple[Array, Array]:
         """Left and right pixels (n, 2) of world points (n, 3); NaN behind a camera."""

@@ -1,0 +1,188 @@
+"""Bundle adjustment: all cameras, the motions between them and all poses of the board from all corners at once, with their covariance.
+
+Strategy: one Levenberg-Marquardt fit serves a camera alone, a stereo pair with fixed or with joint lenses, and a thermal camera that hangs
+on the pair; what is held fixed is said by a mask. The Jacobian is analytic (OpenCV's). A corner depends on the shared parameters and on one
+pose, so each pose leaves the normal equations by its Schur complement.
+Sources: Triggs, McLauchlan, Hartley, Fitzgibbon, "Bundle adjustment, a modern synthesis" (2000); for the covariance,
+Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 5.2. The module may not know images, boards or files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from detector.calibration.parameters import LENS, POSE, Freedom, Layout, Rig, Sighting, State
+from detector.geometry import Array, Camera, Motion
+
+STEPS = 100
+CONVERGED = 1e-12  # relative decrease of the sum of squares
+SINGULAR = 1e-14  # of the largest eigenvalue: less is rounding
+_OPENCV_COLUMNS = slice(6, 15)  # of cv2.projectPoints' Jacobian: rotation 0:3, translation 3:6, then f, c, k in the order of LENS
+
+
+class BundleError(ValueError):
+    """Observations from which the parameters can't be had: too few, or such that some parameter moves no corner."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjusted:
+    """The fit: rig, reference_from_board a pose, and how well it holds.
+
+    ``names`` of the free parameters of cameras and motions, as ("left", "fx") and ("right", "om1"); ``covariance`` (k, k) of just these, in
+    px, rad and mm, with the poses integrated out and scaled by the residuals' variance ``sigma_px`` squared. ``residuals_px`` a sighting:
+    seen minus predicted (n, 2).
+    """
+
+    rig: Rig
+    poses: tuple[Motion, ...]
+    names: tuple[tuple[str, str], ...]
+    covariance: Array
+    sigma_px: float
+    residuals_px: tuple[Array, ...]
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance of corner from prediction, over all cameras: the "reprojection error" of the toolboxes."""
+        return float(np.sqrt(np.mean(np.concatenate([np.sum(r**2, axis=1) for r in self.residuals_px]))))
+
+    def sd(self, camera: str, name: str) -> float | None:
+        """Standard deviation of one parameter; None where it was held fixed."""
+        if (camera, name) not in self.names:
+            return None
+        at = self.names.index((camera, name))
+        return float(np.sqrt(self.covariance[at, at]))
+
+
+def adjust(start: Rig, poses: Sequence[Motion], sightings: Sequence[Sighting], freedom: Freedom) -> Adjusted:
+    """The least-squares fit from ``start`` and ``poses`` (reference_from_board). Raises BundleError.
+
+    All corners count alike: their noise is taken for equal and independent.
+    """
+    layout = Layout.of(start, len(poses), freedom)
+    rows = sum(2 * len(s.board_mm) for s in sightings)
+    if rows <= layout.size:
+        raise BundleError(f"{rows // 2} corners can't fix {layout.size} parameters: more views, or fewer free parameters")
+    state, normal = _descend(State(start, tuple(poses)), layout, sightings)
+    variance = normal.cost / (rows - layout.size)
+    covariance = _covariance(normal, layout) * variance
+    return Adjusted(state.rig, state.poses, layout.shared, covariance, float(np.sqrt(variance)), normal.residuals_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Normal:
+    """The normal equations about a state, by blocks: ``shared`` (k, k), ``own`` (poses, 6, 6), ``coupling`` (poses, k, 6), and slopes."""
+
+    shared: Array
+    own: Array
+    coupling: Array
+    slope: Array
+    own_slope: Array
+    residuals_px: tuple[Array, ...]
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares, px^2; infinite where a camera is turned inside out."""
+        cost = sum(float(np.sum(r**2)) for r in self.residuals_px)
+        return cost if np.isfinite(cost) else np.inf
+
+    def reduced(self, damping: float) -> tuple[Array, Array, Array]:
+        """The equations without the poses: matrix (k, k) and slope (k,), and what brings the poses back, (poses, 6, k + 1)."""
+        damped = self.own + damping * self.own * np.eye(6)
+        back = np.linalg.solve(damped, np.concatenate([self.coupling.transpose(0, 2, 1), self.own_slope[:, :, None]], axis=2))
+        taken = np.einsum("pki,pij->kj", self.coupling, back)
+        matrix = self.shared + damping * np.diag(np.diag(self.shared)) - taken[:, :-1]
+        return matrix, self.slope - taken[:, -1], back
+
+    def step(self, damping: float) -> Array:
+        """Marquardt's step (size,) for a damping."""
+        matrix, slope, back = self.reduced(damping)
+        shared = np.linalg.solve(matrix, slope)
+        poses = back[:, :, -1] - back[:, :, :-1] @ shared
+        return np.concatenate([shared, poses.reshape(-1)])
+
+
+def _descend(state: State, layout: Layout, sightings: Sequence[Sighting]) -> tuple[State, _Normal]:
+    """Levenberg-Marquardt with Marquardt's scaling; ends where a step no longer helps."""
+    normal, damping = _normal(state, layout, sightings), 1e-4
+    _refuse_blind(normal, layout)
+    for _ in range(STEPS):
+        better = False
+        while damping < 1e12 and not better:
+            tried = layout.moved(state, normal.step(damping))
+            there = _normal(tried, layout, sightings)
+            better = there.cost < normal.cost
+            damping = damping / 10 if better else damping * 10
+        if not better:
+            break
+        gain = (normal.cost - there.cost) / normal.cost
+        state, normal = tried, there
+        if gain < CONVERGED or normal.cost == 0.0:
+            break
+    return state, normal
+
+
+def _refuse_blind(normal: _Normal, layout: Layout) -> None:
+    told = np.concatenate([np.diag(normal.shared), np.diagonal(normal.own, axis1=1, axis2=2).reshape(-1)])
+    if not told.all():
+        raise BundleError(f"no corner tells of {layout.told(int(np.argmin(told)))}: hold it fixed, or add views")
+
+
+def _normal(state: State, layout: Layout, sightings: Sequence[Sighting]) -> _Normal:
+    k, poses = len(layout.shared), layout.poses
+    shared, own, coupling = np.zeros((k, k)), np.zeros((poses, 6, 6)), np.zeros((poses, k, 6))
+    slope, own_slope, residuals = np.zeros(k), np.zeros((poses, 6)), []
+    for seen in sightings:
+        by_shared, by_pose, residual = _linearised(state, layout, seen)
+        shared += by_shared.T @ by_shared
+        own[seen.pose] += by_pose.T @ by_pose
+        coupling[seen.pose] += by_shared.T @ by_pose
+        slope += by_shared.T @ residual
+        own_slope[seen.pose] += by_pose.T @ residual
+        residuals.append(residual.reshape(-1, 2))
+    return _Normal(shared, own, coupling, slope, own_slope, tuple(residuals))
+
+
+def _linearised(state: State, layout: Layout, seen: Sighting) -> tuple[Array, Array, Array]:
+    """The derivatives of one sighting's predictions by the shared parameters (2n, k) and its pose (2n, 6); seen less predicted (2n,)."""
+    camera, motion, pose = state.rig.cameras[seen.camera], state.rig.from_reference[seen.camera], state.poses[seen.pose]
+    whole = [np.asarray(part, dtype=np.float64) for part in cv2.composeRT(pose.om, pose.T, motion.om, motion.T)]
+    predicted, by = cv2.projectPoints(seen.board_mm.reshape(-1, 1, 3), whole[0], whole[1], _matrix(camera), np.array(camera.kc))
+    residual = (seen.pixels_px - predicted.reshape(-1, 2)).reshape(-1)
+    by_shared, by_whole = np.zeros((len(residual), len(layout.shared))), np.array(by[:, :6], dtype=np.float64)
+    places, columns = layout.columns(seen.camera, POSE)
+    if places:
+        by_shared[:, columns] = (by_whole @ _chain(whole, 2))[:, places]
+    lens = np.array(by[:, _OPENCV_COLUMNS], dtype=np.float64)
+    if seen.camera in layout.ratio:
+        lens[:, 0] += layout.ratio[seen.camera] * lens[:, 1]
+    places, columns = layout.columns(seen.camera, LENS)
+    by_shared[:, columns] = lens[:, places]
+    return by_shared, by_whole @ _chain(whole, 0), np.asarray(residual, dtype=np.float64)
+
+
+def _chain(whole: Sequence[Array], first: int) -> Array:
+    """(6, 6): the derivative of the composed pose by one of its two motions, from what cv2.composeRT gives."""
+    dr_dr, dr_dt, dt_dr, dt_dt = whole[2 + first], whole[3 + first], whole[6 + first], whole[7 + first]
+    return np.block([[dr_dr, dr_dt], [dt_dr, dt_dt]])
+
+
+def _covariance(normal: _Normal, layout: Layout) -> Array:
+    """Of the shared parameters, for a variance of 1."""
+    if not layout.shared:
+        return np.zeros((0, 0))
+    reduced = normal.reduced(0.0)[0]
+    scale = np.sqrt(np.diag(normal.shared))
+    scaled = reduced / np.outer(scale, scale)
+    values, directions = np.linalg.eigh(scaled)
+    if values[0] < SINGULAR * values[-1]:
+        weakest = int(np.argmax(np.abs(directions[:, 0])))
+        raise BundleError(f"the views don't tell {layout.told(weakest)} apart from the rest: tilt the board more, or hold it fixed")
+    return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))
+
+
+def _matrix(camera: Camera) -> Array:
+    return np.array([[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]])

@@ -1,0 +1,192 @@
+"""Finds a board's points in a picture, to a fraction of a pixel, and says why a picture is no good.
+
+Strategy: OpenCV finds the board; the window of the sub-pixel step is kept from reaching the next corner (on OpenCV's own pictures a window
+too large doubles the error); the board's first point is told by the colours where they can tell it. A picture that is blurred, or blurred
+along one direction as by motion, is refused by the width of its edges. The module may not know cameras or poses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from detector.calibration.boards import Board
+from detector.geometry import Array
+
+Gray = NDArray[np.uint8]
+LARGEST_WINDOW_PX = 11  # half of the sub-pixel window's side
+SMALLEST_WINDOW_PX = 2
+REACH = 0.3  # of the least distance between corners, what the window may cover on each side
+BLURRED_PX = 5.0  # width of an edge from 10 to 90 %: sharp pictures have 2 to 3
+MOVED_RATIO = 1.8  # edges across one direction this much wider than across the other
+LEAST_CHARUCO = 8  # points of a partly hidden board that make a view
+
+
+@dataclass(frozen=True, slots=True)
+class SubPixel:
+    """How corners are refined: half the side of the window (None: the largest that can't reach the next corner), and when to stop."""
+
+    window_px: int | None = None
+    steps: int = 60
+    epsilon_px: float = 0.001
+
+    def refine(self, image: Gray, corners: NDArray[Any], grid_px: NDArray[Any]) -> tuple[NDArray[Any], int]:
+        """The corners (n, 1, 2), refined, and the window used; ``grid_px`` (rows, columns, 2), NaN where a corner is hidden."""
+        window = self.window_px or _largest_window(grid_px)
+        until = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, self.steps, self.epsilon_px)
+        return cv2.cornerSubPix(image, corners, (window, window), (-1, -1), until), window
+
+
+class ViewRefusedError(ValueError):
+    """A picture that can't be used; the message is the reason, as a sentence without the picture's name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """The board in one picture: ``ids`` (n,) into the board's points, ``pixels_px`` (n, 2), and the width of its edges in px.
+
+    ``edges_px``: 10 to 90 % of the rise, along rows and along columns; None where the board has no edges to measure it on.
+    ``window_px``: half the side of the sub-pixel window.
+    """
+
+    ids: NDArray[np.intp]
+    pixels_px: Array
+    edges_px: tuple[float, float] | None
+    window_px: int
+
+    def turned(self, board: Board) -> Found:
+        """The same points counted from the board's other end."""
+        return Found(np.asarray(board.columns * board.rows - 1 - self.ids), self.pixels_px, self.edges_px, self.window_px)
+
+
+def find_board(image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel(), inverted: bool | None = None) -> Found:
+    """The board in an 8-bit picture. Raises ViewRefusedError.
+
+    ``inverted``: bright on dark where the print is dark on bright, as a
+    heated board may look; None tries both.
+    """
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise ValueError(f"find_board wants an 8-bit grey picture, not {image.dtype} of shape {image.shape}")
+    pictures = [image, np.asarray(255 - image, dtype=np.uint8)]
+    finder = {"chessboard": _chessboard, "charuco": _charuco, "circles": _circles}[board.kind]
+    for picture in pictures if inverted is None else [pictures[inverted]]:
+        found = finder(picture, board, sub_pixel)
+        if found is not None:
+            _refuse_blurred(found)
+            return found
+    raise ViewRefusedError(f"no {board.columns} x {board.rows} {board.kind} found: is the whole board in the picture, sharp and lit?")
+
+
+def order_alike(first: Found, second: Found, board: Board) -> Found:
+    """``second`` counted from the end that ``first`` is counted from: for boards that read the same when turned by half a turn.
+
+    Both cameras are taken to stand upright to each other by less than a right angle.
+    """
+    if not board.reads_the_same_turned:
+        return second
+    ways = [_way(found, board) for found in (first, second)]
+    return second if float(ways[0] @ ways[1]) >= 0.0 else second.turned(board)
+
+
+def _way(found: Found, board: Board) -> Array:
+    """The direction of the rows in the picture."""
+    grid = board.points_mm[found.ids, :2]
+    slopes = np.linalg.lstsq(np.column_stack([grid, np.ones(len(grid))]), found.pixels_px, rcond=None)[0]
+    return np.asarray(slopes[0])
+
+
+def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
+    shape = (board.columns, board.rows)
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH + cv2.CALIB_CB_NORMALIZE_IMAGE
+    done, corners = cv2.findChessboardCorners(image, shape, flags=flags)
+    if not done:
+        return None
+    fine, window = sub_pixel.refine(image, corners, corners.reshape(board.rows, board.columns, 2))
+    pixels = np.asarray(fine.reshape(-1, 2), dtype=np.float64)
+    if not board.reads_the_same_turned and not _dark_before_first(image, pixels.reshape(board.rows, board.columns, 2)):
+        pixels = pixels[::-1].copy()
+    return Found(np.arange(len(pixels)), pixels, _edges(image, shape, fine), window)
+
+
+def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(board.aruco).detectBoard(image)
+    if ids is None or len(ids) < LEAST_CHARUCO:
+        return None
+    numbers = ids.reshape(-1).astype(np.intp)
+    grid = np.full((board.rows * board.columns, 2), np.nan)
+    grid[numbers] = corners.reshape(-1, 2)
+    fine, window = sub_pixel.refine(image, corners.reshape(-1, 1, 2).copy(), grid.reshape(board.rows, board.columns, 2))
+    return Found(numbers, np.asarray(fine.reshape(-1, 2), dtype=np.float64), None, window)
+
+
+def _circles(image: Gray, board: Board, _: SubPixel) -> Found | None:
+    """Dark circles. OpenCV's finder is given the centres of gravity of dark blobs: its own blob detector wants 8 px and more."""
+    dark = cv2.threshold(image, 0, 255, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
+    count, labels, stats, _rough = cv2.connectedComponentsWithStats(dark)
+    largest = image.size / (2.0 * board.columns * board.rows)
+    blobs = [n for n in range(1, count) if 4 <= stats[n, cv2.CC_STAT_AREA] <= largest and _whole(stats[n], image)]
+    if len(blobs) < board.columns * board.rows:
+        return None
+    centres = np.array([_centre(image, labels, stats[n], n) for n in blobs], dtype=np.float32).reshape(-1, 1, 2)
+    shape, settings = (board.columns, board.rows), cv2.CirclesGridFinderParameters()
+    # The manual allows None with points in place of a picture; OpenCV's type stubs don't.
+    done, ordered = cv2.findCirclesGrid(centres, shape, cv2.CALIB_CB_SYMMETRIC_GRID, None, settings)  # type: ignore[call-overload]
+    if not done:
+        return None
+    pixels = np.asarray(ordered.reshape(-1, 2), dtype=np.float64)
+    return Found(np.arange(len(pixels)), pixels, None, 0)
+
+
+def _whole(box: NDArray[Any], image: Gray) -> bool:
+    """Whether a blob's box (left, top, width, height, area) keeps off the picture's border."""
+    left, top, width, height = (int(v) for v in box[:4])
+    return left > 0 and top > 0 and left + width < image.shape[1] and top + height < image.shape[0]
+
+
+def _centre(image: Gray, labels: NDArray[Any], box: NDArray[Any], number: int) -> tuple[float, float]:
+    """The centre of gravity of a dark blob's darkness, with the grey rim that the threshold cut off."""
+    left, top, width, height = (int(v) for v in box[:4])
+    rows, columns = slice(top - 1, top + height + 1), slice(left - 1, left + width + 1)
+    part = image[rows, columns].astype(np.float64)
+    own = cv2.dilate((labels[rows, columns] == number).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    weight = np.where(own, part[own].max() - part, 0.0)
+    y, x = np.mgrid[rows, columns]
+    return float((weight * x).sum() / weight.sum()), float((weight * y).sum() / weight.sum())
+
+
+def _largest_window(grid_px: NDArray[Any]) -> int:
+    """Half the side of the sub-pixel window that can't reach the next corner, for corners (rows, columns, 2)."""
+    steps = [np.linalg.norm(np.diff(grid_px, axis=axis), axis=2) for axis in (0, 1)]
+    least = float(min(np.nanmin(step) for step in steps if np.isfinite(step).any()))
+    return int(np.clip(REACH * least, SMALLEST_WINDOW_PX, LARGEST_WINDOW_PX))
+
+
+def _dark_before_first(image: Gray, grid_px: Array) -> bool:
+    """Whether the square outside of the first corner, diagonally, is darker than its neighbours: the print's own first corner."""
+    first, right, down = grid_px[0, 0], grid_px[0, 1] - grid_px[0, 0], grid_px[1, 0] - grid_px[0, 0]
+    values = [_at(image, first + 0.5 * (a * right + b * down)) for a, b in ((-1, -1), (1, 1), (1, -1), (-1, 1))]
+    return values[0] + values[1] < values[2] + values[3]
+
+
+def _at(image: Gray, place_px: Array) -> float:
+    column, row = np.clip(np.rint(place_px).astype(int), 0, [image.shape[1] - 1, image.shape[0] - 1])
+    return float(image[row, column])
+
+
+def _edges(image: Gray, shape: tuple[int, int], corners: NDArray[Any]) -> tuple[float, float]:
+    along, across = (np.ravel(cv2.estimateChessboardSharpness(image, shape, corners, 0.8, vertical)[0]) for vertical in (False, True))
+    return float(along[0]), float(across[0])
+
+
+def _refuse_blurred(found: Found) -> None:
+    if found.edges_px is None:
+        return
+    worse, better = max(found.edges_px), min(found.edges_px)
+    if worse > BLURRED_PX and worse > MOVED_RATIO * better:
+        raise ViewRefusedError(f"the board moved: edges are {worse:.1f} px wide along one direction, {better:.1f} px along the other")
+    if worse > BLURRED_PX:
+        raise ViewRefusedError(f"blurred: edges are {worse:.1f} px wide, at most {BLURRED_PX:g} px are of use; focus, or hold it still")

@@ -1,0 +1,89 @@
+"""What a set of views shows of a camera: how much of the picture, which tilts, which distances; and what is still missing, in words.
+
+Strategy: counts over a few cells and bins, each with a least number; the guide names the emptiest first. The bins are wide on purpose: a
+person with a board in the hands shall be done in some 20 views. May not know how the poses were found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from detector.geometry import Array, Motion
+
+COLUMNS, ROWS = 4, 3  # cells of the picture
+LEAST_CORNERS = 12  # in a cell that counts as covered
+TILT_DEG = 15.0  # from here on a view counts as tilted to a side
+LEAST_TILTED = 2  # views a side
+DISTANCE_RATIO = 1.3  # farthest over nearest view
+LEAST_VIEWS = 12
+SIDES = (
+    "its left edge towards the cameras",
+    "its right edge towards the cameras",
+    "its upper edge towards the cameras",
+    "its lower edge towards the cameras",
+)
+_CELL_NAMES_ROWS, _CELL_NAMES_COLUMNS = ("top", "middle", "bottom"), ("far left", "left", "right", "far right")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coverage:
+    """``corners`` (ROWS, COLUMNS) seen in each cell of the picture; ``tilted`` views by `SIDES`; distances in mm, nearest and farthest."""
+
+    views: int
+    corners: Array
+    tilted: tuple[int, int, int, int]
+    distances_mm: tuple[float, float] | None
+
+    @property
+    def share(self) -> float:
+        """Share of the picture's cells that are covered, 0 to 1."""
+        return float(np.mean(self.corners >= LEAST_CORNERS))
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What is still to be shown, as instructions; empty when nothing is."""
+        return (*self._area(), *self._tilts(), *self._distance(), *self._count())
+
+    def _area(self) -> list[str]:
+        empty = [f"{_CELL_NAMES_ROWS[row]} {_CELL_NAMES_COLUMNS[column]}" for row, column in np.argwhere(self.corners < LEAST_CORNERS)]
+        return [f"show the board in the picture's {', '.join(empty)}"] if empty else []
+
+    def _tilts(self) -> list[str]:
+        few = [side for side, count in zip(SIDES, self.tilted, strict=True) if count < LEAST_TILTED]
+        return [f"tilt the board by 20 to 40 degrees, {side}" for side in few]
+
+    def _distance(self) -> list[str]:
+        if self.distances_mm is None:
+            return []
+        near, far = self.distances_mm
+        if far >= DISTANCE_RATIO * near:
+            return []
+        return [f"hold the board nearer and farther: all views are {near:.0f} to {far:.0f} mm away"]
+
+    def _count(self) -> list[str]:
+        return [f"{LEAST_VIEWS - self.views} more views"] if self.views < LEAST_VIEWS else []
+
+
+def coverage(pixels_px: Sequence[Array], image_size: tuple[int, int], poses: Sequence[Motion] = ()) -> Coverage:
+    """Of views with corners (n, 2) each, in a picture of (columns, rows) px; ``poses`` (camera_from_board) where they are known."""
+    corners = np.zeros((ROWS, COLUMNS), dtype=np.float64)
+    for pixels in pixels_px:
+        cell = np.clip((pixels + 0.5) / image_size * (COLUMNS, ROWS), 0, (COLUMNS - 1e-9, ROWS - 1e-9)).astype(int)
+        np.add.at(corners, (cell[:, 1], cell[:, 0]), 1.0)
+    tilted = np.zeros(4, dtype=int)
+    for pose in poses:
+        tilted += _leans(pose)
+    depths = [float(pose.T[2]) for pose in poses]
+    sides = (int(tilted[0]), int(tilted[1]), int(tilted[2]), int(tilted[3]))
+    return Coverage(len(pixels_px), corners, sides, (min(depths), max(depths)) if depths else None)
+
+
+def _leans(pose: Motion) -> Array:
+    """Which of `SIDES` the view is tilted to, (4,) of 0 and 1: by the normal of the board, as the camera sees it."""
+    normal = pose.R[:, 2] * (1.0 if pose.R[2, 2] > 0 else -1.0)
+    x, y = np.degrees(np.arcsin(np.clip(normal[:2], -1.0, 1.0)))
+    # a normal (away from the camera) that points to the right means that the left edge is farther away
+    return np.array([x < -TILT_DEG, x > TILT_DEG, y < -TILT_DEG, y > TILT_DEG], dtype=int)

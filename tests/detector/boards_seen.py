@@ -1,0 +1,80 @@
+"""Boards before known cameras: corners with noise, by OpenCV's own projection, so that the project's geometry has a referee."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from bench.rig import RIGS
+from detector.calibration import Calibration, load_calibration
+from detector.calibration.boards import Board
+from detector.calibration.cameras import View
+from detector.calibration.remeasure import PairView
+from detector.geometry import Array, Camera, Motion
+
+BOARD = Board("chessboard", 9, 6, 40.0)
+SMALL_BOARD = Board("chessboard", 9, 6, 15.0)
+NOISE_PX = 0.1
+
+
+def thesis_rig() -> Calibration:
+    return load_calibration(RIGS / "calibration.toml")
+
+
+def poses(seed: int, count: int, board: Board, spread: float) -> list[Motion]:
+    """left_from_board: the board's middle all over ``spread`` of the picture, tilted up to 40 degrees to every side, 0.8 to 1.4 m away."""
+    rng = np.random.default_rng([seed, 7])
+    found = []
+    for at in range(count):
+        tilt, way, turn = (
+            np.radians(rng.uniform(12.0, 40.0)),
+            2 * np.pi * (at + rng.uniform()) / count * 3,
+            np.radians(rng.uniform(-15, 15)),
+        )
+        R = cv2.Rodrigues(tilt * np.array([np.cos(way), np.sin(way), 0.0]))[0] @ cv2.Rodrigues(np.array([0.0, 0.0, turn]))[0]
+        depth = rng.uniform(800.0, 1400.0)
+        aim = np.array([spread * rng.uniform(-0.28, 0.28) * depth + 50.0, spread * rng.uniform(-0.2, 0.2) * depth, depth])
+        middle = board.points_mm.mean(axis=0)
+        found.append(Motion(R, aim - R @ middle))
+    return found
+
+
+def project(camera: Camera, camera_from_board: Motion, board_mm: Array) -> Array:
+    K = np.array([[camera.fc[0], 0, camera.cc[0]], [0, camera.fc[1], camera.cc[1]], [0, 0, 1.0]])
+    seen = cv2.projectPoints(board_mm.reshape(-1, 1, 3), camera_from_board.om, camera_from_board.T, K, np.array(camera.kc))[0]
+    return np.asarray(seen.reshape(-1, 2), dtype=np.float64)
+
+
+def inside(camera: Camera, pixels_px: Array) -> bool:
+    return bool((pixels_px > 2).all() and (pixels_px < np.array(camera.image_size) - 3).all())
+
+
+def seen(
+    rig: Calibration, seed: int, *, shape: Callable[[Array], Array] = lambda points: points, thermal: bool = False, count: int = 24
+) -> Mapping[str, list[View]]:
+    """Views by camera, with noise; ``shape`` bends the printed points into the real ones. The thermal camera wants a small board."""
+    rng = np.random.default_rng([seed, 8])
+    cameras = {"left": (rig.left, Motion.identity()), "right": (rig.right, rig.right_from_left)}
+    if thermal and rig.thermal.lens and rig.thermal_from_left:
+        cameras["thermal"] = (rig.thermal.lens, rig.thermal_from_left)
+    board = SMALL_BOARD if thermal else BOARD
+    views: dict[str, list[View]] = {name: [] for name in cameras}
+    for number, pose in enumerate(poses(seed, count, board, 0.15 if thermal else 1.0)):
+        for name, (camera, motion) in cameras.items():
+            pixels = project(camera, motion @ pose, shape(board.points_mm))
+            if inside(camera, pixels):
+                views[name].append(View(f"{number:02d}", board.points_mm, pixels + rng.normal(0.0, NOISE_PX, pixels.shape)))
+    return views
+
+
+def pair_views(views: Mapping[str, list[View]]) -> list[PairView]:
+    right = {view.name: view for view in views["right"]}
+    ids = np.arange(len(BOARD.points_mm))
+    return [PairView(v.name, ids, v.pixels_px, right[v.name].pixels_px) for v in views["left"] if v.name in right]
+
+
+def shifted(views: list[View], by_px: tuple[float, float]) -> list[View]:
+    return [replace(view, pixels_px=view.pixels_px + np.array(by_px)) for view in views]
