@@ -2,10 +2,10 @@
 
 from detector.calibration.dump import dump_calibration
 from detector.calibration.faults import CalibrationError, Fault
-from detector.calibration.file import file_hash, load_calibration
+from detector.calibration.file import file_hash, load_calibration, load_part
 from detector.calibration.plane import DEFAULT_PLANE_DEPTH_MM, derive_homographies, plane_homography
 from detector.calibration.uncertainty import ParameterCovariance
-from detector.calibration.values import Calibration, Homographies, Polarity, Record, ThermalCamera
+from detector.calibration.values import Calibration, Homographies, Part, Polarity, Record, ThermalCamera
 
 __all__ = [
     "DEFAULT_PLANE_DEPTH_MM",
@@ -14,6 +14,7 @@ __all__ = [
     "Fault",
     "Homographies",
     "ParameterCovariance",
+    "Part",
     "Polarity",
     "Record",
     "ThermalCamera",
@@ -21,5 +22,6 @@ __all__ = [
     "dump_calibration",
     "file_hash",
     "load_calibration",
+    "load_part",
     "plane_homography",
 ]

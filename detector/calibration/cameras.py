@@ -94,6 +94,19 @@ def join_cameras(
     return Calibrated(adjust(Rig(cameras, motions), list(poses.values()), sightings, freedom), tuple(poses), sightings)
 
 
+def place_board(name: str, views: Sequence[View], lens: Camera) -> Calibrated:
+    """Where the board was before a camera whose lens is known and held. Raises TooFewViewsError."""
+    _refuse_too_few(name, views)
+    K = np.array([[lens.fc[0], 0.0, lens.cc[0]], [0.0, lens.fc[1], lens.cc[1]], [0.0, 0.0, 1.0]])
+    poses = []
+    for view in views:
+        _, turn, shift = cv2.solvePnP(view.board_mm, view.pixels_px, K, np.array(lens.kc), flags=cv2.SOLVEPNP_IPPE)
+        poses.append(Motion.from_vectors(turn.reshape(-1), shift.reshape(-1)))
+    sightings = tuple(Sighting(name, i, view.board_mm, view.pixels_px) for i, view in enumerate(views))
+    fit = adjust(Rig({name: lens}, {name: Motion.identity()}), poses, sightings, Freedom({}, motions=False))
+    return Calibrated(fit, tuple(view.name for view in views), sightings)
+
+
 def _started(views: Sequence[View], image_size: tuple[int, int], model: str, square_pixels: bool) -> tuple[Camera, list[Motion]]:
     board = [view.board_mm.astype(np.float32) for view in views]
     seen = [view.pixels_px.astype(np.float32) for view in views]

@@ -8,20 +8,32 @@ from typing import Any
 import numpy as np
 
 from detector.calibration.uncertainty import ParameterCovariance
-from detector.calibration.values import Calibration, Record
+from detector.calibration.values import Calibration, Homographies, Part, Record, ThermalCamera
 from detector.geometry import Camera
 
+MEANING = {"stereo": "X_right = R(om) X_left + T", "thermal": "X_thermal = R(om) X_left + T", "world": "X_world = R(om) X_right + T"}
 
-def dump_calibration(calibration: Calibration, heading: str = "") -> str:
-    """The file's text for a calibration; `load_calibration` reads it back. Each line of `heading` becomes a comment at the top.
+
+def dump_calibration(calibration: Calibration | Part, heading: str = "") -> str:
+    """The file's text; `load_calibration` reads a whole one back, `load_part` a part. Each line of `heading` becomes a comment at the top.
 
     Numbers are rounded to 10 significant digits, far beyond what any calibration holds; a covariance to 12, or it might lose its sign.
     """
-    thermal, maps = calibration.thermal, calibration.homographies
+    part = calibration if isinstance(calibration, Part) else calibration.part
     lines = [f"# {line}".rstrip() for line in heading.splitlines()] + [""]
-    for name, camera in (("left", calibration.left), ("right", calibration.right)):
-        lines += [f"[cameras.{name}]", *_lens_lines(camera.image_size, camera), ""]
-    lines += [
+    for name, camera in (("left", part.left), ("right", part.right)):
+        lines += [f"[cameras.{name}]", *_lens_lines(camera.image_size, camera), ""] if camera else []
+    lines += _thermal_lines(part.thermal) if part.thermal else []
+    poses = {"stereo": part.right_from_left, "thermal": part.thermal_from_left, "world": part.world_from_right}
+    for name, pose in poses.items():
+        lines += [f"[{name}]    # {MEANING[name]}", f"om = {_text(pose.om)}", f"T = {_text(pose.T)}", ""] if pose else []
+    lines += _homography_lines(part.homographies) if part.homographies else []
+    lines += _covariance_lines(part.covariance) + _record_lines(part.record)
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _thermal_lines(thermal: ThermalCamera) -> list[str]:
+    return [
         "[cameras.thermal]",
         *_lens_lines(thermal.image_size, thermal.lens),
         f"sensor_size = {list(thermal.sensor_size)}",
@@ -29,19 +41,12 @@ def dump_calibration(calibration: Calibration, heading: str = "") -> str:
         f'polarity = "{thermal.polarity}"',
         "",
     ]
-    poses = {"stereo": calibration.right_from_left, "thermal": calibration.thermal_from_left, "world": calibration.world_from_right}
-    meaning = {"stereo": "X_right = R(om) X_left + T", "thermal": "X_thermal = R(om) X_left + T", "world": "X_world = R(om) X_right + T"}
-    for name, pose in poses.items():
-        if pose is not None:
-            lines += [f"[{name}]    # {meaning[name]}", f"om = {_text(pose.om)}", f"T = {_text(pose.T)}", ""]
-    lines += [
-        "[homography]    # un-mirrored thermal pixel -> optical pixel, right on one plane only",
-        f"left = {_text(maps.left)}",
-        f"right = {_text(maps.right)}",
-    ]
-    lines += [] if maps.plane_depth_mm is None else [f"plane_depth_mm = {_text(maps.plane_depth_mm)}"]
-    lines += _covariance_lines(calibration.covariance) + _record_lines(calibration.record)
-    return "\n".join(lines) + "\n"
+
+
+def _homography_lines(maps: Homographies) -> list[str]:
+    depth = [] if maps.plane_depth_mm is None else [f"plane_depth_mm = {_text(maps.plane_depth_mm)}"]
+    heading = "[homography]    # un-mirrored thermal pixel -> optical pixel, right on one plane only"
+    return [heading, f"left = {_text(maps.left)}", f"right = {_text(maps.right)}", *depth]
 
 
 def _covariance_lines(covariance: ParameterCovariance | None) -> list[str]:

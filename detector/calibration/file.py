@@ -20,7 +20,7 @@ from detector.calibration import faults as check
 from detector.calibration.faults import CalibrationError, Fault, Key, Wrong
 from detector.calibration.plane import DEFAULT_PLANE_DEPTH_MM, derive_homographies
 from detector.calibration.uncertainty import ParameterCovariance
-from detector.calibration.values import POLARITIES, Calibration, Homographies, Polarity, Record, ThermalCamera
+from detector.calibration.values import POLARITIES, Calibration, Homographies, Part, Polarity, Record, ThermalCamera
 from detector.geometry import Array, Camera, Motion
 
 Check = Callable[[Any], Any]
@@ -50,19 +50,42 @@ _NEVER_REQUIRED = {"alpha_c", "plane_depth_mm"}
 
 def load_calibration(path: Path) -> Calibration:
     """The calibration in a file of the recording format. Raises CalibrationError with every fault, and for a file that can't be read."""
+    blocks = _checked(path, whole=True)
+    try:
+        return _build(blocks)
+    except ValueError as error:  # no homography can be derived: the one thing that only shows once the parts are together
+        raise CalibrationError(path, [Fault(("homography",) if ("homography",) in blocks.found else ("thermal",), str(error))]) from None
+
+
+def load_part(path: Path) -> Part:
+    """What a file of the same format holds that need not be whole: one step's result. Raises CalibrationError as `load_calibration`."""
+    found = _checked(path, whole=False).found
+    seen, maps = found.get(("cameras", "thermal")), found.get(("homography",), {})
+    return Part(
+        left=_camera(found["cameras", "left"]) if ("cameras", "left") in found else None,
+        right=_camera(found["cameras", "right"]) if ("cameras", "right") in found else None,
+        right_from_left=_motion(found["stereo",]) if ("stereo",) in found else None,
+        thermal=_thermal(seen) if seen else None,
+        thermal_from_left=_motion(found["thermal",]) if ("thermal",) in found else None,
+        homographies=_given_maps(maps) if "left" in maps else None,
+        world_from_right=_motion(found["world",]) if ("world",) in found else None,
+        covariance=found.get(("uncertainty",), {}).get("matrix"),
+        record=Record(**found["record",]) if ("record",) in found else None,
+    )
+
+
+def _checked(path: Path, *, whole: bool) -> _Blocks:
+    """The file's blocks, every one checked. Raises CalibrationError with all faults."""
     text = _read(path)
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise CalibrationError(path, [Fault((), f"not TOML: {error}")]) from None
-    blocks = _Blocks(document)
+    blocks = _Blocks(document, whole)
     blocks.check_all()
     if blocks.faults:
         raise CalibrationError(path, blocks.faults)
-    try:
-        return _build(blocks)
-    except ValueError as error:  # no homography can be derived: the one thing that only shows once the parts are together
-        raise CalibrationError(path, [Fault(("homography",) if ("homography",) in blocks.found else ("thermal",), str(error))]) from None
+    return blocks
 
 
 def file_hash(path: Path) -> str:
@@ -75,6 +98,7 @@ class _Blocks:
     """The file's blocks while they are checked: values that passed, by block, and the faults so far."""
 
     document: Mapping[str, Any]
+    whole: bool  # or a part, which may leave out any block
     found: dict[Key, dict[str, Any]] = field(default_factory=dict)
     faults: list[Fault] = field(default_factory=list)
 
@@ -85,7 +109,8 @@ class _Blocks:
             self._check_names(("cameras",), cameras, ["left", "right", "thermal"], "camera")
         for key in _BLOCKS:
             self._check_block(key)
-        self._check_thermal()
+        if self.whole:
+            self._check_thermal()
         self._check_baseline()
         self._check_covariance()
 
@@ -97,7 +122,7 @@ class _Blocks:
         for name in key:
             table = table.get(name) if isinstance(table, dict) else None
         if table is None:
-            if key not in _OPTIONAL_BLOCKS:
+            if self.whole and key not in _OPTIONAL_BLOCKS:
                 self.faults.append(Fault(key, f"missing block [{'.'.join(key)}]"))
             return
         if not isinstance(table, dict):
@@ -168,28 +193,28 @@ def _not_required(key: Key) -> set[str]:
 
 def _build(blocks: _Blocks) -> Calibration:
     found = blocks.found
-    left, right = _camera(found["cameras", "left"]), _camera(found["cameras", "right"])
-    seen = found["cameras", "thermal"]
-    lens = _camera(seen) if "fc" in seen else None
-    thermal = ThermalCamera(seen["image_size"], seen["sensor_size"], seen["mirrored"], cast(Polarity, seen["polarity"]), lens)
-    right_from_left, thermal_from_left = _motion(found["stereo",]), _motion(found["thermal",]) if lens else None
+    left, right, thermal = _camera(found["cameras", "left"]), _camera(found["cameras", "right"]), _thermal(found["cameras", "thermal"])
+    right_from_left, thermal_from_left = _motion(found["stereo",]), _motion(found["thermal",]) if thermal.lens else None
     maps = found.get(("homography",), {})
-    depth_mm = maps.get("plane_depth_mm")
     if "left" in maps:
-        homographies = Homographies(np.array(maps["left"]), np.array(maps["right"]), depth_mm)
+        homographies = _given_maps(maps)
     else:
         # _check_thermal has made sure of lens and pose wherever a homography is missing
-        homographies = derive_homographies(
-            cast(Camera, lens),
-            left,
-            right,
-            cast(Motion, thermal_from_left),
-            right_from_left,
-            DEFAULT_PLANE_DEPTH_MM if depth_mm is None else depth_mm,
-        )
+        depth_mm = maps.get("plane_depth_mm", DEFAULT_PLANE_DEPTH_MM)
+        lens, pose = cast(Camera, thermal.lens), cast(Motion, thermal_from_left)
+        homographies = derive_homographies(lens, left, right, pose, right_from_left, depth_mm)
     record = Record(**found["record",]) if ("record",) in found else None
     world_from_right, covariance = _motion(found["world",]), found.get(("uncertainty",), {}).get("matrix")
     return Calibration(left, right, thermal, right_from_left, thermal_from_left, world_from_right, homographies, covariance, record)
+
+
+def _thermal(seen: Mapping[str, Any]) -> ThermalCamera:
+    lens = _camera(seen) if "fc" in seen else None
+    return ThermalCamera(seen["image_size"], seen["sensor_size"], seen["mirrored"], cast(Polarity, seen["polarity"]), lens)
+
+
+def _given_maps(maps: Mapping[str, Any]) -> Homographies:
+    return Homographies(np.array(maps["left"]), np.array(maps["right"]), maps.get("plane_depth_mm"))
 
 
 def _camera(table: Mapping[str, Any]) -> Camera:

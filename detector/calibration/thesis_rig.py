@@ -14,8 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from detector.calibration.parameters import POSE
 from detector.calibration.plane import derive_homographies, thermal_grid, through_plane
-from detector.calibration.values import Calibration, ThermalCamera
+from detector.calibration.uncertainty import ParameterCovariance
+from detector.calibration.values import Calibration, Homographies, ThermalCamera
 from detector.geometry import Array, Camera, Motion, apply_homography, rigid_fit
 
 IMAGE_SIZE = (1360, 1024)  # section 3.1.1
@@ -27,6 +29,11 @@ HOMOGRAPHY_RIGHT = ((0.618, 0.002, 536.133), (-0.002, 0.619, 401.948), (0.0, 0.0
 WORLD_MATRIX = ((0.99, 0.0, 0.02), (-0.02, -0.01, 0.92), (0.0, -1.0, -0.01))  # section 3.3.2
 WORLD_T_MM = (-161.80, -760.40, 64.52)
 TEAT_ENDS_MM = ((-109.8, 285.7, 135.5), (-161.3, 191.7, 137.8), (-224.2, 197.4, 137.4), (-260.5, 269.9, 137.4))  # table 5.2
+PRINTED_UNCERTAINTY = {  # tables 3.1 and 3.2: fc, cc, k1, k2
+    "left": ((2.7, 2.8), (1.2, 1.3), 0.003, 0.008),
+    "right": ((2.4, 2.4), (1.0, 1.2), 0.004, 0.012),
+}
+STEREO_OM_UNCERTAINTY_RAD, STEREO_T_UNCERTAINTY_MM = (0.0023, 0.0030, 0.0003), (0.195, 0.218, 0.959)  # section 3.2.1.2
 THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE = (640, 480), (160, 120)  # sections 3.1.1, 4.1.1
 
 
@@ -113,3 +120,19 @@ def thesis_rig() -> Calibration:
     thermal = ThermalCamera(THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE, True, "hot_is_black", fit.lens)
     homographies = derive_homographies(fit.lens, LEFT, RIGHT, thermal_from_left, right_from_left(), depth_mm)
     return Calibration(LEFT, RIGHT, thermal, right_from_left(), thermal_from_left, world_from_right, homographies)
+
+
+def thesis_published() -> Calibration:
+    """What the thesis printed, as far as a calibration can hold it: lenses, stereo and homographies, with the printed uncertainties.
+
+    Bouguet's toolbox prints three standard deviations; the correlations are not printed, so none are here. The world is `fit_world`,
+    since the printed matrix is no rigid motion. The thermal camera has no lens and no pose: homographies are all there is of it.
+    """
+    sds: dict[tuple[str, str], float] = {}
+    for name, (fc, cc, k1, k2) in PRINTED_UNCERTAINTY.items():
+        sds |= {(name, "fx"): fc[0], (name, "fy"): fc[1], (name, "cx"): cc[0], (name, "cy"): cc[1], (name, "k1"): k1, (name, "k2"): k2}
+    sds |= {("stereo", name): value for name, value in zip(POSE, (*STEREO_OM_UNCERTAINTY_RAD, *STEREO_T_UNCERTAINTY_MM), strict=True)}
+    covariance = ParameterCovariance(tuple(sds), np.diag([(value / 3.0) ** 2 for value in sds.values()]))
+    thermal = ThermalCamera(THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE, True, "hot_is_black", None)
+    maps = Homographies(np.array(HOMOGRAPHY_LEFT), np.array(HOMOGRAPHY_RIGHT), None)
+    return Calibration(LEFT, RIGHT, thermal, right_from_left(), None, fit_world(), maps, covariance)

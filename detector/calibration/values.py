@@ -7,7 +7,7 @@ file format, nor any detector.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
 import numpy as np
@@ -58,6 +58,21 @@ class Record:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """What one step of a calibration found: any of the parts of a `Calibration`, the others None."""
+
+    left: Camera | None = None
+    right: Camera | None = None
+    right_from_left: Motion | None = None
+    thermal: ThermalCamera | None = None
+    thermal_from_left: Motion | None = None
+    homographies: Homographies | None = None
+    world_from_right: Motion | None = None
+    covariance: ParameterCovariance | None = None
+    record: Record | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """A calibrated rig. Lengths mm; motions take points from the frame named last to the one named first.
 
@@ -101,6 +116,11 @@ class Calibration:
         NaN for a point that a camera can't see. Zero where the file gives no covariance and no pixel noise is asked for.
         """
         return covariance_of_points(self.pair, self.covariance, world_mm, pixel_sd_px)
+
+    @property
+    def part(self) -> Part:
+        """The same as a part that lacks nothing."""
+        return Part(**{field.name: getattr(self, field.name) for field in fields(Part)})
 
     def project(self, world_mm: ArrayLike) -> tuple[Array, Array]:
         """Left and right pixels (n, 2) of world points (n, 3); NaN behind a camera."""

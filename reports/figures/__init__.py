@@ -5,8 +5,20 @@ refused, since a plot that drops them in silence shows something that was not me
 (some tenths of a second), so importers do it late. May not know: what a run, a detector or a trial is.
 """
 
+from reports.figures.calibration import precision_by_distance, residual_field
 from reports.figures.course import bath_curve, latency_strip
 from reports.figures.errors import error_histogram, error_scatter, per_axis_errors
+from reports.figures.plane import error_map
 from reports.figures.rates import found_bars
 
-__all__ = ["bath_curve", "error_histogram", "error_scatter", "found_bars", "latency_strip", "per_axis_errors"]
+__all__ = [
+    "bath_curve",
+    "error_histogram",
+    "error_map",
+    "error_scatter",
+    "found_bars",
+    "latency_strip",
+    "per_axis_errors",
+    "precision_by_distance",
+    "residual_field",
+]

@@ -1,0 +1,204 @@
+"""`calibrate cameras|thermal|world|merge|check`: each step writes a file, and a page that says how good it is."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from bench.commands import CODES, Commands
+from bench.commands.calibration_files import add_out_file, command_line, make_record, size, told, write_step
+
+if TYPE_CHECKING:
+    from bench.calibrating.views import BoardViews
+    from detector.geometry import Array
+
+Result = TypeVar("Result")
+
+MODELS = ("k1", "k1 k2", "k1 k2 p1 p2", "k1 k2 p1 p2 k3")  # of detector.calibration.cameras, which is heavy to import here
+
+
+def add_steps(group: Commands) -> None:
+    """The steps' commands with their arguments."""
+    _add_cameras(group)
+    _add_thermal(group)
+    _add_world(group)
+    merge = group.add("merge", "put the steps' files together into one calibration.toml", _merge, opens_links=False)
+    merge.add_argument("parts", nargs="+", type=Path, metavar="PART", help="the files that the steps wrote")
+    add_out_file(merge, "calibration.toml")
+    check = group.add("check", "measure a board again with an existing calibration: does it still hold?", _check, opens_links=False)
+    check.add_argument("calibration", type=Path, metavar="CAL", help="the calibration, or the cameras' file")
+    _add_frames(check)
+    check.add_argument("--page", type=Path, metavar="DIR", help="where the page goes (default: none is written)")
+
+
+def _add_cameras(group: Commands) -> None:
+    cameras = group.add("cameras", "the stereo pair from pictures of a board", _cameras, opens_links=False)
+    _add_frames(cameras)
+    cameras.add_argument("--model", choices=MODELS, default="k1 k2 p1 p2", help="distortion that is fitted (default: k1 k2 p1 p2)")
+    cameras.add_argument("--square-pixels", action="store_true", help="hold fx = fy")
+    cameras.add_argument("--identity", action="append", default=[], metavar="CAMERA=SERIAL", help="which camera it is, for the record")
+    add_out_file(cameras, "cameras.toml")
+
+
+def _add_thermal(group: Commands) -> None:
+    thermal = group.add("thermal", "the thermal camera, from pictures of a heated board or from point pairs", _thermal, opens_links=False)
+    _add_frames(thermal, optional=True)
+    thermal.add_argument("--cameras", type=Path, metavar="FILE", help="what 'calibrate cameras' wrote; needed with pictures")
+    thermal.add_argument(
+        "--pairs", type=Path, metavar="CSV", help="point pairs instead of pictures: thermal_x,thermal_y,left_x,left_y,right_x,right_y"
+    )
+    thermal.add_argument("--image-size", type=size, metavar="COLUMNSxROWS", help="of the delivered thermal picture; needed with --pairs")
+    thermal.add_argument("--sensor-size", type=size, default=(160, 120), metavar="COLUMNSxROWS", help="default: 160x120")
+    thermal.add_argument("--mirrored", action="store_true", help="the camera delivers mirrored pictures, and these are")
+    thermal.add_argument("--polarity", choices=("hot_is_black", "hot_is_white"), default="hot_is_white")
+    thermal.add_argument("--model", choices=MODELS, default="k1", help="distortion that is fitted (default: k1)")
+    thermal.add_argument("--plane", type=float, metavar="MM", help="distance of the plane that the homographies hold on (default: 1076.3)")
+    add_out_file(thermal, "thermal.toml")
+
+
+def _add_world(group: Commands) -> None:
+    world = group.add("world", "camera to table, from points that the arm touched and both cameras saw", _world, opens_links=False)
+    world.add_argument("points", type=Path, metavar="CSV", help="left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm, a point a line")
+    world.add_argument("--cameras", type=Path, required=True, metavar="FILE", help="what 'calibrate cameras' wrote")
+    world.add_argument("--pixel-sd", type=float, default=0.1, metavar="PX", help="of a pixel coordinate (default: 0.1)")
+    world.add_argument("--touch-sd", type=float, default=0.25, metavar="MM", help="of a touch, along each axis (default: 0.25)")
+    add_out_file(world, "world.toml")
+
+
+def _add_frames(parser: argparse.ArgumentParser, *, optional: bool = False) -> None:
+    parser.add_argument(
+        "frames", nargs="*" if optional else "+", type=Path, metavar="FRAMES", help="folders of pictures (docs/calibration.md)"
+    )
+    parser.add_argument("--board", metavar="BOARD", required=not optional, help="a shipped board by name, or a .toml file")
+    parser.add_argument("--max-views", type=int, metavar="N", help="take this many views, spread over the set")
+    parser.add_argument("--window", type=int, metavar="PX", help="half of the corner window (default: as large as reaches no other corner)")
+
+
+def _cameras(given: argparse.Namespace) -> int:
+    from bench.arm.session import refuse_existing
+    from bench.calibrating.cameras_job import Lens, calibrate_pair
+    from bench.summary.calibration import cameras_page
+    from detector.calibration.bundle import BundleError
+
+    refuse_existing(given.out, replace=given.replace)
+    views, paths = _views(given, "left", "right")
+    result = _sentence(lambda: calibrate_pair(views, Lens(given.model, given.square_pixels)), BundleError)
+    record = make_record(given, paths, _identities(given.identity))
+    write_step(given, result.part(record), cameras_page(result, record, command_line()))
+    for camera, coverage in result.coverage.items():
+        for text in coverage.missing:
+            print(f"still missing, {camera}: {text}")
+    print(f"misses {result.joint.fit.rms_px:.3f} px rms; good to {float(result.good_to_mm(_metres(1.2))[0]):.2f} mm at 1.2 m (k = 2)")
+    return told(result.findings)
+
+
+def _thermal(given: argparse.Namespace) -> int:
+    from bench.arm.session import refuse_existing
+    from bench.calibrating.merging import CAMERAS_INPUT, read_part
+    from bench.calibrating.thermal_job import Delivered, calibrate_thermal, map_pairs
+    from bench.config import ConfigError
+    from bench.summary.calibration import pairs_page, thermal_page
+    from detector.calibration import DEFAULT_PLANE_DEPTH_MM
+    from detector.calibration.bundle import BundleError
+
+    refuse_existing(given.out, replace=given.replace)
+    delivered = Delivered(given.sensor_size, given.mirrored, given.polarity, given.model)
+    if given.pairs is not None:
+        if given.image_size is None:
+            raise ConfigError.plain("--pairs needs --image-size COLUMNSxROWS: how large the thermal picture is whose pixels the pairs name")
+        mapped = map_pairs(given.pairs)
+        record = make_record(given, (given.pairs,), {})
+        write_step(given, mapped.part(given.image_size, delivered, record), pairs_page(mapped, record, command_line()))
+        return CODES.met
+    if not given.frames or not given.board or not given.cameras:
+        raise ConfigError.plain("give folders of pictures with --board and --cameras, or a table with --pairs")
+    cameras = read_part(given.cameras)
+    views, paths = _views(given, "left", "thermal", mirrored=given.mirrored)
+    plane = DEFAULT_PLANE_DEPTH_MM if given.plane is None else given.plane
+    result = _sentence(lambda: calibrate_thermal(views, cameras.part, delivered, plane), BundleError)
+    record = make_record(given, paths, {}, {CAMERAS_INPUT: cameras.sha256})
+    write_step(given, result.part(record), thermal_page(result, record, command_line()))
+    return CODES.met
+
+
+def _world(given: argparse.Namespace) -> int:
+    from bench.arm.session import refuse_existing
+    from bench.calibrating.merging import CAMERAS_INPUT, read_part
+    from bench.calibrating.world_job import calibrate_world, read_points
+    from bench.summary.calibration import world_page
+
+    refuse_existing(given.out, replace=given.replace)
+    cameras = read_part(given.cameras)
+    result = calibrate_world(read_points(given.points), cameras.part, pixel_sd_px=given.pixel_sd, touch_sd_mm=given.touch_sd)
+    record = make_record(given, (given.points,), {}, {CAMERAS_INPUT: cameras.sha256})
+    write_step(given, result.part(record), world_page(result, record, command_line()))
+    return told(result.findings)
+
+
+def _merge(given: argparse.Namespace) -> int:
+    from bench.arm.session import refuse_existing
+    from bench.calibrating.merging import merge, read_part
+
+    refuse_existing(given.out, replace=given.replace)
+    write_step(given, merge([read_part(path) for path in given.parts], make_record(given, (), {})), None)
+    return CODES.met
+
+
+def _check(given: argparse.Namespace) -> int:
+    from bench.calibrating.checkup import check_pair
+    from bench.calibrating.merging import read_part
+    from bench.summary.calibration import check_page
+    from reports.render import write_report
+
+    part = read_part(given.calibration).part
+    views, paths = _views(given, "left", "right")
+    again, findings = check_pair(part, views)
+    given.by = ""
+    if given.page:
+        print(f"page: {write_report(check_page(again, findings, make_record(given, paths, {}), command_line()), given.page)}")
+    scale, sd = again.scale
+    print(f"{len(again.views)} views: lengths {scale:.5f} ± {sd:.5f} of the print, rows {again.epipolar_rms_px:.2f} px rms")
+    print("It still holds." if not findings else "It no longer holds.")
+    return told(findings)
+
+
+def _views(given: argparse.Namespace, *cameras: str, mirrored: bool = False) -> tuple[BoardViews, tuple[Path, ...]]:
+    """The board in the pictures of these cameras, and the files they were."""
+    from bench.calibrating.board_file import find_board_file, load_board
+    from bench.calibrating.picture_sets import find_pictures
+    from bench.calibrating.views import find_views
+
+    board_file = find_board_file(given.board)
+    pictures = find_pictures(given.frames).only(*cameras)
+    turned = frozenset({"thermal"} if mirrored else ())
+    board = load_board(board_file).board
+    views = find_views(pictures, board, print, window_px=given.window, max_views=given.max_views, mirrored=turned)
+    return views, (board_file, *pictures.paths)
+
+
+def _sentence(job: Callable[[], Result], error: type[Exception]) -> Result:
+    """What a job gives; its error as the command's own."""
+    from bench.config import ConfigError
+
+    try:
+        return job()
+    except error as why:
+        raise ConfigError.plain(str(why)) from why
+
+
+def _identities(given: list[str]) -> dict[str, str]:
+    from bench.config import ConfigError
+
+    found = dict(text.partition("=")[::2] for text in given)
+    for camera, serial in found.items():
+        if camera not in ("left", "right", "thermal") or not serial:
+            raise ConfigError.plain(f"--identity {camera}={serial}: say left=SERIAL, right=SERIAL or thermal=SERIAL")
+    return found
+
+
+def _metres(*distances_m: float) -> Array:
+    import numpy as np
+
+    return 1000.0 * np.array(distances_m)

@@ -1,0 +1,81 @@
+"""Pictures of boards before small cameras, drawn by intersecting every pixel's rays with the board: no code of the project's renderer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from detector.calibration.boards import Board
+from detector.geometry import Array, Camera, Motion
+
+SIZE = (480, 360)
+LEFT = Camera(SIZE, (455.0, 456.0), (238.0, 181.0), 0.0, (-0.19, 0.1, 0.0, 0.0, 0.0))
+RIGHT = Camera(SIZE, (452.0, 453.0), (244.0, 177.0), 0.0, (-0.2, 0.12, 0.001, 0.0, 0.0))
+RIGHT_FROM_LEFT = Motion.from_vectors([0.004, -0.02, 0.008], [-100.3, 0.4, 1.1])
+BOARD = Board("chessboard", 7, 5, 40.0)
+BOARD_TOML = 'kind = "chessboard"\ncolumns = 7\nrows = 5\npitch_mm = 40.0\n'
+SAMPLES = 4  # a side of a pixel
+
+
+def poses(count: int, seed: int = 1) -> list[Motion]:
+    """left_from_board: about a metre away, tilted to every side in turn."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for at in range(count):
+        tilt, way = np.radians(rng.uniform(18.0, 38.0)), 2 * np.pi * (at * 0.618 + 0.05)
+        R = (
+            cv2.Rodrigues(tilt * np.array([np.cos(way), np.sin(way), 0.0]))[0]
+            @ cv2.Rodrigues(np.array([0.0, 0.0, rng.uniform(-0.2, 0.2)]))[0]
+        )
+        depth = rng.uniform(650.0, 1050.0)
+        aim = np.array([rng.uniform(-0.22, 0.22) * depth + 50.0, rng.uniform(-0.16, 0.16) * depth, depth])
+        found.append(Motion(R, aim - R @ BOARD.points_mm.mean(axis=0)))
+    return found
+
+
+def picture(camera: Camera, camera_from_board: Motion, seed: int, *, pitch_mm: float = BOARD.pitch_mm) -> NDArray[np.uint8]:
+    """An 8-bit picture of the chessboard (printed at ``pitch_mm``) on a grey wall, with noise."""
+    height, width = camera.image_size[1], camera.image_size[0]
+    rows, columns = (grid.ravel().astype(np.float64) for grid in np.mgrid[0:height, 0:width])
+    board_from_camera = camera_from_board.inverse()
+
+    def look(at: NDArray[np.bool_], dx: float, dy: float) -> Array:
+        return _brightness(camera, board_from_camera, np.column_stack([columns[at] + dx, rows[at] + dy]), pitch_mm)
+
+    everywhere = np.ones(rows.shape, dtype=bool)
+    middle = look(everywhere, 0.0, 0.0)
+    corners = [look(everywhere, dx, dy) for dx in (-0.5, 0.5) for dy in (-0.5, 0.5)]
+    edge = np.any([corner != middle for corner in corners], axis=0)
+    offsets = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+    middle[edge] = np.mean([look(edge, dx, dy) for dx in offsets for dy in offsets], axis=0)
+    noisy = cv2.GaussianBlur(middle.reshape(height, width), (0, 0), 0.6) + np.random.default_rng(seed).normal(0.0, 1.0, (height, width))
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def _brightness(camera: Camera, board_from_camera: Motion, pixels: Array, pitch_mm: float) -> Array:
+    K = np.array([[camera.fc[0], 0, camera.cc[0]], [0, camera.fc[1], camera.cc[1]], [0, 0, 1.0]])
+    flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2), K, np.array(camera.kc)).reshape(-1, 2)
+    rays = np.column_stack([flat, np.ones(len(flat))]) @ board_from_camera.R.T
+    at = board_from_camera.T[:2] - rays[:, :2] * (board_from_camera.T[2] / rays[:, 2])[:, None]
+    x, y = (at / pitch_mm + 1.0).T
+    width, height = BOARD.columns + 1, BOARD.rows + 1
+    paper = (x > -0.6) & (y > -0.6) & (x < width + 0.6) & (y < height + 0.6)
+    black = (x >= 0) & (y >= 0) & (x < width) & (y < height) & ((np.floor(x) + np.floor(y)) % 2 == 0)
+    return np.where(black, 35.0, np.where(paper, 205.0, 120.0))
+
+
+def write_pairs(folder: Path, count: int, *, seed: int = 1, right: Motion = RIGHT_FROM_LEFT, pitch_mm: float = BOARD.pitch_mm) -> Path:
+    """``count`` pairs of pictures as left/NN.png and right/NN.png."""
+    for number, pose in enumerate(poses(count, seed)):
+        for name, camera, motion in (("left", LEFT, Motion.identity()), ("right", RIGHT, right)):
+            image = picture(camera, motion @ pose, 100 * seed + number, pitch_mm=pitch_mm)
+            write_image(folder / name / f"{number:02d}.png", image)
+    return folder
+
+
+def write_image(path: Path, image: NDArray[np.uint8]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(cv2.imencode(".png", image)[1].tobytes())

@@ -1,0 +1,169 @@
+"""The steps of a calibration as a user goes through them: pictures in, files and pages out, one calibration at the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.cli import main
+from detector.calibration import load_calibration, load_part
+from detector.geometry import Motion
+from tests.bench.calibrating.board_pictures import BOARD_TOML, LEFT, RIGHT, RIGHT_FROM_LEFT, write_pairs
+
+WORLD_FROM_RIGHT = Motion.from_vectors([-1.57, 0.02, -0.02], [-160.0, -840.0, 60.0])
+TOUCHED = np.array([[x, y, z] for z in (40.0, 120.0) for x in (-300.0, -190.0, -80.0) for y in (60.0, 160.0, 250.0)])
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with pictures, a board's file, and the cameras calibrated from them."""
+    folder = tmp_path_factory.mktemp("lab")
+    (folder / "board.toml").write_text(BOARD_TOML, encoding="utf-8")
+    write_pairs(folder / "day1", 12)
+    assert calibrate_cameras(folder, folder / "cameras.toml") == 0
+    return folder
+
+
+def calibrate_cameras(lab: Path, out: Path, *more: str) -> int:
+    return main(
+        ["calibrate", "cameras", str(lab / "day1"), "--board", str(lab / "board.toml"), "--model", "k1 k2", "--out", str(out), *more]
+    )
+
+
+def write_touched(path: Path, noise_mm: float = 0.1) -> Path:
+    rng = np.random.default_rng(4)
+    in_right = WORLD_FROM_RIGHT.inverse().apply(TOUCHED)
+    left, right = LEFT.project(RIGHT_FROM_LEFT.inverse().apply(in_right)), RIGHT.project(in_right)
+    rows = np.column_stack([left, right, TOUCHED + rng.normal(0, noise_mm, TOUCHED.shape)])
+    lines = ["left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm", *(",".join(f"{v:.4f}" for v in row) for row in rows)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def write_pairs_table(path: Path) -> Path:
+    rng = np.random.default_rng(5)
+    lines = ["thermal_x,thermal_y,left_x,left_y,right_x,right_y"]
+    for x, y in rng.uniform((10, 10), (630, 470), (40, 2)):
+        lines.append(f"{x:.2f},{y:.2f},{0.2 * x + 160:.3f},{0.2 * y + 120:.3f},{0.2 * x + 110:.3f},{0.2 * y + 130:.3f}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def test_cameras_come_out_as_they_were_put_in(lab: Path) -> None:
+    part = load_part(lab / "cameras.toml")
+    assert part.left is not None
+    assert part.right_from_left is not None
+    assert part.covariance is not None
+    for name, at in (("fx", 0), ("fy", 1)):
+        assert abs(part.left.fc[at] - LEFT.fc[at]) < 4 * (part.covariance.sd("left", name) or 0.0)
+    off = part.right_from_left.T - RIGHT_FROM_LEFT.T
+    assert np.all(np.abs(off) < 4 * np.array([part.covariance.sd("stereo", name) for name in ("T1", "T2", "T3")], dtype=float))
+    assert part.record is not None
+    assert len(part.record.inputs) == 25, "24 pictures and the board"
+
+
+def test_its_page_says_what_it_is_good_for(lab: Path) -> None:
+    page = (lab / "cameras.page" / "index.html").read_text(encoding="utf-8")
+    for said in (
+        "Good to",
+        "mm at",
+        "12 pairs of views",
+        "Two calibrations, each from half of the views",
+        "Lens of the left camera",
+        "board.toml",
+    ):
+        assert said in page
+
+
+def test_a_second_day_shows_that_it_still_holds_or_not(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_pairs(lab / "day2", 5, seed=2)
+    given = [
+        "calibrate",
+        "check",
+        str(lab / "cameras.toml"),
+        str(lab / "day2"),
+        "--board",
+        str(lab / "board.toml"),
+        "--page",
+        str(lab / "again"),
+    ]
+    assert main(given) == 0
+    assert "It still holds." in capsys.readouterr().out
+    assert "It still holds." in (lab / "again" / "index.html").read_text(encoding="utf-8")
+    write_pairs(lab / "day3", 5, seed=3, pitch_mm=40.6)
+    assert main([*given[:3], str(lab / "day3"), *given[4:]]) == 1
+    said = capsys.readouterr()
+    assert "It no longer holds." in said.out
+    assert "wrong baseline" in said.err
+
+
+def test_all_steps_make_one_calibration(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cameras = ["--cameras", str(lab / "cameras.toml")]
+    points, pairs = write_touched(lab / "points.csv"), write_pairs_table(lab / "pairs.csv")
+    assert main(["calibrate", "world", str(points), *cameras, "--out", str(lab / "world.toml"), "--by", "A. Tester"]) == 0
+    thermal = ["calibrate", "thermal", "--pairs", str(pairs), "--image-size", "640x480", "--mirrored", "--out", str(lab / "thermal.toml")]
+    assert main(thermal) == 0
+    whole = lab / "calibration.toml"
+    parts = [str(lab / f"{name}.toml") for name in ("cameras", "world", "thermal")]
+    assert main(["calibrate", "merge", *parts, "--out", str(whole), "--by", "A. Tester"]) == 0
+    found = load_calibration(whole)
+    assert np.abs(found.world_from_right.T - WORLD_FROM_RIGHT.T).max() < 3.0
+    assert found.thermal.mirrored
+    assert found.covariance is not None
+    assert found.covariance.sd("world", "T3") is not None
+    sd = np.sqrt(np.linalg.eigvalsh(found.covariance_of(TOUCHED[:1], 0.05)[0]))
+    assert 0.02 < sd[0] < sd[2] < 3.0
+    assert found.record is not None
+    assert found.record.by == "A. Tester"
+    assert "world.toml: points.csv" in found.record.inputs
+    assert "Mapped points miss the arm" in (lab / "world.page" / "index.html").read_text(encoding="utf-8")
+    capsys.readouterr()
+
+
+def test_parts_that_do_not_belong_together_are_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    points = write_touched(lab / "points2.csv")
+    assert main(["calibrate", "world", str(points), "--cameras", str(lab / "cameras.toml"), "--out", str(lab / "w.toml")]) == 0
+    assert calibrate_cameras(lab, lab / "other.toml", "--max-views", "10") in (0, 1)
+    out = ["--out", str(lab / "never.toml")]
+    assert main(["calibrate", "merge", str(lab / "other.toml"), str(lab / "w.toml"), *out]) == 2
+    assert "[cameras.thermal] is in none of the files: add the file that 'teatbench calibrate thermal' wrote" in capsys.readouterr().err
+    pairs = write_pairs_table(lab / "pairs2.csv")
+    assert main(["calibrate", "thermal", "--pairs", str(pairs), "--image-size", "640x480", "--out", str(lab / "t.toml")]) == 0
+    assert main(["calibrate", "merge", str(lab / "other.toml"), str(lab / "w.toml"), str(lab / "t.toml"), *out]) == 2
+    assert "was made with another cameras' file" in capsys.readouterr().err
+    assert main(["calibrate", "merge", str(lab / "cameras.toml"), str(lab / "other.toml"), *out]) == 2
+    assert "leave one of them out" in capsys.readouterr().err
+    assert not (lab / "never.toml").exists()
+
+
+def test_a_wrong_square_size_is_named_by_the_worlds_step(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (lab / "wrong.toml").write_text(BOARD_TOML.replace("40.0", "39.0"), encoding="utf-8")
+    given = [
+        "calibrate",
+        "cameras",
+        str(lab / "day1"),
+        "--board",
+        str(lab / "wrong.toml"),
+        "--model",
+        "k1 k2",
+        "--out",
+        str(lab / "short.toml"),
+    ]
+    assert main(given) == 0, "the pictures alone can't tell"
+    points = write_touched(lab / "points3.csv")
+    assert main(["calibrate", "world", str(points), "--cameras", str(lab / "short.toml"), "--out", str(lab / "sw.toml")]) == 1
+    assert "wrong square size" in capsys.readouterr().err
+
+
+def test_swapped_cameras_are_named(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    swapped = lab / "swapped"
+    swapped.mkdir()
+    for name, other in (("left", "right"), ("right", "left")):
+        (swapped / name).mkdir()
+        for path in (lab / "day1" / other).iterdir():
+            (swapped / name / path.name).write_bytes(path.read_bytes())
+    given = ["calibrate", "cameras", str(swapped), "--board", str(lab / "board.toml"), "--model", "k1 k2", "--out", str(lab / "sc.toml")]
+    assert main(given) == 1
+    assert "swapped cameras: the right camera stands 100 mm to the left of the left one" in capsys.readouterr().err
