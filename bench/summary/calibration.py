@@ -19,7 +19,6 @@ from bench.summary.calibration_parts import (
     held_out_parts,
     homography_parts,
     measured_table,
-    missing,
     mm_text,
     parameter_parts,
     parameters,
@@ -27,6 +26,7 @@ from bench.summary.calibration_parts import (
     provenance_parts,
     residual_parts,
     sd_text,
+    still_missing,
     worth_parts,
 )
 from detector.calibration import Record
@@ -45,7 +45,7 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
     good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
     pairs = len(result.views.pairs())
     sections = (
-        Section("findings", "What was found wrong", tuple(finding_parts(result.findings, missing(result.coverage)))),
+        Section("findings", "What was found wrong", tuple(finding_parts(result.findings, still_missing(result.coverage)))),
         Section("parameters", "Parameters", tuple(parameter_parts(result))),
         Section("residuals", "Where corners miss", tuple(residual_parts({"left": result.joint, "right": result.joint}, result.views))),
         Section("held-out", "Measured again, from views not used", tuple(held_out_parts(result))),
@@ -60,7 +60,7 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
         tested=f"Stereo pair from {pairs} pairs of views of a {_board(result.views)}.",
         sentence=f"Good to {good_mm:.2f} mm at {at_mm / 1000:.2f} m (k = 2, worst direction, one point, corners as noisy as these).",
         confidence=_halves_sentence(result),
-        next_action=_next(result.findings, missing(result.coverage), "teatbench calibrate world"),
+        next_action=_next(result.findings, still_missing(result.coverage), "teatbench calibrate world"),
     )
     return Page("Calibration of the stereo pair", f"made {record.made}", banner, sections)
 
@@ -84,7 +84,7 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
         tested=f"Thermal camera from {len(result.joint.view_rms_px('thermal'))} views of a heated {result.views.board.kind}.",
         sentence=f"Points miss by {fit.rms_px:.2f} px rms over both cameras.",
         confidence=f"Its place is known to {', '.join(place)} mm (x, y, z; 1 sd).",
-        next_action=_next((), missing({"thermal": result.coverage}), "teatbench calibrate world"),
+        next_action=_next((), still_missing({"thermal": result.coverage}), "teatbench calibrate world"),
     )
     return Page("Calibration of the thermal camera", f"made {record.made}", banner, sections)
 

@@ -24,7 +24,7 @@ UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "om": "rad", "T": "mm"}
 DISTANCES_M = np.linspace(0.7, 1.8, 23)
 
 
-def missing(shown: Mapping[str, Coverage]) -> tuple[str, ...]:
+def still_missing(shown: Mapping[str, Coverage]) -> tuple[str, ...]:
     """What views of each camera still lack, as instructions."""
     return tuple(f"{camera}: {text}" for camera, coverage in shown.items() for text in coverage.missing)
 
@@ -35,7 +35,7 @@ def finding_parts(findings: Sequence[Finding], missing: Mapping[str, Coverage] |
         yield Notes("Named", tuple(f"{finding.name}: {finding.sentence}" for finding in findings))
     else:
         yield Paragraph("Nothing: no fault left a mark that is both significant and large enough to matter.", tone="good")
-    texts = missing(missing) if isinstance(missing, Mapping) else tuple(missing)
+    texts = still_missing(missing) if isinstance(missing, Mapping) else tuple(missing)
     if texts:
         yield Notes("What the views don't show yet", texts)
 

@@ -15,13 +15,17 @@ SIZE = (480, 360)
 LEFT = Camera(SIZE, (455.0, 456.0), (238.0, 181.0), 0.0, (-0.19, 0.1, 0.0, 0.0, 0.0))
 RIGHT = Camera(SIZE, (452.0, 453.0), (244.0, 177.0), 0.0, (-0.2, 0.12, 0.001, 0.0, 0.0))
 RIGHT_FROM_LEFT = Motion.from_vectors([0.004, -0.02, 0.008], [-100.3, 0.4, 1.1])
+THERMAL = Camera((320, 240), (610.0, 612.0), (158.0, 121.0))
+THERMAL_FROM_LEFT = Motion.from_vectors([-0.01, -0.03, 0.01], [-50.0, 1.0, -4.0])
+HEATED = Board("circles", 6, 4, 30.0, circle_mm=15.0)
+HEATED_TOML = 'kind = "circles"\ncolumns = 6\nrows = 4\npitch_mm = 30.0\ncircle_mm = 15.0\n'
 BOARD = Board("chessboard", 7, 5, 40.0)
 BOARD_TOML = 'kind = "chessboard"\ncolumns = 7\nrows = 5\npitch_mm = 40.0\n'
 SAMPLES = 4  # a side of a pixel
 
 
-def poses(count: int, seed: int = 1) -> list[Motion]:
-    """left_from_board: about a metre away, tilted to every side in turn."""
+def poses(count: int, seed: int = 1, board: Board = BOARD, spread: float = 1.0) -> list[Motion]:
+    """left_from_board: about a metre away, all over ``spread`` of the picture, tilted to every side in turn."""
     rng = np.random.default_rng(seed)
     found = []
     for at in range(count):
@@ -31,19 +35,21 @@ def poses(count: int, seed: int = 1) -> list[Motion]:
             @ cv2.Rodrigues(np.array([0.0, 0.0, rng.uniform(-0.2, 0.2)]))[0]
         )
         depth = rng.uniform(650.0, 1050.0)
-        aim = np.array([rng.uniform(-0.22, 0.22) * depth + 50.0, rng.uniform(-0.16, 0.16) * depth, depth])
-        found.append(Motion(R, aim - R @ BOARD.points_mm.mean(axis=0)))
+        aim = np.array([spread * rng.uniform(-0.22, 0.22) * depth + 50.0, spread * rng.uniform(-0.16, 0.16) * depth, depth])
+        found.append(Motion(R, aim - R @ board.points_mm.mean(axis=0)))
     return found
 
 
-def picture(camera: Camera, camera_from_board: Motion, seed: int, *, pitch_mm: float = BOARD.pitch_mm) -> NDArray[np.uint8]:
-    """An 8-bit picture of the chessboard (printed at ``pitch_mm``) on a grey wall, with noise."""
+def picture(
+    camera: Camera, camera_from_board: Motion, seed: int, *, pitch_mm: float = BOARD.pitch_mm, board: Board = BOARD
+) -> NDArray[np.uint8]:
+    """An 8-bit picture of the board (printed at ``pitch_mm``) on a grey wall, with noise."""
     height, width = camera.image_size[1], camera.image_size[0]
     rows, columns = (grid.ravel().astype(np.float64) for grid in np.mgrid[0:height, 0:width])
     board_from_camera = camera_from_board.inverse()
 
     def look(at: NDArray[np.bool_], dx: float, dy: float) -> Array:
-        return _brightness(camera, board_from_camera, np.column_stack([columns[at] + dx, rows[at] + dy]), pitch_mm)
+        return _brightness(camera, board_from_camera, np.column_stack([columns[at] + dx, rows[at] + dy]), pitch_mm, board)
 
     everywhere = np.ones(rows.shape, dtype=bool)
     middle = look(everywhere, 0.0, 0.0)
@@ -55,15 +61,19 @@ def picture(camera: Camera, camera_from_board: Motion, seed: int, *, pitch_mm: f
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
-def _brightness(camera: Camera, board_from_camera: Motion, pixels: Array, pitch_mm: float) -> Array:
+def _brightness(camera: Camera, board_from_camera: Motion, pixels: Array, pitch_mm: float, board: Board) -> Array:
     K = np.array([[camera.fc[0], 0, camera.cc[0]], [0, camera.fc[1], camera.cc[1]], [0, 0, 1.0]])
     flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2), K, np.array(camera.kc)).reshape(-1, 2)
     rays = np.column_stack([flat, np.ones(len(flat))]) @ board_from_camera.R.T
     at = board_from_camera.T[:2] - rays[:, :2] * (board_from_camera.T[2] / rays[:, 2])[:, None]
     x, y = (at / pitch_mm + 1.0).T
-    width, height = BOARD.columns + 1, BOARD.rows + 1
+    width, height = board.columns + 1, board.rows + 1
     paper = (x > -0.6) & (y > -0.6) & (x < width + 0.6) & (y < height + 0.6)
-    black = (x >= 0) & (y >= 0) & (x < width) & (y < height) & ((np.floor(x) + np.floor(y)) % 2 == 0)
+    if board.circle_mm is not None:
+        nearest_x, nearest_y = np.clip(np.rint(x), 1, board.columns), np.clip(np.rint(y), 1, board.rows)
+        black = np.hypot(x - nearest_x, y - nearest_y) < board.circle_mm / 2 / board.pitch_mm
+    else:
+        black = (x >= 0) & (y >= 0) & (x < width) & (y < height) & ((np.floor(x) + np.floor(y)) % 2 == 0)
     return np.where(black, 35.0, np.where(paper, 205.0, 120.0))
 
 
