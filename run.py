@@ -53,7 +53,7 @@ def main(arguments: Sequence[str]) -> int:
     if fault:
         return fault
     if job == "test":
-        return call([str(python()), "-m", "pytest", *rest], ROOT)
+        return call([str(python()), "-m", "pytest", "--numprocesses", "auto", "--dist", "loadfile", *rest], ROOT)
     code = call([str(python()), "-m", "bench.cli", "run", *rest])
     return 0 if code in DID_ITS_WORK else code
 

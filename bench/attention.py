@@ -6,7 +6,7 @@ May not know what the steps are.
 from __future__ import annotations
 
 from bench.devices import Devices
-from bench.pulse import Pulse
+from bench.pulse import BRIEF_S, Pulse
 from bench.showing import Progress
 from bench.store import Store
 from bench.watch import Watch
@@ -38,9 +38,12 @@ class Attention:
         self._pulse.sign("going on")
         self.watch.check()
 
-    def long(self, what: str, at_most_s: float) -> None:
-        """The guardian may take the bench for hung only when ``what`` takes longer than ``at_most_s``."""
-        self._pulse.sign(what, at_most_s)
+    def long(self, what: str, at_most_s: float, *, silent: bool = False) -> None:
+        """``what`` may take ``at_most_s`` before the guardian takes the bench for hung: with signs of life, or where it must be in silence.
+
+        Whatever waits on a clock or a link gives those signs; what computes, or is another's code, is ``silent``.
+        """
+        self._pulse.sign(what, at_most_s, silence_s=None if silent else BRIEF_S)
 
     def note(self, text: str) -> None:
         """Tell the operator, and the record."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 
 from rich.console import Console, Group
@@ -15,6 +15,7 @@ from rich.live import Live
 from rich.text import Text
 
 from bench.bath_alone import is_started
+from bench.interlocks import moving_of
 from bench.stability import StabilityGate, StabilityReport, State
 from instruments.bath.driver import Bath
 from instruments.bath.reading import BathReading
@@ -26,6 +27,7 @@ WIDTH, HEIGHT = 72, 14
 RATE_S = 60.0  # the rate that a forecast is made from
 LEAST_SPAN_K = 0.2  # or noise would fill the plot
 POINT, LINE = "•", "─"
+BARS = "▁▂▃▄▅▆▇█"  # 0 to 100 %
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,7 @@ class Sample:
 
     t_s: float
     temp_c: float
+    output_percent: float | None = None
 
 
 def seconds_to_stable(report: StabilityReport, window_s: float, leave_k: float, rate_k_per_s: float | None) -> float | None:
@@ -72,19 +75,39 @@ def plot(samples: Sequence[Sample], set_point_c: float, *, width: int = WIDTH, h
         return min(height - 1, max(0, round((middle + half - temp_c) / (2 * half) * (height - 1))))
 
     rows[row(set_point_c)] = [LINE] * width
-    start_s, span_s = samples[0].t_s, max(samples[-1].t_s - samples[0].t_s, width * PERIOD_S)
+    span_s = _span_s(samples, width)
     for sample in samples:
-        rows[row(sample.temp_c)][min(width - 1, int((sample.t_s - start_s) / span_s * (width - 1)))] = POINT
+        rows[row(sample.temp_c)][_column(sample, samples, width)] = POINT
     labels = {0: middle + half, height - 1: middle - half, row(set_point_c): set_point_c}
     lines = [f"{f'{labels[i]:.2f}' if i in labels else '':>7} {''.join(cells)}" for i, cells in enumerate(rows)]
     return [*lines, f"{'degC':>7} last {span_s / 60:.1f} min; {LINE * 2} set point, {POINT} bath"]
 
 
+def output_strip(samples: Sequence[Sample], *, width: int = WIDTH) -> str:
+    """The heater's output over the same time, a bar a column; empty where the controller doesn't tell it."""
+    bars = [" "] * width
+    for sample in samples:
+        if sample.output_percent is not None:
+            bars[_column(sample, samples, width)] = BARS[round(min(100.0, max(0.0, sample.output_percent)) / 100.0 * (len(BARS) - 1))]
+    return f"{'output':>7} {''.join(bars)}" if any(bar != " " for bar in bars) else ""
+
+
+def _span_s(samples: Sequence[Sample], width: int) -> float:
+    return max(samples[-1].t_s - samples[0].t_s, width * PERIOD_S)
+
+
+def _column(sample: Sample, samples: Sequence[Sample], width: int) -> int:
+    return min(width - 1, int((sample.t_s - samples[0].t_s) / _span_s(samples, width) * (width - 1)))
+
+
 class BathView:
     """What is shown after each reading."""
 
-    def __init__(self, gate: StabilityGate, kept_s: float = 3600.0) -> None:
+    def __init__(
+        self, gate: StabilityGate, kept_s: float = 3600.0, *, moving: Callable[[BathReading], Hashable] = lambda reading: reading.raw
+    ) -> None:
         self._gate = gate
+        self._moving = moving
         self._kept_s = kept_s
         self._samples: deque[Sample] = deque()
         self._reading: BathReading | None = None
@@ -95,8 +118,9 @@ class BathView:
         """Take a reading in."""
         self._started = started
         self._gate.change_set_point(set_point_c)
-        self._gate.add(reading.t_s, reading.temp_c, raw=(reading.raw, reading.power_percent), alarm=bool(reading.alarm))
-        self._samples.append(Sample(reading.t_s, reading.temp_c))
+        raw, teat_c = self._moving(reading), reading.external_c
+        self._gate.add(reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c)
+        self._samples.append(Sample(reading.t_s, reading.temp_c, reading.power_percent))
         while reading.t_s - self._samples[0].t_s > self._kept_s:
             self._samples.popleft()
         self._reading, self.trouble = reading, ""
@@ -122,13 +146,14 @@ class BathView:
         """Plot, state, and what the gate still waits for."""
         if self._samples:
             yield from plot(self._samples, self._gate.set_point_c)
+            yield from filter(None, [output_strip(self._samples)])
         yield self.line()
         yield from (f"  {reason}" for reason in self._gate.report.reasons if self._gate.state is not State.HEATING)
 
 
 def watch_bath(bath: Bath, clock: Clock, console: Console, seconds: float = math.inf) -> None:
     """Read and show once a second until ``seconds`` are over, or somebody interrupts. Without a terminal, a line a reading."""
-    view = BathView(StabilityGate(bath.get("set_point")))
+    view = BathView(StabilityGate(bath.get("set_point")), moving=moving_of(bath.profile))
     end_s = clock.now() + seconds
     with Live(console=console, auto_refresh=False, transient=False) as live:
         while clock.now() < end_s:

@@ -9,6 +9,9 @@ from typing import Any
 from bench.emulation import EmulatedRig
 from bench.hookup import driver_openers
 from bench.rig import LoadedRig
+from bench.safing import has_own_pump
+from bench.stage_alone import shown
+from instruments.bath.relay import PUMP
 from instruments.capture import NO_CAPTURE, Captures
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError
@@ -64,11 +67,15 @@ def _arm(arm: Any) -> Iterator[tuple[str, str]]:
 def _bath(bath: Any) -> Iterator[tuple[str, str]]:
     reading = bath.read()
     yield "temperature", f"{reading.temp_c:.2f} degC, output {reading.power_percent} %"
+    if has_own_pump(bath):
+        yield "pump", bath.profile.row(PUMP).label(bath.get(PUMP))
+    elif bath.pump == "none":
+        yield "pump", "not fitted to the controller"
 
 
 def _stage(stage: Any) -> Iterator[tuple[str, str]]:
     stage.connect()
-    yield "position", ", ".join(f"{v:.3f}" for v in stage.position()) + " mm (machine)" + ("" if stage.homed else ", not homed")
+    yield "position", shown(stage) + " (machine)" + ("" if stage.homed else ", not homed")
 
 
 def _cameras(cameras: Any) -> Iterator[tuple[str, str]]:

@@ -54,18 +54,20 @@ class ConfigError(Exception):
         return cls(None, [Fault(0, 0, 0, message)])
 
 
-def read_config(path: Path, model: type[Model]) -> Model:
-    """The file at ``path`` as ``model``. Raises ConfigError with all its faults."""
+def read_config(path: Path, model: type[Model], *, stored: bool = False) -> Model:
+    """The file at ``path`` as ``model``; ``stored`` is the copy in a run that was done. Raises ConfigError with all its faults."""
     text = read_text(path)
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(path, [_syntax_fault(str(error), text)], text) from error
     try:
-        return model.model_validate(table, context={"folder": path.parent})
+        return model.model_validate(table, context={"folder": path.parent, "stored": stored})
     except ValidationError as error:
         found = [
-            (_without_tags(detail["loc"], table), _message(detail, model), detail["type"] == "extra_forbidden") for detail in error.errors()
+            (_without_tags(detail["loc"], table), _message(detail, model), detail["type"] == "extra_forbidden")
+            for detail in error.errors()
+            if not _echo(detail)
         ]
         raise located(path, text, found) from error
 
@@ -144,6 +146,12 @@ def _message(detail: ErrorDetails, model: type[BaseModel]) -> str:
     return f"{message[0].lower()}{message[1:]} (found {_short(detail['input'])})"
 
 
+def _echo(detail: ErrorDetails) -> bool:
+    """Whether this says that a list is too short whose items are all there: those that are wrong were left out, and have their own."""
+    least = detail.get("ctx", {}).get("min_length")
+    return detail["type"] == "too_short" and isinstance(detail["input"], list) and len(detail["input"]) >= int(least or 0)
+
+
 def _without_tags(path: KeyPath, table: Any) -> KeyPath:
     """``path`` without the tags that pydantic puts in for the members of a union."""
     kept: list[str | int] = []
@@ -169,7 +177,7 @@ def _fields_at(model: type[BaseModel], path: Sequence[str | int]) -> set[str]:
             continue
         deeper = [found for one in models if part in one.model_fields for found in _models_in(one.model_fields[part].annotation)]
         models = deeper or [one for one in models if _tag(one) == part] or models
-    return {name for one in models for name in one.model_fields}
+    return {field.alias or name for one in models for name, field in one.model_fields.items()}
 
 
 def _tag(model: type[BaseModel]) -> str | None:

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.examine import Answer, examine
-from bench.jobs import make_detectors
+from bench.detector_choice import make_detectors
+from bench.examine import Answer, Examiner, close_detectors
 from bench.rig import read_calibration
+from detector.protocol import Detection, Detector, Outcome
 from instruments.camera.recording import Recording, RecordingError
 
 
@@ -18,28 +19,34 @@ def detect_lines(path: Path, names: Sequence[str]) -> Iterator[tuple[dict[str, A
     """For each frame and detector the JSON line of the recording format, and a sentence. A frame that can't be read is a line too."""
     detectors = make_detectors(names)
     recording = Recording(path)
-    calibration = read_calibration(recording.calibration_path)
-    for frame in recording.frames:
-        try:
-            frames = recording.load(frame)
-        except RecordingError as error:
-            for detector in detectors:
-                yield (
-                    {"frame": frame, "detector": detector.name, "teats": [], "hidden": 0, "seconds": 0.0, "reason": str(error)},
-                    str(error),
-                )
-            continue
+    examiner = Examiner(read_calibration(recording.calibration_path))
+    try:
+        for frame in recording.frames:
+            for answer in _answers(recording, frame, detectors, examiner):
+                yield json_line(frame, answer), sentence(frame, answer)
+    finally:
+        close_detectors(detectors)
+
+
+def _answers(recording: Recording, frame: str, detectors: Sequence[Detector], examiner: Examiner) -> Iterator[Answer]:
+    try:
+        frames = recording.load(frame)
+    except RecordingError as error:
         for detector in detectors:
-            answer = examine(detector, frames, calibration)
-            yield json_line(frame, answer), sentence(frame, answer)
+            yield Answer(detector.name, Detection((), 0, str(error)), 0.0, Outcome.FAILED)
+        return
+    for detector in detectors:
+        yield examiner.ask(detector, frames)
 
 
 def json_line(frame: str, answer: Answer) -> dict[str, Any]:
-    """One line of `teatbench detect --json` (the recording format, Detections)."""
+    """One line of `teatbench detect --json` (the recording format, Detections); ``outcome`` and ``cold`` only where there is such a thing."""
     detection = answer.detection
     teats = [{"world_mm": _list(teat.world_mm), "covariance_mm2": _list(teat.covariance_mm2)} for teat in detection.teats]
     line = {"frame": frame, "detector": answer.detector, "teats": teats, "hidden": detection.hidden, "seconds": round(answer.seconds, 6)}
-    return line if detection.reason is None else {**line, "reason": detection.reason}
+    reason = {} if detection.reason is None else {"reason": detection.reason}
+    outcome = {} if answer.outcome is Outcome.ANSWERED else {"outcome": answer.outcome.value}
+    return {**line, **reason, **outcome, **({"cold": True} if answer.cold else {})}
 
 
 def sentence(frame: str, answer: Answer) -> str:

@@ -64,8 +64,10 @@ class Devices:
         for name, step in steps.items():
             try:
                 said = step()
-                if name != "pump" or said:
-                    tell(str(said or f"{name} is safe"))
+                if name != "pump":
+                    tell(f"{name} is safe")
+                if said:
+                    tell(str(said))
             except InstrumentError as error:
                 unsafe.append(name)
                 tell(f"{name} could not be made safe: {error}")

@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import located, read_text
-from bench.faults import Actions, arm_actions, bath_actions, stage_actions
-from bench.rig import EmulatedFault, LoadedRig
+from bench.emulated_optics import make_renderer
+from bench.emulated_stage import EmulatedStage
+from bench.faults import Actions, arm_actions, bath_actions, camera_actions, pump_actions, stage_actions
+from bench.rig import EmulatedFault, LoadedRig, Stage
 from detector.geometry import Motion
 from instruments.bath.emulator import BathEmulator, Framing
+from instruments.bath.relay_emulator import RelayEmulator
 from instruments.camera.emulator import EmulatedCameras
 from instruments.clock import Clock
 from instruments.listener import Device, Listener
@@ -21,9 +24,8 @@ from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.mechanics import Hand
 from instruments.operators.emulated import EmulatedOperator
 from instruments.pty_listener import PtyListener
-from instruments.stage.emulator import StageEmulator
-from instruments.world.optics import cameras_from_calibration
-from instruments.world.scene import Renderer
+from instruments.stage.emulator import CLASSIC, GRBL_HAL, Mounting, StageEmulator
+from instruments.world.phantom import PlatePose
 from instruments.world.world import World
 
 
@@ -53,10 +55,20 @@ class EmulatedRig:
 
     def __init__(self, rig: LoadedRig, clock: Clock, seed: int, *, host: str = "127.0.0.1", pty: bool = False, paced: bool = False) -> None:
         emulation = rig.rig.emulation
-        cameras = cameras_from_calibration(tomllib.loads(read_text(rig.calibration_path)))
-        self.world = World(clock, seed, Renderer(cameras, seed), ambient_c=emulation.ambient_c, bath_start_c=emulation.bath_start_c)
+        table = tomllib.loads(read_text(rig.calibration_path))
+        renderer = make_renderer(table, seed, emulation.optical, emulation.thermal)
+        self.world = World(clock, seed, renderer, ambient_c=emulation.ambient_c, bath_start_c=emulation.bath_start_c)
         self.cameras = EmulatedCameras(self.world)
-        self.operator = EmulatedOperator(self.world, hand_error_mm=emulation.hand_error_mm, check_point_mm=rig.rig.arm.check_point_mm)
+        self.operator = EmulatedOperator(
+            self.world,
+            hand_error_mm=emulation.hand_error_mm,
+            placement_error_mm=emulation.placement_error_mm,
+            placement_error_rad=float(np.radians(emulation.placement_error_deg)),
+            prompt_s=emulation.prompt_s,
+            tip_radius_mm=rig.rig.arm.tip_radius_mm,
+            check_point_mm=rig.rig.arm.check_point_mm,
+            mistakes=emulation.mistakes,
+        )
         self._clock = clock
         self._host, self._pty, self._paced = host, pty, paced
         self._listeners: dict[str, Listener | PtyListener] = {}
@@ -65,13 +77,16 @@ class EmulatedRig:
         arm = self.arm = ArmEmulator(hand, clock, unit=unit, seed=seed, accuracy_mm=accuracy_mm, tremor_mm=tremor_mm)
         framing: Framing | None = "rtu" if pty and "rtu" in rig.profile.transports else None
         bath = self.bath = BathEmulator(self.world.plant, rig.profile, clock, framing=framing)
-        stage = self.stage = self._stage_at(*rig.rig.stage.reference_mm) if rig.rig.stage else None
+        pump = self.pump = self._relay(rig)
+        stage = self.stage = self._stage(rig.rig.stage, emulation.stage) if rig.rig.stage else None
         self._check_faults(rig)
         for fault in emulation.faults:
             self._plan(fault)
         try:
             self._listen("arm", arm, rig.rig.arm.baud)
             self._listen("bath", bath, rig.profile.baud if bath.framing == "rtu" else None)
+            if pump:
+                self._listen("pump", pump, pump.profile.baud if pump.framing == "rtu" else None)
             if stage and rig.rig.stage:
                 self._listen("stage", stage, rig.rig.stage.baud)
         except BaseException:
@@ -81,9 +96,9 @@ class EmulatedRig:
     @property
     def urls(self) -> dict[str, str]:
         """What a driver opens, by instrument. One on a pseudo-terminal moves when the instrument itself hangs up."""
-        urls = {name: listener.url for name, listener in self._listeners.items()}
-        bath = "tcp://" if self.bath.framing == "tcp" else "rtu+tcp://"
-        return {name: url.replace("socket://", bath) if name == "bath" else url for name, url in urls.items()}
+        spoken = {"bath": self.bath.framing, **({"pump": self.pump.framing} if self.pump else {})}
+        scheme = {name: "tcp://" if framing == "tcp" else "rtu+tcp://" for name, framing in spoken.items()}
+        return {name: listener.url.replace("socket://", scheme.get(name, "socket://")) for name, listener in self._listeners.items()}
 
     def close(self) -> None:
         """Close all listeners."""
@@ -96,16 +111,32 @@ class EmulatedRig:
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def _stage_at(self, reference_x: float, reference_y: float) -> StageEmulator:
+    def _stage(self, said: Stage, errors: EmulatedStage) -> StageEmulator:
         """A stage that carries the world's phantom; at its reference place the phantom stands as its layout says."""
-        stage = StageEmulator(self._clock)
+        axes, dialect = 4 if "A" in said.axes else 3, GRBL_HAL if errors.dialect == "grblHAL" else CLASSIC
+        stage = StageEmulator(self._clock, dialect=dialect, axes=axes, play_mm=(*errors.backlash_mm, errors.backlash_deg)[:axes])
+        reference = (*said.reference_mm, said.reference_z_mm, said.reference_a_deg)
+        mounting = Mounting(said.axes, reference, errors.scale_errors, errors.squareness_rad, errors.yaw_rad)
 
-        def moved() -> tuple[float, float]:
-            x, y, _ = stage.position_mm()
-            return x - reference_x, y - reference_y
+        def pose() -> PlatePose:
+            with self.world.lock:
+                return mounting.pose(stage.position_mm().tolist())
 
-        self.world.stage_mm = moved
+        def velocity() -> tuple[float, float, float]:
+            with self.world.lock:
+                place, way = stage.position_mm(), stage.velocity()
+                now, later = mounting.pose(place.tolist()), mounting.pose((place + way).tolist())
+            return later.x_mm - now.x_mm, later.y_mm - now.y_mm, later.z_mm - now.z_mm
+
+        self.world.stage_pose, self.world.stage_velocity = pose, velocity
         return stage
+
+    def _relay(self, rig: LoadedRig) -> RelayEmulator | None:
+        """The relay that switches the pump, on a port of its own; without one, and with a controller that turns none, the pump stands."""
+        if rig.relay is None:
+            return None
+        framing: Framing | None = "rtu" if self._pty and "rtu" in rig.relay.transports else None
+        return RelayEmulator(self.world.plant, rig.relay, self._clock, framing=framing)
 
     def _listen(self, name: str, device: Device, serial_baud: int | None) -> None:
         """``serial_baud`` is the rate of the instrument's serial port; None where it has none, but a network."""
@@ -116,11 +147,13 @@ class EmulatedRig:
             self._listeners[name] = Listener(device, clock, lock=lock, name=name, host=self._host, baud=baud)
 
     def _check_faults(self, rig: LoadedRig) -> None:
-        """Raise ConfigError, in its place, for a fault that a bath of this profile and on this port can't have."""
+        """Raise ConfigError, in its place, for a fault that a bath of this profile, or its relay, can't have on this port."""
+        modbus = {"bath": self.bath, "pump": self.pump}
         for at, fault in enumerate(rig.rig.emulation.faults):
-            if fault.instrument == "bath":
+            device = modbus.get(fault.instrument)
+            if device:
                 try:
-                    self.bath.check_fault(fault.name)
+                    device.check_fault(fault.name)
                 except ValueError as error:
                     raise located(rig.path, rig.text, [(("emulation", "faults", at, "name"), str(error), False)]) from error
 
@@ -135,10 +168,14 @@ class EmulatedRig:
             self._later(fault.at_s + fault.for_s, mend_it)
 
     def _actions(self, fault: EmulatedFault) -> Actions:
+        if fault.instrument == "cameras":
+            return camera_actions(self.cameras, fault)
         if fault.instrument == "arm":
             return arm_actions(self.arm, fault)
         if fault.instrument == "bath":
             return bath_actions(self.bath, fault)
+        if fault.instrument == "pump" and self.pump:
+            return pump_actions(self.pump, fault)
         if self.stage is None:
             raise ValueError("this rig has no stage that could fail")
         return stage_actions(self.stage, fault)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bench.arm.check import AFTER, BEFORE, CHECK_FACT, check_arm, told
 from bench.arm.facts import write_arm_facts
 from bench.arm.tip import TipReader
+from bench.attempts import Attempts
 from bench.attention import Attention
 from bench.devices import Devices
 from bench.exits import current, undisturbed
@@ -30,10 +31,11 @@ from bench.showing import Progress, Unfailing
 from bench.stability import StabilityGate
 from bench.store import Store
 from bench.trial_run import FrameSink, TrialRun
+from bench.truth.choosing import choose_truth
 from detector.protocol import Detector
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
-from instruments.operators.operator import OperatorAbort
+from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
 
 HOMING = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
 
@@ -69,18 +71,22 @@ class Engine:
         pulse = pulse or Pulse()
         self._loaded = rig
         self._script = script.script
+        self._planned = script.planned
         self._devices = replace(devices, operator=AwaitedOperator(devices.operator, pulse))
         self._store = store
         self._progress = Unfailing(progress)
         self._tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
         gate = self._script.bath
-        limits = gate.model_dump(include={"set_point_c", "window_s", "mean_k", "half_range_k", "slope_k_per_min", "leave_k"})
+        limits = gate.model_dump(include={"set_point_c", "window_s", "mean_k", "half_range_k", "slope_k_per_min", "teat_slope_k_per_min", "leave_k"})
         self._keeper = Keeper(rig, devices, StabilityGate(**limits), store, self._progress, pulse, lifeline)
         self._watch = self._keeper.watch
         self._attention = Attention(devices, store, self._progress, pulse, self._watch)
+        settled = sink.settled if sink else lambda _trials, _good: None
+        self._truth = choose_truth(rig, script, self._devices, self._tip, store, self._attention, settled)
         self._trials = TrialRun(
-            rig, script.script, self._devices, store, detectors, self._tip, self._attention, exact_ends=exact_ends, sink=sink
+            rig, script.script, self._devices, store, detectors, self._truth, self._attention, exact_ends=exact_ends, sink=sink
         )
+        self._attempts = Attempts(self._trials.run, len(self._planned), self._devices.operator, devices.clock, store, self._attention)
         self.bath_is_safe = False  # until the run has ended and made it so
 
     def run(self) -> Ending:
@@ -104,16 +110,19 @@ class Engine:
 
     def _work(self) -> None:
         self._prepare()
-        planned = self._script.planned
-        for number, (trial, repeat) in enumerate(planned, 1):
-            self._progress.trial(number - 1, len(planned), trial.name)
-            self._trials.run(number, trial, repeat)
+        self._truth.begin()
+        planned = self._planned
+        for trial in planned:
+            self._progress.trial(trial.number - 1, len(planned), trial.name)
+            self._attempts.run(trial)
         self._progress.trial(len(planned), len(planned), "")
+        self._truth.end()
         self._check_arm(AFTER)
+        self._devices.operator.finish()
 
     def _ended_by(self, why: BaseException) -> Ending:
         """The ending that ``why`` means, written down; raises it again when it is a mistake of the bench."""
-        if isinstance(why, KeyboardInterrupt | OperatorAbort) and self._watch.tripped is None:
+        if isinstance(why, KeyboardInterrupt | OperatorAbort | OperatorSkip | OperatorRepeat) and self._watch.tripped is None:
             self._attention.event("aborted", str(why) or "the run was interrupted (Ctrl-C)")
             return Ending.ABORTED
         cause = self._watch.tripped or why  # a braked stage or an impatient operator may have come first
@@ -127,6 +136,7 @@ class Engine:
         d = self._devices
         self._attention.note("preparing")
         self._watch.start()
+        d.operator.heed(self._watch.check)
         self._attention.long("signing on to the arm", 120.0)
         d.arm.sign_on()
         write_arm_facts(self._store, self._loaded)

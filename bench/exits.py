@@ -7,6 +7,7 @@ global but what the system keeps. May not know what safe is: the engine brings i
 
 from __future__ import annotations
 
+import _thread
 import contextlib
 import os
 import signal
@@ -16,6 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from bench.console_window import Register, console_heard, windows_register
 from instruments.clock import RealClock, stopwatch_s
 
 ASKED_BY = {
@@ -66,9 +68,15 @@ class Exits:
         """Requests are raised again."""
         self._held -= 1
 
-    def console_closed(self) -> None:
-        """Windows closes the console: make safe in this thread, for the main one may be waiting for input for ever."""
-        self.asked.append("console closed")
+    def heed(self) -> None:
+        """Raise what came while requests were held, where nobody has ended for it."""
+        if self.asked and self._raised_s is None:
+            self._raised_s = stopwatch_s()
+            raise Interrupted(f"the run was interrupted ({ASKED_BY.get(self.asked[0], self.asked[0])})")
+
+    def console_closed(self, how: str = "console closed") -> None:
+        """Windows ends the program: make safe in this thread, for the main one may be waiting for input for ever."""
+        self.asked.append(how)
         if self.at_close is not None:
             work = threading.Thread(target=self.at_close, name="console closed", daemon=True)
             work.start()
@@ -83,8 +91,11 @@ class Exits:
 
 
 @contextmanager
-def installed() -> Iterator[Exits]:
-    """Hear all requests to end while this lasts. What was ignored when the program started (`nohup`, `&`) stays ignored."""
+def installed(register: Register | None = None) -> Iterator[Exits]:
+    """Hear all requests to end while this lasts. What was ignored when the program started (`nohup`, `&`) stays ignored.
+
+    ``register`` stands in for the system's way to tell of a closed console window.
+    """
     exits = Exits()
     if threading.current_thread() is not threading.main_thread():
         yield exits
@@ -93,7 +104,7 @@ def installed() -> Iterator[Exits]:
     numbers = [getattr(signal, name) for name in names if signal.getsignal(getattr(signal, name)) is not signal.SIG_IGN]
     before = {number: signal.signal(number, exits) for number in numbers}
     try:
-        with _console_handler(exits):
+        with console_heard(exits.console_closed, register or windows_register()):
             yield exits
     finally:
         for number, handler in before.items():
@@ -146,35 +157,3 @@ def _is_terminal(number: int) -> bool:
     with contextlib.suppress(OSError):
         return os.isatty(number)
     return False
-
-
-if sys.platform == "win32":
-    import _thread
-    import ctypes
-    from ctypes import wintypes
-
-    CLOSING = {2: "close", 5: "log-off", 6: "shutdown"}
-
-    @contextmanager
-    def _console_handler(exits: Exits) -> Iterator[None]:
-        """Windows tells of a closed console on a thread of its own, and ends the program when that returns."""
-
-        @ctypes.WINFUNCTYPE(wintypes.BOOL, wintypes.DWORD)
-        def handler(event: int) -> bool:
-            if event not in CLOSING:
-                return False  # Ctrl-C and Ctrl-Break come as signals
-            exits.console_closed()
-            return True
-
-        ctypes.windll.kernel32.SetConsoleCtrlHandler(handler, True)
-        try:
-            yield
-        finally:
-            ctypes.windll.kernel32.SetConsoleCtrlHandler(handler, False)
-
-else:
-
-    @contextmanager
-    def _console_handler(_: Exits) -> Iterator[None]:
-        """Elsewhere a terminal that closes sends SIGHUP."""
-        yield

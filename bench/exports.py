@@ -16,7 +16,7 @@ from bench.verdicts import Judgement, run_verdict
 
 COLUMNS = (
     "trial", "situation", "repeat", "detector", "teats", "visible", "found", "missed", "false", "hidden_claimed", "hidden",
-    "max_error_mm", "mean_error_mm", "gospa_mm", "success", "seconds", "reason", "bath_c",
+    "max_error_mm", "mean_error_mm", "gospa_mm", "success", "seconds", "reason", "bath_c", "truth", "invalid",
 )  # fmt: skip
 
 
@@ -42,7 +42,10 @@ def trials_csv(run: RunRecord) -> str:
             errors = [max(radial), sum(radial) / len(radial)] if radial else ["", ""]
             tail = [score.gospa_mm if score else "", int(score.success) if score else ""]
             writer.writerow(
-                [*head, *counts, *hidden, *errors, *tail, detection["wall_seconds"], detection["reason"] or "", trial.head["bath_c"]]
+                [
+                    *head, *counts, *hidden, *errors, *tail, detection["wall_seconds"], detection["reason"] or "", trial.head["bath_c"],
+                    trial.how or "", trial.invalid or "",
+                ]
             )
     return text.getvalue()
 

@@ -5,8 +5,9 @@
 The bench starts it and writes lines to its standard input: ``alive`` once a second, ``hung: …`` when its main thread makes no
 progress, ``done`` once it has made the bath safe itself, ``take over`` when it could not. The end of the input without a last
 word is the bench's death: it comes at once, however the bench died, on every system. While the bench lives the guardian owns
-nothing: no link, no file. All that it needs is loaded before, because a dying machine may have no disk any more. It is no
-safety function: it dies with the computer.
+nothing: no link, no file. All that it needs is loaded before, because a dying machine may have no disk any more. A pump with a
+switch of its own runs on for a minute behind the heater, and then stops; the ports are free meanwhile. It is no safety
+function: it dies with the computer.
 """
 
 from __future__ import annotations
@@ -24,8 +25,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+from bench.safing import OFF, ON, OVERRUN_S, has_own_pump
 from instruments.bath.driver import Bath
-from instruments.bath.profile import ProfileError, load_profile
+from instruments.bath.profile import ProfileError, load_profile, load_relay
+from instruments.bath.relay import PUMP, PumpAt
 from instruments.clock import RealClock, stopwatch_s, wall_time
 from instruments.errors import InstrumentError, LinkError
 
@@ -79,7 +82,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     clock = RealClock()
     try:
-        bath = Bath(given.url, load_profile(given.profile), clock, identify=False)
+        pump = PumpAt(given.pump_url, load_relay(given.pump_profile)) if given.pump_url else None
+        bath = Bath(given.url, load_profile(given.profile), clock, allow_inferred=given.allow_inferred, identify=False, pump=pump)
     except (ProfileError, InstrumentError) as error:
         sys.stderr.write(f"guardian: {error}\n")
         return 2
@@ -90,9 +94,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     cause, why, last_sign_s = trouble
     noticed, silent = wall_time(), timedelta(seconds=stopwatch_s() - last_sign_s)
-    record = {"cause": cause, "why": why, "bath": given.url}
+    record: dict[str, Any] = {"cause": cause, "why": why, "bath": given.url, "guardian": os.getpid()}
     record |= {"wall_last_sign": _told(noticed - silent), "wall_noticed": _told(noticed)}
     reached = _make_safe(bath, clock, given.record, record, bench=given.bench if cause == "hung" else None)
+    if reached and has_own_pump(bath):
+        _run_pump_on(bath, clock, given.record, record, given.overrun_s)
+    bath.close()
     return 0 if reached else 1
 
 
@@ -110,10 +117,25 @@ def _make_safe(bath: Bath, clock: RealClock, path: Path, record: dict[str, Any],
                 bench = None
             clock.sleep(PAUSE_S)
             continue
-        seconds = round(stopwatch_s() - start_s, 3)
-        _write(path, record | {"standby": True, "tries": tries, "seconds": seconds, "wall_safe": _told(wall_time())})
+        record |= {"standby": True, "tries": tries, "seconds": round(stopwatch_s() - start_s, 3), "wall_safe": _told(wall_time())}
+        _write(path, record)
         return True
     return False
+
+
+def _run_pump_on(bath: Bath, clock: RealClock, path: Path, record: dict[str, Any], overrun_s: float) -> None:
+    """Let the pump carry the heater's rest of heat away, then switch it off; the driver refuses where the bath is started again."""
+    try:
+        bath.set(PUMP, ON)
+        record["pump"] = f"runs on for {overrun_s:g} s"
+        _write(path, record)
+        bath.close()  # whoever comes to look has the ports
+        clock.sleep(overrun_s)
+        bath.set(PUMP, OFF)
+        record["pump"] = f"ran on for {overrun_s:g} s and is off"
+    except InstrumentError as error:
+        record["pump"] = f"was left as it was: {error}"
+    _write(path, record)
 
 
 def _kill(bench: int) -> bool:
@@ -145,6 +167,10 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="bench.guardian", description="Puts a bath into standby when the bench that started it dies.")
     parser.add_argument("--url", required=True)
     parser.add_argument("--profile", required=True)
+    parser.add_argument("--pump-url", default="", help="where the relay of a pump is that the controller doesn't turn")
+    parser.add_argument("--pump-profile", default="")
+    parser.add_argument("--allow-inferred", action="store_true")
+    parser.add_argument("--overrun-s", type=float, default=OVERRUN_S, help="how long the pump runs on behind the heater")
     parser.add_argument("--record", required=True, type=Path)
     parser.add_argument("--bench", required=True, type=int, help="the bench's process id")
     return parser

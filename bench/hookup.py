@@ -4,30 +4,33 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.answers import load_answers
 from bench.arm.pedals import pedal_watch
+from bench.camera_hookup import open_cameras
+from bench.config import ConfigError
 from bench.devices import Cameras, Devices
 from bench.emulation import EmulatedRig
-from bench.rig import EMULATED, LoadedRig
+from bench.rig import CONSOLE, EMULATED, SCRIPT, LoadedRig
 from instruments.bath.driver import Bath
 from instruments.bath.relay import PumpAt
-from instruments.camera.opencv import OpenCvCameras
-from instruments.camera.recording import Recording, RecordingCameras
 from instruments.capture import NO_CAPTURE, Captures
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
-from instruments.operators.console import ConsoleOperator
+from instruments.operators.console import Console
 from instruments.operators.operator import Operator
+from instruments.operators.prompted import Answerer, PromptedOperator
 from instruments.stage.driver import Stage
+
+Screen = Callable[[], AbstractContextManager[None]]
 
 
 class BringUpError(InstrumentError):
@@ -48,21 +51,28 @@ class Hookup:
 
 
 @contextmanager
-def open_rig(rig: LoadedRig, *, seed: int, realtime: bool = False, capture: Captures = NO_CAPTURE) -> Iterator[Hookup]:
-    """The drivers of ``rig``, with its emulators where it is an emulated one; ``capture`` taps links. Raises BringUpError."""
+def open_rig(
+    rig: LoadedRig, *, seed: int, realtime: bool = False, capture: Captures = NO_CAPTURE, screen: Screen = nullcontext
+) -> Iterator[Hookup]:
+    """The drivers of ``rig``, with its emulators where it is an emulated one; ``capture`` taps links. Raises BringUpError.
+
+    ``screen`` is entered around each question at the terminal.
+    """
     emulated = bool(rig.rig.emulated)
-    clock: Clock = VirtualClock() if emulated and not realtime else RealClock()
+    in_person = rig.rig.operator.url == CONSOLE  # who takes part lives in real time
+    clock: Clock = VirtualClock() if emulated and not realtime and not in_person else RealClock()
+    answerer = _answerer(rig, clock, screen)
     try:
         if emulated:
             with (
                 EmulatedRig(rig, clock, seed) as twin,
-                _connected(rig, clock, twin.urls, twin.cameras, twin.operator, capture) as devices,
+                _connected(rig, clock, twin.urls, twin.cameras, _operator(rig, answerer, twin.operator), capture) as devices,
             ):
                 yield Hookup(devices, twin.world.ends_mm)
         else:
-            operator = ConsoleOperator(sys.stdin, sys.stdout)
-            with _connected(rig, clock, rig.rig.urls, None, operator, capture) as devices:
-                operator.watch_pedals(lambda: pedal_watch(devices.arm, clock))
+            with _connected(rig, clock, rig.rig.urls, None, _operator(rig, answerer), capture) as devices:
+                if isinstance(answerer, Console):
+                    answerer.watch_pedals(lambda: pedal_watch(devices.arm, clock))
                 yield Hookup(devices, None)
     finally:
         if isinstance(clock, RealClock):
@@ -91,6 +101,29 @@ def _connected(
             device.close()
 
 
+def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> Answerer | None:
+    """Who answers prompts; None where the emulated operator acts without being asked. Raises ConfigError."""
+    url = rig.rig.operator.url
+    out = getattr(sys.stdout, "rich_proxied_file", sys.stdout)  # a progress bar's stand-in ends each question with a line
+    if url == CONSOLE:
+        return Console(sys.stdin, out, clock, screen=screen, remind_s=rig.rig.operator.remind_s)
+    if url == EMULATED:
+        return None
+
+    def show(text: str) -> None:
+        sys.stdout.write(f"{text}\n")
+
+    return load_answers(rig.path.parent / url.removeprefix(SCRIPT), show)
+
+
+def _operator(rig: LoadedRig, answerer: Answerer | None, hands: Operator | None = None) -> Operator:
+    if answerer is not None:
+        return PromptedOperator(answerer, hands)
+    if hands is None:
+        raise ConfigError.plain(f"{rig.path}: an emulated operator can't work on real instruments")
+    return hands
+
+
 def driver_openers(rig: LoadedRig, clock: Clock, urls: dict[str, str], capture: Captures = NO_CAPTURE) -> dict[str, Callable[[], Any]]:
     """For each instrument of the rig, what opens its driver, with a tap of ``capture``; each may raise InstrumentError."""
     r = rig.rig
@@ -98,7 +131,7 @@ def driver_openers(rig: LoadedRig, clock: Clock, urls: dict[str, str], capture: 
     def link(name: str, baud: int) -> Link:
         return Link(urls[name], clock, who=name, baud=baud, tap=capture.tap(name, clock))
 
-    pump = PumpAt(r.bath.pump_url, rig.relay, capture.tap("pump", clock)) if rig.relay else None
+    pump = PumpAt(urls.get("pump", r.bath.pump_url), rig.relay, capture.tap("pump", clock)) if rig.relay else None
     openers: dict[str, Callable[[], Any]] = {
         "arm": lambda: MicroScribe(link("arm", r.arm.baud), clock),
         "bath": lambda: Bath(
@@ -106,18 +139,8 @@ def driver_openers(rig: LoadedRig, clock: Clock, urls: dict[str, str], capture: 
         ),
     }
     if r.stage:
-        baud = r.stage.baud
-        openers["stage"] = lambda: Stage(link("stage", baud), clock)
+        baud, axes = r.stage.baud, r.stage.axes
+        openers["stage"] = lambda: Stage(link("stage", baud), clock, axes)
     if r.cameras.url != EMULATED:
-        openers["cameras"] = lambda: open_cameras(r.cameras.url, rig.path.parent, clock)
+        openers["cameras"] = lambda: open_cameras(r.cameras, rig.calibration, rig.path.parent, clock)
     return openers
-
-
-def open_cameras(url: str, folder: Path, clock: Clock) -> Cameras:
-    """Real cameras or a recording by their URL; a recording's path is taken from ``folder``."""
-    kind, _, rest = url.partition(":")
-    if kind == "recording":
-        return RecordingCameras(Recording(folder / rest))
-    names = ("left", "right", "thermal")
-    sources = [int(part) if part.isdecimal() else part for part in rest.split(",")]
-    return OpenCvCameras(dict(zip(names, sources, strict=False)), clock)

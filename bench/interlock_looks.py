@@ -156,6 +156,10 @@ def still_heating(now: Reading, _: Limits) -> str | None:
     return f"the heater is still asked for {now.power_percent:.0f} %" if now.power_percent and now.power_percent > 0 else None
 
 
+def not_cold_and_plausible(now: Reading, limits: Limits) -> str | None:
+    return implausible_c(now, limits) or still_heating(now, limits)
+
+
 def nothing_more(_now: Reading, _limits: Limits) -> str | None:
     return None
 

@@ -26,6 +26,7 @@ from bench.interlock_looks import (
     implausible,
     implausible_c,
     loop_broken,
+    not_cold_and_plausible,
     nothing,
     nothing_more,
     sensors_disagree,
@@ -40,7 +41,7 @@ from bench.rig import Limits
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A row of the table.
+    """A row of the table. Every row latches: what has tripped stays so, whatever the bath does, until a person acknowledges it.
 
     ``wrong`` says what is wrong at this moment, or gives None; it trips ``after_s`` after the last reading that was right. ``not_yet``
     says why a latched trip can't be reset, or gives None. ``needs`` names what the family has to tell, or the rule sleeps.
@@ -56,6 +57,7 @@ class Rule:
     needs: str = ""
 
 
+COLD_AND_PLAUSIBLE = "a plausible reading, and output 0 %"
 COMMUNICATIONS, IMPLAUSIBLE, GUARDIAN = "communications lost", "implausible reading", "guardian lost"
 
 RULES = (
@@ -98,16 +100,16 @@ RULES = (
         "rate",
         f"faster than bath_rate_k_per_min over {RATE_SPAN_S:g} s",
         too_fast,
-        "a plausible reading",
-        implausible_c,
+        COLD_AND_PLAUSIBLE,
+        not_cold_and_plausible,
         "Check that the sensor hangs in the water, and the water level.",
     ),
     Rule(
         "loop break",
         f"output above {LOOP_BREAK_OUTPUT_PERCENT:g} % for {LOOP_BREAK_S:g} s and the bath has not risen by {LOOP_RISE_K:g} K",
         loop_broken,
-        "a plausible reading",
-        implausible_c,
+        COLD_AND_PLAUSIBLE,
+        not_cold_and_plausible,
         "Check heater, its relay and fuse, and that the sensor hangs in the water.",
         after_s=LOOP_BREAK_S,
         needs="output",
@@ -116,8 +118,8 @@ RULES = (
         "sensor disagreement",
         f"another sensor further away than sensors_differ_k for {DISAGREE_S:g} s, after settling",
         sensors_disagree,
-        "a plausible reading",
-        implausible_c,
+        COLD_AND_PLAUSIBLE,
+        not_cold_and_plausible,
         "Check that the pump turns, that both sensors are in their places, and the hoses.",
         after_s=DISAGREE_S,
         needs="other sensor",
@@ -134,8 +136,8 @@ RULES = (
         "changed at the controller",
         "stopped, or given another set point, by somebody or something else than the bench",
         changed,
-        "a plausible reading",
-        implausible_c,
+        COLD_AND_PLAUSIBLE,
+        not_cold_and_plausible,
         "Find out whether there was a power cut, or who is at the controller.",
     ),
     Rule(

@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 
 from bench.interlock_looks import RATE_SPAN_S, Bath, Look, Reading
 from bench.interlock_rules import COMMUNICATIONS, IMPLAUSIBLE, RULES, rule_named
 from bench.rig import Limits
 from instruments.bath.profile import Profile
+from instruments.bath.reading import BathReading
 
 SETTLED_WITHIN_K, SETTLED_S = 0.5, 120.0  # near the set point for so long, the teats have caught up with the water
-KEPT = 10  # readings that go into the record with a trip
+KEPT = 10  # readings that go into the record with a trip, beside those that the rule compares with
+COARSE_K = 0.05  # a temperature told in steps of more than this stands still in the best of baths
 
 
 class InterlockTrip(Exception):  # noqa: N818 - the field's word
@@ -65,7 +67,7 @@ class Interlocks:
             if why is None:
                 self._since[rule.name] = now
             elif now.t_s - since.t_s >= rule.after_s:
-                return InterlockTrip(rule.name, why, rule.then, self.values)
+                return InterlockTrip(rule.name, why, rule.then, self._values(since, earlier or now))
         return None
 
     def silent(self, silent_s: float, error: Exception, *, answered: bool) -> InterlockTrip | None:
@@ -79,7 +81,13 @@ class Interlocks:
     @property
     def values(self) -> tuple[Mapping[str, object], ...]:
         """The last readings as plain numbers, oldest first."""
-        return tuple(_plain(reading) for reading in list(self._recent)[-KEPT:])
+        return self._values()
+
+    def _values(self, *compared: Reading) -> tuple[Mapping[str, object], ...]:
+        """Those that a rule has compared with and the last ones, as plain numbers, oldest first."""
+        chosen: Iterable[Reading] = (*compared, *list(self._recent)[-KEPT:])
+        by_time = {reading.t_s: reading for reading in chosen}
+        return tuple(_plain(by_time[t_s]) for t_s in sorted(by_time))
 
     def _earlier(self, now: Reading) -> Reading | None:
         self._recent.append(now)
@@ -114,6 +122,14 @@ def bath_of(profile: Profile) -> Bath:
     return Bath(frozenset(tells), low_level, profile.alarm_text)
 
 
+def moving_of(profile: Profile) -> Callable[[BathReading], Hashable]:
+    """What of a reading has to change while the controller lives: the temperature, and where that is told coarsely the output too."""
+    row = profile.row("temperature")
+    if row.type == "f32" or row.scale <= COARSE_K:
+        return lambda reading: reading.raw
+    return lambda reading: (reading.raw, reading.power_percent)
+
+
 def _plain(reading: Reading) -> Mapping[str, object]:
-    names = ("t_s", "temp_c", "external_c", "safety_c", "power_percent", "alarm")
-    return {name: getattr(reading, name) for name in names}
+    names = ("t_s", "temp_c", "external_c", "safety_c", "power_percent", "alarm", "running", "set_point_c")
+    return {name: getattr(reading, name) for name in names} | {"raw": list(reading.raw)}

@@ -8,34 +8,27 @@ from pathlib import Path
 
 from bench.config import ConfigError, read_config, read_text
 from bench.engine import Ending, Engine
-from bench.examine import TruthRow, examine
+from bench.detector_choice import make_detectors
+from bench.examine import Examiner, TruthRow, close_detectors
+from bench.exits import current, undisturbed
 from bench.facts import write_facts
 from bench.hookup import open_rig
 from bench.latch import refuse_latched
-from bench.lifeline import guarded
+from bench.lifeline import Charge, guarded
+from bench.planning import pose_set
 from bench.recorder import Recorder
 from bench.rig import LoadedRig, read_calibration
 from bench.rows import frame_rows, judged, truth_row
-from bench.script import RECORDING_RULES, LoadedScript, Rules, check_detectors
+from bench.script import RECORDING_RULES, LoadedScript, Rules
 from bench.showing import Progress
 from bench.store import RULES, SCRIPT, FinishedTrial, Store, new_run_folder
-from detector import registry
-from detector.protocol import Detector
+from bench.truth.choosing import refuse_carry
 from instruments.camera.recording import Recording
 from instruments.capture import NO_CAPTURE, Captures
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
 
 SAME_POSE_MM = 1.5  # touches of one end scatter by less, and no bench sets a pose up again this well by chance
-
-
-def make_detectors(names: Sequence[str]) -> list[Detector]:
-    """The detectors of these names. Raises ConfigError for one that isn't there."""
-    try:
-        check_detectors(tuple(names))
-    except ValueError as error:
-        raise ConfigError.plain(str(error)) from error
-    return [registry.create(name) for name in dict.fromkeys(names)]
 
 
 def run_script(
@@ -55,20 +48,30 @@ def run_script(
     Raises ConfigError before anything is opened, and LatchedError where an interlock's trip has not been acknowledged.
     """
     refuse_latched(rig)
-    under_test = make_detectors(detectors or script.script.detectors)
+    refuse_carry(rig, script)
+    under_test = make_detectors(detectors) if detectors else make_detectors(script.script.detectors, script.path.parent)
     used_seed = rig.rig.seed if seed is None else seed
     recorder = Recorder(record, rig.calibration_path) if record else None
-    store = _new_store(out, script.name, {**rig.arm_files, "rig.toml": rig.text, SCRIPT: script.text}, rig.calibration_path)
+    files = {**rig.arm_files, **rig.answer_files, **script.layout_files, **script.truth_files, "rig.toml": rig.text, SCRIPT: script.text}
     emulated = set(rig.rig.emulated)
     kind = "emulated" if emulated else "recorded" if rig.rig.cameras.url.startswith("recording:") else "real"
     facts = {"kind": kind, "title": script.script.title, "about": script.script.about, "seed": used_seed, "rig": rig.rig.name}
-    facts |= {"script": script.name, "set_point_c": script.script.bath.set_point_c, "planned": len(script.script.planned)}
-    try:
-        write_facts(store, facts, under_test, rig.calibration_path)
+    facts |= {"script": script.name, "set_point_c": script.script.bath.set_point_c, "planned": len(script.planned)}
+    facts["pose set"] = pose_set(script.script.trials, script.planned, seed=script.script.seed, order=script.script.order)
+    with undisturbed():  # a run that is there at all says what it is, and how it ended
+        store = _new_store(out, script.name, files, rig.calibration_path)
         try:
-            with open_rig(rig, seed=used_seed, realtime=realtime, capture=capture) as hookup:
+            write_facts(store, facts, under_test, rig.calibration_path)
+        except BaseException:
+            store.close()
+            raise
+    try:
+        try:
+            current().heed()
+            with open_rig(rig, seed=used_seed, realtime=realtime, capture=capture, screen=progress.aside) as hookup:
                 bath, clock = hookup.devices.bath, hookup.devices.clock
-                with guarded(bath.url, rig.profile_source, store.folder, clock) as (pulse, lifeline):
+                charge = Charge(bath.url, rig.profile_source, bath.pump_url, rig.relay_source, rig.rig.bath.allow_inferred)
+                with guarded(charge, store.folder, clock) as (pulse, lifeline):
                     engine = Engine(
                         rig, script, hookup.devices, store, under_test, progress,
                         exact_ends=hookup.exact_ends, sink=recorder, pulse=pulse, lifeline=lifeline,
@@ -81,6 +84,7 @@ def run_script(
         except (InstrumentError, KeyboardInterrupt) as error:  # before the engine had the instruments: nothing was switched on
             return store.folder, _never_started(store, error)
     finally:
+        close_detectors(under_test)
         store.close()
 
 
@@ -97,13 +101,13 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
         "about": str(path.resolve()),
         "planned": len(recording.frames),
     }
-    poses = pose_names(recording)
+    poses, examiner = pose_names(recording), Examiner(calibration)
     try:
         write_facts(store, facts, under_test, recording.calibration_path)
         for number, frame in enumerate(recording.frames, 1):
             progress.trial(number - 1, len(recording.frames), frame)
             frames = recording.load(frame)
-            answers = [examine(detector, frames, calibration) for detector in under_test]
+            answers = [examiner.ask(detector, frames) for detector in under_test]
             known = recording.truth.get(frame, ())
             truth = [TruthRow(t.teat, t.xyz_mm, t.visible, t.u_mm) for t in known]
             situation = known[0].situation if known else "unknown"
@@ -118,6 +122,7 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
         store.event(None, "aborted", "interrupted (Ctrl-C)", wall_time())
         _end(store, Ending.ABORTED)
     finally:
+        close_detectors(under_test)
         store.close()
     return store.folder
 

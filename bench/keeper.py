@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from bench.devices import Devices
 from bench.interlock_rules import GUARDIAN, rule_named
-from bench.interlocks import Interlocks, InterlockTrip, bath_of
+from bench.interlocks import Interlocks, InterlockTrip, bath_of, moving_of
 from bench.latch import latch_path, set_latch
 from bench.lifeline import Lifeline
 from bench.pulse import Pulse
@@ -50,9 +50,10 @@ class Keeper:
         self._pulse = pulse
         self._lifeline = lifeline
         self._latch = latch_path(rig)
-        self._told = False
-        interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
-        self.watch = Watch(devices.bath, devices.clock, gate, interlocks, store.bath, self._act, pump_on=self._pump_on, also=self._also)
+        self._told = self._held = False
+        interlocks = self._interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+        moving, pump_on, also = moving_of(rig.profile), self._pump_on, self._also
+        self.watch = Watch(devices.bath, devices.clock, gate, interlocks, store.bath, self._act, pump_on=pump_on, also=also, moving=moving)
         self._write_facts(rig, interlocks)
 
     def stop(self) -> None:
@@ -71,24 +72,23 @@ class Keeper:
         """With each reading: the watch is alive, and the guardian has to be too."""
         self._pulse.sign("reading the bath", READING_S, who=WATCH)
         lost = self._lifeline.lost if self._lifeline else None
-        return InterlockTrip(GUARDIAN, lost, rule_named(GUARDIAN).then) if lost else None
+        return InterlockTrip(GUARDIAN, lost, rule_named(GUARDIAN).then, self._interlocks.values) if lost else None
 
     def _act(self, trip: Exception) -> bool:
-        """Go to safe; True when the heater is off. Called again until it is."""
+        """Go to safe; True when heater and stage are. Called again until they are."""
         said: list[str] = []
+        stage = self._devices.stage  # first, for it takes a byte, and a bath that doesn't answer half a minute
+        self._held = self._held or stage is None or _tried("stage", stage.brake, said, "is held")
         safe = _tried("heater", lambda: heater_off(self._devices.bath), said, "is in standby")
-        stage = self._devices.stage
-        if stage is not None and not self._told:
-            _tried("stage", stage.brake, said, "is held")
         if not self._told:
             self._told = True
             self._tell(trip, said)
-        return safe
+        return safe and self._held
 
     def _tell(self, trip: Exception, said: list[str]) -> None:
         """To the operator first; the record and the latch may fail without the others."""
         done = "; ".join(said)
-        self._progress.warn(f"{trip}\n{done}. The run ends after the answer to an open prompt, if there is one.")
+        self._progress.warn(f"{trip}\n{done}. The run ends; an open question needs no answer any more.")
         try:
             if isinstance(trip, InterlockTrip):
                 self._store.fact("trip", trip.as_dict() | {"t_s": self._devices.clock.now(), "done": said})
@@ -112,11 +112,11 @@ class Keeper:
         self._store.fact("bath figures", {"room_c": room_c} | rig.rig.bath.model_dump(include={"accuracy_k", "external_accuracy_k"}))
 
 
-def _tried(name: str, step: Callable[[], None], said: list[str], done: str) -> bool:
+def _tried(name: str, step: Callable[[], str | None], said: list[str], done: str) -> bool:
     try:
-        step()
+        more = step()
     except InstrumentError as error:
         said.append(f"{name} could not be made safe: {error}")
         return False
-    said.append(f"{name} {done}")
+    said += [f"{name} {done}", *([more] if more else [])]
     return True

@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO, cast
@@ -19,7 +20,7 @@ from typing import IO, cast
 from bench.guardian import ALIVE, DONE, HUNG, READY, TAKE_OVER
 from bench.pulse import Pulse
 from bench.store import GUARDIAN
-from instruments.clock import Clock, VirtualClock
+from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import LinkError
 
 LOG = "guardian.log"
@@ -28,14 +29,31 @@ END_S = 5.0
 START_S = 30.0  # a loaded machine reads Python's modules slowly
 
 
-class Lifeline:
-    """A running guardian for the bath at ``url``, which keeps its record in ``folder``. Raises LinkError when it doesn't start."""
+@dataclass(frozen=True, slots=True)
+class Charge:
+    """What a guardian has to put into standby: a bath, and the relay of its pump where it has one; profiles by name or whole path."""
 
-    def __init__(self, url: str, profile: str, folder: Path, pulse: Pulse) -> None:
+    url: str
+    profile: str
+    pump_url: str = ""
+    pump_profile: str = ""
+    allow_inferred: bool = False
+
+    @property
+    def arguments(self) -> list[str]:
+        """As the guardian's command line takes them."""
+        pump = ["--pump-url", self.pump_url, "--pump-profile", self.pump_profile] if self.pump_url else []
+        return ["--url", self.url, "--profile", self.profile, *pump, *(["--allow-inferred"] if self.allow_inferred else [])]
+
+
+class Lifeline:
+    """A running guardian for ``charge``, which keeps its record in ``folder``. Raises LinkError when it doesn't start."""
+
+    def __init__(self, charge: Charge, folder: Path, pulse: Pulse) -> None:
         self._pulse = pulse
         self._ended = threading.Event()
-        self._log = folder / LOG
-        command = [sys.executable, "-X", "utf8", "-m", "bench.guardian", "--url", url, "--profile", profile]
+        self._log, self._acted = folder / LOG, folder / GUARDIAN
+        command = [sys.executable, "-X", "utf8", "-m", "bench.guardian", *charge.arguments]
         command += ["--record", str(folder.resolve() / GUARDIAN), "--bench", str(os.getpid())]
         with self._log.open("wb") as log:
             self._process = _spawn(command, log)
@@ -54,9 +72,11 @@ class Lifeline:
     def lost(self) -> str | None:
         """Why nobody guards the bath any more; None while the guardian lives."""
         code = self._process.poll()
-        if code is None or self._ended.is_set():
+        if self._ended.is_set() or (code is None and not self._acted.is_file()):
             return None
-        return "it took the bench for dead and put the bath into standby" if code == 0 else f"it ended by itself (exit code {code})"
+        if code:
+            return f"it ended by itself (exit code {code})"
+        return "it took the bench for dead and went about putting the bath into standby"
 
     def done(self) -> None:
         """The bath is safe: the guardian may go."""
@@ -131,11 +151,17 @@ def _spawn(command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
 
 
 @contextmanager
-def guarded(url: str, profile: str, folder: Path, clock: Clock) -> Iterator[tuple[Pulse, Lifeline | None]]:
+def guarded(charge: Charge, folder: Path, clock: Clock) -> Iterator[tuple[Pulse, Lifeline | None]]:
     """Signs of life, and who looks at them: nobody under virtual time, for then the emulated bath ends with the bench."""
     pulse = Pulse()
     if isinstance(clock, VirtualClock):
         yield pulse, None
         return
-    with Lifeline(url, profile, folder, pulse) as lifeline:
-        yield pulse, lifeline
+    if isinstance(clock, RealClock):
+        clock.heard_by(pulse.alive)
+    try:
+        with Lifeline(charge, folder, pulse) as lifeline:
+            yield pulse, lifeline
+    finally:
+        if isinstance(clock, RealClock):
+            clock.heard_by(None)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
@@ -29,6 +30,7 @@ class TerminalProgress:
             TimeElapsedColumn(),
             TextColumn("{task.fields[doing]}"),
         )
+        self._asking = False  # the cursor stands behind a question
         self._bar = Progress(*columns, console=console, transient=False)
         self._task = self._bar.add_task("trials", total=None, doing="")
 
@@ -41,7 +43,22 @@ class TerminalProgress:
             self._console.print(f"trial {done + 1} of {total}: {name}" if done < total else f"{total} of {total} trials done")
 
     def warn(self, text: str) -> None:
-        self._console.print(text, style="bold red", markup=False, soft_wrap=True)
+        self._console.print(f"\n{text}" if self._asking else text, style="bold red", markup=False, soft_wrap=True)
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Without a terminal nothing moves anyway."""
+        if not self._console.is_terminal or not self._bar.live.is_started:
+            yield
+            return
+        self._bar.live.transient = True  # or each question would leave a bar behind
+        self._bar.stop()
+        self._asking = True
+        try:
+            yield
+        finally:
+            self._asking = self._bar.live.transient = False
+            self._bar.start()
 
     def __enter__(self) -> TerminalProgress:
         self._bar.start()

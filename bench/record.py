@@ -45,6 +45,18 @@ class TrialRecord:
         """Repeats of one pose share this name."""
         return str(self.head["name"])
 
+    @property
+    def invalid(self) -> str | None:
+        """Why its truth doesn't hold; the trial then is in no count. None where nothing speaks against it."""
+        reason = self.head["invalid"]
+        return None if reason is None else str(reason)
+
+    @property
+    def how(self) -> str | None:
+        """``touched`` or ``carried``; None where the truth came without that word, as in a recording."""
+        how = self.truth[0]["how"] if self.truth else None
+        return None if how is None else str(how)
+
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
@@ -56,6 +68,8 @@ class RunRecord:
     folder: Path
     facts: Mapping[str, Any]
     trials: tuple[TrialRecord, ...]
+    skipped: tuple[Row, ...]
+    checks: tuple[Row, ...]
     events: tuple[Row, ...]
     bath: NDArray[np.float64]
     bath_states: tuple[str, ...]
@@ -66,6 +80,11 @@ class RunRecord:
     def ending(self) -> str:
         """``finished``, ``aborted`` or ``faulted``; ``interrupted`` where the bench died before it could say."""
         return str(self.facts.get("ending", "interrupted"))
+
+    @property
+    def counted(self) -> tuple[TrialRecord, ...]:
+        """The trials that the verdicts are made of: all but those whose truth was invalidated."""
+        return tuple(trial for trial in self.trials if trial.invalid is None)
 
     @property
     def detectors(self) -> tuple[str, ...]:
@@ -98,6 +117,8 @@ def _read(folder: Path, db: sqlite3.Connection) -> RunRecord:
         folder=folder,
         facts=facts,
         trials=tuple(_trials(db)),
+        skipped=tuple(dict(row) for row in db.execute("SELECT * FROM skipped ORDER BY number")),
+        checks=tuple(dict(row) for row in db.execute("SELECT * FROM checks ORDER BY number, teat")),
         events=tuple(dict(row) for row in db.execute("SELECT * FROM events ORDER BY number")),
         bath=table[:, :3],
         bath_states=tuple(row["state"] for row in bath),

@@ -20,9 +20,20 @@ class Recorder:
             raise ConfigError.plain(f"--record {folder}: the folder is not empty. Name a new one.")
         self._writer = RecordingWriter(folder)
         self._writer.add_calibration(read_text(calibration))
+        self._open: dict[str, list[RecordedTruth]] = {}
 
-    def trial(self, trial_id: str, situation: str, frames: FrameSet, truth: Sequence[TruthRow]) -> None:
-        """Add a trial's frame set with its truth."""
+    def trial(self, trial_id: str, situation: str, frames: FrameSet, truth: Sequence[TruthRow], *, confirmed: bool) -> None:
+        """Add a trial's frame set with its truth; truth that isn't confirmed waits for `settled`, the frames stay without until then."""
         self._writer.add(trial_id, frames)
         rows = [RecordedTruth(situation, row.teat, row.point_mm, row.visible, row.u_mm) for row in truth]
-        self._writer.add_truth(trial_id, rows)
+        if confirmed:
+            self._writer.add_truth(trial_id, rows)
+        else:
+            self._open[trial_id] = rows
+
+    def settled(self, trials: Sequence[str], good: bool) -> None:
+        """The truth of these trials holds, or it doesn't and is dropped."""
+        for trial in trials:
+            rows = self._open.pop(trial, None)
+            if good and rows is not None:
+                self._writer.add_truth(trial, rows)

@@ -5,6 +5,7 @@ An emulated rig and a real one have the same keys; what differs are the URLs. Re
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,18 +13,25 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
+from bench.answers import load_answers
 from bench.arm.files import load_frame, load_verification
 from bench.arm.frame import TableFrame
 from bench.arm.verification import Verification
+from bench.camera_tables import Cameras
 from bench.config import ConfigError, Section, did_you_mean, located, read_config, read_text
+from bench.emulated_optics import EmulatedOptical, EmulatedThermal
+from bench.emulated_stage import EmulatedStage
 from bench.faults import check_wish
 from detector.calibration import Calibration, CalibrationError, load_calibration
 from instruments.bath.line import ALLOWED, LineError, parse_line
-from instruments.bath.profile import Profile, ProfileError, RelayProfile, load_profile, load_relay, profile_names
+from instruments.bath.profile import Profile, ProfileError, RelayProfile, load_profile, load_relay, profile_names, relay_names
 from instruments.microscribe.unit import ArmIdentity, UnitError, load_unit
+from instruments.operators.emulated import Mistake
+from instruments.world.phantom import PlatePose
 
 RIGS = Path(__file__).parent / "rigs"
-EMULATED = "emulator:"
+CALIBRATIONS = ("calibration", "thesis-calibration")  # what lies there and is no rig
+EMULATED, CONSOLE, SCRIPT = "emulator:", "console:", "script:"
 
 
 def serial_url(url: str) -> str:
@@ -44,14 +52,6 @@ def bath_url(url: str) -> str:
     return url
 
 
-def _camera_url(url: str) -> str:
-    if url == EMULATED or re.match(r"(opencv|recording):\S+", url):
-        return url
-    raise ValueError(
-        'not a camera; allowed: "emulator:", "opencv:LEFT,RIGHT,THERMAL" (device numbers, files or streams), "recording:FOLDER"'
-    )
-
-
 def _beside(name: str, info: ValidationInfo) -> str:
     folder: Any = (info.context or {}).get("folder")
     if folder is not None and not (Path(folder) / name).is_file():
@@ -61,6 +61,15 @@ def _beside(name: str, info: ValidationInfo) -> str:
 
 def _beside_if_named(name: str, info: ValidationInfo) -> str:
     return _beside(name, info) if name else name
+
+
+def _operator_url(url: str, info: ValidationInfo) -> str:
+    if url.startswith(SCRIPT):
+        _beside(url.removeprefix(SCRIPT), info)
+    elif url not in (EMULATED, CONSOLE):
+        near = did_you_mean(url, (EMULATED, CONSOLE, SCRIPT))
+        raise ValueError(f'not an operator{near} (allowed: "{CONSOLE}", "{EMULATED}", "{SCRIPT}ANSWERS.toml", "{SCRIPT}ANSWERS.txt")')
+    return url
 
 
 Millimetres = Annotated[float, Field(allow_inf_nan=False)]
@@ -77,6 +86,9 @@ class Arm(Section):
     max_spread_mm: Positive = 1.0
     touches: Annotated[int, Field(ge=1, le=100)] = 3
     definition_mm: Positive = 0.1
+    tip_radius_mm: Annotated[float, Field(ge=0, le=20)] = 0.0
+    tip_radius_u_mm: Annotated[float, Field(ge=0, le=5)] = 0.01
+    axis_u_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.02
     frame: Annotated[str, AfterValidator(_beside_if_named)] = ""
     verification: Annotated[str, AfterValidator(_beside_if_named)] = ""
     check_point_mm: Point | None = None
@@ -85,11 +97,20 @@ class Arm(Section):
 
 def _relay_url(url: str) -> str:
     try:
-        if url:
+        if url not in ("", EMULATED):
             parse_line(url)
     except LineError as error:
-        raise ValueError(str(error)) from error
+        raise ValueError(str(error).replace(ALLOWED, f'"{EMULATED}", {ALLOWED}')) from error
     return url
+
+
+def _relay_profile(name: str, info: ValidationInfo) -> str:
+    known = relay_names()
+    if not name or name in known:
+        return name
+    if not name.endswith(".toml"):
+        raise ValueError(f"no such profile{did_you_mean(name, known)} (shipped: {', '.join(known)}; or a path that ends in .toml)")
+    return _beside(name, info)
 
 
 class Bath(Section):
@@ -97,7 +118,7 @@ class Bath(Section):
     profile: str
     allow_inferred: bool = False
     pump_url: Annotated[str, AfterValidator(_relay_url)] = ""
-    pump_profile: Annotated[str, AfterValidator(_beside_if_named)] = ""
+    pump_profile: Annotated[str, AfterValidator(_relay_profile)] = ""
     accuracy_k: Positive = 0.1
     external_accuracy_k: Positive = 0.1
     room_c: Annotated[float, Field(ge=-10, le=40)] = 20.0
@@ -114,18 +135,26 @@ class Bath(Section):
 class Stage(Section):
     url: Annotated[str, AfterValidator(serial_url)]
     baud: Literal[9600, 19200, 38400, 57600, 115200] = 115200
+    axes: Literal["XY", "XYZ", "XYA", "XYZA"] = "XY"
     reference_mm: tuple[Millimetres, Millimetres] = (-150.0, -137.5)
+    reference_z_mm: Millimetres = -50.0
+    reference_a_deg: Millimetres = -180.0
     feed_mm_per_min: Positive = 1500.0
+    scale_u: Annotated[float, Field(ge=0, le=0.1)] = 5e-4
+    squareness_u_rad: Annotated[float, Field(ge=0, le=0.1)] = 5e-4
+    repeatability_mm: Annotated[float, Field(ge=0, le=10)] = 0.02
 
-
-class Cameras(Section):
-    url: Annotated[str, AfterValidator(_camera_url)]
-    settle_s: Annotated[float, Field(ge=0, le=600)] = 1.0
-    max_skew_s: Positive = 0.05
+    def machine(self, pose: PlatePose) -> dict[str, float]:
+        """Where the stage's axes are when the plate stands at ``pose``: arguments of `Stage.move_to`, of the axes that there are."""
+        x, y = self.reference_mm
+        there = {"x_mm": x + pose.x_mm, "y_mm": y + pose.y_mm}
+        more = {"Z": ("z_mm", self.reference_z_mm + pose.z_mm), "A": ("a_deg", self.reference_a_deg + math.degrees(pose.yaw_rad))}
+        return there | dict(more[axis] for axis in self.axes[2:])
 
 
 class Operator(Section):
-    url: Literal["emulator:", "console:"]
+    url: Annotated[str, AfterValidator(_operator_url)]
+    remind_s: Positive = 120.0
 
 
 class Limits(Section):
@@ -161,11 +190,12 @@ class Placed(Section):
 class EmulatedFault(Section):
     """Something that goes wrong ``at_s`` after the emulators started, for ``for_s``, or for good where that is left out."""
 
-    instrument: Literal["arm", "bath", "stage"]
+    instrument: Literal["arm", "bath", "pump", "stage", "cameras"]
     name: str
     at_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     for_s: Positive | None = None
     times: Annotated[int, Field(ge=1)] | None = None
+    camera: Literal["left", "right", "thermal"] | None = None
     amount: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
 
     @model_validator(mode="after")
@@ -182,8 +212,15 @@ class Emulation(Section):
     arm_accuracy_mm: Annotated[float, Field(ge=0, le=5)] = 0.23
     hand_tremor_mm: Annotated[float, Field(ge=0, le=5)] = 0.05
     hand_error_mm: Annotated[float, Field(ge=0, le=10)] = 0.1
+    placement_error_mm: Annotated[float, Field(ge=0, le=20)] = 0.0
+    placement_error_deg: Annotated[float, Field(ge=0, le=20)] = 0.0
+    prompt_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    mistakes: tuple[Mistake, ...] = ()
     arm_placed: Placed = Placed()
     arm_unit: Annotated[str, AfterValidator(_beside_if_named)] = ""
+    optical: EmulatedOptical = EmulatedOptical()
+    thermal: EmulatedThermal = EmulatedThermal()
+    stage: EmulatedStage = EmulatedStage()
     faults: tuple[EmulatedFault, ...] = ()
 
 
@@ -203,7 +240,7 @@ class Rig(Section):
     def urls(self) -> dict[str, str]:
         """Each instrument's URL by its name."""
         stage = {"stage": self.stage.url} if self.stage else {}
-        return {"arm": self.arm.url, "bath": self.bath.url, **stage, "cameras": self.cameras.url, "operator": self.operator.url}
+        return {"arm": self.arm.url, "bath": self.bath.url, **stage, "cameras": self.cameras.told, "operator": self.operator.url}
 
     @property
     def emulated(self) -> tuple[str, ...]:
@@ -229,8 +266,22 @@ class LoadedRig:
     @property
     def profile_source(self) -> str:
         """What another process loads the bath's profile by: a shipped name, or a whole path."""
-        name = self.rig.bath.profile
+        return self._source(self.rig.bath.profile)
+
+    @property
+    def relay_source(self) -> str:
+        """As ``profile_source``, of the pump's relay; empty where there is none."""
+        return self._source(self.rig.bath.pump_profile)
+
+    def _source(self, name: str) -> str:
         return str((self.path.parent / name).resolve()) if name.endswith(".toml") else name
+
+    @property
+    def answer_files(self) -> dict[str, str]:
+        """The text of the script of answers, by its name; none where something else answers."""
+        url = self.rig.operator.url
+        name = url.removeprefix(SCRIPT)
+        return {Path(name).name: read_text(self.path.parent / name)} if url.startswith(SCRIPT) else {}
 
     @property
     def arm_files(self) -> dict[str, str]:
@@ -241,7 +292,7 @@ class LoadedRig:
 
 def find_rig(name: str | None) -> Path:
     """The file of a shipped rig by name, or of any rig by path; the emulated one for None. Raises ConfigError."""
-    return find_shipped(name or "emulated", RIGS, "rig", exclude=("calibration",))
+    return find_shipped(name or "emulated", RIGS, "rig", exclude=CALIBRATIONS)
 
 
 def find_shipped(name: str, folder: Path, kind: str, exclude: tuple[str, ...] = ()) -> Path:
@@ -264,12 +315,15 @@ def load_rig(path: Path) -> LoadedRig:
     rig = read_config(path, Rig)
     text = read_text(path)
     profile = _profile(path, text, rig)
-    real = set(rig.urls) - set(rig.emulated)
+    real = set(rig.urls) - set(rig.emulated) - (set() if rig.operator.url == EMULATED else {"operator"})  # a person may rehearse
     if rig.emulated and real:
         message = f"emulated and real instruments don't mix: they would not share one world (real here: {', '.join(sorted(real))})"
         raise located(path, text, [((name, "url"), message, False) for name in rig.emulated])
     calibration_path = path.parent / rig.calibration
-    homeless = [i for i, fault in enumerate(rig.emulation.faults) if fault.instrument not in rig.urls]
+    there = {*rig.urls, *(["pump"] if rig.bath.pump_url else [])}
+    if rig.stage and rig.stage.url == EMULATED and (wrong := rig.emulation.stage.fault(rig.stage.axes)):
+        raise located(path, text, [(("stage", "axes"), wrong, False)])
+    homeless = [i for i, fault in enumerate(rig.emulation.faults) if fault.instrument not in there]
     if homeless:
         missing = "this rig has no such instrument"
         raise located(path, text, [(("emulation", "faults", i, "instrument"), missing, False) for i in homeless])
@@ -277,6 +331,8 @@ def load_rig(path: Path) -> LoadedRig:
     verification = load_verification(path.parent / rig.arm.verification) if rig.arm.verification else None
     unit = _arm_unit(path.parent / rig.emulation.arm_unit) if rig.emulation.arm_unit else None
     relay = _relay(path, text, rig, profile)
+    if rig.operator.url.startswith(SCRIPT):
+        load_answers(path.parent / rig.operator.url.removeprefix(SCRIPT))  # its faults are told before anything is opened
     calibration = read_calibration(calibration_path)
     return LoadedRig(path, text, rig, profile, calibration_path, calibration, frame, verification, unit, relay)
 
@@ -316,14 +372,14 @@ def _relay(path: Path, text: str, rig: Rig, profile: Profile) -> RelayProfile | 
     wrong = ""
     if not (bath.pump_url and bath.pump_profile):
         wrong = f"{'pump_profile' if bath.pump_url else 'pump_url'} is missing: a pump's relay has both, or there is none"
-    elif bath.url == EMULATED:
-        wrong = "an emulated bath has its pump already: leave pump_url and pump_profile out"
+    elif (bath.url == EMULATED) != (bath.pump_url == EMULATED):
+        wrong = f'bath and pump are both emulated or both real: "{EMULATED}" stands in url and in pump_url, or in neither'
     elif profile.capabilities.pump != "none":
         wrong = f"{profile.family} has a pump of its own: leave pump_url and pump_profile out"
     if wrong:
         raise located(path, text, [(("bath", key), wrong, False)])
     try:
-        return load_relay(path.parent / bath.pump_profile)
+        return load_relay(path.parent / bath.pump_profile if bath.pump_profile.endswith(".toml") else bath.pump_profile)
     except ProfileError as error:
         raise _profile_faults(error) from error
 

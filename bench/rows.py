@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from bench.examine import Answer, TruthRow, score_answer
 from bench.scoring.scene import SceneScore
 from bench.store import Picture, Row, Store
+from bench.truth.point import TruthPoint
 from instruments.camera.frame import FrameSet
 
 WALL_KEYS = ("seconds", "in_time", "success")  # parts of a score that depend on real time
@@ -31,12 +32,14 @@ def frame_rows(store: Store, trial_id: str, frames: FrameSet, answers: Sequence[
     ]
 
 
-def truth_row(trial_id: str, row: TruthRow, exact: NDArray[np.float64] | None = None) -> Row:
-    """The row of the table ``truth``."""
+def truth_row(trial_id: str, row: TruthRow, exact: NDArray[np.float64] | None = None, point: TruthPoint | None = None) -> Row:
+    """The row of the table ``truth``; ``point`` has the budget, where the truth is the bench's own."""
     x, y, z = row.point_mm
     kept = None if exact is None else json.dumps([float(v) for v in exact])
     place = {"x_mm": x, "y_mm": y, "z_mm": z, "u_mm": row.u_mm, "visible": int(row.visible), "exact_mm": kept}
-    return {"trial": trial_id, "teat": row.teat, **place}
+    known: Row = {} if point is None else {"how": point.how.value, "budget": json.dumps(point.uncertainty.as_dict())}
+    spread = None if point is None else _json(point.covariance_mm2)
+    return {"trial": trial_id, "teat": row.teat, **place, **known, "covariance_mm2": spread}
 
 
 def judged(
@@ -61,8 +64,12 @@ def detection_rows(trial: str, answer: Answer) -> tuple[Row, list[Row]]:
         "detector": answer.detector,
         "hidden": detection.hidden,
         "reason": detection.reason,
+        "outcome": answer.outcome.value,
+        "cold": int(answer.cold),
         "trace": json.dumps({stage.name: {key: _small(value) for key, value in stage.data.items()} for stage in detection.trace}),
         "wall_seconds": answer.seconds,
+        "wall_start_up_s": answer.start_up_s,
+        "wall_stderr": answer.stderr or None,
     }
     found: list[Row] = []
     for number, teat in enumerate(detection.teats, 1):

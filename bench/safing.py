@@ -12,7 +12,7 @@ from typing import Literal, Protocol
 from instruments.bath.profile import Profile
 from instruments.bath.reading import BathReading
 from instruments.bath.relay import PUMP
-from instruments.errors import DeviceError
+from instruments.errors import DeviceError, InstrumentError
 
 ON, OFF = "on", "off"  # labels of the row of a pump that is switched by itself
 FLOW_S = 10.0
@@ -69,11 +69,19 @@ def start_bath(bath: Bath, set_point_c: float, wait: Callable[[float], None]) ->
     bath.start(set_point_c)
 
 
-def heater_off(bath: Bath) -> None:
-    """Standby at once; then the pump on, where it can run alone, to carry the heater's rest of heat away."""
+def heater_off(bath: Bath) -> str:
+    """Standby at once; then the pump on, where it can run alone, to carry the heater's rest of heat away.
+
+    Raises InstrumentError where the heater can't be reached; a pump that can't be is told, for the heater is off.
+    """
     bath.safe()
-    if has_own_pump(bath):
+    if not has_own_pump(bath):
+        return ""
+    try:
         bath.set(PUMP, ON)
+    except InstrumentError as error:
+        return f"the pump could not be switched on: {error}"
+    return ""
 
 
 def run_pump_on(bath: Bath, sleep: Callable[[float], None], cut_short: Callable[[], bool]) -> str:

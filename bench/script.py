@@ -5,18 +5,22 @@ A script is fixed before the run and copied into it. Reading it may not open an 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
-from bench.config import ConfigError, Section, did_you_mean, read_config, read_text
-from bench.rig import Millimetres, Positive, find_shipped
-from detector import registry
-from instruments.operators.operator import Arrangement
-from instruments.world.objects import make_object
-from instruments.world.phantom import LAYOUTS, make_phantom
+from bench.config import ConfigError, Section, read_config, read_text
+from bench.detector_choice import check_named
+from bench.phantom_file import Layout, find_layout, load_layout
+from bench.planning import PlannedTrial, plan
+from bench.rig import Positive, find_shipped
+from bench.trial_table import Published, Trial
+from bench.truth.registration import Registration
+from bench.truth.registration_file import load_registration
+from bench.truth.settings import TruthTable
 
 TRIALS = Path(__file__).parent / "trials"
 RECORDING_RULES = Path(__file__).parent / "rules" / "recording.toml"
@@ -31,6 +35,7 @@ class BathGate(Section):
     mean_k: Positive = 0.10
     half_range_k: Positive = 0.05
     slope_k_per_min: Positive = 0.01
+    teat_slope_k_per_min: Positive = 0.02  # of the sensor at the teats, where the bath has one
     leave_k: Positive = 0.15
     timeout_s: Positive = 7200.0
 
@@ -96,49 +101,6 @@ Requirement = Annotated[
 ]
 
 
-class Published(Section):
-    """What the thesis's own detector found in this situation, to print beside ours."""
-
-    found: Annotated[int, Field(ge=0)]
-    present: Annotated[int, Field(ge=1)]
-    source: str = ""
-
-
-class Trial(Section):
-    """One pose of the phantom and what else is in the scene. ``set_up`` tells a person what to do."""
-
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$")]
-    situation: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_]*$")]
-    layout: str
-    set_up: str
-    stage_mm: tuple[Millimetres, Millimetres] = (0.0, 0.0)
-    objects: tuple[dict[str, Any], ...] = ()
-    repeats: Annotated[int, Field(ge=1, le=1000)] | None = None
-    published: Published | None = None
-
-    @field_validator("layout")
-    @classmethod
-    def _layout(cls, name: str) -> str:
-        if name not in LAYOUTS:
-            raise ValueError(f"no such layout{did_you_mean(name, LAYOUTS)} (shipped: {', '.join(LAYOUTS)})")
-        return name
-
-    @field_validator("objects")
-    @classmethod
-    def _objects(cls, tables: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
-        for number, table in enumerate(tables, 1):
-            try:
-                make_object(**table)
-            except (ValueError, TypeError) as error:
-                raise ValueError(f"object {number}: {error}") from error
-        return tables
-
-    @property
-    def arrangement(self) -> Arrangement:
-        """What the operator is asked to set up."""
-        return Arrangement(self.situation, self.layout, self.objects, self.set_up, len(make_phantom(self.layout).teats))
-
-
 class Rules(Section):
     """What detections are held against, with or without instruments: fixed before anything is run."""
 
@@ -151,8 +113,9 @@ class Rules(Section):
 
     @field_validator("detectors")
     @classmethod
-    def _detectors(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        check_detectors(names)
+    def _detectors(cls, names: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
+        if not (info.context or {}).get("stored"):  # of a run that was done, also where its detectors aren't at hand any more
+            check_named(names)
         return names
 
     @field_validator("requirements")
@@ -168,10 +131,13 @@ class Rules(Section):
 
 
 class Script(Rules):
-    """Rules, the bath, and the trials."""
+    """Rules, the bath, and the trials. ``seed`` draws poses, layouts and order: they are the same whatever the run's seed is."""
 
+    seed: Annotated[int, Field(ge=0)] = 1
+    order: Literal["as written", "shuffled"] = "as written"
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
     bath: BathGate
+    truth: TruthTable = TruthTable()
     trials: Annotated[tuple[Trial, ...], Field(min_length=1)]
 
     @field_validator("trials")
@@ -184,36 +150,39 @@ class Script(Rules):
     def published(self) -> dict[str, Published]:
         return {trial.situation: trial.published for trial in self.trials if trial.published}
 
-    @property
-    def planned(self) -> tuple[tuple[Trial, int], ...]:
-        """Each trial with the number of its repeat, from 1, in the order of the run."""
-        return tuple((trial, repeat) for trial in self.trials for repeat in range(1, (trial.repeats or self.repeats) + 1))
-
 
 @dataclass(frozen=True, slots=True)
 class LoadedScript:
+    """A script as read, with its trials in the order of the run, and the layouts that they name."""
+
     path: Path
     text: str
     script: Script
+    planned: tuple[PlannedTrial, ...]
+    layouts: Mapping[str, Layout]
+    registration: Registration | None = None
 
     @property
     def name(self) -> str:
         """The file's name without its ending."""
         return self.path.name.removesuffix(".toml")
 
+    @property
+    def layout_files(self) -> dict[str, str]:
+        """The text of each layout of the script's own, by its name; for the run's folder."""
+        return {name: read_text(self.path.parent / name) for name in self.layouts if name.endswith(".toml")}
+
+    @property
+    def truth_files(self) -> dict[str, str]:
+        """The text of the stage's registration, where the script names one; for the run's folder."""
+        name = self.script.truth.file
+        return {Path(name).name: read_text(self.path.parent / name)} if name else {}
+
 
 def _no_name_twice(names: list[str]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ValueError(f"two have the name {twice[0]!r}; names must differ")
-
-
-def check_detectors(names: tuple[str, ...]) -> None:
-    """Raises ValueError for a detector that isn't there."""
-    known = list(registry.available())
-    for name in names:
-        if name not in known:
-            raise ValueError(f"no detector {name!r}{did_you_mean(name, known)} (there are: {', '.join(known)})")
 
 
 def find_script(name: str | None) -> Path:
@@ -229,4 +198,7 @@ def load_script(path: Path, rig_limits_c: tuple[float, float] | None = None) -> 
         raise ConfigError.plain(
             f"{path}: bath.set_point_c = {wanted:g} degC is outside what the rig allows ({rig_limits_c[0]:g} to {rig_limits_c[1]:g} degC)"
         )
-    return LoadedScript(path, read_text(path), script)
+    layouts = {name: load_layout(find_layout(name, path.parent)) for name in {trial.layout for trial in script.trials if trial.layout}}
+    planned = plan(script.trials, layouts, repeats=script.repeats, seed=script.seed, shuffled=script.order == "shuffled")
+    registration = load_registration(path.parent / script.truth.file) if script.truth.file else None
+    return LoadedScript(path, read_text(path), script, planned, layouts, registration)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol
 
 
@@ -18,6 +19,10 @@ class Progress(Protocol):
 
     def warn(self, text: str) -> None:
         """What a person has to see at once, and do something about."""
+        ...
+
+    def aside(self) -> AbstractContextManager[None]:
+        """While this lasts nothing moves on the screen: somebody is asked something there."""
         ...
 
 
@@ -40,6 +45,9 @@ class Unfailing:
                 self._progress.trial(done, total, name)
             except (OSError, ValueError):
                 self._progress = None
+
+    def aside(self) -> AbstractContextManager[None]:
+        return self._progress.aside() if self._progress else nullcontext()
 
     def warn(self, text: str) -> None:
         if self._progress:

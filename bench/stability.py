@@ -1,20 +1,18 @@
 """When is the bath stable? A sliding window of readings against the gate of the script: heating, settling, stable.
 
-Strategy: running sums for mean and slope, monotonic queues for the extremes, a count of distinct raw readings; a reading costs the same
-however long the window is. Criteria after ASTM E2488 practice: mean, half range and least-squares slope over the window, with hysteresis
-on leaving. Knows no bath, no Modbus, no clock: a reading comes with its time. A frozen reading, a gap or an alarm is never evidence of
-stability.
+The window's figures are `stability_window`'s. Criteria after ASTM E2488 practice: mean, half range and least-squares slope over the
+window, with hysteresis on leaving; a sensor at the teats, where there is one, has a slope of its own to keep. Knows no bath, no
+Modbus, no clock: a reading comes with its time. A frozen reading, a gap or an alarm is never evidence of stability.
 """
 
 from __future__ import annotations
 
-from collections import Counter, deque
 from collections.abc import Hashable
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from math import isfinite
 
-_TIME_SLACK_S = 1e-6  # readings at 0.1 s steps add up to 599.9999999 s
+from bench.stability_window import TIME_SLACK_S, Window
 
 
 class State(StrEnum):
@@ -53,8 +51,8 @@ class StabilityGate:
     """Feed every reading to `add`; ask `state` and `report`. Limits are the script's.
 
     `min_distinct` raw readings must differ within the window, and a raw reading may repeat for `frozen_s` at the most: a steady bath
-    shows one value of a 0.01 K step for a while, a dead controller shows it for ever. Where the controller has another value that moves
-    (heater output, a heartbeat), pass it within `raw` and the steadiest bath isn't taken for a dead one.
+    shows one value of a 0.01 K step for a while, a dead controller shows it for ever. Where the temperature is so coarse that a good
+    bath shows one value only (0.1 K), pass another value that moves (heater output, a heartbeat) within `raw`.
     """
 
     set_point_c: float
@@ -62,6 +60,7 @@ class StabilityGate:
     mean_k: float = 0.10
     half_range_k: float = 0.05
     slope_k_per_min: float = 0.01
+    teat_slope_k_per_min: float = 0.02
     leave_k: float = 0.15
     max_gap_s: float = 5.0
     min_distinct: int = 2
@@ -71,10 +70,12 @@ class StabilityGate:
     _raw: Hashable = field(default=None, init=False, repr=False)
     _raw_since_s: float = field(default=0.0, init=False, repr=False)
     _alarm: bool = field(default=False, init=False, repr=False)
-    _window: _Window = field(default_factory=lambda: _Window(), init=False, repr=False)
+    _window: Window = field(default_factory=Window, init=False, repr=False)
+    _teats: Window = field(default_factory=Window, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("window_s", "mean_k", "half_range_k", "slope_k_per_min", "leave_k", "max_gap_s", "frozen_s"):
+        positive = ("window_s", "mean_k", "half_range_k", "slope_k_per_min", "teat_slope_k_per_min", "leave_k", "max_gap_s", "frozen_s")
+        for name in positive:
             value = getattr(self, name)
             if not (isfinite(value) and value > 0.0):
                 raise ValueError(f"stability gate: {name} = {value} must be finite and above 0")
@@ -95,16 +96,16 @@ class StabilityGate:
         self._state = State.HEATING
         self._last, self._raw, self._raw_since_s = None, None, 0.0
         self._alarm = False
-        self._window = _Window()
+        self._window, self._teats = Window(), Window()
 
     def change_set_point(self, set_point_c: float) -> None:
         """A new set point restarts the gate; the same one again doesn't."""
         if set_point_c != self.set_point_c:
             self.restart(set_point_c)
 
-    def add(self, t_s: float, temp_c: float, *, raw: Hashable = None, alarm: bool = False) -> State:
+    def add(self, t_s: float, temp_c: float, *, raw: Hashable = None, alarm: bool = False, teat_c: float | None = None) -> State:
         """One reading: time in seconds (increasing), bath temperature, the raw value as it came over the wire (else the temperature), any
-        alarm.
+        alarm, and the temperature at the teats where a sensor tells it.
 
         Raises ValueError where time doesn't advance or a number is not finite: a sensor fault is the caller's to handle.
         """
@@ -112,16 +113,17 @@ class StabilityGate:
             raise ValueError(f"stability gate: reading {temp_c} degC at {t_s} s is not finite; a sensor fault is no reading")
         if self._last is not None and t_s <= self._last[0]:
             raise ValueError(f"stability gate: reading at {t_s} s after one at {self._last[0]} s; time has to advance")
-        gap = self._last is not None and t_s - self._last[0] > self.max_gap_s + _TIME_SLACK_S
+        gap = self._last is not None and t_s - self._last[0] > self.max_gap_s + TIME_SLACK_S
         value = temp_c if raw is None else raw
         if self._last is None or gap or value != self._raw:
             self._raw, self._raw_since_s = value, t_s
         self._last, self._alarm = (t_s, temp_c), alarm
         if gap or alarm or self.frozen:
-            self._window = _Window()
+            self._window, self._teats = Window(), Window()
             self._state = State.SETTLING
         if not alarm and not self.frozen:
             self._window.add(t_s, temp_c - self.set_point_c, value, self.window_s)
+            self._add_teat(t_s, teat_c)
         self._state = self._next(abs(temp_c - self.set_point_c))
         return self._state
 
@@ -154,6 +156,18 @@ class StabilityGate:
             reasons=tuple(self._unfulfilled()),
         )
 
+    def _add_teat(self, t_s: float, teat_c: float | None) -> None:
+        """A sensor that has gone takes its evidence along, and asks for nothing any more."""
+        if teat_c is None or not isfinite(teat_c):
+            self._teats = Window()
+        else:
+            self._teats.add(t_s, teat_c - self.set_point_c, teat_c, self.window_s)
+
+    @property
+    def _teat_slope(self) -> float:
+        """K/min; 0 without a sensor at the teats."""
+        return 60.0 * self._teats.slope if len(self._teats) > 1 else 0.0
+
     def _next(self, off_k: float) -> State:
         if off_k > self.leave_k:
             return State.HEATING
@@ -164,11 +178,12 @@ class StabilityGate:
     def _fulfilled(self) -> bool:
         w = self._window
         return (
-            w.span_s >= self.window_s - _TIME_SLACK_S
+            w.span_s >= self.window_s - TIME_SLACK_S
             and w.distinct >= self.min_distinct
             and abs(w.mean) <= self.mean_k
             and w.half_range <= self.half_range_k
             and 60.0 * abs(w.slope) <= self.slope_k_per_min
+            and abs(self._teat_slope) <= self.teat_slope_k_per_min
         )
 
     def _unfulfilled(self) -> list[str]:
@@ -180,93 +195,14 @@ class StabilityGate:
         if len(w) < 2:
             return ["too few readings"]
         rows = [
-            (w.span_s < self.window_s - _TIME_SLACK_S, f"{w.span_s:.0f} s of readings without a gap, {self.window_s:g} s are asked"),
+            (w.span_s < self.window_s - TIME_SLACK_S, f"{w.span_s:.0f} s of readings without a gap, {self.window_s:g} s are asked"),
             (w.distinct < self.min_distinct, f"{w.distinct} distinct readings, {self.min_distinct} are asked"),
             (abs(w.mean) > self.mean_k, f"the mean is {w.mean:+.3f} K from the set point, limit {self.mean_k:g} K"),
             (w.half_range > self.half_range_k, f"half the range is {w.half_range:.3f} K, limit {self.half_range_k:g} K"),
             (60 * abs(w.slope) > self.slope_k_per_min, f"the slope is {60 * w.slope:+.4f} K/min, limit {self.slope_k_per_min:g} K/min"),
+            (
+                abs(self._teat_slope) > self.teat_slope_k_per_min,
+                f"the teats' slope is {self._teat_slope:+.4f} K/min, limit {self.teat_slope_k_per_min:g} K/min",
+            ),
         ]
         return [text for failed, text in rows if failed]
-
-
-class _Window:
-    """Deviations from the set point (K) over the last `span`: sums about a moving origin, and extremes in monotonic queues."""
-
-    __slots__ = ("_highs", "_lows", "_origin_s", "_raw", "_readings", "_since_sums", "_st", "_stt", "_sty", "_sy")
-
-    def __init__(self) -> None:
-        self._readings: deque[tuple[float, float, Hashable]] = deque()
-        self._lows: deque[tuple[float, float]] = deque()
-        self._highs: deque[tuple[float, float]] = deque()
-        self._raw: Counter[Hashable] = Counter()
-        self._origin_s = self._st = self._stt = self._sy = self._sty = 0.0
-        self._since_sums = 0
-
-    def __len__(self) -> int:
-        return len(self._readings)
-
-    def add(self, t_s: float, y: float, raw: Hashable, window_s: float) -> None:
-        """Append a reading and drop those that the window no longer needs to span `window_s`."""
-        if not self._readings:
-            self._origin_s = t_s
-        self._readings.append((t_s, y, raw))
-        self._raw[raw] += 1
-        self._sum(t_s, y, 1.0)
-        while self._lows and self._lows[-1][1] >= y:
-            self._lows.pop()
-        self._lows.append((t_s, y))
-        while self._highs and self._highs[-1][1] <= y:
-            self._highs.pop()
-        self._highs.append((t_s, y))
-        while len(self._readings) > 1 and t_s - self._readings[1][0] >= window_s - _TIME_SLACK_S:
-            self._drop()
-        self._since_sums += 1
-        if self._since_sums > 2 * len(self._readings) + 64:
-            self._sum_afresh()
-
-    @property
-    def span_s(self) -> float:
-        return self._readings[-1][0] - self._readings[0][0] if self._readings else 0.0
-
-    @property
-    def distinct(self) -> int:
-        return len(self._raw)
-
-    @property
-    def mean(self) -> float:
-        return self._sy / len(self._readings)
-
-    @property
-    def half_range(self) -> float:
-        return (self._highs[0][1] - self._lows[0][1]) / 2.0
-
-    @property
-    def slope(self) -> float:
-        """Least squares, K/s."""
-        n = len(self._readings)
-        return (self._sty - self._st * self._sy / n) / (self._stt - self._st * self._st / n)
-
-    def _drop(self) -> None:
-        t_s, y, raw = self._readings.popleft()
-        self._sum(t_s, y, -1.0)
-        self._raw[raw] -= 1
-        if not self._raw[raw]:
-            del self._raw[raw]
-        for extremes in (self._lows, self._highs):
-            if extremes[0][0] <= t_s:
-                extremes.popleft()
-
-    def _sum(self, t_s: float, y: float, sign: float) -> None:
-        t = t_s - self._origin_s
-        self._st += sign * t
-        self._stt += sign * t * t
-        self._sy += sign * y
-        self._sty += sign * t * y
-
-    def _sum_afresh(self) -> None:
-        """Rounding of added and dropped readings piles up, and the origin falls behind: start the sums again, at a cost spread over the
-        window."""
-        self._origin_s, self._since_sums = self._readings[0][0], 0
-        self._st = self._stt = self._sy = self._sty = 0.0
-        for t_s, y, _ in self._readings:
-            self._sum(t_s, y, 1.0)

@@ -22,9 +22,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 DATABASE, SCRIPT, RULES = "run.sqlite", "script.toml", "rules.toml"
 GUARDIAN = "guardian.json"  # written by the guardian, when it had to act
+PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)  # on noise half the time of level 1, and smaller; a level would undo it
 FLUSH_EVERY = 60  # bath readings a transaction: one sync a minute of run time
 
 SCHEMA = """
@@ -32,17 +33,25 @@ CREATE TABLE facts (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE events (number INTEGER PRIMARY KEY, t_s REAL, kind TEXT NOT NULL, text TEXT NOT NULL, wall_time TEXT NOT NULL);
 CREATE TABLE bath (t_s REAL PRIMARY KEY, temp_c REAL NOT NULL, external_c REAL, power_percent REAL, state TEXT NOT NULL);
 CREATE TABLE trials (id TEXT PRIMARY KEY, number INTEGER NOT NULL, name TEXT NOT NULL, situation TEXT NOT NULL, repeat INTEGER NOT NULL,
-  started_s REAL, ended_s REAL, captured_s REAL, bath_c REAL, bath_state TEXT, note TEXT, wall_time TEXT NOT NULL);
+  started_s REAL, ended_s REAL, captured_s REAL, bath_c REAL, bath_state TEXT, note TEXT,
+  stage_mm TEXT, invalid TEXT, wall_time TEXT NOT NULL);
+CREATE TABLE skipped (trial TEXT PRIMARY KEY, number INTEGER NOT NULL, name TEXT NOT NULL, situation TEXT NOT NULL, repeat INTEGER NOT NULL,
+  t_s REAL NOT NULL, reason TEXT NOT NULL);
 CREATE TABLE frames (trial TEXT NOT NULL REFERENCES trials, camera TEXT NOT NULL, path TEXT NOT NULL, sha256 TEXT NOT NULL, exposed_s REAL,
   PRIMARY KEY (trial, camera));
 CREATE TABLE touches (trial TEXT NOT NULL REFERENCES trials, teat TEXT NOT NULL, touch INTEGER NOT NULL, t_s REAL NOT NULL,
   x_mm REAL NOT NULL, y_mm REAL NOT NULL, z_mm REAL NOT NULL, spread_mm REAL NOT NULL, packets INTEGER NOT NULL, counts TEXT NOT NULL,
+  refused TEXT,
   PRIMARY KEY (trial, teat, touch));
 CREATE TABLE truth (trial TEXT NOT NULL REFERENCES trials, teat TEXT NOT NULL,
   x_mm REAL NOT NULL, y_mm REAL NOT NULL, z_mm REAL NOT NULL, u_mm REAL, visible INTEGER NOT NULL, exact_mm TEXT,
-  PRIMARY KEY (trial, teat));
+  how TEXT, budget TEXT, covariance_mm2 TEXT, PRIMARY KEY (trial, teat));
+CREATE TABLE checks (number INTEGER NOT NULL, teat TEXT NOT NULL, after_trial TEXT NOT NULL REFERENCES trials, t_s REAL NOT NULL,
+  x_mm REAL NOT NULL, y_mm REAL NOT NULL, z_mm REAL NOT NULL, carried_x_mm REAL NOT NULL, carried_y_mm REAL NOT NULL,
+  carried_z_mm REAL NOT NULL, off_mm REAL NOT NULL, limit_mm REAL NOT NULL, held INTEGER NOT NULL, PRIMARY KEY (number, teat));
 CREATE TABLE detections (trial TEXT NOT NULL REFERENCES trials, detector TEXT NOT NULL, hidden INTEGER NOT NULL, reason TEXT,
-  trace TEXT NOT NULL, wall_seconds REAL NOT NULL, PRIMARY KEY (trial, detector));
+  outcome TEXT NOT NULL DEFAULT 'answered', cold INTEGER NOT NULL DEFAULT 0, trace TEXT NOT NULL,
+  wall_seconds REAL NOT NULL, wall_start_up_s REAL, wall_stderr TEXT, PRIMARY KEY (trial, detector));
 CREATE TABLE found (trial TEXT NOT NULL, detector TEXT NOT NULL, number INTEGER NOT NULL, x_mm REAL NOT NULL, y_mm REAL NOT NULL,
   z_mm REAL NOT NULL, covariance_mm2 TEXT, left_px TEXT, right_px TEXT, PRIMARY KEY (trial, detector, number),
   FOREIGN KEY (trial, detector) REFERENCES detections);
@@ -121,6 +130,18 @@ class Store:
             tables: list[tuple[str, Sequence[Row]]] = [("bath", readings), ("trials", [done.trial])]
             self._write(tables + [(name, getattr(done, name)) for name in names])
 
+    def skipped(self, row: Row) -> None:
+        """Write down a trial that was not done, durable at once."""
+        self.flush()
+        self._write([("skipped", [row])])
+
+    def checked(self, touches: Sequence[Row], invalid: Sequence[str], reason: str) -> None:
+        """Write down a check of the carried truth, and for which trials it takes their truth away, at once and durable."""
+        with self._lock:
+            self.flush()
+            marks = [("UPDATE trials SET invalid = ? WHERE id = ?", (reason, trial)) for trial in invalid]
+            self._write([("checks", touches)], marks)
+
     def frame(self, trial: str, camera: str, image: Picture, exposed_s: float | None) -> Row:
         """Write a frame as PNG, synced and renamed; gives back its row for the trial."""
         path = self.folder / "frames" / trial / f"{camera}.png"
@@ -136,7 +157,7 @@ class Store:
             self.flush()
             self._db.close()
 
-    def _write(self, tables: Iterable[tuple[str, Sequence[Row]]]) -> None:
+    def _write(self, tables: Iterable[tuple[str, Sequence[Row]]], further: Sequence[tuple[str, tuple[str, ...]]] = ()) -> None:
         with self._lock:
             try:
                 self._db.execute("BEGIN IMMEDIATE")
@@ -145,6 +166,8 @@ class Store:
                         marks = ", ".join("?" * len(row))
                         command = f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})"  # noqa: S608 - our names
                         self._db.execute(command, tuple(row.values()))
+                for command, values in further:
+                    self._db.execute(command, values)
                 self._db.execute("COMMIT")
             except BaseException:  # Ctrl-C too: an open transaction would keep the run's end from being written
                 if self._db.in_transaction:
@@ -154,7 +177,7 @@ class Store:
 
 def png_bytes(image: Picture) -> bytes:
     """``image`` as a PNG, compressed fast. Raises ValueError when OpenCV can't."""
-    done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    done, data = cv2.imencode(".png", image, PNG)
     if not done:
         raise ValueError(f"OpenCV can't write an image of shape {image.shape} and type {image.dtype} as PNG")
     return bytes(data)

@@ -5,6 +5,7 @@ May not know how a run begins and ends, nor which instruments are emulated.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Protocol
@@ -12,28 +13,31 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.arm.tip import TipReader
 from bench.attention import Attention
 from bench.devices import Devices
-from bench.examine import Answer, TruthRow, examine
+from bench.examine import Answer, Examiner, TruthRow
+from bench.frame_taker import FrameTaker
+from bench.planning import PlannedTrial, shared
 from bench.rig import LoadedRig
 from bench.rows import frame_rows, judged, truth_row
-from bench.script import Script, Trial
+from bench.script import Script
 from bench.stability import State
 from bench.store import FinishedTrial, Row, Store
-from bench.touching import touch_all
-from bench.truth import TruthPoint
-from detector.protocol import Detector
+from bench.truth.choosing import shown
+from bench.truth.point import How
+from bench.truth.source import TrialTruth, TruthSource
+from detector.protocol import Detector, Served
 from instruments.camera.frame import FrameSet
 from instruments.clock import wall_time
-from instruments.errors import DeviceError, InstrumentError
-from instruments.operators.operator import Arrangement
+from instruments.errors import DeviceError
+from instruments.world.phantom import PlatePose
 
 
 class FrameSink(Protocol):
-    """Who else wants each frame set with its truth: the writer of a recording."""
+    """Who else wants each frame set with its truth: the writer of a recording. Truth that isn't ``confirmed`` may still be taken back."""
 
-    def trial(self, trial_id: str, situation: str, frames: FrameSet, truth: Sequence[TruthRow]) -> None: ...
+    def trial(self, trial_id: str, situation: str, frames: FrameSet, truth: Sequence[TruthRow], *, confirmed: bool) -> None: ...
+    def settled(self, trials: Sequence[str], good: bool) -> None: ...
 
 
 class TrialRun:
@@ -46,7 +50,7 @@ class TrialRun:
         devices: Devices,
         store: Store,
         detectors: Sequence[Detector],
-        tip: TipReader,
+        truth: TruthSource,
         attention: Attention,
         *,
         exact_ends: Callable[[], NDArray[np.float64]] | None = None,
@@ -58,47 +62,54 @@ class TrialRun:
         self._devices = devices
         self._store = store
         self._detectors = detectors
-        self._tip = tip
+        self._truth = truth
         self._attention = attention
         self._progress = attention.progress
         self._watch = attention.watch
         self._exact_ends = exact_ends
         self._sink = sink
+        self._examiner = Examiner(rig.calibration, rig.rig.limits.detection_timeout_s)
+        self._taker = FrameTaker(devices.cameras, rig.rig.cameras, rig.calibration, self._before_another_try, attention.event)
 
-    def run(self, number: int, trial: Trial, repeat: int) -> None:
+    def run(self, trial: PlannedTrial) -> None:
         """From settling to the trial's rows. Raises what an instrument, an interlock or the operator raises; nothing is stored then."""
         started_s = self._devices.clock.now()
-        trial_id = f"{number:03d}-{trial.name}-{repeat}"
+        trial_id = trial.id
+        there = shown(trial, self._axes)
+        self._truth.before(there)
         self._settle()
         self._move(trial)
-        placed = self._devices.operator.set_up(self._arrangement(trial))
+        asked = replace(trial.arrangement(self._axes), unattended=self._truth.unattended(there))
+        placed = self._devices.operator.set_up(asked)
         self._attention.wait(self._rig.cameras.settle_s)
         frames = self._capture()
         captured_s = self._devices.clock.now()
         bath = self._watch.last
         bath_state = self._watch.state
-        self._progress.state("touching the teat ends")
-        truth, touches = touch_all(self._devices, self._tip, self._rig.arm, trial_id, len(placed.visible), self._attention.check)
+        self._progress.state("taking the truth")
+        truth = self._truth.of_trial(there)
         self._attention.check()
         answers = self._detect(frames)
-        rows = [TruthRow(str(i), t.point_mm, placed.visible[i - 1], t.uncertainty.u_mm) for i, t in enumerate(truth, 1)]
+        rows = [TruthRow(str(i), t.point_mm, placed.visible[i - 1], t.uncertainty.u_mm) for i, t in enumerate(truth.points, 1)]
         head: Row = {
             "id": trial_id,
-            "number": number,
+            "number": trial.number,
             "name": trial.name,
             "situation": trial.situation,
-            "repeat": repeat,
+            "repeat": trial.repeat,
             "started_s": started_s,
             "ended_s": self._devices.clock.now(),
             "captured_s": captured_s,
             "bath_c": bath.temp_c if bath else None,
             "bath_state": bath_state.value,
             "note": None,
+            "stage_mm": None if truth.stage_mm is None else json.dumps(truth.stage_mm),
             "wall_time": wall_time().isoformat(timespec="milliseconds"),
         }
-        self._store_trial(head, frames, touches, rows, truth, answers)
+        self._store_trial(head, frames, rows, truth, answers)
+        self._truth.stored(trial_id, truth)
         if self._sink:
-            self._sink.trial(trial_id, trial.situation, frames, rows)
+            self._sink.trial(trial_id, trial.situation, frames, rows, confirmed=truth.how is How.TOUCHED)
 
     def _settle(self) -> None:
         """Wait until the stability gate is open. Raises DeviceError where that takes longer than the script allows."""
@@ -115,53 +126,58 @@ class TrialRun:
         if waited:
             self._attention.event("stable", f"the bath is stable at {gate.set_point_c:g} degC")
 
-    def _move(self, trial: Trial) -> None:
-        stage = self._devices.stage
-        if not stage or not self._rig.stage:
+    @property
+    def _axes(self) -> str:
+        """What of a pose the stage does; the operator does the rest."""
+        return self._rig.stage.axes if self._devices.stage and self._rig.stage else ""
+
+    def _move(self, trial: PlannedTrial) -> None:
+        """By way of the place from which the pose is to be reached, where the script asks for one."""
+        if not self._axes:
             return
         self._progress.state(f"moving the phantom: {trial.name}")
+        for pose in (trial.approach, trial.pose):
+            if pose is not None:
+                self._move_to(shared(pose, self._axes)[0])
+
+    def _move_to(self, pose: PlatePose) -> None:
+        stage, there = self._devices.stage, self._rig.stage
+        if stage is None or there is None:
+            return
         self._attention.long("moving the stage", 600.0)
-        (x, y), (dx, dy) = self._rig.stage.reference_mm, trial.stage_mm
-        stage.move_to(x + dx, y + dy, feed_mm_min=self._rig.stage.feed_mm_per_min)
+        stage.move_to(**there.machine(pose), feed_mm_min=there.feed_mm_per_min)
         self._attention.check()
 
-    def _arrangement(self, trial: Trial) -> Arrangement:
-        """What the operator sets up; without a stage that includes the phantom's place."""
-        asked = trial.arrangement
-        if self._devices.stage or trial.stage_mm == (0.0, 0.0):
-            return asked
-        dx, dy = trial.stage_mm
-        return replace(asked, instruction=f"{asked.instruction} Move the plate to x {dx:+g} mm, y {dy:+g} mm from its reference place.")
+    def _before_another_try(self, seconds: float) -> None:
+        self._attention.wait(seconds)
+        self._attention.long("capturing again", 60.0, silent=True)
 
     def _capture(self) -> FrameSet:
         self._attention.check()
         self._progress.state("capturing")
-        self._attention.long("capturing", 60.0)
-        frames = self._devices.cameras.capture()
-        times = list(frames.exposed_s.values())
-        skew_s = max(times) - min(times) if times else 0.0
-        if skew_s > self._rig.cameras.max_skew_s:
-            what = f"the frames of one set were exposed {skew_s:.3f} s apart, limit {self._rig.cameras.max_skew_s:g} s"
-            raise InstrumentError("cameras", what, hint="Use a common trigger, or allow more skew in the rig file if nothing moves.")
-        return frames
+        self._attention.long("capturing", 60.0, silent=True)
+        try:
+            return self._taker.take()
+        finally:
+            if self._taker.counts:
+                self._store.fact("camera faults", dict(self._taker.counts))
 
     def _detect(self, frames: FrameSet) -> list[Answer]:
         answers = []
         for detector in self._detectors:
             self._progress.state(f"detecting with {detector.name}")
-            self._attention.long(f"detecting with {detector.name}", 10.0 + 2.0 * self._rig.limits.detection_timeout_s)
-            answers.append(examine(detector, frames, self._calibration))
+            patience_s = detector.patience_s if isinstance(detector, Served) else 2.0 * self._rig.limits.detection_timeout_s
+            self._attention.long(f"detecting with {detector.name}", 10.0 + patience_s, silent=True)
+            answers.append(self._examiner.ask(detector, frames))
         return answers
 
-    def _store_trial(
-        self, head: Row, frames: FrameSet, touches: list[Row], rows: list[TruthRow], truth: list[TruthPoint], answers: list[Answer]
-    ) -> None:
-        self._attention.long("writing the trial", 60.0)
+    def _store_trial(self, head: Row, frames: FrameSet, rows: list[TruthRow], truth: TrialTruth, answers: list[Answer]) -> None:
+        self._attention.long("writing the trial", 60.0, silent=True)
         trial_id = str(head["id"])
         exact = self._exact_ends() if self._exact_ends else None
-        truth_rows = [truth_row(trial_id, row, None if exact is None else exact[int(row.teat) - 1]) for row in rows]
+        ends = [None] * len(rows) if exact is None else list(exact)
+        truth_rows = [truth_row(trial_id, row, end, point) for row, end, point in zip(rows, ends, truth.points, strict=True)]
         detections, found, scores = judged(trial_id, answers, rows, self._script.visible_within_mm, self._script.time_limit_s)
         self._store.finished(
-            FinishedTrial(head, frame_rows(self._store, trial_id, frames, answers), touches, truth_rows, detections, found, scores)
+            FinishedTrial(head, frame_rows(self._store, trial_id, frames, answers), truth.touches, truth_rows, detections, found, scores)
         )
-        self._store.fact("truth budget", truth[-1].uncertainty.as_dict() if truth else None)

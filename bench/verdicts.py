@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.arm.decision import decide_arm
+from bench.latency import latency_of
 from bench.record import RunRecord
 from bench.scoring.decisions import Decision, Verdict, decide_condition, decide_count, decide_error, decide_rate, decide_time, overall
 from bench.scoring.pool import Pool, pool
@@ -56,7 +57,7 @@ def run_verdict(judgements: Sequence[Judgement]) -> Verdict:
 
 def scored(run: RunRecord, detector: str, situation: str | None = None) -> Pool:
     """The scores of one detector, with the pose of each; of one situation where named."""
-    trials = [t for t in run.trials if detector in t.scores and situation in (None, t.head["situation"])]
+    trials = [t for t in run.counted if detector in t.scores and situation in (None, t.head["situation"])]
     return pool([t.scores[detector] for t in trials], [t.pose for t in trials])
 
 
@@ -80,8 +81,7 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
         case FalseRequirement():
             return decide_count(rule.name, scores.counts.false, scenes=len(scores.scores), confidence=rule.confidence)
         case TimeRequirement():
-            seconds = [row["wall_seconds"] for trial in run.trials for row in trial.detections if row["detector"] == detector]
-            return decide_time(rule.name, seconds, limit_s=rule.limit_s, statistic=rule.statistic)
+            return decide_time(rule.name, latency_of(run, detector).seconds, limit_s=rule.limit_s, statistic=rule.statistic)
         case BathRequirement():
             return _bath(rule, run)
         case ArmRequirement():

@@ -8,7 +8,7 @@ engine learns of it with ``check``. Nothing is raised on the clock's thread.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Protocol
 
 from bench.interlocks import Interlocks, InterlockTrip
@@ -30,7 +30,8 @@ class Watch:
     """Watches ``bath`` from ``start`` to ``stop``.
 
     ``record`` gets each reading as a row. ``act`` gets the first trip, makes safe, and says whether it has. ``pump_on`` tells
-    whether the pump turns, None where nothing knows. ``also`` is asked with each reading what else there is to trip for.
+    whether the pump turns, None where nothing knows. ``also`` is asked with each reading what else there is to trip for;
+    ``moving`` tells what of a reading has to change for the gate to believe that the controller lives.
     """
 
     def __init__(
@@ -44,6 +45,7 @@ class Watch:
         *,
         pump_on: Callable[[BathReading], bool | None] = lambda _: None,
         also: Callable[[], InterlockTrip | None] = lambda: None,
+        moving: Callable[[BathReading], Hashable] = lambda reading: reading.raw,
     ) -> None:
         self._bath = bath
         self._clock = clock
@@ -53,6 +55,7 @@ class Watch:
         self._act = act
         self._pump_on = pump_on
         self._also = also
+        self._moving = moving
         self._lock = threading.RLock()
         self._running = False
         self._trip: Exception | None = None
@@ -120,7 +123,7 @@ class Watch:
             except Exception as error:
                 self._trip = self._trip or error
             self._make_safe()
-        self._planned_s = self._clock.now() + PERIOD_S
+        self._planned_s = max(self._planned_s + PERIOD_S, self._clock.now())  # from start to start, however long a reading takes
         self._clock.call_at(self._planned_s, self._tick)
 
     def _look(self) -> None:
@@ -139,7 +142,8 @@ class Watch:
     def _take(self, reading: BathReading, pump_on: bool | None) -> InterlockTrip | None:
         self._heard_s = reading.t_s
         self.last = reading
-        state = self._gate.add(reading.t_s, reading.temp_c, raw=(reading.raw, reading.power_percent), alarm=bool(reading.alarm))
+        raw, teat_c = self._moving(reading), reading.external_c
+        state = self._gate.add(reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c)
         self._record(
             {
                 "t_s": reading.t_s,

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from enum import Enum
+from typing import Any, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
@@ -83,4 +84,51 @@ class Detector(Protocol):
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
         """Teat ends in the world frame. A frame set that can't be used gives no teats and a reason, never an exception."""
+        ...
+
+
+class Outcome(Enum):
+    """What became of one call of a detector: each is scored as what it is."""
+
+    ANSWERED = "answered"
+    TIMEOUT = "timeout"
+    FAILED = "failure"
+    OFF = "switched off"
+
+
+class DetectionFailure(Exception):  # noqa: N818 - a failure of the detector, not of the bench
+    """A detector gave no answer that can be used; the message is one sentence. Raised where the outcome isn't a plain failure too."""
+
+    def __init__(self, reason: str, outcome: Outcome = Outcome.FAILED) -> None:
+        super().__init__(reason)
+        self.outcome = outcome
+
+
+@runtime_checkable
+class Served(Protocol):
+    """A detector that lives outside of the bench's process: beside `Detector`, what has to happen around a call.
+
+    patience_s: how long `prepare` and `detect` may take together before they end by themselves. start_up_s: how long the process took that
+    the last `prepare` started, None where it ran already.
+    """
+
+    @property
+    def patience_s(self) -> float: ...
+    @property
+    def start_up_s(self) -> float | None: ...
+
+    def prepare(self, frames: Frames, calibration: Calibration) -> None:
+        """All that isn't detection: a process started, pictures written where it can read them. Raises DetectionFailure."""
+        ...
+
+    def check(self) -> None:
+        """Whether it keeps its limits between calls, after an answer and outside of its time. Raises DetectionFailure."""
+        ...
+
+    def said(self) -> str:
+        """What it wrote to its standard error since this was last asked, the end of it where that is long."""
+        ...
+
+    def close(self) -> None:
+        """End its processes and remove its files. Once more is no error."""
         ...

@@ -1,17 +1,24 @@
-"""The detectors that ship, by name. Strategy: a table of names, loaded only when one is created, so that listing them costs nothing.
+"""Detectors by name: those that ship, and those that other packages bring (entry points of the group ``teatbench.detectors``).
 
-The module may not import a detector at its top: `teatbench --help` reads this table.
+Strategy: a table of names, loaded only when one is created, so that listing them costs nothing. What a package brings may be anything that
+gives an object with ``detect(frame_set, calibration)``: the object, its class, or a function that makes it. One that is broken is told by
+name and is in nobody's way. The module may not import a detector at its top: `teatbench --help` reads this table.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import import_module
-from typing import TYPE_CHECKING, cast
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
-    from detector.protocol import Detector
+    from detector.calibration import Calibration
+    from detector.protocol import Detection, Detector, Frames
+
+GROUP = "teatbench.detectors"
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +34,26 @@ _SHIPPED = {
         "detector.thesis.detector",
         "ThesisDetector",
     ),
+    "fused": _Entry(
+        "the bench's own: thermal nominates, optics localise, stereo decides",
+        "detector.fused.detector",
+        "FusedDetector",
+    ),
+    "thesis-published-homography": _Entry(
+        "the same with the homographies that the thesis printed, not the calibration's at the teats' plane",
+        "detector.thesis.ablation",
+        "published_homography",
+    ),
+    "thesis-no-refinement": _Entry(
+        "the same without the optical step: the ends stay where the homography puts them",
+        "detector.thesis.ablation",
+        "no_refinement",
+    ),
+    "thesis-published-homography-no-refinement": _Entry(
+        "the same with the printed homographies and without the optical step",
+        "detector.thesis.ablation",
+        "published_homography_no_refinement",
+    ),
 }
 
 
@@ -34,16 +61,91 @@ class UnknownDetectorError(ValueError):
     """No detector has that name; the message lists those that exist."""
 
 
-def available() -> dict[str, str]:
-    """Name -> one line on what it is, of every detector that can be created."""
-    return {name: entry.description for name, entry in _SHIPPED.items()}
+class BrokenDetectorError(ValueError):
+    """A package brings a detector of that name, but it can't be loaded; the message says which package, and why."""
 
 
-def create(name: str) -> Detector:
-    """A detector with its published settings. Raises UnknownDetectorError with the nearest name where there is no such detector."""
+@dataclass(frozen=True, slots=True)
+class Plugged:
+    """An object of another package as a detector: what it doesn't say of itself is filled in."""
+
+    name: str
+    version: str
+    parameters: Mapping[str, Any]
+    inner: Any
+
+    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+        """The object's own answer; whoever asks checks it."""
+        return cast("Detection", self.inner.detect(frames, calibration))
+
+
+def available(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
+    """Name -> one line on what it is, of every detector that is there; whether those of other packages work is not tried.
+
+    ``plugs`` are the entry points to look at, those of the group by default.
+    """
+    shipped = {name: entry.description for name, entry in _SHIPPED.items()}
+    return {**{plug.name: f"from {_source(plug)}" for plug in _plugs(plugs)}, **shipped}
+
+
+def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
+    """Name -> why it can't be used, of the detectors that other packages bring: each is loaded to know."""
+    found: dict[str, str] = {}
+    seen: set[str] = set()
+    for plug in _plugs(plugs):
+        if plug.name in _SHIPPED:
+            found[plug.name] = f"{_source(plug)} brings a detector of this name, which is the name of one that ships: it is left out"
+        elif plug.name in seen:
+            found[plug.name] = f"{_source(plug)} brings a second detector of this name: the first is used"
+        else:
+            try:
+                _plugged(plug)
+            except BrokenDetectorError as error:
+                found[plug.name] = str(error)
+        seen.add(plug.name)
+    return found
+
+
+def create(name: str, plugs: Iterable[EntryPoint] | None = None) -> Detector:
+    """A detector with its own settings.
+
+    Raises UnknownDetectorError with the nearest name where there is no such detector, BrokenDetectorError where it can't be loaded.
+    """
     entry = _SHIPPED.get(name)
-    if entry is None:
-        near = get_close_matches(name, _SHIPPED, n=1)
+    if entry is not None:
+        return cast("Detector", getattr(import_module(entry.module), entry.attribute)())
+    plug = next((plug for plug in _plugs(plugs) if plug.name == name), None)
+    if plug is None:
+        known = sorted(available(plugs))
+        near = get_close_matches(name, known, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise UnknownDetectorError(f"no detector is called {name!r}{hint} There are: {', '.join(sorted(_SHIPPED))}.")
-    return cast("Detector", getattr(import_module(entry.module), entry.attribute)())
+        raise UnknownDetectorError(f"no detector is called {name!r}{hint} There are: {', '.join(known)}.")
+    return _plugged(plug)
+
+
+def _plugs(plugs: Iterable[EntryPoint] | None) -> list[EntryPoint]:
+    return list(entry_points(group=GROUP) if plugs is None else plugs)
+
+
+def _plugged(plug: EntryPoint) -> Plugged:
+    try:
+        given = plug.load()
+        made = given() if isinstance(given, type) or not hasattr(given, "detect") else given
+        parameters = dict(getattr(made, "parameters", {}))
+        version = str(getattr(made, "version", None) or (plug.dist.version if plug.dist else "unknown"))
+    except (Exception, SystemExit) as error:  # another's code: it may fail in any way
+        raise BrokenDetectorError(f"detector {plug.name!r} of {_source(plug)} can't be loaded: {_told(error)}") from error
+    if not callable(getattr(made, "detect", None)):
+        raise BrokenDetectorError(
+            f"detector {plug.name!r} of {_source(plug)} is a {type(made).__name__}, which has no detect(frame_set, calibration)"
+        )
+    return Plugged(plug.name, version, parameters, made)
+
+
+def _source(plug: EntryPoint) -> str:
+    package = f"{plug.dist.name} {plug.dist.version}" if plug.dist else "an unknown package"
+    return f"{package} ({plug.value})"
+
+
+def _told(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())

@@ -57,13 +57,22 @@ class RealClock:
         self._lock = threading.Lock()
         self._wake: queue.SimpleQueue[bool] = queue.SimpleQueue()  # False ends the thread
         self._worker: threading.Thread | None = None
+        self._looked: Callable[[float], None] | None = None
 
     def now(self) -> float:
+        if self._looked:
+            self._looked(0.0)
         return time.monotonic() - self._start
 
     def sleep(self, seconds: float) -> None:
         if seconds > 0:
+            if self._looked:
+                self._looked(seconds)
             time.sleep(seconds)
+
+    def heard_by(self, looked: Callable[[float], None] | None) -> None:
+        """From now on ``looked`` is called on every thread that looks at the clock, with how long it is about to sleep: a sign of life."""
+        self._looked = looked
 
     def call_at(self, when_s: float, action: Callable[[], None]) -> None:
         with self._lock:

@@ -21,6 +21,7 @@ from instruments.clock import PATIENCE_S, Clock, VirtualClock, Wire
 from instruments.errors import LinkError
 from instruments.tap import NoTap, Tap
 
+SLICE_S = 1.0
 COUNTED_S = 2.0  # real time until bytes that an emulator has counted must have come over loopback
 
 
@@ -90,7 +91,7 @@ class Link:
         if self._buffer:
             data, self._buffer = self._buffer, b""
             return data
-        return self._receive_virtually(*self._virtual, timeout_s) if self._virtual else self._receive_really(timeout_s)
+        return self._receive_virtually(*self._virtual, timeout_s) if self._virtual else self._receive_by_slices(timeout_s)
 
     def read(self, count: int, timeout_s: float) -> bytes:
         """``count`` bytes, or fewer if ``timeout_s`` ran out first. Raises LinkError when the link is broken."""
@@ -135,6 +136,15 @@ class Link:
             if not more:
                 return data
             data += more
+
+    def _receive_by_slices(self, timeout_s: float) -> bytes:
+        """A long wait looks at the clock every second: that is its sign of life, and on Windows the moment for Ctrl-C."""
+        deadline = self.clock.now() + timeout_s
+        while True:
+            left_s = max(0.0, deadline - self.clock.now())
+            data = self._receive_really(min(left_s, SLICE_S))
+            if data or left_s <= SLICE_S:
+                return data
 
     def _receive_really(self, timeout_s: float) -> bytes:
         try:

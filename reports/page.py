@@ -63,8 +63,9 @@ __all__ = [
     "Verdict",
 ]  # fmt: skip
 
-Kind = Literal["emulated", "mixed", "real", "recorded"]
+Kind = Literal["computed", "emulated", "mixed", "real", "recorded"]
 KINDS: dict[Kind, str] = {
+    "computed": "COMPUTED, NO INSTRUMENT",
     "emulated": "EMULATED INSTRUMENTS",
     "mixed": "SOME INSTRUMENTS EMULATED",
     "real": "REAL INSTRUMENTS",

@@ -25,6 +25,16 @@ def pytest_configure() -> None:
             signal.signal(number, default)
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """What tests have measured and want to be seen: times from a death of the bench to the bath's standby."""
+    reports = [report for kind in ("passed", "failed") for report in terminalreporter.stats.get(kind, ())]
+    told = [(name, value) for report in reports for name, value in report.user_properties if name.startswith("s to standby")]
+    if told:
+        terminalreporter.section("seconds to standby")
+        for name, value in told:
+            terminalreporter.write_line(f"{value:8.3f}  {name.removeprefix('s to standby, ')}")
+
+
 @pytest.fixture(autouse=True)
 def no_leaked_threads() -> Iterator[None]:
     before = set(threading.enumerate())

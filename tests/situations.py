@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from bench.config import read_config
-from bench.script import TRIALS, Script, Trial
+from bench.phantom_file import shipped_phantom
+from bench.script import TRIALS, Script
+from bench.trial_table import Trial
 from instruments.world.objects import make_object
-from instruments.world.phantom import make_phantom
 from instruments.world.scene import SceneState
 
 SITUATIONS: dict[str, Trial] = {trial.situation: trial for trial in read_config(TRIALS / "six-situations.toml", Script).trials}
@@ -16,6 +17,6 @@ SITUATIONS: dict[str, Trial] = {trial.situation: trial for trial in read_config(
 def situation(name: str, *, teat_c: float = 32.5, hose_c: float = 31.5, ambient_c: float = 21.0) -> SceneState:
     """A situation as the cameras would see it, the phantom warm."""
     trial = SITUATIONS[name]
-    phantom = make_phantom(trial.layout)
+    phantom = shipped_phantom(trial.layout)
     state = SceneState(phantom, (teat_c,) * len(phantom.teats), hose_c, ambient_c)
     return replace(state, objects=tuple(make_object(**table) for table in trial.objects))

@@ -24,7 +24,7 @@ from instruments.capture import Captures
 from instruments.clock import RealClock, wall_time
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
-from instruments.operators.console import ConsoleOperator
+from instruments.operators.console import Console
 
 PEG = "Put the arm's stylus on its peg"
 HOMED = "Was the stylus on its peg when the arm was last switched on, or the arm homed since ('teatbench arm home')?"
@@ -40,7 +40,7 @@ class ArmSession:
 
     arm: MicroScribe
     clock: RealClock
-    console: ConsoleOperator
+    console: Console
     trying: TryingArm | None
 
     def confirm_homing(self, *, homed: bool) -> None:
@@ -90,7 +90,7 @@ def open_arm(port: str, baud: int, capture: Captures, *, length_mm: float | None
         arm = MicroScribe(link, clock)
         try:
             arm.sign_on()
-            console = ConsoleOperator(sys.stdin, sys.stdout, watch=lambda: pedal_watch(arm, clock))
+            console = Console(sys.stdin, sys.stdout, clock, watch=lambda: pedal_watch(arm, clock))
             yield ArmSession(arm, clock, console, trying)
         finally:
             arm.close()

@@ -64,5 +64,6 @@ def add_out(parser: argparse.ArgumentParser) -> None:
 
 
 def add_detectors(parser: argparse.ArgumentParser) -> None:
-    """Detectors by name."""
-    parser.add_argument("--detector", action="append", default=[], metavar="NAME", help="may be given several times")
+    """Detectors by name, command or file."""
+    what = "a detector by name, a file DETECTOR.toml, or exec:COMMAND (docs/detectors.md); may be given several times"
+    parser.add_argument("--detector", action="append", default=[], metavar="NAME", help=what)

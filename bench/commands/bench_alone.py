@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from contextlib import closing
 
 from bench.commands import CODES, Commands, add_rig
 
@@ -34,15 +35,19 @@ def _check(given: argparse.Namespace) -> int:
 def _emulate(given: argparse.Namespace) -> int:
     from bench.emulation import EmulatedRig
     from bench.rig import find_rig, load_rig
+    from instruments.camera.stream import StreamServer
     from instruments.clock import RealClock
 
     rig = load_rig(find_rig(given.rig))
     clock = RealClock()
     try:
-        with EmulatedRig(rig, clock, rig.rig.seed, host=given.listen, pty=given.pty, paced=given.paced) as twin:
+        with (
+            EmulatedRig(rig, clock, rig.rig.seed, host=given.listen, pty=given.pty, paced=given.paced) as twin,
+            closing(StreamServer(twin.cameras, clock, host=given.listen)) as streams,
+        ):
             shown: dict[str, str] = {}
             while True:
-                for name, url in twin.urls.items():
+                for name, url in {**twin.urls, **streams.urls}.items():
                     if shown.get(name) != url:  # a pty comes back under another name after the instrument hung up
                         print(f"{name} {url}", flush=True)
                         shown[name] = url

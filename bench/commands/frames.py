@@ -1,12 +1,16 @@
-"""`detect`: what detectors find in recorded frames, without a score."""
+"""`detect`: what detectors find in recorded frames, without a score. `scene`: frames of the simulated scene, without a run."""
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 from bench.commands import CODES, Commands, add_detectors
+
+SHEET, RECORDING, BOARDS = Path("scene.png"), Path("recordings") / "situations", Path("recordings") / "boards"
+CAMERAS = ("left", "right", "thermal")
 
 
 def add_to(commands: Commands) -> None:
@@ -15,6 +19,82 @@ def add_to(commands: Commands) -> None:
     detect.add_argument("recording", type=Path, help="a recording's folder")
     detect.add_argument("--json", action="store_true", help="one JSON line a frame")
     add_detectors(detect)
+    scene = commands.group("scene", "the simulated scene: situations from families, drawn without a run (docs/scene.md)")
+    sheet = scene.add("sheet", "a contact sheet of situations, one PNG", _sheet, opens_links=False)
+    _add_scenes(sheet, seeds=1)
+    sheet.add_argument("--out", type=Path, default=SHEET, metavar="FILE", help="default: scene.png")
+    record = scene.add("record", "a recording of situations with exact truth, for `teatbench score`", _record, opens_links=False)
+    _add_scenes(record, seeds=20)
+    record.add_argument("--out", type=Path, default=RECORDING, metavar="DIR", help="default: recordings/situations; is added to")
+    boards = scene.add("boards", "pictures of a calibration board all over the view, for `teatbench calibrate`", _boards, opens_links=False)
+    boards.add_argument("board", help="a shipped board by name, or a .toml file")
+    boards.add_argument("--rig", help="whose cameras: a shipped rig by name, or a .toml file (default: emulated)")
+    boards.add_argument(
+        "--camera", action="append", choices=CAMERAS, metavar="NAME", help="sees the whole board; several times (default: left and right)"
+    )
+    boards.add_argument("--poses", type=_whole, default=24, metavar="N", help="default: 24")
+    boards.add_argument("--warmer-k", type=float, default=0.0, metavar="K", help="what is dark on the board above the room (default: 0)")
+    boards.add_argument("--seed", type=_whole, default=1, metavar="N", help="of poses, noise and the cameras' fixed patterns (default: 1)")
+    boards.add_argument("--out", type=Path, default=BOARDS, metavar="DIR", help="default: recordings/boards; is added to")
+
+
+def _add_scenes(parser: argparse.ArgumentParser, seeds: int) -> None:
+    parser.add_argument("--rig", help="whose cameras: a shipped rig by name, or a .toml file (default: emulated)")
+    parser.add_argument("--situation", action="append", default=[], metavar="NAME", help="may be given several times (default: all eleven)")
+    parser.add_argument("--seeds", type=_whole, metavar="N", default=seeds, help=f"members of each family (default: {seeds})")
+    parser.add_argument("--first", type=_whole, metavar="N", default=0, help="the first member's seed (default: 0)")
+    parser.add_argument("--seed", type=_whole, metavar="N", default=1, help="of noise and of the cameras' fixed patterns (default: 1)")
+
+
+def _whole(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"must be a whole number of 0 or more, is {text!r}")
+    return int(text)
+
+
+def _members(given: argparse.Namespace) -> range:
+    from bench.config import ConfigError
+
+    if given.seeds < 1:
+        raise ConfigError.plain("--seeds must be at least 1: there is nothing to draw")
+    return range(given.first, given.first + given.seeds)
+
+
+def _sheet(given: argparse.Namespace) -> int:
+    from bench.rig import find_rig, load_rig
+    from bench.scene_recording import write_sheet
+
+    write_sheet(load_rig(find_rig(given.rig)), given.situation, _members(given), given.out, given.seed)
+    print(given.out)
+    return CODES.met
+
+
+def _boards(given: argparse.Namespace) -> int:
+    from bench.calibrating.board_file import find_board_file
+    from bench.rig import find_rig, load_rig
+    from bench.scene_recording import record_boards
+
+    board, watching = find_board_file(given.board), given.camera or ["left", "right"]
+    rig = load_rig(find_rig(given.rig))
+    frames = record_boards(rig, board, watching, given.poses, given.out, given.seed, warmer_k=given.warmer_k)
+    return _shown(frames, given.out)
+
+
+def _shown(frames: Iterator[str], out: Path) -> int:
+    written = 0
+    for frame in frames:
+        print(frame, flush=True)
+        written += 1
+    print(f"{written} frames in {out}")
+    return CODES.met
+
+
+def _record(given: argparse.Namespace) -> int:
+    from bench.rig import find_rig, load_rig
+    from bench.scene_recording import record
+
+    rig = load_rig(find_rig(given.rig))
+    return _shown(record(rig, given.situation, _members(given), given.out, given.seed), given.out)
 
 
 def _detect(given: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""`rigs`, `trials` and `detectors`: what ships."""
+"""`rigs` and `detectors`: what there is."""
 
 from __future__ import annotations
 
@@ -10,27 +10,21 @@ from bench.commands import CODES, Commands
 def add_to(commands: Commands) -> None:
     """The family's commands."""
     commands.add("rigs", "the rig files that ship", _rigs, opens_links=False)
-    commands.add("trials", "the trial scripts that ship", _trials, opens_links=False)
-    commands.add("detectors", "the detectors that ship", _detectors, opens_links=False)
+    commands.add("detectors", "the detectors that ship, that other packages bring, and that files in ./detectors declare", _detectors, opens_links=False)
 
 
 def _rigs(_: argparse.Namespace) -> int:
-    from bench.rig import RIGS, shipped
+    from bench.rig import CALIBRATIONS, RIGS, shipped
 
-    return _list({name: "" for name in shipped(RIGS) if name != "calibration"})
-
-
-def _trials(_: argparse.Namespace) -> int:
-    from bench.rig import shipped
-    from bench.script import TRIALS, load_script
-
-    return _list({name: load_script(TRIALS / f"{name}.toml").script.about for name in shipped(TRIALS)})
+    return _list({name: "" for name in shipped(RIGS) if name not in CALIBRATIONS})
 
 
 def _detectors(_: argparse.Namespace) -> int:
-    from detector.registry import available
+    from bench.detector_choice import declared
+    from detector.registry import available, broken
 
-    return _list(available())
+    _list({**declared(), **available()})
+    return _list({name: f"BROKEN: {why}" for name, why in broken().items()})
 
 
 def _list(rows: dict[str, str]) -> int:

@@ -5,8 +5,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bench.commands import CODES, Commands, add_detectors, add_out
+
+if TYPE_CHECKING:
+    from bench.rig import LoadedRig
 
 
 def add_to(commands: Commands) -> None:
@@ -17,11 +21,12 @@ def add_to(commands: Commands) -> None:
     run.add_argument("--seed", type=_seed, help="seed of all chance (default: the rig file's)")
     run.add_argument("--record", type=Path, metavar="DIR", help="also write a recording that 'teatbench score' reads")
     run.add_argument("--realtime", action="store_true", help="emulated rig only: let time pass as it does")
+    run.add_argument("--dry-run", action="store_true", help="move nothing: check reach, limits, fields of view and collisions")
     add_out(run)
     add_detectors(run)
     report = commands.add("report", "(re)write the report of a run", _report, opens_links=False)
     report.add_argument("run", type=Path, help="the run's folder")
-    score = commands.add("score", "score detectors on recorded frames", _score, opens_links=False)
+    score = commands.add("score", "score detectors on recorded frames: a table, and a run folder with its report", _score, opens_links=False)
     score.add_argument("recording", type=Path, help="a recording's folder")
     add_out(score)
     add_detectors(score)
@@ -36,13 +41,21 @@ def _seed(text: str) -> int:
 def _run(given: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from bench.jobs import run_script
+    from bench.commands.looking_ahead import look_ahead
+    from bench.offsets import is_offset_script
     from bench.progress import TerminalProgress
     from bench.rig import find_rig, load_rig
     from bench.script import find_script, load_script
 
     rig = load_rig(find_rig(given.rig))
-    script = load_script(find_script(given.script), rig.rig.limits.set_point_c)
+    path = find_script(given.script)
+    if is_offset_script(path):
+        return _run_offsets(rig, path, given.out, dry=given.dry_run)
+    script = load_script(path, rig.rig.limits.set_point_c)
+    if given.dry_run:
+        return look_ahead(rig, script)
+    from bench.jobs import run_script
+
     console = Console()
     with TerminalProgress(console) as progress:
         folder, _ = run_script(
@@ -67,6 +80,8 @@ def _score(given: argparse.Namespace) -> int:
 
     from bench.jobs import score_recording
     from bench.progress import TerminalProgress
+    from bench.record import read_run
+    from bench.score_table import score_table
 
     console = Console()
     with TerminalProgress(console) as progress:
@@ -74,12 +89,41 @@ def _score(given: argparse.Namespace) -> int:
         progress.state("writing the report")
         code, show = _reported(folder)
     show(console)
+    print(f"\n{score_table(read_run(folder))}")
     return code
+
+
+def _run_offsets(rig: LoadedRig, path: Path, out: Path, *, dry: bool) -> int:
+    """A sensitivity script: no instrument takes part."""
+    from bench.offset_run import run_offsets
+    from bench.offsets import load_offsets, outcomes
+
+    if dry:
+        outcomes(load_offsets(path), rig.calibration)
+        print("nothing wrong. This script opens no instrument.")
+        return CODES.met
+    return _offsets_reported(run_offsets(rig, path, out))
+
+
+def _offsets_reported(folder: Path) -> int:
+    from bench.offset_run import report_offsets
+    from bench.summary.offsets import offset_told
+
+    page, loaded, found, verdict = report_offsets(folder)
+    for one in found:
+        figures = f"up to {one.worst_mm:.2f} mm in the worst of {len(one.errors_mm)} directions, median {one.median_mm:.2f} mm"
+        print(f"teat {one.offset.teat}, {offset_told(one.offset)}: {figures}")
+    print(f"Verdict: {verdict} (limit {loaded.script.limit_mm:g} mm)\nReport: {page}")
+    return CODES.met if verdict == "met" else CODES.not_met
 
 
 def _report(given: argparse.Namespace) -> int:
     from rich.console import Console
 
+    from bench.offset_run import is_offset_run
+
+    if is_offset_run(given.run):
+        return _offsets_reported(given.run)
     code, show = _reported(given.run)
     show(Console())
     return code

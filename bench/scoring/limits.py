@@ -41,6 +41,7 @@ def acceptance_limit_mm(limit_mm: float, u_mm: float, along: Along = "radial", f
     return u_mm * sqrt(float(chndtrinc(squared, 3, confidence)))
 
 
+@lru_cache(maxsize=256)
 def refusal_limit_mm(limit_mm: float, u_mm: float, false_acceptance: float = 0.05) -> float:
     """T + w: a seen error of at least this is too large whatever the truth's uncertainty; between the two limits nothing is decided."""
     return limit_mm + guard_band_mm(u_mm, false_acceptance)

@@ -9,17 +9,21 @@ that is much nearer.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
-from math import sqrt
+from math import dist, sqrt
+from operator import attrgetter
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
 
-from bench.scoring.points import Bools, Floats, as_points
+from bench.scoring.points import as_points
 from bench.scoring.rates import Rate
 
 GATE_CEILING_MM = 25.0
+
+Points = list[list[float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +38,7 @@ class Counts:
     on_hidden: int = 0
 
     def __add__(self, other: Counts) -> Counts:
-        return Counts(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+        return added((self, other))
 
     @property
     def found(self) -> int:
@@ -50,6 +54,15 @@ class Counts:
     def precision(self) -> Rate:
         """Findings that were a visible teat, of those that had to be one (findings on hidden teats count neither way)."""
         return Rate(self.matched, self.matched + self.false)
+
+
+_numbers = attrgetter(*(field.name for field in fields(Counts)))
+
+
+def added(parts: Iterable[Counts]) -> Counts:
+    """The sum of many, field by field; nothing of none."""
+    rows = [_numbers(part) for part in parts]
+    return Counts(*(sum(column) for column in zip(*rows, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,15 +95,17 @@ def gate_mm(truth_mm: npt.ArrayLike, ceiling_mm: float = GATE_CEILING_MM) -> flo
 
     Half the spacing, because then no finding lies within the gate of two teats. Raises ValueError where two teats coincide.
     """
-    truth = as_points(truth_mm, "truth")
-    if len(truth) < 2:
+    return gate_between(as_points(truth_mm, "truth").tolist(), ceiling_mm)
+
+
+def gate_between(truth: Points, ceiling_mm: float = GATE_CEILING_MM) -> float:
+    """`gate_mm` of points that are checked already."""
+    spacings = [(dist(b, a), i, j) for j, b in enumerate(truth) for i, a in enumerate(truth[:j])]
+    if not spacings:
         return ceiling_mm
-    spacing = _distances(truth, truth)
-    np.fill_diagonal(spacing, np.inf)
-    least = float(spacing.min())
+    least, i, j = min(spacings)
     if least == 0.0:
-        i, j = np.argwhere(spacing == 0.0)[0]
-        raise ValueError(f"truth: teats {i} and {j} are at the same place {truth[i].tolist()} mm; one of them was touched twice")
+        raise ValueError(f"truth: teats {i} and {j} are at the same place {truth[i]} mm; one of them was touched twice")
     return min(ceiling_mm, least / 2)
 
 
@@ -99,22 +114,24 @@ def match(found_mm: npt.ArrayLike, truth_mm: npt.ArrayLike, visible: npt.ArrayLi
 
     Raises ValueError on wrong shapes, values that are not finite, or a gate that is not above 0.
     """
-    found, truth = as_points(found_mm, "found"), as_points(truth_mm, "truth")
-    seen = _as_visible(visible, len(truth))
+    truth = as_points(truth_mm, "truth").tolist()
+    return assign(as_points(found_mm, "found").tolist(), truth, as_flags(visible, len(truth)), gate_mm)
+
+
+def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Match:
+    """`match` of points and flags that are checked already: lists, since a scene has a handful of teats."""
     _check_gate(gate_mm)
-    distance = _distances(found, truth)
-    gain = np.where(seen, 1.0, 0.5) * (np.minimum(distance, gate_mm) ** 2 - gate_mm**2)
-    rows, cols = linear_sum_assignment(gain)
-    kept = sorted((int(j), int(i)) for i, j in zip(rows, cols, strict=True) if distance[i, j] <= gate_mm)
-    pairs = tuple((i, j) for j, i in kept if seen[j])
-    taken_truth, taken_found = {j for j, _ in kept}, {i for _, i in kept}
+    within = {(i, j): d for j, b in enumerate(truth) for i, a in enumerate(found) if (d := dist(a, b)) <= gate_mm}
+    kept = _apart(within) if len({i for i, _ in within}) == len(within) else _crowded(found, truth, seen, gate_mm, within)
+    taken_found, taken_truth = {i for i, _ in kept}, {j for _, j in kept}
+    pairs = tuple([(i, j) for i, j in kept if seen[j]])
     return Match(
         pairs=pairs,
-        distances_mm=tuple(float(distance[i, j]) for i, j in pairs),
-        hidden_pairs=tuple((i, j) for j, i in kept if not seen[j]),
-        missed=tuple(j for j in range(len(truth)) if seen[j] and j not in taken_truth),
-        false=tuple(i for i in range(len(found)) if i not in taken_found),
-        hidden=int((~seen).sum()),
+        distances_mm=tuple([within[pair] for pair in pairs]),
+        hidden_pairs=tuple([(i, j) for i, j in kept if not seen[j]]),
+        missed=tuple([j for j, visible in enumerate(seen) if visible and j not in taken_truth]),
+        false=tuple([i for i in range(len(found)) if i not in taken_found]),
+        hidden=len(seen) - sum(seen),
         gate_mm=float(gate_mm),
     )
 
@@ -125,20 +142,37 @@ def gospa_mm(a_mm: npt.ArrayLike, b_mm: npt.ArrayLike, gate_mm: float) -> float:
     return match(a_mm, b, np.ones(len(b), dtype=bool), gate_mm).gospa_mm
 
 
-def _distances(a: Floats, b: Floats) -> Floats:
-    difference = a[:, None, :] - b[None, :, :]
-    return np.asarray(np.sqrt(np.einsum("ijk,ijk->ij", difference, difference)), dtype=np.float64)
+def _apart(within: Mapping[tuple[int, int], float]) -> list[tuple[int, int]]:
+    """The optimum where no finding is within the gate of two teats: each teat takes the nearest. In order of truth."""
+    best: dict[int, tuple[float, int]] = {}
+    for (i, j), d in within.items():
+        if j not in best or (d, i) < best[j]:
+            best[j] = (d, i)
+    return [(i, j) for j, (_, i) in sorted(best.items())]
 
 
-def _as_visible(visible: npt.ArrayLike, teats: int) -> Bools:
+def _crowded(
+    found: Points, truth: Points, seen: list[bool], gate: float, within: Mapping[tuple[int, int], float]
+) -> list[tuple[int, int]]:
+    """The optimum where some finding is within the gate of several teats. In order of truth."""
+    squared = ((np.array(found)[:, None, :] - np.array(truth)[None, :, :]) ** 2).sum(axis=2)
+    gain = np.where(seen, 1.0, 0.5) * (np.minimum(squared, gate**2) - gate**2)
+    rows, cols = linear_sum_assignment(gain)
+    chosen = zip(cols.tolist(), rows.tolist(), strict=True)
+    return [(i, j) for j, i in sorted(chosen) if (i, j) in within]
+
+
+def as_flags(visible: npt.ArrayLike, teats: int) -> list[bool]:
+    """A flag for each teat. Raises ValueError where there are more or fewer, or where one is neither true nor false."""
     given = np.asarray(visible)
     if given.size == 0 and teats == 0:
-        return np.zeros(0, dtype=np.bool_)
+        return []
     if given.shape != (teats,):
         raise ValueError(f"visible: expected one flag for each of the {teats} teats, got shape {given.shape}")
-    if given.dtype != np.bool_ and not ((given == 0) | (given == 1)).all():
-        raise ValueError(f"visible: expected true or false (1 or 0), got {given.tolist()}")
-    return given.astype(np.bool_)
+    flags = given.tolist()
+    if given.dtype != np.bool_ and any(flag not in (0, 1) for flag in flags):
+        raise ValueError(f"visible: expected true or false (1 or 0), got {flags}")
+    return [bool(flag) for flag in flags]
 
 
 def _check_gate(gate: float) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.scoring.errors import ErrorSummary, summarise
-from bench.scoring.matching import Counts
+from bench.scoring.matching import Counts, added
 from bench.scoring.points import Floats
 from bench.scoring.rates import Rate, pose_successes
 from bench.scoring.scene import SceneScore
@@ -35,7 +35,7 @@ class Pool:
     @property
     def counts(self) -> Counts:
         """All teats and findings counted."""
-        return sum((s.counts for s in self.scores), Counts())
+        return added(s.counts for s in self.scores)
 
     @property
     def frames(self) -> Rate:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.scoring.limits import acceptance_limit_mm, refusal_limit_mm
-from bench.scoring.matching import Counts, Match, gate_mm, match
+from bench.scoring.matching import Counts, Match, as_flags, assign, gate_between
 from bench.scoring.points import Floats, as_points
 
 
@@ -99,7 +99,8 @@ def score_scene(
         raise ValueError(f"seconds: {seconds} must be finite and not negative; a detection that timed out took its time limit or more")
     if hidden_claimed is not None and hidden_claimed < 0:
         raise ValueError(f"hidden_claimed: {hidden_claimed} teats; None says that the detector makes no claim")
-    result = match(found, truth, visible, gate_mm(truth))
+    ends = truth.tolist()
+    result = assign(found.tolist(), ends, as_flags(visible, len(ends)), gate_between(ends))
     in_time = bool(seconds <= time_limit_s)
     within = all(d <= limit_mm for d in result.distances_mm)
     return SceneScore(
@@ -145,8 +146,8 @@ def scene_from_dict(stored: Mapping[str, Any]) -> SceneScore:
 def _errors(found: Floats, truth: Floats, result: Match) -> Floats:
     if not result.pairs:
         return _frozen(np.zeros((0, 3)))
-    pairs = np.array(result.pairs)
-    return _frozen(found[pairs[:, 0]] - truth[pairs[:, 1]])
+    answers, teats = zip(*result.pairs, strict=True)
+    return _frozen(found[list(answers)] - truth[list(teats)])
 
 
 def _doubtful(result: Match, limit_mm: float, u_mm: float) -> tuple[int, ...]:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.interlock_rules import RULES
 from bench.record import RunRecord, TrialRecord
@@ -36,6 +37,8 @@ def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         entries.append(("at the captures", f"{min(temps):.2f} to {max(temps):.2f} °C"))
     yield tables.key_values("Bath", entries)
     yield from _capture_parts(run)
+    if isinstance(rules, Script) and captures:
+        yield _stability_table(run, set_point, rules.bath.window_s)
     yield from _care_parts(run)
 
 
@@ -85,6 +88,46 @@ def _capture_parts(run: RunRecord) -> Iterator[Part]:
         yield Table(title, (Column("component"), Column("u", "right", "K"), Column("source")), tuple(budget))
 
 
+def _stability_table(run: RunRecord, set_point_c: float, window_s: float) -> Table:
+    """Stability and uniformity, which are two things (ASTM E2488): over time at one place, and between places at one time."""
+    columns = (
+        Column("trial"),
+        Column("readings", "right"),
+        Column("mean from set point", "right", "K"),
+        Column("half the range", "right", "K"),
+        Column("slope", "right", "K/min"),
+        Column("teats' sensor, slope", "right", "K/min"),
+        Column("bath to teats' sensor", "right", "K"),
+    )
+    rows = tuple(_stability_row(run, t, set_point_c, window_s) for t in run.trials if t.head["captured_s"] is not None)
+    note = (
+        "Stability is what varies in these readings at one place. Uniformity, from teat to teat and from root to tip, is not measured: "
+        "there is one sensor at the teats at most; what it may be is in the uncertainty of the teats' surface."
+    )
+    return Table(f"The {window_s:g} s before each capture", columns, rows, note)
+
+
+def _stability_row(run: RunRecord, trial: TrialRecord, set_point_c: float, window_s: float) -> tuple[str, ...]:
+    end_s = trial.head["captured_s"]
+    inside = (run.bath[:, 0] >= end_s - window_s) & (run.bath[:, 0] <= end_s)
+    t_s, bath_c, teats_c = run.bath[inside, 0], run.bath[inside, 1], run.external_c[inside]
+    told = np.isfinite(teats_c)
+    away_k = float(np.mean(bath_c[told] - teats_c[told])) if told.any() else None
+    figures = (
+        float(np.mean(bath_c)) - set_point_c if len(bath_c) else None,
+        float(np.ptp(bath_c)) / 2.0 if len(bath_c) else None,
+        _slope_k_per_min(t_s, bath_c),
+        _slope_k_per_min(t_s[told], teats_c[told]),
+        away_k,
+    )
+    return (trial.id, str(len(bath_c)), *(NOT_MEASURED if figure is None else f"{figure:+.4f}" for figure in figures))
+
+
+def _slope_k_per_min(t_s: NDArray[np.float64], temp_c: NDArray[np.float64]) -> float | None:
+    """Least squares; None below two readings."""
+    return 60.0 * float(np.polyfit(t_s - t_s[0], temp_c, 1)[0]) if len(t_s) > 1 else None
+
+
 def _capture_row(run: RunRecord, trial: TrialRecord, found: Surface | None) -> tuple[str, ...]:
     bath, external = _readings(run, trial)
     figures = [_mean(bath), min(bath, default=None), max(bath, default=None), _mean(external)]
@@ -127,13 +170,20 @@ def _state(name: str, asleep: set[str], tripped: str | None) -> str:
 
 def _trip_table(trip: dict[str, Any]) -> Table:
     values: Sequence[dict[str, Any]] = trip["values"]
-    names = ("t_s", "temp_c", "external_c", "safety_c", "power_percent", "alarm")
-    titles = (("time", "s"), ("bath", "°C"), ("external", "°C"), ("safety", "°C"), ("output", "%"), ("alarm", ""))
-    columns = tuple(Column(title, "right", unit) for title, unit in titles)
-    rows = tuple(tuple("" if row[name] is None else f"{row[name]:g}" for name in names) for row in values)
+    names = ("t_s", "temp_c", "external_c", "safety_c", "set_point_c", "power_percent", "running", "alarm")
+    titles = ("time", "bath", "external", "safety", "set point", "output", "runs", "alarm")
+    units = ("s", "°C", "°C", "°C", "°C", "%", "", "")
+    columns = tuple(Column(title, "right", unit) for title, unit in zip(titles, units, strict=True))
+    rows = tuple(tuple(_cell(row.get(name)) for name in names) for row in values)
     return Table(
         f"Readings that led to the trip: {trip['rule']}", columns, rows, f"{trip['why']}. {'; '.join(trip['done'])}. {trip['then']}"
     )
+
+
+def _cell(value: float | bool | None) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "" if value is None else f"{value:g}"
 
 
 def _stable_spans(run: RunRecord) -> list[tuple[float, float]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from bench.config import read_config
 from bench.exports import write_exports
+from bench.latency import LATENCY_RULE, failures_told, latency_of
 from bench.record import RunRecord, read_run
 from bench.rig import read_calibration
 from bench.scoring.rates import zero_failure_n
@@ -19,9 +19,10 @@ from bench.store import RULES, SCRIPT
 from bench.summary import tables
 from bench.summary.arm import arm_parts
 from bench.summary.bath import bath_parts
+from bench.summary.poses import pose_parts
 from bench.summary.trials import trial_id, trial_parts, trial_table
-from bench.summary.wording import headline
-from bench.truth import DEFINITION
+from bench.summary.truth import deviation_parts, truth_parts
+from bench.summary.wording import headline, number
 from bench.verdicts import Judgement, judge, scored
 from detector.calibration import Calibration
 from reports.figures import error_histogram, error_scatter, found_bars, latency_strip, per_axis_errors
@@ -46,18 +47,18 @@ def write_run_report(folder: Path) -> tuple[Path, RunRecord, tuple[Judgement, ..
 def stored_rules(folder: Path) -> Rules:
     """The script as the run used it, or the rules that a recording was scored by."""
     script = folder / SCRIPT
-    return read_config(script, Script) if script.is_file() else read_config(folder / RULES, Rules)
+    return read_config(script, Script, stored=True) if script.is_file() else read_config(folder / RULES, Rules, stored=True)
 
 
 def build_page(run: RunRecord, rules: Rules, judgements: Sequence[Judgement], calibration: Calibration, folder: Path) -> Page:
     """The page; the trials' pictures are written into ``folder``/images on the way."""
     verdict, why, then = headline(run, judgements)
     facts = run.facts
-    poses = len({trial.pose for trial in run.trials})
+    poses = len({trial.pose for trial in run.counted})
     banner = Banner(
         kind=facts["kind"],
         verdict=verdict,
-        tested=f"{facts['title']}: detector {', '.join(run.detectors)} on {len(run.trials)} frame sets of {poses} poses.",
+        tested=f"{facts['title']}: detector {', '.join(run.detectors)} on {len(run.counted)} frame sets of {poses} poses{_left_out(run)}.",
         sentence=why,
         confidence=_confidence(rules, poses),
         next_action=then,
@@ -66,9 +67,11 @@ def build_page(run: RunRecord, rules: Rules, judgements: Sequence[Judgement], ca
         Section("requirements", "Requirements", tuple(_requirement_parts(judgements, rules))),
         Section("results", "Results by situation", tuple(_result_parts(run, rules))),
         Section("accuracy", "Accuracy", tuple(_accuracy_parts(run, rules, calibration))),
+        Section("poses", "Poses", tuple(pose_parts(run, rules.visible_within_mm))),
         Section("latency", "Time", tuple(_latency_parts(run, rules))),
         Section("environment", "Bath and environment", tuple(bath_parts(run, rules))),
-        Section("reference", "Measurand and reference", tuple(_reference_parts(run))),
+        Section("deviations", "Deviations and exclusions", tuple(deviation_parts(run))),
+        Section("reference", "Measurand and reference", (*truth_parts(run), *arm_parts(run))),
         Section("provenance", "Provenance", tuple(_provenance_parts(run))),
         Section("trial-list", "Trials", (trial_table(run),)),
     )
@@ -80,6 +83,11 @@ def build_page(run: RunRecord, rules: Rules, judgements: Sequence[Judgement], ca
         trials=tuple(trial_parts(run, calibration, folder)),
         footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),
     )
+
+
+def _left_out(run: RunRecord) -> str:
+    invalid = len(run.trials) - len(run.counted)
+    return f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
 
 
 def _confidence(rules: Rules, poses: int) -> str:
@@ -120,7 +128,7 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
         yield from tables.errors(run, pool, detector, calibration)
         camera = pool.errors_mm @ calibration.world_from_right.inverse().R.T
         radial = np.linalg.norm(pool.errors_mm, axis=1)
-        links = [f"#{trial_id(t)}" for t in run.trials if detector in t.scores for _ in t.scores[detector].errors_mm]
+        links = [f"#{trial_id(t)}" for t in run.counted if detector in t.scores for _ in t.scores[detector].errors_mm]
         lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
         scatter = error_scatter(lateral, camera[:, 2], limit_mm, links=links, name=f"scatter-{detector}")
         yield Figure(scatter, f"Depth error against lateral error, {detector}; each point opens its trial", f"{len(radial)} points")
@@ -136,51 +144,25 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     limits = sorted({r.limit_s for r in rules.requirements if isinstance(r, TimeRequirement)})
     rows = []
     for detector in run.detectors:
-        seconds = [d["wall_seconds"] for t in run.trials for d in t.detections if d["detector"] == detector]
+        times = latency_of(run, detector)
+        seconds = times.seconds
         yield Figure(
             latency_strip(seconds, limits, name=f"latency-{detector}"), f"Detection time, {detector}", f"{len(seconds)} detections"
         )
-        if seconds:
-            p50, p95 = np.percentile(seconds, [50, 95], method="inverted_cdf")
-            over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]
-            rows.append((detector, str(len(seconds)), *(f"{v:.3f}" for v in (p50, p95, max(seconds), seconds[0])), *over))
-    titles = ("p50", "p95", "max", "first (cold)")
+        told = [times.median_s, times.p95_s, times.p99_s, max(seconds, default=None), max(times.cold_s, default=None), times.start_up_s]
+        over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]
+        rows.append((detector, str(len(seconds)), *(number(value, digits=3) for value in told), *over, failures_told(times)))
+    titles = ("median", "p95", "p99", "max", "first call (cold)", "start-up")
     columns = (
         Column("detector"),
         Column("n", "right"),
         *(Column(t, "right", "s") for t in titles),
         Column("above 1 s"),
         Column("above 2 s"),
+        Column("no answer"),
     )
-    yield Table("Detection time", columns, tuple(rows), "Wall-clock time of the detector alone, on the machine named under Provenance.")
-
-
-def _reference_parts(run: RunRecord) -> Iterator[Part]:
-    yield Paragraph(f"Measurand: {DEFINITION}")
-    yield Paragraph("An answer that triangulates silhouettes measures another point; this report does not correct for it.", tone="info")
-    budget = run.facts.get("truth budget")
-    if budget:
-        columns = (Column("component"), Column("u", "right", "mm"), Column("source"))
-        rows = [(c["name"], f"{c['u_mm']:.3f}", c["source"]) for c in budget["components"]]
-        rows.append(("combined, along one axis", f"{budget['u_mm']:.3f}", "root of the sum of squares"))
-        yield Table("Uncertainty budget of the truth (last teat end)", columns, tuple(rows))
-    yield from arm_parts(run)
-    exact = _truth_error(run)
-    if exact:
-        yield Paragraph(exact, tone="info")
-
-
-def _truth_error(run: RunRecord) -> str:
-    """What the emulated arm was off by, known on an emulated rig only."""
-    rows = [row for trial in run.trials for row in trial.truth if row["exact_mm"]]
-    if not rows:
-        return ""
-    off = [np.array([r["x_mm"], r["y_mm"], r["z_mm"]]) - np.array(json.loads(r["exact_mm"])) for r in rows]
-    distances = np.linalg.norm(off, axis=1)
-    return (
-        f"Emulated rig: the scene's exact teat ends are kept aside. The touched truth is {distances.mean():.2f} mm from them on the mean, "
-        f"{distances.max():.2f} mm at most ({len(rows)} ends). Scores are against the touched truth, as in a laboratory."
-    )
+    note = f"Real time of the detector alone, on the machine named under Provenance. {LATENCY_RULE}"
+    yield Table("Detection time", columns, tuple(rows), note)
 
 
 def _provenance_parts(run: RunRecord) -> Iterator[Part]:

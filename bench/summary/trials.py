@@ -15,6 +15,7 @@ from bench.record import RunRecord, TrialRecord
 from bench.scoring.scene import SceneScore
 from bench.store import Picture, png_bytes, write_synced
 from bench.summary.bath import surface_at, surface_told
+from bench.summary.truth import trial_truth
 from bench.summary.wording import number
 from detector.calibration import Calibration
 from reports.page import Cell, Circle, Column, Cross, ImageView, Label, Overlay, Rect, Shape, Table, Tone, TrialPart
@@ -60,7 +61,7 @@ def trial_table(run: RunRecord) -> Table:
                     str(counts.false) if counts else "",
                     Cell(number(worst), sort=worst),
                     Cell(f"{seconds:.3f}", sort=seconds),
-                    _status(score)[0],
+                    _told(trial, score)[0],
                 )
             )
     return Table("All trials", columns, tuple(rows), searchable=True)
@@ -68,7 +69,7 @@ def trial_table(run: RunRecord) -> Table:
 
 def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path) -> TrialPart:
     scores = list(trial.scores.values())
-    statuses = [_status(score) for score in scores] or [_status(None)]
+    statuses = [_told(trial, score) for score in scores] or [_told(trial, None)]
     status, tone = next((s for s in statuses if s[1] == "bad"), statuses[0])
     head = trial.head
     summary = (
@@ -80,6 +81,8 @@ def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: 
         *((f"hidden, {d['detector']}", f"claims {d['hidden']}") for d in trial.detections),
     )
     notes = tuple(f"{d['detector']}: {d['reason']}" for d in trial.detections if d["reason"])
+    notes = (f"In no count: {trial.invalid}", *notes) if trial.invalid else notes
+    budget = trial_truth(trial)
     return TrialPart(
         id=trial_id(trial),
         heading=trial.id,
@@ -88,9 +91,13 @@ def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: 
         tone=tone,
         summary=summary,
         images=tuple(_images(run, trial, calibration, folder)),
-        tables=tuple(_teats(trial, d["detector"]) for d in trial.detections),
+        tables=(*(_teats(trial, d["detector"]) for d in trial.detections), *((budget,) if budget else ())),
         notes=notes,
     )
+
+
+def _told(trial: TrialRecord, score: SceneScore | None) -> tuple[str, Tone]:
+    return ("invalidated", "warn") if trial.invalid else _status(score)
 
 
 def _status(score: SceneScore | None) -> tuple[str, Tone]:

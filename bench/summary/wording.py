@@ -47,6 +47,9 @@ def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdi
     """The verdict on the run, why, and what to do next."""
     if run.ending != "finished":
         return "aborted", _why_ended(run), _after_ending(run)
+    if not judgements and run.skipped:
+        nothing = f"All {len(run.skipped)} trials were left out, so nothing was scored."
+        return "no verdict", nothing, "Remove the reasons, which are listed under the deviations, then run the script again."
     if not judgements:
         return "no verdict", "The recording has no truth, so nothing was scored.", "Add truth.csv to the recording, then score it again."
     verdict = run_verdict(judgements)
@@ -72,7 +75,11 @@ def guardian_told(record: Mapping[str, Any]) -> str:
         "gave up": f"At {when} the bench gave up: {why}",
     }[record["cause"]]
     if record["standby"]:
-        return f"{befell}; the guardian had the bath in standby at {record['wall_safe']}, {record['seconds']:.1f} s after it took notice."
+        more = " The hung bench kept the port and was ended." if record.get("killed") else ""
+        more += f" The pump {record['pump']}." if "pump" in record else ""
+        return (
+            f"{befell}; the guardian had the bath in standby at {record['wall_safe']}, {record['seconds']:.1f} s after it took notice.{more}"
+        )
     return f"{befell}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries ({record['error']}): switch it off by hand."
 
 

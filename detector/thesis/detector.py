@@ -14,14 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.calibration import Calibration
+from detector.calibration import Calibration, Homographies
+from detector.calibration.thesis_rig import HOMOGRAPHY_LEFT, HOMOGRAPHY_RIGHT, IMAGE_SIZE, THERMAL_IMAGE_SIZE
 from detector.geometry import Array, triangulate
 from detector.protocol import Detection, Frames, Stage, Teat
 from detector.thesis.horizontals import horizontal_middles, teat_ends, window_fits
-from detector.thesis.optical import Refined, nominate, refine
+from detector.thesis.optical import Refined, keep, nominate, refine
 from detector.thesis.parameters import Parameters
 from detector.thesis.thermal import Grey, eight_bit, find_edges, order_filter, picture_from_kelvin, unmirror
 from detector.thesis.verticals import vertical_ends, window_centre
+
+PUBLISHED_HOMOGRAPHIES = Homographies(np.array(HOMOGRAPHY_LEFT), np.array(HOMOGRAPHY_RIGHT), None)
 
 
 class _NoAnswer(Exception):  # noqa: N818 (ends a detection early, caught in `detect`; never seen by a caller)
@@ -37,11 +40,7 @@ class ThesisDetector:
     """Chapter 4 and appendix A of the thesis, with the published settings unless told otherwise."""
 
     settings: Parameters = field(default_factory=Parameters)
-
-    @property
-    def name(self) -> str:
-        """The name in the registry."""
-        return "thesis"
+    name: str = "thesis"  # in the registry
 
     @property
     def version(self) -> str:
@@ -127,10 +126,11 @@ def _locate(
     left: Grey, right: Grey, thermal_px: Array, calibration: Calibration, p: Parameters, trace: list[Stage]
 ) -> tuple[tuple[Teat, ...], str | None]:
     """Thermal teat ends (n, 2) to teats in the world, and what was left out on the way (sections 4.2, 4.3, 3.2.1.2, 3.3.2)."""
-    maps = calibration.homographies
+    maps = _homographies(calibration, p)
     nominated = nominate(maps.left, thermal_px), nominate(maps.right, thermal_px)
     trace.append(Stage("nominations", {"left_px": nominated[0], "right_px": nominated[1]}))
-    refined = [refine(left, n, p) for n in nominated[0]], [refine(right, n, p) for n in nominated[1]]
+    look = refine if p.refinement else keep
+    refined = [look(left, n, p) for n in nominated[0]], [look(right, n, p) for n in nominated[1]]
     trace.append(Stage("regions", {**_seen("left", refined[0]), **_seen("right", refined[1])}))
     left_px, right_px = (np.array([r.end_px for r in side]) for side in refined)
     trace.append(
@@ -151,6 +151,15 @@ def _locate(
     teats = tuple(Teat(world_mm[i], None, left_px[i], right_px[i], thermal_px[i]) for i in np.flatnonzero(usable))
     lost = int(np.count_nonzero(~usable))
     return teats, f"{lost} of {len(usable)} nominated teats lie outside of an optical picture" if lost else None
+
+
+def _homographies(calibration: Calibration, p: Parameters) -> Homographies:
+    if p.homographies == "calibration":
+        return calibration.homographies
+    sizes = calibration.thermal.image_size, calibration.left.image_size, calibration.right.image_size
+    if sizes != (THERMAL_IMAGE_SIZE, IMAGE_SIZE, IMAGE_SIZE):
+        raise _NoAnswer("the published homographies are for pictures of 640 x 480 and 1360 x 1024, not for the calibration's", p.teat_count)
+    return PUBLISHED_HOMOGRAPHIES
 
 
 def _inside(points_px: Array, picture: Grey) -> NDArray[np.bool_]:

@@ -48,14 +48,21 @@ def nominate(homography: Array, teats_px: Array) -> Array:
 def refine(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
     """Look for the teat's end in the region around a nomination (2,); what can't be refined stays where it was nominated."""
     region = cut_region(picture, nomination_px, p.region_reach_px)
-    side = 2 * p.region_reach_px + 1
     if region is None:
-        return Refined(nomination_px, False, np.zeros((side, side), dtype=np.uint8), np.zeros((side, side), dtype=np.bool_))
+        return keep(picture, nomination_px, p)
     bright = binary_dilation(grey_dilation(region, p) > p.binary_level * 255, p)
     end = locate_end(~bright, p) if np.count_nonzero(bright) >= p.least_bright_px else None
     if end is None:
         return Refined(nomination_px, False, region, bright)
     return Refined(nomination_px - p.region_reach_px + end + _REGION_SLIP_PX, True, region, bright)
+
+
+def keep(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
+    """The teat's end where it was nominated, the region as it is (zeros where it leaves the picture), nothing looked for in it."""
+    side = 2 * p.region_reach_px + 1
+    region = cut_region(picture, nomination_px, p.region_reach_px)
+    blank = np.zeros((side, side), dtype=np.uint8)
+    return Refined(nomination_px, False, blank if region is None else region, np.zeros((side, side), dtype=np.bool_))
 
 
 def cut_region(picture: Grey, centre_px: Array, reach_px: int) -> Grey | None:

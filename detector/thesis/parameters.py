@@ -50,7 +50,11 @@ class Parameters:
     teat_row_tolerance_px: int = 30
     teat_least_spacing_px: int = 30
 
+    # From thermal to optical: the printed homographies of section 3.2.2, or the calibration's, which are to hold at the teats' plane
+    homographies: Literal["calibration", "published"] = "calibration"
+
     # Optical refinement: section 4.2, 4.3, appendix A.4
+    refinement: bool = True  # without it the ends stay where the homography puts them
     region_reach_px: int = 20
     grey_dilation_size: tuple[int, int] = (9, 10)  # rows, columns; figure 4.12 has the corners off
     binary_level: float = 0.3

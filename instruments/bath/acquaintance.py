@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from instruments.bath.profile import Identity, Profile
 from instruments.bath.reading import BathReading, Poll
 from instruments.bath.rows import Row
-from instruments.bath.transactions import ILLEGAL_ADDRESS, RefusedError
+from instruments.bath.troubles import ILLEGAL_ADDRESS, RefusedError
 from instruments.bath.wired import WiredRows
 from instruments.errors import DeviceError, ProtocolError
 

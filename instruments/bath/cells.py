@@ -12,10 +12,10 @@ from typing import Literal, Protocol
 
 from instruments.bath import protocol
 from instruments.bath.families import Manners
-from instruments.bath.profile import Profile
 from instruments.bath.protocol import Read, Refused, Write
 from instruments.bath.registers import Order
 from instruments.bath.rows import Row, Table
+from instruments.bath.wiring import Wiring
 
 IEEE_AREA = 0x8000  # Eurotherm: a pair of registers at 0x8000 + 2 n for each quantity n
 PADDING = 0x8000  # behind a word that takes only the first register of its pair
@@ -71,7 +71,7 @@ class Cell:
 class Cells:
     """The address space of a controller of ``profile``'s family."""
 
-    def __init__(self, profile: Profile, manners: Manners, values: Values) -> None:
+    def __init__(self, profile: Wiring, manners: Manners, values: Values) -> None:
         self.gaps_refused = False
         self._manners = manners
         self._values = values

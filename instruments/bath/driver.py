@@ -16,10 +16,10 @@ from instruments.bath.profile import Profile
 from instruments.bath.reading import BathReading, OrderError, Poll
 from instruments.bath.relay import PUMP, PumpAt, Relay, with_pump
 from instruments.bath.rows import Row
-from instruments.bath.transactions import BrokenError
+from instruments.bath.troubles import BrokenError
 from instruments.bath.wired import WiredRows, line_to, wire_to
 from instruments.clock import Clock
-from instruments.errors import DeviceError, InstrumentError
+from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.tap import Tap
 
 SAFE_TRIES = 3
@@ -50,7 +50,7 @@ class Bath:
         tap: Tap | None = None,
         pump: PumpAt | None = None,
     ) -> None:
-        self.url = url
+        self.url, self.pump_url = url, pump.url if pump else ""
         self.profile = with_pump(profile, pump.profile) if pump else profile
         self.who = f"bath at {url}"
         self._family = profile
@@ -58,10 +58,11 @@ class Bath:
         line = line_to(url, profile, self.who)
         self._wire = wire_to(line, profile, clock, who=self.who, tap=tap, inferred=allow_inferred)
         self._wired = WiredRows(profile, self._wire, line.unit_id or 1, clock, who=self.who, allow_inferred=allow_inferred)
-        self._relay = Relay(pump, self._wire, clock) if pump else None
+        self._relay = Relay(pump, self._wire, clock, allow_inferred=allow_inferred) if pump else None
         self._poll: Poll | None = None
         self._identity: Mapping[str, str] = {}
         self._started = False
+        self._times_made_safe = 0
         if identify:
             self._meet()
 
@@ -90,10 +91,12 @@ class Bath:
         return self._do(lambda: self._get(row))
 
     def set(self, name: str, value: float | str) -> None:
-        """Write a row (a number, or one of its labels) where it is another, and see that it stands."""
+        """Write a row (a number, or one of its labels) where it is another, and see that it stands.
+
+        A pump's relay is not switched off unless the controller stands by: that raises LimitError.
+        """
         if self._relay and name == PUMP:
-            relay = self._relay
-            return self._switched(lambda: relay.set(value), relay)
+            return self._switch(self._relay, value)
         row = self._wired.row(name)
         wanted = self._wired.allowed(row, value)
         return self._do(lambda: self._set(row, wanted))
@@ -114,6 +117,7 @@ class Bath:
         """
         self._wired.allowed(self._wired.row("set_point"), set_point_c)
         with self._lock:
+            made_safe = self._times_made_safe
             reading = self.read()
             if reading.alarm:
                 text = self.profile.alarm_text(reading.alarm)
@@ -123,8 +127,7 @@ class Bath:
             for name, label in self.profile.before_start.items():
                 self.set(name, label)
             self.set("set_point", set_point_c)
-            self.set("run", "started")
-            self._started = True
+            self._run(made_safe)
 
     def standby(self) -> None:
         """Heater off, and the pump with it where it turns with run."""
@@ -140,6 +143,7 @@ class Bath:
         run = self._wired.row("run")
         with self._lock:
             self._started = False
+            self._times_made_safe += 1
             for tries_left in reversed(range(SAFE_TRIES)):
                 if not self._wire.connected:
                     self._poll = None
@@ -159,6 +163,29 @@ class Bath:
             self._wire.close()
             if self._relay:
                 self._relay.close()
+
+    def _run(self, made_safe: int) -> None:
+        """Run, unless an event of virtual time has made safe since the count was ``made_safe``: that one has the last word."""
+        try:
+            if self._times_made_safe == made_safe:
+                self.set("run", "started")
+                self._started = True
+        finally:
+            overruled = self._times_made_safe != made_safe
+            if overruled:
+                self.safe()
+        if overruled:
+            raise DeviceError(self.who, "not started: it was made safe meanwhile", hint="See what tripped, and start it anew.")
+
+    def _switch(self, relay: Relay, value: float | str) -> None:
+        with self._lock:
+            if relay.is_off(value):
+                run = self._wired.row("run")
+                shown = self._do(lambda: self._wired.value(run))
+                if shown != run.values["standby"]:
+                    hint = "Put the controller into standby first."
+                    raise LimitError(self.who, f"the pump is not switched off while the controller is {run.label(shown)}", hint=hint)
+            self._switched(lambda: relay.set(value), relay)
 
     def _switched(self, work: Callable[[], T], relay: Relay) -> T:
         if relay.shares:

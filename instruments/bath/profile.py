@@ -28,11 +28,13 @@ __all__ = [
     "load_profile",
     "load_relay",
     "profile_names",
+    "relay_names",
 ]
 
 AlarmCause = Literal["level", "sensor", "over-temperature", "other"]
 CommsLoss = Literal["hold", "stop", "safe_setpoint", "unknown"]
 SHIPPED = Path(__file__).with_name("profiles")
+RELAYS = SHIPPED / "relays"
 NEEDED = ("temperature", "set_point", "run")
 
 
@@ -152,11 +154,19 @@ def load_profile(name_or_path: str | Path) -> Profile:
     return load(path, Profile, hint=f"; shipped profiles: {', '.join(profile_names())}")
 
 
-def load_relay(path: Path) -> RelayProfile:
-    """The profile of a pump's relay at ``path``. Raises ProfileError."""
-    return load(path, RelayProfile)
+def load_relay(name_or_path: str | Path) -> RelayProfile:
+    """A shipped profile of a pump's relay by its name (``modbus-relay``), or any by its path. Raises ProfileError."""
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        path = RELAYS / f"{name_or_path}.toml"
+    return load(path, RelayProfile, hint=f"; shipped profiles of relays: {', '.join(relay_names())}")
 
 
 def profile_names() -> list[str]:
     """The names of the shipped profiles."""
     return sorted(path.stem for path in SHIPPED.glob("*.toml"))
+
+
+def relay_names() -> list[str]:
+    """The names of the shipped profiles of a pump's relay."""
+    return sorted(path.stem for path in RELAYS.glob("*.toml"))

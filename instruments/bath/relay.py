@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from instruments.bath.profile import Profile, RelayProfile
-from instruments.bath.transactions import BrokenError, Transactions
+from instruments.bath.transactions import Transactions
+from instruments.bath.troubles import BrokenError
 from instruments.bath.wired import WiredRows, line_to, wire_to
 from instruments.clock import Clock
 from instruments.errors import LimitError
@@ -34,14 +35,12 @@ class PumpAt:
 class Relay:
     """The relay of ``pump``, on the link ``wire`` of the controller where that leads to the same line. Raises LinkError."""
 
-    def __init__(self, pump: PumpAt, wire: Transactions, clock: Clock) -> None:
+    def __init__(self, pump: PumpAt, wire: Transactions, clock: Clock, *, allow_inferred: bool = False) -> None:
         who = f"pump at {pump.url}"
         line = line_to(pump.url, pump.profile, who)
         self.shares = line.url == wire.place
         self._wire = wire if self.shares else wire_to(line, pump.profile, clock, who=who, tap=pump.tap)
-        self._rows = WiredRows(
-            pump.profile, self._wire, line.unit_id or 1, clock, who=who, allow_inferred=True
-        )  # it was written for this rig
+        self._rows = WiredRows(pump.profile, self._wire, line.unit_id or 1, clock, who=who, allow_inferred=allow_inferred)
 
     def get(self) -> float:
         """The code of what the relay is set to."""
@@ -52,6 +51,10 @@ class Relay:
         row = self._rows.row(PUMP)
         wanted = self._rows.allowed(row, value)
         self._mended(lambda: self._rows.set(row, wanted))
+
+    def is_off(self, value: float | str) -> bool:
+        """Whether to set it to ``value`` switches the pump off."""
+        return value in ("off", self._rows.row(PUMP).values["off"])
 
     def close(self) -> None:
         """Close the link where it is its own; the relay stays as it is."""

@@ -81,7 +81,7 @@ class Session:
         self._books.put(data)
 
     def wait(self, until_s: float, done: Callable[[], bool]) -> None:
-        """Take in what comes until ``done``, the clock shows ``until_s``, or the link breaks.
+        """Take in what comes until ``done``, the clock shows ``until_s``, or the link breaks, be it by an event of virtual time.
 
         Interrupted, it closes the session. Raises TimeoutError when an emulator's thread hangs.
         """
@@ -95,7 +95,7 @@ class Session:
                 if done() or self._clock.now() >= until_s - ROUNDING_S or not self.connected:
                     return
                 loop.let_time_pass()
-                if done():
+                if done() or not self.connected:  # an event of that time may have closed this very session
                     return
         except BaseException:
             self.close()

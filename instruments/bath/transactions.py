@@ -17,8 +17,9 @@ from instruments.bath.answers import Answers
 from instruments.bath.line import Line
 from instruments.bath.questions import EXCEPTION, Question, read_question, values_in, write_question
 from instruments.bath.session import Session
+from instruments.bath.troubles import BrokenError, nonsense, owing, refused, silence, unreachable
 from instruments.clock import Clock
-from instruments.errors import DeviceError, LinkError, ProtocolError
+from instruments.errors import LinkError, ProtocolError
 from instruments.tap import NoTap, Tap
 
 TIMEOUT_S, QUIET_S = 1.0, 0.5
@@ -27,31 +28,8 @@ ATTEMPTS = 2
 FORGET_S = 10.0  # no device answers later than this
 CONNECT_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts; then we give up
 GAP_CHARACTERS, LEAST_GAP_S = 3.5, 0.00175  # of silence between frames (Modbus over serial line 1.02, section 2.5.1.1)
-ILLEGAL_ADDRESS = 2
-EXCEPTIONS = {
-    1: "it does not know this function",
-    2: "it has no register at this address",
-    3: "it does not allow this value",
-    4: "it failed while doing it",
-    5: "it needs longer and will do it later",
-    6: "it is busy",
-    7: "it can't do this",
-    8: "its memory has a parity error",
-    10: "the gateway has no path to it",
-    11: "the gateway got no answer from it",
-}
 
 Marker = tuple[int, int, int]
-
-
-class RefusedError(DeviceError):
-    """The device answered with a Modbus exception, ``code``."""
-
-    code = 0
-
-
-class BrokenError(LinkError):
-    """The connection went down under a question; over a new one the same question may be asked again."""
 
 
 class Transactions:
@@ -94,18 +72,13 @@ class Transactions:
     def connect(self) -> None:
         """Open the link, trying again with growing pauses. Raises LinkError when nobody takes it in the end."""
         start = self._clock.now()
-        for pause_s in (*CONNECT_PAUSES_S, None):
-            why = self._connect_once()
-            if why is None:
-                return
-            if pause_s is not None:
+        for pause_s in (0.0, *CONNECT_PAUSES_S):
+            if pause_s:
                 self._clock.sleep(pause_s)
-        tries, took_s = len(CONNECT_PAUSES_S) + 1, self._clock.now() - start
-        if self._line.kind == "serial":
-            hint = "Is the adapter plugged in, and is it yours to open? 'python -m serial.tools.list_ports' lists the ports."
-            raise LinkError(self.who, f"the port can't be opened in {tries} tries: {why}", seconds=took_s, hint=hint)
-        hint = f"Is the controller on, on this network, and set to Modbus {self._line.transport.upper()}?"
-        raise LinkError(self.who, f"nothing took the connection in {tries} tries: {why}", seconds=took_s, hint=hint)
+            why = self._connect_once()
+            if not why:
+                return
+        raise unreachable(self.who, self._line, why, len(CONNECT_PAUSES_S) + 1, self._clock.now() - start)
 
     @property
     def place(self) -> str:
@@ -142,20 +115,21 @@ class Transactions:
             self._session.close()
             self._session = None
 
-    def _connect_once(self) -> str | None:
-        """Why nobody took the connection, or None."""
+    def _connect_once(self) -> str:
+        """Why nobody took the connection; empty when somebody has."""
         self.close()
         try:
             hosts = dict.fromkeys(_addresses(self._line))
         except OSError as error:  # no such name yet: a controller's name may turn up after it has started
             return str(error)
-        why = ""
+        why = "no such host"
         for host in hosts:
             session = Session(replace(self._line, host=host), self._clock, self._hear, timeout_s=CONNECT_TIMEOUT_S, tap=self._tap)
             if session.connect():
+                self.close()  # an event of virtual time may have connected meanwhile
                 self._session = session
                 self._strange_until_s = self._clock.now() + self._quiet_s  # somebody else's answer may still be under way
-                return None
+                return ""
             why = session.refusal or "no answer"
             session.close()
         return why
@@ -181,15 +155,15 @@ class Transactions:
         if answer is None:
             raise self._silence(question, start)
         if answer[1] == question.function | EXCEPTION:
-            raise self._refused(answer[2], question)
+            raise refused(self.who, answer[2], question)
         if answer[1] != question.function:
             raise self._nonsense(f"function {answer[1]} was answered to function {question.function}", question)
         return answer
 
     def _put(self, question: Question) -> bool:
         """Send ``question`` and wait for its answer; whether one came."""
-        session = self._up()
         self._keep_gap()
+        session = self._up()
         if self._line.is_rtu:
             session.drain()  # what lies there unasked is nobody's answer
         session.send(self._answers.put(question, self._clock.now()))
@@ -242,30 +216,17 @@ class Transactions:
         """Ask what can't be confused with anything owed. Raises LinkError when that is not answered."""
         marker = self._answers.unmistakable([read_question(*marker, self._unit_id) for marker in self._markers])
         if marker is None:
-            hint = "It is asked again once none of its answers can come any more."
-            what = f"no answer to {len(self._answers.owed)} questions"
-            raise LinkError(self.who, what, seconds=self._clock.now() - start_s, hint=hint)
+            raise owing(self.who, len(self._answers.owed), self._clock.now() - start_s)
         if not self._put(marker):
             raise self._silence(marker, start_s)
-
-    # ---- errors
 
     def _silence(self, question: Question, start_s: float) -> LinkError | ProtocolError:
         if self._session and self._session.seen:
             return self._nonsense("what came is no answer to this", question)
-        hint = "Is the unit id right, and the controller still on?"
-        return LinkError(self.who, "no answer", asked=question.asked, seconds=self._clock.now() - start_s, hint=hint)
-
-    def _refused(self, code: int, question: Question) -> RefusedError:
-        meaning = EXCEPTIONS.get(code, "a code that Modbus does not know")
-        error = RefusedError(self.who, f"refused: {meaning}", asked=question.asked, seen=f"Modbus exception {code}")
-        error.code = code
-        return error
+        return silence(self.who, question, self._clock.now() - start_s)
 
     def _nonsense(self, what: str, question: Question) -> ProtocolError:
-        seen = self._session.seen if self._session else b""
-        hint = f"Is this a Modbus {self._line.transport.upper()} device of the right family?"
-        return ProtocolError(self.who, what, asked=question.asked, seen=seen, hint=hint)
+        return nonsense(self.who, what, question, self._session.seen if self._session else b"", self._line)
 
 
 def _addresses(line: Line) -> list[str]:

@@ -1,98 +1,165 @@
-"""Real cameras through OpenCV: a device's number, a video file, or a stream's URL for each of left, right and thermal.
+"""A real camera through OpenCV: a device's number, a device's path, a video file, or a stream (`http://` MJPEG, `rtsp://`).
 
-May not know what the pictures show, nor the scene that emulated cameras look at.
+Live sources are read without pause (`live`), files frame by frame. What is set is read back. May not know what the pictures show, nor
+the scene that emulated cameras look at.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Protocol
+import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from instruments.camera.frame import FrameSet, grey8
-from instruments.errors import DeviceError, LinkError, ProtocolError
+from instruments.camera.faults import FrameError, FrameFault
+from instruments.camera.live import Clock, LiveReader
+from instruments.camera.raw import RawFrame
+from instruments.camera.settings import ReadBack, Settings
+from instruments.errors import LinkError
 
 Source = int | str
-REQUIRED = ("left", "right")
-KNOWN = (*REQUIRED, "thermal")
+SILENCE_MS = 5000.0  # a stream that says nothing for so long is gone
+PATIENCE_S = 2.0  # the longest exposure and interval that a frame may take
+MANUAL, MANUAL_OF_OLD = 1.0, 0.25  # how backends call an exposure that isn't automatic: V4L2's own number, and OpenCV's before 4
 
 
-class Timed(Protocol):
-    """What tells the time."""
-
-    def now(self) -> float:
-        """Seconds."""
-        ...
+def is_live(source: Source) -> bool:
+    """Whether frames come whether or not anyone asks: a device or a stream, not a file."""
+    return isinstance(source, int) or "://" in source or source.startswith("/dev/")
 
 
-class OpenCvCameras:
-    """One `cv2.VideoCapture` for each source; ``sources`` maps left, right and perhaps thermal to a device number, path or URL.
+class OpenCvCamera:
+    """``name`` is its place in the rig. Raises LinkError where it doesn't open, DeviceError for settings that did not take."""
 
-    Raises LinkError for a source that doesn't open or stops answering, DeviceError for a set of cameras that can't serve.
-    """
-
-    def __init__(self, sources: Mapping[str, Source], clock: Timed) -> None:
-        wrong = [name for name in sources if name not in KNOWN]
-        missing = [name for name in REQUIRED if name not in sources]
-        if wrong or missing:
-            said = f"needs sources for {', '.join(REQUIRED)} and perhaps thermal, got {', '.join(sources) or 'none'}"
-            raise DeviceError("OpenCV cameras", said, hint="Correct the cameras in the rig file.")
+    def __init__(
+        self, name: str, source: Source, clock: Clock, settings: Settings | None = None, *, patience_s: float = PATIENCE_S
+    ) -> None:
+        self._name = name
+        self._source = source
         self._clock = clock
-        self._sources = dict(sources)
-        self._open: dict[str, cv2.VideoCapture] = {}
-        try:
-            for name, source in self._sources.items():
-                self._open[name] = _opened(name, source)
-        except LinkError:
-            self.close()
-            raise
+        self._settings = settings or Settings()
+        self._patience_s = patience_s
+        self._live: LiveReader | None = None
+        self._file: cv2.VideoCapture | None = None
+        self._begun_s: float | None = None
+        self._open()
 
     @property
-    def identity(self) -> Mapping[str, str]:
-        """Source, backend and picture size of each camera."""
-        return {name: self._described(name, camera) for name, camera in self._open.items()}
+    def identity(self) -> str:
+        """Source, backend, picture size, and settings that were tried in vain."""
+        return self._identity
 
-    def capture(self) -> FrameSet:
-        """Expose all cameras as nearly together as OpenCV can (grab all, then decode). Raises LinkError, ProtocolError."""
-        exposed_s: dict[str, float] = {}
-        for name, camera in self._open.items():
-            if not camera.grab():
-                hint = "Is it still connected? A file or stream may have ended."
-                raise LinkError(self._who(name), "gave no frame", asked="a frame", hint=hint)
-            exposed_s[name] = self._clock.now()
-        images = {name: self._decoded(name, camera) for name, camera in self._open.items()}
-        return FrameSet(images["left"], images["right"], images.get("thermal"), None, exposed_s, self.identity)
+    def begin(self) -> None:
+        """Ask for the next fresh frame; of a file, read on. A stream that has broken off is opened once more. Raises LinkError."""
+        if self._live is not None:
+            if self._live.broken:
+                self._live.close()
+                self._open()
+            self._live.ask()
+            return
+        self._begun_s = self._clock.now()
+        if self._file is None or not self._file.grab():
+            raise LinkError(self._who, "gave no frame", asked="a frame", hint="The file has ended, or was closed.")
+
+    def take(self) -> RawFrame:
+        """The frame. Raises FrameError where none came or it can't be decoded."""
+        if self._live is not None:
+            answer = self._live.answer(self._patience_s)
+            if answer is None:
+                what = "the stream broke off" if self._live.broken else "no frame came"
+                raise self._fault(FrameFault.DROPPED, what, None if self._live.broken else self._patience_s)
+            image, exposed_s = answer
+        else:
+            good, decoded = self._file.retrieve() if self._file is not None else (False, None)
+            image = np.asarray(decoded, dtype=np.uint8) if good and decoded is not None else None
+            exposed_s = self._begun_s or 0.0
+        if image is None:
+            raise self._fault(FrameFault.HALF, "a frame came that can't be decoded", None)
+        return RawFrame(image, exposed_s)
 
     def close(self) -> None:
-        """Let all cameras go; may be called again."""
-        for camera in self._open.values():
-            camera.release()
-        self._open.clear()
+        """Let it go; may be called again."""
+        if self._live is not None:
+            self._live.close()
+        if self._file is not None:
+            self._file.release()
+        self._file = None
 
-    def _decoded(self, name: str, camera: cv2.VideoCapture) -> NDArray[np.uint8]:
-        good, image = camera.retrieve()
-        if not good or image is None:
-            raise ProtocolError(self._who(name), "sent a frame that can't be decoded", asked="a frame", hint="Try another pixel format.")
+    @property
+    def _who(self) -> str:
+        return f"{self._name} camera at {self._source}"
+
+    def _fault(self, fault: FrameFault, what: str, seconds: float | None) -> FrameError:
+        return FrameError(
+            fault, self._name, self._who, what, seconds=seconds, hint="Is it still connected, and is the network fast enough?"
+        )
+
+    def _open(self) -> None:
+        capture = _opened(self._who, self._source)
         try:
-            return grey8(np.asarray(image))
-        except ValueError as fault:
-            raise ProtocolError(self._who(name), str(fault), asked="a frame") from fault
+            notes = apply_settings(self._who, capture, self._settings)
+        except BaseException:
+            capture.release()
+            raise
+        width, height = (round(capture.get(prop)) for prop in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        self._identity = "; ".join([f"{self._source} ({capture.getBackendName()}, {width} x {height})", *notes])
+        if is_live(self._source):
+            self._live = LiveReader(capture, self._clock, self._name)
+        else:
+            self._file = capture
 
-    def _who(self, name: str) -> str:
-        return f"{name} camera at {self._sources[name]}"
 
-    def _described(self, name: str, camera: cv2.VideoCapture) -> str:
-        width, height = (round(camera.get(prop)) for prop in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        return f"{self._sources[name]} ({camera.getBackendName()}, {width} x {height})"
-
-
-def _opened(name: str, source: Source) -> cv2.VideoCapture:
-    camera = cv2.VideoCapture(source)
-    if not camera.isOpened():
-        camera.release()
+def _opened(who: str, source: Source) -> cv2.VideoCapture:
+    if isinstance(source, str) and "://" in source:
+        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, int(SILENCE_MS), cv2.CAP_PROP_READ_TIMEOUT_MSEC, int(SILENCE_MS)]
+        capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
+    else:
+        capture = cv2.VideoCapture(source)
+    if not capture.isOpened():
+        capture.release()
         hint = "Check its number, path or URL, and that no other program holds it."
-        raise LinkError(f"{name} camera at {source}", "can't be opened", asked=f"cv2.VideoCapture({source!r})", hint=hint)
-    return camera
+        raise LinkError(who, "can't be opened", asked=f"cv2.VideoCapture({source!r})", hint=hint)
+    return capture
+
+
+def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> tuple[str, ...]:
+    """Ask for each setting, read each back; gives notes about tries. Raises DeviceError for what did not take."""
+    back = ReadBack(who, settings.tries)
+    if settings.pixel_format is not None:
+        capture.set(cv2.CAP_PROP_FOURCC, _fourcc(settings.pixel_format))
+    if settings.resolution is not None:
+        for prop, size in zip((cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT), settings.resolution, strict=True):
+            capture.set(prop, size)
+    if settings.fps is not None:
+        capture.set(cv2.CAP_PROP_FPS, settings.fps)
+    if settings.exposure is not None:
+        if not capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL):
+            capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL_OF_OLD)
+        capture.set(cv2.CAP_PROP_EXPOSURE, settings.exposure)
+    if settings.gain is not None:
+        capture.set(cv2.CAP_PROP_GAIN, settings.gain)
+    _read_back(capture, settings, back)  # all set before any is read: one may change another
+    return back.finish()
+
+
+def _read_back(capture: cv2.VideoCapture, settings: Settings, back: ReadBack) -> None:
+    if settings.pixel_format is not None:
+        back.compare("pixel_format", settings.pixel_format, fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)))
+    if settings.resolution is not None:
+        seen = tuple(round(capture.get(prop)) for prop in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        back.compare("resolution", tuple(settings.resolution), seen)
+    for name, prop in (("fps", cv2.CAP_PROP_FPS), ("exposure", cv2.CAP_PROP_EXPOSURE), ("gain", cv2.CAP_PROP_GAIN)):
+        asked = getattr(settings, name)
+        if asked is not None:
+            back.compare(name, asked, capture.get(prop))
+
+
+def _fourcc(name: str) -> int:
+    return cv2.VideoWriter.fourcc(*name[:4].ljust(4))
+
+
+def fourcc_name(code: float) -> str:
+    """The four letters of a pixel format's number; "none" where the backend tells none."""
+    if not math.isfinite(code) or code <= 0:
+        return "none"
+    return int(code).to_bytes(4, "little").decode("latin-1").strip()

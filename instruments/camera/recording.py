@@ -62,9 +62,9 @@ class Recording:
         folder = self.path / "frames" / frame_id
         if frame_id not in self.frames:
             raise RecordingError(f"{folder}: there is no frame {frame_id!r}; the first of {len(self.frames)} is {self.frames[0]!r}")
-        left, right = (_grey(folder / f"{side}.png") for side in ("left", "right"))
+        left, right = (read_grey(folder / f"{side}.png") for side in ("left", "right"))
         eight, radiometric = folder / "thermal.png", folder / "thermal_radiometric.png"
-        thermal = _grey(eight) if eight.exists() else None
+        thermal = read_grey(eight) if eight.exists() else None
         return FrameSet(left, right, thermal, _centikelvin(radiometric) if radiometric.exists() else None)
 
     def _truth(self) -> dict[str, tuple[TruthRow, ...]]:
@@ -137,7 +137,8 @@ def _image(path: Path) -> NDArray[Any]:
     return image
 
 
-def _grey(path: Path) -> NDArray[np.uint8]:
+def read_grey(path: Path) -> NDArray[np.uint8]:
+    """The image in a file as 8-bit grey. Raises RecordingError where it is missing, or no image."""
     try:
         return grey8(_image(path))
     except RecordingError:

@@ -1,109 +1,138 @@
-"""A person at a terminal: says what to do, waits for Enter, and takes an abort at any prompt.
+"""A person at a terminal: is told what to do, goes on with Enter or a pedal, and may abort, skip or repeat at any prompt.
 
-Who holds the arm has no hand free: where a touch is asked for, a pedal is as good as Enter. The streams are arguments, so
-that a test can be the person. It may not read the clock: a person takes what it takes.
+Who holds the arm has no hand free: where a touch is asked for, a pedal is as good as Enter. A prompt never waits blindly: what
+its ``check`` raises, as a tripped interlock does, ends it before Enter; who takes long is reminded, and nothing fails of it.
+The streams and the clock are arguments, so that a test can be the person.
 """
 
 from __future__ import annotations
 
-import select
-import sys
+import contextlib
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import TextIO
 
-from instruments.operators.operator import Arrangement, OperatorAbort, Placed
+from instruments.clock import Clock
+from instruments.operators.keyboard import keyboard_of
+from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
+from instruments.operators.prompt import ABORT, NotUnderstoodError, Prompt, understood
 
-LEANS = ("upright", "leaning to the left", "leaning to the right", "leaning towards you", "leaning away from you")
-PEDAL_S = 0.2  # how long the pedals are watched before the keyboard is looked at again
-ABORT = ("a", "abort", "q", "quit")
-
+TURN_S = 0.05  # how long the pedals are watched, or nothing is done, before keyboard and interlocks are looked at again
+REMIND_S = 120.0
+GONE = "nobody is at the terminal any more"
+WISHES = (OperatorAbort, OperatorSkip, OperatorRepeat)
 
 Pedal = Callable[[float], bool]
 
 
-class ConsoleOperator:
+def _no_check() -> None:
+    """For prompts outside of runs: nothing watches."""
+
+
+class Console:
     """Prompts on ``out`` and reads answers from ``answers``. The end of the answers is an abort.
 
     ``watch`` is called for each touch that is asked for, and gives back what waits some seconds and says whether a pedal was
-    pressed; only where ``answers`` is a terminal.
+    pressed; only where ``answers`` is a terminal. ``screen`` is entered around each prompt: it clears away what else moves there.
     """
 
-    def __init__(self, answers: TextIO, out: TextIO, *, watch: Callable[[], Pedal] | None = None) -> None:
-        self._answers = answers
+    def __init__(
+        self,
+        answers: TextIO,
+        out: TextIO,
+        clock: Clock,
+        *,
+        watch: Callable[[], Pedal] | None = None,
+        screen: Callable[[], AbstractContextManager[None]] = nullcontext,
+        remind_s: float = REMIND_S,
+    ) -> None:
         self._out = out
+        self._clock = clock
+        self._screen = screen
+        self._remind_s = remind_s
+        self._terminal = answers.isatty()
+        self._keyboard = keyboard_of(answers, self._write)
         self._watch: Callable[[], Pedal] | None = None
         if watch:
             self.watch_pedals(watch)
 
     def watch_pedals(self, watch: Callable[[], Pedal]) -> None:
         """From now on a pedal is as good as Enter where a touch is asked for."""
-        self._watch = watch if self._answers.isatty() else None
-
-    def confirm_homing(self, instruction: str) -> None:
-        self._ask(instruction)
-
-    def set_up(self, arrangement: Arrangement) -> Placed:
-        self.say(f"\nSituation {arrangement.situation}, layout {arrangement.layout}:")
-        hidden = self._ask(
-            arrangement.instruction,
-            f"Enter when it stands; if teat ends are hidden from a camera, their numbers first (1 to {arrangement.teats})",
-            numbers_to=arrangement.teats,
-        )
-        return Placed(tuple(teat not in hidden for teat in range(1, arrangement.teats + 1)))
-
-    def touch_check_point(self, touch: int, of: int) -> None:
-        lean = LEANS[(touch - 1) % len(LEANS)]
-        self.ask_touch(f"Arm check, {touch} of {of}: put the tip into the divot of the check point, the stylus {lean}, and hold it still.")
-
-    def touch(self, teat: int, of: int) -> None:
-        self.ask_touch(f"Touch the end of teat {teat} of {of} with the tip and hold it still.")
-
-    def release(self) -> None:
-        self.say("Reading taken.")
-
-    def ask(self, text: str) -> None:
-        """Return once the person has done what ``text`` says. Raises OperatorAbort."""
-        self._ask(text)
-
-    def ask_touch(self, text: str) -> None:
-        """As ``ask``, and a pedal is as good as Enter. Raises OperatorAbort, and what reading the pedals raises."""
-        self._ask(text, "Enter or a pedal to go on" if self._watch else "Enter to go on", pedal=self._watch() if self._watch else None)
+        self._watch = watch if self._terminal else None
 
     def say(self, text: str) -> None:
-        self._out.write(text + "\n")
-        self._out.flush()
+        """Show ``text``. Raises OperatorAbort where the terminal has gone."""
+        with self._screen():
+            self._write(text + "\n")
 
-    def _ask(self, text: str, then: str = "Enter to go on", numbers_to: int = 0, pedal: Pedal | None = None) -> set[int]:
-        self.say(text)
+    def finish(self) -> None:
+        """A person's answers are never left over."""
+
+    def ask(self, prompt: Prompt | str, check: Callable[[], None] = _no_check) -> frozenset[int]:
+        """The numbers of hidden teat ends that the person gives with his "go on"; none where he isn't asked for any.
+
+        Raises OperatorAbort, OperatorSkip, OperatorRepeat, and what ``check`` and reading the pedals raise.
+        """
+        asked = Prompt("task", prompt) if isinstance(prompt, str) else prompt
+        with self._screen():
+            for line in self._keyboard.typed_ahead():  # Enter pressed twice must not answer the next question, but no abort is lost
+                if line.strip().lower() in ABORT:
+                    raise OperatorAbort("the operator aborted the run")
+            self._write(f"\n[{asked.progress}] {asked.text}\n" if asked.progress else f"\n{asked.text}\n")
+            try:
+                return self._answer(asked, check)
+            except (Exception, KeyboardInterrupt) as why:
+                self._withdraw(why)
+                raise
+
+    def ask_touch(self, text: str) -> None:
+        """As ``ask``, and a pedal is as good as Enter."""
+        self.ask(Prompt("task", text, pedal=True))
+
+    def _answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
+        """Ask until the answer is understood."""
         while True:
-            self._out.write(f"{then} (a = abort the run): ")
-            self._out.flush()
-            line = self._line(pedal)
-            words = line.replace(",", " ").lower().split()
-            if not line or (words and words[0] in ABORT):
-                raise OperatorAbort("the operator aborted the run" if line else "nobody is at the terminal any more")
-            if not words:
-                return set()
-            if numbers_to and all(word.isdigit() and 1 <= int(word) <= numbers_to for word in words):
-                return {int(word) for word in words}
-            self.say(f"Not understood: {line.strip()!r}.")
+            line = self._line(prompt.keys(pedal=self._watch is not None), check, pedal=prompt.pedal)
+            try:
+                return understood(line, prompt)
+            except NotUnderstoodError as error:
+                self._write(f"{error}\n")
+            except OperatorSkip as skip:
+                reason = skip.reason or self._line("Why? (a few words for the record; Enter alone: don't skip): ", check).strip()
+                if reason:
+                    raise OperatorSkip(reason) from None
 
-    def _line(self, pedal: Pedal | None) -> str:
-        while pedal is not None and not _typed(self._answers):
-            if pedal(PEDAL_S):
-                self._out.write("\n")
+    def _line(self, question: str, check: Callable[[], None], *, pedal: bool = False) -> str:
+        """What is typed, or "\\n" for a pedal; asks again in other words from time to time."""
+        self._write(question)
+        pressed = self._watch() if pedal and self._watch else None
+        asked_s = self._clock.now()
+        remind_s = asked_s + self._remind_s
+        while (line := self._keyboard.line()) is None:
+            check()
+            if pressed is None:
+                self._clock.sleep(TURN_S)
+            elif pressed(TURN_S):
+                self._write("\n")
                 return "\n"
-        return self._answers.readline()
+            if self._clock.now() >= remind_s:
+                remind_s += self._remind_s
+                waited_s = self._clock.now() - asked_s
+                self._write(f"\nStill waiting for you, since {waited_s:.0f} s; nothing is lost by taking longer.\n{question}")
+        check()  # an answer that came too late is none
+        if not line:
+            raise OperatorAbort(GONE)
+        return line
 
+    def _withdraw(self, why: BaseException) -> None:
+        """The prompt has come to an end without an answer: say why, unless that is what was answered."""
+        with contextlib.suppress(OperatorAbort):
+            if not isinstance(why, WISHES):
+                self._write(f"\nNo answer is needed any more: {str(why) or 'interrupted'}\n")
 
-if sys.platform == "win32":
-    import msvcrt
-
-    def _typed(_: TextIO) -> bool:
-        return bool(msvcrt.kbhit())
-
-else:
-
-    def _typed(answers: TextIO) -> bool:
-        """Whether a line waits at the terminal, or its end."""
-        return bool(select.select([answers], [], [], 0.0)[0])
+    def _write(self, text: str) -> None:
+        try:
+            self._out.write(text)
+            self._out.flush()
+        except (OSError, ValueError) as error:  # ValueError: the stream has been closed
+            raise OperatorAbort(f"{GONE} ({error})") from error

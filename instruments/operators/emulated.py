@@ -1,49 +1,131 @@
-"""The emulated operator: arranges the emulated phantom as asked and touches its teat ends with a hand's error.
+"""The emulated operator: puts the emulated phantom where it is asked for, nearly, and touches its teat ends with a hand's error.
 
-It sees the world as a person does (where the ends are, which of them the cameras see), and nothing of the bench.
+It sees the world as a person does (where the ends are, which of them the cameras see), and nothing of the bench. It may be
+told to make a mistake, once each, so that a test can see whether somebody notices.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Literal
+
 import numpy as np
 
 from instruments.operators.operator import Arrangement, Placed
+from instruments.teat_end import ball_centre_mm
+from instruments.world.phantom import PlatePose
 from instruments.world.world import World
 
 SWING_RAD = np.radians(35.0)  # how far the stylus leans in the divot, each time another way
 STYLUS_AXIS = np.array([0.0, 0.0, 1.0])  # held upright over the end
+LOOK_S = 1.0  # between two looks at the interlocks while a prompt takes its time
+
+Mistake = Literal["wrong teat", "forgotten teat", "forgotten move"]
 
 
 class EmulatedOperator:
-    """``hand_error_mm`` is the standard deviation, along each axis, of where the hand puts the tip.
+    """A pair of hands in ``world``.
 
-    The divot at ``check_point_mm`` leads the tip, so that the hand has no error there.
+    ``hand_error_mm`` is the standard deviation, along each axis, of where the hand puts the tip; ``placement_error_mm`` (x and y)
+    and ``placement_error_rad`` (the turn) are those of where the plate comes to stand. The divot at ``check_point_mm`` leads
+    the tip, so that the hand has no error there. A ball tip of ``tip_radius_mm`` rests on an end. Each prompt takes ``prompt_s``.
+    The ``mistakes`` are made at the first occasion: "wrong teat" touches the one after a second or later teat, "forgotten teat"
+    leaves the tip on the one before, "forgotten move" leaves the plate where it was.
     """
 
-    def __init__(self, world: World, *, hand_error_mm: float, check_point_mm: tuple[float, float, float] | None = None) -> None:
+    def __init__(
+        self,
+        world: World,
+        *,
+        hand_error_mm: float,
+        placement_error_mm: float = 0.0,
+        placement_error_rad: float = 0.0,
+        prompt_s: float = 0.0,
+        tip_radius_mm: float = 0.0,
+        check_point_mm: tuple[float, float, float] | None = None,
+        mistakes: Sequence[Mistake] = (),
+    ) -> None:
         self._world = world
         self._hand_error_mm = hand_error_mm
+        self._placement = np.array([placement_error_mm, placement_error_mm, placement_error_rad])
+        self._prompt_s = prompt_s
+        self._tip_radius_mm = tip_radius_mm
         self._check_point_mm = check_point_mm
+        self._to_make = list(mistakes)
         self._rng = np.random.default_rng([world.seed, *b"hand"])
+        self._placing = np.random.default_rng([world.seed, *b"placing"])
+        self._check: Callable[[], None] = lambda: None
+        self._stands: tuple[Arrangement, PlatePose] | None = None
+
+    def heed(self, check: Callable[[], None]) -> None:
+        self._check = check
+
+    def next_trial(self, number: int, of: int, left_s: float | None) -> None:
+        """It needs no encouragement."""
 
     def confirm_homing(self, instruction: str) -> None:  # noqa: ARG002 - it needs no telling
+        self._take_time()
         self._world.hold(None)
 
     def touch_check_point(self, touch: int, of: int) -> None:
         if self._check_point_mm is None:
             raise ValueError("the emulated operator knows of no check point; give it check_point_mm")
+        self._take_time()
         turn = 2.0 * np.pi * (touch - 1) / of
         lean = np.array([np.sin(SWING_RAD) * np.cos(turn), np.sin(SWING_RAD) * np.sin(turn), np.cos(SWING_RAD)])
         self._world.hold(np.array(self._check_point_mm), lean)
 
     def set_up(self, arrangement: Arrangement) -> Placed:
-        self._world.arrange(arrangement.layout, arrangement.objects)
+        self._take_time()
+        self._stands = self._placed(arrangement)
+        self._world.arrange(arrangement.phantom.moved(self._stands[1]), arrangement.objects, arrangement.scene)
         seen = self._world.renderer.visible_ends(self._world.scene())
         return Placed(tuple(bool(row.all()) for row in np.asarray(seen)))
 
-    def touch(self, teat: int, of: int) -> None:  # noqa: ARG002 - nor how many there are
-        end = self._world.ends_mm()[teat - 1]
-        self._world.hold(end + self._rng.normal(0.0, self._hand_error_mm, 3), STYLUS_AXIS)
+    def touch(self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = "") -> None:  # noqa: ARG002 - it needs no telling
+        self._take_time()
+        if teat > 1 and self._makes("forgotten teat"):
+            return
+        at = teat % of if teat > 1 and self._makes("wrong teat") else teat - 1
+        phantom = self._world.phantom()
+        tip = ball_centre_mm(phantom.ends_mm[at], phantom.axes[at], self._tip_radius_mm)  # what the arm reads is the ball's centre
+        self._world.hold(tip + self._rng.normal(0.0, self._hand_error_mm, 3), STYLUS_AXIS)
 
     def release(self) -> None:
         self._world.hold(None)
+
+    def finish(self) -> None:
+        """It has said nothing that could be left over."""
+
+    def _placed(self, wanted: Arrangement) -> tuple[Arrangement, PlatePose]:
+        """What was carried out, and where the plate stands then: what stands as asked isn't touched, else it is put there, nearly."""
+        if self._stands is not None:
+            before, stands = self._stands
+            if _same(before, wanted):
+                return wanted, stands
+            if before.pose != wanted.pose and self._makes("forgotten move"):
+                return replace(wanted, pose=before.pose), stands
+        x_mm, y_mm, yaw_rad = self._placing.normal(0.0, 1.0, 3) * self._placement
+        pose = wanted.pose
+        return wanted, PlatePose(pose.x_mm + float(x_mm), pose.y_mm + float(y_mm), pose.z_mm, pose.yaw_rad + float(yaw_rad))
+
+    def _makes(self, mistake: Mistake) -> bool:
+        if mistake not in self._to_make:
+            return False
+        self._to_make.remove(mistake)
+        return True
+
+    def _take_time(self) -> None:
+        """The time a prompt takes, with an eye on the interlocks."""
+        clock = self._world.clock
+        end_s = clock.now() + self._prompt_s
+        self._check()
+        while (left_s := end_s - clock.now()) > 0.0:
+            clock.sleep(min(LOOK_S, left_s))
+            self._check()
+
+
+def _same(one: Arrangement, other: Arrangement) -> bool:
+    """Whether the phantom has to be touched to get from one to the other; what else stands around has no say."""
+    return (one.phantom, one.pose) == (other.phantom, other.pose)

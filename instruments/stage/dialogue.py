@@ -1,7 +1,7 @@
 """One line out, one answer back: the conversation with a GRBL controller, and what it pushes in between.
 
 Strictly send-response: nothing is sent while an answer is owed, so a late answer can't be taken for that of
-another line. An alarm is kept until a restart; each alarm, restart or broken link counts as an upset, and who
+another line. An alarm is kept until a restart; each alarm, locked report, restart or broken link counts as an upset, and who
 holds on to something an upset destroys (homing) compares counts. It may not know axes or moves.
 """
 
@@ -31,6 +31,7 @@ from instruments.stage.protocol import (
 ANSWER_S = 2.0  # classic boards answer within milliseconds, but writing a setting takes longer
 START_S = 2.5  # a board's boot loader waits 1 to 2 s after the port has been opened
 QUIET_S = 0.25
+LOCKED = frozenset({"Alarm", "Sleep"})
 
 
 class Dialogue:
@@ -41,6 +42,7 @@ class Dialogue:
         self.upsets = 0
         self.alarm: int | None = None
         self.owed: str | None = None  # the line whose answer hasn't come
+        self._dialect = "Grbl"
         self._link = link
         self._clock = clock
         self._decoder = Decoder()
@@ -126,6 +128,7 @@ class Dialogue:
         if welcome:
             more = self._link.drain(QUIET_S, at_most_s=timeout_s)
             welcome = _last_welcome(self._decoder, more) or welcome
+            self._dialect = welcome.dialect
         return welcome
 
     def _check(self, text: str) -> None:
@@ -167,13 +170,15 @@ class Dialogue:
             self.upsets += 1
             self.owed = None
             raise DeviceError(self.who, "the controller has restarted by itself: position lost", hint="Check its power, then home().")
-        elif isinstance(answer, Status) and answer.wco_mm is not None:
-            self._offset = answer.wco_mm
+        elif isinstance(answer, Status):
+            self._offset = answer.wco_mm or self._offset
+            if answer.state in LOCKED:  # whether or not we have seen why: its position is lost
+                self.upsets += 1
         return answer
 
     def _alarmed(self, asked: str | None) -> DeviceError:
         code = self.alarm or 0
-        meaning = alarm_meaning(code)
+        meaning = alarm_meaning(code, self._dialect)
         return DeviceError(self.who, f"alarm {code}: {meaning.what}", asked=asked, hint=meaning.do)
 
     def _receive(self, until_s: float) -> bytes:

@@ -1,6 +1,7 @@
 """What GRBL's numbers mean, and what to do about them. Tables only; it knows no byte and no wire.
 
-Source: the firmware's own lists of error and alarm codes, version 1.1.
+Source: the firmware's own lists of error and alarm codes, version 1.1. grblHAL gives numbers from 10 on meanings of its own; those
+are from its source.
 """
 
 from __future__ import annotations
@@ -74,14 +75,29 @@ ALARMS: dict[int, Meaning] = {
 }
 
 
+HAL_ALARMS: dict[int, Meaning] = {
+    10: Meaning("the emergency stop is pressed", "Release it when the cause is gone, then recover() and home()."),
+    11: Meaning("the controller wants to be homed first", "Call recover(), then home()."),
+    12: Meaning("a limit switch is closed", "Move the stage off it by hand with the power off, then recover() and home()."),
+    13: Meaning("the probe's protection has stopped the stage", "Check the probe, then recover() and home()."),
+    14: Meaning(
+        "a spindle did not reach its speed; a stage has none", "Switch the spindle off in its settings, then recover() and home()."
+    ),
+    15: Meaning("of the two motors of one axis, one did not find its switch in time", "Square the gantry, then recover() and home()."),
+    16: Meaning("the controller's test of itself failed", "Look at its own messages, switch it off and on, then recover() and home()."),
+    17: Meaning("a motor driver reports a fault", "Check the motor's driver, cable and load, then recover() and home()."),
+}
+
+
 def error_meaning(code: int) -> Meaning:
     """The meaning of ``error:code``; a number that is not in the table is said to be unknown."""
     return ERRORS.get(code) or Meaning("an error that this program does not know", "Look the number up in the firmware's list of errors.")
 
 
-def alarm_meaning(code: int) -> Meaning:
-    """The meaning of ``ALARM:code``; a number that is not in the table is said to be unknown."""
-    return ALARMS.get(code) or Meaning(
+def alarm_meaning(code: int, dialect: str = "Grbl") -> Meaning:
+    """The meaning of ``ALARM:code`` of "Grbl" or "grblHAL"; a number that is not in the tables is said to be unknown."""
+    known = ALARMS | HAL_ALARMS if dialect == "grblHAL" else ALARMS
+    return known.get(code) or Meaning(
         "an alarm that this program does not know",
         "Look the number up in the firmware's list of alarms, then recover() and home().",
     )

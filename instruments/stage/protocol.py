@@ -29,6 +29,7 @@ FEED_OVERRIDES: dict[bytes, int | None] = {b"\x90": None, b"\x91": 10, b"\x92": 
 RAPID_OVERRIDES: dict[bytes, int] = {b"\x95": 100, b"\x96": 50, b"\x97": 25}
 SPINDLE_OVERRIDES = frozenset(bytes([code]) for code in range(0x99, 0x9F))
 
+AXES = "XYZA"  # in the order of every list of numbers; A is a rotation in degrees, on boards with four axes
 Position = tuple[float, ...]
 
 
@@ -193,12 +194,23 @@ def move_line(target_mm: Mapping[str, float], feed_mm_min: float, *, who: str = 
     States everything that an earlier line could have changed: plane units, absolute, feed per minute. Raises
     LimitError for an axis or number that can't be written.
     """
-    if not target_mm or any(axis not in "XYZABC" or len(axis) != 1 for axis in target_mm):
-        raise LimitError(who, f"no such axes to move: {', '.join(target_mm) or 'none'}", hint="Use X, Y, Z or A.")
+    return f"G21G90G94G53G1{_words(target_mm, feed_mm_min, who)}"
+
+
+def jog_line(way_mm: Mapping[str, float], feed_mm_min: float, *, who: str = "stage") -> str:
+    """A jog by ``way_mm`` (axis letter to mm) from where the stage is: it can be cancelled, and leaves no mode behind.
+
+    Raises LimitError for an axis or number that can't be written.
+    """
+    return f"$J=G21G91{_words(way_mm, feed_mm_min, who)}"
+
+
+def _words(axes: Mapping[str, float], feed_mm_min: float, who: str) -> str:
+    if not axes or any(axis not in AXES or len(axis) != 1 for axis in axes):
+        raise LimitError(who, f"no such axes to move: {', '.join(axes) or 'none'}", hint="Use X, Y, Z or A.")
     if not feed_mm_min >= 0.001:
         raise LimitError(who, f"a feed of {feed_mm_min} mm/min is no feed")
-    words = "".join(f"{axis}{_decimal(value, who)}" for axis, value in target_mm.items())
-    return f"G21G90G94G53G1{words}F{_decimal(feed_mm_min, who)}"
+    return "".join(f"{axis}{_decimal(value, who)}" for axis, value in axes.items()) + f"F{_decimal(feed_mm_min, who)}"
 
 
 def _decimal(value: float, who: str) -> str:

@@ -1,6 +1,11 @@
 """What a controller says of itself: who it is, and its stored settings as the answers to ``$$`` give them.
 
 Pure. It may not know a wire, or what the settings are used for.
+
+The sheet covers X, Y and Z ($100 to $132). What is said of a rotation A is inferred from grblHAL's source and not recorded on a
+board: that a build with four axes has $103, $113, $123 and $133 (steps per degree, degrees/min, degrees/s², degrees), prints a
+fourth number in positions, names the axes of each homing pass in $44 to $49 as a bit mask (A is 8), and puts the origin
+at the switch where $22 has bit 8 set.
 """
 
 from __future__ import annotations
@@ -8,9 +13,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from instruments.errors import ProtocolError
+from instruments.errors import DeviceError, ProtocolError
+from instruments.stage.protocol import AXES
 
-Axes = tuple[float, float, float]
+Axes = tuple[float, ...]
+DECLARABLE = ("XY", "XYZ", "XYA", "XYZA")
+_PASSES = range(44, 50)
+_ORIGIN_AT_SWITCH = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +37,7 @@ class StageIdentity:
 
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
-    """The ends of an axis in machine coordinates, mm."""
+    """The ends of an axis in machine coordinates, mm (degrees for A)."""
 
     low_mm: float
     high_mm: float
@@ -40,7 +49,7 @@ class AxisLimits:
 
 @dataclass(frozen=True, slots=True)
 class StageSettings:
-    """Settings in the controller's units, X Y Z: mm, mm/min, mm/s²."""
+    """Settings in the controller's units, X Y Z and A where it is used: mm, mm/min, mm/s²; degrees for A."""
 
     travel_mm: Axes
     rate_mm_min: Axes
@@ -52,48 +61,72 @@ class StageSettings:
     homing_seek_mm_min: float
     homing_feed_mm_min: float
     pull_off_mm: float
-    reports_inches: bool
 
     @property
     def limits(self) -> dict[str, AxisLimits]:
         """The travel of each axis: machine space is negative, 0 at the switch."""
-        return {axis: AxisLimits(-travel, 0.0) for axis, travel in zip("XYZ", self.travel_mm, strict=True)}
+        return {axis: AxisLimits(-travel, 0.0) for axis, travel in zip(AXES, self.travel_mm, strict=False)}
 
     @property
     def homing_bound_s(self) -> float:
         """No homing cycle takes longer: every axis searches 1.5 times its travel, one after the other, then creeps."""
         seek_s = 60 * 1.5 * sum(self.travel_mm) / self.homing_seek_mm_min
-        creep_s = 60 * 3 * 5 * self.pull_off_mm / self.homing_feed_mm_min
+        creep_s = 60 * len(self.travel_mm) * 5 * self.pull_off_mm / self.homing_feed_mm_min
         return seek_s + creep_s + 15.0
 
 
-def read_settings(values: Mapping[int, str], *, who: str) -> StageSettings:
-    """The settings from ``$n=value`` pairs. Raises ProtocolError when one is missing or not a number above its least value."""
+def read_settings(values: Mapping[int, str], *, who: str, axes: str = "XYZ") -> StageSettings:
+    """The settings from ``$n=value`` pairs, for a stage that uses ``axes`` (one of `DECLARABLE`).
+
+    Raises ProtocolError when one is missing or not a number above its least value, and DeviceError for settings that we
+    can't work with: no such axis, an axis that isn't homed, an origin at the switch.
+    """
 
     def number(key: int, least: float = 0.0) -> float:
-        text = values.get(key)
-        try:
-            value = float(text) if text is not None else float("nan")
-        except ValueError:
-            value = float("nan")
-        if not least <= value < 1e9:
-            hint = f"Set ${key} on the controller."
-            raise ProtocolError(who, f"setting ${key} is not usable", asked="$$", seen=text or "nothing", hint=hint)
-        return value
+        return _number(values, key, least, who)
 
-    def axes(first: int) -> Axes:
-        return number(first, 1e-6), number(first + 1, 1e-6), number(first + 2, 1e-6)
+    def each(first: int) -> Axes:
+        return tuple(number(first + i, 1e-6) for i in range(4 if "A" in axes else 3))
 
+    _check(values, axes, who)
     return StageSettings(
-        travel_mm=axes(130),
-        rate_mm_min=axes(110),
-        accel_mm_s2=axes(120),
-        steps_per_mm=axes(100),
+        travel_mm=each(130),
+        rate_mm_min=each(110),
+        accel_mm_s2=each(120),
+        steps_per_mm=each(100),
         soft_limits=bool(number(20)),
         hard_limits=bool(int(number(21)) & 1),
         homing=bool(int(number(22)) & 1),
         homing_seek_mm_min=number(25, 1e-6),
         homing_feed_mm_min=number(24, 1e-6),
         pull_off_mm=number(27),
-        reports_inches=bool(number(13)),
     )
+
+
+def _number(values: Mapping[int, str], key: int, least: float, who: str) -> float:
+    text = values.get(key)
+    try:
+        value = float(text) if text is not None else float("nan")
+    except ValueError:
+        value = float("nan")
+    if not least <= value < 1e9:
+        hint = f"Set ${key} on the controller."
+        raise ProtocolError(who, f"setting ${key} is not usable", asked="$$", seen=text or "nothing", hint=hint)
+    return value
+
+
+def _check(values: Mapping[int, str], axes: str, who: str) -> None:
+    """Raise DeviceError for a controller that these axes can't be driven with."""
+    if _number(values, 13, 0.0, who):
+        raise DeviceError(who, "the controller reports in inches", asked="$$", hint="Set $13=0.")
+    if "A" in axes and 103 not in values:
+        hint = "A rotation needs a grblHAL build with four axes; without one, declare the axes without A."
+        raise DeviceError(who, "the controller has no axis A: setting $103 is missing", asked="$$", hint=hint)
+    if int(_number(values, 22, 0.0, who)) & _ORIGIN_AT_SWITCH:
+        hint = "Clear that bit ($22=1): targets are then negative, 0 at the switch."
+        raise DeviceError(who, "homing puts the origin where the switch lets go ($22 has bit 8 set)", asked="$$", hint=hint)
+    passes = [int(_number(values, key, 0.0, who)) for key in _PASSES if key in values]
+    unhomed = [axis for axis in axes if passes and not any(mask >> AXES.index(axis) & 1 for mask in passes)]
+    if unhomed:
+        hint = "Name it in a homing pass ($44 to $49: X is 1, Y 2, Z 4, A 8), and fit its switch."
+        raise DeviceError(who, f"homing leaves out {', '.join(unhomed)}", asked="$$", hint=hint)

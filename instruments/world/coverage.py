@@ -20,8 +20,7 @@ from instruments.world.optics import CameraModel, Floats
 from instruments.world.solids import Bools, Ints, Solids
 
 STEP_PX = 8.0  # longest straight piece of an outline: the lens bends it by less than 1e-4 px
-RING_POINTS = (128, 512)  # round an end: small, large
-LARGE_PX = 20.0
+RING_POINTS = ((64, 0.0, 7.0), (128, 7.0, 20.0), (512, 20.0, np.inf))  # round an end whose radius in px is above, up to
 MARGIN_PX = 16.0  # beyond the image, where outlines are cut off; more than STEP_PX
 NEAREST_MM = 50.0
 NOTHING = 1e-4  # less cover than this is no cover
@@ -79,8 +78,8 @@ def _outlines(solids: Solids, camera: CameraModel) -> tuple[list[Floats], list[i
     size_px = np.maximum(solids.radius_a, solids.radius_b) / depth * float(camera.fc.max())
     corners: list[Floats] = []
     owners: list[int] = []
-    for points, chosen in ((RING_POINTS[0], size_px <= LARGE_PX), (RING_POINTS[1], size_px > LARGE_PX)):
-        which = np.flatnonzero(chosen)
+    for points, above, up_to in RING_POINTS:
+        which = np.flatnonzero((size_px > above) & (size_px <= up_to))
         rings = np.concatenate([_ring(solids, which, points, True), _ring(solids, which, points, False)], axis=1)
         for solid, cloud in zip(which, rings[..., :2] / rings[..., 2:], strict=True):
             hull = cv2.convexHull(cloud.astype(np.float32), returnPoints=False)

@@ -1,106 +1,147 @@
-"""The cameras at work: geometry, what never moves drawn once and kept, what stands before it drawn anew, and the sensor.
+"""The optical cameras at work: what never moves drawn once and kept, what stands before it laid over, lens and sensor.
 
 May not know where a state comes from, nor what is made of a frame.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from instruments.world import backdrop as backdrops
 from instruments.world.backdrop import Backdrop
-from instruments.world.composite import lay_over
-from instruments.world.coverage import Cover, cover
-from instruments.world.optics import CameraModel, Floats
-from instruments.world.raycast import BLOCK, meet
-from instruments.world.sensor import Expected, Image, OpticalReadout, OpticalSensor, ThermalReadout, ThermalSensor
-from instruments.world.shading import Lighting, heat, kelvin_from_radiance, radiance_from_c, seen_light
-from instruments.world.shadow import Shade, ShadowMap, shade, shadow_map
-from instruments.world.solids import Ints
+from instruments.world.blur import blurred, blurred_by_depth, reach_px
+from instruments.world.boards import Board
+from instruments.world.composite import Layer, lay_over
+from instruments.world.layers import KeptLayers, Surfaces, View
+from instruments.world.noise import Image
+from instruments.world.objects import SceneObject
+from instruments.world.optics import CameraModel
+from instruments.world.raycast import BLOCK
+from instruments.world.sensor import Expected, Exposure, Grey, OpticalReadout, OpticalSensor
+from instruments.world.shading import Lighting, irradiance, seen_light
+from instruments.world.shadow import Shade, ShadowMap, shade
 from instruments.world.state import SceneState, Stage
 
-BACKDROPS_KEPT = 3
-BLUR_REACH_PX = 4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surfaces:
-    """What each solid shows in each pixel that it covers, n pairs, hidden or not; camera's frame."""
-
-    cover: Cover
-    owner: Ints  # which thing of the stage
-    rays: Floats  # (3, n)
-    depth_mm: Floats
-    normals: Floats  # (3, n), unit
-
-
-class View:
-    """A camera with the ray of each of its pixels: what of the stage it sees, and where."""
-
-    def __init__(self, camera: CameraModel) -> None:
-        self.camera = camera
-        self.rays = camera.rays()
-
-    def surfaces(self, stage: Stage) -> Surfaces:
-        """Every surface of every thing in every pixel that it covers."""
-        solids = stage.solids.in_camera(self.camera)
-        covered = cover(solids, self.camera)
-        pixel = covered.row * self.camera.width_px + covered.column
-        x, y = (ray.reshape(-1)[pixel] for ray in self.rays)
-        depth, normals, _ = meet(solids, covered.solid, x, y)
-        return Surfaces(covered, stage.owner[covered.solid], np.stack([x, y, np.ones_like(x)]), depth, normals)
+BACKDROPS_KEPT = 2
+SHARP_PX = 0.15  # less blur than this on top of the lens's own is left out
+MOST_STEPS = 64  # pictures that make one smeared by motion
+Slices = tuple[slice, slice]
 
 
 class OpticalCamera:
-    """One optical camera: geometry, kept backdrops, sensor."""
+    """One optical camera: geometry, kept backdrops and layers, sensor."""
 
     def __init__(self, camera: CameraModel, sensor: OpticalSensor, seed: np.random.SeedSequence) -> None:
         self.view = View(camera)
         self.readout = OpticalReadout(sensor, self.view.rays, seed)
-        self._kept: dict[tuple[Backdrop, Lighting], tuple[Image, Expected]] = {}
+        self._focal_px = float(camera.fc.mean())
+        self._backdrops: dict[tuple[Backdrop, Lighting, Exposure], tuple[Image, Image, Expected]] = {}
+        self._layers = KeptLayers()
+        self._latest: tuple[object, list[Expected]] = (None, [])
 
-    def expose(self, state: SceneState, stage: Stage, shadows: ShadowMap | None, rng: np.random.Generator) -> NDArray[np.uint8]:
+    def expose(self, state: SceneState, shadows: ShadowMap | None, rng: np.random.Generator) -> Grey:
         """One exposure, (height, width) uint8."""
-        return self.readout.expose(self._parts(state, stage, shadows), rng)
+        return self.readout.expose(self._parts(state, shadows), rng)
 
-    def expected(self, state: SceneState) -> Image:
+    def expected(self, state: SceneState, shadows: ShadowMap | None = None) -> Image:
         """Mean grey level of each pixel before noise and rounding, (height, width)."""
-        stage = Stage.of(state)
-        whole, *parts = self._parts(state, stage, shadow_map(state.lighting, stage.solids))
+        whole, *parts = self._parts(state, shadows)
         mean = whole.mean.copy()
         for part in parts:
             mean[part.rows, part.columns] = part.mean
         return mean
 
-    def _parts(self, state: SceneState, stage: Stage, shadows: ShadowMap | None) -> list[Expected]:
+    def _parts(self, state: SceneState, shadows: ShadowMap | None) -> list[Expected]:
         """The empty scene, and over it the part of the image where anything stands or throws its shadow."""
-        empty, whole = self._backdrop(state.backdrop, state.lighting)
-        seen = self.view.surfaces(stage)
+        looks = tuple((thing.hulls, thing.paint) for thing in state.everything())
+        key = (looks, state.boards, state.lighting, state.backdrop, state.exposure, state.velocity_mm_s, shadows is None)
+        if self._latest[0] != key:
+            self._latest = key, self._drawn(state, shadows)
+        return self._latest[1]
+
+    def _drawn(self, state: SceneState, shadows: ShadowMap | None) -> list[Expected]:
+        empty, soft, whole = self._backdrop(state)
+        moments = self._moments(state)
+        layers = [self._seen(moment) for moment in moments]
         dark = None if shadows is None else shade(shadows, state.backdrop, self.view.camera, self.view.rays)
-        around = _bounds(seen.cover, dark, empty.shape)
+        around = _bounds([layer for seen in layers for layer in seen], dark, empty.shape, self._reach(layers))
         if around is None:
             return [whole]
-        rows, columns = around
-        light = empty[rows, columns].copy()
-        if dark is not None:
-            light[_within(dark.rows, rows), _within(dark.columns, columns)] *= dark.share
-        pixel = (seen.cover.row - rows.start) * light.shape[1] + seen.cover.column - columns.start
-        value = self._light(state.lighting, stage, seen)
-        lay_over(light.reshape(-1), pixel, seen.cover.share, seen.depth_mm, seen.owner, value)
-        return [whole, self.readout.expected(self.readout.blurred(light), rows, columns)]
+        light = sum(self._lens(around, empty, soft, dark, seen) for seen in layers) / np.float32(len(layers))
+        return [whole, self.readout.expected(np.asarray(light, dtype=np.float32), *around, state.exposure)]
 
-    def _backdrop(self, backdrop: Backdrop, lighting: Lighting) -> tuple[Image, Expected]:
-        """Light from the empty scene before the lens, and what the sensor makes of it."""
-        key = (backdrop, lighting)
-        if key not in self._kept:
-            while len(self._kept) >= BACKDROPS_KEPT:
-                self._kept.pop(next(iter(self._kept)))
-            empty = backdrops.draw(backdrop, lighting, self.view.camera, self.view.rays)
-            self._kept[key] = empty, self.readout.expected(self.readout.blurred(empty), slice(None), slice(None))
-        return self._kept[key]
+    def _moments(self, state: SceneState) -> list[SceneState]:
+        """The state at even moments of the exposure, close enough that nothing moves half a pixel from one to the next."""
+        if not state.moves:
+            return [state]
+        speed = max(float(np.linalg.norm(v)) for v in (state.velocity_mm_s, *(board.velocity_mm_s for board in state.boards)))
+        ends = [state.phantom.ends_mm, *(board.outline_mm for board in state.boards)]
+        nearest = float(self.view.camera.camera_from_world(np.concatenate(ends))[:, 2].min())
+        smear_px = speed * state.exposure.time_s * self._focal_px / max(nearest, 1.0)
+        steps = min(int(np.ceil(2.0 * smear_px)) + 1, MOST_STEPS)
+        return [state.later(state.exposure.time_s * ((i + 0.5) / steps - 0.5)) for i in range(steps)]
+
+    def _lens(self, around: Slices, empty: Image, soft: Image, dark: Shade | None, layers: Sequence[Layer]) -> Image:
+        """Light on that part of the sensor: what is out of focus in layers of its own, far to near."""
+        sharp = self.readout.sensor.blur_px
+        extra = [self._defocus(layer) for layer in layers]
+        hazy = bool(extra and max(extra) > 0.0) or soft is not empty
+        light = (soft if hazy else empty)[around].copy()
+        if dark is not None:
+            light[_within(dark.rows, around[0]), _within(dark.columns, around[1])] *= dark.share
+        corner = (around[0].start, around[1].start)
+        if not hazy:
+            lay_over(light, layers, [layer.value for layer in layers], corner)
+            return blurred(light, sharp)
+        for i in sorted(range(len(layers)), key=lambda i: -_depth(layers[i])):
+            cover, own = np.zeros_like(light), np.zeros_like(light)
+            lay_over(own, [layers[i]], [layers[i].value], corner)
+            lay_over(cover, [layers[i]], [np.ones_like(layers[i].value)], corner)
+            sigma = float(np.hypot(extra[i], sharp))
+            light = blurred(own, sigma) + (1.0 - blurred(cover, sigma)) * light
+        return light
+
+    def _defocus(self, layer: Layer) -> float:
+        """Blur of a layer by its distance, on top of the lens's own; 0 where that doesn't show."""
+        if len(layer) == 0:
+            return 0.0
+        sigma = float(self.readout.sensor.focus.sigma_px(_depth(layer), self._focal_px))
+        sharp = self.readout.sensor.blur_px
+        return sigma if np.hypot(sigma, sharp) - sharp > SHARP_PX else 0.0
+
+    def _reach(self, layers: Sequence[Sequence[Layer]]) -> int:
+        extra = max((self._defocus(layer) for seen in layers for layer in seen), default=0.0)
+        return reach_px(float(np.hypot(extra, self.readout.sensor.blur_px)))
+
+    def _backdrop(self, state: SceneState) -> tuple[Image, Image, Expected]:
+        """Light from the empty scene before the lens, the same out of focus, and what the sensor makes of it."""
+        key = (state.backdrop, state.lighting, state.exposure)
+        if key not in self._backdrops:
+            while len(self._backdrops) >= BACKDROPS_KEPT:
+                self._backdrops.pop(next(iter(self._backdrops)))
+            sensor = self.readout.sensor
+            empty, depth = backdrops.draw(state.backdrop, state.lighting, self.view.camera, self.view.rays)
+            sigma = np.hypot(sensor.focus.sigma_px(depth, self._focal_px), sensor.blur_px).astype(np.float32)
+            out_of_focus = float(sigma.max()) - sensor.blur_px > SHARP_PX
+            soft = blurred_by_depth(empty, sigma) if out_of_focus else empty
+            whole = soft if out_of_focus else blurred(empty, sensor.blur_px)
+            self._backdrops[key] = empty, soft, self.readout.expected(whole, slice(None), slice(None), state.exposure)
+        return self._backdrops[key]
+
+    def _seen(self, state: SceneState) -> list[Layer]:
+        """The layer of each thing and each board."""
+        things, lighting = state.everything(), state.lighting
+        keys = [(thing.hulls, thing.paint, lighting) for thing in things]
+        layers = self._layers.of(keys, lambda which: self._things([things[i] for i in which], lighting))
+        boards = [(board, lighting) for board in state.boards]
+        return [*layers, *self._layers.of(boards, lambda which: [self._board(state.boards[i], lighting) for i in which])]
+
+    def _things(self, things: Sequence[SceneObject], lighting: Lighting) -> list[Layer]:
+        stage = Stage.of_things(things)
+        seen = self.view.surfaces(stage)
+        return seen.by_thing(len(things), self._light(lighting, stage, seen))
 
     def _light(self, lighting: Lighting, stage: Stage, seen: Surfaces) -> Image:
         """Light from each surface towards this camera, (n,)."""
@@ -116,48 +157,33 @@ class OpticalCamera:
             light[part] = seen_light(lighting, points, normals, eye, albedo, gloss)
         return light
 
+    def _board(self, board: Board, lighting: Lighting) -> Layer:
+        seen = self.view.board(board)
+        normal = (board.normal if seen.facing else -board.normal)[:, None]
+        albedo = board.light_albedo + seen.dark * (board.dark_albedo - board.light_albedo)
+        light = (albedo * irradiance(lighting, seen.points_mm, normal)).astype(np.float32)
+        return Layer(seen.cover.row, seen.cover.column, seen.cover.share, seen.depth_mm, light)
 
-def _bounds(covered: Cover, dark: Shade | None, shape: tuple[int, ...]) -> tuple[slice, slice] | None:
+
+def _depth(layer: Layer) -> float:
+    return float(layer.depth_mm.mean()) if len(layer) else 0.0
+
+
+def _bounds(layers: Sequence[Layer], dark: Shade | None, shape: tuple[int, ...], reach: int) -> Slices | None:
     """The part of an image that surfaces and shadows change, with the reach of the lens's blur around it."""
-    rows: list[tuple[int, int]] = []
-    columns: list[tuple[int, int]] = []
-    if len(covered.share):
-        rows.append((int(covered.row.min()), int(covered.row.max()) + 1))
-        columns.append((int(covered.column.min()), int(covered.column.max()) + 1))
+    seen = [layer for layer in layers if len(layer)]
+    rows = [(int(layer.row.min()), int(layer.row.max()) + 1) for layer in seen]
+    columns = [(int(layer.column.min()), int(layer.column.max()) + 1) for layer in seen]
     if dark is not None:
         rows.append((dark.rows.start, dark.rows.stop))
         columns.append((dark.columns.start, dark.columns.stop))
-    return (_around(rows, shape[0]), _around(columns, shape[1])) if rows else None
+    return (_around(rows, shape[0], reach), _around(columns, shape[1], reach)) if rows else None
 
 
-def _around(spans: list[tuple[int, int]], size: int) -> slice:
-    return slice(max(min(low for low, _ in spans) - BLUR_REACH_PX, 0), min(max(high for _, high in spans) + BLUR_REACH_PX, size))
+def _around(spans: list[tuple[int, int]], size: int, reach: int) -> slice:
+    # Twice the reach: what is cut off there would otherwise be mirrored into the part.
+    return slice(max(min(low for low, _ in spans) - 2 * reach, 0), min(max(high for _, high in spans) + 2 * reach, size))
 
 
 def _within(part: slice, whole: slice) -> slice:
     return slice(part.start - whole.start, part.stop - whole.start)
-
-
-class ThermalCamera:
-    """The thermal camera: geometry on a grid finer than its sensor, and the sensor."""
-
-    def __init__(self, camera: CameraModel, sensor: ThermalSensor, seed: np.random.SeedSequence) -> None:
-        self.camera = camera
-        self.view = View(camera.resized(sensor.width_px * sensor.oversample, sensor.height_px * sensor.oversample))
-        self.readout = ThermalReadout(sensor, seed)
-
-    def expected_k(self, state: SceneState, stage: Stage) -> Floats:
-        """Apparent temperature of each sensor pixel before noise, kelvin, un-mirrored, (height, width)."""
-        seen = self.view.surfaces(stage)
-        warmth = stage.temperatures_c(state)
-        emissivity = np.array([thing.paint.emissivity for thing in stage.things], dtype=np.float64)
-        value = heat(warmth, emissivity, state.ambient_c)[seen.owner]
-        radiance = np.full((self.view.camera.height_px, self.view.camera.width_px), float(radiance_from_c(state.ambient_c)))
-        pixel = seen.cover.row * radiance.shape[1] + seen.cover.column
-        lay_over(radiance.reshape(-1), pixel, seen.cover.share, seen.depth_mm, seen.owner, value)
-        return kelvin_from_radiance(self.readout.gathered(radiance))
-
-    def expose(self, state: SceneState, stage: Stage, rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-        """One frame: 8-bit as delivered, and centi-kelvin."""
-        centikelvin = self.readout.expose(self.expected_k(state, stage), rng)
-        return self.readout.delivered(centikelvin, self.camera.width_px, self.camera.height_px), centikelvin

@@ -12,7 +12,7 @@ import inspect
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -46,13 +46,16 @@ class SceneObject:
 
 def phantom_objects(phantom: Phantom, paint: Paint, teat_temps_c: Iterable[float], hose_c: float) -> tuple[SceneObject, ...]:
     """Teats, then flanges, then hoses. Flanges are as warm as the hoses that feed them."""
-    teats = [
-        SceneObject(f"teat {i}", (hull,), paint, temp)
-        for i, (hull, temp) in enumerate(zip(phantom.teat_hulls(), teat_temps_c, strict=True))
-    ]
-    flanges = [SceneObject(f"flange {i}", (hull,), paint, hose_c) for i, hull in enumerate(phantom.flange_hulls())]
-    hoses = [SceneObject(f"hose {i}", hulls, HOSE_PAINT, hose_c) for i, hulls in enumerate(phantom.hose_hulls())]
+    upright, feet, bows = _hulls(phantom)
+    teats = [SceneObject(f"teat {i}", (hull,), paint, temp) for i, (hull, temp) in enumerate(zip(upright, teat_temps_c, strict=True))]
+    flanges = [SceneObject(f"flange {i}", (hull,), paint, hose_c) for i, hull in enumerate(feet)]
+    hoses = [SceneObject(f"hose {i}", hulls, HOSE_PAINT, hose_c) for i, hulls in enumerate(bows)]
     return (*teats, *flanges, *hoses)
+
+
+@lru_cache(maxsize=16)  # a state is asked for its things by every camera
+def _hulls(phantom: Phantom) -> tuple[tuple[Hull, ...], tuple[Hull, ...], tuple[tuple[Hull, ...], ...]]:
+    return phantom.teat_hulls(), phantom.flange_hulls(), phantom.hose_hulls()
 
 
 def _cold_teat(

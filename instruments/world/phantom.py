@@ -1,20 +1,20 @@
-"""The phantom udder as values: teats on a plate, and the one definition of a teat end.
+"""The phantom udder as values: teats on a plate.
 
-A teat is a cylinder with a hemispherical end, standing end up. The teat end is the apex of the rounded end on the
-teat's own axis. Base flanges and the warm hoses between them belong to the phantom too; their places follow from the teats'.
+A teat is a cylinder with a hemispherical end, standing end up; what its end is says `instruments.teat_end`. Base flanges and the
+warm hoses between them belong to the phantom too; their places follow from the teats'.
 The plate's frame is the world's when the pose is zero; the pose turns the plate about `PIVOT_MM` and then shifts it.
 May not know of cameras, temperatures or instruments.
 """
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
+from instruments.teat_end import apex_mm
 from instruments.world.optics import Floats
 from instruments.world.solids import Hull, Point, cylinder
 
@@ -38,11 +38,15 @@ class TeatShape:
 
 @dataclass(frozen=True, slots=True)
 class Teat:
-    """One teat: where its axis leaves the plate (x, y, plate frame), its shape, and its lean towards +x and +y, radians."""
+    """One teat: where its axis leaves the plate (x, y, plate frame), its shape, and its lean towards +x and +y, radians.
+
+    ``name`` says which of the udder's teats it is: LF, RF, LR, RR, or nothing where that was not said.
+    """
 
     base_mm: tuple[float, float]
     shape: TeatShape = field(default_factory=TeatShape)
     tilt_rad: tuple[float, float] = (0.0, 0.0)
+    name: str = ""
 
     def __post_init__(self) -> None:
         if not max(abs(angle) for angle in self.tilt_rad) < np.radians(60.0):
@@ -64,13 +68,25 @@ class PlatePose:
         if self.z_mm < 0.0:
             raise ValueError(f"the plate can't stand below the table: z_mm is {self.z_mm}")
 
+    def carried(self, by: PlatePose) -> PlatePose:
+        """This pose on a plate that itself is moved ``by``: first this one, then the other."""
+        c, s = np.cos(by.yaw_rad), np.sin(by.yaw_rad)
+        x, y = c * self.x_mm - s * self.y_mm, s * self.x_mm + c * self.y_mm
+        return PlatePose(float(x) + by.x_mm, float(y) + by.y_mm, self.z_mm + by.z_mm, self.yaw_rad + by.yaw_rad)
+
 
 @dataclass(frozen=True, slots=True)
 class Phantom:
-    """Teats on a plate. Teats are numbered from 0 in the order of ``teats``."""
+    """Teats on a plate. Teats are numbered from 0 in the order of ``teats``. ``name`` is the layout's, ``emissivity`` the paint's."""
 
     teats: tuple[Teat, ...]
     pose: PlatePose = field(default_factory=PlatePose)
+    name: str = ""
+    emissivity: float = 0.95
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.emissivity <= 1.0:
+            raise ValueError(f"an emissivity must be above 0 and at most 1, is {self.emissivity}")
 
     @property
     def bases_mm(self) -> Floats:
@@ -86,9 +102,8 @@ class Phantom:
 
     @property
     def ends_mm(self) -> Floats:
-        """The teat ends, world frame, (n, 3) mm: the apex of each rounded end on the teat's own axis."""
-        lengths = np.array([teat.shape.length_mm for teat in self.teats], dtype=np.float64).reshape(-1, 1)
-        return self.bases_mm + lengths * self.axes
+        """The teat ends, world frame, (n, 3) mm, as `instruments.teat_end` defines them."""
+        return apex_mm(self.bases_mm, self.axes, [teat.shape.length_mm for teat in self.teats])
 
     def moved(self, pose: PlatePose) -> Phantom:
         """The same phantom at another pose."""
@@ -141,40 +156,6 @@ def _point(vector: Floats) -> Point:
     return float(vector[0]), float(vector[1]), float(vector[2])
 
 
-def _upright(ends_mm: tuple[Point, ...], radius_mm: float = 11.0) -> Phantom:
-    return Phantom(tuple(Teat((x, y), TeatShape(z, radius_mm)) for x, y, z in ends_mm))
-
-
-def _table_5_1() -> Phantom:
-    """Upright teats whose ends are exactly those of table 5.1."""
-    return _upright(TABLE_5_1_MM)
-
-
-def _non_vertical() -> Phantom:
-    """Section 5.2.1: each teat leans by less than 20 degrees, each another way, in the middle of the thermal camera's view."""
-    leans_deg = ((9.0, 4.0), (-7.0, -10.0), (5.0, 8.0), (-8.0, -13.0))
-    upright = _upright(tuple((x + 40.0, y, z) for x, y, z in TABLE_5_1_MM))
-    leans_rad = [(float(np.radians(x)), float(np.radians(y))) for x, y in leans_deg]
-    return Phantom(tuple(replace(teat, tilt_rad=lean) for teat, lean in zip(upright.teats, leans_rad, strict=True)))
-
-
-def _overlapping() -> Phantom:
-    """Section 5.2.2, as the cameras see it: two teats touch side by side, and of the two others the near one covers part of the far one."""
-    return _upright(((-95.0, 232.0, 136.0), (-117.0, 232.0, 134.0), (-205.0, 292.0, 137.0), (-188.0, 205.0, 133.0)))
-
-
-LAYOUTS: dict[str, Callable[[], Phantom]] = {
-    "table-5-1": _table_5_1,
-    "non-vertical": _non_vertical,
-    "overlapping": _overlapping,
-}
-
-
-def make_phantom(layout: str, pose: PlatePose | None = None) -> Phantom:
-    """The phantom of a named layout (`LAYOUTS`) at a pose. Raises ValueError for a name that isn't known."""
-    if layout not in LAYOUTS:
-        close = difflib.get_close_matches(layout, LAYOUTS, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
-        raise ValueError(f"there is no phantom layout {layout!r}{hint} Known: {', '.join(LAYOUTS)}")
-    phantom = LAYOUTS[layout]()
-    return phantom if pose is None else phantom.moved(pose)
+def upright(ends_mm: Sequence[Point], radius_mm: float = 11.0, name: str = "") -> Phantom:
+    """Upright teats whose ends are these, in the plate's frame."""
+    return Phantom(tuple(Teat((x, y), TeatShape(z, radius_mm)) for x, y, z in ends_mm), name=name)

@@ -5,25 +5,26 @@ Analytic: every solid's share of every pixel is an area computed exactly (covera
 camera and kept. Visibility of the teat ends comes from the same solids by rays of its own.
 Same state, same generator: same bytes. May not know of any detector, of instruments or of the bench.
 
-Not modelled: shadows on solids, light that bounces between surfaces, defocus with depth, motion during exposure,
-reflections of heat between objects, drift of the thermal camera between its flat-field events.
+What is modelled and what isn't stands in docs/scene.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.world.eyes import OpticalCamera, ThermalCamera
+from instruments.world.eyes import OpticalCamera
+from instruments.world.microbolometer import ThermalSensor
 from instruments.world.optics import CameraModel, cameras_from_calibration
-from instruments.world.sensor import OpticalSensor, ThermalSensor
-from instruments.world.shadow import shadow_map
+from instruments.world.sensor import OpticalSensor
+from instruments.world.shadow import ShadowMap, shadow_map
 from instruments.world.solids import Bools
 from instruments.world.state import SceneState, Stage
+from instruments.world.thermal_eye import ThermalCamera
 from instruments.world.visibility import seen_share
 
 __all__ = ["RenderedSet", "Renderer", "SceneState"]
@@ -60,34 +61,35 @@ class Renderer:
         self.left = OpticalCamera(cameras[0], sensor, seeds[0])
         self.right = OpticalCamera(cameras[1], sensor, seeds[1])
         self.thermal = ThermalCamera(cameras[2], thermal or ThermalSensor(), seeds[2])
+        self._shadows: tuple[object, ShadowMap | None] = (None, None)
 
     @classmethod
-    def from_calibration(cls, table: Mapping[str, Any], camera_seed: int) -> Renderer:
-        """From a parsed calibration file; the thermal camera's sensor_size, mirrored and polarity are taken from it where they stand."""
-        entry = table.get("cameras", {}).get("thermal", {})
-        default = ThermalSensor()
-        width, height = entry.get("sensor_size", (default.width_px, default.height_px))
-        polarity = entry.get("polarity", "hot_is_black")
-        if polarity not in ("hot_is_black", "hot_is_white"):
-            raise ValueError(f'calibration: cameras.thermal.polarity must be "hot_is_black" or "hot_is_white", is {polarity!r}')
-        mirrored = bool(entry.get("mirrored", default.mirrored))
-        sensor = replace(default, width_px=int(width), height_px=int(height), mirrored=mirrored, hot_is_black=polarity == "hot_is_black")
-        return cls(cameras_from_calibration(table), camera_seed, thermal=sensor)
+    def from_calibration(
+        cls, table: Mapping[str, Any], camera_seed: int, *, optical: OpticalSensor | None = None, thermal: ThermalSensor | None = None
+    ) -> Renderer:
+        """From a parsed calibration file; without a ``thermal`` sensor its size and form are taken from there. Raises ValueError."""
+        return cls(cameras_from_calibration(table), camera_seed, optical, thermal or ThermalSensor.from_calibration(table))
 
     def render(self, view: SceneState, rng: np.random.Generator) -> RenderedSet:
         """A frame set with fresh noise from ``rng``. Raises ValueError where something stands too near a camera."""
-        stage = Stage.of(view)
-        shadows = shadow_map(view.lighting, stage.solids)
-        left = self.left.expose(view, stage, shadows, rng)
-        right = self.right.expose(view, stage, shadows, rng)
-        return RenderedSet(left, right, *self.thermal.expose(view, stage, rng))
+        shadows = self.shadows(view)
+        left = self.left.expose(view, shadows, rng).astype(np.uint8, copy=False)
+        right = self.right.expose(view, shadows, rng).astype(np.uint8, copy=False)
+        return RenderedSet(left, right, *self.thermal.expose(view, rng))
+
+    def shadows(self, state: SceneState) -> ShadowMap | None:
+        """The shadows on the table; kept while nothing moves."""
+        hulls = tuple(thing.hulls for thing in state.everything())
+        if self._shadows[0] != (state.lighting, hulls):
+            self._shadows = (state.lighting, hulls), shadow_map(state.lighting, Stage.of(state).solids)
+        return self._shadows[1]
 
     def visible_ends(self, state: SceneState) -> Bools:
         """Whether each teat end shows in left, right, thermal: (n_teats, 3).
 
-        It does where the apex is in the image, no other solid stands before it, and at least half of the rounded end's near side is
-        free. The teat's own surface doesn't count: cameras a little below the ends never see an apex that points up.
+        It does where the apex is in the image, no other solid and no board stands before it, and at least half of the rounded end's
+        near side is free. The teat's own surface doesn't count: cameras a little below the ends never see an apex that points up.
         """
         stage = Stage.of(state)
-        columns = [seen_share(state.phantom, stage.solids, camera) >= LEAST_SEEN for camera in self.cameras]
+        columns = [seen_share(state.phantom, stage.solids, camera, state.boards) >= LEAST_SEEN for camera in self.cameras]
         return np.column_stack(columns)

@@ -3,7 +3,7 @@
 Visible light: two lamps and the light of the room, Lambert's law, falling off with distance, and a weak gloss
 (Blinn and Phong) that puts the highlight on a rounded end. Heat: in a band of 8 to 13 um near 300 K radiance goes with
 T^4.8 (Planck's law: d ln L / d ln T = c2 / (lambda T) at the band's middle wavelength, 10 um), which is within 0.1 K of the band integral
-from 10 to 45 degC; a surface sends its own share (emissivity) and reflects the room with the rest, alike at every angle.
+from 10 to 45 degC; a surface sends its own share (emissivity) and reflects the room with the rest.
 May not know of pixels, sensors or which object a surface belongs to.
 """
 
@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from instruments.world.microbolometer import KELVIN_AT_0_C
 from instruments.world.optics import Floats
 from instruments.world.solids import Point
 
-KELVIN_AT_0_C = 273.15
 BAND_EXPONENT = 4.8
 REFERENCE_K = 300.0
 GLOSS_EXPONENT = 32
@@ -110,6 +110,10 @@ def kelvin_from_radiance(radiance: ArrayLike) -> Floats:
     return np.asarray(REFERENCE_K * np.asarray(radiance, dtype=np.float64) ** (1.0 / BAND_EXPONENT))
 
 
-def heat(temperature_c: Floats, emissivity: Floats, reflected_c: float) -> Floats:
-    """Radiance that leaves opaque surfaces (n,) in a room at ``reflected_c``: their own share, and the room's for the rest."""
-    return np.asarray(emissivity * radiance_from_c(temperature_c) + (1.0 - emissivity) * radiance_from_c(reflected_c))
+def directional_emissivity(emissivity: Floats, facing: Floats) -> Floats:
+    """Emissivity (n,) at an angle whose cosine is ``facing`` (n,): a dielectric mirrors more and more towards grazing.
+
+    Schlick's approximation of Fresnel's reflectance (Computer Graphics Forum 13, 1994), with the normal reflectance 1 - emissivity;
+    by Kirchhoff's law what isn't mirrored is emitted.
+    """
+    return np.asarray(emissivity * (1.0 - (1.0 - np.clip(facing, 0.0, 1.0)) ** 5))

@@ -5,26 +5,32 @@ Checks that a scene makes sense. May not know of cameras, or how anything is dra
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from instruments.world.backdrop import Backdrop
-from instruments.world.objects import TEAT_PAINT, SceneObject, phantom_objects
-from instruments.world.optics import Floats
+from instruments.world.boards import Board
+from instruments.world.objects import TEAT_PAINT, SceneObject, Warmth, phantom_objects
 from instruments.world.phantom import Phantom
+from instruments.world.sensor import Exposure
 from instruments.world.shading import Lighting, Paint
-from instruments.world.solids import Ints, Solids
+from instruments.world.solids import Ints, Point, Solids
 
 LOWEST_MM = 1.0  # below the table: paint and play
+TEAT_FALL = 0.048  # twice the plant's 0.046 / 1.9: the skin is as warm as the water at the base, and farthest behind it at the end
+STILL: Point = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class SceneState:
     """Everything that the cameras can see at one moment. Temperatures in degC, one for each teat, in the phantom's order.
 
-    ``teat_paint`` is the phantom's paint; the room (board, table, what is mirrored in paint) is at ``ambient_c``. Raises ValueError
-    where the number of temperatures is wrong, or an object reaches below the table or behind the board.
+    A teat's temperature is its mean: from base to end it falls by ``teat_fall`` of what it is above the room. ``teat_paint`` is the
+    phantom's paint; the room (board, table, what is mirrored in paint) is at ``ambient_c``. ``exposure`` is how the optical cameras
+    are set, ``velocity_mm_s`` how the phantom moves while their shutters are open, ``time_s`` what the thermal camera's drift
+    goes by. Raises ValueError where the number of temperatures is wrong, or an object reaches below the table or behind the board.
     """
 
     phantom: Phantom
@@ -35,6 +41,11 @@ class SceneState:
     lighting: Lighting = field(default_factory=Lighting)
     backdrop: Backdrop = field(default_factory=Backdrop)
     teat_paint: Paint = TEAT_PAINT
+    exposure: Exposure = field(default_factory=Exposure)
+    boards: tuple[Board, ...] = ()
+    velocity_mm_s: Point = STILL
+    time_s: float = 0.0
+    teat_fall: float = TEAT_FALL
 
     def __post_init__(self) -> None:
         if len(self.teat_temps_c) != len(self.phantom.teats):
@@ -44,6 +55,24 @@ class SceneState:
             if not all(-60.0 <= value <= 200.0 for value in values):
                 raise ValueError(f"the temperature of {what} must be from -60 to 200 degC, is {values}")
         _refuse_outside(Stage.of(self), self.backdrop)
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything does."""
+        return any(self.velocity_mm_s) or any(any(board.velocity_mm_s) for board in self.boards)
+
+    def later(self, seconds: float) -> SceneState:
+        """The same with everything that moves a little farther on its way."""
+        pose, (vx, vy, vz) = self.phantom.pose, self.velocity_mm_s
+        there = replace(pose, x_mm=pose.x_mm + vx * seconds, y_mm=pose.y_mm + vy * seconds, z_mm=max(pose.z_mm + vz * seconds, 0.0))
+        boards = tuple(board.moved(seconds) for board in self.boards)
+        return replace(self, phantom=self.phantom.moved(there), boards=boards, time_s=self.time_s + seconds)
+
+    def temperature_c(self, warmth: Warmth) -> float:
+        """degC of "teat" (the mean of the teats, or the room where there are none), "ambient", or a number."""
+        if isinstance(warmth, str):
+            return float(np.mean(self.teat_temps_c)) if warmth == "teat" and self.teat_temps_c else self.ambient_c
+        return warmth
 
     def everything(self) -> tuple[SceneObject, ...]:
         """All that stands on the table: the teats first, in their order."""
@@ -61,14 +90,13 @@ class Stage:
     @classmethod
     def of(cls, state: SceneState) -> Stage:
         """What stands on the table in a state."""
-        things = state.everything()
-        solids = Solids.from_hulls([hull for thing in things for hull in thing.hulls])
-        return cls(things, solids, np.repeat(np.arange(len(things)), [len(thing.hulls) for thing in things]))
+        return cls.of_things(state.everything())
 
-    def temperatures_c(self, state: SceneState) -> Floats:
-        """degC of each thing; "teat" means the mean of the teats, or the room where there are none."""
-        teat_c = float(np.mean(state.teat_temps_c)) if state.teat_temps_c else state.ambient_c
-        return np.array([thing.temperature_c(state.ambient_c, teat_c) for thing in self.things], dtype=np.float64)
+    @classmethod
+    def of_things(cls, things: Sequence[SceneObject]) -> Stage:
+        """Just these."""
+        solids = Solids.from_hulls([hull for thing in things for hull in thing.hulls])
+        return cls(tuple(things), solids, np.repeat(np.arange(len(things)), [len(thing.hulls) for thing in things]))
 
 
 def _refuse_outside(stage: Stage, backdrop: Backdrop) -> None:

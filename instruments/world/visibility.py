@@ -1,12 +1,15 @@
-"""Which teat ends a camera can see: rays to points of each rounded end, against every other solid.
+"""Which teat ends a camera can see: rays to points of each rounded end, against every other solid and board.
 
 Exact solids, no picture, no depth buffer: the truth doesn't depend on the resolution of a camera.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from instruments.world.boards import Board
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.phantom import Phantom
 from instruments.world.raycast import meet
@@ -16,7 +19,7 @@ RINGS_DEG = (30.0, 60.0, 85.0)
 ROUND = 16
 
 
-def seen_share(phantom: Phantom, solids: Solids, camera: CameraModel) -> Floats:
+def seen_share(phantom: Phantom, solids: Solids, camera: CameraModel, boards: Sequence[Board] = ()) -> Floats:
     """Share of each rounded end's near side that nothing else hides, (n,); 0 where the apex is hidden or outside the image.
 
     ``solids`` (world frame) hold the phantom's teats first, in its order; the teat itself is no obstacle to its own end.
@@ -27,7 +30,7 @@ def seen_share(phantom: Phantom, solids: Solids, camera: CameraModel) -> Floats:
     seen = solids.in_camera(camera)
     for i, (end, axis) in enumerate(zip(ends, phantom.axes, strict=True)):
         points = np.concatenate([end[None, :], _near_side(end, axis, phantom.teats[i].shape.radius_mm, camera)])
-        free = _free(points, seen, i, camera)
+        free = _free(points, seen, i, camera) & _past_boards(points, boards, camera)
         shares[i] = float(free[1:].mean()) if inside[i] and free[0] else 0.0
     return shares
 
@@ -59,3 +62,17 @@ def _free(points_mm: Floats, solids: Solids, itself: int, camera: CameraModel) -
     depth, _, hit = meet(solids, which, point[:, 0] / point[:, 2], point[:, 1] / point[:, 2])
     blocks = hit & (depth > 0.0) & (depth < point[:, 2])
     return np.asarray(~(blocks & (which != itself)).reshape(len(seen), count).any(axis=1))
+
+
+def _past_boards(points_mm: Floats, boards: Sequence[Board], camera: CameraModel) -> Bools:
+    """Whether no board stands between the camera and each point (n, 3)."""
+    free = np.ones(len(points_mm), dtype=np.bool_)
+    away = points_mm - camera.centre_mm
+    for board in boards:
+        towards = away @ board.normal
+        part = ((np.asarray(board.corner_mm) - camera.centre_mm) @ board.normal) / np.where(np.abs(towards) > 1e-9, towards, 1e-9)
+        met = camera.centre_mm + part[:, None] * away - np.asarray(board.corner_mm)
+        u, v = met @ np.asarray(board.across), met @ np.asarray(board.along)
+        width, height = board.pattern.size_mm
+        free &= ~((part > 0.0) & (part < 1.0) & (u >= 0.0) & (u <= width) & (v >= 0.0) & (v <= height))
+    return free

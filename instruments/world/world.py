@@ -8,22 +8,27 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from instruments.clock import Clock
-from instruments.world.objects import SceneObject, make_object
-from instruments.world.phantom import Phantom, PlatePose, make_phantom
+from instruments.world.objects import TEAT_PAINT, SceneObject, make_object
+from instruments.world.phantom import TABLE_5_1_MM, Phantom, PlatePose, upright
 from instruments.world.plant import Plant
 from instruments.world.scene import Renderer, SceneState
+from instruments.world.situations import Situation
+from instruments.world.solids import Point
+from instruments.world.state import STILL
 
 HOSE_DROP_K = 0.02  # the hoses' skin against the water (bath sheet, section 4.3, foamed hose at 6 L/min)
 
 
 class World:
-    """``renderer`` draws it; ``stage_mm`` is asked where the stage stands, relative to its reference place."""
+    """``renderer`` draws it; ``stage_pose`` is asked how the stage's plate stands, zero at the stage's reference, ``stage_velocity`` how
+    it moves in mm/s: what moves is smeared in pictures."""
 
     def __init__(self, clock: Clock, seed: int, renderer: Renderer, *, ambient_c: float = 20.0, bath_start_c: float = 20.0) -> None:
         self.clock = clock
@@ -32,16 +37,22 @@ class World:
         self.renderer = renderer
         self.plant = Plant(seed, ambient_c=ambient_c, start_c=bath_start_c)
         self.ambient_c = ambient_c
-        self.stage_mm: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0)
-        self._phantom = make_phantom("table-5-1")
+        self.stage_pose: Callable[[], PlatePose] = PlatePose
+        self.stage_velocity: Callable[[], Point] = lambda: STILL
+        self._phantom = upright(TABLE_5_1_MM)
         self._objects: tuple[SceneObject, ...] = ()
+        self._situation: Situation | None = None
         self._held: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
-    def arrange(self, layout_name: str, objects: Sequence[Mapping[str, Any]]) -> None:
-        """Set the teats up as a named layout, and put other things around them. Raises ValueError for what isn't known."""
+    def arrange(self, phantom: Phantom, objects: Sequence[Mapping[str, Any]], situation: Situation | None = None) -> None:
+        """Put a phantom on the plate, and other things around it; light, background, paint and further things are a ``situation``'s.
+
+        Raises ValueError for a kind of object that isn't known.
+        """
         with self.lock:
-            self._phantom = make_phantom(layout_name)
+            self._phantom = phantom
             self._objects = tuple(make_object(**table) for table in objects)
+            self._situation = situation
 
     def hold(self, point_mm: NDArray[np.float64] | None, axis: NDArray[np.float64] | None = None) -> None:
         """The hand holds the arm's tip at ``point_mm`` (3,), the stylus along ``axis`` (3,) from the tip up; None lets go."""
@@ -53,9 +64,9 @@ class World:
         return self._held
 
     def phantom(self) -> Phantom:
-        """The phantom where the stage has it now."""
-        x, y = self.stage_mm()
-        return self._phantom.moved(PlatePose(x, y))
+        """The phantom where the stage has it now, with the pose at which it was put on the stage."""
+        with self.lock:
+            return self._phantom.moved(self._phantom.pose.carried(self.stage_pose()))
 
     def ends_mm(self) -> NDArray[np.float64]:
         """The exact teat ends (n, 3), world frame: kept aside by the bench, never shown to a detector."""
@@ -68,7 +79,12 @@ class World:
             phantom = self.phantom()
             teats_c = tuple(float(v) for v in np.resize(self.plant.teat_c, len(phantom.teats)))
             hose_c = float(self.plant.bath_c) - (HOSE_DROP_K if self.plant.pump_on else 0.0)
-            return SceneState(phantom=phantom, objects=self._objects, teat_temps_c=teats_c, hose_temp_c=hose_c, ambient_c=self.ambient_c)
+            constants = self.plant.constants
+            fall = 2.0 * constants.teat_out_w_per_k / constants.teat_in_w_per_k  # the skin's mean lag behind the water, twice
+            around = self._situation or Situation("", 0, "", phantom, teat_paint=replace(TEAT_PAINT, emissivity=phantom.emissivity))
+            things = (*around.objects, *self._objects)
+            moment = {"time_s": self.clock.now(), "velocity_mm_s": self.stage_velocity()}
+            return around.state(teats_c, hose_c, self.ambient_c, phantom=phantom, objects=things, teat_fall=fall, **moment)
 
     def frame_rng(self, kind: str, index: int) -> np.random.Generator:
         """Chance for the ``index``-th frame set: the same for the same seed, whatever else was drawn."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from bench.emulation import EmulatedRig
+from bench.phantom_file import shipped_phantom
 from bench.rig import RIGS, LoadedRig, find_rig, load_rig
 from instruments.camera.recording import RecordingWriter
 from instruments.clock import RealClock
@@ -31,6 +32,7 @@ repeats = {repeats}
 set_point_c = 33.0
 window_s = {window_s}
 slope_k_per_min = 10.0
+teat_slope_k_per_min = 10.0
 
 [[requirements]]
 kind = "bath_in_band"
@@ -42,8 +44,12 @@ name = "one"
 situation = "ideal"
 layout = "table-5-1"
 set_up = "Teats as in table 5.1."
-stage_mm = [5.0, 0.0]
+pose = {{ x_mm = 5.0 }}
 """
+
+CHECK = "check_point_mm = [-190.0, 120.0, 15.0]\ncheck_touches = {}"
+
+RELAY = 'pump_url = "{}"\npump_profile = "modbus-relay"'
 
 STAGE = """
 [stage]
@@ -62,10 +68,12 @@ url = "console:"
 url = "{arm}"
 touches = 1
 packets = 2
+{check_part}
 
 [bath]
 url = "{bath}"
-profile = "julabo-presto"
+profile = "{profile}"
+{pump_part}
 
 {stage_part}
 
@@ -108,19 +116,26 @@ def real_rig(
     repeats: int = 1,
     start_c: float = 33.0,
     limits: str = "",
+    check_touches: int = 0,
+    profile: str = "julabo-presto",
+    pump: bool = False,
+    pty: bool = False,
 ) -> Iterator[RealRig]:
     """Emulators in real time, and the files that make them a real rig; the bath starts at the script's set point.
 
-    With a stage, each trial is a move of some seconds.
+    With a stage, each trial is a move of some seconds; with ``check_touches`` the arm is checked before and after the trials, with
+    ``pump`` a relay of its own turns the bath's. With ``pty`` whatever has a serial port is on a pseudo-terminal.
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
     (folder / "recording").symlink_to(recording, target_is_directory=True)
     clock = RealClock()
     try:
-        with EmulatedRig(at_set_point(folder, start_c), clock, 3) as twin:
+        with EmulatedRig(at_set_point(folder, start_c, profile, pump=pump), clock, 3, pty=pty) as twin:
             rig, script = folder / "lab.toml", folder / "short.toml"
-            figures = {"settle_s": settle_s, "limits": limits, "stage_part": STAGE.format(**twin.urls) if stage else ""}
+            figures = {"settle_s": settle_s, "limits": limits, "stage_part": STAGE.format(**twin.urls) if stage else "", "profile": profile}
+            figures["pump_part"] = RELAY.format(twin.urls["pump"]) if pump else ""
+            figures["check_part"] = CHECK.format(check_touches) if check_touches else ""
             rig.write_text(RIG.format(**twin.urls, **figures), encoding="utf-8")
             script.write_text(SCRIPT.format(window_s=window_s, repeats=repeats), encoding="utf-8")
             yield RealRig(twin, folder, rig, script)
@@ -128,8 +143,10 @@ def real_rig(
         clock.close()
 
 
-def at_set_point(folder: Path, start_c: float) -> LoadedRig:
-    text = find_rig(None).read_text(encoding="utf-8")
+def at_set_point(folder: Path, start_c: float, profile: str, *, pump: bool) -> LoadedRig:
+    text, before = find_rig(None).read_text(encoding="utf-8"), 'profile = "julabo-presto"'
+    assert before in text
+    text = text.replace(before, f'profile = "{profile}"\n{RELAY.format("emulator:") if pump else ""}')
     (folder / "twin.toml").write_text(f"{text}\n[emulation]\nbath_start_c = {start_c}\n", encoding="utf-8")
     return load_rig(folder / "twin.toml")
 
@@ -137,7 +154,7 @@ def at_set_point(folder: Path, start_c: float) -> LoadedRig:
 def record_one(folder: Path, frames: int = 3) -> Path:
     """A recording of the emulated scene, for cameras that play it."""
     with EmulatedRig(load_rig(find_rig(None)), clock := RealClock(), 3) as twin:
-        twin.operator.set_up(Arrangement("ideal", "table-5-1", (), "", 4))
+        twin.operator.set_up(Arrangement("ideal", shipped_phantom("table-5-1"), (), ""))
         writer = RecordingWriter(folder)
         for number in range(frames):
             writer.add(f"{number:03d}", twin.cameras.capture())

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import json
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pytest
+from rich.console import Console
 
-from bench.bath_watch import BathView, Sample, plot, rate_k_per_s, seconds_to_stable
+from bench.bath_alone import open_bath, profile_of
+from bench.bath_watch import BathView, Sample, output_strip, plot, rate_k_per_s, seconds_to_stable, watch_bath
 from bench.cli import main
 from bench.stability import StabilityGate
 from instruments.bath.emulator import BathEmulator
@@ -80,6 +83,55 @@ def test_watch_prints_a_line_a_second_without_a_terminal(bath: Served, capsys: p
     assert len(lines) == 3
     assert all("set point 33.00 degC" in line and "heating" in line for line in lines)
     assert bath.plant.running, "watching changes nothing"
+
+
+def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
+    bath.plant.run(33.0)
+    shown = io.StringIO()
+    console = Console(file=shown, force_terminal=True, width=120, height=40, color_system=None)
+    with open_bath(bath.at[1], profile_of("julabo-presto")) as (driver, clock):
+        watch_bath(driver, clock, console, 2.2)
+    frames = shown.getvalue().split("last ")
+    assert len(frames) >= 4, "drawn anew after each of three readings"
+    last = frames[-2] + frames[-1]
+    assert "33.00 ─" in last, "the set point is a line"
+    assert "•" in last, "the bath is points"
+    assert "output █" in last, "a cold bath is heated at full power"
+    for words in ("set point 33.00 degC", "output 100 %", "heating", "not getting nearer"):
+        assert words in last
+    assert bath.plant.running, "watching changes nothing"
+
+
+def test_a_stable_bath_says_so_and_one_on_its_way_says_when() -> None:
+    view = BathView(StabilityGate(33.0, window_s=60.0))
+    lines = []
+    for t in range(200):
+        temp_c = min(33.0, 31.0 + t * 0.04) + 0.004 * (t % 2)
+        view.add(a_reading(float(t), temp_c, 100.0 if t < 50 else 3.0), 33.0, started=True)
+        lines.append(view.line())
+    assert "stable in 1:36 min at the earliest" in lines[10], lines[10]
+    assert "settling, stable in 0:" in lines[80]
+    assert lines[-1].endswith("stable, stable now")
+    strip = output_strip([Sample(float(t), 33.0, 100.0 if t < 36 else 3.0) for t in range(72)], width=72)
+    assert (strip.count("█"), strip.count("▁")) == (35, 36), "one column is that of now"
+
+
+def test_an_output_that_is_not_told_has_no_strip() -> None:
+    assert output_strip([Sample(0.0, 33.0)]) == ""
+
+
+def a_reading(t_s: float, temp_c: float, output_percent: float | None) -> BathReading:
+    return BathReading(
+        t_s=t_s,
+        temp_c=temp_c,
+        raw=(round(temp_c * 1000),),
+        external_c=None,
+        power_percent=output_percent,
+        safety_c=None,
+        alarm=0,
+        warning=0,
+        remote=True,
+    )
 
 
 @pytest.mark.parametrize(

@@ -10,15 +10,19 @@ import pytest
 from bench.cli import main
 from bench.config import ConfigError
 from bench.emulation import EmulatedRig
+from bench.hookup import driver_openers
 from bench.rig import LoadedRig, load_rig
+from bench.safing import start_bath
 from instruments.bath.driver import Bath
 from instruments.bath.profile import profile_names
 from instruments.clock import RealClock, VirtualClock
 from tests.bench.test_config import rig_with
 
+RELAY = '\npump_url = "emulator:"\npump_profile = "modbus-relay"'
 
-def rig_of(folder: Path, profile: str, more: str = "") -> Path:
-    path = rig_with(folder, {'profile = "julabo-presto"': f'profile = "{profile}"'})
+
+def rig_of(folder: Path, profile: str, more: str = "", *, relay: bool = False) -> Path:
+    path = rig_with(folder, {'profile = "julabo-presto"': f'profile = "{profile}"{RELAY if relay else ""}'})
     path.write_text(path.read_text(encoding="utf-8") + more, encoding="utf-8")
     return path
 
@@ -47,9 +51,9 @@ def test_the_url_says_how_the_emulator_is_spoken_to(tmp_path: Path, profile: str
 @pytest.mark.parametrize("profile", profile_names())
 def test_every_profile_warms_the_teats(tmp_path: Path, profile: str) -> None:
     clock = VirtualClock()
-    rig = loaded(tmp_path, profile)
-    with EmulatedRig(rig, clock, seed=1) as twin, closing(Bath(twin.urls["bath"], rig.profile, clock)) as bath:
-        bath.start(33.0)
+    rig = load_rig(rig_of(tmp_path, profile, relay="julabo" not in profile))
+    with EmulatedRig(rig, clock, seed=1) as twin, closing(driver_openers(rig, clock, twin.urls)["bath"]()) as bath:
+        start_bath(bath, 33.0, clock.sleep)
         clock.sleep(60.0)
         assert bath.read().power_percent == 100.0
         clock.sleep(1740.0)

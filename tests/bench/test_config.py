@@ -109,12 +109,13 @@ def test_a_fault_in_the_calibration_is_shown_in_the_calibration(tmp_path: Path) 
 
 
 def test_shipped_scripts_load() -> None:
-    script = load_script(find_script(None)).script
+    loaded = load_script(find_script(None))
+    script = loaded.script
     assert [trial.situation for trial in script.trials] == [
         "non_vertical", "overlapping", "spurious_teat", "hot_body_at_base", "hot_body_at_ends", "cooler_bodies",
     ]  # fmt: skip
     assert [trial.published.found for trial in script.trials if trial.published] == [4, 3, 4, 4, 0, 3]
-    assert len(script.planned) == 18
+    assert len(loaded.planned) == 18
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,10 @@ def test_faults_of_the_stage_and_the_bath(tmp_path: Path) -> None:
         ('instrument = "arm", name = "silent", amount = 2.0', "has no amount 2"),
         ('instrument = "arm", name = "silent", at_s = -1.0', "greater than or equal to 0"),
         ('instrument = "camera", name = "dark"', "'camera' is not allowed"),
+        ('instrument = "cameras", name = "blak"', 'the cameras have no fault "blak"; did you mean "black"?'),
+        ('instrument = "cameras", name = "frozen", amount = 2.0', '"frozen" has none'),
+        ('instrument = "cameras", name = "flat-field event", camera = "left"', "only the thermal camera"),
+        ('instrument = "arm", name = "silent", camera = "left"', '"camera" is for faults of the cameras'),
         ('instrument = "arm", name = "silent", at = 1.0', 'unknown key; did you mean "at_s"'),
     ],
 )
@@ -118,7 +122,7 @@ def test_a_fault_of_a_stage_that_is_not_there(tmp_path: Path) -> None:
         load_rig(path)
 
 
-@pytest.mark.parametrize("instrument", ["arm", "bath", "stage"])
+@pytest.mark.parametrize("instrument", ["arm", "bath", "stage", "cameras"])
 def test_every_fault_of_every_instrument_can_be_put_into_a_rig(tmp_path: Path, instrument: str) -> None:
     names = fault_names(instrument)
     assert len(names) == len({*names}) > 5

@@ -9,6 +9,7 @@ import pytest
 
 from bench.emulation import EmulatedRig
 from bench.hookup import driver_openers, open_rig
+from bench.phantom_file import shipped_phantom
 from bench.rig import LoadedRig, find_rig, load_rig
 from instruments.bath.driver import Bath
 from instruments.clock import VirtualClock
@@ -17,7 +18,7 @@ from instruments.microscribe.driver import MicroScribe
 from instruments.operators.operator import Arrangement
 from instruments.stage.driver import Stage
 
-IDEAL = Arrangement("ideal", "table-5-1", (), "", 4)
+IDEAL = Arrangement("ideal", shipped_phantom("table-5-1"), (), "")
 
 
 @pytest.fixture(scope="module")

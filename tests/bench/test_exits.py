@@ -76,6 +76,17 @@ def test_nothing_is_raised_while_undisturbed_and_again_after() -> None:
 
 
 @posix
+def test_what_came_while_nothing_was_raised_can_be_heeded_afterwards() -> None:
+    with installed() as exits:
+        exits.heed()
+        with undisturbed():
+            os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(Interrupted, match="SIGTERM"):
+            exits.heed()
+        exits.heed()
+
+
+@posix
 def test_what_was_there_before_is_there_again() -> None:
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
     with installed() as exits:

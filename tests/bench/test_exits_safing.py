@@ -16,7 +16,7 @@ from instruments.bath.profile import Profile, load_profile
 from instruments.bath.reading import BathReading
 from instruments.bath.rows import Row
 from instruments.clock import VirtualClock
-from instruments.errors import DeviceError
+from instruments.errors import DeviceError, LinkError
 
 CALM = BathReading(t_s=0.0, temp_c=20.0, raw=(1, 2), external_c=None, power_percent=0.0, safety_c=None, alarm=0, warning=0, remote=True)
 
@@ -84,6 +84,16 @@ def test_stop_is_heater_off_then_a_minute_of_pump_then_pump_off() -> None:
     heater_off(bath)
     assert "60 s" in run_pump_on(bath, bath.clock.sleep, lambda: False)
     assert bath.told == [(0.0, "heater off"), (0.0, "pump on"), (60.0, "pump off")]
+
+
+def test_a_relay_that_is_dead_is_told_and_the_heater_is_off_all_the_same() -> None:
+    class DeadRelay(Noted):
+        def set(self, name: str, value: float | str) -> None:
+            raise LinkError("pump", "no answer", seconds=1.0)
+
+    bath = DeadRelay("own")
+    assert "the pump could not be switched on: pump: no answer" in heater_off(bath)
+    assert bath.told == [(0.0, "heater off")]
 
 
 def test_somebody_in_a_hurry_leaves_the_pump_running_and_never_the_heater() -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from bench.guardian import main as guardian
-from bench.lifeline import Lifeline, guarded
+from bench.lifeline import Charge, Lifeline, guarded
 from bench.pulse import Pulse
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
@@ -64,7 +64,7 @@ def within(seconds: float, there: Callable[[], bool], what: str) -> None:
 
 
 def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> None:
-    with Lifeline(hot.url, "julabo-presto", hot.folder, Pulse()) as line:
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
         assert line.lost is None
         line.done()
     assert hot.plant.running
@@ -72,7 +72,7 @@ def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> No
 
 
 def test_left_without_a_word_the_guardian_takes_over(hot: HotBath) -> None:
-    with Lifeline(hot.url, "julabo-presto", hot.folder, Pulse()):
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()):
         pass
     within(3.0, lambda: not hot.plant.running, "standby")
     assert hot.record()["cause"] == "gave up"
@@ -81,7 +81,7 @@ def test_left_without_a_word_the_guardian_takes_over(hot: HotBath) -> None:
 def test_a_main_thread_that_hangs_while_the_others_live_is_seen(hot: HotBath) -> None:
     pulse = Pulse()
     pulse.sign("detecting", 0.5)
-    with Lifeline(hot.url, "julabo-presto", hot.folder, pulse) as line:
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, pulse) as line:
         pulse.sign("detecting", 0.5)
         within(5.0, lambda: not hot.plant.running, "standby")
         within(5.0, lambda: line.lost is not None, "the bench learned of it")
@@ -94,7 +94,7 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_seen(hot: HotBath) ->
 def test_a_long_wait_that_was_announced_is_no_hang(hot: HotBath) -> None:
     pulse = Pulse()
     pulse.sign("waiting for the operator", 1e9)
-    with Lifeline(hot.url, "julabo-presto", hot.folder, pulse) as line:
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, pulse) as line:
         time.sleep(2.5)
         assert line.lost is None
         line.done()
@@ -103,7 +103,7 @@ def test_a_long_wait_that_was_announced_is_no_hang(hot: HotBath) -> None:
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 def test_a_guardian_that_dies_is_missed(hot: HotBath) -> None:
-    with Lifeline(hot.url, "julabo-presto", hot.folder, Pulse()) as line:
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
         os.kill(line.pid, signal.SIGKILL)
         within(3.0, lambda: line.lost is not None, "the loss was seen")
         assert "ended by itself" in str(line.lost)
@@ -111,7 +111,7 @@ def test_a_guardian_that_dies_is_missed(hot: HotBath) -> None:
 
 
 def test_the_guardian_is_small_and_hears_no_signal_that_is_meant_for_the_bench(hot: HotBath) -> None:
-    with Lifeline(hot.url, "julabo-presto", hot.folder, Pulse()) as line:
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
         if sys.platform == "linux":
             status = Path(f"/proc/{line.pid}/status").read_text(encoding="utf-8")
             (resident,) = [int(row.split()[1]) for row in status.split("\n") if row.startswith("VmRSS")]
@@ -119,6 +119,10 @@ def test_the_guardian_is_small_and_hears_no_signal_that_is_meant_for_the_bench(h
             for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 os.kill(line.pid, name)
             assert os.getsid(line.pid) != os.getsid(0)
+            held = [str(path.readlink()) for path in Path(f"/proc/{line.pid}/fd").iterdir()]
+            assert len(held) == 3, f"pipes to the bench, its log, and nothing else: {held}"
+            assert sum(name.startswith("pipe:") for name in held) == 2
+            assert sum(name.endswith("guardian.log") for name in held) == 1
         time.sleep(0.5)
         assert line.lost is None
         line.done()
@@ -126,11 +130,11 @@ def test_the_guardian_is_small_and_hears_no_signal_that_is_meant_for_the_bench(h
 
 def test_a_guardian_that_cannot_start_is_told_with_its_own_words(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match=r"did not start.*no-such-family"):
-        Lifeline("tcp://127.0.0.1:1", "no-such-family", tmp_path, Pulse())
+        Lifeline(Charge("tcp://127.0.0.1:1", "no-such-family"), tmp_path, Pulse())
 
 
 def test_under_virtual_time_there_is_nothing_to_guard(tmp_path: Path) -> None:
-    with guarded("tcp://127.0.0.1:1", "julabo-presto", tmp_path, VirtualClock()) as (_, lifeline):
+    with guarded(Charge("tcp://127.0.0.1:1", "julabo-presto"), tmp_path, VirtualClock()) as (_, lifeline):
         assert lifeline is None
 
 

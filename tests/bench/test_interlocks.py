@@ -139,10 +139,10 @@ def test_every_row_says_what_trips_what_resets_and_what_to_do() -> None:
         ("controller alarm", CALM, None),
         ("communications lost", CALM, None),
         ("guardian lost", CALM, None),
-        ("changed at the controller", CALM, None),
-        ("rate", CALM, None),
-        ("loop break", CALM, None),
-        ("sensor disagreement", CALM, None),
+        ("changed at the controller", CALM, "still asked for 2 %"),
+        ("rate", replace(CALM, temp_c=-6.0), "no water bath"),
+        ("loop break", CALM, "still asked for 2 %"),
+        ("sensor disagreement", replace(CALM, power_percent=0.0), None),
     ],
 )
 def test_what_resets_each_rule(rule: str, reading: BathReading, word: str | None) -> None:
@@ -170,8 +170,9 @@ def test_silence_is_another_trip_than_an_answer_without_a_temperature() -> None:
 def test_a_trip_has_the_readings_that_led_to_it() -> None:
     trip = first_trip(lambda t: replace(CALM, temp_c=37.5 if t == 90 else 33.0 + wobbling(t)))
     assert trip is not None
-    assert [row["t_s"] for row in trip.values] == [float(t) for t in range(81, 91)]
-    assert trip.values[-1] == {"t_s": 90.0, "temp_c": 37.5, "external_c": None, "safety_c": None, "power_percent": 2.0, "alarm": 0}
+    assert [row["t_s"] for row in trip.values] == [60.0, *(float(t) for t in range(81, 91))], "and one of half a minute before"
+    seen = {"t_s": 90.0, "temp_c": 37.5, "external_c": None, "safety_c": None, "power_percent": 2.0, "alarm": 0}
+    assert trip.values[-1] == seen | {"running": None, "set_point_c": None, "raw": [37500]}
 
 
 @given(st.lists(st.floats(min_value=32.9, max_value=33.1), min_size=2, max_size=300), st.floats(min_value=0.0, max_value=20.0))

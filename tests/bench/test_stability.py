@@ -131,6 +131,31 @@ class TestFrozenReading:
         assert STABLE not in [gate.add(float(t), temp, raw=3300) for t, temp in enumerate(quiet(1500))]
 
 
+class TestTeats:
+    """The sensor at the teats, where there is one, has a slope of its own: 0.02 K/min (section 4.2)."""
+
+    @pytest.mark.parametrize(("k_per_min", "state"), [(0.018, STABLE), (0.022, SETTLING), (-0.022, SETTLING)])
+    def test_teats_that_still_warm_up_keep_the_gate_shut(self, k_per_min: float, state: State) -> None:
+        gate = StabilityGate(SP)
+        for t, temp in enumerate(quiet(700)):
+            gate.add(float(t), temp, teat_c=32.0 + k_per_min * t / 60)
+        assert gate.state is state
+        assert (gate.report.reasons == ()) is (state is STABLE)
+        if state is SETTLING:
+            assert gate.report.reasons == (f"the teats' slope is {k_per_min:+.4f} K/min, limit 0.02 K/min",)
+
+    def test_what_the_teats_do_later_is_no_reason_to_leave(self) -> None:
+        gate = StabilityGate(SP)
+        states = [gate.add(float(t), temp, teat_c=32.0 + 0.1 * max(0, t - 650)) for t, temp in enumerate(quiet(800))]
+        assert set(states[601:]) == {STABLE}
+
+    def test_a_sensor_that_has_gone_asks_for_nothing(self) -> None:
+        gate = StabilityGate(SP)
+        for t, temp in enumerate(quiet(700)):
+            gate.add(float(t), temp, teat_c=20.0 + t if t < 300 else None)
+        assert gate.state is STABLE
+
+
 def test_a_new_set_point_restarts_and_the_same_does_not() -> None:
     gate = stable_gate()
     gate.change_set_point(SP)

@@ -2,6 +2,10 @@
 
 Both ends live in this process and share its lock; the emulator's part is the same for both. Medians of many; the two take
 turns, so that whatever else the machine does meets both.
+
+Wire time at 9600 baud is the characters of question and answer at 10 bits each. In a poll of several questions the silence of 3.5
+characters that Modbus wants between frames (over serial line 1.02, section 2.5.1.1) counts as wire time too; before a
+single question it has passed already and does not. pymodbus leaves that silence out, so it is added to its polls.
 """
 
 from __future__ import annotations
@@ -33,7 +37,7 @@ from tests.benchmarks.figures import figure
 
 AT_MOST, AT_MOST_OF_WIRE = 1.15, 1.1
 BAUD, BITS = 9600, 10
-GAP_CHARACTERS = 3.5  # of silence that belong to each frame (Modbus over serial line 1.02, section 2.5.1.1)
+GAP_CHARACTERS, LEAST_GAP_S = 3.5, 0.00175  # of silence that belong to each frame; the latter above 19200 baud
 Client = AsyncModbusTcpClient | AsyncModbusSerialClient
 
 pty = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals: POSIX only")
@@ -149,8 +153,8 @@ def turns(bath: Served, count: int, rounds: int, pause_s: float) -> dict[str, fl
 def test_a_question_takes_no_longer_than_by_pymodbus_alone(benchmark: BenchmarkFixture, kind: str, family: str) -> None:
     with served(kind, family) as bath:
         took_s = benchmark.pedantic(turns, args=(bath, 60, 15, 0.003 if kind == "pty" else 0.0), rounds=1)
-    # On a pty the line's silence between two frames, which pymodbus leaves out, is most of a poll.
-    told(benchmark, f"{kind} {family}", took_s)
+        silence_s = len(bath.polled) * LEAST_GAP_S if kind == "pty" else 0.0
+    told(benchmark, f"{kind} {family}", took_s, silence_s)
 
 
 @pty
@@ -161,7 +165,7 @@ def test_at_9600_baud_a_question_takes_the_wires_time(benchmark: BenchmarkFixtur
     character_s = BITS / BAUD
     size, sizes = answered(bath.function, bath.asked.words), [answered(block.function, block.count) for block in bath.polled]
     question_s, poll_s = size * character_s, sum(size + GAP_CHARACTERS for size in sizes) * character_s
-    told(benchmark, f"pty at {BAUD} {family}", took_s)
+    told(benchmark, f"pty at {BAUD} {family}", took_s, len(sizes) * GAP_CHARACTERS * character_s)
     for name, wire_s in (("question", question_s), ("poll", poll_s)):
         figure(benchmark, f"pty at {BAUD} {family}, {name} over its wire time", took_s[name] / wire_s, f"at most {AT_MOST_OF_WIRE}")
 
@@ -171,8 +175,9 @@ def answered(function: int, count: int) -> int:
     return 8 + 5 + (2 * count if function in (3, 4) else -(-count // 8))
 
 
-def told(benchmark: BenchmarkFixture, link: str, took_s: dict[str, float]) -> None:
-    """Ours over pymodbus's own, for single questions and for whole polls."""
+def told(benchmark: BenchmarkFixture, link: str, took_s: dict[str, float], silence_s: float) -> None:
+    """Ours over pymodbus's own, for single questions and for whole polls; ``silence_s`` is what a poll owes to the line."""
     benchmark.extra_info |= {name: float(f"{seconds:.4g}") for name, seconds in took_s.items()}
-    for name in ("question", "poll"):
-        figure(benchmark, f"{link}, {name} over pymodbus's", took_s[name] / took_s[f"pymodbus {name}"], f"at most {AT_MOST}")
+    figure(benchmark, f"{link}, question over pymodbus's", took_s["question"] / took_s["pymodbus question"], f"at most {AT_MOST}")
+    whose = "pymodbus's and the silence that it leaves out" if silence_s else "pymodbus's"
+    figure(benchmark, f"{link}, poll over {whose}", took_s["poll"] / (took_s["pymodbus poll"] + silence_s), f"at most {AT_MOST}")

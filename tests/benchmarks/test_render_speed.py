@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tomllib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -12,11 +15,33 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from bench.scene_recording import warm
 from instruments.world.phantom import PlatePose
-from instruments.world.scene import Renderer, SceneState
+from instruments.world.scene import Renderer
+from instruments.world.situations import SITUATIONS as FAMILIES
+from instruments.world.situations import situation as member
+from tests.benchmarks.figures import figure
 from tests.situations import SITUATIONS, situation
 
 ROOT = Path(__file__).resolve().parents[2]
+CALIBRATION = ROOT / "bench/rigs/calibration.toml"
+ONE_START = """
+import resource, sys, time, tomllib
+from pathlib import Path
+start = time.perf_counter()
+import cv2, numpy as np
+cv2.setNumThreads(1)
+from instruments.world.scene import Renderer
+from instruments.world.situations import SITUATIONS, situation
+def draw(renderer, found):
+    renderer.render(found.state((32.5,) * len(found.phantom.teats), 33.0, 21.0), np.random.default_rng(0))
+renderer = Renderer.from_calibration(tomllib.loads(Path(sys.argv[1]).read_text(encoding="utf-8")), 7)
+draw(renderer, situation("cooler_bodies", 0))
+first_s = time.perf_counter() - start
+for name in SITUATIONS:
+    draw(renderer, situation(name, 1))
+print(first_s, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024.0 ** 2 if sys.platform == "darwin" else 1024.0))
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -28,16 +53,19 @@ def one_core() -> Iterator[None]:
 
 
 def make_renderer() -> Renderer:
-    table = tomllib.loads((ROOT / "bench/rigs/calibration.toml").read_text(encoding="utf-8"))
-    return Renderer.from_calibration(table, camera_seed=7)
+    return Renderer.from_calibration(tomllib.loads(CALIBRATION.read_text(encoding="utf-8")), camera_seed=7)
 
 
 def _time(benchmark: BenchmarkFixture, work: Callable[[], object], rounds: int) -> None:
     benchmark.pedantic(work, rounds=rounds, warmup_rounds=1)
 
 
+def _median_ms(benchmark: BenchmarkFixture) -> float:
+    return 1e3 * float(benchmark.stats.stats.median)
+
+
 @pytest.mark.parametrize("name", sorted(SITUATIONS))
-def test_frame_set(benchmark: BenchmarkFixture, name: str) -> None:
+def test_frame_set_at_a_new_pose(benchmark: BenchmarkFixture, name: str) -> None:
     """Two 1360 x 1024 and one thermal frame, a new pose of the phantom and fresh noise each time."""
     renderer, poses = make_renderer(), count()
     still = situation(name)
@@ -45,16 +73,44 @@ def test_frame_set(benchmark: BenchmarkFixture, name: str) -> None:
 
     def draw() -> None:
         i = next(poses)
-        phantom = still.phantom.moved(PlatePose(x_mm=0.37 * (i % 40)))
-        state = SceneState(phantom, still.teat_temps_c, still.hose_temp_c, still.ambient_c, still.objects)
-        renderer.render(state, np.random.default_rng(i))
+        renderer.render(replace(still, phantom=still.phantom.moved(PlatePose(x_mm=0.37 * (i % 40)))), np.random.default_rng(i))
 
     _time(benchmark, draw, 15)
+    figure(benchmark, f"{name}, new pose, median ms", _median_ms(benchmark), "at most 60")
 
 
-def test_first_frame_set_after_start(benchmark: BenchmarkFixture) -> None:
-    """Cameras' rays, fixed patterns and backdrop included."""
-    _time(benchmark, lambda: make_renderer().render(situation("non_vertical"), np.random.default_rng(0)), 3)
+@pytest.mark.parametrize("name", sorted(FAMILIES))
+def test_frame_set_with_fresh_noise(benchmark: BenchmarkFixture, name: str) -> None:
+    """The same scene again, as for the repeats of a trial."""
+    renderer, seeds, state = make_renderer(), count(), warm(member(name, 0))
+    renderer.render(state, np.random.default_rng(0))
+    _time(benchmark, lambda: renderer.render(state, np.random.default_rng(next(seeds))), 15)
+    figure(benchmark, f"{name}, fresh noise, median ms", _median_ms(benchmark), "at most 60")
+
+
+@pytest.mark.parametrize("name", ["ideal", "cooler_bodies"])
+def test_frame_set_of_a_new_scene(benchmark: BenchmarkFixture, name: str) -> None:
+    """Everything new each time: background, light, paint, things, phantom."""
+    renderer, seeds = make_renderer(), count()
+    states = [warm(member(name, seed)) for seed in range(8)]
+    renderer.render(states[0], np.random.default_rng(0))
+    _time(benchmark, lambda: renderer.render(states[next(seeds) % 8], np.random.default_rng(0)), 8)
+    figure(benchmark, f"{name}, new scene, median ms", _median_ms(benchmark), "none; two backgrounds are drawn")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="peak memory is asked of the resource module, which Windows hasn't")
+def test_first_frame_set_and_peak_memory(benchmark: BenchmarkFixture) -> None:
+    """A process of its own: from its first import to the first frame set, and its peak after all eleven situations."""
+    figures: list[list[float]] = []
+
+    def start() -> None:
+        said = subprocess.run([sys.executable, "-c", ONE_START, str(CALIBRATION)], cwd=ROOT, capture_output=True, text=True, check=True)
+        figures.append([float(word) for word in said.stdout.split()])
+
+    benchmark.pedantic(start, rounds=3)
+    first_s, peak_mib = np.median(figures, axis=0)
+    figure(benchmark, "first frame set after start, imports included, s", float(first_s), "at most 2")
+    figure(benchmark, "peak memory, MiB", float(peak_mib), "under 500")
 
 
 def test_visibility_of_the_ends(benchmark: BenchmarkFixture) -> None:

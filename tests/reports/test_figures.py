@@ -34,6 +34,9 @@ DRAWINGS: dict[str, Draw] = {
     "scatter": _scatter,
     "histogram": lambda n: figures.error_histogram(_rng(n).uniform(0, 9, n), 5.0, accept_mm=4.611),
     "found": lambda n: figures.found_bars([f"situation {k}" for k in range(n)], [2] * n, [4] * n, [None if k % 2 else 3 for k in range(n)]),
+    "map": lambda n: figures.error_map(
+        _rng(n).uniform(0, 300, n), _rng(n).uniform(0, 300, n), _rng(n).uniform(0, 9, n), 5.0, missed_x_mm=[1.0] * n, missed_y_mm=[2.0] * n
+    ),
     "latency": lambda n: figures.latency_strip(_rng(n).uniform(0, 1, n), [1.0, 2.0]),
     "axes": lambda n: figures.per_axis_errors([f"s {k}" for k in range(n)], [_rng(k).normal(0, 1, (k, 3)) for k in range(n)], 5.0),
 }

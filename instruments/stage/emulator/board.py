@@ -17,19 +17,19 @@ from instruments.listener import Connection
 from instruments.stage.emulator.carriage import Carriage
 from instruments.stage.emulator.controller import Controller
 from instruments.stage.emulator.dialect import CLASSIC, Dialect
-from instruments.stage.emulator.faults import IN_MOTION, NOISE, Fault
-from instruments.stage.emulator.homing import Switch
+from instruments.stage.emulator.drive import Drive
+from instruments.stage.emulator.faults import BROKEN_SWITCHES, IN_MOTION, LOST_MM, NOISE, NOT_WHILE_HOMING, Fault
 from instruments.stage.emulator.phases import Vector
 from instruments.stage.emulator.store import Store
 
-_BROKEN = {Fault.NO_SWITCH: Switch.MISSING, Fault.STUCK_SWITCH: Switch.STUCK}
+GLANCE_S = 1e-3  # over which a velocity is told
 
 
 class StageEmulator:
-    """The board. ``settings`` differ from the defaults by number ($130 is 130); ``start_mm`` is where the carriage
-    stands at first, in machine coordinates (0 at the switches), in the middle if not given; with a
-    ``fresh_eeprom`` the first words are an error and a dump of settings. Raises ValueError for settings that
-    the board doesn't have.
+    """The board and its mechanics, of 3 ``axes`` or 4. ``settings`` differ from the defaults by number ($130 is 130); ``start_mm``
+    is where the carriage stands at first, in machine coordinates (0 at the switches), in the middle if not given;
+    ``play_mm`` is the backlash by axis (degrees for A); with a ``fresh_eeprom`` the first words are an error and a dump of settings.
+    Raises ValueError for settings or axes that the board doesn't have.
     """
 
     def __init__(
@@ -39,26 +39,41 @@ class StageEmulator:
         settings: Mapping[int, float] | None = None,
         start_mm: Vector | None = None,
         dialect: Dialect = CLASSIC,
+        axes: int = 3,
+        play_mm: Vector | None = None,
         fresh_eeprom: bool = False,
     ) -> None:
         self._clock = clock
-        store = Store(settings)
-        x, y, z = (-travel / 2 for travel in store.travel_mm)
-        self._carriage = Carriage(start_mm or (x, y, z))
+        store = Store(settings, dialect=dialect, axes=axes)
+        start = start_mm or tuple(-travel / 2 for travel in store.travel_mm)
+        self._carriage = Carriage(Drive(start, store.travel_mm, play_mm or (0.0,) * axes, store.at_far_end))
         self._controller = Controller(clock, store, dialect, self._carriage, self._answer)
         self._first_words = ("error:7", *store.lines()) if fresh_eeprom else ()
         self._connection: Connection | None = None
         self._faults: dict[Fault, float] = {}
+        self._lost_mm = LOST_MM
         self._starts_seen = 0
         self._wake_planned_s = math.inf
 
     def position_mm(self) -> NDArray[np.float64]:
-        """Where the carriage stands now, (3,) mm in machine coordinates."""
+        """Where the carriage stands now, (3,) or (4,): mm in machine coordinates, and degrees for A."""
         return np.array(self._carriage.place_mm(self._clock.now()), dtype=np.float64)
 
-    def inject(self, fault: Fault, after_s: float = 0.0) -> None:
-        """Make ``fault`` happen: one of a motion ``after_s`` into it, a late answer ``after_s`` late, others from now on."""
+    def velocity(self) -> NDArray[np.float64]:
+        """How the carriage moves now, each axis a second, as the controller steps it, (3,) or (4,)."""
+        now = self._clock.now()
+        if not self._carriage.moving(now):
+            return np.zeros_like(self.position_mm())
+        here, there = (np.array(self._carriage.count_mm(at), dtype=np.float64) for at in (now, now + GLANCE_S))
+        return np.asarray((there - here) / GLANCE_S)
+
+    def inject(self, fault: Fault, after_s: float = 0.0, *, lost_mm: float = LOST_MM) -> None:
+        """Make ``fault`` happen: one of a motion ``after_s`` into it, a late answer ``after_s`` late, others from now on.
+
+        A lost step loses ``lost_mm`` on the linear axis that goes furthest.
+        """
         self._faults[fault] = after_s
+        self._lost_mm = lost_mm if fault is Fault.LOST_STEP else self._lost_mm
         self._tell_switches()
         if fault in IN_MOTION and self._controller.moving:
             self._arm()
@@ -69,8 +84,8 @@ class StageEmulator:
         self._tell_switches()
 
     def lose_steps(self, lost_mm: Vector) -> None:
-        """Shift the carriage against the count, as lost steps do."""
-        self._carriage.lose_steps(lost_mm)
+        """Shift the carriage against the count at once, as a knock does that makes the motors lose steps."""
+        self._carriage.knock(lost_mm, self._clock.now())
 
     def connect(self, connection: Connection) -> None:
         """A host opens the port, which resets the board. The newest host has it."""
@@ -101,13 +116,14 @@ class StageEmulator:
         if self._carriage.starts != self._starts_seen:
             self._starts_seen = self._carriage.starts
             self._arm()
-        due = self._controller.due_s
+        due = self._controller.next_s
         if due != self._wake_planned_s and due < math.inf:
             self._wake_planned_s = due
             self._later(due - self._clock.now(), self._wake)
 
     def _wake(self) -> None:
         self._wake_planned_s = math.inf
+        self._controller.heed_switches()
         self._controller.pump()
         self._settle()
 
@@ -131,12 +147,12 @@ class StageEmulator:
             self._later(late, lambda: self._send(text.encode("ascii") + b"\r\n"))
 
     def _tell_switches(self) -> None:
-        broken = [switch for fault, switch in _BROKEN.items() if fault in self._faults]
-        self._controller.broken_switches = {0: broken[0]} if broken else {}
+        self._controller.broken_switches = dict(switch for fault, switch in BROKEN_SWITCHES.items() if fault in self._faults)
+        self._controller.probe_closed = Fault.PROBE_CLOSED in self._faults
 
     def _arm(self) -> None:
         """Plan the faults that strike in the motion that runs now."""
-        ready = IN_MOTION & self._faults.keys() - ({Fault.LIMIT_HIT} if self._carriage.homing else set())  # homing is there to hit switches
+        ready = IN_MOTION & self._faults.keys() - (NOT_WHILE_HOMING if self._carriage.homing else frozenset())
         for fault in sorted(ready, key=lambda fault: fault.value):
             after = self._faults.pop(fault)
             self._later(after, partial(self._strike, fault))
@@ -148,6 +164,8 @@ class StageEmulator:
             self._connection.hang_up()
         elif fault is Fault.STALL:
             self._carriage.stall(self._clock.now())
+        elif fault is Fault.LOST_STEP and not self._carriage.homing:
+            self._carriage.lose_steps(self._lost_mm, self._clock.now())
         elif fault is Fault.RESTART:
             self._controller.power_up()
         elif fault is Fault.LIMIT_HIT and not self._carriage.homing:

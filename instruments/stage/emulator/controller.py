@@ -11,42 +11,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from enum import Enum
 
 from instruments.clock import Clock
 from instruments.stage import protocol
-from instruments.stage.emulator.carriage import Carriage, shifted
+from instruments.stage.emulator.carriage import Carriage
 from instruments.stage.emulator.dialect import Dialect
 from instruments.stage.emulator.gcode import Modes
 from instruments.stage.emulator.homing import Switch
 from instruments.stage.emulator.lines import Task, execute
 from instruments.stage.emulator.receiver import Receiver, split
-from instruments.stage.emulator.report import SlowFields, numbers
+from instruments.stage.emulator.report import SlowFields, status_report
+from instruments.stage.emulator.states import DEAF, STUBBORN, Mode
 from instruments.stage.emulator.store import Store
-
-
-class Mode(Enum):
-    """What the firmware is in, beside moving or not."""
-
-    READY = "ready"
-    LOCKED = "locked"
-    CRITICAL = "critical"  # a limit alarm: nothing is heard until a reset
-    HOMING = "homing"
-    HOLD = "hold"
-    DOOR = "door"
-    SLEEP = "sleep"
-
-
-_DEAF = frozenset({Mode.CRITICAL, Mode.HOLD, Mode.DOOR, Mode.SLEEP})  # lines wait
-_STATES: dict[Mode, tuple[str, str]] = {  # the state's name at rest, and while moving
-    Mode.READY: ("Idle", "Run"),
-    Mode.LOCKED: ("Alarm", "Alarm"),
-    Mode.CRITICAL: ("Alarm", "Alarm"),
-    Mode.HOMING: ("Home", "Home"),
-    Mode.HOLD: ("Hold:0", "Hold:1"),
-    Mode.DOOR: ("Door:0", "Door:2"),
-    Mode.SLEEP: ("Sleep", "Sleep"),
-}
 
 
 class Controller:
@@ -61,6 +37,8 @@ class Controller:
         self._receiver = Receiver(dialect.receive_bytes)
         self.out = bytearray()
         self.broken_switches: dict[int, Switch] = {}
+        self.probe_closed = False
+        self.homed = False
         self._clear()
         self.mode = self._first_mode()
 
@@ -77,6 +55,11 @@ class Controller:
         return self.jogged and self.moving
 
     @property
+    def room(self) -> int:
+        """Bytes that the receive buffer still takes."""
+        return self._receiver.room
+
+    @property
     def locked(self) -> bool:
         return self.mode is Mode.LOCKED
 
@@ -91,6 +74,7 @@ class Controller:
     def set_homing(self, on: bool) -> None:
         """A homing cycle begins, or has succeeded."""
         self.mode = Mode.HOMING if on else Mode.READY
+        self.homed = not on
 
     def say(self, text: str) -> None:
         """Put a line out."""
@@ -113,6 +97,7 @@ class Controller:
     def power_up(self, first_words: tuple[str, ...] = ()) -> None:
         """Power comes, or the host's opening of the port resets the board: the count is lost."""
         self.carriage.cut_power(self.now)
+        self.homed = False
         self._clear()
         self.mode = self._first_mode()
         for line in first_words:
@@ -133,10 +118,25 @@ class Controller:
     def alarm(self, code: int, *, critical: bool = False) -> None:
         """Stop dead and lock; a critical alarm makes deaf until a reset."""
         self.carriage.halt(self.now)
+        self.homed = False
         self.mode = Mode.CRITICAL if critical else Mode.LOCKED
         self.say(f"ALARM:{code}")
         if critical:
             self.say("[MSG:Reset to continue]")
+
+    @property
+    def next_s(self) -> float:
+        """When something happens by itself next."""
+        return min(self.due_s, self.carriage.switch_due_s(self.now)) if self._hard_limits else self.due_s
+
+    def heed_switches(self) -> None:
+        """A limit switch that the carriage has run into is an alarm, where $21 says so."""
+        if self._hard_limits and self.carriage.take_pressed(self.now) and self.mode is not Mode.CRITICAL:
+            self.alarm(1, critical=True)
+
+    @property
+    def _hard_limits(self) -> bool:
+        return bool(int(self.settings[21]) & 1)
 
     def _first_mode(self) -> Mode:
         return Mode.LOCKED if self.settings[22] else Mode.READY
@@ -145,7 +145,7 @@ class Controller:
         self._receiver.clear()
         self._task: Task | None = None
         self.due_s = math.inf  # when the line in the works wants to be asked again
-        self.modes = Modes()
+        self.modes = Modes(tuple(0.0 for _ in range(self.settings.axes)))
         self.slow = SlowFields()
         self.asked_while_homing = False
         self.jogged = False
@@ -168,7 +168,10 @@ class Controller:
             self._reset()
         elif byte == protocol.STATUS_QUERY:
             self._query()
-        elif self.mode in (Mode.LOCKED, Mode.CRITICAL, Mode.HOMING, Mode.SLEEP):
+        elif byte == protocol.DOOR and self.mode is Mode.HOMING:
+            self.alarm(7)
+            self.restart()
+        elif self.mode in STUBBORN:
             return
         elif byte in (protocol.HOLD, protocol.DOOR):
             self._hold(byte == protocol.DOOR)
@@ -217,7 +220,7 @@ class Controller:
     def pump(self) -> None:
         """Take lines until one has to wait, or there are none."""
         self.due_s = math.inf
-        while self.mode not in _DEAF:
+        while self.mode not in DEAF:
             if self._task is None:
                 line = next(self._receiver.lines(), None)
                 if line is None:
@@ -240,19 +243,4 @@ class Controller:
 
     def status(self) -> str:
         """A status report, as ``?`` gets it."""
-        now, bits = self.now, int(self.settings[10])
-        inches, offset = bool(self.settings[13]), self.modes.offset_mm
-        place = self.settings.whole_steps(self.carriage.count_mm(now))
-        parts = [self._state(), f"MPos:{numbers(place, inches)}" if bits & 1 else f"WPos:{numbers(shifted(place, offset, -1.0), inches)}"]
-        if bits & 2:
-            parts.append(f"Bf:{self.dialect.planner_blocks - len(self.carriage.blocks(now))},{self._receiver.room}")
-        parts.append(f"FS:{self.carriage.speed_mm_s(now) * 60:.0f},0")
-        due = self.slow.due(self.moving or self.mode in (Mode.HOLD, Mode.DOOR))
-        if due == "WCO":
-            parts.append(f"WCO:{numbers(offset, inches)}")
-        elif due == "Ov":
-            parts.append("Ov:{},{},100".format(*self.carriage.percent))
-        return f"<{'|'.join(parts)}{self.dialect.more_fields}>"
-
-    def _state(self) -> str:
-        return "Jog" if self.mode is Mode.READY and self.jogging else _STATES[self.mode][self.moving]
+        return status_report(self)

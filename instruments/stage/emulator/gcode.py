@@ -1,7 +1,7 @@
 """The G-code that the emulated controller understands: one line to one command, with the modes it leaves behind.
 
-Straight moves, dwell, units, distance mode, machine coordinates, the G92 offset and jogs; spindle, coolant
-and program words are taken and do nothing. Arcs, probing, tool offsets and further work coordinates are
+Straight moves, dwell, units, distance mode, machine coordinates, the G92 offset, jogs and probing; spindle, coolant
+and program words are taken and do nothing. Arcs, tool offsets and further work coordinates are
 refused with error 20. It may not know positions over time, or a clock.
 """
 
@@ -14,7 +14,7 @@ from instruments.stage.emulator.phases import Vector
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)")
 _GROUPS = {
-    "motion": {0.0, 1.0, 80.0},
+    "motion": {0.0, 1.0, 38.2, 38.3, 38.4, 38.5, 80.0},
     "other": {4.0, 53.0, 92.0, 92.1},
     "plane": {17.0},
     "units": {20.0, 21.0},
@@ -27,6 +27,7 @@ _GROUPS = {
 }
 _IDLE_M = {0.0, 1.0, 2.0, 30.0, 3.0, 4.0, 5.0, 7.0, 8.0, 9.0}
 _INCH_MM = 25.4
+_AXES = "XYZA"
 
 
 class GcodeError(Exception):
@@ -41,11 +42,11 @@ class GcodeError(Exception):
 class Modes:
     """What lines leave behind for later lines. ``offset_mm``: work coordinates' zero in machine coordinates."""
 
+    offset_mm: Vector
     motion: float = 0.0
     inches: bool = False
     relative: bool = False
     feed_mm_min: float = 0.0
-    offset_mm: Vector = (0.0, 0.0, 0.0)
 
     def describe(self) -> str:
         """As ``$G`` prints them."""
@@ -64,6 +65,15 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True)
+class Probe:
+    """Move until the probe closes (opens, where it goes ``away``); if it ``must`` and doesn't, that is an alarm."""
+
+    move: Move
+    away: bool
+    must: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Dwell:
     """Let all moves finish, then wait."""
 
@@ -78,8 +88,8 @@ class Words:
     values: dict[str, float]
 
 
-def words(text: str) -> Words:
-    """Take a line apart (capitals, no spaces). Raises GcodeError."""
+def words(text: str, axes: int) -> Words:
+    """Take a line apart (capitals, no spaces) for a board of so many axes. Raises GcodeError."""
     groups: dict[str, float] = {}
     values: dict[str, float] = {}
     at = 0
@@ -91,11 +101,11 @@ def words(text: str) -> Words:
         if not number:
             raise GcodeError(2)
         at = number.end()
-        _place(letter, float(number[0]), groups, values)
+        _place(letter, float(number[0]), _AXES[:axes], groups, values)
     return Words(groups, values)
 
 
-def _place(letter: str, value: float, groups: dict[str, float], values: dict[str, float]) -> None:
+def _place(letter: str, value: float, axes: str, groups: dict[str, float], values: dict[str, float]) -> None:
     if letter == "G":
         group = next((name for name, members in _GROUPS.items() if value in members), None)
         if group is None:
@@ -106,7 +116,7 @@ def _place(letter: str, value: float, groups: dict[str, float], values: dict[str
     elif letter == "M":
         if value not in _IDLE_M:
             raise GcodeError(20)
-    elif letter not in "XYZFPNST":
+    elif letter not in axes + "FPNST":
         raise GcodeError(20)
     elif letter in values:
         raise GcodeError(25)
@@ -116,9 +126,9 @@ def _place(letter: str, value: float, groups: dict[str, float], values: dict[str
         values[letter] = value
 
 
-def command(text: str, modes: Modes, at_mm: Vector) -> tuple[Modes, Move | Dwell | None]:
+def command(text: str, modes: Modes, at_mm: Vector) -> tuple[Modes, Move | Probe | Dwell | None]:
     """What ``text`` asks for, where the last planned move ends at ``at_mm``. Raises GcodeError; then nothing changes."""
-    line = words(text)
+    line = words(text, len(at_mm))
     after = _new_modes(line, modes)
     axes = _axes(line, after.inches)
     other = line.groups.get("other")
@@ -127,18 +137,29 @@ def command(text: str, modes: Modes, at_mm: Vector) -> tuple[Modes, Move | Dwell
             raise GcodeError(28)
         return after, Dwell(line.values["P"])
     if other == 92.1:
-        return replace(after, offset_mm=(0.0, 0.0, 0.0)), None
+        return replace(after, offset_mm=tuple(0.0 for _ in at_mm)), None
     if other == 92.0:
         if not axes:
             raise GcodeError(26)
-        x, y, z = (at_mm[i] - axes[i] if i in axes else after.offset_mm[i] for i in range(3))
-        return replace(after, offset_mm=(x, y, z)), None
-    return after, _move(line, after, axes, at_mm)
+        offset = (at_mm[i] - axes[i] if i in axes else after.offset_mm[i] for i in range(len(at_mm)))
+        return replace(after, offset_mm=tuple(offset)), None
+    move = _move(line, after, axes, at_mm)
+    return after, _probe(line, move, after.motion, at_mm) if 38.0 < after.motion < 39.0 else move
+
+
+def _probe(line: Words, move: Move | None, kind: float, at_mm: Vector) -> Probe | None:
+    if move is None:
+        if "motion" in line.groups:
+            raise GcodeError(26)
+        return None
+    if move.target_mm == at_mm:
+        raise GcodeError(33)
+    return Probe(move, away=kind in (38.4, 38.5), must=kind in (38.2, 38.4))
 
 
 def jog(text: str, modes: Modes, at_mm: Vector) -> Move:
     """The move that ``$J=`` asks for; it leaves no mode behind. Raises GcodeError."""
-    line = words(text)
+    line = words(text, len(at_mm))
     if set(line.groups) - {"units", "distance", "other"} or line.groups.get("other", 53.0) != 53.0:
         raise GcodeError(16)
     if not line.values.get("F"):
@@ -159,7 +180,9 @@ def _new_modes(line: Words, modes: Modes) -> Modes:
 
 
 def _axes(line: Words, inches: bool) -> dict[int, float]:
-    return {"XYZ".index(letter): value * (_INCH_MM if inches else 1.0) for letter, value in line.values.items() if letter in "XYZ"}
+    """By number; the rotation A is in degrees whatever the units."""
+    values = {_AXES.index(letter): value for letter, value in line.values.items() if letter in _AXES}
+    return {axis: value * (_INCH_MM if inches and axis < 3 else 1.0) for axis, value in values.items()}
 
 
 def _move(line: Words, modes: Modes, axes: dict[int, float], at_mm: Vector) -> Move | None:
@@ -170,7 +193,7 @@ def _move(line: Words, modes: Modes, axes: dict[int, float], at_mm: Vector) -> M
         return None
     if modes.motion == 80.0:
         raise GcodeError(31)
-    if modes.motion == 1.0 and modes.feed_mm_min == 0:
+    if modes.motion != 0.0 and modes.feed_mm_min == 0:
         raise GcodeError(22)
     target = list(at_mm)
     for axis, value in axes.items():
@@ -180,5 +203,4 @@ def _move(line: Words, modes: Modes, axes: dict[int, float], at_mm: Vector) -> M
             target[axis] += value
         else:
             target[axis] = value + modes.offset_mm[axis]
-    x, y, z = target
-    return Move((x, y, z), modes.feed_mm_min if modes.motion == 1.0 else None)
+    return Move(tuple(target), modes.feed_mm_min if modes.motion != 0.0 else None)

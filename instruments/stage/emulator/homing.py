@@ -1,4 +1,4 @@
-"""The homing cycle as a function of time: Z first, then X and Y together.
+"""The homing cycle as a function of time: pass by pass, the axes of a pass together.
 
 Each axis runs to its switch fast, backs off, finds it again slowly and backs off for good; between two runs
 the controller waits for the switch to calm down. A run to a switch stops dead, for the steps are cut when it
@@ -14,8 +14,7 @@ from enum import Enum
 
 from instruments.stage.emulator.phases import Phase, Vector, lay, profile
 
-CYCLES = ((2,), (0, 1))
-SEARCH = 1.5  # times the longest travel of the cycle, before a switch counts as missing
+SEARCH = 1.5  # times the longest travel of the pass, before a switch counts as missing
 LOCATE = 5.0  # times the pull-off
 
 
@@ -24,11 +23,13 @@ class Switch(Enum):
 
     MISSING = "never closes"
     STUCK = "never opens again"
+    CROOKED = "of the axis's two motors, one finds its switch too late"
 
 
 @dataclass(frozen=True, slots=True)
 class HomingRates:
-    """What the settings say: mm, mm/s, mm/s², s. ``at_far_end`` holds the axes whose switch is at minus the travel."""
+    """What the settings say: mm, mm/s, mm/s², s. ``passes`` holds the axes of each pass; ``at_far_end`` those whose
+    switch is at minus the travel; ``crooked_alarm`` is the firmware's alarm for two motors out of square."""
 
     travel_mm: Vector
     seek_mm_s: float
@@ -36,15 +37,21 @@ class HomingRates:
     accel_mm_s2: Vector
     pull_off_mm: float
     debounce_s: float
+    passes: tuple[tuple[int, ...], ...] = ((2,), (0, 1))
     at_far_end: frozenset[int] = frozenset()
+    crooked_alarm: int = 10
 
     def switch_mm(self, axis: int) -> float:
+        """Where the axis's switch is."""
         return -self.travel_mm[axis] if axis in self.at_far_end else 0.0
 
-    def home_mm(self) -> Vector:
-        """Where the stage stands, and is said to stand, after homing."""
-        x, y, z = (-self.travel_mm[a] + self.pull_off_mm if a in self.at_far_end else -self.pull_off_mm for a in range(3))
-        return x, y, z
+    def home_mm(self, before_mm: Vector) -> Vector:
+        """Where the stage is said to stand after homing; an axis without a pass keeps its count."""
+        homed = {axis for axes in self.passes for axis in axes}
+        return tuple(self._home_of(axis) if axis in homed else count for axis, count in enumerate(before_mm))
+
+    def _home_of(self, axis: int) -> float:
+        return -self.travel_mm[axis] + self.pull_off_mm if axis in self.at_far_end else -self.pull_off_mm
 
 
 @dataclass
@@ -52,14 +59,16 @@ class HomingRun:
     """Tracks by axis over time from 0, how long it takes, and the alarm that ends it, if any."""
 
     start_mm: Vector
-    tracks: tuple[list[Phase], list[Phase], list[Phase]] = field(default_factory=lambda: ([], [], []))
+    tracks: tuple[list[Phase], ...] = field(init=False)
     end_s: float = 0.0
     alarm: int | None = None
 
+    def __post_init__(self) -> None:
+        self.tracks = tuple([] for _ in self.start_mm)
+
     def position(self, now_s: float) -> Vector:
         """Where the carriage is, mm."""
-        x, y, z = (self._axis(axis, now_s) for axis in range(3))
-        return x, y, z
+        return tuple(self._axis(axis, now_s) for axis in range(len(self.start_mm)))
 
     def _axis(self, axis: int, now_s: float) -> float:
         place = self.start_mm[axis]
@@ -83,7 +92,7 @@ class HomingRun:
 def homing(start_mm: Vector, rates: HomingRates, broken: Mapping[int, Switch]) -> HomingRun:
     """The whole cycle from where the carriage stands. ``broken`` names axes with a broken switch."""
     run = HomingRun(start_mm)
-    for axes in CYCLES:
+    for axes in rates.passes:
         _cycle(run, axes, rates, broken)
         if run.alarm:
             break
@@ -112,15 +121,18 @@ def _together(
     for axis in axes:
         towards = -1.0 if axis in rates.at_far_end else 1.0
         gap = towards * (rates.switch_mm(axis) - run.position(run.end_s)[axis])
+        fault = broken.get(axis)
         if not approach:
             way, dead = -towards * reach, False
-            if broken.get(axis) is Switch.STUCK:
+            if fault is Switch.STUCK:
                 run.alarm = 8
-        elif broken.get(axis) is Switch.MISSING or gap > reach:
+        elif fault is Switch.MISSING or gap > reach:
             way, dead = towards * max(0.0, min(gap, reach)), True  # the carriage stops at the end of its rails, the motor goes on
             run.alarm = 9
             longest = max(longest, reach / speed)
         else:
             way, dead = towards * max(0.0, gap), True
+            if fault is Switch.CROOKED:
+                run.alarm = rates.crooked_alarm
         longest = max(longest, run.run(axis, way, speed, rates.accel_mm_s2[axis], dead_stop=dead))
     return longest

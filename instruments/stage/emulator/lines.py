@@ -12,13 +12,14 @@ from typing import Protocol
 
 from instruments.stage.emulator.carriage import Carriage
 from instruments.stage.emulator.dialect import Dialect
-from instruments.stage.emulator.gcode import Dwell, GcodeError, Modes, Move, command, jog
+from instruments.stage.emulator.gcode import Dwell, GcodeError, Modes, Move, Probe, command, jog
 from instruments.stage.emulator.homing import Switch
-from instruments.stage.emulator.phases import SOON_S
+from instruments.stage.emulator.phases import SOON_S, Vector
 from instruments.stage.emulator.receiver import OVERFLOW
-from instruments.stage.emulator.report import SlowFields
+from instruments.stage.emulator.report import SlowFields, numbers
 from instruments.stage.emulator.store import Store
 
+_ANSWERS = {OVERFLOW: 11, "": 0}
 Task = Generator[float, None, int | None]
 Wait = Generator[float, None, None]
 _HELP = "[HLP:$$ $G $I $x=val $J=line $SLP $X $H ~ ! ? ctrl-x]"
@@ -31,6 +32,7 @@ class Board(Protocol):
     dialect: Dialect
     carriage: Carriage
     broken_switches: dict[int, Switch]
+    probe_closed: bool
     modes: Modes
     slow: SlowFields
     asked_while_homing: bool
@@ -54,10 +56,8 @@ class Board(Protocol):
 
 def execute(board: Board, text: str) -> Task:
     """Run one line (capitals, no blanks)."""
-    if text == OVERFLOW:
-        return 11
-    if not text:
-        return 0
+    if text in _ANSWERS:
+        return _ANSWERS[text]
     if text.startswith("$J="):
         return (yield from _jog(board, text[3:]))
     if text.startswith("$"):
@@ -73,6 +73,8 @@ def execute(board: Board, text: str) -> Task:
     board.modes = modes
     if isinstance(what, Dwell):
         yield from _dwell(board, what.seconds)
+    elif isinstance(what, Probe):
+        yield from _probe(board, what)
     elif what:
         yield from _move(board, what)
     return 0
@@ -90,6 +92,19 @@ def _move(board: Board, move: Move) -> Wait:
         yield from _soft_limit(board)
     yield from _plan(board, move)
     board.jogged = False
+
+
+def _probe(board: Board, probe: Probe) -> Wait:
+    """To the end of the way, for nothing ever touches this board's probe."""
+    yield from _until_still(board)
+    if board.probe_closed is not probe.away:
+        board.alarm(4)
+        return
+    yield from _move(board, probe.move)
+    yield from _until_still(board)
+    if probe.must:
+        board.alarm(5)
+    board.say(f"[PRB:{numbers(board.carriage.count_mm(board.now), inches=False)}:0]")
 
 
 def _soft_limit(board: Board) -> Wait:
@@ -162,6 +177,10 @@ def _write(board: Board, text: str) -> int:
         return 2
 
 
+def _home_mm(board: Board) -> Vector:
+    return board.settings.whole_steps(board.settings.homing.home_mm(board.carriage.count_mm(board.now)))
+
+
 def _home(board: Board) -> Task:
     if not board.settings[22]:
         return 5
@@ -169,7 +188,7 @@ def _home(board: Board) -> Task:
     board.set_homing(True)
     while not board.carriage.homing_over(board.now):
         yield board.carriage.due_s(board.now)
-    alarm = board.carriage.finish_homing(board.settings.whole_steps(board.settings.homing.home_mm()), board.now)
+    alarm = board.carriage.finish_homing(_home_mm(board), board.now)
     if alarm:
         board.alarm(alarm)
         return None

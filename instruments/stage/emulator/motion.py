@@ -26,6 +26,15 @@ class Motion:
         leg = next((leg for leg in self._legs if now_s < leg.end_s), self._legs[-1] if self._legs else None)
         return leg.block.place(leg.place_mm(now_s)) if leg else self._rest
 
+    def turns(self, since_s: float, now_s: float) -> list[Vector]:
+        """Where it was at each end of a straight line after ``since_s``, and where it is now."""
+        ends = [leg.block.place(leg.end_mm) for leg in self._legs if since_s < leg.end_s <= now_s]
+        return [*ends, self.position(now_s)]
+
+    def legs(self, now_s: float) -> tuple[Leg, ...]:
+        """The straight lines that are still to go, the running one first."""
+        return tuple(leg for leg in self._legs if leg.end_s > now_s + SOON_S)
+
     def speed(self, now_s: float) -> float:
         """Along the path, mm/s."""
         return next((leg.speed_at(now_s) for leg in self._legs if now_s < leg.end_s), 0.0)

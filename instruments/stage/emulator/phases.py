@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-Vector = tuple[float, float, float]
+Vector = tuple[float, ...]  # one number an axis: X Y Z, and A where the board has it; mm, and degrees for A
 SOON_S = 1e-9  # two moments nearer than this are one: sums of times differ in their last bits
 
 

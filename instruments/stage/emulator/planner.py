@@ -55,8 +55,7 @@ class Block:
     def place(self, along_mm: float) -> Vector:
         if along_mm >= self.length_mm:
             return self.target_mm
-        x, y, z = (start + u * along_mm for start, u in zip(self.start_mm, self.unit, strict=True))
-        return x, y, z
+        return tuple([start + u * along_mm for start, u in zip(self.start_mm, self.unit, strict=True)])
 
 
 def block_to(start: Vector, target: Vector, feed_mm_s: float | None, rates: AxisRates, before: Block | None) -> Block | None:
@@ -67,8 +66,7 @@ def block_to(start: Vector, target: Vector, feed_mm_s: float | None, rates: Axis
     length = math.dist(start, target)
     if length == 0:
         return None
-    ux, uy, uz = ((t - s) / length for s, t in zip(start, target, strict=True))
-    unit = (ux, uy, uz)
+    unit = tuple([(t - s) / length for s, t in zip(start, target, strict=True)])
     top = rates.along(unit, rates.speed_mm_s)
     return Block(
         start_mm=start,
@@ -90,9 +88,9 @@ def junction_speed(before: Vector, after: Vector, rates: AxisRates) -> float:
         return 0.0
     if cosine < -0.999999:
         return math.inf
-    dx, dy, dz = (a - b for a, b in zip(after, before, strict=True))
-    size = math.hypot(dx, dy, dz)
-    accel = rates.along((dx / size, dy / size, dz / size), rates.accel_mm_s2)
+    turn = [a - b for a, b in zip(after, before, strict=True)]
+    size = math.hypot(*turn)
+    accel = rates.along(tuple([d / size for d in turn]), rates.accel_mm_s2)
     half_sine = math.sqrt((1 - cosine) / 2)
     return math.sqrt(accel * rates.deviation_mm * half_sine / (1 - half_sine))
 

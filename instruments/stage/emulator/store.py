@@ -1,12 +1,15 @@
 """The emulated controller's stored settings: defaults, how they print, what may be written, and what they mean in mm and s.
 
-It may not know the state of the board; whether writing is allowed now is the board's business.
+It may not know the state of the board; whether writing is allowed now is the board's business. Numbers up to $132 are
+those of the sheet; that a fourth axis has $103 to $133, and $44 to $46 name the axes of each homing pass, is from grblHAL's
+source and not recorded.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
+from instruments.stage.emulator.dialect import CLASSIC, Dialect
 from instruments.stage.emulator.homing import HomingRates
 from instruments.stage.emulator.phases import Vector
 from instruments.stage.emulator.planner import AxisRates
@@ -21,17 +24,25 @@ DEFAULTS: dict[int, float] = {
     120: 200, 121: 200, 122: 200,
     130: 300, 131: 275, 132: 50,
 }  # fmt: skip
+HAL_DEFAULTS: dict[int, float] = {40: 0, 43: 1, 44: 4, 45: 3, 46: 0}
+ROTARY_DEFAULTS: dict[int, float] = {46: 8, 103: 100, 113: 3600, 123: 360, 133: 360}  # per degree; homed in a pass of its own
 _WITH_DECIMALS = frozenset({11, 12, 24, 25, 27, *range(100, 140)})
+_CLASSIC_PASSES = ((2,), (0, 1))
 
 
 class Store:
-    """Settings by number. Raises ValueError for a number that the controller doesn't have."""
+    """Settings by number; ``axes`` is 3, or 4 with a rotation A. Raises ValueError for a number that the controller doesn't have."""
 
-    def __init__(self, changes: Mapping[int, float] | None = None) -> None:
-        unknown = set(changes or {}) - set(DEFAULTS)
+    def __init__(self, changes: Mapping[int, float] | None = None, *, dialect: Dialect = CLASSIC, axes: int = 3) -> None:
+        if not 3 <= axes <= dialect.most_axes:
+            raise ValueError(f"{dialect.name} has 3 to {dialect.most_axes} axes, not {axes}")
+        self.axes = axes
+        self._dialect = dialect
+        known = DEFAULTS | (HAL_DEFAULTS if dialect.homing_passes else {}) | (ROTARY_DEFAULTS if axes > 3 else {})
+        unknown = set(changes or {}) - set(known)
         if unknown:
             raise ValueError(f"the stage has no settings ${', $'.join(str(n) for n in sorted(unknown))}")
-        self._values = DEFAULTS | dict(changes or {})
+        self._values = dict(sorted((known | dict(changes or {})).items()))
 
     def __getitem__(self, number: int) -> float:
         return self._values[number]
@@ -60,13 +71,16 @@ class Store:
         return self._axes(130)
 
     @property
+    def at_far_end(self) -> frozenset[int]:
+        """Axes whose homing switch is at minus the travel."""
+        return frozenset(axis for axis in range(self.axes) if int(self._values[23]) >> axis & 1)
+
+    @property
     def rates(self) -> AxisRates:
-        x, y, z = (rate / 60 for rate in self._axes(110))
-        return AxisRates((x, y, z), self._axes(120), self._values[11])
+        return AxisRates(tuple([rate / 60 for rate in self._axes(110)]), self._axes(120), self._values[11])
 
     @property
     def homing(self) -> HomingRates:
-        inverted = int(self._values[23])
         return HomingRates(
             travel_mm=self.travel_mm,
             seek_mm_s=self._values[25] / 60,
@@ -74,17 +88,26 @@ class Store:
             accel_mm_s2=self._axes(120),
             pull_off_mm=self._values[27],
             debounce_s=self._values[26] / 1000,
-            at_far_end=frozenset(axis for axis in range(3) if inverted >> axis & 1),
+            passes=self._passes(),
+            at_far_end=self.at_far_end,
+            crooked_alarm=self._dialect.crooked_alarm,
         )
 
     def whole_steps(self, at_mm: Vector) -> Vector:
         """The nearest place that a whole number of steps reaches."""
-        x, y, z = (round(place * steps) / steps for place, steps in zip(at_mm, self._axes(100), strict=True))
-        return x, y, z
+        return tuple([round(place * steps) / steps for place, steps in zip(at_mm, self._axes(100), strict=True)])
 
     def beyond_travel(self, target_mm: Vector) -> bool:
         """Whether a target lies outside machine space, which is negative."""
         return any(place > 0 or place < -travel for place, travel in zip(target_mm, self.travel_mm, strict=True))
 
+    def _passes(self) -> tuple[tuple[int, ...], ...]:
+        if not self._dialect.homing_passes:
+            return _CLASSIC_PASSES
+        masks = [int(self._values[number]) for number in (44, 45, 46)]
+        passes = (tuple(axis for axis in range(self.axes) if mask >> axis & 1) for mask in masks)
+        return tuple(axes for axes in passes if axes)
+
     def _axes(self, first: int) -> Vector:
-        return self._values[first], self._values[first + 1], self._values[first + 2]
+        values = self._values
+        return tuple([values[number] for number in range(first, first + self.axes)])

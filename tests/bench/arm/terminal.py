@@ -15,6 +15,7 @@ import pytest
 from tests.conftest import ROOT
 
 PATIENCE_S = 20.0
+OWN_TERMINAL = "import fcntl, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); from bench.cli import main; sys.exit(main())"
 
 
 class Terminal:
@@ -39,6 +40,21 @@ class Terminal:
         """Type ``line`` and Enter."""
         os.write(self._fd, f"{line}\n".encode())
 
+    def press(self, key: str) -> None:
+        """Press one key, and no Enter."""
+        os.write(self._fd, key.encode())
+
+    def hang_up(self) -> int:
+        """Close the terminal; gives back the command's exit code."""
+        os.close(self._fd)
+        self._fd = -1
+        return self._child.wait(timeout=PATIENCE_S)
+
+    def close(self) -> None:
+        """The terminal is no longer needed."""
+        if self._fd >= 0:
+            os.close(self._fd)
+
     def code(self) -> int:
         """Read to its end; gives back its exit code."""
         deadline = time.monotonic() + PATIENCE_S
@@ -59,20 +75,21 @@ class Terminal:
 
 @contextmanager
 def at_terminal(arguments: Sequence[str]) -> Iterator[Terminal]:
-    """``teatbench`` with ``arguments`` at a terminal of its own; skipped where there are none of this kind."""
+    """``teatbench`` with ``arguments`` at a terminal of its own, which Ctrl-C and hanging up work on; skipped where there are none."""
     if sys.platform == "win32":
         pytest.skip("needs a pseudo-terminal, which Windows has not")
     import pty
 
     near, far = pty.openpty()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200", "NO_COLOR": "1"}
-    command = [sys.executable, "-m", "bench.cli", *arguments]
+    command = [sys.executable, "-c", OWN_TERMINAL, *arguments]
     child = subprocess.Popen(command, stdin=far, stdout=far, stderr=far, env=environment, cwd=ROOT, start_new_session=True)
     os.close(far)
+    terminal = Terminal(child, near)
     try:
-        yield Terminal(child, near)
+        yield terminal
     finally:
         if child.poll() is None:
             child.kill()
         child.wait(timeout=PATIENCE_S)
-        os.close(near)
+        terminal.close()

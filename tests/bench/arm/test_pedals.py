@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import pytest
@@ -12,8 +9,6 @@ import pytest
 from bench.arm.pedals import pedal_watch
 from instruments.clock import VirtualClock
 from instruments.microscribe.protocol import Packet
-from instruments.operators.console import ConsoleOperator
-from instruments.operators.operator import OperatorAbort
 
 
 @dataclass
@@ -48,21 +43,3 @@ def test_a_bounce_is_no_press_and_a_foot_that_was_there_has_to_come_up() -> None
     assert answered_after([(0.0, 3.0)]) is None
     after = answered_after([(0.0, 1.0), (1.5, 2.0)])
     assert after == pytest.approx(1.52, abs=0.015)
-
-
-def test_without_a_terminal_nobody_asks_the_pedals() -> None:
-    """Answers from a file or a pipe: the pedals are not even polled."""
-
-    def never() -> Callable[[float], bool]:
-        raise AssertionError("the pedals were watched")
-
-    out = io.StringIO()
-    person = ConsoleOperator(io.StringIO("\n" * 6 + "a\n"), out, watch=never)
-    for touch in range(1, 7):
-        person.touch_check_point(touch, 6)
-    assert "pedal" not in out.getvalue()
-    leans = re.findall(r"the stylus ([a-z ]+),", out.getvalue())
-    assert len(set(leans[:5])) == 5
-    assert leans[5] == leans[0]
-    with pytest.raises(OperatorAbort):
-        person.touch_check_point(1, 6)

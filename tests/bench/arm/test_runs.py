@@ -124,7 +124,7 @@ def test_an_arm_elsewhere_scores_like_one_in_its_place(in_place: Done, elsewhere
 
 def test_the_frame_has_its_line_in_the_uncertainty_budget(in_place: Done, elsewhere: Done) -> None:
     def budget(run: Done) -> dict[str, float]:
-        return {line["name"]: line["u_mm"] for line in run.run.facts["truth budget"]["components"]}
+        return {line["name"]: line["u_mm"] for line in json.loads(run.run.trials[-1].truth[-1]["budget"])["components"]}
 
     assert "registration" not in budget(in_place)
     assert 0.1 < budget(elsewhere)["registration"] < 0.8

@@ -1,12 +1,12 @@
-"""Driver against emulator, every shipped profile, through faults in any order.
+"""Driver against emulators, every shipped profile, through faults in any order; a family without a pump has a relay's.
 
-Never a wrong value, never a set point that nobody asked for, never a start against an alarm, and safe in the end.
+Never a wrong value, never a set point that nobody asked for, never a start against an alarm or without a pump, and safe in the end.
 """
 
 from __future__ import annotations
 
 import threading
-from contextlib import closing, suppress
+from contextlib import suppress
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
@@ -14,52 +14,19 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule, run_state_machine_as_test
 
 from instruments.bath.driver import Bath
-from instruments.bath.emulator import FAULTS, BathEmulator, Framing
-from instruments.bath.profile import load_profile, profile_names
+from instruments.bath.emulator import FAULTS
+from instruments.bath.profile import load_relay, profile_names
 from instruments.bath.reading import BathReading
-from instruments.clock import VirtualClock
+from instruments.bath.relay import PumpAt
+from instruments.bath.relay_emulator import POWER_CUT, RELAY_FAULTS, RelayEmulator
 from instruments.errors import InstrumentError
-from instruments.listener import Connection, Listener
+from instruments.listener import Listener
 from instruments.world.plant import Plant, PlantConstants
+from tests.instruments.bath.moving import SCHEMES, Cable, MovingClock
 
 SET_POINTS = [20.0, 25.5, 33.0]
 FASTEST_K_PER_S = 1.9 / 60.0  # full power; a stuck heater is no faster
 SEES_NO_SENSOR_BREAK = {"watlow-pm-map1"}  # where it tells is only inferred, and so not polled
-MOST_LOOKS = 10_000  # at one moment of virtual time
-SCHEMES: dict[Framing, str] = {"tcp": "tcp", "rtu": "rtu+tcp"}
-
-
-class MovingClock(VirtualClock):
-    """Virtual time that notices when somebody waits for it and does not let it move: a hang, told at once."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._seen_s, self._looks = -1.0, 0
-
-    def now(self) -> float:
-        now_s = super().now()
-        self._looks = self._looks + 1 if now_s == self._seen_s else 0
-        self._seen_s = now_s
-        if self._looks > MOST_LOOKS:
-            self._looks = 0
-            raise AssertionError(f"virtual time stands still at {now_s!r}")
-        return now_s
-
-
-class Cable(BathEmulator):
-    """Knows who is connected, to pull the cable."""
-
-    def __init__(self, plant: Plant, name: str, clock: VirtualClock) -> None:
-        super().__init__(plant, load_profile(name), clock)
-        self.hosts: set[Connection] = set()
-
-    def connect(self, connection: Connection) -> None:
-        super().connect(connection)
-        self.hosts.add(connection)
-
-    def disconnect(self, connection: Connection) -> None:
-        super().disconnect(connection)
-        self.hosts.discard(connection)
 
 
 class BathInAnyOrder(RuleBasedStateMachine):
@@ -76,7 +43,18 @@ class BathInAnyOrder(RuleBasedStateMachine):
         self.lock = threading.RLock()
         self.listener = Listener(self.emulator, self.clock, lock=self.lock, name="bath")
         url = f"{SCHEMES[self.emulator.framing]}://127.0.0.1:{self.listener.port}"
-        self.bath = Bath(url, self.emulator.profile, self.clock)
+        self.relay, self.relay_listener, pump = self.with_relay()
+        self.relay_was_cut = False
+        self.bath = Bath(url, self.emulator.profile, self.clock, pump=pump)
+
+    def with_relay(self) -> tuple[RelayEmulator | None, Listener | None, PumpAt | None]:
+        """A relay beside a controller without a pump."""
+        if self.emulator.profile.capabilities.pump != "none":
+            return None, None, None
+        profile = load_relay("modbus-relay")
+        relay = RelayEmulator(self.plant, profile, self.clock, framing=self.emulator.framing)
+        listener = Listener(relay, self.clock, lock=self.lock, name="pump")
+        return relay, listener, PumpAt(f"{SCHEMES[relay.framing]}://127.0.0.1:{listener.port}", profile)
 
     @rule(data=st.data(), on=st.booleans())
     def break_or_mend(self, data: st.DataObject, on: bool) -> None:
@@ -84,17 +62,48 @@ class BathInAnyOrder(RuleBasedStateMachine):
         with self.lock:
             self.emulator.fault(fault, on=on)
 
+    @precondition(lambda self: self.relay)
+    @rule(data=st.data(), on=st.booleans())
+    def break_or_mend_the_relay(self, data: st.DataObject, on: bool) -> None:
+        relay = self.relay
+        assert relay
+        fault = data.draw(st.sampled_from([f for f in RELAY_FAULTS if f != "bad CRC" or relay.framing == "rtu"]))
+        with self.lock:
+            relay.fault(fault, on=on)
+        self.relay_was_cut |= on and fault == POWER_CUT
+
+    @precondition(lambda self: self.relay)
+    @rule(label=st.sampled_from(["on", "off"]))
+    def switch_the_pump(self, label: str) -> None:
+        try:
+            self.bath.set("pump", label)
+        except InstrumentError:
+            return
+        assert self.plant.pump == label
+
+    @precondition(lambda self: self.relay)
+    @rule()
+    def look_at_the_pump(self) -> None:
+        try:
+            shown = self.bath.get("pump")
+        except InstrumentError:
+            return
+        assert shown == float(self.plant.pump == "on")
+
     @rule(late_s=st.sampled_from([0.3, 0.9, 1.1, 1.5, 2.2, 3.8, 6.0]))
     def late(self, late_s: float) -> None:
         self.emulator.late_s = late_s
         self.emulator.fault("late answer")
 
-    @precondition(lambda self: self.emulator.faults)
+    @precondition(lambda self: self.emulator.faults or (self.relay and self.relay.faults))
     @rule()
     def mend_all(self) -> None:
         with self.lock:
             for fault in self.emulator.faults:
                 self.emulator.fault(fault, on=False)
+            if self.relay:
+                for fault in self.relay.faults:
+                    self.relay.fault(fault, on=False)
             self.plant.acknowledge()
 
     @rule()
@@ -116,8 +125,18 @@ class BathInAnyOrder(RuleBasedStateMachine):
             return
         took_s = self.clock.now() - before_s
         assert reading.temp_c == pytest.approx(before_c, abs=0.051 + FASTEST_K_PER_S * took_s)  # 0.1 K is what 16 bits resolve
+        assert reading.set_point_c == pytest.approx(self.plant.set_point_c, abs=0.051)
         if self.plant.broken_sensor and self.profile not in SEES_NO_SENSOR_BREAK:
             assert reading.alarm
+
+    @rule()
+    def get_run(self) -> None:
+        try:
+            shown = self.bath.get("run")
+        except InstrumentError:
+            return
+        codes = self.bath.profile.row("run")
+        assert (shown == codes.values["standby"]) != self.plant.running
 
     @rule()
     def get(self) -> None:
@@ -137,6 +156,8 @@ class BathInAnyOrder(RuleBasedStateMachine):
         except InstrumentError:
             return
         assert self.plant.running
+        assert self.relay is None or self.plant.pump == "on"
+        self.relay_was_cut = False
         assert self.plant.set_point_c == pytest.approx(wanted_c, abs=0.051)
         assert self.plant.manual_output is None or "manual mode" in self.emulator.faults
         if self.emulator.profile.capabilities.level == "alarm":
@@ -183,6 +204,11 @@ class BathInAnyOrder(RuleBasedStateMachine):
     def no_heat_where_no_water_is(self) -> None:
         assert not (self.plant.level_low and self.plant.heat_w)
 
+    @invariant()
+    def no_heat_without_a_pump_but_by_a_power_cut(self) -> None:
+        if self.relay and self.plant.running and not self.relay_was_cut:
+            assert self.plant.pump == "on"
+
     def now_c(self) -> float:
         self.plant.advance_to(self.clock.now())
         return self.plant.pv_c
@@ -208,6 +234,8 @@ class BathInAnyOrder(RuleBasedStateMachine):
         finally:
             self.bath.close()
             self.listener.close()
+            if self.relay_listener:
+                self.relay_listener.close()
 
 
 @pytest.mark.parametrize("name", profile_names())
@@ -216,46 +244,10 @@ def test_any_order(name: str) -> None:
     run_state_machine_as_test(
         machine,
         settings=settings(
-            max_examples=15,
+            max_examples=25,
             stateful_step_count=20,
             deadline=None,
             phases=[Phase.explicit, Phase.reuse, Phase.generate],  # as found: to shrink a run that hangs takes minutes
             suppress_health_check=list(HealthCheck),
         ),
     )
-
-
-def connected(name: str, clock: VirtualClock) -> tuple[Cable, Listener, Bath]:
-    emulator = Cable(Plant(1, constants=PlantConstants(sensor_noise_k=0.0)), name, clock)
-    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
-    return emulator, listener, Bath(f"{SCHEMES[emulator.framing]}://127.0.0.1:{listener.port}", emulator.profile, clock)
-
-
-@pytest.mark.parametrize("start_s", [26.60000000000002, 28.600000000000012, 62.300000000000054])
-def test_a_late_answer_stops_no_clock_whatever_the_rounding(start_s: float) -> None:
-    """Times that the rule machine found: a deadline and a late answer, one step of rounding apart."""
-    clock = MovingClock()
-    emulator, listener, bath = connected("julabo-presto", clock)
-    with closing(listener), closing(bath):
-        clock.sleep(start_s - clock.now())
-        emulator.late_s = 1.1
-        emulator.fault("late answer")
-        for _ in range(3):
-            with suppress(InstrumentError):
-                bath.get("set_point")
-        assert clock.now() > start_s + 3.0
-
-
-@pytest.mark.parametrize("name", ["watlow-pm-map1", "watlow-pm-map2"])
-@pytest.mark.parametrize("temp_c", [20.01, 20.03, 25.07, 33.03])
-def test_words_turned_behind_our_back_are_never_a_value(name: str, temp_c: float) -> None:
-    """20.03 degC with its words the other way round is 0.06 degC, which a bath may have; the set point tells."""
-    clock = MovingClock()
-    emulator, listener, bath = connected(name, clock)
-    with closing(listener), closing(bath):
-        bath.set_point(25.5)
-        emulator.plant.pv_c = temp_c
-        assert bath.read().temp_c == pytest.approx(temp_c)
-        emulator.fault("word order")
-        with pytest.raises(InstrumentError):
-            bath.read()

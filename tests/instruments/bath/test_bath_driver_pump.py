@@ -196,8 +196,57 @@ def test_faults_of_a_pump_are_shown_in_their_place(real_rig: Path, name: str, ol
     assert f"{path}:" in str(caught.value)
 
 
-def test_an_emulated_bath_takes_no_relay(rig: Path) -> None:  # noqa: F811 - the fixture
+def test_a_real_bath_has_no_emulated_pump(real_rig: Path) -> None:
+    change(real_rig, 'pump_url = "/dev/ttyUSB1?unit=5"', 'pump_url = "emulator:"')
+    with pytest.raises(ConfigError, match=r"bath\.pump_url: bath and pump are both emulated or both real"):
+        load_rig(real_rig)
+
+
+def test_an_emulated_bath_has_no_real_pump(rig: Path) -> None:  # noqa: F811 - the fixture
     rig.with_name("relay.toml").write_text(RELAY, encoding="utf-8")
     change(rig, 'profile = "own.toml"', f'profile = "own.toml"\n{PUMP}')
-    with pytest.raises(ConfigError, match=r"an emulated bath has its pump already"):
+    with pytest.raises(ConfigError, match=r"bath\.pump_url: bath and pump are both emulated or both real"):
         load_rig(rig)
+
+
+def test_a_shipped_relay_by_its_name(real_rig: Path) -> None:
+    change(real_rig, 'pump_profile = "relay.toml"', 'pump_profile = "modbus-relay"')
+    loaded = load_rig(real_rig)
+    assert loaded.relay is not None
+    assert loaded.relay.family == "Modbus relay board"
+    change(real_rig, 'pump_profile = "modbus-relay"', 'pump_profile = "modbus-rely"')
+    with pytest.raises(ConfigError, match=r'no such profile; did you mean "modbus-relay"\? .*shipped: modbus-relay'):
+        load_rig(real_rig)
+
+
+def test_an_inferred_relay_is_not_switched_unless_the_rig_says_so(relay: RelayProfile) -> None:
+    rows = tuple(row.model_copy(update={"evidence": "INFERRED"}) for row in relay.rows)
+    doubtful = relay.model_copy(update={"rows": rows})
+    clock = VirtualClock()
+    controller, box = FarEnd(clock), FarEnd(clock, framing="tcp")
+    controller.memory = dict(OMEGA)
+    with served(controller) as url, served(box) as pump_url:
+        bath = Bath(url, load_profile("omega-cn7"), clock, pump=PumpAt(pump_url, doubtful))
+        with pytest.raises(LimitError, match="only infers where pump is"):
+            bath.set("pump", "on")
+        assert box.memory == {}
+        bath.close()
+        bath = Bath(url, load_profile("omega-cn7"), clock, pump=PumpAt(pump_url, doubtful), allow_inferred=True)
+        bath.set("pump", "on")
+        assert box.memory == {2: 1}
+        bath.close()
+
+
+@pytest.mark.parametrize("off", ["off", 0.0, 0])
+def test_the_pump_is_not_switched_off_before_the_heater(line: tuple[Multidrop, str], relay: RelayProfile, off: float | str) -> None:
+    far_end, url = line
+    bath = Bath(url, load_profile("omega-cn7"), far_end.clock, pump=PumpAt(f"{url}?unit=5", relay))
+    bath.set("pump", "on")
+    bath.start(33.0)
+    with pytest.raises(LimitError, match=r"the pump is not switched off while the controller is started.*Put the controller into standby"):
+        bath.set("pump", off)
+    assert far_end.relay.memory[2] == 1
+    bath.safe()
+    bath.set("pump", off)
+    assert far_end.relay.memory[2] == 0
+    bath.close()

@@ -206,7 +206,7 @@ def test_a_cable_that_comes_back_is_a_new_line(wired: Wired) -> None:
 
 
 def test_a_port_that_drops_comes_back(wired: Wired) -> None:
-    hosts: list[Connection] = list(wired.emulator._readers)
+    hosts: list[Connection] = list(wired.emulator._server._readers)
     hosts[0].hang_up()
     with pytest.raises(LinkError):
         wired.link.receive(1.0)

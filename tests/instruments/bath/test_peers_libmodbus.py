@@ -19,7 +19,8 @@ import pytest
 
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.line import parse_line
-from instruments.bath.transactions import RefusedError, Transactions
+from instruments.bath.transactions import Transactions
+from instruments.bath.troubles import RefusedError
 from instruments.clock import RealClock
 from instruments.errors import InstrumentError, LinkError, ProtocolError
 from instruments.listener import Listener

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import pytest
 
 from instruments.bath.emulator import BathEmulator, Framing
-from instruments.bath.profile import load_profile, profile_names
+from instruments.bath.profile import load_profile, load_relay, profile_names, relay_names
+from instruments.bath.relay_emulator import RelayEmulator
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.pty_listener import PtyListener
@@ -48,9 +49,12 @@ SEEN = {
     "omega-cn7": Seen(("4", 0x1000), ("4", 0x1001), ("0", 0x0814), "1", "0", scale=0.1, run_read="1"),
 }
 
+RELAYS = {"modbus-relay": ("0", 0)}  # ``-t`` type and address of the contact
+
 
 def test_every_shipped_profile_has_its_witness() -> None:
     assert set(SEEN) == set(profile_names())
+    assert set(RELAYS) == set(relay_names())
 
 
 @dataclass
@@ -58,7 +62,7 @@ class Polled:
     """An emulated controller in real time, and mbpoll pointed at it."""
 
     plant: Plant
-    emulator: BathEmulator
+    emulator: BathEmulator | RelayEmulator
     where: list[str]
 
     def ask(self, kind: str, address: int, *values: str, unit: int = 1, high: bool = True) -> subprocess.CompletedProcess[str]:
@@ -84,7 +88,11 @@ def polled(name: str, transport: str) -> Iterator[Polled]:
     program("mbpoll")
     clock, plant = RealClock(), Plant(1, constants=PlantConstants(sensor_noise_k=0.0))
     framing: Framing = "tcp" if transport == "tcp" else "rtu"
-    emulator = BathEmulator(plant, load_profile(name), clock, framing=framing)
+    emulator: BathEmulator | RelayEmulator
+    if name in RELAYS:
+        emulator = RelayEmulator(plant, load_relay(name), clock, framing=framing)
+    else:
+        emulator = BathEmulator(plant, load_profile(name), clock, framing=framing)
     lock = threading.RLock()
     listener = (
         Listener(emulator, clock, lock=lock, name="bath") if transport == "tcp" else PtyListener(emulator, clock, lock=lock, name="bath")
@@ -117,6 +125,19 @@ def test_mbpoll_reads_and_writes(name: str, transport: str) -> None:
         assert bath.read(seen.run_read or seen.run[0], seen.run[1]) == seen.started
         bath.write(*seen.run, seen.standby)
         assert not bath.plant.running
+
+
+@pytest.mark.parametrize("transport", ["tcp", "pty"])
+@pytest.mark.parametrize("name", RELAYS)
+def test_mbpoll_switches_the_pump(name: str, transport: str) -> None:
+    kind, address = RELAYS[name]
+    with polled(name, transport) as relay:
+        for state in ("0", "1", "0"):
+            if relay.plant.pump_on != (state == "1"):
+                relay.write(kind, address, state)
+            assert relay.read(kind, address) == state
+            assert relay.plant.pump_on == (state == "1")
+        assert "timed out" in relay.ask(kind, address, unit=2).stderr
 
 
 @pytest.mark.parametrize("transport", ["tcp", "pty"])

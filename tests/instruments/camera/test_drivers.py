@@ -2,47 +2,24 @@
 
 from __future__ import annotations
 
-import tomllib
-from dataclasses import dataclass, field, replace
-from functools import cache
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from instruments.camera.cameras import Camera, CameraSet
+from instruments.camera.conversion import Conversion, Radiometry
 from instruments.camera.emulator import EmulatedCameras
-from instruments.camera.opencv import OpenCvCameras
+from instruments.camera.opencv import OpenCvCamera, fourcc_name, is_live
+from instruments.camera.raw import RawFrame
+from instruments.camera.settings import Settings
 from instruments.clock import VirtualClock
-from instruments.errors import DeviceError, LinkError
-from instruments.world.scene import Renderer, SceneState
-from tests.situations import situation
-
-ROOT = Path(__file__).resolve().parents[3]
-
-
-@cache
-def renderer() -> Renderer:
-    table = tomllib.loads((ROOT / "bench/rigs/calibration.toml").read_text(encoding="utf-8"))
-    return Renderer.from_calibration(table, camera_seed=7)
-
-
-@dataclass
-class SmallWorld:
-    """A world where nothing happens but what the test changes."""
-
-    state: SceneState = field(default_factory=lambda: situation("spurious_teat"))
-    clock: VirtualClock = field(default_factory=VirtualClock)
-
-    @property
-    def renderer(self) -> Renderer:
-        return renderer()
-
-    def scene(self) -> SceneState:
-        return self.state
-
-    def frame_rng(self, kind: str, index: int) -> np.random.Generator:
-        return np.random.default_rng([3, *kind.encode(), index])
+from instruments.errors import DeviceError, LinkError, ProtocolError
+from tests.instruments.camera.small_world import SmallWorld
 
 
 def test_emulated_cameras_see_the_world_as_it_is() -> None:
@@ -78,10 +55,14 @@ def video(path: Path, level: int, frames: int = 3) -> str:
     return str(path)
 
 
+def pair(left: str, right: str, clock: VirtualClock) -> CameraSet:
+    return CameraSet({"left": lambda: OpenCvCamera("left", left, clock), "right": lambda: OpenCvCamera("right", right, clock)}, {})
+
+
 def test_opencv_plays_a_recorded_video_to_its_end(tmp_path: Path) -> None:
     clock = VirtualClock()
     clock.sleep(3.0)
-    cameras = OpenCvCameras({"left": video(tmp_path / "left.avi", 40), "right": video(tmp_path / "right.avi", 120)}, clock)
+    cameras = pair(video(tmp_path / "left.avi", 40), video(tmp_path / "right.avi", 120), clock)
     assert "64 x 48" in cameras.identity["left"]
     for i in range(3):
         frames = cameras.capture()
@@ -96,13 +77,82 @@ def test_opencv_plays_a_recorded_video_to_its_end(tmp_path: Path) -> None:
     cameras.close()
 
 
-def test_opencv_says_which_camera_does_not_open(tmp_path: Path) -> None:
-    sources = {"left": video(tmp_path / "left.avi", 40), "right": str(tmp_path / "nothing.avi")}
+def test_opencv_says_which_camera_does_not_open_and_lets_the_others_go(tmp_path: Path) -> None:
+    closed: list[str] = []
+
+    class Seen(Still):
+        def close(self) -> None:
+            closed.append("left")
+
+    openers: Mapping[str, Any] = {"left": Seen, "right": lambda: OpenCvCamera("right", str(tmp_path / "nothing.avi"), VirtualClock())}
     with pytest.raises(LinkError, match=r"right camera at .*nothing\.avi: can't be opened"):
-        OpenCvCameras(sources, VirtualClock())
+        CameraSet(openers, {})
+    assert closed == ["left"]
 
 
-@pytest.mark.parametrize("names", [("left",), ("left", "right", "middle"), ()])
-def test_opencv_needs_left_and_right(names: tuple[str, ...]) -> None:
-    with pytest.raises(DeviceError, match="needs sources for left, right"):
-        OpenCvCameras(dict.fromkeys(names, 0), VirtualClock())
+def test_what_a_file_cannot_be_set_to_is_an_error_unless_tried(tmp_path: Path) -> None:
+    path = video(tmp_path / "left.avi", 40)
+    asked: dict[str, Any] = {"resolution": (640, 480), "exposure": 100.0, "gain": 2.0, "pixel_format": "YUYV"}
+    with pytest.raises(
+        DeviceError, match=r"pixel_format asked YUYV, is MJPG; resolution asked 640 x 480, is 64 x 48; exposure asked 100, is -?\d; gain"
+    ):
+        OpenCvCamera("left", path, VirtualClock(), Settings(**asked))
+    camera = OpenCvCamera("left", path, VirtualClock(), Settings(**asked, tries=frozenset({"all"})))
+    assert "resolution asked 640 x 480, is 64 x 48" in camera.identity
+    camera.close()
+    taken = OpenCvCamera("left", path, VirtualClock(), Settings(resolution=(64, 48), pixel_format="MJPG", fps=10.0))
+    assert taken.identity.endswith("(FFMPEG, 64 x 48)")
+    taken.close()
+
+
+@pytest.mark.parametrize(
+    ("source", "live"),
+    [(0, True), ("/dev/video0", True), ("http://h/a.mjpg", True), ("rtsp://h/a", True), ("C:\\a.avi", False), ("a.avi", False)],
+)
+def test_which_sources_are_live(source: int | str, live: bool) -> None:
+    assert is_live(source) is live
+
+
+def test_names_of_pixel_formats() -> None:
+    assert fourcc_name(float(cv2.VideoWriter.fourcc(*"MJPG"))) == "MJPG"
+    assert fourcc_name(0.0) == fourcc_name(-1.0) == "none"
+
+
+class Still:
+    """A camera that always gives the same frame."""
+
+    def __init__(self, pixels: Any = None, bits: int = 8) -> None:
+        self.frame = RawFrame(np.full((4, 6), 7, np.uint8) if pixels is None else pixels, 1.0, bits)
+        self.identity = "still"
+
+    def begin(self) -> None:
+        pass
+
+    def take(self) -> RawFrame:
+        return self.frame
+
+    def close(self) -> None:
+        pass
+
+
+def of(**cameras: Camera) -> dict[str, Any]:
+    return {name: (lambda camera=camera: camera) for name, camera in cameras.items()}
+
+
+def test_a_radiometric_camera_gives_temperatures_and_no_picture() -> None:
+    thermal = Still(np.full((3, 4), 7600, np.uint16), 16)
+    cameras = CameraSet(of(left=Still(), right=Still(), thermal=thermal), {"thermal": Conversion(radiometry=Radiometry(0.04))})
+    frames = cameras.capture()
+    assert frames.thermal is None
+    assert frames.thermal_k is not None
+    assert frames.thermal_k == pytest.approx(np.full((3, 4), 304.0))
+    assert frames.exposed_s == {"left": 1.0, "right": 1.0, "thermal": 1.0}
+
+
+def test_what_is_declared_wrongly_is_said() -> None:
+    thermal = Still(np.full((3, 4), 60000, np.uint16), 16)
+    cameras = CameraSet(of(left=Still(), right=Still(), thermal=thermal), {"thermal": Conversion(radiometry=Radiometry(0.04))})
+    with pytest.raises(ProtocolError, match="kelvin_per_count or kelvin_at_zero is wrong"):
+        cameras.capture()
+    with pytest.raises(ValueError, match="left, right and perhaps thermal, got left"):
+        CameraSet(of(left=Still()), {})

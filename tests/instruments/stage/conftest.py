@@ -1,14 +1,65 @@
-"""No test of the stage may leave a thread behind."""
+"""What the stage's tests share: a driver with its emulator, and the bare board. No test may leave a thread behind."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
+
+from instruments.stage.emulator import CLASSIC, GRBL_HAL
+from tests.instruments.stage.board import UNLOCKED, Board
+from tests.instruments.stage.stage_bench import Bench
 
 
 @pytest.fixture(autouse=True)
 def _no_thread_is_left() -> Iterator[None]:
     yield
     assert [thread.name for thread in threading.enumerate() if thread.name in ("stage emulator", "clock")] == []
+
+
+@pytest.fixture
+def make() -> Iterator[Callable[..., Bench]]:
+    """Benches with the arguments of `Bench`."""
+    benches: list[Bench] = []
+
+    def one(*arguments: Any, **more: Any) -> Bench:
+        benches.append(Bench(*arguments, **more))
+        return benches[-1]
+
+    yield one
+    for bench in benches:
+        bench.close()
+
+
+@pytest.fixture(params=[CLASSIC, GRBL_HAL], ids=["grbl", "grblHAL"])
+def bench(make: Callable[..., Bench], request: pytest.FixtureRequest) -> Bench:
+    return make(dialect=request.param)
+
+
+@pytest.fixture
+def make_board() -> Iterator[Callable[..., Board]]:
+    """Boards with the arguments of `Board`."""
+    boards: list[Board] = []
+
+    def one(*arguments: Any, **more: Any) -> Board:
+        boards.append(Board(*arguments, **more))
+        return boards[-1]
+
+    yield one
+    for board in boards:
+        board.close()
+
+
+@pytest.fixture
+def board(make_board: Callable[..., Board]) -> Board:
+    return make_board()
+
+
+@pytest.fixture
+def free(make_board: Callable[..., Board]) -> Board:
+    """Unlocked without homing, soft limits off, count 0 in the middle of the table."""
+    board = make_board({20: 0})
+    assert board.say(b"$X\n") == UNLOCKED
+    return board

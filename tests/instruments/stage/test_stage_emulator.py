@@ -1,4 +1,4 @@
-"""The emulated board, byte by byte, against the transcripts of the fact sheet."""
+"""The emulated board, byte by byte: lines and their answers, homing, moves, reports."""
 
 from __future__ import annotations
 
@@ -6,97 +6,17 @@ import contextlib
 import math
 import re
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 
 import pytest
 
 from instruments.clock import RealClock, VirtualClock
-from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.listener import Listener
-from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, Fault, StageEmulator
-
-WELCOME = b"\r\nGrbl 1.1h ['$' for help]\r\n"
-LOCK = b"[MSG:'$H'|'$X' to unlock]\r\n"
-UNLOCKED = b"[MSG:Caution: Unlocked]\r\nok\r\n"
-
-
-class Board:
-    """The emulator on a link: raw bytes out, raw bytes back."""
-
-    def __init__(self, settings: Mapping[int, float] | None = None, *, dialect: Dialect = CLASSIC, fresh_eeprom: bool = False) -> None:
-        self.clock = VirtualClock()
-        self.emulator = StageEmulator(self.clock, settings=settings, dialect=dialect, fresh_eeprom=fresh_eeprom)
-        self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="stage")
-        self.links: list[Link] = []
-        self.greeting = self.plug_in()
-
-    def plug_in(self) -> bytes:
-        self.links.append(Link(self.listener.url, self.clock, who="stage"))
-        return self.hear(0.0)
-
-    def hear(self, seconds: float) -> bytes:
-        """All that comes within ``seconds`` of virtual time, all of which passes."""
-        until, got = self.clock.now() + seconds, b""
-        while data := self.links[-1].receive(max(0.0, until - self.clock.now())):
-            got += data
-        return got
-
-    def say(self, data: bytes, seconds: float = 0.0) -> bytes:
-        self.links[-1].write(data)
-        return self.hear(seconds)
-
-    def hear_until_broken(self) -> None:
-        """Ask every second for a minute."""
-        for _ in range(60):
-            self.say(b"?", 1.0)
-
-    def unlock(self) -> None:
-        assert self.say(b"$X\n") == UNLOCKED
-
-    def answered_at(self, data: bytes) -> float:
-        """Seconds until the one answer to ``data`` comes."""
-        start = self.clock.now()
-        self.links[-1].write(data)
-        assert self.links[-1].read_until(b"ok\r\n", 3600) == b"ok\r\n"
-        return self.clock.now() - start
-
-    def state(self) -> bytes:
-        return self.say(b"?")[1:].split(b"|")[0]
-
-    def close(self) -> None:
-        for link in self.links:
-            link.close()
-        self.listener.close()
-
+from instruments.stage.emulator import GRBL_HAL, StageEmulator
+from tests.instruments.stage.board import LOCK, UNLOCKED, WELCOME, Board
 
 Make = Callable[..., Board]
-
-
-@pytest.fixture
-def make() -> Iterator[Make]:
-    boards: list[Board] = []
-
-    def one(settings: Mapping[int, float] | None = None, *, dialect: Dialect = CLASSIC, fresh_eeprom: bool = False) -> Board:
-        boards.append(Board(settings, dialect=dialect, fresh_eeprom=fresh_eeprom))
-        return boards[-1]
-
-    yield one
-    for board in boards:
-        board.close()
-
-
-@pytest.fixture
-def board(make: Make) -> Board:
-    return make()
-
-
-@pytest.fixture
-def free(make: Make) -> Board:
-    """Unlocked without homing, soft limits off, count 0 in the middle of the table."""
-    board = make({20: 0})
-    board.unlock()
-    return board
 
 
 def test_a_locked_board_says_so_and_refuses_gcode(board: Board) -> None:
@@ -107,17 +27,11 @@ def test_a_locked_board_says_so_and_refuses_gcode(board: Board) -> None:
     assert board.state() == b"Idle"
 
 
-def test_a_board_without_homing_starts_idle(make: Make) -> None:
-    board = make({22: 0, 20: 0})
+def test_a_board_without_homing_starts_idle(make_board: Make) -> None:
+    board = make_board({22: 0, 20: 0})
     assert board.greeting == WELCOME
     assert board.say(b"$H\n") == b"error:5\r\n"
     assert board.state() == b"Idle"
-
-
-def test_a_fresh_eeprom_speaks_of_an_error_first(make: Make) -> None:
-    greeting = make(fresh_eeprom=True).greeting
-    assert greeting.startswith(b"error:7\r\n$0=10\r\n$1=25\r\n")
-    assert greeting.endswith(b"$132=50.000\r\n" + WELCOME + LOCK)
 
 
 def test_identity_and_settings(board: Board) -> None:
@@ -170,8 +84,8 @@ def test_both_line_ends_are_lines(free: Board) -> None:
     assert free.say(b"G21\r\n") == b"ok\r\nok\r\n"
 
 
-def test_soft_limits_need_homing(make: Make) -> None:
-    board = make({20: 0, 22: 0})
+def test_soft_limits_need_homing(make_board: Make) -> None:
+    board = make_board({20: 0, 22: 0})
     assert board.say(b"$20=1\n") == b"error:10\r\n"
     assert board.say(b"$22=1\n$20=1\n$22=0\n") == b"ok\r\nok\r\nok\r\n"
     assert b"$20=0" in board.say(b"$$\n")
@@ -189,79 +103,6 @@ def test_homing_answers_only_when_done_and_is_silent_until_then(board: Board) ->
     assert board.emulator.position_mm() == pytest.approx([-1, -1, -1])
 
 
-def test_a_reset_while_homing_is_alarm_6(board: Board) -> None:
-    board.say(b"$H\n", 3.0)
-    assert board.say(b"\x18") == b"ALARM:6\r\nok\r\n" + WELCOME + LOCK
-
-
-def test_failed_homing_gives_alarm_ok_and_a_welcome(board: Board) -> None:
-    board.emulator.inject(Fault.NO_SWITCH)
-    assert board.say(b"$H\n", 60.0) == b"ALARM:9\r\nok\r\n" + WELCOME + LOCK
-    board.emulator.cure(Fault.NO_SWITCH)
-    board.emulator.inject(Fault.STUCK_SWITCH)
-    assert board.say(b"$H\n", 60.0) == b"ALARM:8\r\nok\r\n" + WELCOME + LOCK
-    board.emulator.cure(Fault.STUCK_SWITCH)
-    assert board.say(b"$H\n", 60.0) == b"ok\r\n"
-
-
-def test_beyond_the_soft_limit_nothing_is_heard_until_a_reset(board: Board) -> None:
-    board.answered_at(b"$H\n")
-    assert board.say(b"G53G1X-301F1000\n") == b"ALARM:2\r\n[MSG:Reset to continue]\r\n"
-    assert board.say(b"?\n$X\n?!~", 10.0) == b""
-    assert board.say(b"\x18") == b"ok\r\n" + WELCOME + LOCK
-    assert board.state() == b"Alarm"
-
-
-def test_a_soft_limit_behind_a_move_stops_that_move_without_losing_steps(board: Board) -> None:
-    board.answered_at(b"$H\n")
-    assert board.say(b"G53G1X-200F3000\n", 1.0) == b"ok\r\n"
-    assert board.say(b"G53G1X5\n", 1.0) == b"ALARM:2\r\n[MSG:Reset to continue]\r\n"
-    board.say(b"\x18")
-    report = board.say(b"?")
-    place = float(re.findall(rb"MPos:([-\d.]+)", report)[0])
-    assert place == pytest.approx(board.emulator.position_mm()[0], abs=0.005)
-    assert -60 < place < -40
-
-
-def test_grblhal_still_reports_in_that_alarm(make: Make) -> None:
-    board = make(dialect=GRBL_HAL)
-    assert board.greeting.startswith(b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n")
-    board.answered_at(b"$H\n")
-    board.say(b"G53G1X-301F1000\n")
-    report = board.say(b"?")
-    assert report.startswith(b"<Alarm|")
-    assert b"|H:" in report
-
-
-def test_a_reset_in_motion_is_alarm_3_and_one_at_rest_is_not(free: Board) -> None:
-    assert free.say(b"\x18") == WELCOME
-    free.say(b"G1X-50F3000\n", 0.5)
-    assert free.say(b"\x18") == b"ALARM:3\r\n" + WELCOME + LOCK
-    assert free.say(b"G1X0F100\n") == b"error:9\r\n"
-
-
-def test_a_reset_at_a_hold_keeps_the_position_without_alarm(free: Board) -> None:
-    free.say(b"G1X-50F3000\n", 0.5)
-    free.say(b"!", 1.0)
-    place = free.emulator.position_mm()
-    assert free.say(b"\x18") == WELCOME
-    report = free.say(b"?")
-    assert report.startswith(b"<Idle|MPos:")
-    assert float(re.findall(rb"MPos:([-\d.]+)", report)[0]) == pytest.approx(place[0] + 150, abs=0.005)
-
-
-def test_resume_is_lost_while_the_stage_still_brakes(free: Board) -> None:
-    free.say(b"G1X-100F3000\n", 1.0)
-    free.say(b"!", 0.1)
-    assert free.state() == b"Hold:1"
-    free.say(b"~", 0.5)
-    assert free.state() == b"Hold:0"
-    free.say(b"~", 0.1)
-    assert free.state() == b"Run"
-    free.hear(5.0)
-    assert free.emulator.position_mm()[0] == pytest.approx(-250.0)
-
-
 def test_a_hold_at_rest_waits_for_a_resume_and_keeps_lines_waiting(free: Board) -> None:
     assert free.say(b"!G21\n", 1.0) == b""
     assert free.state() == b"Hold:0"
@@ -277,19 +118,6 @@ def test_the_door_stops_and_resumes(free: Board) -> None:
     assert free.state() == b"Door:0"
     free.say(b"~", 5.0)
     assert free.state() == b"Idle"
-
-
-def test_settings_and_homing_are_refused_in_motion(free: Board) -> None:
-    free.say(b"G1X-50F3000\n", 0.5)
-    assert free.say(b"$130=200\n$H\n$$\n$I\n") == b"error:8\r\n" * 4
-
-
-def test_sleep_is_left_only_by_a_reset_and_into_the_alarm(free: Board) -> None:
-    assert free.say(b"$SLP\n") == b"[MSG:Sleeping]\r\nok\r\n"
-    assert free.state() == b"Sleep"
-    assert free.say(b"$X\nG1X1F100\n~", 1.0) == b""
-    assert free.say(b"\x18") == WELCOME + LOCK
-    assert free.state() == b"Alarm"
 
 
 def test_a_jog_beyond_the_travel_is_an_error_and_no_alarm(board: Board) -> None:
@@ -330,20 +158,6 @@ def test_the_sixteenth_move_waits_for_a_free_place_in_the_planner(free: Board) -
     assert free.emulator.position_mm()[0] == pytest.approx(-166.0)
 
 
-def test_blasting_more_than_the_buffer_loses_bytes(free: Board) -> None:
-    lines = b"".join(b"G1X%dY%dF1200\n" % (-n % 7, -n % 5) for n in range(100))
-    answers = free.say(lines, 600.0)
-    assert answers.count(b"\r\n") < 100
-    assert answers.count(b"ok\r\n") >= 15
-
-
-def test_the_buffer_holds_exactly_128_bytes(free: Board) -> None:
-    free.say(b"!")
-    free.say(b"\n" * 127 + b"$I\n")  # of the last line only the first byte finds room
-    assert free.say(b"~") == b"ok\r\n" * 127
-    assert free.say(b"G\n").startswith(b"[GC:G0 ")
-
-
 def test_slow_fields_come_first_after_a_reset_and_then_in_turn(free: Board) -> None:
     free.say(b"\x18")
     reports = [free.say(b"?") for _ in range(24)]
@@ -351,8 +165,8 @@ def test_slow_fields_come_first_after_a_reset_and_then_in_turn(free: Board) -> N
     assert [i for i, report in enumerate(reports) if b"Ov:" in report] == [1, 11, 21]
 
 
-def test_work_coordinates_are_the_machines_less_their_offset(make: Make) -> None:
-    board = make({20: 0, 10: 2})
+def test_work_coordinates_are_the_machines_less_their_offset(make_board: Make) -> None:
+    board = make_board({20: 0, 10: 2})
     board.unlock()
     board.say(b"G92X10Y-5\n")
     assert board.say(b"?") == b"<Idle|WPos:10.000,-5.000,0.000|Bf:15,128|FS:0,0|WCO:-10.000,5.000,0.000>\r\n"
@@ -376,77 +190,14 @@ def test_overrides_act_at_once(free: Board) -> None:
     assert b"|FS:3000,0" in free.say(b"?")
 
 
-def test_a_limit_switch_in_motion_is_alarm_1_and_deaf(free: Board) -> None:
-    free.emulator.inject(Fault.LIMIT_HIT, 0.5)
-    assert free.say(b"G1X-50F3000\nG4P0\n", 2.0) == b"ok\r\nALARM:1\r\n[MSG:Reset to continue]\r\n"
-    assert free.say(b"?", 1.0) == b""
-    assert free.say(b"\x18") == b"ok\r\n" + WELCOME + LOCK
-
-
-def test_a_stalled_carriage_stands_while_the_count_goes_on(free: Board) -> None:
-    free.emulator.inject(Fault.STALL, 1.25)
-    free.say(b"G1X-100F3000\n", 5.0)
-    assert free.say(b"?").startswith(b"<Idle|MPos:-100.000,")
-    assert free.emulator.position_mm()[0] == pytest.approx(-206.25)
-    free.say(b"G1X-90F3000\n", 5.0)
-    assert free.emulator.position_mm()[0] == pytest.approx(-196.25)
-    free.answered_at(b"$H\n")
-    assert free.emulator.position_mm() == pytest.approx([-1, -1, -1])
-
-
-def test_lost_steps_part_carriage_and_count_until_homing(board: Board) -> None:
-    board.answered_at(b"$H\n")
-    board.emulator.lose_steps((-2.0, 0.0, 0.0))
-    assert board.emulator.position_mm() == pytest.approx([-3, -1, -1])
-    board.answered_at(b"$H\n")
-    assert board.emulator.position_mm() == pytest.approx([-1, -1, -1])
-
-
-def test_opening_the_port_again_resets_the_board_where_the_carriage_stands(board: Board) -> None:
-    board.answered_at(b"$H\n")
-    board.say(b"G53G1X-100F3000\n", 1.0)
-    board.links[-1].close()
-    assert board.plug_in() == WELCOME + LOCK
-    assert b"MPos:0.000,0.000,0.000|" in board.say(b"?")
-    assert -60 < board.emulator.position_mm()[0] < -40
-
-
-def test_a_pulled_cable_ends_the_link_and_not_the_motion(free: Board) -> None:
-    free.emulator.inject(Fault.DISCONNECT, 0.5)
-    free.links[-1].write(b"G1X-50F3000\n")
-    with pytest.raises(LinkError, match="hung up"):
-        free.hear_until_broken()
-    free.clock.sleep(5.0)
-    assert free.emulator.position_mm()[0] == pytest.approx(-200.0)  # what was planned has run to its end
-
-
-def test_faulty_answers(free: Board) -> None:
-    free.emulator.inject(Fault.LOST_OK)
-    assert free.say(b"G21\n", 5.0) == b""
-    free.emulator.inject(Fault.LATE_OK, 3.0)
-    assert free.say(b"G21\n", 2.9) == b""
-    assert free.hear(0.2) == b"ok\r\n"
-    free.emulator.inject(Fault.GARBAGE)
-    assert free.say(b"G21\n").endswith(b"\r\nok\r\n")
-    free.emulator.inject(Fault.SILENT)
-    assert free.say(b"?\nG21\n\x18", 5.0) == b""
-    free.emulator.cure(Fault.SILENT)
-    assert free.state() == b"Idle"
-
-
-def test_a_power_dip_in_motion_shows_as_a_welcome(free: Board) -> None:
-    free.emulator.inject(Fault.RESTART, 0.5)
-    assert free.say(b"G1X-50F3000\n", 2.0) == b"ok\r\n" + WELCOME + LOCK
-
-
 def test_settings_that_the_board_does_not_have_are_refused() -> None:
     with pytest.raises(ValueError, match=r"\$77"):
         StageEmulator(VirtualClock(), settings={77: 1})
 
 
-def test_two_runs_give_the_same_bytes(make: Make) -> None:
+def test_two_runs_give_the_same_bytes(make_board: Make) -> None:
     def run() -> bytes:
-        board = make()
+        board = make_board()
         said = board.say(b"$H\n", 30.0)
         for n in range(12):
             said += board.say(b"G53G1X-%dY-%dF%d\n?" % (20 * n + 3, 7 * n + 2, 900 + 100 * n), 0.37) + board.say(b"?")
@@ -468,3 +219,49 @@ def test_under_real_time_a_move_takes_its_time() -> None:
         assert link.read_until(b"ok\r\n", 2.0) == b"ok\r\n"
         assert clock.now() - start > 0.05
         assert emulator.position_mm()[0] == pytest.approx(-155.0)
+
+
+def test_a_fourth_axis_in_the_grblhal_dialect(make_board: Make) -> None:
+    board = make_board(dialect=GRBL_HAL, axes=4)
+    lines = board.say(b"$$\n").split(b"\r\n")
+    for line in (b"$44=4", b"$45=3", b"$46=8", b"$103=100.000", b"$113=3600.000", b"$123=360.000", b"$133=360.000"):
+        assert line in lines
+    assert lines == [*sorted(lines[:-2], key=lambda line: int(line[1:].split(b"=")[0])), b"ok", b""]
+    assert b"|H:0|TLR:0>" in board.say(b"?")
+    while board.state() != b"Idle":
+        board.say(b"$H\n", 60.0)
+    assert board.say(b"G53G1X-11A-91F6000\nG4P0\n", 60.0) == b"ok\r\nok\r\n"
+    report = board.say(b"?")
+    assert report.startswith(b"<Idle|MPos:-11.000,-1.000,-1.000,-91.000|FS:0,0|")
+    assert report.endswith(b"|H:1|TLR:0>\r\n")
+    assert board.emulator.position_mm() == pytest.approx([-11, -1, -1, -91])
+    assert board.say(b"G53G1A-361\n", 5.0) == b"ALARM:2\r\n[MSG:Reset to continue]\r\n"
+    assert b"|H:0|" in board.say(b"?")
+
+
+def test_a_rotation_is_in_degrees_whatever_the_units(make_board: Make) -> None:
+    board = make_board({20: 0, 13: 1}, dialect=GRBL_HAL, axes=4)
+    board.unlock()
+    board.say(b"G20G91G1X-1A-90F100\n", 120.0)
+    assert board.emulator.position_mm() == pytest.approx([-175.4, -137.5, -25, -270], abs=0.01)
+    assert b"MPos:-1.0000,0.0000,0.0000,-90.000|" in board.say(b"?")
+
+
+def test_grblhal_answers_while_homing(make_board: Make) -> None:
+    board = make_board(dialect=GRBL_HAL)
+    assert board.say(b"$H\n?", 1.0).startswith(b"<Home|MPos:")
+
+
+def test_boards_that_nobody_builds_are_refused() -> None:
+    with pytest.raises(ValueError, match="Grbl has 3 to 3 axes, not 4"):
+        StageEmulator(VirtualClock(), axes=4)
+    with pytest.raises(ValueError, match=r"\$103"):
+        StageEmulator(VirtualClock(), settings={103: 1}, dialect=GRBL_HAL)
+
+
+def test_the_welcome_comes_after_every_reset(board: Board) -> None:
+    for _ in range(3):
+        assert board.say(b"\x18").count(WELCOME) == 1
+    board.answered_at(b"$H\n")
+    assert board.say(b"\x18") == WELCOME
+    assert b"|WCO:0.000,0.000,0.000" in board.say(b"?"), "the first report after a reset has the offset"

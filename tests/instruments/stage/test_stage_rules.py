@@ -1,4 +1,9 @@
-"""Driver against emulator in any order of calls and faults: what must never happen, whatever happens before."""
+"""Driver against emulator in any order of calls and faults: what must never happen, whatever happens before.
+
+Two faults no controller can see: a stall and lost steps. Of those the driver knows nothing, and a move is "finished" with the
+carriage elsewhere; what finds them is the next check touch of the arm. Here the carriage's place is then no longer held against
+the driver, only its rails; homing heals it, and everything counts again.
+"""
 
 from __future__ import annotations
 
@@ -16,39 +21,52 @@ from instruments.listener import Listener
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, Fault, StageEmulator
 
-INSIDE = st.tuples(st.floats(-300, 0), st.floats(-275, 0))
-PLACES = st.one_of(INSIDE, INSIDE, st.tuples(st.floats(-310, 10), st.floats(-285, 10)))
-FAULTS = (
-    Fault.LOST_OK,
-    Fault.LATE_OK,
-    Fault.GARBAGE,
-    Fault.LIMIT_HIT,
-    Fault.DISCONNECT,
-    Fault.RESTART,
-    Fault.NO_SWITCH,
-    Fault.STUCK_SWITCH,
-    Fault.SILENT,
-)
+TRAVEL = (300.0, 275.0, 50.0, 360.0)
+HOME = (-1.0, -1.0, -1.0, -1.0)
+Place = tuple[float, float, float, float]
+INSIDE = st.tuples(*(st.floats(-travel, 0) for travel in TRAVEL))
+PLACES = st.one_of(INSIDE, INSIDE, st.tuples(*(st.floats(-travel - 10, 10) for travel in TRAVEL)))
+WAYS = st.tuples(*(st.floats(-0.2 * travel, 0.2 * travel) for travel in TRAVEL))
+UNSEEN = frozenset({Fault.STALL, Fault.LOST_STEP})
+PLAY = (0.2, 0.1, 0.05, 0.5)
 
 
 class StageRules(RuleBasedStateMachine):
     """Never a move before homing, never beyond the travel, never "finished" away from the target, never moving after ``stop``."""
 
-    @initialize(dialect=st.sampled_from([CLASSIC, GRBL_HAL]))
-    def power_on(self, dialect: Dialect) -> None:
+    @initialize(
+        board=st.sampled_from([(CLASSIC, "XY"), (CLASSIC, "XYZ"), (GRBL_HAL, "XYZ"), (GRBL_HAL, "XYZA"), (GRBL_HAL, "XYA")]),
+        play=st.booleans(),
+    )
+    def power_on(self, board: tuple[Dialect, str], play: bool) -> None:
+        dialect, self.axes = board
+        count = 4 if "A" in self.axes else 3
+        self.play = PLAY if play else (0.0, 0.0, 0.0, 0.0)
         self.clock = VirtualClock()
-        self.emulator = StageEmulator(self.clock, dialect=dialect)
+        self.emulator = StageEmulator(self.clock, dialect=dialect, axes=count, play_mm=self.play[:count])
         self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="stage")
+        self.unseen = False
         self.plug_in()
-        self.target = (-1.0, -1.0)
+        self.target = HOME
         self.stage.home()
 
     def plug_in(self) -> None:
-        self.stage = Stage(Link(self.listener.url, self.clock, who="stage"), self.clock)
+        self.stage = Stage(Link(self.listener.url, self.clock, who="stage"), self.clock, self.axes)
         self.stage.connect()
 
-    def at(self, place: tuple[float, float]) -> bool:
-        return bool(self.emulator.position_mm()[:2] == pytest.approx(place, abs=0.005))
+    def more(self, place: Place) -> dict[str, float]:
+        """The arguments beside X and Y for the axes that this stage has."""
+        named = {"Z": ("z_mm", place[2]), "A": ("a_deg", place[3])}
+        return dict(named[axis] for axis in self.axes[2:])
+
+    def finished_at(self, place: Place) -> None:
+        """A move to ``place`` is said to be finished: the count is there, and the carriage is, but for the play."""
+        reported, there = self.stage.position(), self.emulator.position_mm()
+        for axis in self.axes:
+            at = "XYZA".index(axis)
+            assert reported[at] == pytest.approx(place[at], abs=0.01)
+            if not self.unseen:
+                assert place[at] - self.play[at] - 0.01 <= there[at] <= place[at] + 0.01
 
     @rule()
     def home(self) -> None:
@@ -57,30 +75,52 @@ class StageRules(RuleBasedStateMachine):
         except InstrumentError:
             return
         assert self.stage.homed
-        assert self.emulator.position_mm() == pytest.approx([-1, -1, -1])
+        there = self.emulator.position_mm()
+        at_home = bool(there == pytest.approx(HOME[: len(there)]))
+        assert at_home or self.unseen  # a stall may strike while homing too
+        self.unseen = not at_home or bool(UNSEEN & self.emulator._faults.keys())
 
     @rule(place=PLACES)
-    def move(self, place: tuple[float, float]) -> None:
+    def move(self, place: Place) -> None:
         homed = self.stage.homed
         try:
-            self.stage.move_to(*place)
+            self.stage.move_to(*place[:2], **self.more(place))
         except InstrumentError:
             return
         assert homed
-        assert self.at(place)
+        self.finished_at(place)
 
     @rule(place=PLACES)
-    def begin_a_move(self, place: tuple[float, float]) -> None:
+    def begin_a_move(self, place: Place) -> None:
         self.begin(place)
 
-    def begin(self, place: tuple[float, float]) -> None:
+    def begin(self, place: Place) -> None:
         homed = self.stage.homed
         try:
-            self.stage.begin_move(*place)
+            self.stage.begin_move(*place[:2], **self.more(place))
         except InstrumentError:
             return
         assert homed
         self.target = place
+
+    @rule(way=WAYS)
+    def jog(self, way: Place) -> None:
+        homed = self.stage.homed
+        try:
+            before = self.stage.position()
+            self.stage.jog(x_mm=way[0], y_mm=way[1], **self.more(way))
+        except InstrumentError:
+            return
+        assert homed
+        there = [*(at + by for at, by in zip(before, way, strict=False)), 0.0]
+        self.target = (there[0], there[1], there[2], there[3])
+
+    @rule()
+    def cancel_a_jog(self) -> None:
+        try:
+            self.stage.cancel_jog()
+        except InstrumentError:
+            return
 
     @rule()
     def finish(self) -> None:
@@ -88,7 +128,7 @@ class StageRules(RuleBasedStateMachine):
             self.stage.finish_move()
         except InstrumentError:
             return
-        assert self.at(self.target)
+        self.finished_at(self.target)
 
     @rule(seconds=st.floats(0.01, 3))
     def let_time_pass(self, seconds: float) -> None:
@@ -101,6 +141,13 @@ class StageRules(RuleBasedStateMachine):
         except InstrumentError:
             return
         self.stands()
+
+    @rule()
+    def brake(self) -> None:
+        try:
+            self.stage.brake()
+        except InstrumentError:
+            return
 
     @rule()
     def resume(self) -> None:
@@ -124,7 +171,7 @@ class StageRules(RuleBasedStateMachine):
         self.stands()
 
     @rule(place=INSIDE, seconds=st.floats(0.01, 1))
-    def stop_on_the_way(self, place: tuple[float, float], seconds: float) -> None:
+    def stop_on_the_way(self, place: Place, seconds: float) -> None:
         self.begin(place)
         self.clock.sleep(seconds)
         self.stop()
@@ -143,14 +190,17 @@ class StageRules(RuleBasedStateMachine):
         assert not self.stage.homed
         with pytest.raises(LimitError, match="no move before homing"):
             self.stage.move_to(-5, -5)
+        with pytest.raises(LimitError, match="no move before homing"):
+            self.stage.jog(x_mm=-1)
 
-    @rule(fault=st.sampled_from(FAULTS), after=st.floats(0.01, 4))
-    def go_wrong(self, fault: Fault, after: float) -> None:
-        self.emulator.inject(fault, after)
+    @rule(fault=st.sampled_from(list(Fault)), after=st.floats(0.01, 4), lost=st.floats(0.1, 20))
+    def go_wrong(self, fault: Fault, after: float, lost: float) -> None:
+        self.emulator.inject(fault, after, lost_mm=lost)
+        self.unseen = self.unseen or fault in UNSEEN
 
     @rule()
     def repair_and_plug_in_again(self) -> None:
-        for fault in FAULTS:
+        for fault in Fault:
             self.emulator.cure(fault)
         self.stage.close()
         self.plug_in()
@@ -158,11 +208,19 @@ class StageRules(RuleBasedStateMachine):
 
     @invariant()
     def within_the_travel(self) -> None:
+        """The carriage itself, whatever the controller counts; and all that was ever planned."""
         if hasattr(self, "emulator"):
-            x, y, z = self.emulator.position_mm()
-            assert -300 - 1e-6 <= x <= 1e-6
-            assert -275 - 1e-6 <= y <= 1e-6
-            assert -50 - 1e-6 <= z <= 1e-6
+            places, planned = self.emulator.position_mm(), self.emulator._carriage.target_mm
+            for place, target, travel in zip(places, planned, TRAVEL, strict=False):
+                assert -travel - 1e-6 <= place <= 1e-6
+                assert -travel - 1e-6 <= target <= 1e-6
+
+    @invariant()
+    def no_move_before_homing(self) -> None:
+        """As the board knows it itself, which it doesn't tell the driver (the classic one never does)."""
+        if hasattr(self, "emulator"):
+            board = self.emulator._controller
+            assert board.homed or board.carriage.homing or not board.moving
 
     def teardown(self) -> None:
         if hasattr(self, "stage"):
@@ -171,6 +229,6 @@ class StageRules(RuleBasedStateMachine):
 
 
 StageRules.TestCase.settings = settings(
-    max_examples=40, stateful_step_count=30, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
+    max_examples=60, stateful_step_count=30, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
 )
 TestStageRules = StageRules.TestCase

@@ -304,6 +304,7 @@ def controlled() -> Plant:
     """As `settled`, but with a controller of its own beside a pump with its own switch."""
     plant = Plant(1, start_c=33.0, constants=PlantConstants(cut_out_c=40.0))
     plant.fit(circulator=False)
+    plant.pump = "on"
     plant.run(33.0)
     plant.advance_to(600.0)
     return plant
@@ -318,6 +319,16 @@ def test_a_pump_with_a_switch_of_its_own_turns_through_standby() -> None:
         plant.run(33.0)
         seen.append(plant.pump_on)
     assert seen == [True, True, False, False]
+
+
+def test_a_pump_that_nobody_switches_stands_and_the_teats_stay_cold() -> None:
+    plant = Plant(1)
+    plant.fit(circulator=False)
+    plant.run(33.0)
+    plant.advance_to(1800.0)
+    assert not plant.pump_on
+    assert plant.bath_c == pytest.approx(33.0, abs=0.3)
+    np.testing.assert_allclose(plant.teat_c, 20.0, atol=1e-9)
 
 
 def test_the_float_switch_cuts_a_heater_that_its_controller_still_calls_for() -> None:

@@ -1,40 +1,26 @@
-"""The rendered scene: geometry against OpenCV, edges against geometry, visibility, heat, and the same bytes twice."""
+"""The rendered scene: what hides what, visibility, heat, light, and the same bytes twice."""
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
-from instruments.world.backdrop import Backdrop
+from bench.phantom_file import shipped_phantom
 from instruments.world.eyes import OpticalCamera
+from instruments.world.noise import Image
 from instruments.world.objects import SceneObject, make_object
-from instruments.world.optics import CameraModel, Floats
-from instruments.world.phantom import Phantom, PlatePose, Teat, TeatShape, make_phantom
+from instruments.world.optics import Floats
+from instruments.world.phantom import Phantom, PlatePose, Teat, TeatShape
 from instruments.world.scene import Renderer, SceneState
-from instruments.world.sensor import Image
 from instruments.world.shading import Lighting, Paint
 from instruments.world.sheet import contact_sheet
-from instruments.world.solids import Hull, ball
-from instruments.world.state import Stage
+from instruments.world.solids import ball
+from tests.instruments.world.scenes import NOBODY, calibration_table, renderer
 from tests.situations import SITUATIONS, situation
-
-ROOT = Path(__file__).resolve().parents[3]
-BLACK = Paint(albedo=0.0)
-PLAIN = Backdrop(board_texture=0.0, table_texture=0.0)
-NOBODY = SceneState(Phantom(()), (), 20.0, 20.0, backdrop=PLAIN)
-
-
-@cache
-def renderer() -> Renderer:
-    table = tomllib.loads((ROOT / "bench/rigs/calibration.toml").read_text(encoding="utf-8"))
-    return Renderer.from_calibration(table, camera_seed=7)
 
 
 @cache
@@ -42,105 +28,8 @@ def empty(which: str) -> Image:
     return _eye(which).expected(NOBODY)
 
 
-@cache
-def covered(which: str) -> Image:
-    """The frame before noise with the lights off: what the sensor gives of its own."""
-    return _eye(which).expected(replace(NOBODY, lighting=Lighting(brightness=0.0)))
-
-
 def _eye(which: str) -> OpticalCamera:
     return {"left": renderer().left, "right": renderer().right}[which]
-
-
-def hidden_share(which: str, *hulls: Hull) -> Floats:
-    """Share of the board's light that black solids take from each pixel, (h, w), before noise."""
-    thing = SceneObject("black", hulls, BLACK, "ambient")
-    dark = covered(which)
-    return np.asarray(1.0 - (_eye(which).expected(replace(NOBODY, objects=(thing,))) - dark) / (empty(which) - dark), dtype=np.float64)
-
-
-def by_opencv(camera: CameraModel, points_mm: Floats) -> Floats:
-    K = np.array([[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]])
-    pixels, _ = cv2.projectPoints(points_mm, cv2.Rodrigues(camera.R)[0], camera.t_mm, K, camera.kc)
-    return np.asarray(pixels[:, 0], dtype=np.float64)
-
-
-@pytest.mark.parametrize("which", ["left", "right"])
-def test_small_balls_lie_where_opencv_projects_them(which: str) -> None:
-    camera = _eye(which).view.camera
-    places = [(x, y, z) for x in (-620.0, -200.0, 250.0) for y, z in ((150.0, 130.0), (700.0, 420.0))]
-    share = hidden_share(which, *(ball(place, 4.0) for place in places))
-    for u, v in by_opencv(camera, np.array(places)):
-        rows, columns = slice(round(v) - 14, round(v) + 15), slice(round(u) - 14, round(u) + 15)
-        patch = share[rows, columns]
-        at = np.array(
-            [(patch.sum(axis=0) @ np.arange(columns.start, columns.stop)), (patch.sum(axis=1) @ np.arange(rows.start, rows.stop))]
-        )
-        assert at / patch.sum() == pytest.approx([u, v], abs=0.03)
-
-
-@pytest.mark.parametrize("which", ["left", "right"])
-@pytest.mark.parametrize("lean_mm", [0.0, 20.0])
-def test_edges_at_every_sub_pixel_phase(which: str, lean_mm: float) -> None:
-    """Both edges of a post, in rows of pixels, against the limb of the post by `cv2.projectPoints`: below 0.01 px before noise."""
-    camera, worst = _eye(which).view.camera, 0.0
-    for phase in np.linspace(0.0, 0.85, 9):
-        a, b = np.array([-180.0 + phase, 230.0, 60.0]), np.array([-180.0 + phase + lean_mm, 230.0, 180.0])
-        share = hidden_share(which, Hull(tuple(a), tuple(b), 11.0, 11.0))
-        middle = by_opencv(camera, 0.5 * (a + b)[None, :])[0]
-        rows = np.arange(round(middle[1]) - 30, round(middle[1]) + 30)
-        columns = np.arange(round(middle[0]) - 40, round(middle[0]) + 41)
-        profile = share[np.ix_(rows, columns)]
-        width, centre = profile.sum(axis=1), profile @ columns / profile.sum(axis=1)
-        for side in (-1.0, 1.0):
-            limb = by_opencv(camera, _limb(camera, a, b, 11.0, side))
-            order = np.argsort(limb[:, 1])
-            expected = np.interp(rows, limb[order, 1], limb[order, 0])
-            worst = max(worst, float(np.abs(centre + side * width / 2.0 - expected).max()))
-    assert worst < 0.01, f"worst edge error {worst:.4f} px"
-
-
-def _limb(camera: CameraModel, a: Floats, b: Floats, radius: float, side: float) -> Floats:
-    """Points where rays touch a cylinder on its left or right: the normal is square to the axis and to the ray."""
-    axis = (b - a) / np.linalg.norm(b - a)
-    away = a - camera.centre_mm
-    away -= (away @ axis) * axis
-    distance = float(np.linalg.norm(away))
-    forward, across = away / distance, np.cross(away / distance, axis)
-    touch = -radius / distance * forward + side * np.sqrt(1.0 - (radius / distance) ** 2) * across
-    return np.asarray(a + np.linspace(0.0, 1.0, 400)[:, None] * (b - a) + radius * touch)
-
-
-def test_the_rounded_end_reaches_its_apex() -> None:
-    """The picture of a teat ends where its hemisphere's limb does: highest covered row against geometry."""
-    camera = renderer().cameras[0]
-    share = hidden_share("left", Hull((-180.0, 230.0, 30.0), (-180.0, 230.0, 125.0), 11.0, 11.0, flat_a=True))
-    angle = np.linspace(0.0, 2.0 * np.pi, 4000)
-    centre = np.array([-180.0, 230.0, 125.0])
-    away = centre - camera.centre_mm
-    distance = float(np.linalg.norm(away))
-    forward = away / distance
-    u = np.cross(forward, [0.0, 0.0, 1.0])
-    u /= np.linalg.norm(u)
-    v = np.cross(u, forward)
-    rim = centre - 11.0**2 / distance * forward
-    radius = 11.0 * np.sqrt(1.0 - (11.0 / distance) ** 2)
-    limb = by_opencv(camera, rim + radius * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v))
-    outline = limb[np.abs(limb[:, 0] - limb[:, 0].mean()) < 13.0]
-    top = outline[:, 1].min()
-    column = round(float(outline[outline[:, 1].argmin(), 0]))
-    rows = np.arange(round(top) - 8, round(top) + 12)
-    covered = share[rows, column].sum()
-    assert rows[-1] + 0.5 - covered == pytest.approx(top, abs=0.05)
-
-
-def test_nothing_seen_beside_the_outline() -> None:
-    share = hidden_share("left", ball((-180.0, 230.0, 200.0), 11.0))
-    (u, v), radius = renderer().cameras[0].project(np.array([[-180.0, 230.0, 200.0]]))[0], 13.5
-    away = np.hypot(*np.meshgrid(np.arange(share.shape[1]) - u, np.arange(share.shape[0]) - v))
-    above_table = np.arange(share.shape[0])[:, None] < 540
-    assert np.abs(share[(away > radius + 4.0) & above_table]).max() < 1e-3
-    assert share[away < radius - 4.0].min() > 0.999
 
 
 def test_the_nearer_thing_is_drawn_over_the_farther() -> None:
@@ -155,7 +44,7 @@ def test_the_nearer_thing_is_drawn_over_the_farther() -> None:
 
 
 def warm(layout: str = "table-5-1", teat_c: float = 32.5, ambient_c: float = 20.0, **more: Any) -> SceneState:
-    phantom = make_phantom(layout)
+    phantom = shipped_phantom(layout)
     return SceneState(phantom, (teat_c,) * len(phantom.teats), teat_c - 0.5, ambient_c, **more)
 
 
@@ -184,18 +73,14 @@ def test_another_camera_seed_is_another_camera() -> None:
 
 def thermal_masks() -> tuple[Floats, Floats]:
     """Sensor pixels well inside the teats, and well outside of anything, from the warm scene before noise."""
-    seen = renderer().thermal.expected_k(*_staged(warm()))
+    seen = renderer().thermal.expected_k(warm())
     return np.asarray(seen > 273.15 + 31.0), np.asarray(seen < 273.15 + 20.001)
-
-
-def _staged(state: SceneState) -> tuple[SceneState, Stage]:
-    return state, Stage.of(state)
 
 
 def test_a_cold_phantom_is_invisible_in_the_thermal_picture() -> None:
     teat, room = thermal_masks()
     cold = replace(warm(teat_c=20.0), hose_temp_c=20.0)
-    assert np.ptp(renderer().thermal.expected_k(*_staged(cold))) < 1e-6
+    assert np.ptp(renderer().thermal.expected_k(cold)) < 1e-6
     frames = [renderer().render(cold, np.random.default_rng(i)) for i in range(3)]
     kelvin = np.mean([frame.thermal_ck / 100.0 for frame in frames], axis=0)
     assert abs(kelvin[teat].mean() - kelvin[room].mean()) < 0.05
@@ -215,10 +100,10 @@ def test_a_warm_phantom_stands_out_black_and_mirrored() -> None:
 
 
 def test_the_thermal_picture_follows_the_rig_file() -> None:
-    table = tomllib.loads((ROOT / "bench/rigs/calibration.toml").read_text(encoding="utf-8"))
+    table = calibration_table()
     table["cameras"]["thermal"]["mirrored"] = False
     table["cameras"]["thermal"]["polarity"] = "hot_is_white"
-    frame = Renderer.from_calibration(table, 1).thermal.expose(*_staged(warm()), np.random.default_rng(1))[0]
+    frame = Renderer.from_calibration(table, 1).thermal.expose(warm(), np.random.default_rng(1))[0]
     u, v = renderer().cameras[2].project(warm().phantom.ends_mm - [0.0, 0.0, 30.0])[0].round().astype(int)
     assert frame[v, u] > 200
     table["cameras"]["thermal"]["polarity"] = "hot"
@@ -228,7 +113,7 @@ def test_the_thermal_picture_follows_the_rig_file() -> None:
 
 def test_teats_have_their_own_temperatures() -> None:
     state = replace(warm(), teat_temps_c=(30.0, 31.0, 32.0, 33.0))
-    seen = renderer().thermal.expected_k(*_staged(state))
+    seen = renderer().thermal.expected_k(state)
     small = renderer().cameras[2].resized(160, 120)
     pixels = small.project(state.phantom.ends_mm - [0.0, 0.0, 40.0]).round().astype(int)
     assert [seen[v, u] - 273.15 for u, v in pixels] == pytest.approx([29.5, 30.45, 31.4, 32.35], abs=0.1)
@@ -264,7 +149,7 @@ def test_a_teat_behind_a_taller_one_is_hidden() -> None:
 
 
 def test_an_end_outside_of_the_image_is_not_visible() -> None:
-    state = replace(warm(), phantom=make_phantom("table-5-1", PlatePose(x_mm=-250.0)))
+    state = replace(warm(), phantom=shipped_phantom("table-5-1").moved(PlatePose(x_mm=-250.0)))
     visible = renderer().visible_ends(state)
     assert not visible[:, 2].any()
     assert visible[:, :2].all()
@@ -279,7 +164,8 @@ def test_dim_light_dims() -> None:
 def test_a_standing_thing_darkens_the_table_at_its_foot() -> None:
     cup = make_object("hot_cup", albedo=0.5)
     u, v = renderer().cameras[0].project(np.array([[-192.0, 205.0, 0.0]]))[0].round().astype(int)
-    seen = _eye("left").expected(replace(NOBODY, objects=(cup,)))
+    state = replace(NOBODY, objects=(cup,))
+    seen = _eye("left").expected(state, renderer().shadows(state))
     assert seen[v, u] < 0.95 * empty("left")[v, u]
 
 

@@ -1,0 +1,61 @@
+"""`run --dry-run`: what would go wrong, found before anything moves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+from bench.commands import CODES
+
+if TYPE_CHECKING:
+    from bench.rig import LoadedRig
+    from bench.script import LoadedScript
+    from instruments.stage.driver import Stage
+    from instruments.stage.settings import AxisLimits
+
+SHOWN = 40  # findings; a plane map on a wrong stage has hundreds
+
+
+def look_ahead(rig: LoadedRig, script: LoadedScript) -> int:
+    """Print what a dry run finds; gives back the exit code: 2 where something is wrong."""
+    from bench.dry_run import dry_run
+
+    result = dry_run(rig, script, _travel(rig))
+    for finding in result.findings[:SHOWN]:
+        print(f"{finding.trial}: {finding.kind}: {finding.text}")
+    if (more := len(result.findings) - SHOWN) > 0:
+        print(f"and {more} more")
+    for what in result.unchecked:
+        print(f"not checked: {what}")
+    many = f"{len(script.planned)} trials at {result.poses} poses"
+    if result.findings:
+        print(f"{many}: {len(result.findings)} problems. Nothing was moved.")
+        return CODES.wrong_use
+    print(f"{many}: nothing wrong. Nothing was moved.")
+    return CODES.met
+
+
+def _travel(rig: LoadedRig) -> Mapping[str, AxisLimits] | None:
+    """The travel that the stage's controller tells; None without a stage, or where it doesn't answer. It only asks."""
+    from bench.emulation import EmulatedRig
+    from bench.hookup import driver_openers
+    from instruments.clock import RealClock, VirtualClock
+    from instruments.errors import InstrumentError
+
+    if rig.rig.stage is None:
+        return None
+    try:
+        if rig.rig.emulated:
+            with EmulatedRig(rig, still := VirtualClock(), rig.rig.seed) as twin:
+                return _asked(driver_openers(rig, still, twin.urls)["stage"]())
+        with closing(RealClock()) as clock:
+            return _asked(driver_openers(rig, clock, rig.rig.urls)["stage"]())
+    except InstrumentError:
+        return None
+
+
+def _asked(stage: Stage) -> Mapping[str, AxisLimits]:
+    with closing(stage):
+        stage.connect()
+        return stage.limits

@@ -1,0 +1,157 @@
+"""The report of the sensitivity test: what each known pixel offset does to a known point, beside what the thesis printed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from bench import __version__
+from bench.offsets import LoadedOffsets, Offset, Outcome
+from reports.figures import error_histogram
+from reports.page import Banner, Column, Figure, Page, Paragraph, Part, Requirement, Requirements, Section, Table, Verdict
+
+NOT_SAID = "not printed"
+
+
+def offset_verdict(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Verdict:
+    """Met where no direction of any offset leads beyond the limit."""
+    return "met" if all(one.worst_mm <= loaded.script.limit_mm for one in found) else "not met"
+
+
+def offset_page(loaded: LoadedOffsets, found: Sequence[Outcome], calibration_sha256: str) -> Page:
+    """The whole report."""
+    script = loaded.script
+    sections = (
+        Section("requirements", "Requirements", (_requirements(loaded, found),)),
+        Section("results", "What the offsets do", (_table(loaded, found), *_figures(loaded, found))),
+        Section("published", "Beside the thesis", tuple(_published(loaded, found))),
+        Section("provenance", "How it was done", tuple(_method(loaded, calibration_sha256))),
+    )
+    return Page(script.title, script.about, _banner(loaded, found), sections, footer=(f"teatbench {__version__}",))
+
+
+def _banner(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Banner:
+    verdict, limit = offset_verdict(loaded, found), loaded.script.limit_mm
+    worst = max(found, key=lambda one: one.worst_mm)
+    tried = sum(len(one.errors_mm) for one in found)
+    return Banner(
+        kind="computed",
+        verdict=verdict,
+        tested=f"{loaded.script.title}: {len(found)} offsets of known points, {tried} directions in all.",
+        sentence=f"{offset_told(worst.offset)} moves teat {worst.offset.teat} by up to {worst.worst_mm:.1f} mm; the limit is {limit:g} mm.",
+        confidence="Computed from the calibration alone: no noise, no chance, nothing to repeat.",
+        next_action="Choose longer lenses, a wider base, or a detector that picks to a fraction of a pixel."
+        if verdict == "not met"
+        else "A picking error of this size is no reason to change the cameras.",
+    )
+
+
+def _requirements(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Requirements:
+    limit = loaded.script.limit_mm
+    rows = [
+        Requirement(
+            name=f"teat {one.offset.teat}, {offset_told(one.offset)}",
+            rule="the largest error of all directions is at most the limit",
+            n=len(one.errors_mm),
+            measured=f"{one.worst_mm:.2f} mm",
+            limit=f"{limit:g} mm",
+            margin=f"{limit - one.worst_mm:+.2f} mm",
+            verdict="met" if one.worst_mm <= limit else "not met",
+            source=loaded.script.source,
+        )
+        for one in found
+    ]
+    return Requirements("Error below the limit, whatever the direction of the offset", tuple(rows))
+
+
+def _table(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Table:
+    limit = loaded.script.limit_mm
+    columns = (
+        Column("teat", "right"), Column("offset"), Column("directions", "right"),
+        Column("least", "right", "mm"), Column("median", "right", "mm"), Column("most", "right", "mm"),
+        Column("most along x", "right", "mm"), Column("along y", "right", "mm"), Column("along z", "right", "mm"),
+        Column(f"above {limit:g} mm", "right"),
+    )  # fmt: skip
+    rows = []
+    for one in found:
+        far = one.distances_mm
+        figures = (far.min(), np.median(far), far.max(), *one.most_mm)
+        above = f"{int((far > limit).sum())} of {len(far)}"
+        rows.append((str(one.offset.teat), offset_told(one.offset), str(len(far)), *(f"{value:.2f}" for value in figures), above))
+    return Table("Errors over all directions, world frame", columns, tuple(rows), "Each axis in its own worst direction.")
+
+
+def _figures(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Figure]:
+    for number, one in enumerate(found, 1):
+        within = int((one.distances_mm <= loaded.script.limit_mm).sum())
+        svg = error_histogram(one.distances_mm, loaded.script.limit_mm, name=f"offset-{number}")
+        yield Figure(
+            svg,
+            f"Teat {one.offset.teat}, {offset_told(one.offset)}: error over all directions",
+            f"{within} of {len(one.distances_mm)} within",
+        )
+
+
+def _published(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Part]:
+    columns = (
+        Column("teat", "right"), Column("offset"),
+        Column("published: x, y, z", "right", "mm"), Column("most possible: x, y, z", "right", "mm"),
+        Column("published against the truth", "right", "mm"),
+        Column("beyond every direction"),
+    )  # fmt: skip
+    rows = [_published_row(loaded, one) for one in found]
+    note = "Published: the point with the offset less the point without, both as printed. Most possible: each axis in its worst direction."
+    yield Table("The thesis's figures", columns, tuple(rows), note)
+    beyond = [one.offset.teat for one in found if beyond_axes(one)]
+    if beyond:
+        teats = ", ".join(str(teat) for teat in beyond)
+        yield Paragraph(
+            f"For teat {teats} no direction of the stated offset gives what was printed, under this calibration; "
+            "other causes than the offset must have been in those figures.",
+            tone="info",
+        )
+
+
+def _published_row(loaded: LoadedOffsets, one: Outcome) -> tuple[str, ...]:
+    moved, end = published_move_mm(one.offset), one.offset.published_mm
+    against = NOT_SAID if end is None else f"{float(np.linalg.norm(np.subtract(end, loaded.points_mm[one.offset.teat - 1]))):.2f}"
+    printed = NOT_SAID if moved is None else ", ".join(f"{value:+.1f}" for value in moved)
+    possible = ", ".join(f"{value:.1f}" for value in one.most_mm)
+    return str(one.offset.teat), offset_told(one.offset), printed, possible, against, ", ".join(beyond_axes(one)) or "no"
+
+
+def _method(loaded: LoadedOffsets, calibration_sha256: str) -> Iterator[Part]:
+    yield Paragraph(
+        "Each known point is projected into both pictures, its pixels are put off, and the pair is triangulated with the same calibration: "
+        "what differs is the offset's doing alone. All directions are tried, since the thesis doesn't state its own."
+    )
+    columns = (Column("what"), Column("value"))
+    rows = (
+        ("layout", loaded.layout.name),
+        ("directions a picture", str(loaded.script.directions)),
+        ("calibration SHA-256", calibration_sha256),
+        ("script", loaded.path.name),
+    )
+    yield Table("Inputs", columns, rows)
+
+
+def published_move_mm(offset: Offset) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None:
+    """What the printed offset moved the printed point by, (3,) mm; None where the script doesn't say."""
+    if offset.published_mm is None or offset.published_plain_mm is None:
+        return None
+    return np.subtract(offset.published_mm, offset.published_plain_mm)
+
+
+def beyond_axes(one: Outcome) -> list[str]:
+    """The axes along which the printed move is more than any direction gives."""
+    moved = published_move_mm(one.offset)
+    if moved is None:
+        return []
+    return [axis for axis, value, most in zip("xyz", np.abs(moved), one.most_mm, strict=True) if value > most]
+
+
+def offset_told(offset: Offset) -> str:
+    """``1 px left and 1 px right``."""
+    parts = [f"{px:g} px {name}" for name, px in (("left", offset.left_px), ("right", offset.right_px)) if px]
+    return " and ".join(parts)

@@ -1,0 +1,208 @@
+"""Where the stage's axes lie in the world, from touches of one teat end at three or more stage positions; and how far that holds.
+
+Strategy: a rigid motion carries (`world_from_stage`). Scale per axis and squareness are diagnostics only: a misfit may as well be the
+arm's as the stage's, and a truth that follows the arm's own errors from place to place would hide them. What the axes may be off
+by is stated in the rig file and enters the uncertainty of everything carried. Where the touches cast doubt on that statement (a
+chi-square test at `DOUBT`), what they show is put on top. They resolve little (some 2 mm/m), so a doubt that waited for proof would
+leave stages unlike their statement uncovered: of a stage five to ten times worse, a 95 % region would hold 84 to 92 % of poses
+at 0.01 or 0.2, and holds 94 to 97 % at 0.4. Where they contradict it (at `ALPHA`), the report says what to mend.
+
+All to first order, in the stage's own axes (`bench.truth.axes`). Pure: it may not know files, instruments or persons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
+from math import sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtrc
+
+from bench.truth.axes import NAMES, Diagnostic, FreeFit, StageAccuracy, bent_mm, free_fit
+from detector.calibration.rigid import Comparison, compare, cross_matrix, rotation_covariance, target_error_mm
+from detector.geometry import Motion, rigid_fit
+
+DOUBT, ALPHA = 0.4, 0.01
+SPREAD_MM = 40.0  # rms extent across; nearer together, an arm of 0.23 mm turns the fit by more than 3 mrad
+GROSS_MM, GROSS_U = 5.0, 15.0  # no stage is so crooked, and no touch so bad: another teat, or something slipped
+
+Floats = NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+
+class RegistrationError(ValueError):
+    """The touches give no registration. The sentence says why, and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """One stage position (machine mm, as read back), and the teat end touched there (world mm); ``u_mm`` along an axis."""
+
+    stage_mm: Triple
+    touched_mm: Triple
+    u_mm: float
+
+
+# no slots: a cached_property keeps its value in the instance
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """``world_from_stage`` takes a stage position to where teat ``teat``'s end then is. At least three ``stations``, not on a line."""
+
+    made: datetime
+    serial_number: str
+    stage: str
+    teat: int
+    stations: tuple[Station, ...]
+    stated: StageAccuracy
+
+    def __post_init__(self) -> None:
+        if len(self.stations) < 3:
+            raise RegistrationError(f"a registration needs touches at three or more stage positions, has {len(self.stations)}")
+        across = np.linalg.svd(self._q, compute_uv=False)[1] / sqrt(len(self.stations))
+        if across < SPREAD_MM:
+            what = f"the stage positions lie nearly on a line or near together ({across:.0f} mm rms across, {SPREAD_MM:g} mm are needed)"
+            raise RegistrationError(f"{what}. Touch at positions further apart, as at the corners of the travel")
+        off = np.linalg.norm(self.touched_mm - self.world_from_stage.apply(self.stage_mm), axis=1)
+        if off.max() > max(GROSS_MM, GROSS_U * self.stated_u_mm):
+            what = f"the touch at position {int(np.argmax(off)) + 1} of {len(off)} is {off.max():.1f} mm from where the others put it"
+            raise RegistrationError(f"{what}. Was another teat touched, or did stage or phantom slip? Touch all again")
+
+    @cached_property
+    def world_from_stage(self) -> Motion:
+        """The rigid fit; it carries."""
+        return rigid_fit(self.touched_mm, self.stage_mm)
+
+    @property
+    def stage_mm(self) -> Floats:
+        """Stage positions (n, 3)."""
+        return np.array([s.stage_mm for s in self.stations])
+
+    @property
+    def touched_mm(self) -> Floats:
+        """Touched ends (n, 3), world."""
+        return np.array([s.touched_mm for s in self.stations])
+
+    @cached_property
+    def comparison(self) -> Comparison:
+        """Rigid, similarity and affine fit side by side."""
+        return compare(self.touched_mm, self.stage_mm)
+
+    @property
+    def stated_u_mm(self) -> float:
+        """Standard uncertainty of one touch along an axis, from the touches' own budgets."""
+        return float(np.sqrt(np.mean([s.u_mm**2 for s in self.stations])))
+
+    @property
+    def expected_fre_mm(self) -> float:
+        """<FRE> = sqrt(1 - 2/N) FLE for touches as good as stated."""
+        return sqrt((1.0 - 2.0 / len(self.stations)) * 3.0) * self.stated_u_mm
+
+    @cached_property
+    def u_mm(self) -> float:
+        """As stated; larger where what no axis error explains is too large for that (Birge ratio; chi-square test at `ALPHA`)."""
+        chi2, freedom = float(np.sum(self._free.left_over**2)) / self.stated_u_mm**2, self._free.freedom
+        if freedom and chdtrc(freedom, chi2) < ALPHA:
+            return self.stated_u_mm * sqrt(chi2 / freedom)
+        return self.stated_u_mm
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """Of the axes that the positions exercise: x, y and their squareness, and z where the height varied."""
+        u = np.sqrt(np.diag(self._free.covariance)) * self.u_mm
+        k = len(self._free.theta)
+        return tuple(Diagnostic(*row) for row in zip(NAMES[:k], self._free.theta.tolist(), u[3 : 3 + k].tolist(), strict=True))
+
+    @property
+    def axes_turned(self) -> tuple[Motion, Floats]:
+        """The rotation with the stage's x axis as reference (squareness is y's alone), and the covariance (3, 3) of its rotation
+        vector in the stage's axes."""
+        turned = Motion(self.world_from_stage.R @ Motion.from_vectors(self._free.rotation, (0.0, 0.0, 0.0)).R, np.zeros(3))
+        return turned, np.asarray(self.u_mm**2 * self._free.covariance[:3, :3])
+
+    @cached_property
+    def p_value(self) -> float:
+        """How likely the diagnostics are, if the stage is as good as stated and the touches are."""
+        k = len(self._free.theta)
+        expected = self.u_mm**2 * self._free.covariance[3 : 3 + k, 3 : 3 + k] + np.diag(self.stated.deformation[:k])
+        return float(chdtrc(k, self._free.theta @ np.linalg.solve(expected, self._free.theta)))
+
+    @property
+    def doubted(self) -> bool:
+        """Whether the touches leave it open that the axes are worse than stated: the carry's uncertainty covers what they show."""
+        return self.p_value < DOUBT
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the touches say that the axes are worse than stated."""
+        return self.p_value < ALPHA
+
+    def carry_covariance_mm2(self, stage_from_mm: ArrayLike, stage_to_mm: ArrayLike) -> Floats:
+        """Covariance (3, 3), world axes, of what a carry from one stage position (3,) to another adds to a touched end."""
+        way = np.asarray(stage_to_mm, dtype=np.float64) - np.asarray(stage_from_mm, dtype=np.float64)
+        turn = cross_matrix(way)
+        noise = turn @ rotation_covariance(self.stage_mm, self.u_mm) @ turn.T
+        bent = bent_mm(self._q, way)
+        deformed = bent @ self._deformation @ bent.T
+        R = self.world_from_stage.R
+        return np.asarray(R @ (noise + deformed) @ R.T + 2.0 * self.stated.repeatability_mm**2 * np.eye(3))
+
+    def carry_mm(self, stage_from_mm: ArrayLike, stage_to_mm: ArrayLike) -> Floats:
+        """By how much (3,) every teat end moves in the world."""
+        way = np.asarray(stage_to_mm, dtype=np.float64) - np.asarray(stage_from_mm, dtype=np.float64)
+        return np.asarray(self.world_from_stage.R @ way)
+
+    def target_error_mm(self, stage_mm: ArrayLike) -> float:
+        """Expected error of ``world_from_stage`` at a stage position, from the touches alone (Fitzpatrick's formula)."""
+        return float(target_error_mm(sqrt(3.0) * self.u_mm, self.stage_mm, np.atleast_2d(stage_mm))[0])
+
+    def outdated(self, serial_number: str, frame_made: datetime | None) -> str:
+        """Why it doesn't hold for the world of this arm and its table frame (None without one); empty where it does."""
+        if self.serial_number != serial_number:
+            return f"was made with the arm {self.serial_number}, but the arm that answers is {serial_number}"
+        if frame_made is not None and frame_made > self.made:
+            return f"was made on {self.made:%Y-%m-%d %H:%M}, before the arm's table frame ({frame_made:%Y-%m-%d %H:%M})"
+        return ""
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What speaks against this stage or these touches, a sentence each."""
+        told = []
+        if self.contradicted:
+            off = [f"{d.name} {d.value:+.2e} (u {d.u:.1e})" for d in self.diagnostics if d.significant] or ["all of them together"]
+            told.append(
+                f"The stage's axes are worse than the rig file states (p = {self.p_value:.1e}): {'; '.join(off)}. Set its steps per mm, "
+                "square its axes, or state scale_u and squareness_u_rad as they are; until then every carried truth is less certain."
+            )
+        if self.u_mm > self.stated_u_mm:
+            told.append(
+                f"The touches scatter more than their budget says: u = {self.u_mm:.2f} mm along an axis, not {self.stated_u_mm:.2f} mm."
+            )
+        return tuple(told)
+
+    @cached_property
+    def _q(self) -> Floats:
+        at = np.array([s.stage_mm for s in self.stations])
+        return np.asarray(at - at.mean(axis=0))
+
+    @cached_property
+    def _free(self) -> FreeFit:
+        return free_fit(self._q, (self.touched_mm - self.touched_mm.mean(axis=0)) @ self.world_from_stage.R)
+
+    @cached_property
+    def _deformation(self) -> Floats:
+        """Second moments (6, 6) of E's entries: as stated, and what the touches show on top where they cast doubt on it."""
+        moments = np.diag(self.stated.deformation)
+        if self.doubted:
+            k = len(self._free.theta)
+            shown = np.outer(self._free.theta, self._free.theta) + self.u_mm**2 * self._free.covariance[3 : 3 + k, 3 : 3 + k]
+            moments[:k, :k] += shown
+        return np.asarray(moments)
+
+
+def stations_of(stage_mm: Sequence[Triple], touched_mm: Sequence[Triple], u_mm: float) -> tuple[Station, ...]:
+    """Stations that all have the same uncertainty."""
+    return tuple(Station(s, t, u_mm) for s, t in zip(stage_mm, touched_mm, strict=True))

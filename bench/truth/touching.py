@@ -1,0 +1,174 @@
+"""Has the operator touch teat ends and reads the arm: several readings an end, each judged at once, asked for again where refused.
+
+May not know of trials, nor what the ends are wanted for.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.arm.tip import TipReader, WorldTip
+from bench.rig import Arm
+from bench.store import Row
+from bench.truth.point import TruthPoint, reading_u_mm, touched
+from bench.truth.rules import mistaken, outliers
+from instruments.clock import Clock
+from instruments.errors import DeviceError
+from instruments.microscribe.refusals import ArmMovesError
+from instruments.teat_end import end_under_ball_mm
+
+SPARE = 4  # touches of one end beyond those that are asked for, before it is given up
+
+Floats = NDArray[np.float64]
+
+
+class NoTruthError(DeviceError):
+    """A teat end could not be touched well: the touches asked for again were refused too. The trial has no truth."""
+
+
+class TouchingOperator(Protocol):
+    """Whoever brings the tip to the ends."""
+
+    def touch(self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = "") -> None: ...
+    def release(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ends:
+    """What is to be touched: ``expected_mm`` (n, 3) are the places of all the ends, ``axes`` (n, 3) unit vectors from base to end.
+
+    Where the places are not ``known`` well enough to tell teats apart (how the stage's axes lie is just being found out), they aren't used.
+    """
+
+    expected_mm: Floats
+    axes: Floats
+    known: bool = True
+
+    @property
+    def count(self) -> int:
+        """How many teats there are."""
+        return len(self.expected_mm)
+
+
+@dataclass(slots=True)
+class _Reading:
+    seen: WorldTip
+    end_mm: Floats
+    t_s: float
+    refused: str | None = None
+
+
+class Toucher:
+    """Touches with ``arm``'s settings, ``readings`` an end. ``check`` is called before each touch, and may raise."""
+
+    def __init__(
+        self, operator: TouchingOperator, tip: TipReader, arm: Arm, clock: Clock, check: Callable[[], None], readings: int | None = None
+    ) -> None:
+        self._operator = operator
+        self._tip = tip
+        self._arm = arm
+        self._clock = clock
+        self._check = check
+        self.readings = readings or arm.touches
+
+    def touch_all(self, ends: Ends) -> tuple[list[TruthPoint], list[Row]]:
+        """A truth for each end, and a row for each touch, refused ones too. Raises NoTruthError, and as operator and driver do."""
+        done: dict[int, TruthPoint] = {}
+        rows: list[Row] = []
+        for teat in range(1, ends.count + 1):
+            done[teat], touches = self._touch_end(teat, ends, {other: np.array(p.point_mm) for other, p in done.items()})
+            rows += touches
+        self._operator.release()
+        return list(done.values()), rows
+
+    def touch_one(self, teat: int, ends: Ends) -> tuple[TruthPoint, list[Row]]:
+        """The same for one end alone."""
+        point, rows = self._touch_end(teat, ends, {})
+        self._operator.release()
+        return point, rows
+
+    def u_registration_mm(self, point_mm: Floats) -> float | None:
+        """What the table frame adds to the uncertainty at (3,); None where the world is the arm's frame."""
+        return self._tip.u_registration_mm(point_mm)
+
+    def _touch_end(self, teat: int, ends: Ends, done: dict[int, Floats]) -> tuple[TruthPoint, list[Row]]:
+        taken = _Taken(teat, ends, done)
+        again = ""
+        while (missing := self.readings - len(taken.kept)) > 0:
+            taken.refuse_endless(self.readings + SPARE)
+            self._check()
+            self._operator.touch(teat, ends.count, number=self.readings - missing + 1, numbers=self.readings, again=again)
+            again = self._read(taken)
+        points = np.array([r.end_mm for r in taken.kept])
+        truth = touched(points, self._arm, registration_mm=self._tip.u_registration_mm(points.mean(axis=0)))
+        return truth, [_row(teat, number, r) for number, r in enumerate(taken.readings, 1)]
+
+    def _read(self, taken: _Taken) -> str:
+        """One reading, judged; gives back why a touch is asked for again, or nothing."""
+        try:
+            seen = self._tip.read()
+        except ArmMovesError as moves:
+            taken.moved.append(str(moves))
+            return f"{moves} Touch teat {taken.teat} once more."
+        end = end_under_ball_mm(seen.point_mm, taken.ends.axes[taken.teat - 1], self._arm.tip_radius_mm)
+        reason = mistaken(end, taken.teat, taken.ends.expected_mm, taken.done) if taken.ends.known else None
+        taken.readings.append(_Reading(seen, end, self._clock.now(), reason))
+        if reason:
+            return f"{reason} Touch teat {taken.teat}."
+        if len(taken.kept) < min(self.readings, 3):
+            return ""
+        return taken.refuse_outliers(reading_u_mm(self._arm))
+
+
+@dataclass(slots=True)
+class _Taken:
+    """What was read of one end so far. ``moved`` are the touches that gave no reading, since the arm was not held still."""
+
+    teat: int
+    ends: Ends
+    done: dict[int, Floats]
+    readings: list[_Reading] = field(default_factory=list)
+    moved: list[str] = field(default_factory=list)
+
+    @property
+    def kept(self) -> list[_Reading]:
+        return [r for r in self.readings if r.refused is None]
+
+    def refuse_outliers(self, s0_mm: float) -> str:
+        """Mark what doesn't belong to the others; gives back the sentence for the operator, or nothing."""
+        kept = self.kept
+        refused = outliers(np.array([r.end_mm for r in kept]), s0_mm)
+        for row, reason in refused.items():
+            kept[row].refused = reason
+        return f"A touch of teat {self.teat} is refused: {next(iter(refused.values()))}. Once more." if refused else ""
+
+    def refuse_endless(self, most: int) -> None:
+        """Raises NoTruthError after ``most`` touches."""
+        if len(self.readings) + len(self.moved) < most:
+            return
+        reasons = [r.refused for r in self.readings if r.refused] + self.moved
+        what = f"teat {self.teat}: {len(reasons)} of {most} touches could not be used; the last one: {reasons[-1]}"
+        hint = "Is the teat loose, does the phantom stand where the script says, and are its teats counted as the layout counts them?"
+        raise NoTruthError("truth", what, hint=hint)
+
+
+def _row(teat: int, number: int, reading: _Reading) -> Row:
+    x, y, z = (float(v) for v in reading.seen.point_mm)
+    return {
+        "teat": str(teat),
+        "touch": number,
+        "t_s": reading.t_s,
+        "x_mm": x,
+        "y_mm": y,
+        "z_mm": z,
+        "spread_mm": reading.seen.spread_mm,
+        "packets": reading.seen.n,
+        "counts": json.dumps([int(count) for count in reading.seen.counts]),
+        "refused": reading.refused,
+    }

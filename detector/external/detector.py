@@ -1,0 +1,231 @@
+"""A child process as a detector: started when first needed, asked frame by frame, started again after a fault, given up in the end.
+
+Pictures and calibration are handed over as files in `prepare`, outside of the time that is measured; what is measured is from question to
+answer, with the child's own reading of the files. A fault of the line (silence, an end, nonsense, too much memory) costs the process; a
+whole answer with wrong values doesn't. May not know who measures, scores or keeps the record.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from detector.calibration import Calibration, dump_calibration
+from detector.external.lines import BadAnswer, Garbled, check_ready, parse_answer, request_line
+from detector.external.process import Child, ChildFault, ChildSilent
+from detector.protocol import Detection, DetectionFailure, Frames, Image, Outcome
+
+_PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a child may take: seconds to say that it is ready, seconds an answer, MiB of memory with all that it starts (None: any).
+
+    restarts: how often it is started again, in a run. in_a_row: after so many faults without an answer between it is given up.
+    """
+
+    start_s: float = 30.0
+    answer_s: float = 30.0
+    memory_mib: float | None = 1024.0
+    restarts: int = 10
+    in_a_row: int = 3
+
+
+class ExternalDetector:
+    """``command`` run in ``folder`` (None: the bench's own). ``stopwatch`` gives real seconds from an arbitrary start."""
+
+    def __init__(
+        self,
+        name: str,
+        command: Sequence[str],
+        stopwatch: Callable[[], float],
+        *,
+        folder: Path | None = None,
+        limits: Limits | None = None,
+        version: str | None = None,
+    ) -> None:
+        self._name, self._command, self._folder = name, tuple(command), folder
+        self._stopwatch, self._limits = stopwatch, limits or Limits()
+        self._files = {part: digest for part in self._command if (digest := _digest(part, folder))}
+        self._version = version or hashlib.sha256("".join(self._files.values()).encode()).hexdigest()[:12]
+        self._child: Child | None = None
+        self._desk: _Desk | None = None
+        self._asked = ""
+        self._start_up_s: float | None = None
+        self._starts = self._faults_in_a_row = 0
+        self._off = ""
+        self._last_words = ""
+
+    @property
+    def name(self) -> str:
+        """The name that it was given."""
+        return self._name
+
+    @property
+    def version(self) -> str:
+        """As given; else made from the bytes of the files that its command names."""
+        return self._version
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """The command, the limits, and the SHA-256 of each file that the command names."""
+        return {"command": list(self._command), "limits": asdict(self._limits), "files_sha256": dict(self._files)}
+
+    @property
+    def patience_s(self) -> float:
+        """The longest that a call may take, a start and an end of the process with it."""
+        return self._limits.start_s + self._limits.answer_s + 10.0
+
+    @property
+    def start_up_s(self) -> float | None:
+        """Seconds that the process took which the last `prepare` started; None where it ran already."""
+        return self._start_up_s
+
+    def prepare(self, frames: Frames, calibration: Calibration) -> None:
+        """Start the process if none runs, and write the pictures. Raises DetectionFailure."""
+        self._start_up_s, self._asked = None, ""
+        if self._off:
+            raise DetectionFailure(self._off, Outcome.OFF)
+        if self._desk is None:
+            self._desk = _Desk()
+        self._desk.lay_out(frames, calibration)
+        if self._child is None:
+            self._start()
+        self._asked = self._desk.frame
+
+    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+        """Ask about the frames that were prepared, or prepare them. Raises DetectionFailure."""
+        if not self._asked:
+            self.prepare(frames, calibration)
+        asked, self._asked = self._asked, ""
+        child, desk = self._child, self._desk
+        if child is None or desk is None:
+            raise DetectionFailure("it was closed")
+        try:
+            child.ask(request_line(asked, desk.pictures, desk.calibration))
+            detection = parse_answer(child.line(self._limits.answer_s), asked, calibration)
+        except ChildSilent as silent:
+            raise self._fault(f"it gave no answer within {self._limits.answer_s:g} s{silent}", Outcome.TIMEOUT) from None
+        except ChildFault as fault:
+            raise self._fault(f"it {fault}") from None
+        except Garbled as fault:
+            raise self._fault(str(fault)) from None
+        except BadAnswer as fault:
+            self._faults_in_a_row = 0
+            raise DetectionFailure(str(fault)) from None
+        self._faults_in_a_row = 0
+        return detection
+
+    def check(self) -> None:
+        """Look at its memory between calls. Raises DetectionFailure where it takes too much; it is started again then."""
+        try:
+            if self._child is not None:
+                self._child.check_memory()
+        except ChildFault as fault:
+            raise self._fault(f"it {fault}") from None
+
+    def said(self) -> str:
+        """Its standard error since this was last asked."""
+        words = [self._last_words, self._child.complaints() if self._child else ""]
+        self._last_words = ""
+        return "\n".join(word for word in words if word)
+
+    def close(self) -> None:
+        """End the process with all that it started, and remove the pictures."""
+        self._end()
+        if self._desk:
+            self._desk.clear()
+            self._desk = None
+
+    def _start(self) -> None:
+        start_s, limit_s = self._stopwatch(), self._limits.start_s
+        self._starts += 1
+        try:
+            self._child = Child(self._command, self._folder, self._limits.memory_mib, self._stopwatch)
+            check_ready(self._child.line(limit_s))
+        except OSError as error:
+            raise self._fault(f"it can't be started: {error.strerror or error}") from None
+        except ChildSilent as silent:
+            raise self._fault(f"it was not ready within {limit_s:g} s of its start{silent}", Outcome.TIMEOUT) from None
+        except ChildFault as fault:
+            raise self._fault(f"it {fault} before it was ready") from None
+        except Garbled as fault:
+            raise self._fault(str(fault)) from None
+        self._start_up_s = self._stopwatch() - start_s
+
+    def _fault(self, reason: str, outcome: Outcome = Outcome.FAILED) -> DetectionFailure:
+        """End the process, and perhaps give it up; gives back what to raise."""
+        self._end()
+        self._faults_in_a_row += 1
+        if self._faults_in_a_row >= self._limits.in_a_row:
+            why = f"{self._faults_in_a_row} faults in a row"
+        elif self._starts > self._limits.restarts:
+            why = f"{self._starts} starts"
+        else:
+            return DetectionFailure(reason, outcome)
+        self._off = f"switched off for the rest of the run after {why}; the last: {reason}"
+        return DetectionFailure(f"{reason}. After {why} it is switched off for the rest of the run", outcome)
+
+    def _end(self) -> None:
+        if self._child is not None:
+            child, self._child = self._child, None
+            child.end()
+            self._last_words = "\n".join(word for word in (self._last_words, child.complaints()) if word)
+
+
+class _Desk:
+    """A folder of its own with the pictures of one frame set and the calibration, under names that tell nothing."""
+
+    def __init__(self) -> None:
+        self._held = tempfile.TemporaryDirectory(prefix="teatbench-")
+        self._folder = Path(self._held.name)
+        self.calibration = self._folder / "calibration.toml"
+        self.pictures: dict[str, Path] = {}
+        self._known: Calibration | None = None
+        self._count = 0
+
+    @property
+    def frame(self) -> str:
+        """The name of the frame set that lies there."""
+        return str(self._count)
+
+    def lay_out(self, frames: Frames, calibration: Calibration) -> None:
+        """Write a frame set in place of the one before. Raises DetectionFailure for pictures that PNG can't hold."""
+        for path in self.pictures.values():
+            path.unlink(missing_ok=True)
+        self._count += 1
+        if calibration is not self._known:
+            self.calibration.write_text(dump_calibration(calibration), encoding="utf-8", newline="\n")
+            self._known = calibration
+        kelvin = frames.thermal_k
+        images = {"left": frames.left, "right": frames.right, "thermal": frames.thermal}
+        images["thermal_radiometric"] = None if kelvin is None else np.rint(np.clip(kelvin * 100.0, 0.0, 65535.0)).astype(np.uint16)
+        self.pictures = {name: self._write(name, image) for name, image in images.items() if image is not None}
+
+    def clear(self) -> None:
+        self._held.cleanup()
+
+    def _write(self, name: str, image: Image) -> Path:
+        path = self._folder / f"{self._count}-{name}.png"
+        try:
+            _, data = cv2.imencode(".png", image, _PNG_FAST)
+        except cv2.error:
+            raise DetectionFailure(f"the {name} picture ({image.shape}, {image.dtype}) can't be written as PNG") from None
+        path.write_bytes(data.tobytes())
+        return path
+
+
+def _digest(part: str, folder: Path | None) -> str | None:
+    path = (folder or Path()) / part
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
+    except OSError:
+        return None

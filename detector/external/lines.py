@@ -1,0 +1,118 @@
+"""JSON lines between the bench and a detector in a process of its own: values to bytes, bytes to values, no I/O.
+
+A line that isn't one of ours (`Garbled`) means that nothing after it can be trusted; an answer of the right form with wrong values
+(`BadAnswer`) means no more than that. Whether figures are finite and within reach is judged where all detectors' answers are.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from detector.calibration import Calibration
+from detector.geometry import Array, triangulate
+from detector.protocol import Detection, Teat
+
+READY = {"ready": True}
+PICTURES = ("left", "right", "thermal", "thermal_radiometric")
+_SHOWN = 80
+
+
+class Garbled(ValueError):  # noqa: N818 - the line is garbled
+    """Not a line of this protocol."""
+
+
+class BadAnswer(ValueError):  # noqa: N818 - the answer is bad
+    """An answer whose values can't be right."""
+
+
+def request_line(frame: str, pictures: Mapping[str, Path], calibration: Path) -> bytes:
+    """What is asked of the child: the frame's name, where its pictures lie (those that there are), and the calibration."""
+    paths = {name: str(pictures[name]) for name in PICTURES if name in pictures}
+    return _line({"frame": frame, **paths, "calibration": str(calibration)})
+
+
+def answer_line(frame: str, detection: Detection) -> bytes:
+    """An answer, as a detector in Python gives it."""
+    teats = [{"world_mm": _plain(t.world_mm), "covariance_mm2": _plain(t.covariance_mm2)} for t in detection.teats]
+    return _line({"frame": frame, "teats": teats, "hidden": detection.hidden, "reason": detection.reason})
+
+
+def check_ready(line: bytes) -> None:
+    """Raises Garbled where the child's first line isn't the one that says it is ready."""
+    if _object(line).get("ready") is not True:
+        raise Garbled(f'its first line must be {json.dumps(READY)}, is "{shown(line)}"')
+
+
+def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection:
+    """The answer on ``frame``. A teat is "world_mm" [x, y, z], or "left_px" and "right_px" [column, row], which are triangulated.
+
+    Raises Garbled for a line that is no answer on this frame, BadAnswer for one with values that can't be right. Unknown keys are let pass.
+    """
+    answer = _object(line)
+    if answer.get("frame") != frame:
+        raise Garbled(f'it was asked about frame "{frame}" and answered "{shown(line)}"')
+    teats, hidden, reason = answer.get("teats"), answer.get("hidden", 0), answer.get("reason")
+    if not isinstance(teats, list):
+        raise BadAnswer('its answer has no list "teats"; an empty list says that there are none')
+    if isinstance(hidden, bool) or not isinstance(hidden, int):
+        raise BadAnswer(f'"hidden" of its answer is {json.dumps(hidden)[:_SHOWN]}, not a whole number')
+    if reason is not None and not isinstance(reason, str):
+        raise BadAnswer(f'"reason" of its answer is {json.dumps(reason)[:_SHOWN]}, not text')
+    return Detection(tuple(_teat(number, teat, calibration) for number, teat in enumerate(teats, 1)), hidden, reason)
+
+
+def shown(line: bytes) -> str:
+    """A line for a sentence: its beginning, without control characters."""
+    text = line.decode("utf-8", errors="replace").strip()
+    text = "".join(c if c.isprintable() else "�" for c in text)
+    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
+
+
+def _object(line: bytes) -> dict[str, Any]:
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError):  # neither JSON nor UTF-8, or nested without end
+        raise Garbled(f'its line is not JSON: "{shown(line)}"') from None
+    if not isinstance(found, dict):
+        raise Garbled(f'its line is no JSON object: "{shown(line)}"')
+    return found
+
+
+def _teat(number: int, given: Any, calibration: Calibration) -> Teat:
+    if not isinstance(given, dict):
+        raise BadAnswer(f'teat {number} of its answer is no object with "world_mm", or "left_px" and "right_px"')
+    covariance = given.get("covariance_mm2")
+    spread = None if covariance is None else _numbers(covariance, (3, 3), f'"covariance_mm2" of teat {number}')
+    left, right = (
+        None if given.get(name) is None else _numbers(given[name], (2,), f'"{name}" of teat {number}') for name in ("left_px", "right_px")
+    )
+    if given.get("world_mm") is not None:
+        return Teat(_numbers(given["world_mm"], (3,), f'"world_mm" of teat {number}'), spread, left, right)
+    if left is None or right is None:
+        raise BadAnswer(f'teat {number} of its answer has neither "world_mm" nor both of "left_px" and "right_px"')
+    in_right, _ = triangulate(left[None], right[None], calibration.left, calibration.right, calibration.right_from_left)
+    return Teat(calibration.world_from_right.apply(in_right)[0], spread, left, right)
+
+
+def _numbers(given: Any, shape: tuple[int, ...], what: str) -> Array:
+    try:
+        found = np.array(given)
+        if found.shape == shape and found.dtype.kind in "iuf":
+            return found.astype(np.float64)
+    except ValueError:  # rows of different lengths
+        pass
+    sizes = " x ".join(map(str, shape))
+    raise BadAnswer(f"{what} of its answer is {json.dumps(given)[:_SHOWN]}, not {sizes} numbers")
+
+
+def _plain(value: Array | None) -> Any:
+    return None if value is None else np.asarray(value).tolist()
+
+
+def _line(message: Mapping[str, Any]) -> bytes:
+    return json.dumps(message, ensure_ascii=False).encode() + b"\n"

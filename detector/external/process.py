@@ -1,0 +1,212 @@
+"""A running child process under limits: lines out and in, memory watched, and its end whatever it does.
+
+A thread each reads standard output and standard error as they come, within bounds, so that no child can block the bench or fill its memory.
+Waiting is on the queue between that thread and the caller. What the lines mean is not known here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import IO, cast
+
+from detector.external import leash
+from detector.external.lines import shown
+
+LONGEST_LINE = 1 << 20
+KEPT_STDERR = 1 << 14
+_LOOK_S = 0.25
+_END_S = 5.0
+_UNASKED_LINES = 100
+_MIB = 1 << 20
+
+
+class ChildFault(Exception):  # noqa: N818 - the child's fault
+    """The child can't be talked to any more; the message is a sentence that begins with a verb."""
+
+
+class ChildSilent(ChildFault):
+    """Nothing came within the time."""
+
+
+class Child:
+    """A command, started. Raises OSError where that can't be done. ``stopwatch`` gives seconds from an arbitrary start."""
+
+    def __init__(self, command: Sequence[str], folder: Path | None, memory_mib: float | None, stopwatch: Callable[[], float]) -> None:
+        self._memory_mib, self._stopwatch = memory_mib, stopwatch
+        self._process, self._hold = _spawn(command, folder)
+        self._in = cast(IO[bytes], self._process.stdin)
+        self._heard = _Heard()
+        self._complaints = _Complaints()
+        pipes = cast(IO[bytes], self._process.stdout), cast(IO[bytes], self._process.stderr)
+        self._readers = [
+            threading.Thread(target=_read, args=(pipe, take), name=f"detector's {name}", daemon=True)
+            for pipe, take, name in zip(pipes, (self._heard.take, self._complaints.take), ("answers", "complaints"), strict=True)
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def ask(self, line: bytes) -> None:
+        """Send a line. Raises ChildFault where the child no longer listens."""
+        try:
+            self._in.write(line)
+            self._in.flush()
+        except OSError:
+            raise ChildFault(self._ending()) from None
+
+    def line(self, limit_s: float) -> bytes:
+        """Its next line. Raises ChildSilent after ``limit_s``, ChildFault where it ends, floods, or takes more memory than it may."""
+        deadline_s = self._stopwatch() + limit_s
+        while True:
+            left_s = deadline_s - self._stopwatch()
+            if left_s <= 0:
+                raise ChildSilent(self._heard.unfinished and f", stuck{self._heard.unfinished}")
+            try:
+                line = self._heard.lines.get(timeout=min(left_s, _LOOK_S))
+            except queue.Empty:
+                self.check_memory()
+                continue
+            if line is None:
+                raise ChildFault(self._heard.trouble or self._ending())
+            return line
+
+    def check_memory(self) -> None:
+        """Raises ChildFault where the child and what it started hold more memory than they may, as far as this system tells."""
+        used_mib = resident_mib(self._process.pid)
+        if self._memory_mib is not None and used_mib is not None and used_mib > self._memory_mib:
+            raise ChildFault(f"took {used_mib:.0f} MiB of memory, {self._memory_mib:g} MiB are allowed")
+
+    def complaints(self) -> str:
+        """What came on its standard error since this was last asked."""
+        return self._complaints.given_out()
+
+    def end(self) -> None:
+        """End it and all that it started; its last words on standard error can be asked for afterwards. Once more is no error."""
+        if self._hold is not None:
+            os.close(self._hold)
+            self._hold = None
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_END_S)
+        if self._process.poll() is None:
+            self._kill()
+        self._process.wait()
+        with contextlib.suppress(OSError):  # what was never sent can't be sent now
+            self._in.close()
+        for reader, pipe in zip(self._readers, (self._process.stdout, self._process.stderr), strict=True):
+            reader.join(_END_S)
+            if not reader.is_alive():  # else some process that got away holds the other end: its number must not be given to another file
+                cast(IO[bytes], pipe).close()
+
+    def _kill(self) -> None:
+        if sys.platform != "win32":
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, 9)
+        self._process.kill()
+
+    def _ending(self) -> str:
+        """How it ended; it has closed its output."""
+        try:
+            code = self._process.wait(1.0)
+        except subprocess.TimeoutExpired:
+            return "closed its output"
+        after = self._heard.unfinished
+        if code > 128 and sys.platform != "win32":
+            return f"was ended by signal {code - 128}{after}"
+        return f"ended with exit code {code}{after}"
+
+
+def resident_mib(process: int) -> float | None:
+    """Memory (resident set) of all processes below one, MiB; pages that they share count for each. None where there is no /proc."""
+    if not Path("/proc/self/statm").is_file():
+        return None
+    pages = 0
+    for pid in leash.descendants(process):
+        with contextlib.suppress(OSError):  # it has just ended
+            pages += int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / _MIB
+
+
+class _Heard:
+    """Whole lines out of bytes; None stands for the end. Stops listening to a child that doesn't stop talking."""
+
+    def __init__(self) -> None:
+        self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self.trouble = ""
+        self._rest = b""
+
+    @property
+    def unfinished(self) -> str:
+        """A clause about a line that was begun and not ended; empty where there is none."""
+        return f' in the middle of a line that begins "{shown(self._rest)}"' if self._rest else ""
+
+    def take(self, data: bytes) -> bool:
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if len(self._rest) > LONGEST_LINE or any(len(line) > LONGEST_LINE for line in lines):
+            self.trouble = f"wrote a line of more than {LONGEST_LINE} bytes"
+        elif self.lines.qsize() + len(lines) > _UNASKED_LINES:
+            self.trouble = f"wrote more than {_UNASKED_LINES} lines without being asked"
+        if not self.trouble:
+            for line in lines:
+                self.lines.put(line)
+        if self.trouble or not data:
+            self.lines.put(None)
+        return bool(data) and not self.trouble
+
+
+class _Complaints:
+    """The end of what came on standard error."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._data, self._lost = b"", 0
+
+    def take(self, data: bytes) -> bool:
+        with self._lock:
+            whole = self._data + data
+            self._data = whole[-KEPT_STDERR:]
+            self._lost += len(whole) - len(self._data)
+        return bool(data)
+
+    def given_out(self) -> str:
+        with self._lock:
+            text = self._data.decode("utf-8", errors="replace").strip()
+            text = f"({self._lost} bytes before this are left out)\n{text}" if self._lost else text
+            self._data, self._lost = b"", 0
+        return text
+
+
+def _read(pipe: IO[bytes], take: Callable[[bytes], bool]) -> None:
+    """Hand bytes on as they come, and b"" at the end."""
+    while True:
+        try:
+            data = os.read(pipe.fileno(), 1 << 16)
+        except (OSError, ValueError):  # closed from our side
+            data = b""
+        if not take(data):
+            return
+
+
+def _spawn(command: Sequence[str], folder: Path | None) -> tuple[subprocess.Popen[bytes], int | None]:
+    """The process, and the end of the leash to hold where the system has one. In a session of its own: Ctrl-C is the bench's."""
+    pipe = subprocess.PIPE
+    if os.name != "posix":
+        detached = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0) | getattr(subprocess, "CREATE_NO_WINDOW", 0)
+        return subprocess.Popen(command, cwd=folder, creationflags=detached, stdin=pipe, stdout=pipe, stderr=pipe), None  # noqa: S603
+    far, near = os.pipe()
+    held = [sys.executable, "-I", "-S", str(Path(leash.__file__)), str(far), *command]
+    try:
+        return (
+            subprocess.Popen(held, cwd=folder, pass_fds=(far,), start_new_session=True, stdin=pipe, stdout=pipe, stderr=pipe),  # noqa: S603
+            near,
+        )
+    except OSError:
+        os.close(near)
+        raise
+    finally:
+        os.close(far)

@@ -1,0 +1,61 @@
+"""The other end of `detector.external`, for any detector that the registry has: ``python -m detector.external.serve thesis``.
+
+A detector in Python so runs in a process of its own, under limits; and this is the protocol's answering side, to compare with.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from detector.calibration import load_calibration
+from detector.external.lines import READY, answer_line
+from detector.registry import create
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pictures:
+    """A frame set as read from the files of a question."""
+
+    left: NDArray[Any]
+    right: NDArray[Any]
+    thermal: NDArray[Any] | None
+    thermal_k: NDArray[Any] | None
+
+
+def serve(name: str, questions: IO[bytes], answers: IO[bytes]) -> None:
+    """Answer every line of ``questions`` on ``answers`` until they end."""
+    detector = create(name)
+    answers.write(json.dumps(READY).encode() + b"\n")
+    answers.flush()
+    for line in questions:
+        asked = json.loads(line)
+        detection = detector.detect(read_pictures(asked), load_calibration(Path(asked["calibration"])))
+        answers.write(answer_line(asked["frame"], detection))
+        answers.flush()
+
+
+def read_pictures(asked: dict[str, str]) -> Pictures:
+    """The pictures that a question names."""
+    images = {name: _read(Path(asked[name])) for name in ("left", "right", "thermal", "thermal_radiometric") if name in asked}
+    kelvin = images.get("thermal_radiometric")
+    return Pictures(images["left"], images["right"], images.get("thermal"), None if kelvin is None else kelvin / 100.0)
+
+
+def _read(path: Path) -> NDArray[Any]:
+    # through memory, for imread knows only the ASCII paths of Windows
+    image = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ValueError(f"{path} is no picture")
+    return image
+
+
+if __name__ == "__main__":
+    serve(sys.argv[1], sys.stdin.buffer, sys.stdout.buffer)

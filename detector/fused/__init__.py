@@ -1,0 +1,1 @@
+"""The bench's own detector: thermal nominates, optics localise, stereo decides."""

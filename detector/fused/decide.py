@@ -1,0 +1,111 @@
+"""Which fitted teats are teats: every one is accepted, or rejected with its reason.
+
+Strategy: what makes a teat is asked one thing at a time: an end and a side seen in each picture, edges where the model says, a size that
+teats have, a place that is sure enough, warmth in the thermal picture wherever the model says, and no better teat that it would pass through.
+Nothing false is the first rule, so a doubt rejects. The module may not know how the fit was reached.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from detector.fused.model import END, RADIUS, SIDE_A, SIDE_B, axes
+from detector.fused.parameters import Parameters
+from detector.fused.refine import FINE_OUTLINE, Fitted
+from detector.fused.thermal import Field
+from detector.geometry import Array, Camera, Motion
+
+_CLOSE_PX, _MOST_SD_PX = 0.6, 0.6
+_ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
+_ACROSS = (-0.6, 0.0, 0.6)  # of the radius
+_AXIS_MM = np.linspace(0.0, 60.0, 7)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What speaks for m fitted teats: shares of the outline seen, (m, 2 views) each; misfit px (m,); warmth (m, 3 lines) or NaN; sd mm (m,)."""
+
+    end: Array
+    side: Array  # the better side
+    both: Array  # the other
+    misfit_px: Array
+    warmth: Array
+    sd_mm: Array
+
+    @property
+    def merit(self) -> Array:
+        """One number (m,) to tell the better of two."""
+        return np.asarray((2 * self.end + self.side + self.both).sum(axis=1) - 4 * self.misfit_px)
+
+
+def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
+    """Evidence from the edges about m teats, their covariances (m, 3, 3) and their warmth (m, 3)."""
+    seen, weight, part = fitted.seen, fitted.weight, FINE_OUTLINE.part
+    good = (weight > 0) & (np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _CLOSE_PX) & (seen.sd_px < _MOST_SD_PX)
+    good = good.reshape(len(weight), -1, len(part))
+    shares = {p: good[:, :, part == p].mean(axis=2) for p in (SIDE_A, END, SIDE_B)}
+    square = np.where(weight > 0, np.nan_to_num(seen.offset_px) ** 2, 0.0)
+    misfit = np.sqrt((square * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9))
+    sides = np.stack([shares[SIDE_A], shares[SIDE_B]])
+    sd = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
+    return Evidence(shares[END], sides.max(axis=0), sides.min(axis=0), misfit, warmth, sd)
+
+
+def warmth_inside(teats: Array, warm: Field, lens: Camera, thermal_from_right: Motion, px_a_sensor_px: float) -> Array:
+    """Medians (m, 3) of the thermal picture along lines down teats (m, 8): left of the axis, on it, right of it; NaN where it doesn't reach."""
+    axis = axes(teats)
+    line = teats[:, None, None, :3] + _ALONG_MM[:, None] * axis[:, None, None]
+    aside = np.array(_ACROSS)[:, None, None] * teats[:, None, None, RADIUS, None] * np.cross(axis, [0.0, 0.0, -1.0])[:, None, None]
+    pixels = (lens.project(thermal_from_right.apply((line + aside).reshape(-1, 3))) + 0.5) / px_a_sensor_px - 0.5
+    at = np.rint(np.nan_to_num(pixels, nan=-1.0)).astype(int).reshape(len(teats), len(_ACROSS), len(_ALONG_MM), 2)
+    rows, columns = warm.shape
+    inside = (at[..., 0] >= 0) & (at[..., 0] < columns) & (at[..., 1] >= 0) & (at[..., 1] < rows)
+    values = warm[np.clip(at[..., 1], 0, rows - 1), np.clip(at[..., 0], 0, columns - 1)]
+    return np.where(inside.mean(axis=2) > 0.5, np.median(values, axis=2), np.nan)
+
+
+def objections(teats: Array, evidence: Evidence, surroundings: float, p: Parameters) -> list[str | None]:
+    """Why each of the teats (m, 8) is none, or None. ``surroundings``: what the thermal picture shows where nothing is warm."""
+    reasons: list[str | None] = [_objection(teats[i], evidence, i, p) for i in range(len(teats))]
+    clean = [i for i, reason in enumerate(reasons) if reason is None]
+    least = np.nanmin(evidence.warmth, axis=1, initial=np.inf) if len(teats) else np.zeros(0)
+    if clean:
+        reference = max(float(np.median(evidence.warmth[i])) for i in clean)
+        for i in clean:
+            if least[i] - surroundings < p.least_warmth * (reference - surroundings):
+                reasons[i] = "it isn't warm all over"
+    kept: list[int] = []
+    for i in sorted((i for i in clean if reasons[i] is None), key=lambda i: -evidence.merit[i]):
+        if any(_passes_through(teats[i], teats[k], p.overlap) for k in kept):
+            reasons[i] = "a better one is in the same place"
+        else:
+            kept.append(i)
+    return reasons
+
+
+def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | None:
+    for view, name in enumerate(("left", "right")):
+        if evidence.end[i, view] < p.least_end:
+            return f"its end isn't seen in the {name} picture"
+        if evidence.side[i, view] < p.least_side:
+            return f"neither side is seen in the {name} picture"
+    if evidence.misfit_px[i] > p.greatest_misfit_px:
+        return "its outline isn't that of a teat"
+    if not p.least_radius_mm < teat[RADIUS] < p.greatest_radius_mm:
+        return "it isn't of a teat's size"
+    if not p.nearest_mm < teat[2] < p.farthest_mm:
+        return "it is outside of the working volume"
+    if not np.isfinite(evidence.warmth[i]).all():
+        return "the thermal picture doesn't reach it"
+    if evidence.sd_mm[i] > p.greatest_sd_mm:
+        return "its place is too unsure"
+    return None
+
+
+def _passes_through(a: Array, b: Array, share: float) -> bool:
+    """Whether two solid teats (8,) would be in one another."""
+    first, second = (t[:3] + _AXIS_MM[:, None] * axes(t[None]) for t in (a, b))
+    nearest = np.linalg.norm(first[:, None] - second[None], axis=2).min()
+    return bool(nearest < share * (a[RADIUS] + b[RADIUS]))

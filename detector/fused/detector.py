@@ -1,0 +1,143 @@
+"""The bench's own detector, from frame set to teat ends: thermal nominates, optics localise, stereo decides.
+
+Strategy: the stages are next door; here they are joined, and what each gave is kept for the report. A frame set that can't be used gives no
+teats and a sentence. The module may not know the scene, the truth, nor what the answer is for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detector.calibration import Calibration
+from detector.fused import pictures
+from detector.fused.decide import Evidence, objections, warmth_inside, weigh
+from detector.fused.fit import View
+from detector.fused.model import apexes
+from detector.fused.parameters import Parameters
+from detector.fused.refine import Fitted, refine
+from detector.fused.sweep import Map, Starts, depths_mm, hypotheses, sweep_bars, sweep_ends
+from detector.fused.thermal import Nominations, bars, nominate
+from detector.fused.uncertainty import world_covariances
+from detector.geometry import Array, Camera, Motion
+from detector.protocol import Detection, Frames, Stage, Teat
+
+_ROOM_PX = 60  # about the nominations: half a teat's width, and as far down as the fit looks
+_ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
+
+
+@dataclass(frozen=True, slots=True)
+class FusedDetector:
+    """Classical vision, no learning: everything it knows is in `Parameters` and in the calibration."""
+
+    settings: Parameters = field(default_factory=Parameters)
+
+    @property
+    def name(self) -> str:
+        """The name in the registry."""
+        return "fused"
+
+    @property
+    def version(self) -> str:
+        """Counted up when an answer on any frame set changes."""
+        return "1"
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """The settings by name."""
+        return asdict(self.settings)
+
+    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+        """Teat ends in the world frame with their covariances, and the trace of every stage that was reached."""
+        trace: list[Stage] = []
+        try:
+            return _detect(frames, calibration, self.settings, trace)
+        except pictures.UnusableError as why:
+            return Detection((), 0, str(why), tuple(trace))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Thermal:
+    """The thermal picture and the way from it to the right camera."""
+
+    warm: NDArray[np.float32]
+    lens: Camera
+    from_right: Motion
+    px_a_sensor_px: float
+
+
+def _detect(frames: Frames, calibration: Calibration, p: Parameters, trace: list[Stage]) -> Detection:
+    left = pictures.optical(frames.left, calibration.left.image_size, "left")
+    right = pictures.optical(frames.right, calibration.right.image_size, "right")
+    thermal = _thermal(frames, calibration)
+    starts, views = _start(thermal, left, right, calibration, p, trace)
+    fitted = refine(starts, views, p)
+    covariances = world_covariances(fitted, calibration, p)
+    warmth = warmth_inside(fitted.teats, thermal.warm, thermal.lens, thermal.from_right, thermal.px_a_sensor_px)
+    evidence = weigh(fitted, covariances, warmth)
+    reasons = objections(fitted.teats, evidence, float(np.percentile(thermal.warm, 20)), p)
+    trace.append(_decisions(fitted, evidence, reasons))
+    accepted = [i for i, reason in enumerate(reasons) if reason is None]
+    answers = _answers(fitted.teats[accepted], covariances[accepted], thermal, calibration)
+    return Detection(answers, 0, None if answers else "nothing warm has the outline of a teat in both optical pictures", tuple(trace))
+
+
+def _thermal(frames: Frames, calibration: Calibration) -> _Thermal:
+    warm = pictures.thermal(frames, calibration.thermal)
+    camera, motion = calibration.thermal, calibration.thermal_from_right
+    if camera.lens is None or motion is None:
+        raise pictures.UnusableError("the calibration has no lens and pose of the thermal camera, by which fused goes from thermal to optical")
+    return _Thermal(warm, camera.lens, motion, camera.image_size[0] / camera.sensor_size[0])
+
+
+def _start(
+    thermal: _Thermal, left: NDArray[Any], right: NDArray[Any], calibration: Calibration, p: Parameters, trace: list[Stage]
+) -> tuple[Starts, tuple[View, ...]]:
+    ends = nominate(thermal.warm, p.most_nominations)
+    upright = bars(thermal.warm, ends, p.most_bars)
+    trace.append(Stage("thermal", {"warmth": thermal.warm, **_shown("end", ends), **_shown("bar", upright)}))
+    if len(ends) + len(upright) == 0:
+        raise pictures.UnusableError("the thermal picture shows nothing like a teat")
+    depth_mm, right_from_thermal = depths_mm(calibration, p), thermal.from_right.inverse()
+    of_ends, of_bars = (hypotheses(n, thermal.lens, thermal.px_a_sensor_px, right_from_thermal, depth_mm) for n in (ends, upright))
+    views = _views(left, right, calibration, np.concatenate([of_ends, of_bars - [0, _ROOM_ABOVE_MM, 0, 0, 0, 0, 0, 0], of_bars]))
+    maps = tuple(Map.of(view) for view in views)
+    starts = sweep_ends(of_ends, maps, p) + sweep_bars(of_bars, maps, p)
+    trace.append(Stage("starts", {"teats": starts.teats, "score": starts.score}))
+    return starts, views
+
+
+def _shown(what: str, found: Nominations) -> dict[str, Array]:
+    return {f"{what}_px": found.centre_px, f"{what}_radius_px": found.radius_px, f"{what}_score": found.score}
+
+
+def _views(left: NDArray[Any], right: NDArray[Any], calibration: Calibration, guesses: Array) -> tuple[View, ...]:
+    """The parts of both pictures that the guesses (n, d, 8) reach."""
+    points = guesses[..., :3].reshape(-1, 3)
+    points = np.concatenate([points, points + [0.0, 60.0, 0.0]])
+    made = []
+    sides = (left, calibration.left, calibration.right_from_left.inverse()), (right, calibration.right, Motion.identity())
+    for picture, camera, motion in sides:
+        near, corner = pictures.region(picture, camera.project(motion.apply(points)), _ROOM_PX)
+        made.append(View(near, corner, pictures.noise_of(near), camera, motion))
+    return tuple(made)
+
+
+def _decisions(fitted: Fitted, evidence: Evidence, reasons: list[str | None]) -> Stage:
+    """Every fitted teat with what speaks for it and the reason against it, empty for those accepted."""
+    shown = {name: getattr(evidence, name) for name in Evidence.__slots__}
+    return Stage("decisions", {"teats": fitted.teats, **shown, "merit": evidence.merit, "reasons": np.array([r or "" for r in reasons])})
+
+
+def _answers(teats: Array, covariances: Array, thermal: _Thermal, calibration: Calibration) -> tuple[Teat, ...]:
+    if len(teats) == 0:
+        return ()
+    ends = apexes(teats)
+    world = calibration.world_from_right.apply(ends)
+    left_px, right_px = calibration.project(world)
+    thermal_px = thermal.lens.project(thermal.from_right.apply(ends))
+    return tuple(Teat(*each) for each in zip(world, covariances, left_px, right_px, thermal_px, strict=True))

@@ -1,0 +1,120 @@
+"""The teat that both cameras' outlines show: a joint robust fit of the model, for many starts at once, and how sure it is.
+
+Strategy: Levenberg-Marquardt on the distance of found edges from the predicted outlines along their normals, edges looked for anew at
+each step. Weak priors on size and lean only keep what the pictures don't show from running away. Derivatives are differences of the closed-form
+outlines, for all teats and parameters in one call. The module may not know temperatures nor how the starts were found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from detector.fused.edges import Edges, Field, Profile, find_edges, sample
+from detector.fused.model import COUNT, HEIGHT, LEAN_X, LEAN_Z, RADIUS, TAPER, Outline, axes, normals_of, outlines
+from detector.geometry import Array, Camera, Motion
+
+_STEPS = np.array([0.05, 0.05, 0.5, 1e-3, 1e-3, 0.05, 1e-3, 5e-3])  # of the differences: mm, mm, mm, -, -, mm, -, -
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One optical picture: linear intensities of a region, where its first pixel lies in the whole picture, and who took it."""
+
+    field: Field
+    corner_px: Array  # (2,)
+    noise: float
+    camera: Camera
+    camera_from_teats: Motion
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is known of teats before looking: mean and standard deviation of radius (mm), and how far lean (slope) and taper are from 0, and height from 1."""
+
+    radius_mm: float = 11.0
+    radius_sd_mm: float = 3.0
+    lean_sd: float = 0.4
+    taper_sd: float = 0.006
+    height_sd: float = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """Edges about the outlines of m teats in all views, ``n`` points a view: (m, views * n) each."""
+
+    offset_px: Array
+    sd_px: Array
+    gain: Array
+    contrast: Array
+    jacobian: Array  # (m, views * n, 8): how far the outline moves outward, px a unit of each parameter
+    pixels_px: Array  # (m, views * n, 2)
+    normals: Array
+
+
+def look(teats: Array, views: tuple[View, ...], outline: Outline, profile: Profile, pull_px: float, jacobian: Array | None = None) -> Seen:
+    """Find edges about the outlines of teats (m, 8). ``jacobian``: that of teats nearby, to save finding it anew."""
+    parts = [_look_at(teats, view, outline, profile, pull_px, slopes=jacobian is None) for view in views]
+    found = {name: np.concatenate([getattr(p, name) for p in parts], axis=1) for name in Seen.__slots__}
+    return Seen(**(found if jacobian is None else {**found, "jacobian": jacobian}))
+
+
+def _look_at(teats: Array, view: View, outline: Outline, profile: Profile, pull_px: float, *, slopes: bool) -> Seen:
+    changed = np.concatenate([teats, *(teats + step * np.eye(COUNT)[i] for i, step in enumerate(_STEPS))]) if slopes else teats
+    pixels = outlines(changed, view.camera, view.camera_from_teats, outline)
+    m, n = len(teats), pixels.shape[1]
+    pixels = pixels.reshape(-1, m, n, 2)
+    normals = normals_of(pixels[0])
+    moved = np.einsum("kmnd,mnd->mnk", pixels[1:] - pixels[0], normals) / _STEPS if slopes else np.zeros((m, n, COUNT))
+    lines = sample(view.field, pixels[0].reshape(-1, 2) - view.corner_px, normals.reshape(-1, 2), profile.offsets)
+    found: Edges = find_edges(lines, profile, view.noise, pull_px)
+    return Seen(*(getattr(found, name).reshape(m, n) for name in ("offset_px", "sd_px", "gain", "contrast")), moved, pixels[0], normals)
+
+
+def weights(seen: Seen, scale_px: float, least_gain: float) -> Array:
+    """Weights (m, k) of the edges: by their own uncertainty, Cauchy in how far off they are, none where there is hardly an edge."""
+    usable = np.isfinite(seen.offset_px) & (seen.gain > least_gain) & np.isfinite(seen.jacobian).all(axis=2)
+    variance = seen.sd_px**2 + 0.05**2
+    off = np.where(usable, seen.offset_px, 0.0) / np.sqrt(variance + scale_px**2)
+    return np.where(usable, 1.0 / (variance * (1 + off**2)), 0.0)
+
+
+def normal_equations(teats: Array, seen: Seen, weight: Array, prior: Prior) -> tuple[Array, Array]:
+    """Matrices (m, 8, 8) and right sides (m, 8) of the least-squares step, priors included."""
+    j = np.where(weight[..., None] > 0, seen.jacobian, 0.0)
+    r = np.where(weight > 0, seen.offset_px, 0.0)
+    H = np.einsum("mki,mk,mkj->mij", j, weight, j)
+    b = np.einsum("mki,mk,mk->mi", j, weight, r)
+    mean = np.array([0, 0, 0, 0, 0, prior.radius_mm, 0, 1])
+    sure = np.array([1e-8, 1e-8, 1e-8, prior.lean_sd**-2, prior.lean_sd**-2, prior.radius_sd_mm**-2, prior.taper_sd**-2, prior.height_sd**-2])
+    return H + np.diag(sure), b + sure * np.where(sure > 1e-6, mean - teats, 0.0)
+
+
+def step(teats: Array, seen: Seen, weight: Array, prior: Prior) -> Array:
+    """Teats (m, 8) after one damped step, no longer than makes sense."""
+    H, b = normal_equations(teats, seen, weight, prior)
+    H = H + 1e-4 * np.einsum("mii->mi", H)[:, :, None] * np.eye(COUNT)
+    change = np.linalg.solve(H, b[..., None])[..., 0]
+    limit = np.array([4.0, 4.0, 30.0, 0.15, 0.15, 2.0, 0.05, 0.2])
+    change *= 1 / np.maximum(1.0, np.abs(change / limit).max(axis=1, keepdims=True))
+    moved = teats + np.nan_to_num(change)
+    moved[:, [LEAN_X, LEAN_Z]] = np.clip(moved[:, [LEAN_X, LEAN_Z]], -0.8, 0.8)
+    moved[:, RADIUS] = np.clip(moved[:, RADIUS], 4.0, 25.0)
+    moved[:, TAPER] = np.clip(moved[:, TAPER], -0.15, 0.15)
+    moved[:, HEIGHT] = np.clip(moved[:, HEIGHT], 0.5, 1.6)
+    return np.asarray(moved)
+
+
+def apex_jacobian(teats: Array) -> Array:
+    """How the teat ends move with the parameters: (m, 3, 8)."""
+    direction = axes(teats)
+    length = np.sqrt(1 + teats[:, LEAN_X] ** 2 + teats[:, LEAN_Z] ** 2)
+    J = np.zeros((len(teats), 3, COUNT))
+    J[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    J[:, :, RADIUS] = -direction * teats[:, [HEIGHT]]
+    J[:, :, HEIGHT] = -direction * teats[:, [RADIUS]]
+    for column, axis in ((LEAN_X, 0), (LEAN_Z, 2)):
+        turned = np.eye(3)[axis] - direction * direction[:, [axis]]
+        J[:, :, column] = -(teats[:, RADIUS] * teats[:, HEIGHT])[:, None] * turned / length[:, None]
+    return J

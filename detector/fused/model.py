@@ -1,0 +1,115 @@
+"""A round-ended teat as eight numbers, and its outline in any camera: closed forms, for many teats at once.
+
+Strategy: a teat is a cylinder of free radius and axis, perhaps a little wider towards its base, that ends in a ball to which its sides are tangents,
+or in half an ellipsoid, which is a ball squeezed along the axis: what is said of the ball holds when all, the camera included, is stretched back.
+A surface point with unit normal n lies on the outline where the line of sight is at right angles to n. On the ball that is a circle, on the sides two
+straight lines, and the three join without a gap, so that one list of points goes up one side, over the end and down the other.
+The module may not know pictures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from detector.geometry import Array, Camera, Motion
+
+CX, CY, CZ, LEAN_X, LEAN_Z, RADIUS, TAPER, HEIGHT = range(8)  # the end's middle, the axis, its radius, the sides' slope, its height in radii
+COUNT = 8
+SIDE_A, END, SIDE_B = range(3)  # the parts of an outline; a camera that looks along +z with y down has side A on its left
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Where along an outline points are taken: ``along_mm`` (k,) down each side, and shares (m,) in (0, 1) of the way over the end."""
+
+    along_mm: Array
+    over_end: Array
+
+    @classmethod
+    def of(cls, length_mm: float, side_points: int, end_points: int) -> Outline:
+        """Evenly spaced points: ``side_points`` on each side down to ``length_mm`` below the ball's rim, ``end_points`` over the end."""
+        along = (np.arange(side_points) + 0.5) * length_mm / side_points
+        return cls(along, (np.arange(end_points) + 0.5) / end_points)
+
+    @cached_property
+    def part(self) -> Array:
+        """Part (n,) of each point: SIDE_A from the foot up, END, SIDE_B downwards."""
+        k, m = len(self.along_mm), len(self.over_end)
+        return np.repeat([SIDE_A, END, SIDE_B], [k, m, k])
+
+
+def axes(teats: Array) -> Array:
+    """Unit vectors (m, 3) from the end towards the base of teats (m, 8); the base is below, in the direction of +y."""
+    down = np.column_stack([teats[:, LEAN_X], np.ones(len(teats)), teats[:, LEAN_Z]])
+    return np.asarray(down / np.linalg.norm(down, axis=1, keepdims=True))
+
+
+def apexes(teats: Array) -> Array:
+    """The teat ends (m, 3) mm: the point of the rounded end on the axis, in the frame of the teats (m, 8)."""
+    return np.asarray(teats[:, :3] - (teats[:, RADIUS] * teats[:, HEIGHT])[:, None] * axes(teats))
+
+
+def outlines(teats: Array, camera: Camera, camera_from_teats: Motion, outline: Outline) -> Array:
+    """Pixels (m, n, 2) of the outlines of teats (m, 8) as a camera sees them, from the foot of side A over the end to that of side B.
+
+    NaN for a teat that isn't wholly before the camera, or that the camera is inside of.
+    """
+    centre, axis = camera_from_teats.apply(teats[:, :3]), axes(teats) @ camera_from_teats.R.T
+    height = teats[:, HEIGHT]
+    round_centre = centre + ((1 / height - 1) * _dot(centre, axis))[:, None] * axis
+    from_centre = _surface(round_centre, axis, teats[:, RADIUS], teats[:, TAPER], outline)
+    along = np.einsum("mnd,md->mn", from_centre, axis)
+    points = centre[:, None] + from_centre + ((height - 1)[:, None] * along)[..., None] * axis[:, None]
+    return camera.project(points.reshape(-1, 3)).reshape(*points.shape[:2], 2)
+
+
+def normals_of(pixels_px: Array) -> Array:
+    """Outward unit normals (m, n, 2) of outlines (m, n, 2): at right angles to the way from the point before to the point after."""
+    along = np.gradient(pixels_px, axis=1)
+    outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+    return np.asarray(outward / np.linalg.norm(outward, axis=-1, keepdims=True))
+
+
+def _surface(centre: Array, axis: Array, radius: Array, taper: Array, outline: Outline) -> Array:
+    """Points (m, n, 3) of the outline about the ball's centre, in the camera's frame. Every normal n has n . centre = -radius.
+
+    On the sides n . axis = -taper besides, which leaves two normals, one a side.
+    """
+    depth_along = _dot(centre, axis)
+    across = centre - depth_along[:, None] * axis
+    distance = np.linalg.norm(across, axis=1)
+    towards = -across / distance[:, None]  # from the axis to the camera, at right angles to the axis
+    sideways = np.cross(axis, towards)
+    x = (radius - taper * depth_along) / distance
+    y2 = 1 - taper**2 - x**2
+    y = np.sqrt(np.where(y2 > 0, y2, np.nan))
+    level = [towards * x[:, None] + sign * sideways * y[:, None] for sign in (1.0, -1.0)]
+    rims = [one - taper[:, None] * axis for one in level]
+    cosine = np.sqrt(1 - taper**2)[:, None]
+    generators = [cosine * axis + (taper[:, None] / cosine) * one for one in level]
+    over = _over_end(centre, radius, rims[0], rims[1], outline.over_end)
+    k, m = len(outline.along_mm), over.shape[1]
+    normals = np.concatenate([np.repeat(rims[0][:, None], k, axis=1), over, np.repeat(rims[1][:, None], k, axis=1)], axis=1)
+    sides = [outline.along_mm[::-1, None] * generators[0][:, None], np.zeros((len(centre), m, 3)), outline.along_mm[:, None] * generators[1][:, None]]
+    return np.asarray(radius[:, None, None] * normals + np.concatenate(sides, axis=1))
+
+
+def _over_end(centre: Array, radius: Array, start: Array, stop: Array, shares: Array) -> Array:
+    """Normals (m, k, 3) on the ball from one rim to the other by the way over the end: the circle n . centre = -radius."""
+    far = np.linalg.norm(centre, axis=1)
+    middle = -(radius / far**2)[:, None] * centre
+    first, last = start - middle, stop - middle
+    reach = np.linalg.norm(first, axis=1)
+    e1 = first / reach[:, None]
+    e2 = np.cross(centre / far[:, None], e1)  # turns clockwise as the camera sees it: up from side A and over
+    angle = np.arctan2(_dot(last, e2), _dot(last, e1)) % (2 * np.pi)
+    phi = angle[:, None] * shares[None, :]
+    turned = np.cos(phi)[:, :, None] * e1[:, None] + np.sin(phi)[:, :, None] * e2[:, None]
+    return np.asarray(middle[:, None] + reach[:, None, None] * turned)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("ij,ij->i", a, b))

@@ -1,0 +1,30 @@
+"""Every setting of the detector that changes an answer, with its unit and where it comes from. The module may not know pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from detector.fused.fit import Prior
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """What is known of teats and rigs before looking; nothing here was fitted to a scene."""
+
+    nearest_mm: float = 850.0  # working volume, along the right camera's axis
+    farthest_mm: float = 1900.0
+    least_radius_mm: float = 7.5  # teats are 8 to 14 mm in radius
+    greatest_radius_mm: float = 15.0
+    prior: Prior = field(default_factory=Prior)
+    most_nominations: int = 14
+    most_bars: int = 5
+    starts_per_nomination: int = 3
+    most_starts: int = 26
+    most_fits: int = 14
+    least_side: float = 0.5  # share of the better side's outline that must be seen, a picture
+    least_end: float = 0.35  # of the rounded end's
+    greatest_misfit_px: float = 0.35
+    greatest_sd_mm: float = 2.5  # of an end, along the axis where it is the least sure
+    least_warmth: float = 0.5  # of the way from the surroundings' temperature to the warmest teat's
+    overlap: float = 0.85  # two teats' axes are never closer than this share of the sum of their radii
+    edge_bias_px: float = 0.06  # common to a short stretch of an outline: paint, shadow, blur, neighbours

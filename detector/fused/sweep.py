@@ -1,0 +1,166 @@
+"""From a thermal nomination to places in space: which depths along its line of sight do both optical pictures bear out?
+
+Strategy: the nomination's ball and axis are put at every depth of the working volume, a step of disparity apart, and carried through
+the calibrated cameras into both pictures, where the outline is laid over the squeezed gradients. That is a mapping for each depth, not one homography
+for all. The few depths at which both pictures agree best become starts for the fit. A bar without a visible end gets its depth from its
+sides, and then its end is sought upwards along its axis. May not know what is warm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detector.calibration import Calibration
+from detector.fused.fit import View
+from detector.fused.model import COUNT, HEIGHT, LEAN_X, RADIUS, axes
+from detector.fused.parameters import Parameters
+from detector.fused.thermal import Field, Nominations, joined, strengths
+from detector.geometry import Array, Camera, Motion
+
+_DISPARITY_STEP_PX = 2.5
+_CROSS_PX = np.array([(0.0, 0.0), (-2.0, 0.0), (2.0, 0.0), (0.0, -2.0), (0.0, 2.0)], dtype=np.float32)
+_GRID_PX = np.array([(x, y) for x in (-2.4, -1.2, 0.0, 1.2, 2.4) for y in (-2.4, -1.2, 0.0, 1.2, 2.4)], dtype=np.float32)
+_SWELLS = (0.85, 0.95, 1.05, 1.16)
+_ARC = np.radians([-70.0, -42.0, -14.0, 14.0, 42.0, 70.0])
+_BELOW = np.array([0.4, 1.2, 2.0, 2.8, 3.6])  # of the half width, below the ball's middle
+_APART_STEPS = 2
+_LEAST = 0.1
+_SLIDE_MM = np.arange(0.0, 111.0, 3.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Starts:
+    """Teats (m, 8) to begin the fit with, in the right camera's frame, and their scores (m,)."""
+
+    teats: Array
+    score: Array
+
+    def __add__(self, other: Starts) -> Starts:
+        """All of both."""
+        return Starts(np.concatenate([self.teats, other.teats]), np.concatenate([self.score, other.score]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Map:
+    """Squeezed gradients of one view, blurred as much as a start may be off, with one pixel of nothing about them."""
+
+    gx: Field
+    gy: Field
+    view: View
+
+    @classmethod
+    def of(cls, view: View) -> Map:
+        """The map of a view."""
+        gx, gy = (np.pad(g, 1) for g in strengths(view.field, blur_px=1.5, noises=3.0))
+        return cls(gx, gy, view)
+
+
+def depths_mm(calibration: Calibration, p: Parameters) -> Array:
+    """Depths (d,) from the nearest to the farthest, evenly in disparity."""
+    fb = calibration.right.fc[0] * calibration.baseline_mm
+    count = max(2, round((fb / p.nearest_mm - fb / p.farthest_mm) / _DISPARITY_STEP_PX) + 1)
+    return np.asarray(fb / np.linspace(fb / p.nearest_mm, fb / p.farthest_mm, count))
+
+
+def hypotheses(found: Nominations, lens: Camera, px_a_sensor_px: float, right_from_thermal: Motion, depth_mm: Array) -> Array:
+    """Teats (n, d, 8) in the right camera's frame: each nomination at each depth, as wide as the thermal picture says."""
+    centre = (found.centre_px + 0.5) * px_a_sensor_px - 0.5
+    normal = lens.normalize(centre)
+    rays = np.column_stack([normal, np.ones(len(normal))])
+    teats = np.zeros((len(found), len(depth_mm), COUNT))
+    teats[..., :3] = right_from_thermal.apply((rays[:, None] * depth_mm[:, None]).reshape(-1, 3)).reshape(len(found), len(depth_mm), 3)
+    down = np.column_stack([found.lean, np.ones(len(found)), np.zeros(len(found))]) @ right_from_thermal.R.T
+    teats[..., LEAN_X] = (down[:, 0] / down[:, 1])[:, None]
+    teats[..., HEIGHT] = 1.0
+    teats[..., RADIUS] = (found.radius_px * px_a_sensor_px / lens.fc[0])[:, None] * depth_mm
+    return teats
+
+
+def sweep_ends(teats: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
+    """The best starts among teats (n, d, 8) whose ends the thermal picture shows."""
+    score = _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0).max(axis=0).reshape(teats.shape[:2])
+    rows, columns = _peaks(np.where(_possible(teats, p), score, 0.0), p.starts_per_nomination)
+    return _refined(teats[rows, columns], maps, p)
+
+
+def sweep_bars(teats: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
+    """The best starts among teats (n, d, 8) of which only the sides are known: the depth first, then how far up the end is."""
+    score = _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0, end=False).max(axis=0).reshape(teats.shape[:2])
+    rows, columns = _peaks(np.where(_possible(teats, p), score, 0.0), p.starts_per_nomination)
+    deep = teats[rows, columns]
+    slid = np.repeat(deep[:, None], len(_SLIDE_MM), axis=1)
+    slid[..., :3] -= _SLIDE_MM[:, None] * axes(deep)[:, None]
+    score = _joint(slid.reshape(-1, COUNT), maps, _CROSS_PX, 1.0).max(axis=0).reshape(slid.shape[:2])
+    rows, columns = _peaks(score, 2)
+    return _refined(slid[rows, columns], maps, p)
+
+
+def _possible(teats: Array, p: Parameters) -> NDArray[np.bool_]:
+    """Whether teats (..., 8) might be of a teat's size, the thermal picture being coarse."""
+    return np.asarray((teats[..., RADIUS] > 0.75 * p.least_radius_mm) & (teats[..., RADIUS] < 1.3 * p.greatest_radius_mm))
+
+
+def _refined(teats: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
+    """The teats (m, 8) with the shift and swell that fit both pictures best."""
+    if len(teats) == 0:
+        return Starts(teats, np.zeros(0))
+    joint = np.stack([_joint(teats, maps, _GRID_PX, swell) for swell in _SWELLS])  # (swells, shifts, m)
+    way = joint.reshape(-1, len(teats)).argmax(axis=0)
+    swell, shift = np.unravel_index(way, joint.shape[:2])
+    moved = teats.copy()
+    moved[:, :2] += _GRID_PX[shift] * moved[:, 2:3] / np.array(maps[1].view.camera.fc)
+    moved[:, RADIUS] = np.clip(moved[:, RADIUS] * np.array(_SWELLS)[swell], p.least_radius_mm, p.greatest_radius_mm)
+    return Starts(moved, joint.max(axis=(0, 1)))
+
+
+def _joint(teats: Array, maps: tuple[Map, ...], shifts: Field, swell: float, *, end: bool = True) -> Array:
+    """Scores (shifts, m) of teats (m, 8) in both pictures together; ``end``: whether the round end counts."""
+    left, right = (_scores(teats, each, shifts, swell, end) for each in maps)
+    return np.asarray(np.sqrt(left * right))
+
+
+def _scores(teats: Array, each: Map, shifts: Field, swell: float, end: bool) -> Array:
+    """Scores (shifts, m) of teats (m, 8) in one picture."""
+    camera, motion = each.view.camera, each.view.camera_from_teats
+    foot = teats[:, :3] + 20.0 * np.column_stack([teats[:, LEAN_X], np.ones(len(teats)), np.zeros(len(teats))])
+    points = motion.apply(np.concatenate([teats[:, :3], foot]))
+    pixels = camera.project(points)
+    middle, down = pixels[: len(teats)], pixels[len(teats) :] - pixels[: len(teats)]
+    down /= np.linalg.norm(down, axis=1, keepdims=True)
+    right = np.column_stack([down[:, 1], -down[:, 0]])
+    half = (swell * teats[:, RADIUS] * camera.fc[0] / points[: len(teats), 2])[:, None]
+    arc = -np.cos(_ARC)[:, None, None] * down + np.sin(_ARC)[:, None, None] * right
+    at = middle - each.view.corner_px
+    left, other = (_across(each, shifts, at + half * (_BELOW[:, None, None] * down + s * right), s * right[None]) for s in (-1.0, 1.0))
+    top = _across(each, shifts, at + half * arc, arc) if end else np.ones_like(left)
+    return joined(top, left, other)
+
+
+def _across(each: Map, shifts: Field, at: Array, normals: Array) -> Array:
+    """Mean strength (shifts, m) across an outline at ``at`` (k, m, 2) along ``normals`` (k or 1, m, 2); none outside of the picture."""
+    rows, columns = each.gx.shape
+    place = np.nan_to_num(at, nan=-9.0).astype(np.float32)[:, None] + (shifts[None, :, None] + np.float32(1.5))
+    np.clip(place, 0, np.array([columns - 1, rows - 1], dtype=np.float32), out=place)  # the border holds nothing
+    whole = place.astype(np.int32)
+    index = whole[..., 1] * columns + whole[..., 0]
+    n = np.nan_to_num(normals).astype(np.float32)[:, None]
+    across = each.gx.ravel()[index] * n[..., 0] + each.gy.ravel()[index] * n[..., 1]
+    return np.asarray(np.abs(across).mean(axis=0))
+
+
+def _peaks(score: Array, most: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the ``most`` highest local maxima of each row (n, d)."""
+    left = np.array(score)
+    rows, columns = [], []
+    every = np.arange(len(left))
+    for _ in range(most):
+        at = left.argmax(axis=1)
+        good = left[every, at] > _LEAST
+        rows.append(every[good])
+        columns.append(at[good])
+        for off in range(-_APART_STEPS, _APART_STEPS + 1):
+            left[every, np.clip(at + off, 0, left.shape[1] - 1)] = 0.0
+    return np.concatenate(rows), np.concatenate(columns)

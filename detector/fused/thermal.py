@@ -1,0 +1,157 @@
+"""Where the thermal picture shows something like the end of an upright bar: candidates for teats, many rather than few.
+
+Strategy: a bar's outline (two sides and a round top) is laid over the direction and strength of the picture's gradient, for several widths and
+leans at once, at every pixel. Gradients saturate at a few times their noise, so that a bar a little cooler than an arm behind it
+scores as one that is far warmer than a wall, and no threshold on temperature is needed. A bar may lack a side: that is where teats
+touch. The module may not know the optical cameras.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from detector.geometry import Array
+
+Field = NDArray[np.float32]
+HALF_WIDTHS_PX = (2.4, 3.2, 4.2, 5.5, 7.0)
+LEANS = (-0.28, -0.14, 0.0, 0.14, 0.28)
+_ARC = np.radians([-65.0, -40.0, -15.0, 15.0, 40.0, 65.0])
+_BELOW_PX = np.array([1.0, 4.0, 7.0, 10.0, 13.0, 16.0])
+_BAR_LEANS = (-0.22, 0.0, 0.22)
+_STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END = 0.35, 0.25, 0.45, 0.8  # strengths, 0 to 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nominations:
+    """Bars' ends in sensor pixels: the middle (n, 2) of the round end, its radius (n,), lean (n,) (columns a row downwards), score (n,)."""
+
+    centre_px: Array
+    radius_px: Array
+    lean: Array
+    score: Array
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+    def take(self, which: NDArray[np.intp]) -> Nominations:
+        """Some of them."""
+        return Nominations(self.centre_px[which], self.radius_px[which], self.lean[which], self.score[which])
+
+
+_NONE = Nominations(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
+
+
+def nominate(temperature: Field, most: int) -> Nominations:
+    """At most ``most`` ends, best first, of a picture (rows, columns) in which warm is high."""
+    gx, gy = strengths(temperature)
+    steep = np.abs(gy)
+    v, u = np.nonzero((steep > _STEEP) & (steep >= cv2.dilate(steep, np.ones((3, 1))) - 1e-6))
+    if len(u) == 0:
+        return _NONE
+    tips = np.column_stack([u, v]).astype(np.float32)
+    scores = np.stack([_end_score(gx, gy, tips, w, lean) for w in HALF_WIDTHS_PX for lean in LEANS])
+    found = _best(tips, scores, HALF_WIDTHS_PX, LEANS)
+    length = np.sqrt(1 + found.lean**2)
+    down = np.column_stack([found.lean, np.ones_like(found.lean)]) / length[:, None]
+    inside = Nominations(tips + found.radius_px[:, None] * down, found.radius_px, found.lean, found.score)
+    return inside.take(_peaks(tips, found.score, most, 3.0, _LEAST_END))
+
+
+def bars(temperature: Field, ends: Nominations, most: int) -> Nominations:
+    """At most ``most`` upright warm bars whose ends aren't among the clear ones of ``ends``: `centre_px` lies somewhere on the bar.
+
+    Where something as warm as a teat is behind its end, the thermal picture shows nothing but the sides below it.
+    """
+    gx, gy = strengths(temperature)
+    low, high = np.percentile(temperature, [20, 99])
+    rows, columns = np.nonzero(temperature[::4] > low + 0.4 * (high - low))
+    if len(rows) == 0 or high <= low:
+        return _NONE
+    at = np.column_stack([columns, 4 * rows]).astype(np.float32)
+    scores = np.stack([_bar_score(gx, gy, at, w, lean) for w in HALF_WIDTHS_PX for lean in _BAR_LEANS])
+    found = _best(at, scores, HALF_WIDTHS_PX, _BAR_LEANS)
+    order = [int(i) for i in np.argsort(-found.score, kind="stable") if found.score[i] > _LEAST_BAR]
+    clear = [(ends.centre_px[i], ends.lean[i]) for i in range(len(ends)) if ends.score[i] > _CLEAR_END]
+    kept: list[int] = []
+    for i in order:
+        middle, lean = found.centre_px[i], found.lean[i]
+        if len(kept) < most and all(_beside(middle, lean, other, slope) > 4.0 for other, slope in clear):
+            kept.append(i)
+            clear.append((middle, lean))
+    return found.take(np.array(kept, dtype=np.intp))
+
+
+def _beside(a: Array, lean_a: float, b: Array, lean_b: float) -> float:
+    """How far apart two bars are across, half way between their middles, px."""
+    half = 0.5 * (b[1] - a[1])
+    return float(abs((a[0] + lean_a * half) - (b[0] - lean_b * half)))
+
+
+def _best(at: Field, scores: Field, widths: tuple[float, ...], leans: tuple[float, ...]) -> Nominations:
+    """The best of the shapes (width by lean, n) at each place."""
+    shape = scores.argmax(axis=0)
+    width, lean = np.repeat(widths, len(leans))[shape], np.tile(leans, len(widths))[shape]
+    return Nominations(at.astype(np.float64), width, lean, scores.max(axis=0).astype(np.float64))
+
+
+def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0) -> tuple[Field, Field]:
+    """Gradient (x, y) of a picture, each pixel's length squeezed below 1: one half at ``noises`` times what noise alone gives."""
+    smooth = cv2.GaussianBlur(picture, (0, 0), blur_px)
+    gx, gy = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125) for order in ((1, 0), (0, 1)))
+    length = cv2.magnitude(gx, gy)
+    noise = float(np.median(length[::2, ::2]))
+    squeezed = 1.0 / (length + max(noises * noise, 1e-6))
+    return gx * squeezed, gy * squeezed
+
+
+def _end_score(gx: Field, gy: Field, tips: Field, width: float, lean: float) -> Field:
+    """How well (n,) a bar of half width ``width`` px and lean fits with its tip at ``tips`` (n, 2)."""
+    length = np.hypot(1.0, lean)
+    down, right = np.array([lean, 1.0]) / length, np.array([1.0, -lean]) / length
+    arc = -np.cos(_ARC)[:, None] * down + np.sin(_ARC)[:, None] * right
+    top = np.abs(_along(gx, gy, tips, width * (down + arc), arc))
+    sides = [
+        np.abs(_along(gx, gy, tips, (width + _BELOW_PX)[:, None] * down + side * width * right, np.tile(side * right, (6, 1))))
+        for side in (-1.0, 1.0)
+    ]
+    return joined(top.mean(axis=0), sides[0].mean(axis=0), sides[1].mean(axis=0))
+
+
+def _bar_score(gx: Field, gy: Field, at: Field, width: float, lean: float) -> Field:
+    """How well (n,) the sides of a warm bar of half width ``width`` px and lean fit below ``at`` (n, 2)."""
+    length = np.hypot(1.0, lean)
+    down, right = np.array([lean, 1.0]) / length, np.array([1.0, -lean]) / length
+    sides = [
+        -_along(gx, gy, at, _BELOW_PX[:, None] * down + side * width * right, np.tile(side * right, (6, 1))).mean(axis=0)
+        for side in (-1.0, 1.0)
+    ]
+    return np.minimum(*sides)
+def _along(gx: Field, gy: Field, at: Field, points: Array, normals: Array) -> Field:
+    """Strength (k, n) outward across the outline at ``points`` (k, 2) px from each of ``at`` (n, 2), along ``normals`` (k, 2)."""
+    rows, columns = gx.shape
+    whole = np.rint(points[:, None] + at[None]).astype(np.int32)
+    u, v = whole[..., 0], whole[..., 1]
+    inside = (u >= 0) & (u < columns) & (v >= 0) & (v < rows)
+    index = np.where(inside, v * columns + u, 0)
+    n = normals.astype(np.float32)
+    return np.where(inside, gx.ravel()[index] * n[:, :1] + gy.ravel()[index] * n[:, 1:], np.float32(0))
+
+
+def joined(top: Array, left: Array, right: Array) -> Array:
+    """One score from those of the end and of both sides: a bar may lack a side, but not its end."""
+    return np.asarray(top * (0.7 * np.maximum(left, right) + 0.3 * np.minimum(left, right)))
+
+
+def _peaks(tips: Field, score: Array, most: int, apart_px: float, least: float) -> NDArray[np.intp]:
+    """Indices of at most ``most`` tips, best first, none within ``apart_px`` of a better one."""
+    order = np.argsort(-score, kind="stable")
+    order = order[score[order] > least]
+    kept: list[int] = []
+    while len(order) and len(kept) < most:
+        kept.append(int(order[0]))
+        order = order[np.hypot(*(tips[order] - tips[order[0]]).T) > apart_px]
+    return np.array(kept, dtype=np.intp)

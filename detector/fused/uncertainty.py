@@ -1,0 +1,50 @@
+"""How sure a fitted teat end is: covariances from the edges that were found, and from what edges can't say of themselves.
+
+Strategy: first order (JCGM 102:2011). Three things move an end: the noise of each edge; what neighbouring edges have in common (paint, a
+shadow, a neighbour's limb), as one unknown shift for each short stretch of outline; and the calibration. May not know temperatures.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from detector.calibration import Calibration
+from detector.fused.fit import apex_jacobian, normal_equations
+from detector.fused.model import apexes
+from detector.fused.parameters import Parameters
+from detector.fused.refine import Fitted
+from detector.geometry import Array
+
+_STRETCH = 6  # points of an outline that share a shift: some 10 px
+
+
+def end_covariances(fitted: Fitted, p: Parameters) -> Array:
+    """Covariances (m, 3, 3) mm^2 of the ends in the right camera's frame, without the calibration's share."""
+    H, _ = normal_equations(fitted.teats, fitted.seen, fitted.weight, p.prior)
+    inverse = np.linalg.inv(H)
+    weight = fitted.weight
+    j = np.where(weight[..., None] > 0, fitted.seen.jacobian, 0.0)
+    gain = np.einsum("mij,mkj,mk->mik", inverse, j, weight)  # how each edge moves the parameters, (m, 8, k)
+    scatter = _scatter(fitted)
+    noise = inverse * scatter[:, None, None]
+    m, k = weight.shape
+    common = gain.reshape(m, gain.shape[1], k // _STRETCH, _STRETCH).sum(axis=3)
+    shared = p.edge_bias_px**2 * np.einsum("mis,mjs->mij", common, common)
+    to_end = apex_jacobian(fitted.teats)
+    return np.asarray(to_end @ (noise + shared) @ to_end.transpose(0, 2, 1))
+
+
+def _scatter(fitted: Fitted) -> Array:
+    """How much larger (m,) the edges' squared distances from the outline are than they claim, at least 1."""
+    weight = fitted.weight
+    square = np.where(weight > 0, np.nan_to_num(fitted.seen.offset_px) ** 2, 0.0)
+    freedom = np.maximum((weight > 0).sum(axis=1) - fitted.teats.shape[1], 1)
+    return np.asarray(np.maximum((square * weight).sum(axis=1) / freedom, 1.0))
+
+
+def world_covariances(fitted: Fitted, calibration: Calibration, p: Parameters) -> Array:
+    """Covariances (m, 3, 3) mm^2 of the ends in the world, the calibration's share included."""
+    R = calibration.world_from_right.R
+    own = R @ end_covariances(fitted, p) @ R.T
+    world = calibration.world_from_right.apply(apexes(fitted.teats))
+    return np.asarray(own + calibration.covariance_of(world)) if len(world) else own

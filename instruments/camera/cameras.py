@@ -1,0 +1,83 @@
+"""Left, right and perhaps thermal camera as one thing that captures frame sets: all begin, then each is taken and converted.
+
+May not know what kind of camera any of them is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from instruments.camera.conversion import Conversion
+from instruments.camera.frame import FrameSet
+from instruments.camera.raw import RawFrame
+from instruments.errors import InstrumentError, ProtocolError
+
+REQUIRED = ("left", "right")
+KNOWN = (*REQUIRED, "thermal")
+
+
+class Camera(Protocol):
+    """One camera with its settings made."""
+
+    @property
+    def identity(self) -> str:
+        """Who it is, and what it was set to."""
+        ...
+
+    def begin(self) -> None:
+        """Trigger, or make sure that the next frame is a fresh one. Does not wait for it."""
+        ...
+
+    def take(self) -> RawFrame:
+        """The frame that ``begin`` asked for. Raises FrameError where it didn't come whole, LinkError where the camera is gone."""
+        ...
+
+    def close(self) -> None:
+        """Let the camera go; may be called again."""
+        ...
+
+
+class CameraSet:
+    """The cameras of a rig. Each opener is called in turn; where one fails, those that are open are closed again."""
+
+    def __init__(self, openers: Mapping[str, Callable[[], Camera]], conversions: Mapping[str, Conversion]) -> None:
+        wrong = [name for name in openers if name not in KNOWN]
+        missing = [name for name in REQUIRED if name not in openers]
+        if wrong or missing:
+            raise ValueError(f"a rig has cameras left, right and perhaps thermal, got {', '.join(openers) or 'none'}")
+        self._conversions = {name: conversions.get(name, Conversion()) for name in openers}
+        self._cameras: dict[str, Camera] = {}
+        try:
+            for name, opener in openers.items():
+                self._cameras[name] = opener()
+        except InstrumentError:
+            self.close()
+            raise
+
+    @property
+    def identity(self) -> Mapping[str, str]:
+        """Who each camera is."""
+        return {name: camera.identity for name, camera in self._cameras.items()}
+
+    def capture(self) -> FrameSet:
+        """Expose all cameras as nearly together as they can. Raises FrameError, LinkError, ProtocolError."""
+        for camera in self._cameras.values():
+            camera.begin()
+        raw = {name: camera.take() for name, camera in self._cameras.items()}
+        exposed_s = {name: frame.exposed_s for name, frame in raw.items()}
+        try:
+            radiometric = "thermal" in raw and self._conversions["thermal"].radiometry is not None
+            pictures = {name: self._conversions[name].picture(raw[name]) for name in raw if name != "thermal" or not radiometric}
+            kelvin = self._conversions["thermal"].temperatures(raw["thermal"]) if radiometric else None
+        except ValueError as fault:
+            raise ProtocolError(
+                "cameras", str(fault), asked="a frame", hint="Correct what the rig file declares of the cameras."
+            ) from fault
+        return FrameSet(pictures["left"], pictures["right"], pictures.get("thermal"), kelvin, exposed_s, self.identity)
+
+    def close(self) -> None:
+        """Let all cameras go; may be called again."""
+        for camera in self._cameras.values():
+            camera.close()
+        self._cameras.clear()

@@ -1,0 +1,132 @@
+"""Pixels as cameras of the GenICam family send them, to arrays. Pure: bytes in, arrays out; no camera, no library.
+
+Codes and layouts: EMVA, Pixel Format Naming Convention 2.4 ("p" formats: one little-endian bit stream, pixel i at bit i x bits), and
+AIA, GigE Vision 2.0, table of pixel formats ("Packed": two pixels in three bytes, the outer bytes with their upper eight bits, the middle
+byte with what is left, the first pixel's in its low half). Lines follow each other without a gap but for the leader's x padding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from instruments.camera.raw import Pixels
+
+Bytes = NDArray[np.uint8]
+Decoder = Callable[[Bytes, int], NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class PixelFormat:
+    """``stored_bits`` a pixel takes on the wire, ``bits`` of it carry signal; ``channels`` as sent; ``decode`` gives n values of a line."""
+
+    name: str
+    code: int
+    stored_bits: int
+    bits: int
+    decode: Decoder
+    channels: int = 1
+    to_bgr: int | None = None  # OpenCV's code for what isn't grey yet
+
+    def line_bytes(self, pixels: int) -> int:
+        """Bytes that so many pixels take, the last one filled up."""
+        return -(-pixels * self.stored_bits // 8)
+
+
+def _bytes8(data: Bytes, count: int) -> Bytes:
+    return data[:count]
+
+
+def _words16(data: Bytes, count: int) -> NDArray[np.uint16]:
+    return np.frombuffer(data.tobytes(), dtype="<u2", count=count).astype(np.uint16)
+
+
+def _bit_stream(bits: int) -> Decoder:
+    """The "p" formats: pixel i starts at bit i x ``bits``, least significant first."""
+
+    def decode(data: Bytes, count: int) -> NDArray[np.uint16]:
+        start = np.arange(count) * bits
+        padded = np.concatenate([data, np.zeros(2, dtype=np.uint8)]).astype(np.uint32)
+        at = start >> 3
+        word = padded[at] | padded[at + 1] << 8 | padded[at + 2] << 16
+        return np.asarray(word >> (start & 7) & ((1 << bits) - 1), dtype=np.uint16)
+
+    return decode
+
+
+def _packed(bits: int) -> Decoder:
+    """The "Packed" formats of GigE Vision: upper 8 bits of each pixel outside, the ``bits - 8`` lower ones in the middle byte."""
+    low = (1 << (bits - 8)) - 1
+
+    def decode(data: Bytes, count: int) -> NDArray[np.uint16]:
+        groups = -(-count // 2)
+        triples = np.zeros(3 * groups, dtype=np.uint16)
+        triples[: min(len(data), 3 * groups)] = data[: 3 * groups]
+        first, middle, second = triples[0::3], triples[1::3], triples[2::3]
+        pair = np.empty((groups, 2), dtype=np.uint16)
+        pair[:, 0] = first << (bits - 8) | middle & low
+        pair[:, 1] = second << (bits - 8) | middle >> 4 & low
+        return pair.reshape(-1)[:count]
+
+    return decode
+
+
+FORMATS: tuple[PixelFormat, ...] = (
+    PixelFormat("Mono8", 0x01080001, 8, 8, _bytes8),
+    PixelFormat("Mono10", 0x01100003, 16, 10, _words16),
+    PixelFormat("Mono12", 0x01100005, 16, 12, _words16),
+    PixelFormat("Mono14", 0x01100025, 16, 14, _words16),
+    PixelFormat("Mono16", 0x01100007, 16, 16, _words16),
+    PixelFormat("Mono10Packed", 0x010C0004, 12, 10, _packed(10)),
+    PixelFormat("Mono12Packed", 0x010C0006, 12, 12, _packed(12)),
+    PixelFormat("Mono10p", 0x010A0046, 10, 10, _bit_stream(10)),
+    PixelFormat("Mono12p", 0x010C0047, 12, 12, _bit_stream(12)),
+    PixelFormat("RGB8", 0x02180014, 24, 8, _bytes8, 3, cv2.COLOR_RGB2BGR),
+    PixelFormat("BGR8", 0x02180015, 24, 8, _bytes8, 3),
+    # OpenCV names a mosaic by its second row's second and third pixel, the PFNC by its first two
+    PixelFormat("BayerGR8", 0x01080008, 8, 8, _bytes8, 1, cv2.COLOR_BayerGB2BGR),
+    PixelFormat("BayerRG8", 0x01080009, 8, 8, _bytes8, 1, cv2.COLOR_BayerBG2BGR),
+    PixelFormat("BayerGB8", 0x0108000A, 8, 8, _bytes8, 1, cv2.COLOR_BayerGR2BGR),
+    PixelFormat("BayerBG8", 0x0108000B, 8, 8, _bytes8, 1, cv2.COLOR_BayerRG2BGR),
+)
+BY_CODE = {known.code: known for known in FORMATS}
+
+
+def format_of(code: int) -> PixelFormat:
+    """The format of that PFNC code. Raises ValueError that lists what is known."""
+    if code not in BY_CODE:
+        raise ValueError(f"pixel format 0x{code:08X} is not one that is unpacked here; choose one of {', '.join(f.name for f in FORMATS)}")
+    return BY_CODE[code]
+
+
+def unpack(data: bytes, code: int, width: int, height: int, x_padding: int = 0) -> tuple[Pixels, int]:
+    """Pixels (height, width), or with 3 channels as blue-green-red, of a frame's payload, and how many bits of each carry signal.
+
+    ``x_padding`` bytes follow each line. Raises ValueError for an unknown format and for a payload that is too short.
+    """
+    layout = format_of(code)
+    values = width * layout.channels
+    per_pixel = layout.stored_bits // layout.channels
+    raw = np.frombuffer(data, dtype=np.uint8)
+    if x_padding:
+        line = layout.line_bytes(width)
+        _enough(layout, raw, (line + x_padding) * height - x_padding, width, height)
+        rows = [layout.decode(raw[y * (line + x_padding) :][:line], values) for y in range(height)]
+        flat = np.concatenate(rows)
+    else:
+        _enough(layout, raw, -(-width * height * layout.channels * per_pixel // 8), width, height)
+        flat = layout.decode(raw, values * height)
+    shape = (height, width) if layout.channels == 1 else (height, width, layout.channels)
+    image = np.ascontiguousarray(flat.reshape(shape))
+    pixels: Pixels = image if layout.to_bgr is None else np.asarray(cv2.cvtColor(image, layout.to_bgr), dtype=np.uint8)
+    return pixels, layout.bits
+
+
+def _enough(layout: PixelFormat, raw: Bytes, needed: int, width: int, height: int) -> None:
+    if len(raw) < needed:
+        raise ValueError(f"{width} x {height} pixels of {layout.name} take {needed} bytes, {len(raw)} came")

@@ -1,0 +1,90 @@
+"""Measures of one picture: how sharp its edges are, how black, how full, how flat, and where its rows stop.
+
+Strategy: figures that don't depend on what stands before the camera as long as something does, so that one limit serves a bright and
+a dim scene. Pure. May not know which limits a rig sets.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+FINE_PX, COARSE_PX = 1.2, 3.0  # sigmas of the two blurs whose gradients are compared
+STRONGEST = 0.002  # share of all pixels whose gradient counts as an edge's
+DIFFERENCE_PX2 = 1.0 / 3.0  # a difference over two pixels is a derivative seen through a box of that width: its variance
+NOISE_RATIO2 = 1.2 * (COARSE_PX / FINE_PX) ** 2  # white noise would give (coarse / fine)^4, a perfect edge (coarse / fine)^2
+STRIDES, LARGE_PX = (5, 7, 11, 13), 500_000
+LEAST_GRADIENT_DN = 1.0  # per px, after the fine blur; below there is no edge but noise
+
+
+def edge_blur_px(picture: NDArray[np.uint8]) -> float | None:
+    """Standard deviation in px of the blur that the strongest edges of a grey picture (h, w) show; None where it has no edge.
+
+    An edge of sigma s has, after a blur of sigma a, a gradient proportional to 1 / sqrt(s^2 + a^2) whatever its contrast; the ratio of two
+    such gradients gives s (Zhuo and Sim, Defocus map estimation from a single image, Pattern Recognition 44, 2011, eq. 6). The median over
+    the strongest 0.2 % of pixels, so noise and contrast cancel. It is 0 for an edge as sharp as pixels allow; where the ratio is beyond
+    any edge's, the strongest gradients are noise.
+    """
+    fine, coarse = (_gradient(picture, sigma) for sigma in (FINE_PX, COARSE_PX))
+    inner, wide = (gradient[8:-8, 8:-8].reshape(-1) for gradient in (fine, coarse))  # without the blur's own border
+    if inner.size > LARGE_PX:  # a sample of a large picture says the same, if it meets every column
+        stride = next((step for step in STRIDES if (picture.shape[1] - 16) % step), 1)
+        inner, wide = np.ascontiguousarray(inner[::stride]), wide[::stride]
+    if inner.size == 0:
+        return None
+    at_least = _upper(inner, STRONGEST)
+    edges = inner >= max(at_least, LEAST_GRADIENT_DN)
+    if np.count_nonzero(edges) < 16:
+        return None
+    ratio2 = float(np.median(inner[edges] / np.maximum(wide[edges], 1e-6))) ** 2
+    if ratio2 > NOISE_RATIO2:
+        return None
+    if ratio2 <= 1.0:
+        return float("inf")
+    fine2, coarse2 = FINE_PX**2 + DIFFERENCE_PX2, COARSE_PX**2 + DIFFERENCE_PX2
+    return float(np.sqrt(max(0.0, (coarse2 - ratio2 * fine2) / (ratio2 - 1.0))))
+
+
+def _gradient(picture: NDArray[np.uint8], sigma: float) -> NDArray[np.float32]:
+    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), sigma)
+    x, y = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=1, scale=0.5) for order in ((1, 0), (0, 1)))
+    return np.asarray(cv2.magnitude(x, y), dtype=np.float32)
+
+
+def _upper(values: NDArray[np.float32], share: float) -> float:
+    kept = max(1, int(share * values.size))
+    return float(np.partition(values.reshape(-1), values.size - kept)[values.size - kept])
+
+
+def level_dn(picture: NDArray[np.uint8], share: float) -> int:
+    """The grey level that ``share`` of the pixels don't exceed."""
+    counts = np.cumsum(cv2.calcHist([picture], [0], None, [256], [0.0, 256.0]).reshape(-1).astype(np.float64))
+    return int(np.searchsorted(counts, share * picture.size))
+
+
+def saturated_share(picture: NDArray[np.uint8]) -> float:
+    """Share of pixels at the top of the range: 254 counts too, for lossy streams blur 255."""
+    return float(np.count_nonzero(picture >= 254) / picture.size)
+
+
+def spread(image: NDArray[Any]) -> float:
+    """Between the 0.5th and the 99.5th percentile, in the image's own unit."""
+    low, high = np.percentile(image, [0.5, 99.5])
+    return float(high - low)
+
+
+def missing_rows(picture: NDArray[Any], last: NDArray[Any] | None = None) -> float:
+    """Share of rows, counted from the bottom or the top edge, that hold one value only or are those of the ``last`` picture.
+
+    Noise makes neither happen in a row that was read out; rows of plain white are the exposure's fault and don't count.
+    """
+    whole = picture.max(axis=1)
+    missing = (whole == picture.min(axis=1)) & (whole < np.iinfo(picture.dtype).max)
+    if last is not None and last.shape == picture.shape:
+        missing |= np.all(picture == last, axis=1) & (picture.min(axis=1) < np.iinfo(picture.dtype).max)
+    if np.all(missing):
+        return 1.0
+    return float(max(np.argmin(missing), np.argmin(missing[::-1])) / len(missing))

@@ -1,0 +1,144 @@
+"""Cameras served as MJPEG streams over HTTP, one path a camera, so that a driver for streams meets them over a wire.
+
+Strategy: one frame set a tick, shared by whoever looks, so that all streams show the same moment; a tick that a slow reader misses is
+left out, and one whose frame never came is not sent. Each reader has a thread of its own: a stalled one holds up nobody else, and no
+lock is held while bytes are sent. Layout: multipart/x-mixed-replace, each part with its length and its time of exposure. May not know
+who reads.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+from collections.abc import Mapping
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, Protocol
+
+import cv2
+
+from instruments.camera.faults import FrameError
+from instruments.camera.frame import FrameSet
+from instruments.clock import Clock, VirtualClock
+
+CAMERAS = ("left", "right", "thermal")
+BOUNDARY = "frame"
+QUALITY = 95
+STALLED_S = 5.0  # a reader that takes nothing for so long is let go
+LOOK_S = 0.05
+
+
+class Source(Protocol):
+    """What gives frame sets."""
+
+    def capture(self) -> FrameSet:
+        """The next one. Raises FrameError where a frame does not come."""
+        ...
+
+
+class Ticks:
+    """One frame set a tick of ``fps``, whoever asks first for it."""
+
+    def __init__(self, source: Source, clock: Clock, fps: float) -> None:
+        self.period_s = 1.0 / fps
+        self._source = source
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._tick = -1
+        self._frames: FrameSet | None = None
+
+    def after(self, tick: int) -> int:
+        """The tick that comes next, and later than ``tick``."""
+        return max(tick, int(self._clock.now() / self.period_s)) + 1
+
+    def frames(self, tick: int) -> FrameSet | None:
+        """The set of ``tick``, or of a later one that another reader has seen; None where a camera gave no frame."""
+        with self._lock:
+            if tick > self._tick:
+                self._tick = tick
+                try:
+                    self._frames = self._source.capture()
+                except FrameError:  # told to the reader as on a real network: by silence
+                    self._frames = None
+            return self._frames
+
+
+class StreamServer:
+    """Serves until closed; ``urls`` says where, by camera. Raises OSError for an address that can't be had, ValueError in virtual time."""
+
+    def __init__(self, source: Source, clock: Clock, *, host: str = "127.0.0.1", port: int = 0, fps: float = 5.0) -> None:
+        if isinstance(clock, VirtualClock):
+            raise ValueError("streams are served in real time, not under virtual time")
+        self.clock = clock
+        self.ticks = Ticks(source, clock, fps)
+        self.closing = False
+        self._server = _Server((host, port), _Handler)
+        self._server.owner = self
+        self.urls: Mapping[str, str] = {name: f"http://{host}:{self._server.server_address[1]}/{name}.mjpg" for name in CAMERAS}
+        serve = {"poll_interval": LOOK_S}
+        self._thread = threading.Thread(target=self._server.serve_forever, kwargs=serve, name="camera streams", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop, break all streams, and wait for the threads to end; may be called again."""
+        if not self.closing:
+            self.closing = True
+            self._server.shutdown()
+            self._server.server_close()
+            self._thread.join()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = False  # so that closing waits for them
+    owner: StreamServer
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A reader that has gone is no error of ours; anything else is printed, as the base class does."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _Server
+    timeout = STALLED_S
+
+    def do_GET(self) -> None:
+        """Send one camera's pictures until somebody hangs up."""
+        camera = self.path.partition("?")[0].strip("/").removesuffix(".mjpg")
+        if camera not in CAMERAS:
+            self.send_error(HTTPStatus.NOT_FOUND, f"no such camera; there are {', '.join(f'/{name}.mjpg' for name in CAMERAS)}")
+            return
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        with contextlib.suppress(OSError):  # the reader has gone, or takes nothing
+            self._stream(camera, self.server.owner)
+
+    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the base class's name for it
+        """Nothing is printed."""
+
+    def _stream(self, camera: str, owner: StreamServer) -> None:
+        ticks, tick = owner.ticks, 0
+        while not owner.closing:
+            tick = ticks.after(tick)
+            self._wait_until(tick * ticks.period_s, owner)
+            frames = ticks.frames(tick) if not owner.closing else None
+            picture = getattr(frames, camera) if frames else None
+            if frames is None or picture is None:
+                continue
+            exposed_s = frames.exposed_s.get(camera, 0.0)
+            first_s = min(frames.exposed_s.values(), default=exposed_s)
+            self._wait_until(owner.clock.now() + exposed_s - first_s, owner)  # one exposed later arrives later
+            self.wfile.write(part(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes(), exposed_s))
+
+    def _wait_until(self, when_s: float, owner: StreamServer) -> None:
+        while not owner.closing and (left_s := when_s - owner.clock.now()) > 0.0:
+            owner.clock.sleep(min(left_s, LOOK_S))
+
+
+def part(jpeg: bytes, exposed_s: float) -> bytes:
+    """One picture of the stream."""
+    head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\nX-Exposed-Seconds: {exposed_s:.6f}\r\n\r\n"
+    return head.encode("ascii") + jpeg + b"\r\n"

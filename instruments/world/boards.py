@@ -1,0 +1,151 @@
+"""Flat things with a pattern: calibration boards (chessboard, ChArUco, circles) and plain panels.
+
+A board is a rectangle; what is dark on it is a list of polygons, so that each pixel's share of dark is an exact area, like
+every other edge of the scene. May be warm: dark and light squares each have a temperature, as on a board under a lamp.
+May not know of lights, lenses' blur or sensors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from instruments.world.objects import Warmth
+from instruments.world.optics import Floats
+from instruments.world.solids import Point
+
+Kind = Literal["plain", "chessboard", "charuco", "circles"]
+ROUND = 64  # corners of a circle
+SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """``columns`` x ``rows`` squares of ``square_mm`` within a light rim of ``margin_mm``; the first square is dark.
+
+    A "charuco" board has markers of ``feature_mm`` and OpenCV's predefined ``dictionary`` (its number) in its light squares, a "plain"
+    one no dark squares. On a board of "circles" columns and rows count circles of ``feature_mm`` across, ``square_mm`` from one to
+    the next. A ``feature_mm`` of 0 is three quarters of a square for markers, half of it for circles. Raises ValueError.
+    """
+
+    kind: Kind = "chessboard"
+    columns: int = 10
+    rows: int = 7
+    square_mm: float = 25.0
+    margin_mm: float = 20.0
+    dictionary: int = cv2.aruco.DICT_4X4_100
+    feature_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        sizes = self.square_mm > 0.0 and self.margin_mm >= 0.0 and 0.0 <= self.feature_mm <= self.square_mm
+        if not (self.columns >= 1 and self.rows >= 1 and sizes):
+            raise ValueError(f"a board's pattern needs squares with a size, and markers or circles that fit, is {self}")
+
+    @property
+    def feature_share(self) -> float:
+        """Side of a marker, or diameter of a circle, as a share of a square's side."""
+        usual = 0.5 if self.kind == "circles" else 0.75
+        return self.feature_mm / self.square_mm or usual
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width and height with the rim."""
+        return self.columns * self.square_mm + 2.0 * self.margin_mm, self.rows * self.square_mm + 2.0 * self.margin_mm
+
+    @property
+    def corners_mm(self) -> Floats:
+        """Inner corners of squares, or middles of circles, on the board, row by row, (n, 2) mm from the board's first corner."""
+        first, off = (0, 0.5) if self.kind == "circles" else (1, 0.0)
+        u, v = np.meshgrid(np.arange(first, self.columns) + off, np.arange(first, self.rows) + off)
+        return np.asarray(np.column_stack([u.ravel(), v.ravel()]) * self.square_mm + self.margin_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """A board in the world: its first corner, and the unit vectors along its width and its height; across x along looks away
+    from who sees the pattern, as x right and y down do.
+
+    ``light_albedo``, ``dark_albedo``; temperatures as those of objects: degC, "teat" or "ambient". ``velocity_mm_s`` is its own.
+    """
+
+    corner_mm: Point
+    across: Point = (1.0, 0.0, 0.0)
+    along: Point = (0.0, 0.0, -1.0)
+    pattern: Pattern = Pattern()
+    name: str = "board"
+    light_albedo: float = 0.8
+    dark_albedo: float = 0.05
+    emissivity: float = 0.93
+    light: Warmth = "ambient"
+    dark: Warmth = "ambient"
+    velocity_mm_s: Point = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        across, along = np.asarray(self.across), np.asarray(self.along)
+        if not np.allclose([across @ across, along @ along, across @ along], [1.0, 1.0, 0.0], atol=1e-6):
+            raise ValueError(f"{self.name}: across and along must be unit vectors at a right angle, are {self.across} and {self.along}")
+        if not all(0.0 <= share <= 1.0 for share in (self.light_albedo, self.dark_albedo, self.emissivity)):
+            raise ValueError(f"{self.name}: albedos and emissivity must be from 0 to 1")
+
+    @property
+    def normal(self) -> Floats:
+        """Towards who sees the pattern, (3,)."""
+        return np.cross(self.along, self.across)
+
+    @property
+    def corners_mm(self) -> Floats:
+        """The pattern's inner corners, row by row, world frame, (n, 3) mm."""
+        return self.placed(self.pattern.corners_mm)
+
+    @property
+    def outline_mm(self) -> Floats:
+        """The rectangle, world frame, (4, 3) mm."""
+        return self.placed(SQUARE * self.pattern.size_mm)
+
+    def placed(self, flat_mm: Floats) -> Floats:
+        """Points on the board, (..., 2) mm from its first corner, in the world frame, (..., 3) mm."""
+        return np.asarray(
+            np.asarray(self.corner_mm) + flat_mm[..., :1] * np.asarray(self.across) + flat_mm[..., 1:] * np.asarray(self.along)
+        )
+
+    def moved(self, seconds: float) -> Board:
+        """Where it is that much later."""
+        x, y, z = np.asarray(self.corner_mm) + seconds * np.asarray(self.velocity_mm_s)
+        return replace(self, corner_mm=(float(x), float(y), float(z)))
+
+
+@lru_cache(maxsize=16)
+def dark_parts_mm(pattern: Pattern) -> tuple[Floats, ...]:
+    """What is dark on a board: polygons, each (m, 2) mm from the board's first corner, none over another."""
+    if pattern.kind == "plain":
+        return ()
+    columns, rows = (grid.astype(np.float64) for grid in np.meshgrid(np.arange(pattern.columns), np.arange(pattern.rows)))
+    dark = (columns + rows) % 2 == 0
+    if pattern.kind == "circles":
+        cells = list(np.column_stack([columns.ravel(), rows.ravel()])[:, None, :] + 0.5 + 0.5 * pattern.feature_share * _circle())
+    else:
+        cells = list(np.column_stack([columns[dark], rows[dark]])[:, None, :] + SQUARE)
+    if pattern.kind == "charuco":
+        light = np.column_stack([columns[~dark], rows[~dark]])
+        cells += [part for number, at in enumerate(light) for part in at + _marker(pattern.dictionary, number, pattern.feature_share)]
+    return tuple(np.asarray(cell * pattern.square_mm + pattern.margin_mm) for cell in cells)
+
+
+def _circle() -> Floats:
+    """A polygon with the area of a circle of radius 1, (m, 2)."""
+    angle = np.arange(ROUND) * 2.0 * np.pi / ROUND
+    step = 2.0 * np.pi / ROUND
+    return np.asarray(np.column_stack([np.cos(angle), np.sin(angle)]) * np.sqrt(step / np.sin(step)))
+
+
+def _marker(dictionary: int, number: int, share: float) -> Floats:
+    """Dark modules of a marker within a square of side 1, (k, 4, 2)."""
+    known = cv2.aruco.getPredefinedDictionary(dictionary)
+    side = int(known.markerSize) + 2
+    bits = known.generateImageMarker(number, side, borderBits=1)
+    rows, columns = np.nonzero(np.asarray(bits) == 0)
+    return np.asarray((np.column_stack([columns, rows])[:, None, :] + SQUARE) * share / side + (1.0 - share) / 2.0)

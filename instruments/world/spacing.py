@@ -1,0 +1,41 @@
+"""How near two solids come to each other: between round ones, the distance of their axes less their radii.
+
+Exact for capsules and balls; for a flat end it errs to the near side, by its radius at most, so that what is called free is free.
+May not know what the solids are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from instruments.world.optics import Floats
+from instruments.world.solids import Hull
+
+
+def clearance_mm(one: Hull, other: Hull) -> float:
+    """Least distance between the surfaces, mm; negative where they share room. Tapered solids count with their wider end."""
+    apart = segments_apart_mm(np.array(one.a_mm), np.array(one.b_mm), np.array(other.a_mm), np.array(other.b_mm))
+    return apart - max(one.radius_a_mm, one.radius_b_mm) - max(other.radius_a_mm, other.radius_b_mm)
+
+
+def segments_apart_mm(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
+    """Least distance between the segments a b and c d, each end (3,).
+
+    The lines' own nearest points where they lie within both segments, else the nearest of the four ends to the other segment.
+    """
+    u, v, w = b - a, d - c, a - c
+    uu, uv, vv, uw, vw = (float(np.dot(*pair)) for pair in ((u, u), (u, v), (v, v), (u, w), (v, w)))
+    det = uu * vv - uv * uv
+    if det > 1e-12 * uu * vv > 0.0:
+        s, t = (uv * vw - vv * uw) / det, (uu * vw - uv * uw) / det
+        if 0.0 <= s <= 1.0 and 0.0 <= t <= 1.0:
+            return float(np.linalg.norm(w + s * u - t * v))
+    ends = ((a, c, d), (b, c, d), (c, a, b), (d, a, b))
+    return min(_point_apart_mm(point, start, end) for point, start, end in ends)
+
+
+def _point_apart_mm(point: Floats, start: Floats, end: Floats) -> float:
+    along = end - start
+    length2 = float(np.dot(along, along))
+    part = 0.0 if length2 == 0.0 else float(np.clip(np.dot(point - start, along) / length2, 0.0, 1.0))
+    return float(np.linalg.norm(point - start - part * along))

@@ -1,0 +1,230 @@
+"""The bench as a process that says when it comes to a step, and lingers in it, so that it can be killed in that very step.
+
+All but the mark is the bench's own: its command's work without the report, its drivers, its guardian. Processes are forked from
+a server that has loaded everything, for there are many of them. Linux and macOS.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+import bench.trial_run
+from bench.console_window import CTRL_CLOSE_EVENT, Handler
+from bench.devices import Devices
+from bench.engine import Ending
+from bench.exits import installed
+from bench.jobs import run_script
+from bench.progress import TerminalProgress
+from bench.rig import load_rig
+from bench.script import load_script
+from bench.store import Row, Store
+from bench.trial_run import TrialRun
+from instruments.camera.recording import RecordingCameras
+from instruments.stage.driver import Stage
+from tests.bench.real_rig import RealRig
+
+MARK = "@@ "
+LINGER_S = 0.6
+CLOSED_CODE = 58
+LONG_S = 10.0
+CODES = {Ending.FINISHED: 0, Ending.ABORTED: 3, Ending.FAULTED: 3}
+
+
+def say(step: str) -> None:
+    print(f"\n{MARK}{step}", flush=True)
+
+
+def put(owner: Any, name: str, instead: Callable[..., Any]) -> None:
+    """From now on ``owner.name`` is ``instead``, in this process."""
+    setattr(owner, name, instead)
+
+
+def begins(owner: Any, name: str, step: str, linger_s: float = 0.0) -> None:
+    """From now on ``step`` is told when ``owner.name`` is called; ``linger_s`` are spent in it before it does anything."""
+    original: Callable[..., Any] = getattr(owner, name)
+
+    def marked(*args: Any, **more: Any) -> Any:
+        say(step)
+        time.sleep(linger_s)
+        return original(*args, **more)
+
+    put(owner, name, marked)
+
+
+class Lingering(tuple[Row, ...]):
+    """Rows that take their time to be written: the transaction is open meanwhile."""
+
+    def __iter__(self) -> Iterator[Row]:
+        for number, row in enumerate(super().__iter__()):
+            if number == 1:
+                say("storing")
+                time.sleep(LINGER_S)
+            yield row
+
+
+def storing() -> None:
+    write = Store._write
+
+    def marked(store: Store, tables: Sequence[tuple[str, Sequence[Row]]]) -> None:
+        write(store, [(name, Lingering(rows) if name == "touches" else rows) for name, rows in tables])
+
+    put(Store, "_write", marked)
+
+
+def hanging() -> None:
+    """The main thread stands still in a move for good, whatever the other threads do."""
+
+    def hangs(*_: object, **__: object) -> None:
+        say("hanging")
+        threading.Event().wait()
+
+    put(Stage, "move_to", hangs)
+
+
+def mistaken() -> None:
+    """A mistake of the bench's own, amid a trial."""
+
+    def divides(*_: object, **__: object) -> float:
+        return 1.0 / 0.0
+
+    put(RecordingCameras, "capture", divides)
+
+
+class ClosingWindow:
+    """Stands in for Windows: a second after the bench has begun to settle it calls the handler, and ends the process behind it."""
+
+    def __init__(self) -> None:
+        self._handlers: list[Handler] = []
+        settle = TrialRun._settle
+
+        def marked(trial_run: TrialRun) -> None:
+            threading.Timer(1.0, self._close).start()
+            settle(trial_run)
+
+        put(TrialRun, "_settle", marked)
+
+    def register(self, handler: Handler, add: bool) -> None:
+        (self._handlers.append if add else self._handlers.remove)(handler)
+
+    def _close(self) -> None:
+        say("closing")
+        self._handlers[-1](CTRL_CLOSE_EVENT)
+        os._exit(CLOSED_CODE)
+
+
+MARKS: dict[str, Callable[[], None]] = {
+    "homing": lambda: begins(Stage, "home", "homing"),
+    "settling": lambda: begins(TrialRun, "_settle", "settling"),
+    "moving": lambda: begins(Stage, "move_to", "moving"),
+    "capturing": lambda: begins(RecordingCameras, "capture", "capturing", LINGER_S),
+    "capturing long": lambda: begins(RecordingCameras, "capture", "capturing long", LONG_S),
+    "detecting": lambda: begins(bench.trial_run, "examine", "detecting", LINGER_S),
+    "storing": storing,
+    "going to safe": lambda: begins(Devices, "make_safe", "going to safe", LINGER_S),
+    "hanging": hanging,
+    "mistaken": mistaken,
+}
+
+
+def child(answers: Connection, said: Connection, step: str, rig: Path, script: Path, out: Path) -> None:
+    """The process: a bench at the two pipes."""
+    for theirs, ours in ((answers, 0), (said, 1), (said, 2)):
+        os.dup2(theirs.fileno(), ours)
+    answers.close()
+    said.close()
+    sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115 - the process's own
+    sys.stdout = open(1, "w", encoding="utf-8", closefd=False, buffering=1)  # noqa: SIM115
+    sys.stderr = sys.stdout
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        signal.signal(getattr(signal, name), signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
+    MARKS.get(step, lambda: None)()
+    register = ClosingWindow().register if step == "closing" else None
+    loaded = load_rig(rig)
+    with installed(register), TerminalProgress(Console()) as progress:
+        _, ending = run_script(loaded, load_script(script, loaded.rig.limits.set_point_c), out, progress)
+    print(f"ended: {ending.value}", flush=True)
+    sys.exit(CODES[ending])
+
+
+class MarkedBench:
+    """A running bench with a person at its terminal."""
+
+    def __init__(self, rig: RealRig, step: str) -> None:
+        context = multiprocessing.get_context("forkserver")
+        answers, self._answers = context.Pipe(duplex=False)
+        self._said, said = context.Pipe(duplex=False)
+        paths = (rig.rig_path, rig.script_path, rig.out)
+        self.process = context.Process(target=child, args=(answers, said, step, *paths), daemon=True)
+        self.process.start()
+        for end in (answers, said):
+            end.close()
+        self._pieces: list[bytes] = []
+        self._read_to = 0
+        self._reader = threading.Thread(target=self._listen, daemon=True)
+        self._reader.start()
+
+    @property
+    def said(self) -> str:
+        return b"".join(self._pieces).decode("utf-8", "replace")
+
+    def enter(self) -> None:
+        os.write(self._answers.fileno(), b"\n")
+
+    def signal(self, name: str) -> None:
+        os.kill(self.process.pid or 0, getattr(signal, name))
+
+    def wait_for(self, words: str, within_s: float = 40.0) -> None:
+        """Until the bench has said ``words`` behind what was waited for before."""
+        self.until(lambda: words in self.said[self._read_to :], f"said {words!r}", within_s)
+        self._read_to = self.said.index(words, self._read_to) + len(words)
+
+    def until(self, there: Callable[[], bool], what: str, within_s: float = 40.0) -> None:
+        deadline = time.monotonic() + within_s
+        while not there():
+            assert time.monotonic() < deadline, f"never {what}:\n{self.said}"
+            assert self.process.exitcode is None, f"ended with {self.process.exitcode} before it {what}:\n{self.said}"
+            time.sleep(0.005)
+
+    def until_longer(self, than: int, there: Callable[[], bool]) -> None:
+        """Until the bench has said more than ``than`` characters in all, or ``there``."""
+        self.until(lambda: there() or len(self.said) > than, "came on")
+
+    def close(self) -> None:
+        if self.process.is_alive():
+            self.process.kill()
+        self.process.join()
+        self._reader.join(5)
+        for end in (self._answers, self._said):
+            end.close()
+        self.process.close()
+
+    def _listen(self) -> None:
+        while piece := os.read(self._said.fileno(), 4096):
+            self._pieces.append(piece)
+
+
+@contextmanager
+def marked_bench(rig: RealRig, step: str) -> Iterator[MarkedBench]:
+    """A bench on ``rig`` that tells of ``step``; killed at the end if it still runs."""
+    running = MarkedBench(rig, step)
+    try:
+        yield running
+    finally:
+        running.close()
+
+
+def serve() -> None:
+    """Have the server load the bench once; before the first `MarkedBench`."""
+    multiprocessing.get_context("forkserver").set_forkserver_preload([__name__])

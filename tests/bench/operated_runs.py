@@ -1,0 +1,96 @@
+"""Short runs on an emulated rig whose operator, stage and emulation are the test's choice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bench.cli import main
+from bench.record import RunRecord, read_run
+from bench.rig import RIGS
+
+SCRIPT = """
+title = "Short"
+detectors = ["thesis"]
+
+[bath]
+set_point_c = 33.0
+window_s = 2.0
+slope_k_per_min = 10.0
+teat_slope_k_per_min = 10.0
+
+[[requirements]]
+kind = "bath_in_band"
+name = "bath"
+band_k = 0.5
+
+[[trials]]
+name = "place"
+situation = "ideal"
+layout = "table-5-1"
+set_up = "Teats as in table 5.1."
+poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0, yaw_deg = 4.0 }, {}]
+"""
+
+RIG = """
+name = "operated"
+calibration = "calibration.toml"
+
+[operator]
+url = "{operator}"
+{operator_more}
+
+[arm]
+url = "emulator:"
+touches = {touches}
+packets = 2
+{check_point}
+
+[bath]
+url = "emulator:"
+profile = "julabo-presto"
+
+{stage}
+
+[cameras]
+url = "emulator:"
+settle_s = 0.1
+
+[emulation]
+bath_start_c = 33.0
+{emulation}
+"""
+
+STAGE = '[stage]\nurl = "emulator:"'
+CHECK_POINT = "check_point_mm = [-190.0, 120.0, 15.0]\ncheck_touches = 2"
+
+
+def files(
+    folder: Path,
+    *,
+    operator: str = "emulator:",
+    operator_more: str = "",
+    stage: str = "",
+    touches: int = 1,
+    check_point: str = "",
+    emulation: str = "",
+    script: str = SCRIPT,
+    answers: str = "",
+) -> list[str]:
+    """Rig, script and answers in ``folder``; gives back the arguments of the command that runs them."""
+    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "answers.txt").write_text(answers, encoding="utf-8")
+    figures = {"operator": operator, "operator_more": operator_more, "stage": stage, "touches": touches, "check_point": check_point}
+    (folder / "rig.toml").write_text(RIG.format(**figures, emulation=emulation), encoding="utf-8")
+    (folder / "script.toml").write_text(script, encoding="utf-8")
+    return ["run", str(folder / "script.toml"), "--rig", str(folder / "rig.toml"), "--out", str(folder / "runs")]
+
+
+def run_of(folder: Path) -> RunRecord:
+    """The one run in ``folder``."""
+    (run,) = (folder / "runs").iterdir()
+    return read_run(run)
+
+
+def run(arguments: list[str], folder: Path) -> tuple[int, RunRecord]:
+    """The command's exit code, and what it left."""
+    return main(arguments), run_of(folder)

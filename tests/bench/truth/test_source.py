@@ -1,0 +1,257 @@
+"""When the ends are touched, carried and checked, and which trials lose their truth: the sources against a stage that can slip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.record import RunRecord, TrialRecord
+from bench.store import Row
+from bench.truth.carrying import REFERENCE_FACT, UNCONFIRMED_FACT, CarriedTruth, CarryState, CheckRule, resumed
+from bench.truth.point import How, Triple, triple
+from bench.truth.registration import Registration
+from bench.truth.source import Shown, TouchedTruth, TrialTruth
+from bench.truth.touching import NoTruthError, Toucher
+from tests.bench.truth.touches import ENDS_MM, Hand, registered, stage_of, table_5_1, toucher
+
+HOME = np.array([-150.0, -137.5, -1.0])
+
+
+@dataclass
+class Bench:
+    """A stage that is told where it is, may have slipped by ``slip_mm``, and a hand that touches where the ends then are."""
+
+    at_mm: np.ndarray = field(default_factory=lambda: HOME.copy())
+    slip_mm: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    every: int = 3
+    facts: dict[str, object] = field(default_factory=dict)
+    checks: list[Row] = field(default_factory=list)
+    confirmed: list[str] = field(default_factory=list)
+    invalid: dict[str, str] = field(default_factory=dict)
+    told: list[tuple[str, str]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        rng = np.random.default_rng(1)
+        stage = stage_of(rng)
+        self.stage = type(stage)(np.eye(3), np.zeros((3, 3)))
+        self.hand = Hand(ENDS_MM.copy())
+        self.source = self.new_source()
+        self.source.begin()
+
+    def new_source(self, state: CarryState | None = None, hand: Toucher | None = None) -> CarriedTruth:
+        asks = hand or toucher(self.hand, readings=1)
+        rule = CheckRule(self.every, 1.5)
+        return CarriedTruth(asks, self.registration, self.stands, rule, self, self.tell, lambda: 7.0, state)
+
+    def registration(self) -> Registration:
+        return registered(self.stage, np.random.default_rng(2), u_mm=1e-3)
+
+    def stands(self) -> Triple:
+        return triple(self.at_mm)
+
+    def fact(self, key: str, value: object) -> None:
+        self.facts[key] = value
+
+    def checked(self, touches: Sequence[Row], confirmed: Sequence[str], invalid: Sequence[str], reason: str) -> None:
+        self.checks += touches
+        self.confirmed += confirmed
+        self.invalid |= dict.fromkeys(invalid, reason)
+
+    def tell(self, kind: str, text: str) -> None:
+        self.told.append((kind, text))
+
+    def trial(self, number: int, x_mm: float, fixed: str = "one") -> TrialTruth:
+        shown = Shown(f"{number:03d}", table_5_1(), fixed)
+        self.source.before(shown)
+        self.at_mm = HOME + np.array([x_mm, 0.0, 0.0])
+        self.hand.ends = ENDS_MM + self.at_mm - HOME + self.slip_mm
+        truth = self.source.of_trial(shown)
+        self.source.stored(shown.trial, truth)
+        return truth
+
+
+def test_touched_once_then_carried() -> None:
+    bench = Bench()
+    truths = [bench.trial(number, 20.0 * number) for number in (0, 1, 2)]
+    assert [t.how for t in truths] == [How.TOUCHED, How.CARRIED, How.CARRIED]
+    assert len(bench.hand.asked) == 4, "the four ends, once"
+    assert [len(t.touches) for t in truths] == [4, 0, 0]
+    for number, truth in enumerate(truths):
+        assert np.allclose([p.point_mm for p in truth.points], ENDS_MM + [20.0 * number, 0.0, 0.0], atol=0.01)  # noqa: RUF005 - a sum
+        assert truth.stage_mm == (-150.0 + 20.0 * number, -137.5, -1.0)
+
+
+def test_good_checks_confirm_every_n_carried_trials_and_at_the_end() -> None:
+    bench = Bench()
+    for number in range(6):
+        bench.trial(number, 10.0 * number)
+    assert [row["after_trial"] for row in bench.checks] == ["003"] * 4
+    bench.source.end()
+    assert {row["number"]: row["after_trial"] for row in bench.checks} == {1: "003", 2: "005"}
+    assert all(row["held"] for row in bench.checks)
+    assert bench.confirmed == ["001", "002", "003", "004", "005"]
+    assert bench.invalid == {}
+    bench.source.end()
+    assert len(bench.checks) == 8, "nothing is left to check"
+
+
+def test_a_lost_step_costs_the_trials_since_the_last_good_check_and_no_other() -> None:
+    bench = Bench()
+    for number in range(5):  # the check before trial 4 confirms 1 to 3
+        bench.trial(number, 10.0 * number)
+    bench.slip_mm = np.array([2.0, 0.0, 0.0])
+    for number in (5, 6):
+        bench.trial(number, 10.0 * number)
+    after = bench.trial(7, 70.0)  # before it the check that finds out
+    assert list(bench.invalid) == ["004", "005", "006"]
+    assert "2.00 mm" in bench.invalid["005"]
+    assert bench.confirmed == ["001", "002", "003"]
+    assert [text for kind, text in bench.told if kind == "invalid" and "004, 005, 006" in text]
+    assert after.how is How.CARRIED, "what was touched in the check is the new reference"
+    assert np.allclose([p.point_mm for p in after.points], bench.hand.ends, atol=0.05)
+    bench.source.end()
+    assert bench.confirmed[-1] == "007"
+
+
+def test_the_last_check_finds_it_too() -> None:
+    bench = Bench(every=0)
+    for number in range(4):
+        bench.slip_mm = np.array([0.0, 5.0 if number == 3 else 0.0, 0.0])
+        bench.trial(number, 10.0 * number)
+    assert bench.checks == []
+    bench.hand.ends = ENDS_MM + bench.at_mm - HOME + bench.slip_mm
+    bench.source.end()
+    assert list(bench.invalid) == ["001", "002", "003"]
+
+
+def test_a_slip_so_wide_that_teats_are_mistaken_invalidates_too() -> None:
+    bench = Bench()
+    for number in range(4):
+        bench.trial(number, 10.0 * number)
+    bench.hand.ends = ENDS_MM[[1, 2, 3, 0]]
+    truth = bench.trial(4, 40.0)
+    assert list(bench.invalid) == ["001", "002", "003"]
+    assert "could not be used" in bench.invalid["001"]
+    assert truth.how is How.TOUCHED, "there is no reference any more"
+
+
+def test_another_phantom_is_checked_before_and_touched_anew() -> None:
+    bench = Bench(every=0)
+    bench.trial(0, 0.0)
+    bench.trial(1, 10.0)
+    other = bench.trial(2, 20.0, fixed="two")
+    assert bench.confirmed == ["001"], "checked while it still stood"
+    assert other.how is How.TOUCHED
+    back = bench.trial(3, 30.0, fixed="one")
+    assert back.how is How.TOUCHED, "what was taken away is not where it was"
+
+
+def test_a_trial_that_is_done_again_is_touched_anew() -> None:
+    bench = Bench(every=0)
+    bench.trial(0, 0.0)
+    bench.trial(1, 10.0)
+    shown = Shown("002", table_5_1(), "one")
+    bench.source.before(shown)  # and then the operator wanted it again: what went wrong, nobody can tell
+    assert bench.trial(2, 20.0).how is How.TOUCHED
+    assert bench.confirmed == ["001"]
+
+
+def test_a_person_is_needed_only_where_something_was_touched() -> None:
+    bench = Bench(every=2)
+    asked = []
+    for number in range(6):
+        shown = Shown(f"{number:03d}", table_5_1(), "one")
+        bench.source.before(shown)
+        asked.append(not bench.source.unattended(shown))
+        bench.source.stored(shown.trial, bench.source.of_trial(shown))
+    assert asked == [True, True, False, True, False, True], "to touch, to put the arm away, and the same after each check"
+
+
+def test_who_skips_the_last_check_leaves_trials_unconfirmed() -> None:
+    bench = Bench(every=0)
+    bench.trial(0, 0.0)
+    bench.trial(1, 10.0)
+    bench.hand.skips = 1
+    bench.source.end()
+    assert bench.told[-1] == ("check touch", "check touch 1 was skipped: tired. 1 trial is unconfirmed so far")
+    assert bench.invalid == {}
+    assert bench.facts[UNCONFIRMED_FACT] == ["001"]
+
+
+def test_a_check_that_is_skipped_costs_no_trial_and_is_asked_for_again() -> None:
+    bench = Bench(every=1)
+    bench.trial(0, 0.0)
+    bench.trial(1, 10.0)
+    bench.hand.skips = 1
+    assert bench.trial(2, 20.0).how is How.CARRIED
+    bench.trial(3, 30.0)
+    assert bench.confirmed == ["001", "002"]
+
+
+def test_what_was_taken_away_unchecked_is_never_confirmed_by_a_later_check() -> None:
+    bench = Bench(every=0)
+    bench.trial(0, 0.0)
+    bench.trial(1, 10.0)
+    bench.hand.skips = 1
+    hows = {f"{number:03d}": bench.trial(number, 10.0 * number, fixed="two").how for number in (2, 3)}
+    bench.source.end()
+    assert bench.confirmed == ["003"]
+    state = resumed(record(bench, {"000": How.TOUCHED, "001": How.CARRIED, **hows}))
+    assert (state.unconfirmed, state.since) == (["001"], [])
+
+
+def test_no_truth_is_not_carried_on() -> None:
+    bench = Bench()
+    bench.hand.places = [ENDS_MM[1]] * 20
+    with pytest.raises(NoTruthError):
+        bench.trial(0, 0.0)
+    bench.hand.places, bench.hand._next = (), None
+    assert bench.trial(1, 10.0).how is How.TOUCHED
+
+
+def test_what_speaks_against_the_registration_is_told_at_once() -> None:
+    bench = Bench()
+    bench.stage = type(bench.stage)(np.eye(3), np.diag([0.01, 0.0, 0.0]))
+    bench.new_source().begin()
+    assert bench.told[-1][0] == "registration"
+    assert "scale x" in bench.told[-1][1]
+
+
+def test_touching_every_trial_needs_neither_stage_nor_checks() -> None:
+    hand = Hand(ENDS_MM)
+    source = TouchedTruth(toucher(hand, readings=1), lambda: None)
+    source.begin()
+    for name in ("001", "002"):
+        shown = Shown(name, table_5_1(), "one")
+        source.before(shown)
+        truth = source.of_trial(shown)
+        source.stored(name, truth)
+        assert truth.how is How.TOUCHED
+        assert {row["trial"] for row in truth.touches} == {name}
+    source.end()
+    assert len(hand.asked) == 8
+
+
+def record(bench: Bench, hows: dict[str, How]) -> RunRecord:
+    """What a stopped run left: facts, checks and trials, as `read_run` gives them."""
+    heads = {name: {"id": name, "invalid": bench.invalid.get(name)} for name in hows}
+    trials = tuple(TrialRecord(heads[name], (), (), ({"how": how.value},), (), (), {}) for name, how in hows.items())
+    return RunRecord(Path(), bench.facts, trials, (), tuple(bench.checks), (), np.zeros((0, 3)), (), np.zeros(0), None)
+
+
+def test_a_stopped_run_goes_on_from_what_is_in_the_store() -> None:
+    bench = Bench()
+    hows = {f"{number:03d}": bench.trial(number, 10.0 * number).how for number in range(6)}
+    state = resumed(record(bench, hows))
+    assert state.since == ["004", "005"]
+    assert state.checks == 1
+    assert REFERENCE_FACT in bench.facts
+    bench.source = bench.new_source(state)
+    bench.source.begin()
+    assert bench.trial(6, 60.0).how is How.CARRIED
+    bench.source.end()
+    assert bench.confirmed == ["001", "002", "003", "004", "005", "006"]

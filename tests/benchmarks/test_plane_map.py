@@ -1,0 +1,66 @@
+"""The plane map of 156 poses, emulated, scored and reported: seconds, and what they go into, printed beside the aim and not asserted."""
+
+from __future__ import annotations
+
+import cProfile
+import io
+import time
+from pathlib import Path
+from types import CodeType
+
+from pytest_benchmark.fixture import BenchmarkFixture
+from rich.console import Console
+
+from bench.jobs import run_script
+from bench.progress import TerminalProgress
+from bench.record import read_run
+from bench.rig import find_rig, load_rig
+from bench.script import find_script, load_script
+from bench.summary import write_run_report
+from tests.benchmarks.figures import figure
+
+SPENT = {
+    "rendering": ("scene.py", "render"),
+    "checking the frames": ("frame_checks.py", "notice"),
+    "encoding the pictures": ("store.py", "png_bytes"),
+    "detecting": ("examine.py", "examine"),
+}
+
+
+def run(out: Path) -> Path:
+    """The plane map on the emulated rig; gives back the run's folder."""
+    with TerminalProgress(Console(file=io.StringIO())) as progress:
+        folder, _ = run_script(load_rig(find_rig(None)), load_script(find_script("plane-map")), out, progress)
+    return folder
+
+
+def test_the_plane_map(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
+    spent_s: list[float] = []
+
+    def whole() -> Path:
+        before_s = time.process_time()
+        folder = run(tmp_path)
+        write_run_report(folder)
+        spent_s.append(time.process_time() - before_s)
+        return folder
+
+    folder = benchmark.pedantic(whole, rounds=1)
+    assert len(read_run(folder).trials) == 156
+    assert benchmark.stats is not None
+    figure(benchmark, "plane map of 156 poses, emulated, scored and reported, s", benchmark.stats.stats.mean, "at most 60 s")
+    figure(benchmark, "the same in seconds of one processor", spent_s[0], "less than the above; more means that the machine was busy")
+
+
+def test_what_it_goes_into(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
+    """Processor time under the profiler: all is slower, the shares tell."""
+    profile = cProfile.Profile(time.process_time)
+    benchmark.pedantic(lambda: profile.runcall(run, tmp_path), rounds=1)
+    spent_s = {
+        (Path(entry.code.co_filename).name, entry.code.co_name): entry.totaltime
+        for entry in profile.getstats()
+        if isinstance(entry.code, CodeType)  # others are C's own
+    }
+    whole_s = spent_s["jobs.py", "run_script"]
+    for what, where in SPENT.items():
+        assert where in spent_s, f"nothing called {where[1]} of {where[0]} was run; has it another name now?"
+        figure(benchmark, f"{what}, share in %", 100.0 * spent_s[where] / whole_s, "none: it tells where to look")

@@ -1,0 +1,127 @@
+"""Fits side by side, and what is said of their errors: against closed forms, and against noise that was put in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from detector.calibration.rigid import (
+    compare,
+    cross_matrix,
+    expected_fre_mm,
+    fit_affine,
+    fit_rigid,
+    fit_similarity,
+    fle_from_fre_mm,
+    held_out_mm,
+    motion_of,
+    rotation_covariance,
+    target_covariance,
+    target_error_mm,
+)
+from detector.geometry import Motion
+
+CUBE = np.array([[x, y, z] for x in (0.0, 100.0) for y in (0.0, 80.0) for z in (0.0, 60.0)])
+SQUARE = np.array([[-100.0, -100.0, 5.0], [100.0, -100.0, 5.0], [100.0, 100.0, 5.0], [-100.0, 100.0, 5.0]])
+TURNED = Motion.from_vectors((0.2, -0.4, 1.1), (30.0, -70.0, 12.0))
+
+
+@given(st.tuples(*[st.floats(-1.7, 1.7)] * 3), st.tuples(*[st.floats(-500, 500)] * 3), st.floats(0.5, 2.0))
+@settings(max_examples=60, deadline=None)
+def test_each_model_finds_what_it_can_express(om: tuple[float, ...], shift: tuple[float, ...], scale: float) -> None:
+    motion = Motion.from_vectors(om, shift)
+    assert np.allclose(fit_rigid(motion.apply(CUBE), CUBE).apply(CUBE), motion.apply(CUBE), atol=1e-9)
+    similar = fit_similarity(motion.apply(scale * CUBE), CUBE)
+    assert np.allclose(similar.A, scale * motion.R, atol=1e-9)
+    bent = np.array([[1.01, 0.02, 0.0], [0.0, 0.99, -0.01], [0.0, 0.0, 1.02]])
+    affine = fit_affine(motion.apply(CUBE @ bent.T), CUBE)
+    assert np.allclose(affine.A, motion.R @ bent, atol=1e-9)
+    assert affine.fre_mm < 1e-9
+
+
+def test_a_mirror_image_is_no_rigid_fit() -> None:
+    mirrored = CUBE * [1.0, 1.0, -1.0]
+    fit = fit_rigid(mirrored, CUBE)
+    assert np.linalg.det(fit.A) == pytest.approx(1.0)
+    assert fit.fre_mm > 10.0
+    assert np.allclose(motion_of(fit).R @ motion_of(fit).R.T, np.eye(3))
+
+
+def test_points_in_a_plane_are_fitted_in_their_plane() -> None:
+    bent = np.array([[1.02, 0.03, 0.0], [0.0, 0.97, 0.0], [0.0, 0.0, 1.0]])
+    affine = fit_affine(TURNED.apply(SQUARE @ bent.T), SQUARE)
+    assert affine.fre_mm < 1e-9
+    assert np.allclose(affine.A[:, :2], (TURNED.R @ bent)[:, :2])
+    assert np.linalg.det(affine.A) > 0.0
+    assert np.allclose(affine.A[:, 2], TURNED.R[:, 2])
+
+
+def test_the_thesis_s_unconstrained_fit_shows_by_its_singular_values() -> None:
+    stretched = CUBE * [1.0, 0.99, 0.92]  # metrology.md: 1.000, 0.990, 0.920
+    found = compare(TURNED.apply(stretched), CUBE)
+    assert found.affine.singular_values == pytest.approx([1.0, 0.99, 0.92])
+    assert found.affine.fre_mm < 1e-9 < found.similarity.fre_mm < found.rigid.fre_mm
+    assert found.rigid.singular_values == pytest.approx([1.0, 1.0, 1.0])
+
+
+def test_held_out_points_tell_more_than_residuals() -> None:
+    rng = np.random.default_rng(1)
+    found = compare(TURNED.apply(CUBE) + rng.normal(0.0, 0.5, CUBE.shape), CUBE)
+    assert found.affine.fre_mm < found.rigid.fre_mm
+    held = found.held_out_mm
+    assert held["affine"] is not None
+    assert held["rigid"] is not None
+    assert held["affine"] > found.affine.fre_mm
+    assert held["affine"] > held["rigid"], "freedom that isn't needed costs where nothing was fitted"
+
+
+def test_three_points_hold_none_out() -> None:
+    assert np.isnan(held_out_mm(fit_rigid, SQUARE[:3], SQUARE[:3])).all()
+    assert compare(SQUARE[:3], SQUARE[:3]).held_out_mm["rigid"] is None
+
+
+@pytest.mark.parametrize("fit", [fit_rigid, fit_similarity, fit_affine])
+def test_points_on_a_line_are_refused(fit: object) -> None:
+    line = np.linspace(0, 1, 5)[:, None] * [[100.0, 20.0, 0.0]]
+    with pytest.raises(ValueError, match="line"):
+        fit(line, line)  # type: ignore[operator]
+    with pytest.raises(ValueError, match="line"):
+        rotation_covariance(line, 0.1)
+
+
+def test_fiducial_error_is_what_the_formula_says() -> None:
+    rng = np.random.default_rng(2)
+    seen = [fit_rigid(TURNED.apply(CUBE) + rng.normal(0.0, 0.2, CUBE.shape), CUBE).fre_mm ** 2 for _ in range(600)]
+    expected = expected_fre_mm(0.2 * 3**0.5, len(CUBE))
+    assert np.sqrt(np.mean(seen)) == pytest.approx(expected, rel=0.03)
+    assert fle_from_fre_mm(expected, len(CUBE)) == pytest.approx(0.2 * 3**0.5)
+    with pytest.raises(ValueError, match="3 points"):
+        expected_fre_mm(0.2, 2)
+
+
+def test_target_error_is_what_the_formula_says() -> None:
+    rng = np.random.default_rng(3)
+    at = np.array([250.0, -40.0, 90.0])
+    missed = []
+    for _ in range(1500):
+        fit = fit_rigid(TURNED.apply(SQUARE) + rng.normal(0.0, 0.2, SQUARE.shape), SQUARE)
+        missed.append(TURNED.R.T @ (fit.apply(at) - TURNED.apply(at)))
+    formula = target_error_mm(0.2 * 3**0.5, SQUARE, at)[0]
+    covariance = target_covariance(SQUARE, 0.2, at)
+    assert np.sqrt(np.mean(np.sum(np.square(missed), axis=1))) == pytest.approx(formula, rel=0.04)
+    assert np.trace(covariance) == pytest.approx(formula**2, rel=1e-9), "both are the same first-order error"
+    assert np.allclose(np.cov(np.transpose(missed)), covariance, atol=0.1 * np.trace(covariance))
+
+
+def test_the_centre_of_the_points_is_known_best() -> None:
+    centre = SQUARE.mean(axis=0)
+    at_centre, away = target_error_mm(1.0, SQUARE, np.array([centre, centre + np.array([300.0, 0.0, 0.0])]))
+    assert at_centre == pytest.approx(0.5)
+    assert away > at_centre
+
+
+def test_the_cross_matrix_is_the_cross_product() -> None:
+    a, b = np.array([1.0, -2.0, 3.0]), np.array([0.5, 4.0, -1.0])
+    assert np.allclose(cross_matrix(a) @ b, np.cross(a, b))

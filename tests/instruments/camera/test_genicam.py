@@ -1,0 +1,146 @@
+"""GenICam cameras: the driver against two cameras that share no code with it, one over GigE Vision, one in this process."""
+
+from __future__ import annotations
+
+import importlib
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import closing
+from typing import Any
+
+import pytest
+
+from instruments.camera.aravis import load_aravis
+from instruments.camera.faults import FrameError, FrameFault
+from instruments.camera.genicam import GenicamCamera
+from instruments.camera.raw import RawFrame
+from instruments.camera.settings import Settings
+from instruments.clock import RealClock
+from instruments.errors import DeviceError, LinkError
+from tests.instruments.camera.peers import ADDRESS, gige_camera, need_aravis
+
+IN_PROCESS = "Fake_1"
+
+
+@pytest.fixture
+def clock() -> Iterator[RealClock]:
+    with closing(RealClock()) as real:
+        yield real
+
+
+@pytest.fixture
+def aravis() -> Any:
+    need_aravis()
+    return load_aravis()
+
+
+def opened(device: str, clock: RealClock, **asked: Any) -> closing[GenicamCamera]:
+    return closing(GenicamCamera("left", device, clock, Settings(**asked)))
+
+
+def whole(camera: GenicamCamera) -> RawFrame:
+    """The next frame that comes whole: a busy machine loses packets on its own loopback too."""
+    for _ in range(20):
+        camera.begin()
+        try:
+            return camera.take()
+        except FrameError as error:
+            told = error
+    raise told
+
+
+@pytest.mark.parametrize(
+    ("pixel_format", "kind", "bits", "dimensions"),
+    [("Mono8", "uint8", 8, 2), ("Mono16", "uint16", 16, 2), ("RGB8", "uint8", 8, 3), ("BayerRG8", "uint8", 8, 3)],
+)
+def test_pixel_formats_of_the_camera_in_this_process(
+    aravis: Any, clock: RealClock, pixel_format: str, kind: str, bits: int, dimensions: int
+) -> None:
+    with opened(IN_PROCESS, clock, pixel_format=pixel_format, resolution=(320, 240)) as camera:
+        assert camera.identity == f"Aravis Fake 1 (320 x 240, {pixel_format})"
+        frame = whole(camera)
+    assert (frame.pixels.shape[:2], str(frame.pixels.dtype), frame.bits, frame.pixels.ndim) == ((240, 320), kind, bits, dimensions)
+    assert frame.pixels.max() > frame.pixels.min()
+
+
+def test_over_gige_vision_everything_that_is_asked_for_is_read_back(clock: RealClock) -> None:
+    asked: dict[str, Any] = {"pixel_format": "Mono16", "resolution": (256, 128), "exposure": 5000.0, "gain": 3.0, "fps": 50.0}
+    features = {"TriggerSelector": "FrameStart", "GevSCPSPacketSize": 1400}
+    with gige_camera() as serial, opened(ADDRESS, clock, **asked, features=features, trigger="software") as camera:
+        assert camera.identity == f"Aravis Fake {serial} (256 x 128, Mono16)"
+        times = []
+        for _ in range(4):
+            frame = whole(camera)
+            assert (frame.pixels.shape, str(frame.pixels.dtype), frame.bits) == ((128, 256), "uint16", 16)
+            times.append(frame.exposed_s)
+            assert frame.exposed_s <= clock.now()
+        assert times == sorted(set(times)), "the camera's own stamps go on"
+
+
+def test_one_of_this_machine_is_found_by_its_name_too(clock: RealClock) -> None:
+    with gige_camera() as serial, opened(f"Aravis-Fake-{serial}", clock) as camera:
+        assert whole(camera).pixels.shape == (512, 512)
+
+
+def test_lost_packets_are_told_and_the_next_frame_is_whole(clock: RealClock) -> None:
+    """One packet in a thousand is lost, and a frame has some 190: about one frame in six comes with holes."""
+    seen: Counter[str] = Counter()
+    with gige_camera("-r", "1"), opened(ADDRESS, clock, fps=100.0) as camera:
+        for _ in range(300):
+            camera.begin()
+            seen[outcome(camera)] += 1
+            if min(seen["lost packets"], seen["whole"]) >= 3:
+                break
+    assert min(seen["lost packets"], seen["whole"]) >= 3
+
+
+def outcome(camera: GenicamCamera) -> str:
+    """What became of the next frame."""
+    try:
+        camera.take()
+    except FrameError as error:
+        return str(error.fault)
+    return "whole"
+
+
+def test_a_hardware_trigger_that_never_comes(clock: RealClock) -> None:
+    with gige_camera():
+        camera = GenicamCamera("thermal", ADDRESS, clock, Settings(trigger="hardware", trigger_source="Line0"), patience_s=0.3)
+        camera.begin()
+        with pytest.raises(FrameError, match=r"no frame came .*after 0\.3 s\)\. Did its trigger come\?") as error:
+            camera.take()
+        assert (error.value.fault, error.value.camera) == (FrameFault.DROPPED, "thermal")
+        camera.close()
+        camera.close()
+        with pytest.raises(LinkError, match="is closed"):
+            camera.begin()
+
+
+def test_settings_that_do_not_take(aravis: Any, clock: RealClock) -> None:
+    with pytest.raises(
+        DeviceError, match=r"settings did not take: pixel_format was refused: .*Mono12p.*; TrigerMode was refused: .*did you mean"
+    ):
+        GenicamCamera("left", IN_PROCESS, clock, Settings(pixel_format="Mono12p", features={"TrigerMode": "On"}))
+    at_odds: dict[str, Any] = {"exposure": 5000.0, "features": {"ExposureTimeAbs": 20000.0, "Nonsense": 3}}
+    with pytest.raises(DeviceError, match=r"Nonsense was refused.*exposure asked 5000, is 20000"):  # one setting undid another
+        GenicamCamera("left", IN_PROCESS, clock, Settings(**at_odds))
+    with opened(IN_PROCESS, clock, **at_odds, tries=frozenset({"exposure", "Nonsense"})) as camera:
+        assert "exposure asked 5000, is 20000" in camera.identity
+
+
+def test_a_camera_that_is_not_there(aravis: Any, clock: RealClock) -> None:
+    with pytest.raises(LinkError, match=r"left camera genicam:nobody: can't be opened: .*Cameras that answer: "):
+        GenicamCamera("left", "nobody", clock)
+
+
+def test_without_the_library_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch, clock: RealClock) -> None:
+    real: Any = importlib.import_module
+
+    def without(name: str, package: str | None = None) -> Any:
+        if name == "gi":
+            raise ImportError("No module named 'gi'")
+        return real(name, package)
+
+    monkeypatch.setattr(importlib, "import_module", without)
+    with pytest.raises(DeviceError, match=r"No module named 'gi'\. Install Aravis .*apt install gir1\.2-aravis-0\.8.*teatbench\[genicam\]"):
+        GenicamCamera("left", IN_PROCESS, clock)

@@ -1,0 +1,160 @@
+"""The emulated cameras as MJPEG streams on loopback, met by the OpenCV driver as any network camera."""
+
+from __future__ import annotations
+
+import http.client
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import pytest
+
+from instruments.camera.cameras import CameraSet
+from instruments.camera.emulator_faults import CameraFaults
+from instruments.camera.faults import FrameError, FrameFault
+from instruments.camera.frame import FrameSet
+from instruments.camera.opencv import OpenCvCamera
+from instruments.camera.settings import Settings
+from instruments.camera.stream import StreamServer, part
+from instruments.clock import RealClock, VirtualClock
+from instruments.errors import DeviceError, LinkError
+from tests.instruments.camera.small_world import SmallWorld
+
+SIZES = {"left": (96, 128), "right": (96, 128), "thermal": (48, 64)}
+
+
+@dataclass
+class Counting:
+    """Cameras whose pictures tell their number: each is 40 + 10 x n bright, n beginning again after 20."""
+
+    clock: RealClock
+    taken: int = 0
+    dropped: set[int] = field(default_factory=set)
+
+    def capture(self) -> FrameSet:
+        self.taken += 1
+        if self.taken in self.dropped:
+            raise FrameError(FrameFault.DROPPED, "left", "left camera", "no frame came")
+        grey = {name: np.full(size, 40 + 10 * (self.taken % 20), np.uint8) for name, size in SIZES.items()}
+        return FrameSet(grey["left"], grey["right"], grey["thermal"], None, dict.fromkeys(SIZES, self.clock.now()))
+
+
+@pytest.fixture
+def clock() -> Iterator[RealClock]:
+    with closing(RealClock()) as real:
+        yield real
+
+
+@pytest.fixture
+def served(clock: RealClock) -> Iterator[StreamServer]:
+    with closing(StreamServer(Counting(clock), clock, fps=20.0)) as server:
+        yield server
+
+
+def cameras_of(server: StreamServer, clock: RealClock) -> CameraSet:
+    return CameraSet({name: (lambda name=name: OpenCvCamera(name, server.urls[name], clock)) for name in SIZES}, {})  # type: ignore[misc]
+
+
+def test_the_driver_gets_all_three_of_the_same_moment(served: StreamServer, clock: RealClock) -> None:
+    with closing(cameras_of(served, clock)) as cameras:
+        assert "128 x 96" in cameras.identity["left"]
+        assert "64 x 48" in cameras.identity["thermal"]
+        for _ in range(20):  # two may fall on the two sides of a tick; its skew tells, and the bench takes it again
+            frames = cameras.capture()
+            if max(frames.exposed_s.values()) - min(frames.exposed_s.values()) < 0.02:
+                break
+        assert frames.thermal is not None
+        assert frames.left.mean() == pytest.approx(frames.right.mean(), abs=1.5)
+        assert frames.left.mean() == pytest.approx(frames.thermal.mean(), abs=1.5)
+
+
+def test_a_frame_is_fresh_however_long_nobody_asked(served: StreamServer, clock: RealClock) -> None:
+    with closing(cameras_of(served, clock)) as cameras:
+        for _ in range(2):
+            clock.sleep(0.6)  # a dozen frames go by
+            asked_s = clock.now()
+            assert min(cameras.capture().exposed_s.values()) > asked_s
+
+
+def test_a_camera_that_falls_silent_and_a_server_that_goes(clock: RealClock) -> None:
+    source = Counting(clock)
+    with closing(StreamServer(source, clock, fps=20.0)) as server:
+        camera = OpenCvCamera("left", server.urls["left"], clock, patience_s=0.3)
+        camera.begin()
+        camera.take()
+        source.dropped = set(range(source.taken + 1, source.taken + 10000))
+        clock.sleep(0.2)
+        camera.begin()
+        with pytest.raises(FrameError, match="no frame came") as silent:
+            camera.take()
+        assert silent.value.fault is FrameFault.DROPPED
+        source.dropped = set()
+        camera.begin()
+        assert camera.take().pixels.shape == (96, 128, 3)
+    for _ in range(50):
+        try:
+            camera.begin()
+            camera.take()
+        except FrameError:
+            continue  # what was on its way, then the end of the stream
+        except LinkError as gone:
+            assert "can't be opened" in str(gone)  # noqa: PT017 - the loop looks for it
+            break
+    else:
+        pytest.fail("the server has gone, and nobody noticed")
+    camera.close()
+
+
+def test_settings_of_a_stream_do_not_take(served: StreamServer, clock: RealClock) -> None:
+    with pytest.raises(DeviceError, match="resolution asked 640 x 480, is 128 x 96"):
+        OpenCvCamera("left", served.urls["left"], clock, Settings(resolution=(640, 480)))
+
+
+def test_what_is_sent(served: StreamServer) -> None:
+    host, port = served.urls["left"].removeprefix("http://").split("/")[0].split(":")
+    connection = http.client.HTTPConnection(host, int(port), timeout=10)
+    connection.request("GET", "/right.mjpg")
+    answer = connection.getresponse()
+    assert answer.getheader("Content-Type") == "multipart/x-mixed-replace; boundary=frame"
+    assert answer.readline() == b"--frame\r\n"
+    head = dict(line.decode().strip().split(": ") for line in iter(answer.readline, b"\r\n"))
+    jpeg = answer.read(int(head["Content-Length"]))
+    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert image is not None
+    assert image.shape == (96, 128)
+    assert float(head["X-Exposed-Seconds"]) > 0.0
+    connection.close()
+    connection.request("GET", "/middle.mjpg")
+    assert connection.getresponse().status == 404
+    connection.close()
+
+
+def test_one_part_of_the_stream() -> None:
+    assert part(b"JPEG", 1.5) == (
+        b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: 4\r\nX-Exposed-Seconds: 1.500000\r\n\r\nJPEG\r\n"
+    )
+
+
+def test_no_stream_under_virtual_time() -> None:
+    with pytest.raises(ValueError, match="in real time"):
+        StreamServer(Counting(RealClock()), VirtualClock())
+
+
+def test_the_scene_itself_over_the_wire(clock: RealClock) -> None:
+    """What the renderer draws, through JPEG, HTTP and FFmpeg; then left and right exchanged by a fault of the emulator's."""
+    from instruments.camera.emulator import EmulatedCameras
+
+    emulated = EmulatedCameras(SmallWorld(clock=clock))
+    seen = emulated.capture()
+    with closing(StreamServer(emulated, clock, fps=4.0)) as server, closing(cameras_of(server, clock)) as cameras:
+        frames = cameras.capture()
+        assert np.abs(frames.left.astype(int) - seen.left).mean() < 2.5
+        assert frames.thermal is not None
+        assert seen.thermal is not None
+        assert np.abs(frames.thermal.astype(int) - seen.thermal).mean() < 2.5
+        faults: CameraFaults = emulated.faults
+        faults.inject("swapped")
+        cameras.capture()  # one may have been on its way
+        assert np.abs(cameras.capture().left.astype(int) - seen.right).mean() < 2.5

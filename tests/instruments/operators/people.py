@@ -1,0 +1,72 @@
+"""Operators of each kind for tests, all willing: the console's person presses Enter, the script says go, the hands are emulated."""
+
+from __future__ import annotations
+
+import io
+import tomllib
+
+from bench.phantom_file import shipped_phantom
+from bench.pulse import AwaitedOperator, Pulse
+from bench.rig import RIGS
+from instruments.clock import VirtualClock
+from instruments.operators.console import Console
+from instruments.operators.emulated import EmulatedOperator, Mistake
+from instruments.operators.operator import Arrangement, Operator
+from instruments.operators.prompted import PromptedOperator
+from instruments.operators.script import KINDS, ScriptedAnswers
+from instruments.world.optics import cameras_from_calibration
+from instruments.world.phantom import PlatePose
+from instruments.world.scene import Renderer
+from instruments.world.world import World
+
+KEEPERS = ("console", "script", "emulated", "rehearsal", "awaited")
+CHECK_POINT_MM = (-190.0, 120.0, 15.0)
+
+
+def arrangement(layout: str = "table-5-1", pose: PlatePose | None = None) -> Arrangement:
+    return Arrangement("ideal", shipped_phantom(layout), (), "Four teats as in table 5.1.", pose or PlatePose())
+
+
+def world(seed: int = 3) -> World:
+    cameras = cameras_from_calibration(tomllib.loads((RIGS / "calibration.toml").read_text(encoding="utf-8")))
+    return World(VirtualClock(), seed, Renderer(cameras, seed))
+
+
+def hands(
+    of: World,
+    *,
+    hand_error_mm: float = 0.0,
+    placement_error_mm: float = 0.0,
+    placement_error_rad: float = 0.0,
+    prompt_s: float = 0.0,
+    mistakes: tuple[Mistake, ...] = (),
+) -> EmulatedOperator:
+    return EmulatedOperator(
+        of,
+        hand_error_mm=hand_error_mm,
+        placement_error_mm=placement_error_mm,
+        placement_error_rad=placement_error_rad,
+        prompt_s=prompt_s,
+        check_point_mm=CHECK_POINT_MM,
+        mistakes=mistakes,
+    )
+
+
+def person(answers: str, out: io.StringIO | None = None) -> PromptedOperator:
+    """Somebody who types ``answers`` and then leaves."""
+    return PromptedOperator(Console(io.StringIO(answers), out or io.StringIO(), VirtualClock()))
+
+
+def willing_script() -> ScriptedAnswers:
+    return ScriptedAnswers([], dict.fromkeys(KINDS, "go"), "answers.toml")
+
+
+def keeper(kind: str) -> Operator:
+    """One that does whatever it is asked."""
+    if kind == "console":
+        return person("\n" * 100)
+    if kind == "script":
+        return PromptedOperator(willing_script())
+    if kind == "awaited":
+        return AwaitedOperator(hands(world()), Pulse())
+    return hands(world()) if kind == "emulated" else PromptedOperator(willing_script(), hands(world()))

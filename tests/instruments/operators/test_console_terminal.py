@@ -1,0 +1,262 @@
+"""The console at a pseudo-terminal: a person who presses wrong keys, has a pedal, takes long, or walks away."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+
+import pytest
+
+from instruments.clock import RealClock
+from instruments.operators.console import Console, Pedal
+from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
+from instruments.operators.prompted import PromptedOperator
+from tests.instruments.operators.people import arrangement
+
+if sys.platform == "win32":
+    pytest.skip("needs a pseudo-terminal, which Windows has not", allow_module_level=True)
+import pty
+
+PATIENCE_S = 10.0
+KEYS = "(s REASON = skip this trial, r = repeat it from its set-up, a = abort the run): "
+
+
+class SteeredClock:
+    """Time that the test moves; waiting takes hardly any."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def now(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        RealClock().sleep(min(seconds, 0.002))
+
+    def call_at(self, when_s: float, action: Callable[[], None]) -> None:
+        raise NotImplementedError(f"nothing is planned here: {when_s}, {action}")
+
+
+class Desk:
+    """A terminal with a console on it, and the person before it. ``asked`` runs beside, as a prompt of the bench does."""
+
+    def __init__(self, near: int, console: Console, clock: SteeredClock, pool: ThreadPoolExecutor) -> None:
+        self.near = near
+        self.clock = clock
+        self.who = PromptedOperator(console)
+        self._pool = pool
+        self.text = ""
+
+    def asked(self, question: Callable[[PromptedOperator], object]) -> Future[object]:
+        return self._pool.submit(question, self.who)
+
+    def type(self, text: str) -> None:
+        os.write(self.near, text.encode())
+
+    def expect(self, words: str) -> str:
+        """Read until the screen says ``words``; gives back all since the last time."""
+        deadline = time.monotonic() + PATIENCE_S
+        seen = ""
+        while words not in seen:
+            assert time.monotonic() < deadline, f"never said {words!r}: {seen}"
+            if select.select([self.near], [], [], 0.1)[0]:
+                seen += os.read(self.near, 4096).decode().replace("\r\n", "\n")
+        return seen
+
+
+@contextmanager
+def desk(*, remind_s: float = 60.0, watch: Callable[[], Pedal] | None = None) -> Iterator[Desk]:
+    near, far = pty.openpty()
+    clock = SteeredClock()
+    with (
+        os.fdopen(far, encoding="utf-8", closefd=False) as keys,
+        os.fdopen(far, "w", encoding="utf-8") as screen,
+        ThreadPoolExecutor() as pool,
+    ):
+        here = Desk(near, Console(keys, screen, clock, watch=watch, remind_s=remind_s), clock, pool)
+        try:
+            yield here
+        finally:
+            if here.near >= 0:
+                here.type("a\n" * 3)  # whatever still waits ends
+    if here.near >= 0:
+        os.close(near)
+
+
+def touch(who: PromptedOperator) -> None:
+    who.touch(2, 4)
+
+
+def test_enter_goes_on_and_wrong_keys_do_not() -> None:
+    with desk() as here:
+        done = here.asked(touch)
+        assert "Touch the end of teat 2 of 4" in here.expect(f"Enter to go on {KEYS}")
+        for wrong in ("x", "2", "go on", "ö", "aa", "\x1b[A"):
+            here.type(f"{wrong}\n")
+            assert f"Not understood: {wrong!r}." in here.expect(KEYS)
+            assert not done.done()
+        here.type("\n")
+        assert done.result(PATIENCE_S) is None
+
+
+def test_what_is_typed_can_be_taken_back() -> None:
+    with desk() as here:
+        done = here.asked(lambda who: who.set_up(arrangement()))
+        here.expect("their numbers first (1 to 4) (s REASON")
+        here.type("9\x7f2\n")
+        assert getattr(done.result(PATIENCE_S), "visible", ()) == (True, False, True, True)
+
+
+@pytest.mark.parametrize(
+    ("keys", "wish"), [("a\n", OperatorAbort), ("Q\n", OperatorAbort), ("r\n", OperatorRepeat), ("\x04", OperatorAbort)]
+)
+def test_wishes(keys: str, wish: type[Exception]) -> None:
+    """The last one is Ctrl-D: nobody will type any more."""
+    with desk() as here:
+        done = here.asked(touch)
+        here.expect(KEYS)
+        here.type(keys)
+        with pytest.raises(wish):
+            done.result(PATIENCE_S)
+
+
+def test_a_skip_with_its_reason_and_one_without() -> None:
+    with desk() as here:
+        done = here.asked(touch)
+        here.expect(KEYS)
+        here.type("s\n")
+        here.expect("Why? (a few words for the record; Enter alone: don't skip): ")
+        here.type("\n")
+        here.expect(f"Enter to go on {KEYS}")
+        here.type("s the teat came off\n")
+        with pytest.raises(OperatorSkip) as skip:
+            done.result(PATIENCE_S)
+        assert skip.value.reason == "the teat came off"
+
+
+def test_enter_pressed_twice_answers_one_question() -> None:
+    with desk() as here:
+        done = here.asked(touch)
+        here.expect(KEYS)
+        here.type("\n\n")
+        done.result(PATIENCE_S)
+        done = here.asked(touch)
+        here.expect(KEYS)
+        time.sleep(0.1)
+        assert not done.done()
+        here.type("\n")
+        done.result(PATIENCE_S)
+
+
+def test_an_abort_between_two_questions_is_not_lost() -> None:
+    with desk() as here:
+        here.type("\na\n")
+        with pytest.raises(OperatorAbort, match="aborted"):
+            here.asked(touch).result(PATIENCE_S)
+
+
+def test_who_takes_long_is_reminded_and_nothing_else_happens() -> None:
+    with desk(remind_s=30.0) as here:
+        done = here.asked(touch)
+        here.expect(KEYS)
+        for since_s in (30.0, 60.0, 90.0):
+            here.clock.now_s = since_s
+            reminder = here.expect(KEYS)
+            assert f"Still waiting for you, since {since_s:.0f} s" in reminder
+            assert "a = abort the run" in reminder
+        assert not done.done()
+        here.type("\n")
+        assert done.result(PATIENCE_S) is None
+
+
+def test_a_trip_ends_the_prompt_before_enter() -> None:
+    trips: list[Exception] = []
+
+    def check() -> None:
+        if trips:
+            raise trips[0]
+
+    with desk() as here:
+        here.who.heed(check)
+        done = here.asked(touch)
+        here.expect(KEYS)
+        here.type("half a li")
+        trips.append(RuntimeError("interlock over-temperature: 39.0 degC"))
+        here.expect("No answer is needed any more: interlock over-temperature: 39.0 degC\n")
+        with pytest.raises(RuntimeError):
+            done.result(PATIENCE_S)
+
+
+class Foot:
+    """A pedal at the arm: pressed when the test says so."""
+
+    def __init__(self) -> None:
+        self.prompts = 0
+        self.down = False
+
+    def watch(self) -> Pedal:
+        self.prompts += 1
+
+        def pressed(seconds: float) -> bool:
+            RealClock().sleep(min(seconds, 0.002))
+            return self.down
+
+        return pressed
+
+
+def test_a_pedal_goes_on_and_the_keyboard_still_works() -> None:
+    foot = Foot()
+    with desk(watch=foot.watch) as here:
+        done = here.asked(touch)
+        here.expect("Enter or a pedal to go on (")
+        foot.down = True
+        assert done.result(PATIENCE_S) is None
+        foot.down = False
+        done = here.asked(touch)
+        here.expect(KEYS)
+        here.type("r\n")
+        with pytest.raises(OperatorRepeat):
+            done.result(PATIENCE_S)
+        assert foot.prompts == 2
+
+
+def test_no_pedal_confirms_what_is_no_touch() -> None:
+    foot = Foot()
+    foot.down = True
+    with desk(watch=foot.watch) as here:
+        done = here.asked(lambda who: who.confirm_homing("On its peg."))
+        assert "pedal" not in here.expect("(a = abort the run): ")
+        time.sleep(0.1)
+        assert not done.done()
+        assert foot.prompts == 0
+        here.type("\n")
+        done.result(PATIENCE_S)
+
+
+def test_a_pedal_whose_arm_has_gone_ends_the_prompt() -> None:
+    def watch() -> Pedal:
+        def pressed(_: float) -> bool:
+            raise RuntimeError("arm: nobody answers")
+
+        return pressed
+
+    with desk(watch=watch) as here:
+        done = here.asked(touch)
+        here.expect("No answer is needed any more: arm: nobody answers")
+        with pytest.raises(RuntimeError):
+            done.result(PATIENCE_S)
+
+
+def test_a_terminal_that_closes_is_an_abort() -> None:
+    with desk() as here:
+        done = here.asked(touch)
+        here.expect(KEYS)
+        os.close(here.near)
+        here.near = -1
+        with pytest.raises(OperatorAbort, match="nobody is at the terminal any more"):
+            done.result(PATIENCE_S)

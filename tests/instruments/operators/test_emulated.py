@@ -1,0 +1,163 @@
+"""Emulated hands: errors of the size that was asked for, the same for the same seed, and mistakes once each when told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from instruments.operators.emulated import EmulatedOperator, Mistake
+from instruments.world.phantom import PIVOT_MM, PlatePose
+from instruments.world.world import World
+from tests.instruments.operators.people import arrangement, hands, world
+
+ERROR_MM, ERROR_RAD = 2.0, 0.02
+
+
+def tip(of: World) -> np.ndarray:
+    held = of.arm_target()
+    assert held is not None
+    return held[0]
+
+
+def turn_and_shift(of: World) -> tuple[float, float, float]:
+    """How the phantom of table 5.1 stands against its layout, told from its ends alone: shift of the pivot in mm, turn in rad."""
+    wanted, found = arrangement().phantom.ends_mm[:, :2] - PIVOT_MM, of.ends_mm()[:, :2] - PIVOT_MM
+    a, b = wanted - wanted.mean(axis=0), found - found.mean(axis=0)
+    yaw = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
+    turned = wanted.mean(axis=0) @ np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+    x, y = found.mean(axis=0) - turned
+    return float(x), float(y), yaw
+
+
+def test_placement_errors_have_the_spread_that_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    here = world()
+    who = hands(here, placement_error_mm=ERROR_MM, placement_error_rad=ERROR_RAD)
+    monkeypatch.setattr(here.renderer, "visible_ends", lambda _: np.ones((4, 2), dtype=bool))  # drawn 400 times it takes a minute
+    errors = []
+    for n in range(400):
+        who.set_up(arrangement(pose=PlatePose(float(n % 2), 0.0)))  # it only errs where it moves something
+        x, y, yaw = turn_and_shift(here)
+        errors.append((x - n % 2, y, yaw))
+    spread = np.std(errors, axis=0)
+    assert spread == pytest.approx([ERROR_MM, ERROR_MM, ERROR_RAD], rel=0.12)
+    assert np.abs(np.mean(errors, axis=0)) == pytest.approx(np.zeros(3), abs=4 * ERROR_MM / 20)
+    assert np.abs(np.corrcoef(np.transpose(errors)) - np.eye(3)).max() < 0.2
+
+
+def test_what_stands_as_asked_is_not_touched_again() -> None:
+    here = world()
+    who = hands(here, placement_error_mm=ERROR_MM)
+    who.set_up(arrangement())
+    before = here.ends_mm()
+    who.set_up(arrangement())
+    assert (here.ends_mm() == before).all()
+    who.set_up(arrangement("overlapping"))
+    who.set_up(arrangement())
+    assert (here.ends_mm() != before).any()
+
+
+def test_without_errors_the_pose_is_the_one_asked_for() -> None:
+    here = world()
+    pose = PlatePose(10.0, -5.0, 3.0, 0.1)
+    hands(here).set_up(arrangement(pose=pose))
+    assert here.ends_mm() == pytest.approx(arrangement().phantom.moved(pose).ends_mm, abs=1e-9)
+
+
+def test_chance_is_the_seed_s() -> None:
+    def ends(seed: int) -> np.ndarray:
+        here = world(seed)
+        hands(here, placement_error_mm=ERROR_MM).set_up(arrangement())
+        return here.ends_mm()
+
+    assert (ends(1) == ends(1)).all()
+    assert (ends(1) != ends(2)).any()
+
+
+def test_touches_scatter_by_the_hand_s_error() -> None:
+    here = world()
+    who = hands(here, hand_error_mm=0.3)
+    who.set_up(arrangement())
+    touched = []
+    for _ in range(400):
+        who.touch(2, 4)
+        touched.append(tip(here) - here.ends_mm()[1])
+    assert np.std(touched, axis=0) == pytest.approx([0.3] * 3, rel=0.12)
+    assert np.mean(touched, axis=0) == pytest.approx(np.zeros(3), abs=0.06)
+
+
+def touched_teats(who: EmulatedOperator, here: World, teats: list[int]) -> list[int]:
+    """Which teat the tip is at after each touch that is asked for."""
+    at = []
+    for teat in teats:
+        who.touch(teat, 4)
+        at.append(int(np.linalg.norm(here.ends_mm() - tip(here), axis=1).argmin()) + 1)
+    return at
+
+
+@pytest.mark.parametrize(
+    ("mistakes", "touched"),
+    [
+        ((), [1, 2, 3, 4, 2, 4]),
+        (("wrong teat",), [1, 3, 3, 4, 2, 4]),
+        (("forgotten teat",), [1, 1, 3, 4, 2, 4]),
+        (("forgotten teat", "wrong teat"), [1, 1, 4, 4, 2, 4]),
+        (("wrong teat", "wrong teat"), [1, 3, 4, 4, 2, 4]),
+    ],
+)
+def test_a_mistake_is_made_once(mistakes: tuple[Mistake, ...], touched: list[int]) -> None:
+    here = world()
+    who = hands(here, mistakes=mistakes)
+    who.set_up(arrangement())
+    assert touched_teats(who, here, [1, 2, 3, 4, 2, 4]) == touched
+
+
+def test_a_forgotten_move_leaves_the_plate_and_the_next_one_is_done() -> None:
+    here = world()
+    who = hands(here, mistakes=("forgotten move",))
+    who.set_up(arrangement())
+    home = here.ends_mm()
+    who.set_up(arrangement(pose=PlatePose(20.0, 0.0)))
+    assert (here.ends_mm() == home).all()
+    who.set_up(arrangement(pose=PlatePose(20.0, 0.0)))
+    assert here.ends_mm() - home == pytest.approx(np.array([[20.0, 0.0, 0.0]] * 4), abs=1e-9)
+
+
+def test_a_prompt_takes_its_time_and_the_interlocks_are_looked_at_meanwhile() -> None:
+    here = world()
+    who = hands(here, prompt_s=7.5)
+    looked: list[float] = []
+    who.heed(lambda: looked.append(here.clock.now()))
+    who.set_up(arrangement())
+    assert here.clock.now() == pytest.approx(7.5)
+    assert max(np.diff(looked)) <= 1.0
+
+    def tripped() -> None:
+        if here.clock.now() >= 10.0:
+            raise RuntimeError("tripped")
+
+    who.heed(tripped)
+    with pytest.raises(RuntimeError, match="tripped"):
+        who.touch(1, 4)
+    assert here.clock.now() == pytest.approx(10.5)
+    assert here.arm_target() is None, "the hand had not got there yet"
+
+
+def test_who_knows_no_check_point_says_so() -> None:
+    with pytest.raises(ValueError, match="give it check_point_mm"):
+        EmulatedOperator(world(), hand_error_mm=0.1).touch_check_point(1, 5)
+
+
+SHIFTS, TURNS = st.floats(-50.0, 50.0), st.floats(-3.0, 3.0)
+
+
+@given(st.tuples(SHIFTS, SHIFTS, TURNS), st.tuples(SHIFTS, SHIFTS, TURNS))
+def test_what_was_put_on_a_stage_moves_with_it(put: tuple[float, float, float], stage: tuple[float, float, float]) -> None:
+    """The ends after both motions are those after the first, turned about the turntable's axis and shifted by the second."""
+    phantom = arrangement().phantom
+    (x, y, yaw), pivot = stage, np.array([*PIVOT_MM, 0.0])
+    first, second = PlatePose(put[0], put[1], 2.0, put[2]), PlatePose(x, y, 3.0, yaw)
+    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+    wanted = (phantom.moved(first).ends_mm - pivot) @ turn.T + pivot + [x, y, 3.0]
+    assert phantom.moved(first.carried(second)).ends_mm == pytest.approx(wanted, abs=1e-6)

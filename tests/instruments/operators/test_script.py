@@ -1,0 +1,105 @@
+"""A script of answers: each at its place, and a clear error where script and run don't fit each other."""
+
+from __future__ import annotations
+
+import pytest
+
+from instruments.errors import ProtocolError
+from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
+from instruments.operators.prompt import Kind
+from instruments.operators.prompted import PromptedOperator
+from instruments.operators.script import ScriptedAnswer, ScriptedAnswers
+from tests.instruments.operators.people import arrangement
+
+
+def scripted(*answers: ScriptedAnswer, **otherwise: str) -> tuple[PromptedOperator, list[str]]:
+    shown: list[str] = []
+    kinds: dict[str, Kind] = {"homing": "homing", "check_point": "check point", "set_up": "set up", "touch": "touch"}
+    by_kind = {kinds[name]: answer for name, answer in otherwise.items()}
+    return PromptedOperator(ScriptedAnswers(answers, by_kind, "answers.toml", show=shown.append)), shown
+
+
+def test_answers_come_in_their_order() -> None:
+    who, shown = scripted(
+        ScriptedAnswer("homing", "go"),
+        ScriptedAnswer("check point", "", times=2),
+        ScriptedAnswer("set up", "hidden 2 4"),
+        ScriptedAnswer("touch", "repeat"),
+        ScriptedAnswer("touch", "s the teat came off"),
+        ScriptedAnswer("touch", "abort"),
+    )
+    who.confirm_homing("On its peg.")
+    who.touch_check_point(1, 2)
+    who.touch_check_point(2, 2)
+    assert who.set_up(arrangement()).visible == (True, False, True, False)
+    with pytest.raises(OperatorRepeat):
+        who.touch(1, 4)
+    with pytest.raises(OperatorSkip, match="the teat came off"):
+        who.touch(1, 4)
+    with pytest.raises(OperatorAbort):
+        who.touch(1, 4)
+    who.finish()
+    assert shown[0] == "On its peg. > go"
+    assert len(shown) == 7
+
+
+def test_an_answer_waits_for_the_prompt_that_it_is_for() -> None:
+    who, _ = scripted(ScriptedAnswer("touch", "skip worn", says="trial 2 of 3, TEAT 3"), touch="go", set_up="go")
+    for trial in (1, 2):
+        who.next_trial(trial, 3, None)
+        who.set_up(arrangement())
+        who.touch(1, 4)
+        if trial == 1:
+            who.touch(3, 4)
+    with pytest.raises(OperatorSkip, match="worn"):
+        who.touch(3, 4)
+    who.finish()
+
+
+def test_an_unexpected_prompt_says_what_was_asked_and_what_is_next() -> None:
+    who, _ = scripted(ScriptedAnswer("set up", "go", says="overlapping", where="line 7"))
+    who.next_trial(1, 6, None)
+    with pytest.raises(ProtocolError) as error:
+        who.set_up(arrangement())
+    for words in ("answers.toml has no answer", "set up: [trial 1 of 6] Situation ideal", "'overlapping' (line 7)", 'to = "set up"'):
+        assert words in str(error.value)
+    who, _ = scripted()
+    with pytest.raises(ProtocolError, match="got no further answer"):
+        who.touch(1, 4)
+
+
+def test_answers_that_nobody_asked_for_are_an_error_at_the_end() -> None:
+    who, _ = scripted(ScriptedAnswer("homing", "go"), ScriptedAnswer("touch", "go", times=12, where="answer 2"))
+    who.confirm_homing("On its peg.")
+    who.touch(1, 4)
+    with pytest.raises(ProtocolError, match=r"11 answers of answers.toml were never asked for; the first is 'go' .*answer 2"):
+        who.finish()
+
+
+def test_a_teat_that_is_not_there_can_not_be_hidden() -> None:
+    who, _ = scripted(ScriptedAnswer("set up", "hidden 5"))
+    with pytest.raises(ProtocolError, match="There are 4 teats here"):
+        who.set_up(arrangement())
+
+
+@pytest.mark.parametrize(
+    ("to", "answer", "words"),
+    [
+        ("touch", "skip", "needs a reason"),
+        ("touch", "2", 'Not understood: \'2\'; to a prompt of the kind "touch" there are "go", "skip REASON", "repeat", "abort"'),
+        ("homing", "skip it", 'there are "go", "abort"'),
+        ("check point", "repeat", 'there are "go", "abort"'),
+        ("set up", "hidden", '"hidden 2 4"'),
+    ],
+)
+def test_an_answer_that_fits_no_such_prompt_is_refused_at_once(to: Kind, answer: str, words: str) -> None:
+    with pytest.raises(ValueError, match=r".") as error:
+        ScriptedAnswer(to, answer)
+    assert words in str(error.value)
+    with pytest.raises(ValueError, match=r"."):
+        ScriptedAnswers([], {to: answer}, "x")
+
+
+def test_an_answer_is_given_at_least_once() -> None:
+    with pytest.raises(ValueError, match="at least once, not 0 times"):
+        ScriptedAnswer("homing", "go", times=0)

@@ -1,0 +1,235 @@
+"""Geometry and edges of rendered solids against OpenCV, at every orientation and sub-pixel phase; the lens's MTF; focus."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from instruments.world.blur import Focus, blurred, blurred_by_depth, kernel, transfer
+from instruments.world.boards import Board, Pattern
+from instruments.world.eyes import OpticalCamera
+from instruments.world.noise import Image
+from instruments.world.objects import SceneObject
+from instruments.world.optics import CameraModel, Floats
+from instruments.world.shading import Lighting, Paint
+from instruments.world.solids import Hull, ball
+from tests.instruments.world.scenes import NOBODY, by_opencv, renderer
+
+BLACK = Paint(albedo=0.0)
+PANEL = Pattern("plain", 6, 6, 25.0, 0.0)
+
+
+@cache
+def empty(which: str) -> Image:
+    return _eye(which).expected(NOBODY)
+
+
+@cache
+def covered(which: str) -> Image:
+    """The frame before noise with the lights off: what the sensor gives of its own."""
+    return _eye(which).expected(replace(NOBODY, lighting=Lighting(brightness=0.0)))
+
+
+def _eye(which: str) -> OpticalCamera:
+    return {"left": renderer().left, "right": renderer().right}[which]
+
+
+def hidden_share(which: str, *hulls: Hull) -> Floats:
+    """Share of the board's light that black solids take from each pixel, (h, w), before noise."""
+    thing = SceneObject("black", hulls, BLACK, "ambient")
+    dark = covered(which)
+    return np.asarray(1.0 - (_eye(which).expected(replace(NOBODY, objects=(thing,))) - dark) / (empty(which) - dark), dtype=np.float64)
+
+
+@pytest.mark.parametrize("which", ["left", "right"])
+def test_small_balls_lie_where_opencv_projects_them(which: str) -> None:
+    camera = _eye(which).view.camera
+    places = [(x, y, z) for x in (-620.0, -200.0, 250.0) for y, z in ((150.0, 130.0), (700.0, 420.0))]
+    share = hidden_share(which, *(ball(place, 4.0) for place in places))
+    for u, v in by_opencv(camera, np.array(places)):
+        rows, columns = slice(round(v) - 14, round(v) + 15), slice(round(u) - 14, round(u) + 15)
+        patch = share[rows, columns]
+        at = np.array(
+            [(patch.sum(axis=0) @ np.arange(columns.start, columns.stop)), (patch.sum(axis=1) @ np.arange(rows.start, rows.stop))]
+        )
+        assert at / patch.sum() == pytest.approx([u, v], abs=0.03)
+
+
+@pytest.mark.parametrize("which", ["left", "right"])
+@pytest.mark.parametrize("lean_mm", [0.0, 20.0])
+def test_edges_at_every_sub_pixel_phase(which: str, lean_mm: float) -> None:
+    """Both edges of a post, in rows of pixels, against the limb of the post by `cv2.projectPoints`: below 0.01 px before noise."""
+    camera, worst = _eye(which).view.camera, 0.0
+    for phase in np.linspace(0.0, 0.85, 9):
+        a, b = np.array([-180.0 + phase, 230.0, 60.0]), np.array([-180.0 + phase + lean_mm, 230.0, 180.0])
+        share = hidden_share(which, Hull(tuple(a), tuple(b), 11.0, 11.0))
+        middle = by_opencv(camera, 0.5 * (a + b)[None, :])[0]
+        rows = np.arange(round(middle[1]) - 30, round(middle[1]) + 30)
+        columns = np.arange(round(middle[0]) - 40, round(middle[0]) + 41)
+        profile = share[np.ix_(rows, columns)]
+        width, centre = profile.sum(axis=1), profile @ columns / profile.sum(axis=1)
+        for side in (-1.0, 1.0):
+            limb = by_opencv(camera, _limb(camera, a, b, 11.0, side))
+            order = np.argsort(limb[:, 1])
+            expected = np.interp(rows, limb[order, 1], limb[order, 0])
+            worst = max(worst, float(np.abs(centre + side * width / 2.0 - expected).max()))
+    assert worst < 0.01, f"worst edge error {worst:.4f} px"
+
+
+@pytest.mark.parametrize("which", ["left", "right"])
+@pytest.mark.parametrize("angle_deg", [0.0, 1.0, 5.0, 17.0, 30.0, 45.0, 60.0, 73.0, 89.0, 90.0])
+def test_edges_of_every_orientation(which: str, angle_deg: float) -> None:
+    """Both edges of a post turned in the picture's plane, sampled along its normal: their mean place over each stretch, below 0.01 px."""
+    camera = _eye(which).view.camera
+    angle = np.radians(angle_deg)
+    way = np.array([np.cos(angle), 0.0, np.sin(angle)])
+    middle, worst = np.array([-190.0, 420.0, 320.0]), 0.0
+    for phase in np.linspace(0.0, 0.9, 5):
+        a, b = middle - 65.0 * way + phase, middle + 65.0 * way + phase
+        share = hidden_share(which, Hull(tuple(a), tuple(b), 9.0, 9.0))
+        upright = angle_deg > 45.0
+        flat = share if upright else share.T
+        limbs = [by_opencv(camera, _limb(camera, a, b, 9.0, side))[:, :: 1 if upright else -1] for side in (-1.0, 1.0)]
+        along = 0.5 * (limbs[0][:, 1] + limbs[1][:, 1])
+        rows = np.arange(int(np.quantile(along, 0.25)), int(np.quantile(along, 0.75)))
+        expected = [np.interp(rows, limb[np.argsort(limb[:, 1]), 1], limb[np.argsort(limb[:, 1]), 0]) for limb in limbs]
+        low, high = int(min(e.min() for e in expected)) - 12, int(max(e.max() for e in expected)) + 13
+        columns = np.arange(low, high)
+        profile = flat[np.ix_(rows, columns)]
+        width, centre = profile.sum(axis=1), profile @ columns / profile.sum(axis=1)
+        for side, limb in zip((-1.0, 1.0), sorted(expected, key=lambda e: float(e.mean())), strict=True):
+            # A row's edge is a mean over the lens's blur of rows: a mean over many rows is the edge's.
+            worst = max(worst, abs(float(np.mean(centre + side * width / 2.0 - limb))))
+    assert worst < 0.01, f"worst edge error {worst:.4f} px"
+
+
+def _limb(camera: CameraModel, a: Floats, b: Floats, radius: float, side: float) -> Floats:
+    """Points where rays touch a cylinder on its left or right: the normal is square to the axis and to the ray."""
+    axis = (b - a) / np.linalg.norm(b - a)
+    away = a - camera.centre_mm
+    away -= (away @ axis) * axis
+    distance = float(np.linalg.norm(away))
+    forward, across = away / distance, np.cross(away / distance, axis)
+    touch = -radius / distance * forward + side * np.sqrt(1.0 - (radius / distance) ** 2) * across
+    return np.asarray(a + np.linspace(0.0, 1.0, 400)[:, None] * (b - a) + radius * touch)
+
+
+def test_the_rounded_end_reaches_its_apex() -> None:
+    """The picture of a teat ends where its hemisphere's limb does: highest covered row against geometry."""
+    camera = renderer().cameras[0]
+    share = hidden_share("left", Hull((-180.0, 230.0, 30.0), (-180.0, 230.0, 125.0), 11.0, 11.0, flat_a=True))
+    angle = np.linspace(0.0, 2.0 * np.pi, 4000)
+    centre = np.array([-180.0, 230.0, 125.0])
+    away = centre - camera.centre_mm
+    distance = float(np.linalg.norm(away))
+    forward = away / distance
+    u = np.cross(forward, [0.0, 0.0, 1.0])
+    u /= np.linalg.norm(u)
+    v = np.cross(u, forward)
+    rim = centre - 11.0**2 / distance * forward
+    radius = 11.0 * np.sqrt(1.0 - (11.0 / distance) ** 2)
+    limb = by_opencv(camera, rim + radius * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v))
+    outline = limb[np.abs(limb[:, 0] - limb[:, 0].mean()) < 13.0]
+    top = outline[:, 1].min()
+    column = round(float(outline[outline[:, 1].argmin(), 0]))
+    rows = np.arange(round(top) - 8, round(top) + 12)
+    covered = share[rows, column].sum()
+    assert rows[-1] + 0.5 - covered == pytest.approx(top, abs=0.05)
+
+
+def test_nothing_seen_beside_the_outline() -> None:
+    share = hidden_share("left", ball((-180.0, 230.0, 200.0), 11.0))
+    (u, v), radius = renderer().cameras[0].project(np.array([[-180.0, 230.0, 200.0]]))[0], 13.5
+    away = np.hypot(*np.meshgrid(np.arange(share.shape[1]) - u, np.arange(share.shape[0]) - v))
+    above_table = np.arange(share.shape[0])[:, None] < 540
+    assert np.abs(share[(away > radius + 4.0) & above_table]).max() < 1e-3
+    assert share[away < radius - 4.0].min() > 0.999
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("blur_px", [0.5, 0.9])
+def test_a_slanted_edge_has_the_declared_mtf(blur_px: float, turned: bool) -> None:
+    """ISO 12233: the edge spread along the edge's normal, finely binned; its derivative's spectrum is the declared transfer."""
+    eye = renderer(blur_px=blur_px, prnu=0.0, dsnu_e=0.0, vignetting=0.0).left
+    angle = np.radians(5.0)
+    across, along = (np.cos(angle), 0.0, np.sin(angle)), (np.sin(angle), 0.0, -np.cos(angle))
+    panel = Board((-255.0, 600.0, 420.0), across, along, PANEL, light_albedo=0.0)
+    dark = eye.expected(replace(NOBODY, boards=(panel,)))
+    plain = eye.expected(NOBODY)
+    black = eye.expected(replace(NOBODY, lighting=Lighting(brightness=0.0)))
+    share = np.asarray((plain - dark) / (plain - black), dtype=np.float64)
+    corners = by_opencv(eye.view.camera, panel.outline_mm)
+    start, end = (corners[0], corners[1]) if turned else (corners[3], corners[0])
+    middle, length = 0.5 * (start + end), float(np.linalg.norm(end - start))
+    tangent = (end - start) / length
+    normal = np.array([-tangent[1], tangent[0]])
+    v, u = np.mgrid[0 : share.shape[0], 0 : share.shape[1]]
+    off = (u - middle[0]) * normal[0] + (v - middle[1]) * normal[1]
+    on = (u - middle[0]) * tangent[0] + (v - middle[1]) * tangent[1]
+    # The lens bends the edge a little: straightened by what OpenCV says of points along it.
+    points = by_opencv(eye.view.camera, _between(panel, turned)) - middle
+    bend = np.polynomial.Polynomial.fit(points @ tangent, points @ normal, 2)
+    near = (np.abs(on) < 0.4 * length) & (np.abs(off) < 20.0)
+    distance, values = (off - bend(on))[near], share[near]
+    fine = 0.1
+    bins = np.round(distance / fine).astype(int)
+    edge = np.array([values[bins == k].mean() for k in range(-160, 161)])
+    line = np.diff(edge) * np.hanning(len(edge) - 1) / abs(np.diff(edge) @ np.hanning(len(edge) - 1))
+    for f in (0.05, 0.1, 0.2, 0.3, 0.4, 0.5):
+        seen = abs(np.sum(line * np.exp(-2j * np.pi * f * fine * np.arange(len(line))))) / (np.sinc(f * fine) ** 2)
+        declared = np.prod(transfer(blur_px, f * np.abs(normal)))
+        assert seen == pytest.approx(declared, abs=0.01), f"{f} cycles a pixel"
+
+
+def _between(panel: Board, turned: bool) -> Floats:
+    part = np.linspace(0.05, 0.95, 19)[:, None]
+    width, height = panel.pattern.size_mm
+    flat = np.hstack([part * width, np.zeros_like(part)]) if turned else np.hstack([np.zeros_like(part), part * height])
+    return panel.placed(flat)
+
+
+@pytest.mark.parametrize("sigma", [0.2, 0.5, 0.9, 2.0, 6.0])
+def test_the_kernel_has_its_variance_and_its_transfer(sigma: float) -> None:
+    weights = kernel(sigma).astype(np.float64)
+    at = np.arange(len(weights)) - len(weights) // 2
+    assert weights.sum() == pytest.approx(1.0, abs=1e-6)
+    assert weights @ at**2 == pytest.approx(sigma**2, rel=2e-3)
+    f = np.linspace(0.0, 0.5, 6)
+    spectrum = np.abs(np.exp(-2j * np.pi * np.outer(f, at)) @ weights) * np.sinc(f)
+    assert spectrum == pytest.approx(transfer(sigma, f), abs=1e-3)
+
+
+def test_out_of_focus_widens_edges_as_the_thin_lens_says() -> None:
+    """A panel at twice the focused distance, through a wide lens: its edge spreads by the circle of confusion; one in focus doesn't."""
+    focus = Focus(aperture_mm=8.0, distance_mm=1040.0)
+    sharp, soft = renderer(prnu=0.0, dsnu_e=0.0).left, renderer(prnu=0.0, dsnu_e=0.0, focus=focus).left
+    for y, expected_px in ((200.0, 0.0), (960.0, 0.25 * 8.0 * 1293.1 * abs(1.0 / 1799.5 - 1.0 / 1040.0))):
+        panel = Board((-200.0, y, 430.0), pattern=PANEL, light_albedo=0.0)
+        widths = [_edge_width(eye, panel) for eye in (sharp, soft)]
+        assert np.sqrt(max(widths[1] ** 2 - widths[0] ** 2, 0.0)) == pytest.approx(expected_px, abs=0.12)
+
+
+def _edge_width(eye: OpticalCamera, panel: Board) -> float:
+    """Standard deviation of the spread of a panel's left edge, px."""
+    u, v = by_opencv(eye.view.camera, panel.placed(np.array([[0.0, 75.0]])))[0]
+    rows, columns = slice(round(v) - 12, round(v) + 13), slice(round(u) - 20, round(u) + 21)
+    dark = eye.expected(replace(NOBODY, boards=(panel,)))[rows, columns].astype(np.float64)
+    lit = eye.expected(replace(NOBODY, boards=(replace(panel, light_albedo=0.3),)))[rows, columns]
+    cover = (lit - dark) / (lit - dark)[:, -3:].mean()
+    lines = np.diff(cover, axis=1)
+    at = np.arange(lines.shape[1])
+    means = lines @ at / lines.sum(axis=1)
+    return float(np.sqrt(np.mean([(line / line.sum()) @ (at - mean) ** 2 for line, mean in zip(lines, means, strict=True)])))
+
+
+def test_a_blur_that_varies_agrees_with_even_ones() -> None:
+    rng = np.random.default_rng(1)
+    picture = rng.random((40, 60)).astype(np.float32)
+    sigma = np.full((40, 60), 1.0, dtype=np.float32)
+    sigma[:, 30:] = 2.0
+    mixed = blurred_by_depth(picture, sigma)
+    assert np.allclose(mixed[:, :30], blurred(picture, 1.0)[:, :30], atol=1e-6)
+    assert np.allclose(mixed[:, 30:], blurred(picture, 2.0)[:, 30:], atol=1e-6)

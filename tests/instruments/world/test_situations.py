@@ -1,0 +1,201 @@
+"""Families of situations: the same for the same seed, possible to set up, in view, and what their names say, over many seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from instruments.world.objects import SceneObject, make_object
+from instruments.world.optics import CameraModel
+from instruments.world.phantom import Phantom, Teat
+from instruments.world.scene import SceneState
+from instruments.world.situations import SITUATIONS, Situation, collisions, faults, hidden_ways, situation
+from instruments.world.solids import Solids
+from instruments.world.visibility import seen_share
+from tests.instruments.world.scenes import renderer
+
+NAMES = tuple(SITUATIONS)
+SEEDS = range(24)
+THESIS = ("non_vertical", "overlapping", "spurious_teat", "hot_body_at_base", "hot_body_at_ends", "cooler_bodies")
+
+
+@cache
+def members(name: str) -> tuple[Situation, ...]:
+    return tuple(situation(name, seed) for seed in SEEDS)
+
+
+def state(found: Situation) -> SceneState:
+    return found.state((32.5,) * len(found.phantom.teats), 33.0, 20.0)
+
+
+@cache
+def visible(name: str) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.bool_]], ...]:
+    return tuple(renderer().visible_ends(state(found)) for found in members(name))
+
+
+def test_there_are_the_eleven() -> None:
+    assert ("ideal", *THESIS, "low_contrast", "dim_light", "missing_or_hidden", "anywhere") == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_member_is_a_value_of_name_and_seed(name: str) -> None:
+    assert situation(name, 7) == members(name)[7]
+    assert len({found.phantom for found in members(name)}) == len(SEEDS)
+    assert (members(name)[7].name, members(name)[7].seed) == (name, 7)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_member_can_be_set_up_and_drawn(name: str) -> None:
+    for found in members(name):
+        assert faults(found) == ()
+        state(found)  # checks that nothing is below the table or behind the board
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_end_is_within_all_three_images(name: str) -> None:
+    for found in members(name):
+        for camera in renderer().cameras:
+            pixels = camera.project(found.phantom.ends_mm)
+            assert np.all((pixels > 4.0) & (pixels < [camera.width_px - 5, camera.height_px - 5])), (found.seed, camera.name)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("overlapping", "missing_or_hidden")])
+def test_nearly_every_end_is_visible_where_nothing_is_meant_to_hide_it(name: str) -> None:
+    seen = np.concatenate(visible(name))
+    assert seen.mean() > 0.99
+
+
+def test_seeds_differ_in_paint_light_and_background() -> None:
+    found = members("ideal")
+    light = [one.teat_paint.albedo > 0.2 for one in found]
+    assert 3 <= sum(light) <= 16
+    assert len({one.lighting for one in found}) == len({one.backdrop for one in found}) == len(found)
+    assert {len(one.lighting.lamps) for one in found} == {2, 3}
+
+
+def test_leans_are_as_named() -> None:
+    def leans_deg(phantom: Phantom) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        return np.degrees(np.arccos(phantom.axes[:, 2]))
+
+    for found in members("non_vertical"):
+        assert np.all((leans_deg(found.phantom) >= 4.99) & (leans_deg(found.phantom) <= 19.01))
+    assert max(leans_deg(found.phantom).max() for found in members("ideal")) <= 2.01
+
+
+def test_overlapping_teats_touch_and_cover() -> None:
+    for found in members("overlapping"):
+        ends, radii = found.phantom.bases_mm, [teat.shape.radius_mm for teat in found.phantom.teats]
+        gap = float(np.linalg.norm(ends[0] - ends[1])) - radii[0] - radii[1]
+        assert 0.0 <= gap <= 1.5
+        assert _covered(renderer().cameras[2], found, 2, 3)
+
+
+def _covered(camera: CameraModel, found: Situation, near: int, far: int) -> bool:
+    """Whether the near teat hides a part, but not all, of the far one."""
+    pixels = camera.project(found.phantom.ends_mm - [0.0, 0.0, 40.0])
+    depth = camera.camera_from_world(found.phantom.ends_mm)[:, 2]
+    radii = [found.phantom.teats[i].shape.radius_mm * camera.fc[0] / depth[i] for i in (near, far)]
+    return bool(0.0 < abs(pixels[near, 0] - pixels[far, 0]) < sum(radii))
+
+
+def test_what_is_warm_and_cold_is_so() -> None:
+    teat, room = 32.5, 20.0
+    for found in members("spurious_teat"):
+        assert all(thing.temperature_c(room, teat) == room for thing in found.objects)
+        assert all(thing.paint == found.teat_paint for thing in found.objects)
+    for found in members("cooler_bodies"):
+        assert all(room < thing.temperature_c(room, teat) < teat for thing in found.objects)
+        assert 2 <= len(found.objects) <= 6
+    for name in ("hot_body_at_base", "hot_body_at_ends"):
+        assert all(abs(thing.temperature_c(room, teat) - teat) <= 4.0 for found in members(name) for thing in found.objects)
+
+
+def test_the_cup_stays_below_the_ends_and_the_arm_behind_them() -> None:
+    for found in members("hot_body_at_base"):
+        assert max(hull.b_mm[2] for hull in found.objects[0].hulls) <= found.phantom.ends_mm[:, 2].min() - 25.0
+    for found in members("hot_body_at_ends"):
+        (arm,) = found.objects
+        assert min(min(hull.a_mm[1], hull.b_mm[1]) - hull.radius_a_mm for hull in arm.hulls) > found.phantom.ends_mm[:, 1].max()
+        bearings = np.array([(end[2] - 62.0) / (end[1] + 840.0) for end in found.phantom.ends_mm])
+        low, high = _span(arm.hulls)
+        assert np.any((bearings > low) & (bearings < high))
+
+
+def _span(hulls: tuple[object, ...]) -> tuple[float, float]:
+    solids = Solids.from_hulls(hulls)  # type: ignore[arg-type]
+    away = solids.a[:, 1] + 840.0
+    return float(((solids.a[:, 2] - solids.radius_a - 62.0) / away).min()), float(((solids.a[:, 2] + solids.radius_a - 62.0) / away).max())
+
+
+def test_low_contrast_is_low_and_dim_is_dim() -> None:
+    for found in members("low_contrast"):
+        assert 0.75 < found.backdrop.board_albedo / found.teat_paint.albedo < 1.35
+    assert all(found.lighting.brightness < 0.3 for found in members("dim_light"))
+
+
+def test_missing_or_hidden_is_one_or_the_other() -> None:
+    kinds = set()
+    for found, seen in zip(members("missing_or_hidden"), visible("missing_or_hidden"), strict=True):
+        missing = len(found.phantom.teats) == 3
+        kinds.add("missing" if missing else "panel" if found.boards else "post")
+        assert seen.all() if missing else not seen.all()
+        assert missing or 1 <= hidden_ways(found).any(axis=1).sum() <= 2
+    assert kinds == {"missing", "panel", "post"}
+
+
+def test_hidden_ways_agree_with_the_renderer() -> None:
+    """Eyes stand where the emulated rig's cameras do, to a few mm: what hides a way hides the end."""
+    agree = []
+    for found, seen in zip(members("missing_or_hidden"), visible("missing_or_hidden"), strict=True):
+        agree.append(np.mean(hidden_ways(found) == ~seen))
+    assert np.mean(agree) > 0.93  # an end half behind a rim is hidden for one and free for the other
+
+
+def test_a_board_hides_an_end() -> None:
+    found = next(one for one in members("missing_or_hidden") if one.boards)
+    at = int(np.flatnonzero(hidden_ways(found).any(axis=1))[0])
+    camera = renderer().cameras[int(np.flatnonzero(hidden_ways(found)[at])[0])]
+    solids = Solids.from_hulls([hull for thing in state(found).everything() for hull in thing.hulls])
+    assert seen_share(found.phantom, solids, camera, found.boards)[at] < seen_share(found.phantom, solids, camera)[at]
+
+
+def _rod_in(one: Situation) -> SceneObject:
+    x, y, _ = one.phantom.ends_mm[0]
+    return make_object("rod", x_mm=float(x), y_mm=float(y))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda one: {"objects": (_rod_in(one),)}, "within the phantom"),
+        (lambda one: {"objects": (make_object("ball", y_mm=700.0), make_object("ball", y_mm=720.0))}, "in each other"),
+        (lambda one: {"phantom": Phantom((*one.phantom.teats, one.phantom.teats[0]))}, "in each other"),
+        (lambda one: {"phantom": Phantom((Teat((-600.0, 250.0)),))}, "out of the arm's reach"),
+        (lambda one: {"phantom": Phantom((Teat((-320.0, 250.0)),))}, "out of the cameras' view"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_told(change: Callable[[Situation], dict[str, object]], said: str) -> None:
+    one = members("ideal")[0]
+    changed = replace(one, **change(one))  # type: ignore[arg-type]
+    assert any(said in fault for fault in faults(changed)), faults(changed)
+
+
+def test_overlaps_are_measured_between_all_pairs() -> None:
+    for name in ("cooler_bodies", "anywhere"):
+        for found in members(name)[:10]:
+            assert list(collisions(found)) == []
+            for one, other in combinations(found.objects, 2):
+                on_top = replace(found, objects=(one, replace(other, hulls=one.hulls)))
+                assert any("stand in each other" in fault for fault in collisions(on_top))
+
+
+def test_unknown_names_and_seeds_are_refused() -> None:
+    with pytest.raises(ValueError, match="did you mean 'overlapping'"):
+        situation("overlaping", 0)
+    with pytest.raises(ValueError, match="0 or more"):
+        situation("ideal", -1)

@@ -1,0 +1,36 @@
+"""How near solids come: against a dense search, and by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from instruments.world.solids import Hull, ball, cylinder
+from instruments.world.spacing import clearance_mm, segments_apart_mm
+
+coordinate = st.floats(-100, 100).map(lambda value: round(value, 3))
+point = st.tuples(coordinate, coordinate, coordinate).map(np.array)
+T = np.linspace(0.0, 1.0, 101)[:, None]
+
+
+@given(a=point, b=point, c=point, d=point)
+def test_no_pair_of_points_on_two_segments_is_nearer_than_said(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> None:
+    apart = segments_apart_mm(a, b, c, d)
+    searched = float(np.linalg.norm((a + T * (b - a))[:, None] - (c + T * (d - c))[None], axis=2).min())
+    grain = 0.01 * (float(np.linalg.norm(b - a)) + float(np.linalg.norm(d - c)))
+    assert searched - grain - 1e-6 <= apart <= searched + 1e-6
+
+
+def test_crossing_and_parallel_segments_by_hand() -> None:
+    x = np.array([1.0, 0.0, 0.0])
+    assert segments_apart_mm(-x, x, np.array([0.0, -1.0, 3.0]), np.array([0.0, 1.0, 3.0])) == pytest.approx(3.0)
+    assert segments_apart_mm(-x, x, np.array([5.0, 4.0, 0.0]), np.array([7.0, 4.0, 0.0])) == pytest.approx(np.hypot(4.0, 4.0))
+    assert segments_apart_mm(x, x, x, x) == 0.0
+
+
+def test_clearance_is_from_surface_to_surface() -> None:
+    assert clearance_mm(ball((0.0, 0.0, 0.0), 3.0), ball((10.0, 0.0, 0.0), 4.0)) == pytest.approx(3.0)
+    teat = Hull((0.0, 0.0, 0.0), (0.0, 0.0, 100.0), 11.0, 11.0, flat_a=True)
+    assert clearance_mm(teat, cylinder((20.0, 0.0, 0.0), (20.0, 0.0, 50.0), 5.0, 12.0)) == pytest.approx(-3.0)
