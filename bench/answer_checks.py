@@ -1,6 +1,6 @@
 """What an answer must be before it is scored: an answer is taken whole or not at all. May not know which detector gave it.
 
-A detector may be anyone's: nothing of its answer is believed before it was looked at, for it goes into the record, the scores and the report.
+A detector may be anyone's: nothing of its answer is believed before it was looked at, for it goes into record, scores and report.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 
 from bench import __version__
-from bench.commands import CODES, EXIT_CODES, Commands, arm, bath, bench_alone, calibrate, camera, frames, lists, runs, stage, trials, wire
+from bench.commands import CODES, EXIT_CODES, Commands, arm, bath, bench_alone, calibrate, camera, compare, frames, lists, plan, runs, stage, trials, wire
 from bench.exits import installed
 
 
@@ -54,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(prog="teatbench", description="A hardware-in-the-loop test bench for teat detectors.", epilog=EXIT_CODES)
     top.add_argument("--version", action="version", version=f"teatbench {__version__}")
     commands = Commands(top.add_subparsers(title="commands", metavar="COMMAND", required=True))
-    for family in (runs, frames, bench_alone, arm, bath, stage, camera, calibrate, wire, trials, lists):
+    for family in (runs, compare, plan, frames, bench_alone, arm, bath, stage, camera, calibrate, wire, trials, lists):
         family.add_to(commands)
     return top
 

@@ -40,7 +40,7 @@ def _answers(recording: Recording, frame: str, detectors: Sequence[Detector], ex
 
 
 def json_line(frame: str, answer: Answer) -> dict[str, Any]:
-    """One line of `teatbench detect --json` (the recording format, Detections); ``outcome`` and ``cold`` only where there is such a thing."""
+    """One line of `teatbench detect --json` (the recording format, Detections); ``outcome`` and ``cold`` only where they apply."""
     detection = answer.detection
     teats = [{"world_mm": _list(teat.world_mm), "covariance_mm2": _list(teat.covariance_mm2)} for teat in detection.teats]
     line = {"frame": frame, "detector": answer.detector, "teats": teats, "hidden": detection.hidden, "seconds": round(answer.seconds, 6)}

@@ -60,7 +60,8 @@ def check_named(names: Iterable[str]) -> None:
     known = list(registry.available())
     for name in names:
         if not name.startswith(EXEC) and not name.endswith(FILE) and name not in known and not _declared(name):
-            raise ValueError(f"no detector {name!r}{did_you_mean(name, known)} (there are: {', '.join(known)}; or {EXEC}COMMAND, or a file)")
+            there = ", ".join(known)
+            raise ValueError(f"no detector {name!r}{did_you_mean(name, known)} (there are: {there}; or {EXEC}COMMAND, or a file)")
 
 
 def declared() -> dict[str, str]:

@@ -148,8 +148,8 @@ def _collisions(one: PlannedTrial) -> Iterator[Finding]:
 
 def _struck(one: PlannedTrial, phantom: Phantom, solids: Sequence[Hull]) -> Iterator[str]:
     """Which objects the phantom stands in: objects don't move with the plate."""
-    for number, table in enumerate(one.trial.objects, 1):
-        thing = make_object(**table)
+    things = [*(make_object(**table) for table in one.trial.objects), *(one.scene.objects if one.scene else ())]
+    for number, thing in enumerate(things, 1):
         gaps = [min((clearance_mm(solid, hull) for hull in thing.hulls), default=np.inf) for solid in solids]
         worst = int(np.argmin(gaps)) if gaps else 0
         if gaps and gaps[worst] < -PLAY_MM:

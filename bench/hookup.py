@@ -50,6 +50,43 @@ class Hookup:
     exact_ends: Callable[[], NDArray[np.float64]] | None
 
 
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """Some instruments of a rig: its cameras, the arm where it was asked for, and who is asked to hold and to touch."""
+
+    clock: Clock
+    cameras: Cameras
+    operator: Operator
+    arm: MicroScribe | None
+
+
+@contextmanager
+def open_parts(rig: LoadedRig, *, seed: int, arm: bool = False, capture: Captures = NO_CAPTURE) -> Iterator[Parts]:
+    """The cameras of ``rig``, and its ``arm`` where asked for; nothing else of it is looked for. Raises BringUpError, ConfigError."""
+    emulated = rig.rig.cameras.url == EMULATED
+    clock: Clock = VirtualClock() if emulated and rig.rig.operator.url != CONSOLE else RealClock()
+    answerer = _answerer(rig, clock, nullcontext)
+    try:
+        if emulated:
+            with EmulatedRig(rig, clock, seed) as twin, _opened(_wanted(rig, clock, twin.urls, arm, capture)) as opened:
+                yield Parts(clock, twin.cameras, _operator(rig, answerer, twin.operator), opened.get("arm"))
+        else:
+            with _opened(_wanted(rig, clock, rig.rig.urls, arm, capture)) as opened:
+                found: MicroScribe | None = opened.get("arm")
+                if isinstance(answerer, Console) and found is not None:
+                    pedals = found
+                    answerer.watch_pedals(lambda: pedal_watch(pedals, clock))
+                yield Parts(clock, opened["cameras"], _operator(rig, answerer), found)
+    finally:
+        if isinstance(clock, RealClock):
+            clock.close()
+
+
+def _wanted(rig: LoadedRig, clock: Clock, urls: dict[str, str], arm: bool, capture: Captures) -> dict[str, Callable[[], Any]]:
+    openers = driver_openers(rig, clock, urls, capture)
+    return {name: opener for name, opener in openers.items() if name == "cameras" or (arm and name == "arm")}
+
+
 @contextmanager
 def open_rig(
     rig: LoadedRig, *, seed: int, realtime: bool = False, capture: Captures = NO_CAPTURE, screen: Screen = nullcontext
@@ -86,6 +123,13 @@ def _connected(
     openers = driver_openers(rig, clock, urls, capture)
     if cameras is not None:
         openers["cameras"] = lambda: cameras
+    with _opened(openers) as opened:
+        yield Devices(clock, opened["arm"], opened["bath"], opened.get("stage"), opened["cameras"], operator)
+
+
+@contextmanager
+def _opened(openers: dict[str, Callable[[], Any]]) -> Iterator[dict[str, Any]]:
+    """All of them open; closed again at the end. Raises BringUpError that names each that did not come up."""
     opened, faults = {}, {}
     for name, opener in openers.items():
         try:
@@ -95,7 +139,7 @@ def _connected(
     try:
         if faults:
             raise BringUpError(faults)
-        yield Devices(clock, opened["arm"], opened["bath"], opened.get("stage"), opened["cameras"], operator)
+        yield opened
     finally:
         for device in opened.values():
             device.close()

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.config import ConfigError, read_config, read_text
-from bench.engine import Ending, Engine
 from bench.detector_choice import make_detectors
+from bench.engine import Ending, Engine
 from bench.examine import Examiner, TruthRow, close_detectors
 from bench.exits import current, undisturbed
 from bench.facts import write_facts

@@ -182,9 +182,8 @@ def chosen(trial: Trial) -> str:
         how = f"{count} pose{'s' if count > 1 else ''} as written"
     more = [f"layout {trial.layout}{', another udder for each pose' if trial.redraw else ''}"]
     if trial.family:
-        more = [
-            f"family {trial.family}, {'members from' if trial.redraw else 'member'} {trial.member}{' on, one for each pose' if trial.redraw else ''}"
-        ]
+        which = f"members from {trial.member} on, one for each pose" if trial.redraw else f"member {trial.member}"
+        more = [f"family {trial.family}, {which}"]
     more += [f"{trial.cycles} cycles"] if trial.cycles > 1 else []
     more += [f"each reached from {', '.join(trial.approach)} ({trial.approach_mm:g} mm away)"] if trial.approach else []
     return f"{trial.name}: {'; '.join([how, *more])}."

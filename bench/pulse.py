@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from instruments.clock import stopwatch_s
-from instruments.operators.operator import Arrangement, Operator, Placed
+from instruments.operators.operator import Arrangement, BoardAsked, Operator, Placed
 
 BRIEF_S = 10.0  # what needs no word of its own is over by then
 
@@ -100,6 +100,14 @@ class AwaitedOperator:
     def touch(self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = "") -> None:
         with self._waiting(f"teat {teat} to be touched"):
             self._operator.touch(teat, of, number=number, numbers=numbers, again=again)
+
+    def hold_board(self, asked: BoardAsked) -> None:
+        with self._waiting("a calibration board to be held"):
+            self._operator.hold_board(asked)
+
+    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None:
+        with self._waiting(f"point {corner} of the board to be touched"):
+            self._operator.touch_board(corner, instruction, again=again)
 
     def release(self) -> None:
         self._operator.release()

@@ -82,7 +82,7 @@ def _set_ups_s(axes: str, planned: tuple[PlannedTrial, ...]) -> Iterator[float]:
     before = None
     for one in planned:
         asked = one.arrangement(axes)
-        scene = (asked.phantom, asked.objects)
+        scene = (asked.phantom, asked.objects, asked.scene)
         if before is None or scene != before[0]:
             yield ASSUMED["set-up"]
         elif asked.pose != before[1]:

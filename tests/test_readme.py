@@ -30,7 +30,7 @@ def test_the_two_commands_stand_there_and_ci_calls_them() -> None:
 
 def test_each_command_of_the_readme_works(tmp_path: Path) -> None:
     ours = [line for line in commands() if line.startswith("teatbench ")]
-    assert len(ours) == 10
+    assert len(ours) == 12
     for line in ours:
         words = [sys.executable, "-m", "bench.cli", *shlex.split(line)[1:]]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -10,7 +10,8 @@ from bench.commands import CODES, Commands
 def add_to(commands: Commands) -> None:
     """The family's commands."""
     commands.add("rigs", "the rig files that ship", _rigs, opens_links=False)
-    commands.add("detectors", "the detectors that ship, that other packages bring, and that files in ./detectors declare", _detectors, opens_links=False)
+    what = "the detectors that ship, that other packages bring, and that files in ./detectors declare"
+    commands.add("detectors", what, _detectors, opens_links=False)
 
 
 def _rigs(_: argparse.Namespace) -> int:

@@ -26,7 +26,7 @@ def add_to(commands: Commands) -> None:
     add_detectors(run)
     report = commands.add("report", "(re)write the report of a run", _report, opens_links=False)
     report.add_argument("run", type=Path, help="the run's folder")
-    score = commands.add("score", "score detectors on recorded frames: a table, and a run folder with its report", _score, opens_links=False)
+    score = commands.add("score", "score detectors on recorded frames: a table, and a run folder with a report", _score, opens_links=False)
     score.add_argument("recording", type=Path, help="a recording's folder")
     add_out(score)
     add_detectors(score)

@@ -151,9 +151,7 @@ def _apart(within: Mapping[tuple[int, int], float]) -> list[tuple[int, int]]:
     return [(i, j) for j, (_, i) in sorted(best.items())]
 
 
-def _crowded(
-    found: Points, truth: Points, seen: list[bool], gate: float, within: Mapping[tuple[int, int], float]
-) -> list[tuple[int, int]]:
+def _crowded(found: Points, truth: Points, seen: list[bool], gate: float, within: Mapping[tuple[int, int], float]) -> list[tuple[int, int]]:
     """The optimum where some finding is within the gate of several teats. In order of truth."""
     squared = ((np.array(found)[:, None, :] - np.array(truth)[None, :, :]) ** 2).sum(axis=2)
     gain = np.where(seen, 1.0, 0.5) * (np.minimum(squared, gate**2) - gate**2)

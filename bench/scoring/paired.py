@@ -1,8 +1,8 @@
 """Two detectors, or two versions, on the same scenes: what differs, with an interval, and how likely chance alone does that.
 
 Only differences within a scene count, so what makes a scene hard falls out. Success is compared on the scenes where the two disagree
-(McNemar, Psychometrika 12, 1947), errors by their differences, resampled by pose (Efron, JASA 82, 1987), since teats and repeats of one pose are not
-independent. Knows neither detectors nor runs: `old` and `new` are columns of the same rows.
+(McNemar, Psychometrika 12, 1947), errors by their differences, resampled by pose (Efron, JASA 82, 1987), since teats and repeats of one
+pose are not independent. Knows neither detectors nor runs: `old` and `new` are columns of the same rows.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Discordance:
     def interval(self, confidence: float = 0.95) -> tuple[float, float] | None:
         """Score interval of `difference` (Tango, Statistics in Medicine 17, 1998); None where nothing was compared.
 
-        It has a width also where no scene is discordant. It is approximate where `p_value` is exact: where the two disagree, `p_value` decides.
+        It has a width also where no scene is discordant. It is approximate, `p_value` is exact: where the two disagree, `p_value` decides.
         """
         estimate = self.difference
         if estimate is None:

@@ -51,7 +51,7 @@ def mcnemar_power(trials: int, lost: float, won: float, alpha: float = 0.05) -> 
 
     Summed over all numbers of discordant scenes (Duffy, Biometrics 40, 1984).
     """
-    if not (0.0 <= lost and 0.0 <= won and lost + won <= 1.0):
+    if min(lost, won) < 0.0 or lost + won > 1.0:
         raise ValueError(f"shares of discordant scenes: {lost} and {won} must not be negative, nor more than 1 together")
     discordant = np.arange(trials + 1)
     chance = binom.pmf(discordant, trials, lost + won)
@@ -72,10 +72,10 @@ def detectable_loss(trials: int, power: float = 0.8, alpha: float = 0.05) -> flo
 
 
 def detectable_shift(poses: int, sd: float, power: float = 0.8, alpha: float = 0.05) -> float | None:
-    """The smallest mean difference of two detectors' errors, in the unit of `sd`, that so many poses show with `power` (paired t, two-sided).
+    """The smallest mean difference of two detectors' errors, in the unit of `sd`, that so many poses show with `power`.
 
-    `sd` is the standard deviation of the differences between poses. None for fewer than 2 poses. Noncentral t (Cohen, Statistical Power
-    Analysis, 1988, section 2.4); the bootstrap of a comparison has nearly the same power.
+    `sd` is the standard deviation of the differences between poses. None for fewer than 2 poses. Paired t, two-sided: noncentral t (Cohen,
+    Statistical Power Analysis, 1988, section 2.4); the bootstrap of a comparison has nearly the same power.
     """
     _share("power", power)
     _positive_sd(sd)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from detector.geometry import Array, Motion
@@ -19,6 +20,7 @@ TILT_DEG = 15.0  # from here on a view counts as tilted to a side
 LEAST_TILTED = 2  # views a side
 DISTANCE_RATIO = 1.3  # farthest over nearest view
 LEAST_VIEWS = 12
+FOCAL_OVER_WIDTH = (0.5, 8.0)  # what a rough focal length is believed to be, in widths of the picture
 SIDES = (
     "its left edge towards the cameras",
     "its right edge towards the cameras",
@@ -79,6 +81,25 @@ def coverage(pixels_px: Sequence[Array], image_size: tuple[int, int], poses: Seq
     depths = [float(pose.T[2]) for pose in poses]
     sides = (int(tilted[0]), int(tilted[1]), int(tilted[2]), int(tilted[3]))
     return Coverage(len(pixels_px), corners, sides, (min(depths), max(depths)) if depths else None)
+
+
+def rough_poses(board_mm: Sequence[Array], pixels_px: Sequence[Array], image_size: tuple[int, int]) -> list[Motion]:
+    """camera_from_board of views, points (n, 3) mm each seen at (n, 2) px, by a lens that is only guessed from them: for a guide.
+
+    The focal length is OpenCV's first guess (Zhang 2000, closed form), the principal point the middle, distortion none.
+    """
+    if not board_mm:
+        return []
+    object_points, image_points = ([np.asarray(part, dtype=np.float32) for part in parts] for parts in (board_mm, pixels_px))
+    guessed = float(cv2.initCameraMatrix2D(object_points, image_points, image_size, 1.0)[0, 0])
+    low, high = (ratio * image_size[0] for ratio in FOCAL_OVER_WIDTH)
+    focal = min(max(guessed, low), high) if np.isfinite(guessed) else float(image_size[0])
+    K = np.array([[focal, 0.0, (image_size[0] - 1) / 2], [0.0, focal, (image_size[1] - 1) / 2], [0.0, 0.0, 1.0]])
+    poses = []
+    for board, pixels in zip(object_points, image_points, strict=True):
+        _, turn, shift = cv2.solvePnP(board, pixels, K, np.zeros(5), flags=cv2.SOLVEPNP_IPPE)
+        poses.append(Motion.from_vectors(turn.reshape(-1), shift.reshape(-1)))
+    return poses
 
 
 def _leans(pose: Motion) -> Array:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from detector.fused.model import END, RADIUS, SIDE_A, SIDE_B, axes
 from detector.fused.parameters import Parameters
@@ -17,7 +18,7 @@ from detector.fused.refine import FINE_OUTLINE, Fitted
 from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion
 
-_CLOSE_PX, _MOST_SD_PX = 0.6, 0.6
+_CLOSE_PX, _MOST_SD_PX, _CLEAR_GAIN = 0.6, 0.6, 0.6
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-0.6, 0.0, 0.6)  # of the radius
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
@@ -25,7 +26,7 @@ _AXIS_MM = np.linspace(0.0, 60.0, 7)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What speaks for m fitted teats: shares of the outline seen, (m, 2 views) each; misfit px (m,); warmth (m, 3 lines) or NaN; sd mm (m,)."""
+    """What speaks for m fitted teats: shares of the outline seen, (m, 3 views) each; misfit px (m,); warmth (m, 3 lines) or NaN; sd mm (m,)."""
 
     end: Array
     side: Array  # the better side
@@ -33,24 +34,44 @@ class Evidence:
     misfit_px: Array
     warmth: Array
     sd_mm: Array
+    thermal_px: Array  # the median distance (m, 3 parts) of the thermal outline, NaN where it shows none
 
     @property
     def merit(self) -> Array:
         """One number (m,) to tell the better of two."""
-        return np.asarray((2 * self.end + self.side + self.both).sum(axis=1) - 4 * self.misfit_px)
+        return np.asarray((2 * self.end + self.side + self.both)[:, :2].sum(axis=1) - 4 * self.misfit_px)
 
 
 def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
     """Evidence from the edges about m teats, their covariances (m, 3, 3) and their warmth (m, 3)."""
-    seen, weight, part = fitted.seen, fitted.weight, FINE_OUTLINE.part
-    good = (weight > 0) & (np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _CLOSE_PX) & (seen.sd_px < _MOST_SD_PX)
-    good = good.reshape(len(weight), -1, len(part))
-    shares = {p: good[:, :, part == p].mean(axis=2) for p in (SIDE_A, END, SIDE_B)}
-    square = np.where(weight > 0, np.nan_to_num(seen.offset_px) ** 2, 0.0)
-    misfit = np.sqrt((square * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9))
+    seen, part = fitted.seen, FINE_OUTLINE.part
+    m, n = len(fitted.weight), len(part)
+    offset, weight, sd = (np.nan_to_num(a.reshape(m, -1, n), nan=9.0) for a in (seen.offset_px, fitted.weight, seen.sd_px))
+    good = (weight > 0) & (np.abs(offset) < _CLOSE_PX) & (sd < _MOST_SD_PX)
+    open_ = ~fitted.hidden.reshape(m, -1, n)
+    shares = {p: _share(good[:, :, part == p], open_[:, :, part == p]) for p in (SIDE_A, END, SIDE_B)}
+    optical = weight[:, :2].reshape(m, -1)
+    misfit = np.sqrt((offset[:, :2].reshape(m, -1) ** 2 * optical).sum(axis=1) / np.maximum(optical.sum(axis=1), 1e-9))
     sides = np.stack([shares[SIDE_A], shares[SIDE_B]])
-    sd = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
-    return Evidence(shares[END], sides.max(axis=0), sides.min(axis=0), misfit, warmth, sd)
+    largest = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
+    return Evidence(shares[END], sides.max(axis=0), sides.min(axis=0), misfit, warmth, largest, _thermal_offsets(fitted))
+
+
+def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
+    """The share (m, views) of the points (m, views, k) not hidden that are good; hidden ones count as missing where they are most."""
+    return np.asarray((good & open_).sum(axis=2) / np.maximum(open_.sum(axis=2), 0.4 * good.shape[2]))
+
+
+def _thermal_offsets(fitted: Fitted) -> Array:
+    part = FINE_OUTLINE.part
+    thermal = slice(2 * len(part), 3 * len(part))
+    clear = ~fitted.hidden[:, thermal] & (fitted.seen.gain[:, thermal] > _CLEAR_GAIN) & np.isfinite(fitted.seen.offset_px[:, thermal])
+    offset = np.where(clear, fitted.seen.offset_px[:, thermal], 0.0)
+    medians = np.full((len(offset), 3), np.nan)
+    for p in (SIDE_A, END, SIDE_B):
+        for i in np.flatnonzero(clear[:, part == p].mean(axis=1) > 0.5):
+            medians[i, p] = np.median(offset[i, (part == p) & clear[i]])
+    return medians
 
 
 def warmth_inside(teats: Array, warm: Field, lens: Camera, thermal_from_right: Motion, px_a_sensor_px: float) -> Array:
@@ -89,6 +110,9 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
     for view, name in enumerate(("left", "right")):
         if evidence.end[i, view] < p.least_end:
             return f"its end isn't seen in the {name} picture"
+        least = p.least_end_one_sided * (1.0 if evidence.misfit_px[i] < p.good_misfit_px else 1.4)
+        if evidence.end[i, view] < least and evidence.both[i, :2].max() < p.least_side:
+            return f"only a side of it and too little of its end are seen in the {name} picture"
         if evidence.side[i, view] < p.least_side:
             return f"neither side is seen in the {name} picture"
     if evidence.misfit_px[i] > p.greatest_misfit_px:
@@ -99,9 +123,17 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
         return "it is outside of the working volume"
     if not np.isfinite(evidence.warmth[i]).all():
         return "the thermal picture doesn't reach it"
+    if _elsewhere(evidence.thermal_px[i], p.greatest_thermal_px):
+        return "the thermal picture shows its outline elsewhere"
     if evidence.sd_mm[i] > p.greatest_sd_mm:
         return "its place is too unsure"
     return None
+
+
+def _elsewhere(offset_px: Array, most_px: float) -> bool:
+    """Whether the thermal outline contradicts. What is warm beyond one side may be a neighbour; beyond the end or both sides it is no teat's."""
+    side_a, end, side_b = np.nan_to_num(offset_px)
+    return bool(abs(end) > most_px or min(side_a, side_b) < -most_px or (side_a > most_px and side_b > most_px))
 
 
 def _passes_through(a: Array, b: Array, share: float) -> bool:

@@ -19,7 +19,7 @@ from detector.fused.decide import Evidence, objections, warmth_inside, weigh
 from detector.fused.fit import View
 from detector.fused.model import apexes
 from detector.fused.parameters import Parameters
-from detector.fused.refine import Fitted, refine
+from detector.fused.refine import OPTICAL_FINE, OPTICAL_FLOOR_PX, OPTICAL_ROUGH, THERMAL, THERMAL_FLOOR_PX, Fitted, hidden_points, refine, refine_again
 from detector.fused.sweep import Map, Starts, depths_mm, hypotheses, sweep_bars, sweep_ends
 from detector.fused.thermal import Nominations, bars, nominate
 from detector.fused.uncertainty import world_covariances
@@ -75,15 +75,25 @@ def _detect(frames: Frames, calibration: Calibration, p: Parameters, trace: list
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
     thermal = _thermal(frames, calibration)
     starts, views = _start(thermal, left, right, calibration, p, trace)
+    views = (*views, _thermal_view(thermal))
     fitted = refine(starts, views, p)
-    covariances = world_covariances(fitted, calibration, p)
-    warmth = warmth_inside(fitted.teats, thermal.warm, thermal.lens, thermal.from_right, thermal.px_a_sensor_px)
-    evidence = weigh(fitted, covariances, warmth)
-    reasons = objections(fitted.teats, evidence, float(np.percentile(thermal.warm, 20)), p)
+    covariances, evidence, reasons = _judge(fitted, thermal, calibration, p)
+    hidden = hidden_points(fitted, [i for i, reason in enumerate(reasons) if reason is None])
+    if hidden.any():
+        fitted = refine_again(fitted, hidden, views, p)
+        covariances, evidence, reasons = _judge(fitted, thermal, calibration, p)
     trace.append(_decisions(fitted, evidence, reasons))
     accepted = [i for i, reason in enumerate(reasons) if reason is None]
     answers = _answers(fitted.teats[accepted], covariances[accepted], thermal, calibration)
     return Detection(answers, 0, None if answers else "nothing warm has the outline of a teat in both optical pictures", tuple(trace))
+
+
+def _judge(fitted: Fitted, thermal: _Thermal, calibration: Calibration, p: Parameters) -> tuple[Array, Evidence, list[str | None]]:
+    """Covariances in the world, evidence, and objections."""
+    covariances = world_covariances(fitted, calibration, p)
+    warmth = warmth_inside(fitted.teats, thermal.warm, thermal.lens, thermal.from_right, thermal.px_a_sensor_px)
+    evidence = weigh(fitted, covariances, warmth)
+    return covariances, evidence, objections(fitted.teats, evidence, float(np.percentile(thermal.warm, 20)), p)
 
 
 def _thermal(frames: Frames, calibration: Calibration) -> _Thermal:
@@ -106,7 +116,7 @@ def _start(
     of_ends, of_bars = (hypotheses(n, thermal.lens, thermal.px_a_sensor_px, right_from_thermal, depth_mm) for n in (ends, upright))
     views = _views(left, right, calibration, np.concatenate([of_ends, of_bars - [0, _ROOM_ABOVE_MM, 0, 0, 0, 0, 0, 0], of_bars]))
     maps = tuple(Map.of(view) for view in views)
-    starts = sweep_ends(of_ends, maps, p) + sweep_bars(of_bars, maps, p)
+    starts = sweep_ends(of_ends, ends.score, maps, p) + sweep_bars(of_bars, upright.score, maps, p)
     trace.append(Stage("starts", {"teats": starts.teats, "score": starts.score}))
     return starts, views
 
@@ -123,8 +133,18 @@ def _views(left: NDArray[Any], right: NDArray[Any], calibration: Calibration, gu
     sides = (left, calibration.left, calibration.right_from_left.inverse()), (right, calibration.right, Motion.identity())
     for picture, camera, motion in sides:
         near, corner = pictures.region(picture, camera.project(motion.apply(points)), _ROOM_PX)
-        made.append(View(near, corner, pictures.noise_of(near), camera, motion))
+        made.append(View(near, corner, pictures.noise_of(near), camera, motion, OPTICAL_ROUGH, OPTICAL_FINE, OPTICAL_FLOOR_PX))
     return tuple(made)
+
+
+def _thermal_view(thermal: _Thermal) -> View:
+    """The thermal picture as one more view, in sensor pixels: coarse, but it can't take a shadow for a teat."""
+    lens, size = thermal.lens, thermal.px_a_sensor_px
+    rows, columns = thermal.warm.shape
+    sensor = Camera(
+        (columns, rows), (lens.fc[0] / size, lens.fc[1] / size), ((lens.cc[0] + 0.5) / size - 0.5, (lens.cc[1] + 0.5) / size - 0.5), lens.alpha_c, lens.kc
+    )
+    return View(thermal.warm, np.zeros(2), pictures.noise_of(thermal.warm), sensor, thermal.from_right, THERMAL, THERMAL, THERMAL_FLOOR_PX)
 
 
 def _decisions(fitted: Fitted, evidence: Evidence, reasons: list[str | None]) -> Stage:

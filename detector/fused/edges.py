@@ -35,6 +35,7 @@ class Profile:
     grid_px: float
     blur_px: float
     limb: bool
+    pull_px: float  # how far off an edge may easily be
 
     @cached_property
     def offsets(self) -> Array:
@@ -105,8 +106,8 @@ def sample(field: Field, middles_px: Array, normals: Array, offsets_px: Array) -
     return np.where(inside, values, np.nan)
 
 
-def find_edges(lines: Array, profile: Profile, noise: float, pull_px: float) -> Edges:
-    """The likeliest edge of each line (n, s). ``noise``: standard deviation of an intensity; ``pull_px``: how far from 0 an edge may easily be."""
+def find_edges(lines: Array, profile: Profile, noise: float) -> Edges:
+    """The likeliest edge of each line (n, s). ``noise``: standard deviation of an intensity."""
     usable = np.isfinite(lines).all(axis=1)
     y = np.where(usable[:, None], lines, 0.0)
     y = y - y.mean(axis=1, keepdims=True)
@@ -117,7 +118,7 @@ def find_edges(lines: Array, profile: Profile, noise: float, pull_px: float) -> 
     straight = np.clip(energy - ((y @ profile.flat) ** 2).sum(axis=1), 1e-12, None)
     floor = s * noise**2
     scale = np.maximum(left.min(axis=1), floor) / s
-    cost = left / scale[:, None] + (profile.places / pull_px) ** 2
+    cost = left / scale[:, None] + (profile.places / profile.pull_px) ** 2
     best = np.argmin(cost, axis=1)
     inner = np.clip(best, 1, g - 2)
     rows = np.arange(len(y))

@@ -15,18 +15,25 @@ from detector.fused.edges import Edges, Field, Profile, find_edges, sample
 from detector.fused.model import COUNT, HEIGHT, LEAN_X, LEAN_Z, RADIUS, TAPER, Outline, axes, normals_of, outlines
 from detector.geometry import Array, Camera, Motion
 
+_LEAST_GAIN = 0.3  # of an edge over a straight line, to count at all
 _STEPS = np.array([0.05, 0.05, 0.5, 1e-3, 1e-3, 0.05, 1e-3, 5e-3])  # of the differences: mm, mm, mm, -, -, mm, -, -
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One optical picture: linear intensities of a region, where its first pixel lies in the whole picture, and who took it."""
+    """One picture: linear intensities of a region, where its first pixel lies in the whole picture, and who took it.
+
+    ``rough``, ``fine``: how edges look in it; ``floor_px``: how far off an edge may be for other reasons than noise (standard deviation).
+    """
 
     field: Field
     corner_px: Array  # (2,)
     noise: float
     camera: Camera
     camera_from_teats: Motion
+    rough: Profile
+    fine: Profile
+    floor_px: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,19 +55,20 @@ class Seen:
     sd_px: Array
     gain: Array
     contrast: Array
+    floor_px: Array
     jacobian: Array  # (m, views * n, 8): how far the outline moves outward, px a unit of each parameter
     pixels_px: Array  # (m, views * n, 2)
     normals: Array
 
 
-def look(teats: Array, views: tuple[View, ...], outline: Outline, profile: Profile, pull_px: float, jacobian: Array | None = None) -> Seen:
+def look(teats: Array, views: tuple[View, ...], outline: Outline, jacobian: Array | None = None, *, fine: bool) -> Seen:
     """Find edges about the outlines of teats (m, 8). ``jacobian``: that of teats nearby, to save finding it anew."""
-    parts = [_look_at(teats, view, outline, profile, pull_px, slopes=jacobian is None) for view in views]
+    parts = [_look_at(teats, view, outline, view.fine if fine else view.rough, slopes=jacobian is None) for view in views]
     found = {name: np.concatenate([getattr(p, name) for p in parts], axis=1) for name in Seen.__slots__}
     return Seen(**(found if jacobian is None else {**found, "jacobian": jacobian}))
 
 
-def _look_at(teats: Array, view: View, outline: Outline, profile: Profile, pull_px: float, *, slopes: bool) -> Seen:
+def _look_at(teats: Array, view: View, outline: Outline, profile: Profile, *, slopes: bool) -> Seen:
     changed = np.concatenate([teats, *(teats + step * np.eye(COUNT)[i] for i, step in enumerate(_STEPS))]) if slopes else teats
     pixels = outlines(changed, view.camera, view.camera_from_teats, outline)
     m, n = len(teats), pixels.shape[1]
@@ -68,15 +76,16 @@ def _look_at(teats: Array, view: View, outline: Outline, profile: Profile, pull_
     normals = normals_of(pixels[0])
     moved = np.einsum("kmnd,mnd->mnk", pixels[1:] - pixels[0], normals) / _STEPS if slopes else np.zeros((m, n, COUNT))
     lines = sample(view.field, pixels[0].reshape(-1, 2) - view.corner_px, normals.reshape(-1, 2), profile.offsets)
-    found: Edges = find_edges(lines, profile, view.noise, pull_px)
-    return Seen(*(getattr(found, name).reshape(m, n) for name in ("offset_px", "sd_px", "gain", "contrast")), moved, pixels[0], normals)
+    found: Edges = find_edges(lines, profile, view.noise)
+    edges = (getattr(found, name).reshape(m, n) for name in ("offset_px", "sd_px", "gain", "contrast"))
+    return Seen(*edges, np.full((m, n), view.floor_px), moved, pixels[0], normals)
 
 
-def weights(seen: Seen, scale_px: float, least_gain: float) -> Array:
-    """Weights (m, k) of the edges: by their own uncertainty, Cauchy in how far off they are, none where there is hardly an edge."""
-    usable = np.isfinite(seen.offset_px) & (seen.gain > least_gain) & np.isfinite(seen.jacobian).all(axis=2)
-    variance = seen.sd_px**2 + 0.05**2
-    off = np.where(usable, seen.offset_px, 0.0) / np.sqrt(variance + scale_px**2)
+def weights(seen: Seen, scale: float) -> Array:
+    """Weights (m, k) of the edges: by their own uncertainty, Cauchy beyond ``scale`` floors off, none where there is hardly an edge."""
+    usable = np.isfinite(seen.offset_px) & (seen.gain > _LEAST_GAIN) & np.isfinite(seen.jacobian).all(axis=2)
+    variance = seen.sd_px**2 + seen.floor_px**2
+    off = np.where(usable, seen.offset_px, 0.0) / np.sqrt(variance + (scale * seen.floor_px) ** 2)
     return np.where(usable, 1.0 / (variance * (1 + off**2)), 0.0)
 
 

@@ -22,9 +22,12 @@ class Parameters:
     most_starts: int = 26
     most_fits: int = 14
     least_side: float = 0.5  # share of the better side's outline that must be seen, a picture
-    least_end: float = 0.35  # of the rounded end's
+    least_end: float = 0.35  # of the rounded end's; and where only one side is seen,
+    least_end_one_sided: float = 0.45
+    greatest_thermal_px: float = 1.2  # how far the thermal outline may lie off, sensor pixels
+    good_misfit_px: float = 0.15
     greatest_misfit_px: float = 0.35
     greatest_sd_mm: float = 2.5  # of an end, along the axis where it is the least sure
-    least_warmth: float = 0.5  # of the way from the surroundings' temperature to the warmest teat's
+    least_warmth: float = 0.7  # of the way from the surroundings' temperature to the warmest teat's
     overlap: float = 0.85  # two teats' axes are never closer than this share of the sum of their radii
-    edge_bias_px: float = 0.06  # common to a short stretch of an outline: paint, shadow, blur, neighbours
+    stretch_bias: float = 1.0  # what a short stretch of an outline has in common (paint, shadow, blur), in floors of its picture

@@ -33,14 +33,15 @@ _SLIDE_MM = np.arange(0.0, 111.0, 3.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Starts:
-    """Teats (m, 8) to begin the fit with, in the right camera's frame, and their scores (m,)."""
+    """Teats (m, 8) to begin the fit with, in the right camera's frame, their scores (m,), and those of the nominations (m,) they come from."""
 
     teats: Array
     score: Array
+    nominated: Array
 
     def __add__(self, other: Starts) -> Starts:
         """All of both."""
-        return Starts(np.concatenate([self.teats, other.teats]), np.concatenate([self.score, other.score]))
+        return Starts(np.concatenate([self.teats, other.teats]), np.concatenate([self.score, other.score]), np.concatenate([self.nominated, other.nominated]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,23 +80,23 @@ def hypotheses(found: Nominations, lens: Camera, px_a_sensor_px: float, right_fr
     return teats
 
 
-def sweep_ends(teats: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
-    """The best starts among teats (n, d, 8) whose ends the thermal picture shows."""
+def sweep_ends(teats: Array, nominated: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
+    """The best starts among teats (n, d, 8) whose ends the thermal picture shows with scores ``nominated`` (n,)."""
     score = _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0).max(axis=0).reshape(teats.shape[:2])
     rows, columns = _peaks(np.where(_possible(teats, p), score, 0.0), p.starts_per_nomination)
-    return _refined(teats[rows, columns], maps, p)
+    return _refined(teats[rows, columns], nominated[rows], maps, p)
 
 
-def sweep_bars(teats: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
+def sweep_bars(teats: Array, nominated: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
     """The best starts among teats (n, d, 8) of which only the sides are known: the depth first, then how far up the end is."""
     score = _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0, end=False).max(axis=0).reshape(teats.shape[:2])
     rows, columns = _peaks(np.where(_possible(teats, p), score, 0.0), p.starts_per_nomination)
-    deep = teats[rows, columns]
+    deep, nominated = teats[rows, columns], nominated[rows]
     slid = np.repeat(deep[:, None], len(_SLIDE_MM), axis=1)
     slid[..., :3] -= _SLIDE_MM[:, None] * axes(deep)[:, None]
     score = _joint(slid.reshape(-1, COUNT), maps, _CROSS_PX, 1.0).max(axis=0).reshape(slid.shape[:2])
     rows, columns = _peaks(score, 2)
-    return _refined(slid[rows, columns], maps, p)
+    return _refined(slid[rows, columns], nominated[rows], maps, p)
 
 
 def _possible(teats: Array, p: Parameters) -> NDArray[np.bool_]:
@@ -103,17 +104,17 @@ def _possible(teats: Array, p: Parameters) -> NDArray[np.bool_]:
     return np.asarray((teats[..., RADIUS] > 0.75 * p.least_radius_mm) & (teats[..., RADIUS] < 1.3 * p.greatest_radius_mm))
 
 
-def _refined(teats: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
+def _refined(teats: Array, nominated: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
     """The teats (m, 8) with the shift and swell that fit both pictures best."""
     if len(teats) == 0:
-        return Starts(teats, np.zeros(0))
+        return Starts(teats, np.zeros(0), np.zeros(0))
     joint = np.stack([_joint(teats, maps, _GRID_PX, swell) for swell in _SWELLS])  # (swells, shifts, m)
     way = joint.reshape(-1, len(teats)).argmax(axis=0)
     swell, shift = np.unravel_index(way, joint.shape[:2])
     moved = teats.copy()
     moved[:, :2] += _GRID_PX[shift] * moved[:, 2:3] / np.array(maps[1].view.camera.fc)
     moved[:, RADIUS] = np.clip(moved[:, RADIUS] * np.array(_SWELLS)[swell], p.least_radius_mm, p.greatest_radius_mm)
-    return Starts(moved, joint.max(axis=(0, 1)))
+    return Starts(moved, joint.max(axis=(0, 1)), nominated)
 
 
 def _joint(teats: Array, maps: tuple[Map, ...], shifts: Field, swell: float, *, end: bool = True) -> Array:

@@ -15,7 +15,7 @@ from detector.fused.parameters import Parameters
 from detector.fused.refine import Fitted
 from detector.geometry import Array
 
-_STRETCH = 6  # points of an outline that share a shift: some 10 px
+_STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
 def end_covariances(fitted: Fitted, p: Parameters) -> Array:
@@ -29,7 +29,8 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     noise = inverse * scatter[:, None, None]
     m, k = weight.shape
     common = gain.reshape(m, gain.shape[1], k // _STRETCH, _STRETCH).sum(axis=3)
-    shared = p.edge_bias_px**2 * np.einsum("mis,mjs->mij", common, common)
+    shift = fitted.seen.floor_px.reshape(m, -1, _STRETCH)[:, :, 0] * p.stretch_bias
+    shared = np.einsum("mis,ms,mjs->mij", common, shift**2, common)
     to_end = apex_jacobian(fitted.teats)
     return np.asarray(to_end @ (noise + shared) @ to_end.transpose(0, 2, 1))
 

@@ -14,13 +14,13 @@ from typing import TextIO
 
 from instruments.clock import Clock
 from instruments.operators.keyboard import keyboard_of
-from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
+from instruments.operators.operator import OperatorAbort, OperatorEnough, OperatorRepeat, OperatorSkip
 from instruments.operators.prompt import ABORT, NotUnderstoodError, Prompt, understood
 
 TURN_S = 0.05  # how long the pedals are watched, or nothing is done, before keyboard and interlocks are looked at again
 REMIND_S = 120.0
 GONE = "nobody is at the terminal any more"
-WISHES = (OperatorAbort, OperatorSkip, OperatorRepeat)
+WISHES = (OperatorAbort, OperatorSkip, OperatorRepeat, OperatorEnough)
 
 Pedal = Callable[[float], bool]
 

@@ -12,7 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from instruments.operators.operator import Arrangement, Placed
+from instruments.operators.board_hands import BoardHands
+from instruments.operators.operator import Arrangement, BoardAsked, Placed
 from instruments.teat_end import ball_centre_mm
 from instruments.world.phantom import PlatePose
 from instruments.world.world import World
@@ -57,6 +58,7 @@ class EmulatedOperator:
         self._placing = np.random.default_rng([world.seed, *b"placing"])
         self._check: Callable[[], None] = lambda: None
         self._stands: tuple[Arrangement, PlatePose] | None = None
+        self._boards = BoardHands(world)
 
     def heed(self, check: Callable[[], None]) -> None:
         self._check = check
@@ -78,6 +80,7 @@ class EmulatedOperator:
 
     def set_up(self, arrangement: Arrangement) -> Placed:
         self._take_time()
+        self._world.show(None)
         self._stands = self._placed(arrangement)
         self._world.arrange(arrangement.phantom.moved(self._stands[1]), arrangement.objects, arrangement.scene)
         seen = self._world.renderer.visible_ends(self._world.scene())
@@ -91,6 +94,16 @@ class EmulatedOperator:
         phantom = self._world.phantom()
         tip = ball_centre_mm(phantom.ends_mm[at], phantom.axes[at], self._tip_radius_mm)  # what the arm reads is the ball's centre
         self._world.hold(tip + self._rng.normal(0.0, self._hand_error_mm, 3), STYLUS_AXIS)
+
+    def hold_board(self, asked: BoardAsked) -> None:
+        self._take_time()
+        self._world.hold(None)
+        self._world.show(self._boards.held(asked))
+
+    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None:  # noqa: ARG002 - it needs no telling
+        self._take_time()
+        point, axis = self._boards.tip(corner, self._tip_radius_mm)
+        self._world.hold(point + self._rng.normal(0.0, self._hand_error_mm, 3), axis)
 
     def release(self) -> None:
         self._world.hold(None)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from instruments.world.boards import Pattern
 from instruments.world.phantom import Phantom, PlatePose
 from instruments.world.situations import Situation
 
@@ -28,6 +29,26 @@ class OperatorSkip(Exception):  # noqa: N818 - a wish, not a fault
 
 class OperatorRepeat(Exception):  # noqa: N818 - a wish, not a fault
     """Something went wrong in this trial: it is to be done again from its set-up. Raised by ``set_up`` and ``touch`` only."""
+
+
+class OperatorEnough(Exception):  # noqa: N818 - a wish, not a fault
+    """No more boards: what has been shown shall do. Raised by ``hold_board`` only, and only where the board need not be ``fixed``."""
+
+
+@dataclass(frozen=True, slots=True)
+class BoardAsked:
+    """A calibration board for the ``number``-th time (from 1): ``instruction`` says to a person where and how it shall be.
+
+    ``pattern`` is what is printed on it, ``cameras`` are those that shall see all of it. ``heated``: its dark parts are to be warmer
+    than its light ones. ``fixed``: it is to stay where it is, for the arm to touch it; the phantom is out of the way either way.
+    """
+
+    pattern: Pattern
+    instruction: str
+    number: int
+    cameras: tuple[str, ...] = ("left", "right")
+    heated: bool = False
+    fixed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +113,17 @@ class Operator(Protocol):
 
         It is touch ``number`` of ``numbers`` of that end. ``again`` is a sentence that says why a touch is asked for once more
         ("That was nearer to teat 2."), shown before the question. Raises OperatorAbort, OperatorSkip, OperatorRepeat.
+        """
+        ...
+
+    def hold_board(self, asked: BoardAsked) -> None:
+        """Return once a calibration board is held still as asked. Raises OperatorAbort, OperatorEnough."""
+        ...
+
+    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None:
+        """Return once the arm's tip rests on point ``corner`` (from 0, of the pattern's `corners_mm`) of the board that was fixed last.
+
+        ``instruction`` says to a person which one that is, ``again`` why it is asked for once more. Raises OperatorAbort.
         """
         ...
 

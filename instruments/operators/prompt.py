@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
+from instruments.operators.operator import OperatorAbort, OperatorEnough, OperatorRepeat, OperatorSkip
 
-Kind = Literal["homing", "check point", "set up", "touch", "task"]
+Kind = Literal["homing", "check point", "set up", "touch", "board", "corner", "task"]
 IN_TRIALS: tuple[Kind, ...] = ("set up", "touch")  # what may be skipped or repeated
 
 GO = ("go",)
 ABORT = ("a", "abort", "q", "quit")
 SKIP = ("s", "skip")
 REPEAT = ("r", "repeat")
+ENOUGH = ("e", "enough")
 ABORT_KEY = "a = abort the run"
 
 
@@ -25,7 +26,7 @@ class NotUnderstoodError(ValueError):
 class Prompt:
     """``text`` says what to do and ``progress`` how far the run is; ``pedal``: a pedal is as good as Enter.
 
-    ``hidden_to`` above 0 lets the answer be numbers of hidden teat ends, 1 to that many.
+    ``hidden_to`` above 0 lets the answer be numbers of hidden teat ends, 1 to that many. ``enough``: it may be answered by that word.
     """
 
     kind: Kind
@@ -33,6 +34,7 @@ class Prompt:
     progress: str = ""
     hidden_to: int = 0
     pedal: bool = False
+    enough: bool = False
 
     @property
     def in_trial(self) -> bool:
@@ -45,13 +47,14 @@ class Prompt:
         if self.hidden_to:
             go = f"Enter when it stands; if teat ends are hidden from a camera, their numbers first (1 to {self.hidden_to})"
         trial = ["s REASON = skip this trial", "r = repeat it from its set-up"] if self.in_trial else []
-        return f"{go} ({', '.join([*trial, ABORT_KEY])}): "
+        enough = ["e = enough, go on with what there is"] if self.enough else []
+        return f"{go} ({', '.join([*trial, *enough, ABORT_KEY])}): "
 
 
 def understood(answer: str, prompt: Prompt) -> frozenset[int]:
     """The numbers of hidden teat ends in ``answer``: none for a plain "go on", as Enter is.
 
-    Raises OperatorAbort, OperatorRepeat, OperatorSkip (with an empty reason where none was given), or NotUnderstoodError.
+    Raises OperatorAbort, OperatorRepeat, OperatorEnough, OperatorSkip (with an empty reason where none was given), or NotUnderstoodError.
     """
     words = answer.replace(",", " ").lower().split()
     first = words[0] if words else ""
@@ -59,6 +62,8 @@ def understood(answer: str, prompt: Prompt) -> frozenset[int]:
         raise OperatorAbort("the operator aborted the run")
     if prompt.in_trial and first in REPEAT and len(words) == 1:
         raise OperatorRepeat("the operator wants the trial again")
+    if prompt.enough and first in ENOUGH and len(words) == 1:
+        raise OperatorEnough("the operator has shown enough")
     if prompt.in_trial and first in SKIP:
         raise OperatorSkip(" ".join(answer.split()[1:]))
     if not words or (first in GO and len(words) == 1):

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
-from instruments.operators.operator import Arrangement, Operator, OperatorRepeat, OperatorSkip, Placed
+from instruments.operators.operator import Arrangement, BoardAsked, Operator, OperatorRepeat, OperatorSkip, Placed
 from instruments.operators.prompt import Prompt, time_left
 
 LEANS = ("upright", "leaning to the left", "leaning to the right", "leaning towards you", "leaning away from you")
@@ -93,6 +93,19 @@ class PromptedOperator:
         self._ask(Prompt("touch", text, progress=progress, pedal=True))
         if self._hands:
             self._hands.touch(teat, of, number=number, numbers=numbers, again=again)
+
+    def hold_board(self, asked: BoardAsked) -> None:
+        progress = f"{'position' if asked.fixed else 'view'} {asked.number}"
+        self._ask(Prompt("board", asked.instruction, progress=progress, pedal=True, enough=not asked.fixed))
+        if self._hands:
+            self._hands.hold_board(asked)
+
+    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None:
+        if again:
+            self._answerer.say(again)
+        self._ask(Prompt("corner", instruction, pedal=True))
+        if self._hands:
+            self._hands.touch_board(corner, instruction, again=again)
 
     def release(self) -> None:
         self._answerer.say("Readings taken; the arm may be put away.")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import get_args
 
 from instruments.errors import ProtocolError
-from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
+from instruments.operators.operator import OperatorAbort, OperatorEnough, OperatorRepeat, OperatorSkip
 from instruments.operators.prompt import Kind, NotUnderstoodError, Prompt, understood
 
 MOST_TEATS = 99  # in an answer that names hidden ends; how many there are is known only when it is given
@@ -44,17 +44,18 @@ class ScriptedAnswer:
 
 def check_answer(to: Kind, answer: str) -> None:
     """Raises ValueError for an answer that a prompt of the kind ``to`` can't be given."""
-    prompt = Prompt(to, "", hidden_to=MOST_TEATS if to == "set up" else 0)
+    prompt = Prompt(to, "", hidden_to=MOST_TEATS if to == "set up" else 0, enough=to == "board")
     try:
         understood(answer, prompt)
     except NotUnderstoodError as error:
         hidden = ', "hidden 2 4"' if to == "set up" else ""
         trial = f', "skip REASON", "repeat"{hidden}' if prompt.in_trial else ""
-        raise ValueError(f'{str(error).rstrip(".")}; to a prompt of the kind "{to}" there are "go"{trial}, "abort"') from error
+        enough = ', "enough"' if prompt.enough else ""
+        raise ValueError(f'{str(error).rstrip(".")}; to a prompt of the kind "{to}" there are "go"{trial}{enough}, "abort"') from error
     except OperatorSkip as skip:
         if not skip.reason:
             raise ValueError('"skip" needs a reason: "skip the teat came off"') from skip
-    except (OperatorAbort, OperatorRepeat):
+    except (OperatorAbort, OperatorRepeat, OperatorEnough):
         return
 
 

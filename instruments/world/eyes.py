@@ -58,6 +58,7 @@ class OpticalCamera:
         looks = tuple((thing.hulls, thing.paint) for thing in state.everything())
         key = (looks, state.boards, state.lighting, state.backdrop, state.exposure, state.velocity_mm_s, shadows is None)
         if self._latest[0] != key:
+            self._latest = None, []  # let go before the next is drawn
             self._latest = key, self._drawn(state, shadows)
         return self._latest[1]
 
@@ -123,12 +124,16 @@ class OpticalCamera:
                 self._backdrops.pop(next(iter(self._backdrops)))
             sensor = self.readout.sensor
             empty, depth = backdrops.draw(state.backdrop, state.lighting, self.view.camera, self.view.rays)
-            sigma = np.hypot(sensor.focus.sigma_px(depth, self._focal_px), sensor.blur_px).astype(np.float32)
-            out_of_focus = float(sigma.max()) - sensor.blur_px > SHARP_PX
-            soft = blurred_by_depth(empty, sigma) if out_of_focus else empty
+            ends = np.array([depth.min(), depth.max()])  # blur grows both ways from what is in focus
+            out_of_focus = float(np.hypot(sensor.focus.sigma_px(ends, self._focal_px), sensor.blur_px).max()) - sensor.blur_px > SHARP_PX
+            soft = blurred_by_depth(empty, self._sigma(depth)) if out_of_focus else empty
             whole = soft if out_of_focus else blurred(empty, sensor.blur_px)
             self._backdrops[key] = empty, soft, self.readout.expected(whole, slice(None), slice(None), state.exposure)
         return self._backdrops[key]
+
+    def _sigma(self, depth_mm: Image) -> Image:
+        sensor = self.readout.sensor
+        return np.hypot(sensor.focus.sigma_px(depth_mm, self._focal_px), sensor.blur_px).astype(np.float32)
 
     def _seen(self, state: SceneState) -> list[Layer]:
         """The layer of each thing and each board."""

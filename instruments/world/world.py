@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instruments.clock import Clock
+from instruments.world.boards import Board
 from instruments.world.objects import TEAT_PAINT, SceneObject, make_object
 from instruments.world.phantom import TABLE_5_1_MM, Phantom, PlatePose, upright
 from instruments.world.plant import Plant
@@ -43,6 +44,7 @@ class World:
         self._objects: tuple[SceneObject, ...] = ()
         self._situation: Situation | None = None
         self._held: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._board: Board | None = None
 
     def arrange(self, phantom: Phantom, objects: Sequence[Mapping[str, Any]], situation: Situation | None = None) -> None:
         """Put a phantom on the plate, and other things around it; light, background, paint and further things are a ``situation``'s.
@@ -53,6 +55,11 @@ class World:
             self._phantom = phantom
             self._objects = tuple(make_object(**table) for table in objects)
             self._situation = situation
+
+    def show(self, board: Board | None) -> None:
+        """Hold a calibration board before the cameras, the phantom out of the way meanwhile; None puts the phantom back."""
+        with self.lock:
+            self._board = board
 
     def hold(self, point_mm: NDArray[np.float64] | None, axis: NDArray[np.float64] | None = None) -> None:
         """The hand holds the arm's tip at ``point_mm`` (3,), the stylus along ``axis`` (3,) from the tip up; None lets go."""
@@ -76,7 +83,7 @@ class World:
         """All that the cameras see, at this moment."""
         with self.lock:
             self.plant.advance_to(self.clock.now())
-            phantom = self.phantom()
+            phantom = self.phantom() if self._board is None else Phantom(())
             teats_c = tuple(float(v) for v in np.resize(self.plant.teat_c, len(phantom.teats)))
             hose_c = float(self.plant.bath_c) - (HOSE_DROP_K if self.plant.pump_on else 0.0)
             constants = self.plant.constants
@@ -84,6 +91,8 @@ class World:
             around = self._situation or Situation("", 0, "", phantom, teat_paint=replace(TEAT_PAINT, emissivity=phantom.emissivity))
             things = (*around.objects, *self._objects)
             moment = {"time_s": self.clock.now(), "velocity_mm_s": self.stage_velocity()}
+            if self._board is not None:
+                moment |= {"boards": (self._board,), "velocity_mm_s": STILL}
             return around.state(teats_c, hose_c, self.ambient_c, phantom=phantom, objects=things, teat_fall=fall, **moment)
 
     def frame_rng(self, kind: str, index: int) -> np.random.Generator:

@@ -61,6 +61,7 @@ def _time(benchmark: BenchmarkFixture, work: Callable[[], object], rounds: int) 
 
 
 def _median_ms(benchmark: BenchmarkFixture) -> float:
+    assert benchmark.stats is not None
     return 1e3 * float(benchmark.stats.stats.median)
 
 

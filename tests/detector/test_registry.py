@@ -1,18 +1,51 @@
-"""The table of detectors: cheap to list, exact about what it doesn't have."""
+"""The table of detectors: cheap to list, exact about what it doesn't have, and in peace with what other packages bring."""
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import pytest
 
-from detector.registry import UnknownDetectorError, available, create
+from detector.calibration import Calibration
+from detector.registry import GROUP, BrokenDetectorError, UnknownDetectorError, available, broken, create
+from tests.conftest import ROOT
+from tests.detector.conftest import Pictures
+
+PACKAGE = """
+from detector.protocol import Detection
+class Plain:
+    def detect(self, frames, calibration):
+        return Detection((), 4, "plain")
+class Told(Plain):
+    name, version, parameters = "whatever", "7", {"gain": 2}
+ready = Told()
+def made():
+    return Told()
+def fails():
+    raise RuntimeError("no\\nlicence")
+number = 5
+class Leaves(Plain):
+    def __init__(self):
+        raise SystemExit("bye")
+"""
+
+
+@pytest.fixture
+def plugs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, EntryPoint]:
+    (tmp_path / "udders.py").write_text(PACKAGE, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "udders", raising=False)
+    values = ["Plain", "Told", "ready", "made", "fails", "number", "Leaves", "nothing"]
+    return {value: EntryPoint(value.lower(), f"udders:{value}", GROUP) for value in values}
 
 
 def test_every_name_can_be_created_and_knows_itself() -> None:
-    for name, description in available().items():
-        assert create(name).name == name
+    for name, description in available([]).items():
+        assert create(name, []).name == name
         assert description
         assert "\n" not in description
 
@@ -30,3 +63,64 @@ def test_listing_loads_no_picture_library() -> None:
         "sys.exit(any(m in sys.modules for m in ('numpy', 'cv2', 'scipy')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+
+
+@pytest.mark.parametrize("how", ["Told", "ready", "made"])
+def test_a_package_may_bring_an_object_a_class_or_what_makes_one(plugs: dict[str, EntryPoint], rig: Calibration, how: str) -> None:
+    detector = create(how.lower(), plugs.values())
+    assert (detector.name, detector.version, dict(detector.parameters)) == (how.lower(), "7", {"gain": 2})
+    assert detector.detect(Pictures(None, None), rig).reason == "plain"  # type: ignore[arg-type]
+
+
+def test_what_it_does_not_say_of_itself_is_filled_in(plugs: dict[str, EntryPoint]) -> None:
+    detector = create("plain", plugs.values())
+    assert (detector.name, detector.version, dict(detector.parameters)) == ("plain", "unknown", {})
+
+
+@pytest.mark.parametrize(
+    ("how", "told"),
+    [
+        ("fails", "RuntimeError: no licence"),
+        ("number", "TypeError"),
+        ("Leaves", "SystemExit: bye"),
+        ("nothing", "AttributeError"),
+    ],
+)
+def test_a_broken_one_is_told_by_name(plugs: dict[str, EntryPoint], how: str, told: str) -> None:
+    with pytest.raises(BrokenDetectorError, match=f"detector '{how.lower()}' of .*udders:{how}.* can't be loaded: .*{told}"):
+        create(how.lower(), plugs.values())
+    assert told in broken(plugs.values())[how.lower()]
+    assert "plain" not in broken(plugs.values())
+    assert how.lower() in available(plugs.values())
+
+
+def test_a_shipped_name_and_a_second_of_one_name_are_left_out(plugs: dict[str, EntryPoint]) -> None:
+    given = [EntryPoint("thesis", "udders:Plain", GROUP), plugs["Plain"], EntryPoint("plain", "udders:Told", GROUP)]
+    assert create("thesis", given).parameters["canny_sigma_px"] == 12.0
+    assert create("plain", given).version == "unknown"
+    assert "the name of one that ships" in broken(given)["thesis"]
+    assert "a second detector of this name" in broken(given)["plain"]
+
+
+def test_an_installed_package_is_found_and_a_broken_one_does_not_stop_the_list(tmp_path: Path) -> None:
+    (tmp_path / "udders.py").write_text(PACKAGE, encoding="utf-8")
+    info = tmp_path / "udders-1.5.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: udders\nVersion: 1.5\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text(f"[{GROUP}]\nmine = udders:Plain\nbad = udders:fails\n", encoding="utf-8")
+    path = os.pathsep.join([str(tmp_path), str(ROOT)])
+    environment = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(
+        [sys.executable, "-m", "bench.cli", "detectors"],
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    lines = done.stdout.splitlines()
+    assert "mine: from udders 1.5 (udders:Plain)" in lines
+    (fault,) = [line for line in lines if "BROKEN" in line]
+    assert fault == "bad: BROKEN: detector 'bad' of udders 1.5 (udders:fails) can't be loaded: RuntimeError: no licence"
+    assert any(line.startswith("thesis: ") for line in lines)

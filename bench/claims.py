@@ -1,0 +1,130 @@
+"""What a number of poses can show, as a plan in values and in words. Knows no script: only counts, rates and lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from bench.scoring.power import (
+    detectable_loss,
+    detectable_shift,
+    discordant_needed,
+    failures_allowed,
+    poses_for_shift,
+    power_of_rate,
+    shown_rate,
+)
+from bench.scoring.rates import percent, trials_needed
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A rate to be shown. ``poses_needed`` for 0, 1, 2, … failures; the rest is about the poses that there are, None where none were named.
+
+    ``failures_allowed`` is None too where no number of successes in them shows the rate.
+    """
+
+    rate: float
+    poses_needed: tuple[int, ...]
+    failures_allowed: int | None = None
+    chance: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Claims, and what a comparison of two detectors on the same poses can show. Lengths in mm, the rest from 0 to 1."""
+
+    confidence: float
+    claims: tuple[Claim, ...]
+    power: float
+    alpha: float
+    discordant_needed: int
+    poses: int | None = None
+    true_rate: float | None = None
+    rate_shown: float | None = None
+    loss_shown: float | None = None
+    sd_mm: float | None = None
+    shift_shown_mm: float | None = None
+    shift_mm: float | None = None
+    poses_for_shift: int | None = None
+
+
+def make_plan(
+    rates: Sequence[float],
+    confidence: float,
+    *,
+    failures: int = 3,
+    poses: int | None = None,
+    true_rate: float | None = None,
+    sd_mm: float | None = None,
+    shift_mm: float | None = None,
+    power: float = 0.8,
+) -> Plan:
+    """The plan for showing ``rates``, and for comparing with the chance ``power`` at the two-sided level 1 - ``confidence``."""
+    alpha = round(1.0 - confidence, 12)
+    there = poses or None
+    return Plan(
+        confidence=confidence,
+        claims=tuple(_claim(rate, confidence, failures, there, true_rate) for rate in rates),
+        power=power,
+        alpha=alpha,
+        discordant_needed=discordant_needed(alpha),
+        poses=poses,
+        true_rate=true_rate,
+        rate_shown=shown_rate(there, 0, confidence) if there else None,
+        loss_shown=detectable_loss(there, power, alpha) if there else None,
+        sd_mm=sd_mm,
+        shift_shown_mm=detectable_shift(there, sd_mm, power, alpha) if there and sd_mm else None,
+        shift_mm=shift_mm,
+        poses_for_shift=poses_for_shift(shift_mm, sd_mm, power, alpha) if shift_mm and sd_mm else None,
+    )
+
+
+def _claim(rate: float, confidence: float, failures: int, poses: int | None, true_rate: float | None) -> Claim:
+    needed = tuple(trials_needed(count, rate, confidence) for count in range(failures + 1))
+    if poses is None:
+        return Claim(rate, needed)
+    chance = None if true_rate is None else power_of_rate(poses, true_rate, rate, confidence)
+    return Claim(rate, needed, failures_allowed(poses, rate, confidence), chance)
+
+
+def told(plan: Plan) -> Iterator[str]:
+    """The plan as lines of text."""
+    sure = f"{_exact(plan.confidence)} confidence"
+    for claim in plan.claims:
+        with_failures = ", ".join(f"{needed} with {count}" for count, needed in enumerate(claim.poses_needed) if count)
+        more = f" ({with_failures} failed)" if with_failures else ""
+        yield f"A rate of {_exact(claim.rate)} with {sure}: {claim.poses_needed[0]} poses without a failure{more}."
+    yield "Poses count, not frames: repeats of one pose are one trial. The largest error of so many poses bounds the same share of errors."
+    if plan.poses is not None:
+        yield from _told_of_poses(plan, sure)
+    alpha = _exact(plan.alpha)
+    yield f"Two detectors on the same poses: at least {plan.discordant_needed} must be lost, and none won, for p < {alpha} (exact McNemar)."
+    if plan.poses_for_shift:
+        yield (
+            f"A difference of {plan.shift_mm:g} mm in their mean distance, where it varies by {plan.sd_mm:g} mm from pose to pose: "
+            f"{plan.poses_for_shift} poses show it with a chance of {_exact(plan.power)}."
+        )
+
+
+def _told_of_poses(plan: Plan, sure: str) -> Iterator[str]:
+    if plan.rate_shown is None:
+        yield "No pose shows anything."
+        return
+    yield f"{plan.poses} poses without a failure show {percent(plan.rate_shown)} with {sure}."
+    for claim in plan.claims:
+        if claim.failures_allowed is None:
+            yield f"  {_exact(claim.rate)}: can't be shown; {claim.poses_needed[0] - (plan.poses or 0)} more are needed."
+            continue
+        chance = (
+            "" if claim.chance is None else f"; one that truly does {_exact(plan.true_rate or 0.0)} shows it with {percent(claim.chance)}"
+        )
+        yield f"  {_exact(claim.rate)}: shown with up to {claim.failures_allowed} failed{chance}."
+    loss = "no loss at all" if plan.loss_shown is None else f"a loss of {percent(plan.loss_shown)} of poses"
+    yield f"  Two detectors on them: {loss} shows with a chance of {_exact(plan.power)}."
+    if plan.shift_shown_mm is not None:
+        yield f"  A difference of {plan.shift_shown_mm:.3g} mm in mean distance shows with that chance (it varies by {plan.sd_mm:g} mm)."
+
+
+def _exact(fraction: float) -> str:
+    return f"{100 * fraction:.6g} %"

@@ -1,0 +1,90 @@
+"""`compare`: detectors or versions held against each other on the same scenes, and a gate for CI."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.commands import CODES, Commands
+
+if TYPE_CHECKING:
+    from bench.comparing import Comparison
+
+
+def add_to(commands: Commands) -> None:
+    """The command with its arguments."""
+    compare = commands.add("compare", "paired differences between runs, or between the detectors of one run", _compare, opens_links=False)
+    compare.add_argument("run", type=Path, nargs="+", metavar="RUN", help="folders of runs; the first is the old one")
+    compare.add_argument("--detector", action="append", default=[], metavar="NAME", help="only this one; may be given several times")
+    compare.add_argument("--margin-mm", type=_length, metavar="MM", help="how much larger an error may be (default: 5 %% of the limit)")
+    compare.add_argument("--confidence", type=_share, default=0.95, metavar="P", help="of the intervals (default: 0.95)")
+    compare.add_argument("--gate", action="store_true", help="exit code 1 when the new one is worse, 4 when that can't be told")
+    compare.add_argument("--out", type=Path, metavar="DIR", help="also write a page and comparison.json there")
+    compare.add_argument("--json", action="store_true", help="print JSON instead of tables")
+
+
+def _length(text: str) -> float:
+    value = _number(text)
+    if not 0.0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a length in mm of 0 or more")
+    return value
+
+
+def _share(text: str) -> float:
+    value = _number(text)
+    if not 0.5 <= value < 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r} must lie between 0.5 and 1, for example 0.95")
+    return value
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+
+
+def _compare(given: argparse.Namespace) -> int:
+    from bench.comparing import compare_folders
+    from bench.comparison_page import write_comparison
+    from bench.comparison_words import as_json
+
+    found = compare_folders(given.run, given.detector, margin_mm=given.margin_mm, confidence=given.confidence)
+    if given.json:
+        print(json.dumps(as_json(found), indent=1, ensure_ascii=False))
+    else:
+        _show(found)
+    if given.out:
+        path = write_comparison(found, given.out)
+        if not given.json:
+            print(f"Report: {path}")
+    return _code(found) if given.gate else CODES.met
+
+
+def _show(found: tuple[Comparison, ...]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from bench.comparison_words import COLUMNS, heading, notes, rows, verdict_told
+
+    console = Console()
+    for comparison in found:
+        table = Table(title=heading(comparison))
+        for number, (title, unit) in enumerate(COLUMNS):
+            table.add_column(f"{title}, {unit}" if unit else title, justify="right" if number else "left")
+        for row in rows(comparison):
+            table.add_row(*row)
+        console.print(table)
+        for line in (*notes(comparison), verdict_told(comparison)):
+            console.print(line, markup=False)
+        for reason in comparison.compared.gate.reasons:
+            console.print(f"  {reason}", markup=False)
+
+
+def _code(found: tuple[Comparison, ...]) -> int:
+    from bench.scoring.decisions import Verdict, overall
+
+    worst = overall(comparison.compared.gate.verdict for comparison in found)
+    return {Verdict.MET: CODES.met, Verdict.NOT_MET: CODES.not_met}.get(worst, CODES.inconclusive)

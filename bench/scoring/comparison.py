@@ -1,0 +1,174 @@
+"""A new detector against an old one on the same scenes: paired differences by situation, and whether the new one is worse.
+
+Success, false teats and misses are compared as they are counted; errors only on teats that both found, for a difference needs two. The
+gate asks one thing, "is it worse?": a scene that passed and now fails, a false teat or a miss more, or a mean error larger by more than
+the margin is worse. It is shown to be no worse only where the upper bound of the error's difference stays within the margin
+(non-inferiority; ICH E9, 3.3.2); between the two it is inconclusive. Knows neither runs nor frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bench.scoring.decisions import Verdict
+from bench.scoring.matching import Counts, added
+from bench.scoring.paired import Discordance, PairedDifference, discordance, holm, paired_difference
+from bench.scoring.points import Floats
+from bench.scoring.scene import SceneScore
+
+MARGIN_SHARE = 0.05  # of the error's limit: the margin where none is named
+
+
+@dataclass(frozen=True, slots=True)
+class ScenePair:
+    """One scene scored for both. Repeats of a pose share `pose`."""
+
+    scene: str
+    pose: str
+    situation: str
+    old: SceneScore
+    new: SceneScore
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What differs in one situation, or in all (`situation` None). Errors are of teats that both found, mm; `success` counts poses.
+
+    `axes` are the differences of the mean absolute error along the world's x, y and z. The p-values adjusted by Holm are over the
+    situations of one comparison; None in the pooled row, which is one question.
+    """
+
+    situation: str | None
+    scenes: int
+    poses: int
+    teats: int
+    success: Discordance
+    radial: PairedDifference
+    axes: tuple[PairedDifference, PairedDifference, PairedDifference]
+    old: Counts
+    new: Counts
+    success_holm: float | None = None
+    radial_holm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """Whether the new one is worse: NOT_MET says that it is, MET that it is shown to be no worse. One reason a line."""
+
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    margin_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """The whole comparison: pooled, by situation, and the gate."""
+
+    pooled: Row
+    situations: tuple[Row, ...]
+    gate: Gate
+    confidence: float
+
+
+def compare(
+    pairs: Sequence[ScenePair], *, margin_mm: float | None = None, confidence: float = 0.95, seed: int = 0, unpaired: int = 0
+) -> Compared:
+    """Compare on `pairs`; `unpaired` scenes of the old one have no counterpart. Raises ValueError for no pair or a margin below 0.
+
+    `margin_mm` is by default a twentieth of the limit that the scenes were scored with.
+    """
+    if not pairs:
+        raise ValueError("compare: the two have no scene in common")
+    margin = MARGIN_SHARE * min(pair.old.limit_mm for pair in pairs) if margin_mm is None else margin_mm
+    if not 0.0 <= margin < float("inf"):
+        raise ValueError(f"margin: {margin} mm must be 0 or more")
+    pooled = _row(None, pairs, confidence, seed)
+    names = dict.fromkeys(pair.situation for pair in pairs)
+    rows = [_row(name, [pair for pair in pairs if pair.situation == name], confidence, seed) for name in names]
+    return Compared(pooled, _adjusted(rows), gate(pairs, pooled, margin, unpaired), confidence)
+
+
+def gate(pairs: Sequence[ScenePair], pooled: Row, margin_mm: float, unpaired: int = 0) -> Gate:
+    """Is the new one worse on these scenes?"""
+    worse = [f"{pair.scene} passed and now fails: {why_failed(pair.new)}" for pair in pairs if pair.old.success and not pair.new.success]
+    worse += _more("false teat", pooled.old.false, pooled.new.false) + _more("missed teat", pooled.old.missed, pooled.new.missed)
+    mean, high = pooled.radial.mean, pooled.radial.high
+    if mean is not None and mean > margin_mm:
+        worse.append(f"the mean distance to the teat end grew by {mean:.3f} mm, more than the margin of {margin_mm:g} mm")
+    if worse:
+        return Gate(Verdict.NOT_MET, tuple(worse), margin_mm)
+    open_questions = []
+    if unpaired:
+        open_questions.append(f"{unpaired} scenes of the old one were not run with the new one")
+    if mean is None:
+        open_questions.append("no teat was found by both, so no error was compared")
+    elif any(pair.old.radial_mm != pair.new.radial_mm for pair in pairs) and (high is None or high > margin_mm):
+        bound = "one pose gives no interval" if high is None else f"it may be as much as {high:.3f} mm"
+        open_questions.append(f"the mean distance changed by {mean:+.3f} mm, but {bound} (margin {margin_mm:g} mm): compare on more poses")
+    if open_questions:
+        return Gate(Verdict.INCONCLUSIVE, tuple(open_questions), margin_mm)
+    return Gate(Verdict.MET, (f"no scene lost, no false or missed teat more, and no larger error (margin {margin_mm:g} mm)",), margin_mm)
+
+
+def why_failed(score: SceneScore) -> str:
+    """What made a scene fail, in words."""
+    counts, worst = score.counts, max(score.radial_mm, default=0.0)
+    parts = [f"{counts.missed} missed" if counts.missed else "", f"{counts.false} false" if counts.false else ""]
+    parts += [f"{worst:.2f} mm off (limit {score.limit_mm:g} mm)" if worst > score.limit_mm else ""]
+    parts += ["" if score.in_time else f"too slow ({score.seconds:.2f} s)"]
+    return ", ".join(part for part in parts if part) or "it succeeded"
+
+
+def common_errors(pair: ScenePair) -> tuple[Floats, Floats]:
+    """The errors (k, 3) of the teats that both found, old and new, row by row the same teat."""
+    at = {teat: row for row, (_, teat) in enumerate(pair.new.match.pairs)}
+    rows = [(row, at[teat]) for row, (_, teat) in enumerate(pair.old.match.pairs) if teat in at]
+    olds, news = [a for a, _ in rows], [b for _, b in rows]
+    return pair.old.errors_mm[olds].reshape(-1, 3), pair.new.errors_mm[news].reshape(-1, 3)
+
+
+def _row(situation: str | None, pairs: Sequence[ScenePair], confidence: float, seed: int) -> Row:
+    errors = [common_errors(pair) for pair in pairs]
+    old, new = (np.concatenate([both[side] for both in errors]) for side in (0, 1))
+    poses = [pair.pose for pair, (common, _) in zip(pairs, errors, strict=True) for _ in common]
+
+    def differ(a: Floats, b: Floats) -> PairedDifference:
+        return paired_difference(a, b, poses, confidence=confidence, seed=seed)
+
+    x, y, z = (differ(np.abs(old[:, k]), np.abs(new[:, k])) for k in range(3))
+    return Row(
+        situation=situation,
+        scenes=len(pairs),
+        poses=len({pair.pose for pair in pairs}),
+        teats=len(old),
+        success=_successes(pairs),
+        radial=differ(np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1)),
+        axes=(x, y, z),
+        old=added(pair.old.counts for pair in pairs),
+        new=added(pair.new.counts for pair in pairs),
+    )
+
+
+def _successes(pairs: Iterable[ScenePair]) -> Discordance:
+    """By pose: a pose succeeds when all its repeats do."""
+    old: dict[str, bool] = {}
+    new: dict[str, bool] = {}
+    for pair in pairs:
+        old[pair.pose] = old.get(pair.pose, True) and pair.old.success
+        new[pair.pose] = new.get(pair.pose, True) and pair.new.success
+    return discordance(list(old.values()), list(new.values()))
+
+
+def _adjusted(rows: Sequence[Row]) -> tuple[Row, ...]:
+    success = holm([row.success.p_value for row in rows])
+    asked = [row for row in rows if row.radial.p_value is not None]
+    radial = dict(zip((row.situation for row in asked), holm([row.radial.p_value or 0.0 for row in asked]), strict=True))
+    return tuple(replace(row, success_holm=p, radial_holm=radial.get(row.situation)) for row, p in zip(rows, success, strict=True))
+
+
+def _more(what: str, old: int, new: int) -> list[str]:
+    more = new - old
+    return [f"{more} {what}{'s' if more > 1 else ''} more ({new} instead of {old})"] if more > 0 else []

@@ -1,0 +1,111 @@
+"""Whatever frames and calibration any shipped detector meets: it works, or says in one sentence why not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from detector.calibration import Calibration
+from detector.calibration.thesis_rig import thesis_published
+from detector.protocol import Detection
+from detector.registry import available, create
+from tests.detector.conftest import Draw, Pictures
+
+NAMES = list(available([]))
+
+
+@pytest.fixture(scope="module")
+def frames(draw: Draw, teats_mm: NDArray[np.float64]) -> Pictures:
+    return draw(teats_mm)
+
+
+def every(change: Callable[[NDArray[Any]], NDArray[Any]]) -> Callable[[Pictures], Pictures]:
+    def changed(frames: Pictures) -> Pictures:
+        assert frames.thermal is not None
+        return Pictures(change(frames.left), change(frames.right), change(frames.thermal), frames.thermal_k)
+
+    return changed
+
+
+def noise(like: NDArray[Any]) -> NDArray[Any]:
+    return np.random.default_rng(like.size).integers(0, 256, like.shape).astype(np.uint8)
+
+
+MET: dict[str, Callable[[Pictures], Pictures]] = {
+    "1 x 1": every(lambda p: p[:1, :1]),
+    "1 x 1 thermal": lambda f: replace(f, thermal=np.zeros((1, 1), np.uint8)),
+    "1 x 1 left": lambda f: replace(f, left=f.left[:1, :1]),
+    "half size": every(lambda p: np.ascontiguousarray(p[::2, ::2])),
+    "turned": every(lambda p: np.ascontiguousarray(p.T)),
+    "empty": every(lambda p: p[:0, :0]),
+    "one row": every(lambda p: p[:1]),
+    "16-bit": every(lambda p: p.astype(np.uint16) * 257),
+    "float": every(lambda p: p / 255.0),
+    "boolean": every(lambda p: p > 100),
+    "colour": every(lambda p: np.dstack([p, p, p])),
+    "black": every(np.zeros_like),
+    "saturated": every(lambda p: np.full_like(p, 255)),
+    "noise only": every(noise),
+    "thermal black": lambda f: replace(f, thermal=np.zeros_like(f.thermal)),
+    "thermal noise": lambda f: replace(f, thermal=noise(np.zeros((480, 640)))),
+    "swapped": lambda f: replace(f, left=f.right, right=f.left),
+    "no thermal": lambda f: replace(f, thermal=None),
+    "kelvin of one pixel": lambda f: replace(f, thermal=None, thermal_k=np.full((1, 1), 305.0)),
+    "kelvin not a number": lambda f: replace(f, thermal=None, thermal_k=np.full((120, 160), np.nan)),
+    "kelvin in a row": lambda f: replace(f, thermal=None, thermal_k=np.full(7, 305.0)),
+}
+HOPELESS = ("1 x 1", "1 x 1 thermal", "1 x 1 left", "half size", "turned", "empty", "one row", "black", "saturated", "no thermal")
+
+
+def told(found: Detection) -> None:
+    """Held to be an answer: numbers that are finite, or one sentence."""
+    assert isinstance(found, Detection)
+    assert all(np.isfinite(teat.world_mm).all() and teat.world_mm.shape == (3,) for teat in found.teats)
+    assert 0 <= found.hidden <= 4
+    if not found.teats:
+        assert found.reason
+    if found.reason:
+        assert "\n" not in found.reason
+        assert len(found.reason) < 200
+        assert "Error" not in found.reason
+        assert "Traceback" not in found.reason
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("what", list(MET))
+def test_it_works_or_says_why_not(name: str, what: str, frames: Pictures, rig: Calibration) -> None:
+    found = create(name, []).detect(MET[what](frames), rig)
+    told(found)
+    if what in HOPELESS:
+        assert found.teats == (), what
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_calibration_without_a_thermal_pose(name: str, frames: Pictures) -> None:
+    calibration = thesis_published()
+    assert calibration.thermal_from_left is None
+    told(create(name, []).detect(frames, calibration))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_16_bit_pictures_are_the_8_bit_ones(name: str, frames: Pictures, rig: Calibration) -> None:
+    narrow, wide = (create(name, []).detect(f, rig) for f in (frames, MET["16-bit"](frames)))
+    assert len(narrow.teats) == len(wide.teats)
+    for a, b in zip(narrow.teats, wide.teats, strict=True):
+        assert np.allclose(a.world_mm, b.world_mm, atol=0.5)  # edges as hard as drawn ones fall on either side of a pixel by rounding
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_pictures_that_cannot_be_written_to_are_enough(name: str, frames: Pictures, rig: Calibration) -> None:
+    for picture in (frames.left, frames.right, frames.thermal):
+        assert picture is not None
+        picture.setflags(write=False)
+    told(create(name, []).detect(frames, rig))
+    for picture in (frames.left, frames.right, frames.thermal):
+        assert picture is not None
+        picture.setflags(write=True)

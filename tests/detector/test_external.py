@@ -1,0 +1,265 @@
+"""Detectors in processes of their own, good and bad: each is what it is, none hangs, none outlives whoever asked."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from detector.calibration import Calibration
+from detector.external import ExternalDetector
+from detector.external.process import resident_mib
+from detector.protocol import Detection, DetectionFailure, Detector, Outcome, Served
+from tests.conftest import ROOT
+from tests.detector.children import GOOD, HEAD, answering, child
+from tests.detector.conftest import Pictures
+
+Start = Callable[..., ExternalDetector]
+PICTURES = Pictures(np.full((8, 9), 7, np.uint8), np.zeros((8, 9), np.uint8), None, np.full((3, 4), 305.15))
+linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a process's memory and all its descendants")
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    made: list[ExternalDetector] = []
+
+    def begin(program: str, **limits: float | None) -> ExternalDetector:
+        made.append(child(tmp_path, program, **limits))
+        return made[-1]
+
+    yield begin
+    for detector in made:
+        detector.close()
+
+
+def failure(detector: ExternalDetector, calibration: Calibration) -> DetectionFailure:
+    with pytest.raises(DetectionFailure) as caught:
+        ask(detector, calibration)
+    return caught.value
+
+
+def ask(detector: ExternalDetector, calibration: Calibration) -> Detection:
+    detector.prepare(PICTURES, calibration)
+    return detector.detect(PICTURES, calibration)
+
+
+def test_it_answers_and_its_start_stands_apart(start: Start, rig: Calibration) -> None:
+    detector = start(GOOD)
+    assert isinstance(detector, Served)
+    as_any: Detector = detector
+    assert as_any.parameters["command"][0] == sys.executable
+    assert len(as_any.version) == 12
+    detector.prepare(PICTURES, rig)
+    assert detector.start_up_s is not None
+    assert detector.start_up_s > 0
+    found = detector.detect(PICTURES, rig)
+    assert (found.hidden, found.teats[0].world_mm.tolist()) == (1, [1, 2, 3])
+    detector.prepare(PICTURES, rig)
+    assert detector.start_up_s is None, "it runs already"
+
+
+def test_it_gets_the_pictures_and_the_calibration_as_they_are(start: Start, rig: Calibration, tmp_path: Path) -> None:
+    kept = tmp_path / "seen"
+    kept.mkdir()
+    copies = f'import shutil\n[shutil.copy(p, {str(kept)!r}) for k, p in asked.items() if k != "frame"]\n'
+    what = copies + 'say({"frame": asked["frame"], "teats": []})'
+    ask(start(answering(what)), rig)
+    left, kelvin = (cv2.imread(str(kept / f"1-{name}.png"), cv2.IMREAD_UNCHANGED) for name in ("left", "thermal_radiometric"))
+    assert np.array_equal(left, PICTURES.left)
+    assert kelvin is not None
+    assert kelvin.dtype == np.uint16
+    assert (kelvin == 30515).all()
+    assert sorted(path.name for path in kept.iterdir()) == ["1-left.png", "1-right.png", "1-thermal_radiometric.png", "calibration.toml"]
+
+
+SILENT, PARTIAL = "time.sleep(60)", 'print("{\\"frame\\": ", end="", flush=True)\ntime.sleep(60)'
+
+
+@pytest.mark.parametrize(
+    ("what", "outcome", "told"),
+    [
+        (SILENT, Outcome.TIMEOUT, "it gave no answer within 1.5 s"),
+        (PARTIAL, Outcome.TIMEOUT, 'stuck in the middle of a line that begins "{"frame":"'),
+        ("sys.exit(3)", Outcome.FAILED, "it ended with exit code 3"),
+        ('print("{\\"fra", end="", flush=True)\nsys.exit(1)', Outcome.FAILED, 'exit code 1 in the middle of a line that begins "{"fra"'),
+        ("raise KeyError('no teat')", Outcome.FAILED, "it ended with exit code 1"),
+        ("os.kill(os.getpid(), 11)", Outcome.FAILED, "it was ended by signal 11"),
+        ("os.close(1)\ntime.sleep(60)", Outcome.FAILED, "it closed its output"),
+        ('print("debug: here", flush=True)', Outcome.FAILED, 'its line is not JSON: "debug: here"'),
+        ('say({"frame": "0", "teats": []})', Outcome.FAILED, "it was asked about frame"),
+        ('say({"frame": asked["frame"], "teats": 4})', Outcome.FAILED, 'no list "teats"'),
+        ('sys.stdout.write("x" * (1 << 21))\nsys.stdout.flush()', Outcome.FAILED, "wrote a line of more than"),
+        ('sys.stdout.write("{}\\n" * 500)\nsys.stdout.flush()', Outcome.FAILED, "it was asked about frame|without being asked"),
+    ],
+)
+def test_a_bad_call_is_what_it_is(start: Start, rig: Calibration, what: str, outcome: Outcome, told: str) -> None:
+    if os.name == "nt" and "kill" in what:
+        pytest.skip("no such signal")
+    found = failure(start(answering(what), answer_s=1.5 if outcome is Outcome.TIMEOUT else 60.0), rig)
+    assert found.outcome is outcome
+    assert any(part in str(found) for part in told.split("|")), found
+
+
+@pytest.mark.parametrize(
+    ("ready", "outcome", "told"),
+    [
+        ("time.sleep(60)", Outcome.TIMEOUT, "it was not ready within 0.5 s of its start"),
+        ("sys.exit(2)", Outcome.FAILED, "exit code 2 before it was ready"),
+        ('print("hello", flush=True)', Outcome.FAILED, "not JSON"),
+        ('say({"frame": "1"})', Outcome.FAILED, "its first line must be"),
+    ],
+)
+def test_a_bad_start_is_what_it_is(start: Start, rig: Calibration, ready: str, outcome: Outcome, told: str) -> None:
+    detector = start(answering("pass", ready), start_s=0.5 if outcome is Outcome.TIMEOUT else 30.0)
+    found = failure(detector, rig)
+    assert (found.outcome, told in str(found)) == (outcome, True), found
+    assert detector.start_up_s is None
+
+
+def test_a_program_that_is_not_there(rig: Calibration) -> None:
+    detector = ExternalDetector("none", ["/no/such/program"], time.perf_counter)
+    assert "exit code 127" in str(failure(detector, rig)) or os.name == "nt"
+    assert "can't be started: No such file" in detector.said() or os.name == "nt"
+    detector.close()
+
+
+def test_after_a_fault_it_is_started_again(start: Start, rig: Calibration) -> None:
+    every_other = 'sys.exit(1) if asked["frame"] in ("2", "3") else say({"frame": asked["frame"], "teats": []})'
+    detector = start(answering(every_other))
+    outcomes = []
+    for _ in range(5):
+        try:
+            outcomes.append(len(ask(detector, rig).teats) == 0)
+        except DetectionFailure:
+            outcomes.append(False)
+    assert outcomes == [True, False, False, True, True]
+
+
+def test_it_is_given_up_in_the_end_with_a_sentence(start: Start, rig: Calibration) -> None:
+    detector = start(answering("sys.exit(1)"), in_a_row=2)
+    assert "switched off" not in str(failure(detector, rig))
+    assert "exit code 1. After 2 faults in a row it is switched off for the rest of the run" in str(failure(detector, rig))
+    for _ in range(2):
+        off = failure(detector, rig)
+        assert off.outcome is Outcome.OFF
+        assert str(off) == "switched off for the rest of the run after 2 faults in a row; the last: it ended with exit code 1"
+
+
+def test_starts_are_bounded_also_with_answers_between(start: Start, rig: Calibration) -> None:
+    detector = start(answering('say({"frame": asked["frame"], "teats": []})\nsys.exit(0)'), restarts=1)
+    ask(detector, rig)
+    failure(detector, rig)
+    ask(detector, rig)
+    assert "After 2 starts it is switched off" in str(failure(detector, rig))
+
+
+def test_wrong_values_cost_the_answer_but_not_the_process(start: Start, rig: Calibration) -> None:
+    what = 'say({"frame": asked["frame"], "teats": 4 if asked["frame"] == "1" else [], "hidden": os.getpid()})'
+    detector = start(answering(what))
+    failure(detector, rig)
+    ask(detector, rig)
+    assert detector.start_up_s is None, "it was not started again"
+
+
+def test_what_it_writes_to_standard_error_is_kept_within_bounds(start: Start, rig: Calibration) -> None:
+    what = 'print("seen", asked["frame"], file=sys.stderr, flush=True)\nif asked["frame"] == "2": raise ValueError("no teat")\n'
+    detector = start(answering(what + 'say({"frame": asked["frame"], "teats": []})'))
+    ask(detector, rig)
+    failure(detector, rig)
+    said = detector.said()
+    assert "seen 2" in said
+    assert said.endswith("ValueError: no teat")
+    assert detector.said() == ""
+    noisy = start(answering('sys.stderr.write("x" * 200_000)\nsys.stderr.flush()\nsys.exit(1)'))
+    failure(noisy, rig)
+    assert noisy.said().startswith("(183616 bytes before this are left out)")
+
+
+@linux
+def test_memory_is_watched_during_and_after_a_call(start: Start, rig: Calibration) -> None:
+    hoard = "kept = bytearray(os.urandom(1)) * (200 << 20)\n"
+    during = start(answering(hoard + "time.sleep(60)"), memory_mib=120.0)
+    assert "MiB of memory, 120 MiB are allowed" in str(failure(during, rig))
+    after = start(answering(hoard + 'say({"frame": asked["frame"], "teats": []})'), memory_mib=120.0)
+    ask(after, rig)
+    with pytest.raises(DetectionFailure, match="MiB of memory"):
+        after.check()
+    ask(after, rig)
+    assert after.start_up_s is not None, "it was started again"
+    used = resident_mib(os.getppid())
+    assert used is not None
+    assert used > 1
+
+
+def alive(pid: int) -> bool:
+    try:
+        return b") Z" not in Path(f"/proc/{pid}/stat").read_bytes()
+    except OSError:
+        return False
+
+
+GRANDCHILD = """
+spec = dict(start_new_session=True, stdin=subprocess.DEVNULL)
+grandchild = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], **spec)
+with open(%r, "w") as file: file.write(f"{os.getpid()} {grandchild.pid}")
+"""
+
+
+@linux
+@pytest.mark.parametrize("ending", ["close", "crash", "timeout"])
+def test_a_grandchild_in_a_session_of_its_own_ends_too(start: Start, rig: Calibration, tmp_path: Path, ending: str) -> None:
+    deed = {"close": 'say({"frame": asked["frame"], "teats": []})', "crash": "sys.exit(1)", "timeout": "time.sleep(60)"}[ending]
+    detector = start(answering(deed, GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})'), answer_s=0.5)
+    if ending == "close":
+        ask(detector, rig)
+    else:
+        failure(detector, rig)
+    pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
+    assert all(alive(pid) for pid in pids) == (ending == "close")
+    detector.close()
+    detector.close()
+    assert not any(alive(pid) for pid in pids)
+
+
+@linux
+def test_nothing_outlives_a_bench_that_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "program.py").write_text(
+        HEAD + GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})\ntime.sleep(600)', encoding="utf-8"
+    )
+    bench = f"""
+import sys, time
+from pathlib import Path
+from detector.external.process import Child
+child = Child([sys.executable, {str(tmp_path / "program.py")!r}], None, None, time.perf_counter)
+child.line(60.0)
+print("up", flush=True)
+time.sleep(600)
+"""
+    with subprocess.Popen([sys.executable, "-c", bench], cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "up\n"
+        pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
+        assert all(alive(pid) for pid in pids)
+        process.kill()
+    deadline = time.monotonic() + 20
+    while any(alive(pid) for pid in pids) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not any(alive(pid) for pid in pids)
+
+
+def test_closing_removes_the_pictures(start: Start, rig: Calibration, tmp_path: Path) -> None:
+    place = tmp_path / "where"
+    what = f'open({str(place)!r}, "w").write(asked["left"])\nsay({{"frame": asked["frame"], "teats": []}})'
+    detector = start(answering(what))
+    ask(detector, rig)
+    left = Path(place.read_text(encoding="utf-8"))
+    assert left.is_file()
+    detector.close()
+    assert not left.parent.exists()

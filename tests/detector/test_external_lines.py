@@ -1,0 +1,126 @@
+"""The codec between the bench and a detector in a process of its own: whatever comes, it is an answer or one of two refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from detector.calibration import Calibration
+from detector.external.lines import BadAnswer, Garbled, answer_line, check_ready, parse_answer, request_line, shown
+from detector.protocol import Detection, Teat
+
+
+def line(**answer: Any) -> bytes:
+    return json.dumps({"frame": "7", "teats": [], **answer}).encode()
+
+
+def test_a_question_names_the_pictures_that_there_are() -> None:
+    asked = json.loads(request_line("7", {"left": Path("l.png"), "right": Path("r.png")}, Path("ü/c.toml")))
+    assert asked == {"frame": "7", "left": "l.png", "right": "r.png", "calibration": str(Path("ü/c.toml"))}
+    assert request_line("7", {}, Path("x")).count(b"\n") == 1
+
+
+def test_world_points_are_taken_as_they_are(rig: Calibration) -> None:
+    spread = [[1.0, 0.1, 0], [0.1, 1, 0], [0, 0, 2]]
+    told = line(teats=[{"world_mm": [1, 2.5, -3], "covariance_mm2": spread, "colour": "pink"}], hidden=3, reason="one is dark")
+    found = parse_answer(told, "7", rig)
+    assert (found.hidden, found.reason) == (3, "one is dark")
+    assert found.teats[0].world_mm.tolist() == [1, 2.5, -3]
+    assert found.teats[0].covariance_mm2 is not None
+    assert found.teats[0].covariance_mm2.tolist() == spread
+
+
+def test_pixel_pairs_are_triangulated(rig: Calibration) -> None:
+    end = np.array([[-140.0, 205.0, 136.0]])
+    left, right = rig.project(end)
+    (teat,) = parse_answer(line(teats=[{"left_px": left[0].tolist(), "right_px": right[0].tolist()}]), "7", rig).teats
+    assert np.allclose(teat.world_mm, end[0], atol=1e-6)
+    assert teat.left_px is not None
+    assert np.allclose(teat.left_px, left[0])
+
+
+@pytest.mark.parametrize(
+    ("sent", "told"),
+    [
+        (b"nonsense", "not JSON"),
+        (b"\xff\xfe\n", "not JSON"),
+        (b"", "not JSON"),
+        (b"[" * 100_000, "not JSON"),
+        (b"[1]", "no JSON object"),
+        (line(frame="8"), "asked about frame"),
+        (line(frame=7), "asked about frame"),
+        (b'{"teats": []}', "asked about frame"),
+    ],
+)
+def test_what_is_no_answer_is_garbled(rig: Calibration, sent: bytes, told: str) -> None:
+    with pytest.raises(Garbled, match=told):
+        parse_answer(sent, "7", rig)
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        ({"teats": None}, 'no list "teats"'),
+        ({"teats": {}}, 'no list "teats"'),
+        ({"teats": [[1, 2, 3]]}, "teat 1 of its answer is no object"),
+        ({"teats": [{}]}, 'neither "world_mm" nor'),
+        ({"teats": [{"left_px": [1, 2]}]}, 'neither "world_mm" nor'),
+        ({"teats": [{"world_mm": [1, 2]}]}, "not 3 numbers"),
+        ({"teats": [{"world_mm": [1, 2, "x"]}]}, "not 3 numbers"),
+        ({"teats": [{"world_mm": [True, False, True]}]}, "not 3 numbers"),
+        ({"teats": [{"world_mm": [1, 2, None]}]}, "not 3 numbers"),
+        ({"teats": [{"world_mm": [1, [2], 3]}]}, "not 3 numbers"),
+        ({"teats": [{"world_mm": [1, 2, 10**400]}]}, "not 3 numbers"),
+        ({"teats": [{"world_mm": [1, 2, 3], "covariance_mm2": [[1, 0], [0, 1]]}]}, "not 3 x 3 numbers"),
+        ({"hidden": "two"}, "not a whole number"),
+        ({"hidden": True}, "not a whole number"),
+        ({"hidden": 1.5}, "not a whole number"),
+        ({"reason": 5}, "not text"),
+    ],
+)
+def test_wrong_values_are_told(rig: Calibration, answer: dict[str, Any], told: str) -> None:
+    with pytest.raises(BadAnswer, match=told):
+        parse_answer(line(**answer), "7", rig)
+
+
+def test_the_first_line_says_ready() -> None:
+    check_ready(b'{"ready": true, "name": "mine"}\n')
+    for wrong in (b'{"ready": 1}', b"ready", b'{"frame": "1"}'):
+        with pytest.raises(Garbled):
+            check_ready(wrong)
+
+
+def test_what_serve_says_is_what_the_bench_hears(rig: Calibration) -> None:
+    teat = Teat(np.array([1.0, 2.0, 3.0]), np.eye(3))
+    heard = parse_answer(answer_line("7", Detection((teat, teat), 1, "why")), "7", rig)
+    assert (len(heard.teats), heard.hidden, heard.reason) == (2, 1, "why")
+    assert np.array_equal(heard.teats[1].covariance_mm2, np.eye(3))  # type: ignore[arg-type]
+
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["world_mm", "left_px", "right_px", "x"]), inner),
+    max_leaves=12,
+)
+
+
+@given(st.fixed_dictionaries({"frame": st.just("7")}, optional={"teats": anything, "hidden": anything, "reason": anything}))
+def test_any_json_is_an_answer_or_refused(rig: Calibration, answer: dict[str, Any]) -> None:
+    try:
+        found = parse_answer(json.dumps(answer).encode(), "7", rig)
+    except BadAnswer:
+        return
+    assert all(teat.world_mm.shape == (3,) for teat in found.teats)
+
+
+@given(st.binary(max_size=60))
+def test_any_bytes_are_refused(rig: Calibration, data: bytes) -> None:
+    with pytest.raises(Garbled):
+        parse_answer(data, "7", rig)
+    assert len(shown(data)) <= 80
