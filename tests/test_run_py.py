@@ -93,7 +93,7 @@ def test_a_second_call_installs_nothing(run_py: ModuleType, tmp_path: Path) -> N
     start = time.perf_counter()
     done = subprocess.run([sys.executable, str(tmp_path / "run.py"), "test", "-q"], check=False)
     assert done.returncode == 0
-    assert log.read_text(encoding="utf-8") == "-m pytest -q\n", f"{time.perf_counter() - start:.2f} s"
+    assert log.read_text(encoding="utf-8") == "-m pytest --numprocesses auto --dist loadfile -q\n", f"{time.perf_counter() - start:.2f} s"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
