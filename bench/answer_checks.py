@@ -30,7 +30,7 @@ def checked(detection: Any) -> Detection:
         raise DetectionFailure(f"its answer has {len(detection.teats)} teats; {MOST_TEATS} are taken at most")
     teats = tuple(_teat(number, teat) for number, teat in enumerate(detection.teats, 1))
     trace, lost = _trace(detection.trace)
-    reason = "; ".join(str(part) for part in (detection.reason, lost) if part is not None)[:LONGEST_REASON]
+    reason = "; ".join(" ".join(str(part).split()) for part in (detection.reason, lost) if part is not None)[:LONGEST_REASON]
     return Detection(teats, int(hidden), reason or None, trace)
 
 

@@ -12,7 +12,25 @@ import sys
 from collections.abc import Sequence
 
 from bench import __version__
-from bench.commands import CODES, EXIT_CODES, Commands, arm, bath, bench_alone, calibrate, camera, compare, frames, lists, plan, runs, stage, trials, wire
+from bench.commands import (
+    CODES,
+    EXIT_CODES,
+    Commands,
+    arm,
+    bath,
+    bench_alone,
+    calibrate,
+    camera,
+    compare,
+    frames,
+    lists,
+    plan,
+    runs,
+    stage,
+    store,
+    trials,
+    wire,
+)
 from bench.exits import installed
 
 
@@ -47,6 +65,8 @@ def _run(given: argparse.Namespace) -> int:
     except BrokenPipeError:  # the reader of our output has gone (`| head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CODES.met
+    except OSError as error:  # a disk that is full, a folder that may not be written, amid whatever the command did
+        return complain(f"{error}. Is the disk full, or the folder read-only?", CODES.fault)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -54,7 +74,7 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(prog="teatbench", description="A hardware-in-the-loop test bench for teat detectors.", epilog=EXIT_CODES)
     top.add_argument("--version", action="version", version=f"teatbench {__version__}")
     commands = Commands(top.add_subparsers(title="commands", metavar="COMMAND", required=True))
-    for family in (runs, compare, plan, frames, bench_alone, arm, bath, stage, camera, calibrate, wire, trials, lists):
+    for family in (runs, compare, plan, store, frames, bench_alone, arm, bath, stage, camera, calibrate, wire, trials, lists):
         family.add_to(commands)
     return top
 

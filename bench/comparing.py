@@ -14,6 +14,7 @@ from pathlib import Path
 from bench.config import ConfigError, did_you_mean
 from bench.record import RunRecord, TrialRecord, read_run
 from bench.scoring.comparison import Compared, ScenePair, compare
+from bench.scoring.pool import Pool
 
 CAMERAS = frozenset({"left", "right", "thermal", "thermal_radiometric"})  # other pictures are a detector's own
 
@@ -48,6 +49,16 @@ class Comparison:
     only_old: int
     only_new: int
     compared: Compared
+
+
+def scored_together(runs: Sequence[RunRecord], detector: str) -> Pool:
+    """The scores of one detector over several runs as one: counts and errors side by side, so nothing is an average of averages.
+
+    A pose of one script is the same pose in every run of it, and succeeds when it does in all; poses of two scripts differ.
+    """
+    sides = [Side(run, detector) for run in runs]
+    rows = [((str(side.run.facts.get("script", side.run.folder)), trial.pose), trial) for side in sides for trial in side.trials]
+    return Pool(tuple(trial.scores[detector] for _, trial in rows), tuple(pose for pose, _ in rows))
 
 
 def compare_folders(

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from bench.comparing import Comparison
-from bench.comparison_words import COLUMNS, LEGEND, as_json, heading, notes, rows, verdict_told
+from bench.comparison_words import DISTANCE, LEGEND, SUCCESS, as_json, distance_rows, heading, notes, success_rows, verdict_told
 from bench.config import ConfigError
 from bench.scoring.comparison import ScenePair, why_failed
 from bench.scoring.decisions import Verdict, overall
@@ -59,11 +59,15 @@ def comparison_parts(comparison: Comparison) -> Iterator[Part]:
     """What a page says of one comparison; a run's report can take the same."""
     gate = comparison.compared.gate
     yield Paragraph(f"{verdict_told(comparison)} {_listed(gate.reasons)}", tone=TONES[gate.verdict])
-    columns = tuple(Column(title, "right" if number else "left", unit) for number, (title, unit) in enumerate(COLUMNS))
-    yield Table(heading(comparison), columns, tuple(rows(comparison)), LEGEND)
+    yield Table("Success of poses, and what was counted", _columns(SUCCESS), tuple(success_rows(comparison)), LEGEND)
+    yield Table("Distance to the teat end", _columns(DISTANCE), tuple(distance_rows(comparison)))
     yield Notes("Of this comparison", tuple(notes(comparison)))
     yield _changed(comparison)
     yield key_values("Compared", [("old run", comparison.old.run.folder.name), ("new run", comparison.new.run.folder.name)])
+
+
+def _columns(titles: Sequence[tuple[str, str]]) -> tuple[Column, ...]:
+    return tuple(Column(title, "right" if number else "left", unit) for number, (title, unit) in enumerate(titles))
 
 
 def _changed(comparison: Comparison) -> Table:

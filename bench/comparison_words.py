@@ -12,28 +12,25 @@ from bench.scoring.decisions import Verdict
 from bench.scoring.paired import PairedDifference
 from bench.summary.wording import NOT_MEASURED
 
-COLUMNS = (
+SUCCESS = (
     ("situation", ""),
-    ("scenes", ""),
     ("poses", ""),
     ("lost", ""),
     ("won", ""),
-    ("success", "% points"),
+    ("change", "% points"),
     ("p", ""),
     ("false", ""),
     ("missed", ""),
-    ("teats", ""),
-    ("distance", "mm"),
-    ("p", ""),
-    ("|x|, |y|, |z|", "mm"),
 )
+DISTANCE = (("situation", ""), ("teats", ""), ("change", "mm"), ("p", ""), ("|x|", "mm"), ("|y|", "mm"), ("|z|", "mm"))
 LEGEND = (
     "All differences are new less old, with their intervals. Lost and won: poses that only the old or only the new one got right (exact "
-    "McNemar; the interval is Tango's). Distance: mean over poses, of teats that both found (bootstrap over poses, BCa; p by sign flips). "
-    "The p-values of situations are adjusted after Holm."
+    "McNemar; the interval is Tango's). Distance: mean over poses of the distance to the end, of teats that both found (bootstrap over "
+    "poses, BCa, Student's for fewer than 10; p by sign flips); |x|, |y|, |z|: of the absolute error along the world's axes. The p-values "
+    "of situations are adjusted after Holm."
 )
 TOLD = {
-    Verdict.MET: "The new one is not worse.",
+    Verdict.MET: "The new one is not worse:",
     Verdict.NOT_MET: "THE NEW ONE IS WORSE:",
     Verdict.INCONCLUSIVE: "Whether the new one is worse can't be told:",
 }
@@ -61,12 +58,27 @@ def notes(comparison: Comparison) -> Iterator[str]:
     yield f"Intervals: {100 * comparison.compared.confidence:g} %. Margin: {comparison.compared.gate.margin_mm:g} mm."
 
 
-def rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
-    """The table's rows: all, then each situation."""
+def success_rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
+    """The rows under SUCCESS: all, then each situation."""
+    confidence = comparison.compared.confidence
+    for row in _rows(comparison):
+        won, p = row.success, row.success.p_value if row.success_holm is None else row.success_holm
+        counts = (f"{row.new.false - row.old.false:+d}", f"{row.new.missed - row.old.missed:+d}")
+        name = row.situation or "all"
+        yield (name, str(row.poses), str(won.only_old), str(won.only_new), _percent_points(row, confidence), _p(p), *counts)
+
+
+def distance_rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
+    """The rows under DISTANCE: all, then each situation."""
+    for row in _rows(comparison):
+        p = row.radial.p_value if row.radial_holm is None else row.radial_holm
+        axes = (NOT_MEASURED if axis.mean is None else f"{axis.mean:+.3f}" for axis in row.axes)
+        yield (row.situation or "all", str(row.teats), difference_told(row.radial), _p(p), *axes)
+
+
+def _rows(comparison: Comparison) -> tuple[Row, ...]:
     found = comparison.compared
-    yield _row(found.pooled, found.confidence)
-    if len(found.situations) > 1:
-        yield from (_row(row, found.confidence) for row in found.situations)
+    return (found.pooled, *(found.situations if len(found.situations) > 1 else ()))
 
 
 def difference_told(difference: PairedDifference) -> str:
@@ -101,26 +113,6 @@ def _one(comparison: Comparison) -> dict[str, Any]:
 def _numbers(row: Row, confidence: float) -> dict[str, Any]:
     success = {"difference": row.success.difference, "interval": row.success.interval(confidence), "p_value": row.success.p_value}
     return {**asdict(row), "success": {**asdict(row.success), **success}}
-
-
-def _row(row: Row, confidence: float) -> tuple[str, ...]:
-    success_p = row.success.p_value if row.success_holm is None else row.success_holm
-    radial_p = row.radial.p_value if row.radial_holm is None else row.radial_holm
-    return (
-        row.situation or "all",
-        str(row.scenes),
-        str(row.poses),
-        str(row.success.only_old),
-        str(row.success.only_new),
-        _percent_points(row, confidence),
-        _p(success_p),
-        f"{row.new.false - row.old.false:+d}",
-        f"{row.new.missed - row.old.missed:+d}",
-        str(row.teats),
-        difference_told(row.radial),
-        _p(radial_p),
-        ", ".join(NOT_MEASURED if axis.mean is None else f"{axis.mean:+.2f}" for axis in row.axes) if row.teats else NOT_MEASURED,
-    )
 
 
 def _percent_points(row: Row, confidence: float) -> str:

@@ -56,7 +56,11 @@ class ConfigError(Exception):
 
 def read_config(path: Path, model: type[Model], *, stored: bool = False) -> Model:
     """The file at ``path`` as ``model``; ``stored`` is the copy in a run that was done. Raises ConfigError with all its faults."""
-    text = read_text(path)
+    return parse_config(path, read_text(path), model, stored=stored)
+
+
+def parse_config(path: Path, text: str, model: type[Model], *, stored: bool = False) -> Model:
+    """``text`` as ``model``, as if it stood at ``path``. Raises ConfigError with all its faults."""
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

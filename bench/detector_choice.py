@@ -10,6 +10,7 @@ import re
 import shlex
 import shutil
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -89,14 +90,26 @@ def _make(name: str, folder: Path) -> Detector:
 
 def _of_command(text: str) -> Detector:
     try:
-        command = shlex.split(text, posix=os.name == "posix")
+        command = taken_apart(text, windows=os.name == "nt")
     except ValueError as error:
         raise ConfigError.plain(f"{EXEC}{text}: the command can't be taken apart: {error}") from error
     if not command:
         raise ConfigError.plain(f"{EXEC} needs a command, such as {EXEC}python3 my_detector.py")
     _find_program(command[0], Path())
-    called = next((part for part in command[1:] if Path(part).is_file()), command[0])
-    return ExternalDetector(f"exec-{re.sub(r'[^A-Za-z0-9_-]', '-', Path(called).stem)}", command, stopwatch_s)
+    return ExternalDetector(f"exec-{_called(command)}", command, stopwatch_s)
+
+
+def _called(command: Sequence[str]) -> str:
+    """A command's name: that of the first file among its words after the program, or of the module after -m, or of the program."""
+    file = next((Path(part).stem for part in command[1:] if Path(part).is_file()), None)
+    module = next((part.rpartition(".")[2] for before, part in pairwise(command) if before == "-m"), None)
+    return re.sub(r"[^A-Za-z0-9_-]", "-", file or module or Path(command[0]).stem)
+
+
+def taken_apart(text: str, *, windows: bool) -> list[str]:
+    """The words of a command; on Windows a backslash is a letter. Raises ValueError for a quotation that doesn't end."""
+    words = shlex.split(text, posix=not windows)
+    return [word[1:-1] if windows and len(word) > 1 and word[0] == word[-1] and word[0] in "\"'" else word for word in words]
 
 
 def _of_file(path: Path) -> Detector:

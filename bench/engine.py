@@ -6,38 +6,47 @@ is, and what the report will say.
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.arm.check import AFTER, BEFORE, CHECK_FACT, check_arm, told
-from bench.arm.facts import write_arm_facts
+from bench.arm.check import AFTER
 from bench.arm.tip import TipReader
 from bench.attempts import Attempts
 from bench.attention import Attention
 from bench.devices import Devices
+from bench.event_lines import WatchedProgress
 from bench.exits import current, undisturbed
 from bench.interlocks import InterlockTrip
 from bench.keeper import Keeper
 from bench.lifeline import Lifeline
+from bench.planning import PlannedTrial
+from bench.preparing import Preparation
 from bench.pulse import AwaitedOperator, Pulse
+from bench.recovery import Recovery
+from bench.reserve import Reserve
+from bench.resuming import Left, RehearsedStore
 from bench.rig import LoadedRig
-from bench.safing import start_bath
+from bench.run_state import EVENT, RunState, RunStates
 from bench.script import LoadedScript
 from bench.showing import Progress, Unfailing
 from bench.stability import StabilityGate
 from bench.store import Store
 from bench.trial_run import FrameSink, TrialRun
 from bench.truth.choosing import choose_truth
+from bench.wishes import Wishes
 from detector.protocol import Detector
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
 from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
+from instruments.operators.prompt import time_left
 
-HOMING = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
+RECORD_FAULTS = (sqlite3.Error, OSError)
 
 
 class Ending(StrEnum):
@@ -51,7 +60,8 @@ class Ending(StrEnum):
 class Engine:
     """One run. ``exact_ends`` gives the scene's exact truth where there is one; it is kept aside, never scored against.
 
-    ``pulse`` gets signs of life, ``lifeline`` is the guardian that looks at them where there is one.
+    ``pulse`` gets signs of life, ``lifeline`` is the guardian that looks at them where there is one. ``left`` is what the run's last
+    session left, where it goes on; ``typed`` gives lines that somebody typed, None while there is none.
     """
 
     def __init__(
@@ -67,26 +77,45 @@ class Engine:
         sink: FrameSink | None = None,
         pulse: Pulse | None = None,
         lifeline: Lifeline | None = None,
+        left: Left | None = None,
+        typed: Callable[[], str | None] = lambda: None,
     ) -> None:
         pulse = pulse or Pulse()
-        self._loaded = rig
         self._script = script.script
         self._planned = script.planned
+        self._left = left
+        self._rehearsed = store if isinstance(store, RehearsedStore) else None
         self._devices = replace(devices, operator=AwaitedOperator(devices.operator, pulse))
         self._store = store
         self._progress = Unfailing(progress)
-        self._tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
+        tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
         gate = self._script.bath
-        limits = gate.model_dump(include={"set_point_c", "window_s", "mean_k", "half_range_k", "slope_k_per_min", "teat_slope_k_per_min", "leave_k"})
+        limits = gate.model_dump(
+            include={"set_point_c", "window_s", "mean_k", "half_range_k", "slope_k_per_min", "teat_slope_k_per_min", "leave_k"}
+        )
         self._keeper = Keeper(rig, devices, StabilityGate(**limits), store, self._progress, pulse, lifeline)
         self._watch = self._keeper.watch
         self._attention = Attention(devices, store, self._progress, pulse, self._watch)
+        if isinstance(progress, WatchedProgress):
+            progress.fed_by(devices.clock.now, self._live)
+            self._attention.heard_by(progress.event)
+        self.states = RunStates(self._tell_state, devices.clock.now)
+        self.recovery = Recovery(self._devices, self._attention, self.states, rig.rig.limits.away_s, lambda: self._trials.look())
+        self._wishes = Wishes(store.folder, typed, self._progress.warn)
         settled = sink.settled if sink else lambda _trials, _good: None
-        self._truth = choose_truth(rig, script, self._devices, self._tip, store, self._attention, settled)
+        before = left.run if left and not self._rehearsed else None
+        self._truth = choose_truth(rig, script, self._devices, tip, store, self._attention, settled, before=before)
         self._trials = TrialRun(
-            rig, script.script, self._devices, store, detectors, self._truth, self._attention, exact_ends=exact_ends, sink=sink
-        )
-        self._attempts = Attempts(self._trials.run, len(self._planned), self._devices.operator, devices.clock, store, self._attention)
+            rig, script.script, self._devices, store, detectors, self._truth, self._attention,
+            exact_ends=exact_ends, sink=sink, states=self.states,
+        )  # fmt: skip
+        self._attempts = Attempts(
+            self._trials.run, len(self._planned), self._devices.operator, devices.clock, store, self._attention,
+            through=self.recovery.run, away_s=lambda: self.states.away_s, poison=left.poison if left else {},
+        )  # fmt: skip
+        session = store.session if left and not self._rehearsed else 1
+        self._preparation = Preparation(rig, script.script, self._devices, store, tip, self._attention, self.recovery, session)
+        self._reserve = Reserve(store.folder)
         self.bath_is_safe = False  # until the run has ended and made it so
 
     def run(self) -> Ending:
@@ -94,6 +123,7 @@ class Engine:
         exits, ending = current(), Ending.FAULTED
         exits.at_close = self._keeper.heater_off
         try:
+            self._reserve.keep()
             self._work()
         except BaseException as why:
             exits.hold()
@@ -109,56 +139,97 @@ class Engine:
         return ending
 
     def _work(self) -> None:
-        self._prepare()
+        self.states.to(RunState.PREPARING)
+        self._preparation.run()
         self._truth.begin()
-        planned = self._planned
-        for trial in planned:
-            self._progress.trial(trial.number - 1, len(planned), trial.name)
-            self._attempts.run(trial)
-        self._progress.trial(len(planned), len(planned), "")
+        self._attention.heed = self._wishes.look
+        for trial in self._planned:
+            self._progress.trial(trial.number - 1, len(self._planned), trial.name)
+            self._one(trial)
+        self._attention.heed = lambda: None
+        self._go_live()  # where all trials had their result, and only the end was missing
+        self._progress.trial(len(self._planned), len(self._planned), "")
         self._truth.end()
-        self._check_arm(AFTER)
+        self._preparation.check_arm(AFTER)
         self._devices.operator.finish()
+
+    def _one(self, trial: PlannedTrial) -> None:
+        """A trial as it is due: run, gone through again, or passed over since it has its result."""
+        if self._left and trial.id in self._left.done:
+            if self._rehearsed and trial.id not in self._left.poison:
+                self._trials.rehearsing = True
+                self._attempts.run(trial)
+            else:
+                self._attempts.passed()
+            return
+        self._go_live()
+        self._pause_if_asked()
+        self._attempts.run(trial)
+
+    def _go_live(self) -> None:
+        """The first trial without a result is next: from here on all is new, and on record."""
+        left, self._left = self._left, None
+        self._trials.rehearsing = False
+        if left is None:
+            return
+        told = f"session {self._store.session} goes on after {len(left.done)} trials"
+        if self._rehearsed:
+            self._rehearsed.go_live()
+            seen = self._rehearsed.compared
+            told += f", gone through again on the emulated rig: {len(seen.same)} with the same touches"
+            if seen.differ:
+                self._progress.warn(f"The emulated world is not the one that the run began in: touches differ in {', '.join(seen.differ)}.")
+                told += f", other touches in {', '.join(seen.differ)}: WHAT FOLLOWS IS NOT WHAT AN UNDISTURBED RUN WOULD GIVE"
+            self._attention.event(EVENT, self.states.current.value)
+        self._attention.event("resumed", told)
+
+    def _pause_if_asked(self) -> None:
+        """Between two trials, until somebody says to go on. The bath is watched meanwhile."""
+        self._wishes_looked_at()
+        if not self._wishes.paused:
+            return
+        with self.states.during(RunState.PAUSED):
+            self._progress.warn(f"Paused, as asked. To go on: teatbench tell {self._store.folder} go on (or type: go on)")
+            while self._wishes.paused:
+                self._attention.wait(1.0)
+
+    def _wishes_looked_at(self) -> None:
+        try:
+            self._wishes.look()
+        except (OperatorSkip, OperatorRepeat) as wish:
+            self._progress.warn(f"{wish}: no trial is in flight just now, so nothing was done")
+
+    def _live(self) -> dict[str, str]:
+        """What a line in the terminal says beside what is being done."""
+        bath, left_s = self._watch.last, self._attempts.left_s
+        told = {} if bath is None else {"bath": f"bath {bath.temp_c:.2f} degC, {self._watch.state.value}"}
+        return told | ({} if left_s is None else {"left": time_left(left_s)})
+
+    def _tell_state(self, state: RunState) -> None:
+        self._attention.event(EVENT, state.value)
 
     def _ended_by(self, why: BaseException) -> Ending:
         """The ending that ``why`` means, written down; raises it again when it is a mistake of the bench."""
+        self._reserve.give_back()
+        if self._rehearsed:
+            self._rehearsed.go_live()
         if isinstance(why, KeyboardInterrupt | OperatorAbort | OperatorSkip | OperatorRepeat) and self._watch.tripped is None:
-            self._attention.event("aborted", str(why) or "the run was interrupted (Ctrl-C)")
+            self._write_down("aborted", str(why) or "the run was interrupted (Ctrl-C)")
             return Ending.ABORTED
         cause = self._watch.tripped or why  # a braked stage or an impatient operator may have come first
+        if isinstance(cause, RECORD_FAULTS):
+            then = f"Make room or make the folder writable, then: teatbench resume {self._store.folder}"
+            self._write_down("fault", f"the record could not be written: {type(cause).__name__}: {cause}. {then}", aloud=True)
+            return Ending.FAULTED
         if not isinstance(cause, InstrumentError | InterlockTrip):
-            self._attention.event("fault", f"a mistake of the bench: {type(cause).__name__}: {cause}")
+            self._write_down("fault", f"a mistake of the bench: {type(cause).__name__}: {cause}")
             raise cause
-        self._attention.event("fault", str(cause))
+        self._write_down("fault", str(cause))
         return Ending.FAULTED
-
-    def _prepare(self) -> None:
-        d = self._devices
-        self._attention.note("preparing")
-        self._watch.start()
-        d.operator.heed(self._watch.check)
-        self._attention.long("signing on to the arm", 120.0)
-        d.arm.sign_on()
-        write_arm_facts(self._store, self._loaded)
-        self._tip.refuse_other_arm()
-        d.operator.confirm_homing(HOMING)
-        d.arm.confirm_homed()
-        self._check_arm(BEFORE)
-        self._attention.check()
-        if d.stage:
-            self._attention.long("homing the stage", 600.0)
-            d.stage.connect()
-            d.stage.home()
-            self._attention.check()
-        self._store.fact("identities", d.identities())
-        self._store.fact("arm record", d.arm.record())
-        self._attention.note(f"heating the bath to {self._script.bath.set_point_c:g} degC")
-        self._attention.long("starting the bath", 60.0)
-        start_bath(d.bath, self._script.bath.set_point_c, self._attention.wait)
-        self._watch.heating()
 
     def _finish(self, ending: Ending) -> Ending:
         """To safe first, whatever the disk, the terminal and the watch do."""
+        self._reserve.give_back()
         self._attention.long("going to safe", 300.0)
         told: list[str] = []
         asked = len(current().asked)
@@ -169,21 +240,29 @@ class Engine:
         if unsafe:
             self._progress.warn(f"NOT SAFE: {', '.join(unsafe)}. {' '.join(told)} SWITCH IT OFF BY HAND.")
         for text in told:
-            self._attention.event("safe", text)
+            self._write_down("safe", text)
         if unsafe and ending is Ending.FINISHED:
             ending = Ending.FAULTED
-        self._attention.event("end", ending.value)
-        self._store.fact("ending", ending.value)
-        self._store.fact("wall_ended", wall_time().isoformat(timespec="seconds"))
-        self._store.flush()
+        self._end_states(ending)
+        self._write_down("end", ending.value)
+        self._kept(lambda: self._store.fact("retries", dict(self.recovery.counts)))
+        self._kept(lambda: self._store.fact("ending", ending.value))
+        self._kept(lambda: self._store.fact("wall_ended", wall_time().isoformat(timespec="seconds")))
+        self._kept(self._store.flush)
         return ending
 
-    def _check_arm(self, when: str) -> None:
-        """Touch the rig's check point, where it names one; what was found is a fact for the script's requirement."""
-        arm, d = self._loaded.rig.arm, self._devices
-        if arm.check_point_mm is None:
-            return
-        self._progress.state(f"checking the arm {when} the trials")
-        fact = check_arm(d.operator, self._tip, arm, d.clock, self._attention.check)
-        self._store.fact(CHECK_FACT.format(when), fact)
-        self._attention.event("arm", told(fact, when))
+    def _end_states(self, ending: Ending) -> None:
+        for state in (RunState.SAFING, RunState(ending.value)):
+            self._kept(partial(self.states.to, state))
+
+    def _write_down(self, kind: str, text: str, *, aloud: bool = False) -> None:
+        """An event, of which the run's end doesn't depend on whether it can be written."""
+        if not self._kept(lambda: self._attention.event(kind, text)) or aloud:
+            self._progress.warn(text)
+
+    def _kept(self, write: Callable[[], None]) -> bool:
+        try:
+            write()
+        except RECORD_FAULTS:
+            return False
+        return True

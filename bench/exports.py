@@ -16,7 +16,7 @@ from bench.verdicts import Judgement, run_verdict
 
 COLUMNS = (
     "trial", "situation", "repeat", "detector", "teats", "visible", "found", "missed", "false", "hidden_claimed", "hidden",
-    "max_error_mm", "mean_error_mm", "gospa_mm", "success", "seconds", "reason", "bath_c", "truth", "invalid",
+    "max_error_mm", "mean_error_mm", "gospa_mm", "success", "seconds", "cold", "outcome", "reason", "bath_c", "truth", "invalid",
 )  # fmt: skip
 
 
@@ -43,7 +43,8 @@ def trials_csv(run: RunRecord) -> str:
             tail = [score.gospa_mm if score else "", int(score.success) if score else ""]
             writer.writerow(
                 [
-                    *head, *counts, *hidden, *errors, *tail, detection["wall_seconds"], detection["reason"] or "", trial.head["bath_c"],
+                    *head, *counts, *hidden, *errors, *tail, detection["wall_seconds"], detection["cold"], detection["outcome"],
+                    detection["reason"] or "", trial.head["bath_c"],
                     trial.how or "", trial.invalid or "",
                 ]
             )
@@ -55,6 +56,7 @@ def run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
     table = {
         "facts": dict(run.facts),
         "ending": run.ending,
+        "chain": {"links": run.head.number, "digest": run.head.digest, "wall_digest": run.head.wall_digest} if run.head else None,
         "verdict": run_verdict(judgements).value,
         "judgements": [
             {"detector": j.detector, "verdict": j.verdict.value, "requirements": [d.as_dict() for d in j.decisions]} for j in judgements
@@ -63,6 +65,7 @@ def run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
             {
                 **trial.head,
                 "truth": [dict(row) for row in trial.truth],
+                "detections": [{key: value for key, value in row.items() if key != "trace"} for row in trial.detections],
                 "found": [dict(row) for row in trial.found],
                 "scores": {name: score.as_dict() for name, score in trial.scores.items()},
             }

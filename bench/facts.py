@@ -28,11 +28,13 @@ def write_facts(store: Store, facts: Mapping[str, Any], detectors: Sequence[Dete
         "items": {detector.name: item(detector) for detector in detectors},
         "calibration_sha256": hashlib.sha256(calibration.read_bytes()).hexdigest(),
         "versions": versions(),
+        "commit": commit(Path(__file__).resolve().parents[1] / ".git"),
         "command": shlex.join(["teatbench", *sys.argv[1:]]),
         "wall_started": wall_time().isoformat(timespec="seconds"),
     }
-    for key, value in everything.items():
-        store.fact(key, value)
+    with store.step():
+        for key, value in everything.items():
+            store.fact(key, value)
 
 
 def item(detector: Detector) -> dict[str, str]:
@@ -40,6 +42,21 @@ def item(detector: Detector) -> dict[str, str]:
     parameters = json.dumps(dict(detector.parameters), sort_keys=True, default=str)
     digest = hashlib.sha256(f"{detector.name} {detector.version} {parameters}".encode()).hexdigest()
     return {"name": detector.name, "version": detector.version, "configuration SHA-256": digest, "configuration": parameters}
+
+
+def commit(git: Path) -> str | None:
+    """The commit that the bench's own working copy is at, without changes not committed; None where it runs from no copy."""
+    try:
+        head = (git / "HEAD").read_text(encoding="ascii").strip()
+        if not head.startswith("ref: "):
+            return head
+        name = head.removeprefix("ref: ")
+        if (git / name).is_file():
+            return (git / name).read_text(encoding="ascii").strip()
+        packed = (git / "packed-refs").read_text(encoding="ascii").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return None
+    return next((line.split()[0] for line in packed if line.endswith(f" {name}")), None)
 
 
 def versions() -> dict[str, str]:

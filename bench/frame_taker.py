@@ -50,6 +50,7 @@ class FrameTaker:
     ) -> None:
         recorded = table.url.startswith("recording:")
         self._cameras = cameras
+        self._recorded = recorded
         self._checks = checks or FrameChecks(table.checks, table.max_skew_s, calibration, flat=not recorded)
         self._retries = 0 if recorded else table.retries
         self._retry_s = table.retry_s
@@ -69,6 +70,14 @@ class FrameTaker:
             if left:
                 self._wait(self._retry_s)
         raise _refused(noticed, self._retries + 1)
+
+    def look(self) -> None:
+        """See whether the cameras give a usable frame set now, which is not kept; a recording is not asked. Raises as ``take``."""
+        if self._recorded:
+            return
+        frames, noticed = self._try()
+        if frames is None or noticed:
+            raise _refused(noticed, 1)
 
     def _try(self) -> tuple[FrameSet | None, Sequence[Noticed]]:
         try:

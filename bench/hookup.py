@@ -89,15 +89,20 @@ def _wanted(rig: LoadedRig, clock: Clock, urls: dict[str, str], arm: bool, captu
 
 @contextmanager
 def open_rig(
-    rig: LoadedRig, *, seed: int, realtime: bool = False, capture: Captures = NO_CAPTURE, screen: Screen = nullcontext
+    rig: LoadedRig,
+    *,
+    seed: int,
+    realtime: bool = False,
+    capture: Captures = NO_CAPTURE,
+    screen: Screen = nullcontext,
+    start_s: float = 0.0,
 ) -> Iterator[Hookup]:
     """The drivers of ``rig``, with its emulators where it is an emulated one; ``capture`` taps links. Raises BringUpError.
 
-    ``screen`` is entered around each question at the terminal.
+    ``screen`` is entered around each question at the terminal. Real time goes on from ``start_s``.
     """
     emulated = bool(rig.rig.emulated)
-    in_person = rig.rig.operator.url == CONSOLE  # who takes part lives in real time
-    clock: Clock = VirtualClock() if emulated and not realtime and not in_person else RealClock()
+    clock: Clock = VirtualClock() if in_virtual_time(rig, realtime=realtime) else RealClock(start_s)
     answerer = _answerer(rig, clock, screen)
     try:
         if emulated:
@@ -114,6 +119,11 @@ def open_rig(
     finally:
         if isinstance(clock, RealClock):
             clock.close()
+
+
+def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
+    """Whether a run on ``rig`` need not wait: all is emulated, and nobody takes part in person, who lives in real time."""
+    return bool(rig.rig.emulated) and not realtime and rig.rig.operator.url != CONSOLE
 
 
 @contextmanager

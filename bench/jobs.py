@@ -3,32 +3,50 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from bench.calibration_age import CALIBRATION_FACT, calibration_fact, refuse_old_calibration, refuse_other_cameras
 from bench.config import ConfigError, read_config, read_text
 from bench.detector_choice import make_detectors
 from bench.engine import Ending, Engine
 from bench.examine import Examiner, TruthRow, close_detectors
 from bench.exits import current, undisturbed
 from bench.facts import write_facts
-from bench.hookup import open_rig
+from bench.hookup import in_virtual_time, open_rig
 from bench.latch import refuse_latched
 from bench.lifeline import Charge, guarded
 from bench.planning import pose_set
+from bench.record import read_run
 from bench.recorder import Recorder
+from bench.resuming import ASKED, Left, RehearsedStore, files_of, open_store, what_is_left
 from bench.rig import LoadedRig, read_calibration
+from bench.rig_lock import lock_path, locked
 from bench.rows import frame_rows, judged, truth_row
 from bench.script import RECORDING_RULES, LoadedScript, Rules
 from bench.showing import Progress
 from bench.store import RULES, SCRIPT, FinishedTrial, Store, new_run_folder
 from bench.truth.choosing import refuse_carry
+from detector.protocol import Detector
 from instruments.camera.recording import Recording
 from instruments.capture import NO_CAPTURE, Captures
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
 
+BETWEEN_S = 1.0  # of the bench's time, between two sessions of a run
 SAME_POSE_MM = 1.5  # touches of one end scatter by less, and no bench sets a pose up again this well by chance
+
+
+@dataclass(frozen=True, slots=True)
+class HowToRun:
+    """What a command line says of how a run is run. ``typed`` gives lines that somebody typed, None while there is none."""
+
+    detectors: Sequence[str] = ()
+    record: Path | None = None
+    realtime: bool = False
+    capture: Captures = NO_CAPTURE
+    typed: Callable[[], str | None] = lambda: None
 
 
 def run_script(
@@ -42,39 +60,90 @@ def run_script(
     record: Path | None = None,
     realtime: bool = False,
     capture: Captures = NO_CAPTURE,
+    typed: Callable[[], str | None] = lambda: None,
 ) -> tuple[Path, Ending]:
     """Run ``script`` on ``rig``; gives back the run's folder and how it ended.
 
-    Raises ConfigError before anything is opened, and LatchedError where an interlock's trip has not been acknowledged.
+    Raises ConfigError before anything is opened, LatchedError where an interlock's trip has not been acknowledged, and RigInUseError.
     """
     refuse_latched(rig)
     refuse_carry(rig, script)
+    refuse_old_calibration(rig, script, wall_time().date())
+    how = HowToRun(detectors, record, realtime, capture, typed)
     under_test = make_detectors(detectors) if detectors else make_detectors(script.script.detectors, script.path.parent)
     used_seed = rig.rig.seed if seed is None else seed
-    recorder = Recorder(record, rig.calibration_path) if record else None
-    files = {**rig.arm_files, **rig.answer_files, **script.layout_files, **script.truth_files, "rig.toml": rig.text, SCRIPT: script.text}
+    with locked(lock_path(rig), str(out.resolve()), progress.warn):
+        recorder = Recorder(record, rig.calibration_path) if record else None
+        store = _begun(rig, script, out, under_test, used_seed, how)
+        return _run(rig, script, store, under_test, progress, used_seed, how, recorder)
+
+
+def resume_run(folder: Path, progress: Progress, how: HowToRun | None = None) -> tuple[Path, Ending]:
+    """Go on with the run in ``folder`` at its first trial without a result. Raises ConfigError, LatchedError, RigInUseError.
+
+    Seed, detectors and kind of time are the run's own.
+    """
+    how = how or HowToRun()
+    rig, script = files_of(run := read_run(folder))
+    refuse_latched(rig)
+    refuse_old_calibration(rig, script, wall_time().date())
+    asked = run.facts[ASKED]
+    names = tuple(asked["detectors"])
+    under_test = make_detectors(names) if names else make_detectors(script.script.detectors, script.path.parent)
+    how = replace(how, detectors=names, record=None, realtime=bool(asked["realtime"]))
+    with locked(lock_path(rig), str(folder.resolve()), progress.warn):
+        left = what_is_left(folder, [trial.id for trial in script.planned])
+        store = open_store(left, rehearsed=in_virtual_time(rig, realtime=how.realtime))
+        return _run(rig, script, store, under_test, progress, int(run.facts["seed"]), how, None, left)
+
+
+def _begun(rig: LoadedRig, script: LoadedScript, out: Path, under_test: Sequence[Detector], seed: int, how: HowToRun) -> Store:
+    """A new run folder that says what the run is."""
+    files = {**rig.arm_files, **rig.answer_files, **script.layout_files, **script.truth_files, **script.source_files}
+    files |= {"rig.toml": rig.text, SCRIPT: script.text}
     emulated = set(rig.rig.emulated)
     kind = "emulated" if emulated else "recorded" if rig.rig.cameras.url.startswith("recording:") else "real"
-    facts = {"kind": kind, "title": script.script.title, "about": script.script.about, "seed": used_seed, "rig": rig.rig.name}
+    facts = {"kind": kind, "title": script.script.title, "about": script.script.about, "seed": seed, "rig": rig.rig.name}
     facts |= {"script": script.name, "set_point_c": script.script.bath.set_point_c, "planned": len(script.planned)}
+    facts[CALIBRATION_FACT] = calibration_fact(rig.calibration, wall_time().date(), emulated=kind == "emulated")
     facts["pose set"] = pose_set(script.script.trials, script.planned, seed=script.script.seed, order=script.script.order)
+    paths = {"rig": str(rig.path.resolve()), "script": str(script.path.resolve())}
+    asked = {**paths, "detectors": list(how.detectors), "realtime": how.realtime}
     with undisturbed():  # a run that is there at all says what it is, and how it ended
         store = _new_store(out, script.name, files, rig.calibration_path)
         try:
-            write_facts(store, facts, under_test, rig.calibration_path)
+            write_facts(store, facts | {ASKED: asked}, under_test, rig.calibration_path)
         except BaseException:
             store.close()
             raise
+    return store
+
+
+def _run(
+    rig: LoadedRig,
+    script: LoadedScript,
+    store: Store,
+    under_test: Sequence[Detector],
+    progress: Progress,
+    seed: int,
+    how: HowToRun,
+    recorder: Recorder | None,
+    left: Left | None = None,
+) -> tuple[Path, Ending]:
+    """From open files to an ended run; closes store and detectors."""
     try:
         try:
             current().heed()
-            with open_rig(rig, seed=used_seed, realtime=realtime, capture=capture, screen=progress.aside) as hookup:
+            start_s = left.last_s + BETWEEN_S if left else 0.0
+            opened = open_rig(rig, seed=seed, realtime=how.realtime, capture=how.capture, screen=progress.aside, start_s=start_s)
+            with opened as hookup:
+                refuse_other_cameras(rig.calibration, hookup.devices.cameras.identity)
                 bath, clock = hookup.devices.bath, hookup.devices.clock
                 charge = Charge(bath.url, rig.profile_source, bath.pump_url, rig.relay_source, rig.rig.bath.allow_inferred)
                 with guarded(charge, store.folder, clock) as (pulse, lifeline):
                     engine = Engine(
                         rig, script, hookup.devices, store, under_test, progress,
-                        exact_ends=hookup.exact_ends, sink=recorder, pulse=pulse, lifeline=lifeline,
+                        exact_ends=hookup.exact_ends, sink=recorder, pulse=pulse, lifeline=lifeline, left=left, typed=how.typed,
                     )  # fmt: skip
                     try:
                         return store.folder, engine.run()
@@ -133,16 +202,18 @@ def pose_names(recording: Recording) -> dict[str, str]:
     A recording has no word for it, so it is told by the truth: same situation, same teats, each end within SAME_POSE_MM.
     """
     names: dict[str, str] = {}
+    firsts: dict[tuple[tuple[str, str], ...], list[str]] = {}  # by situation and teats: only frames that share those are compared
     for frame in recording.frames:
-        names[frame] = next((first for first in dict.fromkeys(names.values()) if _same_pose(recording, first, frame)), frame)
+        known = firsts.setdefault(tuple((teat.situation, teat.teat) for teat in recording.truth.get(frame, ())), [])
+        names[frame] = next((first for first in known if _same_ends(recording, first, frame)), frame)
+        if names[frame] == frame and frame in recording.truth:
+            known.append(frame)
     return names
 
 
-def _same_pose(recording: Recording, one: str, other: str) -> bool:
-    a, b = recording.truth.get(one, ()), recording.truth.get(other, ())
-    if not a or [(t.situation, t.teat) for t in a] != [(t.situation, t.teat) for t in b]:
-        return False
-    return all(math.dist(p.xyz_mm, q.xyz_mm) <= SAME_POSE_MM for p, q in zip(a, b, strict=True))
+def _same_ends(recording: Recording, one: str, other: str) -> bool:
+    pairs = zip(recording.truth[one], recording.truth[other], strict=True)
+    return all(math.dist(p.xyz_mm, q.xyz_mm) <= SAME_POSE_MM for p, q in pairs)
 
 
 def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -> Store:
@@ -155,6 +226,8 @@ def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -
 
 def _never_started(store: Store, error: BaseException) -> Ending:
     aborted = isinstance(error, KeyboardInterrupt)
+    if isinstance(store, RehearsedStore):
+        store.go_live()
     store.event(None, "aborted" if aborted else "fault", "interrupted (Ctrl-C)" if aborted else str(error), wall_time())
     return _end(store, Ending.ABORTED if aborted else Ending.FAULTED)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,9 @@ from numpy.typing import NDArray
 
 from bench.config import ConfigError
 from bench.scoring.scene import SceneScore, scene_from_dict
-from bench.store import DATABASE, GUARDIAN, SCHEMA_VERSION
+from bench.store.chain import Head, head_of
+from bench.store.reading import opened
+from bench.store.schema import GUARDIAN, OF_A_TRIAL
 
 Row = Mapping[str, Any]
 
@@ -63,6 +64,7 @@ class RunRecord:
     """A run as it stands on disk. ``facts`` hold for the whole run; ``bath`` has columns t_s, temp_c, power_percent (n, 3).
 
     ``external_c`` (n,) is not-a-number where there is no such sensor. ``guardian`` is what the guardian wrote when it acted.
+    ``head`` is the last link of the hash chain over all that was written; number 0 where an older bench made none.
     """
 
     folder: Path
@@ -75,6 +77,7 @@ class RunRecord:
     bath_states: tuple[str, ...]
     external_c: NDArray[np.float64]
     guardian: Mapping[str, Any] | None
+    head: Head | None = None
 
     @property
     def ending(self) -> str:
@@ -93,24 +96,19 @@ class RunRecord:
 
 
 def read_run(folder: Path) -> RunRecord:
-    """The run in ``folder``. Raises ConfigError where it is no run of this bench."""
-    path = folder / DATABASE
-    if not path.is_file():
-        raise ConfigError.plain(f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/.")
-    try:
-        with closing(sqlite3.connect(path)) as db:
-            db.row_factory = sqlite3.Row
-            version = db.execute("PRAGMA user_version").fetchone()[0]
-            if version != SCHEMA_VERSION:
-                raise ConfigError.plain(f"{path} has schema {version}; this bench reads {SCHEMA_VERSION}. Use the bench that wrote it.")
-            return _read(folder, db)
-    except sqlite3.DatabaseError as error:
-        raise ConfigError.plain(f"{path} can't be read: {error}. Is it a copy without its -wal file?") from error
+    """The run in ``folder``, of this bench or an older one. Raises ConfigError where it is none."""
+    with opened(folder) as db:
+        db.row_factory = sqlite3.Row
+        record = _read(folder, db)
+    if "detectors" not in record.facts:
+        why = "the bench died before it wrote down what is under test. Delete the folder."
+        raise ConfigError.plain(f"{folder} is a run that never began: {why}")
+    return record
 
 
 def _read(folder: Path, db: sqlite3.Connection) -> RunRecord:
     facts = {row["key"]: json.loads(row["value"]) for row in db.execute("SELECT key, value FROM facts")}
-    bath = list(db.execute("SELECT t_s, temp_c, power_percent, external_c, state FROM bath ORDER BY t_s"))
+    bath = list(db.execute("SELECT t_s, temp_c, power_percent, external_c, state FROM bath ORDER BY session, t_s"))
     columns = [[np.nan if row[k] is None else row[k] for k in range(4)] for row in bath]
     table = np.array(columns, dtype=np.float64).reshape(-1, 4)
     return RunRecord(
@@ -124,6 +122,7 @@ def _read(folder: Path, db: sqlite3.Connection) -> RunRecord:
         bath_states=tuple(row["state"] for row in bath),
         external_c=table[:, 3],
         guardian=_guardian(folder / GUARDIAN),
+        head=head_of(db),
     )
 
 
@@ -138,8 +137,9 @@ def _guardian(path: Path) -> Mapping[str, Any] | None:
 
 
 def _trials(db: sqlite3.Connection) -> Iterator[TrialRecord]:
-    by_table = {table: _grouped(db, table) for table in ("frames", "touches", "truth", "detections", "found", "scores")}
-    for head in db.execute("SELECT * FROM trials ORDER BY number"):
+    by_table = {table: _grouped(db, table) for table in OF_A_TRIAL}
+    heads = "SELECT trials.*, invalidated.reason AS invalid FROM trials LEFT JOIN invalidated ON invalidated.trial = trials.id"
+    for head in db.execute(f"{heads} ORDER BY trials.number"):
         rows = {table: tuple(grouped.get(head["id"], ())) for table, grouped in by_table.items()}
         scores = {
             row["detector"]: scene_from_dict({**json.loads(row["score"]), **json.loads(row["wall_score"])}) for row in rows.pop("scores")

@@ -165,6 +165,7 @@ class Limits(Section):
     bath_silence_s: Positive = 5.0
     sensors_differ_k: Positive = 2.0
     detection_timeout_s: Positive = 30.0
+    away_s: Annotated[float, Field(ge=0, le=86400)] = 600.0  # how long an instrument that dropped out is waited for; 0: not at all
 
     @field_validator("set_point_c", "bath_plausible_c")
     @classmethod

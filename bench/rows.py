@@ -27,9 +27,8 @@ def frame_rows(store: Store, trial_id: str, frames: FrameSet, answers: Sequence[
     images |= {"thermal": frames.thermal, "thermal_radiometric": frames.thermal_ck}
     for answer in answers:
         images |= stage_pictures(answer)
-    return [
-        store.frame(trial_id, name, image, frames.exposed_s.get(name.split("_")[0])) for name, image in images.items() if image is not None
-    ]
+    there = {name: image for name, image in images.items() if image is not None}
+    return store.frames(trial_id, there, {name: frames.exposed_s.get(name.split("_")[0]) for name in there})
 
 
 def truth_row(trial_id: str, row: TruthRow, exact: NDArray[np.float64] | None = None, point: TruthPoint | None = None) -> Row:

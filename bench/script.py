@@ -12,10 +12,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from bench.config import ConfigError, Section, read_config, read_text
+from bench.config import ConfigError, Section, parse_config, read_text
 from bench.detector_choice import check_named
 from bench.phantom_file import Layout, find_layout, load_layout
 from bench.planning import PlannedTrial, plan
+from bench.python_script import ENDING, script_text
 from bench.rig import Positive, find_shipped
 from bench.trial_table import Published, Trial
 from bench.truth.registration import Registration
@@ -95,8 +96,29 @@ class ArmRequirement(Section):
     source: str = ""
 
 
+class CalibrationRequirement(Section):
+    """The calibration was made not long before the run (docs/calibration.md)."""
+
+    kind: Literal["calibration_fresh"]
+    name: str
+    max_age_days: Positive
+    source: str = ""
+
+
+class CalibrationTable(Section):
+    """``[calibration]``: a run with an older one, or one whose age nobody knows, is refused before anything is opened."""
+
+    max_age_days: Positive | None = None
+
+
 Requirement = Annotated[
-    ErrorRequirement | TimeRequirement | SuccessRequirement | FalseRequirement | BathRequirement | ArmRequirement,
+    ErrorRequirement
+    | TimeRequirement
+    | SuccessRequirement
+    | FalseRequirement
+    | BathRequirement
+    | ArmRequirement
+    | CalibrationRequirement,
     Field(discriminator="kind"),
 ]
 
@@ -138,6 +160,7 @@ class Script(Rules):
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
     bath: BathGate
     truth: TruthTable = TruthTable()
+    calibration: CalibrationTable = CalibrationTable()
     trials: Annotated[tuple[Trial, ...], Field(min_length=1)]
 
     @field_validator("trials")
@@ -165,7 +188,12 @@ class LoadedScript:
     @property
     def name(self) -> str:
         """The file's name without its ending."""
-        return self.path.name.removesuffix(".toml")
+        return self.path.name.removesuffix(".toml").removesuffix(".py")
+
+    @property
+    def source_files(self) -> dict[str, str]:
+        """The Python that made the script, where one did; for the run's folder."""
+        return {self.path.name: read_text(self.path)} if self.path.suffix == ENDING else {}
 
     @property
     def layout_files(self) -> dict[str, str]:
@@ -192,7 +220,8 @@ def find_script(name: str | None) -> Path:
 
 def load_script(path: Path, rig_limits_c: tuple[float, float] | None = None) -> LoadedScript:
     """The script at ``path``, held against the rig's allowed set points where given. Raises ConfigError with all faults."""
-    script = read_config(path, Script)
+    text = script_text(path)
+    script = parse_config(path, text, Script)
     wanted = script.bath.set_point_c
     if rig_limits_c and not rig_limits_c[0] <= wanted <= rig_limits_c[1]:
         raise ConfigError.plain(
@@ -201,4 +230,4 @@ def load_script(path: Path, rig_limits_c: tuple[float, float] | None = None) -> 
     layouts = {name: load_layout(find_layout(name, path.parent)) for name in {trial.layout for trial in script.trials if trial.layout}}
     planned = plan(script.trials, layouts, repeats=script.repeats, seed=script.seed, shuffled=script.order == "shuffled")
     registration = load_registration(path.parent / script.truth.file) if script.truth.file else None
-    return LoadedScript(path, read_text(path), script, planned, layouts, registration)
+    return LoadedScript(path, text, script, planned, layouts, registration)

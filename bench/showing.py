@@ -36,14 +36,14 @@ class Unfailing:
         if self._progress:
             try:
                 self._progress.state(text)
-            except (OSError, ValueError):  # ValueError: the stream has been closed
+            except Exception:  # whoever only watches ends no run, whatever went wrong with him
                 self._progress = None
 
     def trial(self, done: int, total: int, name: str) -> None:
         if self._progress:
             try:
                 self._progress.trial(done, total, name)
-            except (OSError, ValueError):
+            except Exception:
                 self._progress = None
 
     def aside(self) -> AbstractContextManager[None]:
@@ -53,5 +53,5 @@ class Unfailing:
         if self._progress:
             try:
                 self._progress.warn(text)
-            except (OSError, ValueError):
+            except Exception:
                 self._progress = None

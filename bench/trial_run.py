@@ -20,6 +20,7 @@ from bench.frame_taker import FrameTaker
 from bench.planning import PlannedTrial, shared
 from bench.rig import LoadedRig
 from bench.rows import frame_rows, judged, truth_row
+from bench.run_state import RunState, RunStates
 from bench.script import Script
 from bench.stability import State
 from bench.store import FinishedTrial, Row, Store
@@ -41,7 +42,10 @@ class FrameSink(Protocol):
 
 
 class TrialRun:
-    """The trials of one run. ``exact_ends`` gives the scene's exact truth where there is one; it is kept aside, never scored against."""
+    """The trials of one run. ``exact_ends`` gives the scene's exact truth where there is one; it is kept aside, never scored against.
+
+    ``rehearsing``: all is done but the detection, for a trial that has its result already.
+    """
 
     def __init__(
         self,
@@ -55,6 +59,7 @@ class TrialRun:
         *,
         exact_ends: Callable[[], NDArray[np.float64]] | None = None,
         sink: FrameSink | None = None,
+        states: RunStates | None = None,
     ) -> None:
         self._rig = rig.rig
         self._calibration = rig.calibration
@@ -68,6 +73,8 @@ class TrialRun:
         self._watch = attention.watch
         self._exact_ends = exact_ends
         self._sink = sink
+        self._states = states or RunStates(lambda _: None, devices.clock.now)
+        self.rehearsing = False
         self._examiner = Examiner(rig.calibration, rig.rig.limits.detection_timeout_s)
         self._taker = FrameTaker(devices.cameras, rig.rig.cameras, rig.calibration, self._before_another_try, attention.event)
 
@@ -78,10 +85,13 @@ class TrialRun:
         there = shown(trial, self._axes)
         self._truth.before(there)
         self._settle()
+        self._states.to(RunState.RUNNING)
+        settled_s = self._states.away_s
         self._move(trial)
         asked = replace(trial.arrangement(self._axes), unattended=self._truth.unattended(there))
         placed = self._devices.operator.set_up(asked)
         self._attention.wait(self._rig.cameras.settle_s)
+        self._settle_again(trial_id)
         frames = self._capture()
         captured_s = self._devices.clock.now()
         bath = self._watch.last
@@ -102,29 +112,42 @@ class TrialRun:
             "captured_s": captured_s,
             "bath_c": bath.temp_c if bath else None,
             "bath_state": bath_state.value,
-            "note": None,
+            "note": _suspended_told(self._states.away_s - settled_s),
             "stage_mm": None if truth.stage_mm is None else json.dumps(truth.stage_mm),
             "wall_time": wall_time().isoformat(timespec="milliseconds"),
         }
         self._store_trial(head, frames, rows, truth, answers)
         self._truth.stored(trial_id, truth)
-        if self._sink:
+        if self._sink and not self.rehearsing:
             self._sink.trial(trial_id, trial.situation, frames, rows, confirmed=truth.how is How.TOUCHED)
+
+    def look(self) -> None:
+        """See whether the cameras work. Raises where they don't."""
+        self._taker.look()
 
     def _settle(self) -> None:
         """Wait until the stability gate is open. Raises DeviceError where that takes longer than the script allows."""
         gate, start = self._script.bath, self._devices.clock.now()
         waited = False
+        if self._watch.state != State.STABLE:
+            self._states.to(RunState.SETTLING)
         while self._watch.state != State.STABLE:
             waited = True
             self._attention.wait(1.0)
-            if self._watch.last:
-                self._progress.state(f"bath {self._watch.last.temp_c:.2f} degC, {self._watch.state.value}")
+            self._progress.state("waiting for the bath")
             if self._devices.clock.now() - start > gate.timeout_s:
                 why = f"not stable within {gate.timeout_s:g} s: {self._watch.why_not_stable}"
                 raise DeviceError("bath", why, hint="Check level, lid and pump, or allow more time in the script.")
         if waited:
             self._attention.event("stable", f"the bath is stable at {gate.set_point_c:g} degC")
+
+    def _settle_again(self, trial_id: str) -> None:
+        """Just before the cameras: where the bath has left its band meanwhile, the trial is suspended until it is stable again."""
+        while self._watch.state != State.STABLE:
+            self._attention.event("suspended", f"{trial_id}: the bath left its band: {self._watch.why_not_stable}")
+            self._settle()
+            self._attention.wait(self._rig.cameras.settle_s)
+        self._states.to(RunState.RUNNING)
 
     @property
     def _axes(self) -> str:
@@ -163,8 +186,8 @@ class TrialRun:
                 self._store.fact("camera faults", dict(self._taker.counts))
 
     def _detect(self, frames: FrameSet) -> list[Answer]:
-        answers = []
-        for detector in self._detectors:
+        answers: list[Answer] = []
+        for detector in () if self.rehearsing else self._detectors:
             self._progress.state(f"detecting with {detector.name}")
             patience_s = detector.patience_s if isinstance(detector, Served) else 2.0 * self._rig.limits.detection_timeout_s
             self._attention.long(f"detecting with {detector.name}", 10.0 + patience_s, silent=True)
@@ -181,3 +204,8 @@ class TrialRun:
         self._store.finished(
             FinishedTrial(head, frame_rows(self._store, trial_id, frames, answers), truth.touches, truth_rows, detections, found, scores)
         )
+
+
+def _suspended_told(seconds: float) -> str | None:
+    """A note on time amid the trial that was no work."""
+    return f"suspended for {seconds:.1f} s: the bath had left its band" if seconds > 0.0 else None

@@ -7,7 +7,7 @@ an emulated run is over much sooner.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -43,18 +43,18 @@ class TimeEstimate:
         return self.settling_s + self.moves_s + self.set_ups_s + self.captures_s + self.touches_s
 
 
-def estimate(rig: LoadedRig, script: LoadedScript) -> TimeEstimate:
-    """How long ``script`` takes on ``rig``, at the bench's own time."""
+def estimate(rig: LoadedRig, script: LoadedScript, figures: Mapping[str, float] = ASSUMED) -> TimeEstimate:
+    """How long ``script`` takes on ``rig``, at the bench's own time, by ``figures`` as those assumed."""
     r, planned = rig.rig, script.planned
     gate = script.script.bath
-    settling = gate.window_s + 60.0 * max(0.0, gate.set_point_c - r.bath.room_c) / ASSUMED["heating"]
+    settling = gate.window_s + 60.0 * max(0.0, gate.set_point_c - r.bath.room_c) / figures["heating"]
     touches = r.arm.touches * sum(len(one.phantom.teats) for one in planned)
     return TimeEstimate(
         settling_s=settling,
-        moves_s=_moves_s(r.stage, planned) if r.stage else 0.0,
-        set_ups_s=sum(_set_ups_s(r.stage.axes if r.stage else "", planned)),
-        captures_s=len(planned) * (r.cameras.settle_s + ASSUMED["capture"]),
-        touches_s=touches * ASSUMED["touch"],
+        moves_s=_moves_s(r.stage, planned, figures) if r.stage else 0.0,
+        set_ups_s=sum(_set_ups_s(r.stage.axes if r.stage else "", planned, figures)),
+        captures_s=len(planned) * (r.cameras.settle_s + figures["capture"]),
+        touches_s=touches * figures["touch"],
     )
 
 
@@ -63,10 +63,10 @@ def assumed_told() -> str:
     return "Assumed: " + ", ".join(f"{what} {value:g} {UNITS.get(what, 's')}" for what, value in ASSUMED.items()) + "."
 
 
-def _moves_s(stage: Stage, planned: tuple[PlannedTrial, ...]) -> float:
+def _moves_s(stage: Stage, planned: tuple[PlannedTrial, ...], figures: Mapping[str, float]) -> float:
     places = [stage.machine(shared(pose, stage.axes)[0]) for one in planned for pose in (one.approach, one.pose) if pose is not None]
     ways = [math.dist(tuple(a.values()), tuple(b.values())) for a, b in pairwise(places)]
-    return ASSUMED["homing"] + sum(move_s(way, stage.feed_mm_per_min, ASSUMED["acceleration"]) for way in ways)
+    return figures["homing"] + sum(move_s(way, stage.feed_mm_per_min, figures["acceleration"]) for way in ways)
 
 
 def move_s(way_mm: float, feed_mm_per_min: float, accel_mm_s2: float) -> float:
@@ -77,14 +77,14 @@ def move_s(way_mm: float, feed_mm_per_min: float, accel_mm_s2: float) -> float:
     return way_mm / speed + speed / accel_mm_s2
 
 
-def _set_ups_s(axes: str, planned: tuple[PlannedTrial, ...]) -> Iterator[float]:
+def _set_ups_s(axes: str, planned: tuple[PlannedTrial, ...], figures: Mapping[str, float]) -> Iterator[float]:
     """What a person does between trials: a new scene, or the plate to another place."""
     before = None
     for one in planned:
         asked = one.arrangement(axes)
         scene = (asked.phantom, asked.objects, asked.scene)
         if before is None or scene != before[0]:
-            yield ASSUMED["set-up"]
+            yield figures["set-up"]
         elif asked.pose != before[1]:
-            yield ASSUMED["placing"]
+            yield figures["placing"]
         before = (scene, asked.pose)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.arm.decision import decide_arm
+from bench.calibration_age import decide_calibration
 from bench.latency import latency_of
 from bench.record import RunRecord
 from bench.scoring.decisions import Decision, Verdict, decide_condition, decide_count, decide_error, decide_rate, decide_time, overall
@@ -15,6 +16,7 @@ from bench.scoring.pool import Pool, pool
 from bench.script import (
     ArmRequirement,
     BathRequirement,
+    CalibrationRequirement,
     ErrorRequirement,
     FalseRequirement,
     Requirement,
@@ -43,7 +45,8 @@ class Judgement:
 
 def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
     """Each detector's judgement. An unfinished run is judged on the trials that it has."""
-    of_bench = frozenset(rule.name for rule in rules.requirements if isinstance(rule, ArmRequirement | BathRequirement))
+    bench = ArmRequirement | BathRequirement | CalibrationRequirement
+    of_bench = frozenset(rule.name for rule in rules.requirements if isinstance(rule, bench))
     return tuple(
         Judgement(name, tuple(_decide(rule, run, scored(run, name), name) for rule in rules.requirements), of_bench)
         for name in run.detectors
@@ -86,6 +89,8 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
             return _bath(rule, run)
         case ArmRequirement():
             return decide_arm(rule, run.facts)
+        case CalibrationRequirement():
+            return decide_calibration(rule, run.facts)
 
 
 def _bath(rule: BathRequirement, run: RunRecord) -> Decision:

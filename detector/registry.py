@@ -7,6 +7,7 @@ name and is in nobody's way. The module may not import a detector at its top: `t
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from detector.protocol import Detection, Detector, Frames
 
 GROUP = "teatbench.detectors"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # it becomes a part of files' names
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +87,7 @@ def available(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
     ``plugs`` are the entry points to look at, those of the group by default.
     """
     shipped = {name: entry.description for name, entry in _SHIPPED.items()}
-    return {**{plug.name: f"from {_source(plug)}" for plug in _plugs(plugs)}, **shipped}
+    return {**{plug.name: f"from {_source(plug)}" for plug in reversed(_usable(plugs))}, **shipped}
 
 
 def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
@@ -93,7 +95,9 @@ def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
     found: dict[str, str] = {}
     seen: set[str] = set()
     for plug in _plugs(plugs):
-        if plug.name in _SHIPPED:
+        if not _NAME.fullmatch(plug.name):
+            found[plug.name] = f"{_source(plug)} gives it a name that no file could bear: letters, digits, dots, _ and - are allowed"
+        elif plug.name in _SHIPPED:
             found[plug.name] = f"{_source(plug)} brings a detector of this name, which is the name of one that ships: it is left out"
         elif plug.name in seen:
             found[plug.name] = f"{_source(plug)} brings a second detector of this name: the first is used"
@@ -114,7 +118,7 @@ def create(name: str, plugs: Iterable[EntryPoint] | None = None) -> Detector:
     entry = _SHIPPED.get(name)
     if entry is not None:
         return cast("Detector", getattr(import_module(entry.module), entry.attribute)())
-    plug = next((plug for plug in _plugs(plugs) if plug.name == name), None)
+    plug = next((plug for plug in _usable(plugs) if plug.name == name), None)
     if plug is None:
         known = sorted(available(plugs))
         near = get_close_matches(name, known, n=1)
@@ -125,6 +129,10 @@ def create(name: str, plugs: Iterable[EntryPoint] | None = None) -> Detector:
 
 def _plugs(plugs: Iterable[EntryPoint] | None) -> list[EntryPoint]:
     return list(entry_points(group=GROUP) if plugs is None else plugs)
+
+
+def _usable(plugs: Iterable[EntryPoint] | None) -> list[EntryPoint]:
+    return [plug for plug in _plugs(plugs) if _NAME.fullmatch(plug.name)]
 
 
 def _plugged(plug: EntryPoint) -> Plugged:

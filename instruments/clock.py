@@ -48,10 +48,10 @@ PATIENCE_S = 10.0  # real time that an emulator's thread gets to take bytes befo
 
 
 class RealClock:
-    """Time as it passes. Planned actions run on a thread of their own, which ``close`` ends."""
+    """Time as it passes, from ``start_s`` on. Planned actions run on a thread of their own, which ``close`` ends."""
 
-    def __init__(self) -> None:
-        self._start = time.monotonic()
+    def __init__(self, start_s: float = 0.0) -> None:
+        self._start = time.monotonic() - start_s
         self._planned: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
         self._lock = threading.Lock()

@@ -11,8 +11,8 @@ from typing import ClassVar, Literal
 
 from reports.trust import PageError, address, one_of
 
-LayerTone = Literal["truth", "nomination", "region", "point", "model", "other"]
-LAYER_TONES: tuple[LayerTone, ...] = ("truth", "nomination", "region", "point", "model", "other")
+LayerTone = Literal["truth", "nomination", "region", "point", "model", "spread", "other"]
+LAYER_TONES: tuple[LayerTone, ...] = ("truth", "nomination", "region", "point", "model", "spread", "other")
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +23,19 @@ class Circle:
     x_px: float
     y_px: float
     radius_px: float = 8.0
+    title: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Ellipse:
+    """Half axes `major_px` and `minor_px`; the first is turned by `turn_deg` from the x axis towards y."""
+
+    kind: ClassVar[str] = "ellipse"
+    x_px: float
+    y_px: float
+    major_px: float
+    minor_px: float
+    turn_deg: float
     title: str = ""
 
 
@@ -70,7 +83,7 @@ class Label:
     text: str
 
 
-Shape = Circle | Cross | Rect | Polyline | Label
+Shape = Circle | Ellipse | Cross | Rect | Polyline | Label
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +151,8 @@ def _numbers(shape: Shape) -> tuple[float, ...]:
     match shape:
         case Circle():
             return shape.x_px, shape.y_px, shape.radius_px
+        case Ellipse():
+            return shape.x_px, shape.y_px, shape.major_px, shape.minor_px, shape.turn_deg
         case Cross():
             return shape.x_px, shape.y_px, shape.arm_px
         case Rect():

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from reports.frames import LAYER_TONES, Circle, Cross, ImageView, Label, LayerTone, Overlay, Polyline, Rect, Shape, layers
+from reports.frames import LAYER_TONES, Circle, Cross, Ellipse, ImageView, Label, LayerTone, Overlay, Polyline, Rect, Shape, layers
 from reports.parts import (
     TONES,
     VERDICTS,
@@ -38,6 +38,7 @@ __all__ = [
     "Code",
     "Column",
     "Cross",
+    "Ellipse",
     "Entry",
     "Figure",
     "ImageView",
@@ -131,7 +132,10 @@ class TrialPart:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A whole report. Raises PageError where two parts share an id, a link leads nowhere, or the banner claims more than its rows."""
+    """A whole report; `worst` names the trials to look at first, by their ids: they come first where not all find room.
+
+    Raises PageError where two parts share an id, a link leads nowhere, or the banner claims more than its rows.
+    """
 
     title: str
     subtitle: str
@@ -141,6 +145,7 @@ class Page:
     trials_title: str = "Trial by trial"
     trials_note: str = ""
     footer: tuple[str, ...] = ()
+    worst: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         drawn = [name for figure in self._figures() for name in figure.facts.ids]
@@ -149,6 +154,9 @@ class Page:
         twice = sorted(name for name, times in Counter(ids).items() if times > 1)
         if twice:
             raise PageError(f"page {self.title!r}: the ids {twice} stand for two things; give each part, and each figure's name, its own")
+        strangers = sorted(set(self.worst) - {trial.id for trial in self.trials})
+        if strangers:
+            raise PageError(f"page {self.title!r}: {strangers} in 'worst' are no trials of it")
         for link in self._links():
             if link.startswith("#") and link[1:] not in ids:
                 raise PageError(f"page {self.title!r}: the link {link!r} leads nowhere; no section or trial has that id")

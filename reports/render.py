@@ -1,75 +1,172 @@
-"""From a `Page` to one HTML file that opens from disk with no network.
+"""From a `Page` to HTML files that open from disk with no network.
 
 Strategy: Jinja2 escapes every text; the only texts let through are our own style sheet and script, the drawings that `page.Figure` has
-checked, and numbers. The page carries a content security policy that allows exactly that style sheet and that script, by their hash, and
-images. Same page, same bytes: no time, no chance, no machine in it.
+checked, and numbers. Each file carries a content security policy that allows exactly its style sheet and its script, by their hash, and
+images. Few trials stand in the page itself; many get a file each, so that the page stays small, and the list of trials leads to them
+without a script too. Same page, same bytes: no time, no chance, no machine in it.
 """
 
 import base64
 import hashlib
 import os
 import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from reports.frames import ImageView
-from reports.page import Figure, Page, PageError, Verdict
+from reports.frames import ImageView, layers
+from reports.page import Cell, Figure, Page, PageError, Table, TrialPart, Verdict
 from reports.trust import address
 
+IN_PAGE = 40  # trials: more get a file each
+TRIALS = "trials"  # their folder
 _TEMPLATES = Path(__file__).parent / "templates"
 _NO_TEXT_IN_HTML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff]")
 _SIGNS: dict[Verdict, str] = {"met": "✓", "not met": "✕", "inconclusive": "?", "not measured": "–", "aborted": "!", "no verdict": "○"}
 
 View = tuple[int, int, int, int, int, int]  # size of an image, and the part of it that is shown: all that a view's style rule needs
+_Row = tuple[str | Cell, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a file stands and what it holds: the trials in it, whether the others have files, images by their data (`src` to data URI)."""
+
+    trials: tuple[TrialPart, ...]
+    files: bool = True
+    base: str = ""  # from this file to the report's folder
+    embedded: Mapping[str, str] | None = None
+    ids: frozenset[str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ids", frozenset(trial.id for trial in self.trials))
+
+    def picture(self, src: str) -> str:
+        """What an image's `src` says."""
+        return self.base + address(src, "image") if self.embedded is None else self.embedded[src]
+
+    def original(self, image: ImageView) -> str:
+        """What a click on an image opens; nothing where the file travels alone."""
+        return self.base + address(image.original or image.src, "image") if self.embedded is None else ""
+
+
+class Press:
+    """Writes the files of one page."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._trials = {trial.id for trial in page.trials}
+        self._style, self._script = _asset("style.css"), _asset("script.js")
+        self._environment = Environment(
+            loader=FileSystemLoader(_TEMPLATES, encoding="utf-8"),
+            autoescape=True,
+            undefined=StrictUndefined,
+            finalize=_printable,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        self._environment.filters.update(drawing=_drawing, number=_number, url=_url, slug=lambda word: word.replace(" ", "-"))
+
+    def page(self, place: Place) -> str:
+        """The page's own file."""
+        away = self._trials - place.ids
+        if place.files:
+            self._all_listed(away)
+        return self._fill("page.html.j2", place, away=away)
+
+    def trial(self, number: int) -> str:
+        """The file of the trial at `number`, from 0, in the page's order; it stands in the folder `trials`."""
+        trials = self._page.trials
+        before, after = trials[number - 1] if number else None, trials[number + 1] if number + 1 < len(trials) else None
+        place = Place((trials[number],), base="../")
+        return self._fill("trial.html.j2", place, away=self._trials - place.ids, trial=trials[number], before=before, after=after)
+
+    def _fill(self, template: str, place: Place, **values: Any) -> str:
+        shown = [image for trial in place.trials for image in trial.images]
+        views = {view: f"v{number}" for number, view in enumerate(dict.fromkeys(_view(image) for image in shown))}
+        style = self._style + "".join(_view_rule(name, view) for view, name in views.items())
+        return self._environment.get_template(template).render(
+            page=self._page,
+            place=place,
+            layers=layers(shown),
+            view_name=lambda image: views[_view(image)],
+            row_id=lambda row: self._row_id(row, values["away"]),
+            link=lambda href: self._link(href, place, values["away"]),
+            signs=_SIGNS,
+            style=Markup(style),  # noqa: S704 our own file and numbers
+            script=Markup(self._script),  # noqa: S704 our own file
+            policy=_policy(style, self._script),
+            **values,
+        )
+
+    @staticmethod
+    def _row_id(row: _Row, away: set[str]) -> str:
+        """The id of a trial that stands in a file of its own, where this is its row in the list: points of figures lead here."""
+        first = row[0] if row else ""
+        return first.href[1:] if isinstance(first, Cell) and first.href[1:] in away else ""
+
+    @staticmethod
+    def _link(href: str, place: Place, away: set[str]) -> str:
+        if href.startswith("#") and href[1:] in away:
+            return f"{place.base}{TRIALS}/{href[1:]}.html" if place.files else ""
+        return address(href, "link")
+
+    def _all_listed(self, away: set[str]) -> None:
+        tables = [part for section in self._page.sections for part in section.parts if isinstance(part, Table) and part.searchable]
+        listed = {self._row_id(row, away) for table in tables for row in table.rows}
+        lost = sorted(away - listed)
+        if lost:
+            raise PageError(f"page {self._page.title!r}: no searchable table begins a row with a link to {lost[:5]}; list every trial")
 
 
 def render(page: Page) -> str:
-    """The whole HTML text of `page`."""
-    views = {view: f"v{number}" for number, view in enumerate(dict.fromkeys(_view(image) for image in page.images()))}
-    style = _asset("style.css") + "".join(_view_rule(name, view) for view, name in views.items())
-    script = _asset("script.js")
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES, encoding="utf-8"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=_printable,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(drawing=_drawing, number=_number, url=_url, slug=lambda word: word.replace(" ", "-"))
-    return environment.get_template("page.html.j2").render(
-        page=page,
-        layers=page.layers(),
-        view_name=lambda image: views[_view(image)],
-        signs=_SIGNS,
-        style=Markup(style),  # noqa: S704 our own file and numbers
-        script=Markup(script),  # noqa: S704 our own file
-        policy=_policy(style, script),
-    )
+    """The HTML text of the page's own file."""
+    return Press(page).page(_own(page))
 
 
 def write_report(page: Page, folder: Path) -> Path:
-    """Writes `folder/index.html`, whole or not at all, and returns its path. The images must already stand where their `src` says.
+    """Writes `folder/index.html`, whole or not at all, and returns its path; many trials get files in `folder/trials` before.
 
-    Raises PageError that lists the images which are not there; OSError where the folder can't be written.
+    The images must already stand where their `src` says. Raises PageError that lists the images which are not there; OSError where the
+    folder can't be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    wanted = dict.fromkeys(path for image in page.images() for path in (image.src, image.original or image.src))
-    missing = [path for path in wanted if not (folder / path).is_file()]
-    if missing:
-        shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
-        raise PageError(f"report in {folder}: {len(missing)} images are not there: {shown}; write the images before the page")
-    target = folder / "index.html"
-    draft = folder / "index.html.part"
+    refuse_missing(page.images(), folder)
+    press = Press(page)
+    place = _own(page)
+    if len(place.trials) < len(page.trials):
+        (folder / TRIALS).mkdir(exist_ok=True)
+        for number, trial in enumerate(page.trials):
+            (folder / TRIALS / f"{trial.id}.html").write_text(press.trial(number), encoding="utf-8", newline="\n")
+    return write_whole(folder / "index.html", press.page(place))
+
+
+def write_whole(target: Path, html: str) -> Path:
+    """Writes `html` to `target`, whole or not at all."""
+    draft = target.with_name(target.name + ".part")
     with draft.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(render(page))
+        file.write(html)
         file.flush()
         os.fsync(file.fileno())
     draft.replace(target)
     return target
+
+
+def refuse_missing(images: Iterable[ImageView], folder: Path) -> None:
+    """Raises PageError that lists the images which are not in `folder`."""
+    wanted = dict.fromkeys(path for image in images for path in (image.src, image.original or image.src))
+    missing: Sequence[str] = [path for path in wanted if not (folder / path).is_file()]
+    if missing:
+        shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
+        raise PageError(f"report in {folder}: {len(missing)} images are not there: {shown}; write the images before the page")
+
+
+def _own(page: Page) -> Place:
+    return Place(page.trials if len(page.trials) <= IN_PAGE else ())
 
 
 def _asset(name: str) -> str:

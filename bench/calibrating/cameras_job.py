@@ -14,7 +14,7 @@ from bench.calibrating.views import BoardViews
 from detector.calibration import ParameterCovariance, Part, Record
 from detector.calibration.cameras import Calibrated, TooFewViewsError, View, calibrate_camera, join_cameras
 from detector.calibration.coverage import Coverage, coverage
-from detector.calibration.diagnosis import Finding, measured_again, outlier_views, swapped
+from detector.calibration.diagnosis import Finding, bent, measured_again, outlier_views, swapped
 from detector.calibration.halves import Halves, pair_of, split_half
 from detector.calibration.parameters import POSE
 from detector.calibration.remeasure import Remeasured, remeasure
@@ -114,7 +114,9 @@ def _findings(views: BoardViews, joint: Calibrated, held_out: Remeasured | None)
     pair = pair_of(joint)
     found = swapped(pair.right_from_left)
     if not found:
-        found += measured_again(held_out or remeasure(pair, views.board, views.pairs()), pair)
+        used = remeasure(pair, views.board, views.pairs())
+        found += measured_again(held_out or used, pair)
+        found += [] if any(finding.name == "bent board" for finding in found) else bent(used)
     for camera in PAIR:
         found += outlier_views(joint.view_rms_px(camera), camera)
     return tuple(found)

@@ -6,6 +6,7 @@ May not know where frames come from, nor what is calibrated from them.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import cv2
 import numpy as np
@@ -85,7 +86,7 @@ class Guide:
         return np.asarray(image, dtype=np.uint8)
 
 
-def _mark_cells(image: NDArray[np.uint8], corners: NDArray[np.float64]) -> None:
+def _mark_cells(image: NDArray[Any], corners: NDArray[np.float64]) -> None:
     """Tint each cell of a BGR picture by whether it is covered; ``corners`` (ROWS, COLUMNS) counts what was seen in each."""
     high, wide = image.shape[:2]
     for row in range(ROWS):

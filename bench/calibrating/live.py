@@ -27,11 +27,15 @@ GUIDE = "guide.png"
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """Which cameras shall see the board, which of them have to be covered by it, whether it is heated, and which come mirrored."""
+    """Which cameras shall see the board, which of them have to be covered by it, whether it is heated, and which come mirrored.
+
+    Where none is ``guided``, ``most`` views are taken.
+    """
 
     cameras: tuple[str, ...] = ("left", "right")
     guided: tuple[str, ...] = ("left", "right")
     heated: bool = False
+    most: int = MOST_VIEWS
     mirrored: frozenset[str] = frozenset()
 
 
@@ -41,15 +45,15 @@ def gather(
     """Keep views in ``folder`` as CAMERA/NN.png; gives back how many. Raises OperatorAbort, ConfigError, and as ``look`` does."""
     guide = Guide(board, wanted.guided)
     pattern = pattern_of(board)
-    for number in range(1, MOST_VIEWS + 1):
+    for number in range(1, wanted.most + 1):
         missing = guide.missing
-        if not missing:
+        if wanted.guided and not missing:
             tell("Nothing is missing any more.")
             return number - 1
         try:
             operator.hold_board(BoardAsked(pattern, _instruction(wanted, missing), number, wanted.cameras, wanted.heated))
         except OperatorEnough as enough:
-            tell(f"Enough: {enough}. Still missing: {'; '.join(missing)}.")
+            tell(f"Enough: {enough}. Still missing: {'; '.join(missing) or 'nothing'}.")
             return number - 1
         pictures = _seen(look, wanted.cameras)
         for camera, picture in pictures.items():
@@ -57,8 +61,8 @@ def gather(
         said = guide.add({c: p[:, ::-1].copy() if c in wanted.mirrored else p for c, p in pictures.items()})
         tell(f"view {number}: " + "; ".join(f"{camera} {text}" for camera, text in said.items()))
         write_picture(folder / GUIDE, guide.picture())
-    tell(f"{MOST_VIEWS} views are enough. Still missing: {'; '.join(guide.missing) or 'nothing'}.")
-    return MOST_VIEWS
+    tell(f"{wanted.most} views are enough. Still missing: {'; '.join(guide.missing) or 'nothing'}.")
+    return wanted.most
 
 
 def free_folder(out: Path) -> Path:
@@ -88,6 +92,8 @@ def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
 def _instruction(wanted: Wanted, missing: tuple[str, ...]) -> str:
     who = " and ".join(wanted.cameras)
     board = "heated board" if wanted.heated else "board"
+    if not missing:
+        return f"Hold the {board} still where {who} see all of it, another way each time: {wanted.most} views."
     more = f"; and {len(missing) - TOLD} more" if len(missing) > TOLD else ""
     return f"Hold the {board} still where {who} see all of it. Missing: {'; '.join(missing[:TOLD])}{more}."
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from bench.commands import CODES, Commands
 from bench.commands.calibrating import add_steps
+from bench.commands.calibration_check import add_check
 from bench.commands.calibration_files import add_files
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ def add_to(commands: Commands) -> None:
     """The family's commands with their arguments."""
     group = commands.group("calibrate", "make a calibration file with its quality figures")
     add_steps(group)
+    add_check(group)
     add_files(group)
     stage = group.add("stage", "register the stage in the world: one teat end touched at several stage positions (docs/truth.md)", _stage)
     stage.add_argument("--rig", metavar="RIG", help="a shipped rig by name, or a .toml file (default: emulated)")

@@ -1,4 +1,4 @@
-"""`calibrate cameras|thermal|world|merge|check`: each step writes a file, and a page that says how good it is."""
+"""`calibrate cameras|thermal|world|merge`: each step writes a file, and a page that says how good it is."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 from bench.commands import CODES, Commands
 from bench.commands.calibration_files import add_out_file, command_line, make_record, size, told, write_step
+from bench.commands.live_calibration import add_rig_option, gather_views, gather_world
 
 if TYPE_CHECKING:
+    from bench.calibrating.thermal_job import Delivered
     from bench.calibrating.views import BoardViews
     from detector.geometry import Array
 
@@ -27,15 +29,12 @@ def add_steps(group: Commands) -> None:
     merge = group.add("merge", "put the steps' files together into one calibration.toml", _merge, opens_links=False)
     merge.add_argument("parts", nargs="+", type=Path, metavar="PART", help="the files that the steps wrote")
     add_out_file(merge, "calibration.toml")
-    check = group.add("check", "measure a board again with an existing calibration: does it still hold?", _check, opens_links=False)
-    check.add_argument("calibration", type=Path, metavar="CAL", help="the calibration, or the cameras' file")
-    _add_frames(check)
-    check.add_argument("--page", type=Path, metavar="DIR", help="where the page goes (default: none is written)")
 
 
 def _add_cameras(group: Commands) -> None:
-    cameras = group.add("cameras", "the stereo pair from pictures of a board", _cameras, opens_links=False)
-    _add_frames(cameras)
+    cameras = group.add("cameras", "the stereo pair from pictures of a board, or live from a rig's cameras", _cameras)
+    add_frames(cameras, live=True)
+    add_rig_option(cameras)
     cameras.add_argument("--model", choices=MODELS, default="k1 k2 p1 p2", help="distortion that is fitted (default: k1 k2 p1 p2)")
     cameras.add_argument("--square-pixels", action="store_true", help="hold fx = fy")
     cameras.add_argument("--identity", action="append", default=[], metavar="CAMERA=SERIAL", help="which camera it is, for the record")
@@ -43,35 +42,37 @@ def _add_cameras(group: Commands) -> None:
 
 
 def _add_thermal(group: Commands) -> None:
-    thermal = group.add("thermal", "the thermal camera, from pictures of a heated board or from point pairs", _thermal, opens_links=False)
-    _add_frames(thermal, optional=True)
+    thermal = group.add("thermal", "the thermal camera, from pictures of a heated board, live from a rig, or from point pairs", _thermal)
+    add_frames(thermal, live=True, board_required=False)
+    add_rig_option(thermal)
     thermal.add_argument("--cameras", type=Path, metavar="FILE", help="what 'calibrate cameras' wrote; needed with pictures")
     thermal.add_argument(
         "--pairs", type=Path, metavar="CSV", help="point pairs instead of pictures: thermal_x,thermal_y,left_x,left_y,right_x,right_y"
     )
     thermal.add_argument("--image-size", type=size, metavar="COLUMNSxROWS", help="of the delivered thermal picture; needed with --pairs")
-    thermal.add_argument("--sensor-size", type=size, default=(160, 120), metavar="COLUMNSxROWS", help="default: 160x120")
+    thermal.add_argument("--sensor-size", type=size, metavar="COLUMNSxROWS", help="default: 160x120, or as the rig's calibration says")
     thermal.add_argument("--mirrored", action="store_true", help="the camera delivers mirrored pictures, and these are")
-    thermal.add_argument("--polarity", choices=("hot_is_black", "hot_is_white"), default="hot_is_white")
+    thermal.add_argument("--polarity", choices=("hot_is_black", "hot_is_white"), help="default: hot_is_white, or as the rig's says")
     thermal.add_argument("--model", choices=MODELS, default="k1", help="distortion that is fitted (default: k1)")
     thermal.add_argument("--plane", type=float, metavar="MM", help="distance of the plane that the homographies hold on (default: 1076.3)")
     add_out_file(thermal, "thermal.toml")
 
 
 def _add_world(group: Commands) -> None:
-    world = group.add("world", "camera to table, from points that the arm touched and both cameras saw", _world, opens_links=False)
-    world.add_argument("points", type=Path, metavar="CSV", help="left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm, a point a line")
+    world = group.add("world", "camera to table, from points that the arm touched and both cameras saw", _world)
+    world.add_argument("points", nargs="?", type=Path, metavar="CSV", help="left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm, a point a line")
+    add_rig_option(world)
+    world.add_argument("--board", metavar="BOARD", help="with --rig: a shipped board by name, or a .toml file")
     world.add_argument("--cameras", type=Path, required=True, metavar="FILE", help="what 'calibrate cameras' wrote")
     world.add_argument("--pixel-sd", type=float, default=0.1, metavar="PX", help="of a pixel coordinate (default: 0.1)")
     world.add_argument("--touch-sd", type=float, default=0.25, metavar="MM", help="of a touch, along each axis (default: 0.25)")
     add_out_file(world, "world.toml")
 
 
-def _add_frames(parser: argparse.ArgumentParser, *, optional: bool = False) -> None:
-    parser.add_argument(
-        "frames", nargs="*" if optional else "+", type=Path, metavar="FRAMES", help="folders of pictures (docs/calibration.md)"
-    )
-    parser.add_argument("--board", metavar="BOARD", required=not optional, help="a shipped board by name, or a .toml file")
+def add_frames(parser: argparse.ArgumentParser, *, live: bool = False, board_required: bool = True) -> None:
+    """Pictures of a board, and how it is looked for in them."""
+    parser.add_argument("frames", nargs="*" if live else "+", type=Path, metavar="FRAMES", help="folders of pictures (docs/calibration.md)")
+    parser.add_argument("--board", metavar="BOARD", required=board_required, help="a shipped board by name, or a .toml file")
     parser.add_argument("--max-views", type=int, metavar="N", help="take this many views, spread over the set")
     parser.add_argument("--window", type=int, metavar="PX", help="half of the corner window (default: as large as reaches no other corner)")
 
@@ -79,13 +80,19 @@ def _add_frames(parser: argparse.ArgumentParser, *, optional: bool = False) -> N
 def _cameras(given: argparse.Namespace) -> int:
     from bench.arm.session import refuse_existing
     from bench.calibrating.cameras_job import Lens, calibrate_pair
+    from bench.calibrating.live import Wanted
     from bench.summary.calibration import cameras_page
     from detector.calibration.bundle import BundleError
 
     refuse_existing(given.out, replace=given.replace)
-    views, paths = _views(given, "left", "right")
+    one_source(given, given.frames, "folders of pictures (FRAMES)")
+    identity = _identities(given.identity)
+    if given.rig:
+        gathered = gather_views(given, Wanted())
+        given.frames, identity = [gathered.folder], {**gathered.identity, **identity}
+    views, paths = views_of(given, "left", "right")
     result = _sentence(lambda: calibrate_pair(views, Lens(given.model, given.square_pixels)), BundleError)
-    record = make_record(given, paths, _identities(given.identity))
+    record = make_record(given, paths, identity)
     write_step(given, result.part(record), cameras_page(result, record, command_line()))
     for camera, coverage in result.coverage.items():
         for text in coverage.missing:
@@ -96,15 +103,16 @@ def _cameras(given: argparse.Namespace) -> int:
 
 def _thermal(given: argparse.Namespace) -> int:
     from bench.arm.session import refuse_existing
+    from bench.calibrating.live import Wanted
     from bench.calibrating.merging import CAMERAS_INPUT, read_part
-    from bench.calibrating.thermal_job import Delivered, calibrate_thermal, map_pairs
+    from bench.calibrating.thermal_job import calibrate_thermal, map_pairs
     from bench.config import ConfigError
     from bench.summary.calibration import pairs_page, thermal_page
     from detector.calibration import DEFAULT_PLANE_DEPTH_MM
     from detector.calibration.bundle import BundleError
 
     refuse_existing(given.out, replace=given.replace)
-    delivered = Delivered(given.sensor_size, given.mirrored, given.polarity, given.model)
+    delivered = _delivered(given)
     if given.pairs is not None:
         if given.image_size is None:
             raise ConfigError.plain("--pairs needs --image-size COLUMNSxROWS: how large the thermal picture is whose pixels the pairs name")
@@ -112,25 +120,37 @@ def _thermal(given: argparse.Namespace) -> int:
         record = make_record(given, (given.pairs,), {})
         write_step(given, mapped.part(given.image_size, delivered, record), pairs_page(mapped, record, command_line()))
         return CODES.met
-    if not given.frames or not given.board or not given.cameras:
-        raise ConfigError.plain("give folders of pictures with --board and --cameras, or a table with --pairs")
-    cameras = read_part(given.cameras)
-    views, paths = _views(given, "left", "thermal", mirrored=given.mirrored)
+    if not (given.frames or given.rig) or not given.board or not given.cameras:
+        raise ConfigError.plain("give folders of pictures or --rig with --board and --cameras, or a table with --pairs")
+    one_source(given, given.frames, "folders of pictures (FRAMES)")
+    cameras, identity = read_part(given.cameras), {}
+    if given.rig:
+        mirrored = frozenset({"thermal"} if delivered.mirrored else ())
+        gathered = gather_views(given, Wanted(("left", "thermal"), ("thermal",), heated=True, mirrored=mirrored))
+        given.frames, identity = [gathered.folder], gathered.identity
+    views, paths = views_of(given, "left", "thermal", mirrored=delivered.mirrored)
     plane = DEFAULT_PLANE_DEPTH_MM if given.plane is None else given.plane
     result = _sentence(lambda: calibrate_thermal(views, cameras.part, delivered, plane), BundleError)
-    record = make_record(given, paths, {}, {CAMERAS_INPUT: cameras.sha256})
+    record = make_record(given, paths, identity, {CAMERAS_INPUT: cameras.sha256})
     write_step(given, result.part(record), thermal_page(result, record, command_line()))
     return CODES.met
 
 
 def _world(given: argparse.Namespace) -> int:
     from bench.arm.session import refuse_existing
+    from bench.calibrating.live_world import POINTS_FILE
     from bench.calibrating.merging import CAMERAS_INPUT, read_part
     from bench.calibrating.world_job import calibrate_world, read_points
+    from bench.config import ConfigError
     from bench.summary.calibration import world_page
 
     refuse_existing(given.out, replace=given.replace)
+    one_source(given, given.points, "a table of points (CSV)")
     cameras = read_part(given.cameras)
+    if given.rig:
+        if not given.board:
+            raise ConfigError.plain("--rig needs --board: what both cameras see and the arm touches")
+        given.points = gather_world(given).folder / POINTS_FILE
     result = calibrate_world(read_points(given.points), cameras.part, pixel_sd_px=given.pixel_sd, touch_sd_mm=given.touch_sd)
     record = make_record(given, (given.points,), {}, {CAMERAS_INPUT: cameras.sha256})
     write_step(given, result.part(record), world_page(result, record, command_line()))
@@ -146,25 +166,27 @@ def _merge(given: argparse.Namespace) -> int:
     return CODES.met
 
 
-def _check(given: argparse.Namespace) -> int:
-    from bench.calibrating.checkup import check_pair
-    from bench.calibrating.merging import read_part
-    from bench.summary.calibration import check_page
-    from reports.render import write_report
+def one_source(given: argparse.Namespace, files: object, what: str) -> None:
+    """Raises ConfigError where neither files nor a rig are named, or both."""
+    from bench.config import ConfigError
 
-    part = read_part(given.calibration).part
-    views, paths = _views(given, "left", "right")
-    again, findings = check_pair(part, views)
-    given.by = ""
-    if given.page:
-        print(f"page: {write_report(check_page(again, findings, make_record(given, paths, {}), command_line()), given.page)}")
-    scale, sd = again.scale
-    print(f"{len(again.views)} views: lengths {scale:.5f} ± {sd:.5f} of the print, rows {again.epipolar_rms_px:.2f} px rms")
-    print("It still holds." if not findings else "It no longer holds.")
-    return told(findings)
+    if bool(files) == bool(given.rig):
+        raise ConfigError.plain(f"give either {what} or --rig RIG{', not both' if given.rig else ''}")
 
 
-def _views(given: argparse.Namespace, *cameras: str, mirrored: bool = False) -> tuple[BoardViews, tuple[Path, ...]]:
+def _delivered(given: argparse.Namespace) -> Delivered:
+    """How the thermal pictures come: as told, or as the rig's calibration has it."""
+    from bench.calibrating.thermal_job import Delivered
+    from bench.rig import find_rig, load_rig
+
+    if not given.rig:
+        return Delivered(given.sensor_size or (160, 120), given.mirrored, given.polarity or "hot_is_white", given.model)
+    known = load_rig(find_rig(given.rig)).calibration.thermal
+    size, mirrored, polarity = given.sensor_size or known.sensor_size, given.mirrored or known.mirrored, given.polarity or known.polarity
+    return Delivered(size, mirrored, polarity, given.model)
+
+
+def views_of(given: argparse.Namespace, *cameras: str, mirrored: bool = False) -> tuple[BoardViews, tuple[Path, ...]]:
     """The board in the pictures of these cameras, and the files they were."""
     from bench.calibrating.board_file import find_board_file, load_board
     from bench.calibrating.picture_sets import find_pictures

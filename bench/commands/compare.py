@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.commands import CODES, Commands
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from bench.comparing import Comparison
 
 
@@ -65,22 +68,29 @@ def _compare(given: argparse.Namespace) -> int:
 
 def _show(found: tuple[Comparison, ...]) -> None:
     from rich.console import Console
-    from rich.table import Table
 
-    from bench.comparison_words import COLUMNS, heading, notes, rows, verdict_told
+    from bench.comparison_words import DISTANCE, SUCCESS, distance_rows, heading, notes, success_rows, verdict_told
 
     console = Console()
     for comparison in found:
-        table = Table(title=heading(comparison))
-        for number, (title, unit) in enumerate(COLUMNS):
-            table.add_column(f"{title}, {unit}" if unit else title, justify="right" if number else "left")
-        for row in rows(comparison):
-            table.add_row(*row)
-        console.print(table)
+        console.print(heading(comparison), markup=False, soft_wrap=True)
+        console.print(_table("success", SUCCESS, success_rows(comparison)))
+        console.print(_table("distance to the teat end", DISTANCE, distance_rows(comparison)))
         for line in (*notes(comparison), verdict_told(comparison)):
             console.print(line, markup=False)
         for reason in comparison.compared.gate.reasons:
             console.print(f"  {reason}", markup=False)
+
+
+def _table(title: str, columns: Sequence[tuple[str, str]], rows: Iterable[tuple[str, ...]]) -> Table:
+    from rich.table import Table
+
+    table = Table(title=title)
+    for number, (column, unit) in enumerate(columns):
+        table.add_column(f"{column}, {unit}" if unit else column, justify="right" if number else "left", no_wrap=not number)
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 def _code(found: tuple[Comparison, ...]) -> int:

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from bench.commands import CODES, Commands, add_detectors
+from bench.commands import CODES, Commands, add_detectors, sensitivity
 
 SHEET, RECORDING, BOARDS = Path("scene.png"), Path("recordings") / "situations", Path("recordings") / "boards"
 CAMERAS = ("left", "right", "thermal")
@@ -36,6 +36,7 @@ def add_to(commands: Commands) -> None:
     boards.add_argument("--warmer-k", type=float, default=0.0, metavar="K", help="what is dark on the board above the room (default: 0)")
     boards.add_argument("--seed", type=_whole, default=1, metavar="N", help="of poses, noise and the cameras' fixed patterns (default: 1)")
     boards.add_argument("--out", type=Path, default=BOARDS, metavar="DIR", help="default: recordings/boards; is added to")
+    sensitivity.add_to(scene)
 
 
 def _add_scenes(parser: argparse.ArgumentParser, seeds: int) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import closing
+from pathlib import Path
+from shutil import disk_usage
 from typing import TYPE_CHECKING
 
 from bench.commands import CODES
@@ -17,8 +19,8 @@ if TYPE_CHECKING:
 SHOWN = 40  # findings; a plane map on a wrong stage has hundreds
 
 
-def look_ahead(rig: LoadedRig, script: LoadedScript) -> int:
-    """Print what a dry run finds; gives back the exit code: 2 where something is wrong."""
+def look_ahead(rig: LoadedRig, script: LoadedScript, out: Path) -> int:
+    """Print what a dry run finds, and what the run will need, kept in ``out``; gives back the exit code: 2 where something is wrong."""
     from bench.dry_run import dry_run
 
     result = dry_run(rig, script, _travel(rig))
@@ -33,7 +35,21 @@ def look_ahead(rig: LoadedRig, script: LoadedScript) -> int:
         print(f"{many}: {len(result.findings)} problems. Nothing was moved.")
         return CODES.wrong_use
     print(f"{many}: nothing wrong. Nothing was moved.")
+    _tell_needs(rig, script, out)
     return CODES.met
+
+
+def _tell_needs(rig: LoadedRig, script: LoadedScript, out: Path) -> None:
+    """Time, room and prompts; room that isn't there is said."""
+    from bench.learnt import needs, read_learnt
+
+    learnt = read_learnt(out, rig)
+    wanted = needs(rig, script, learnt)
+    by = "by what earlier runs took" if learnt else "by assumed times, see 'teatbench trials show'"
+    print(f"about {wanted.time.total_s / 60:.0f} min of the bench's time ({by}), at most {wanted.disk_mb:.0f} MB, {wanted.prompts} prompts")
+    there = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
+    if (free_mb := disk_usage(there).free / 1e6) < wanted.disk_mb:
+        print(f"NOT ENOUGH ROOM: {free_mb:.0f} MB are free in {there}")
 
 
 def _travel(rig: LoadedRig) -> Mapping[str, AxisLimits] | None:

@@ -11,6 +11,8 @@ from bench.commands import CODES, Commands, add_detectors, add_out
 
 if TYPE_CHECKING:
     from bench.rig import LoadedRig
+    from bench.script import LoadedScript
+    from bench.summary import Extras
 
 
 def add_to(commands: Commands) -> None:
@@ -24,8 +26,18 @@ def add_to(commands: Commands) -> None:
     run.add_argument("--dry-run", action="store_true", help="move nothing: check reach, limits, fields of view and collisions")
     add_out(run)
     add_detectors(run)
+    add_events(run)
+    resume = commands.add("resume", "go on with a run that stopped, at its first trial without a result", _resume)
+    resume.add_argument("run", type=Path, help="the run's folder")
+    add_events(resume)
+    tell = commands.add("tell", "tell a run that goes on: pause, go on, skip REASON, repeat REASON, abort", _tell, opens_links=False)
+    tell.add_argument("run", type=Path, help="the run's folder")
+    tell.add_argument("words", nargs="+", help="pause, go on, skip REASON, repeat REASON or abort")
     report = commands.add("report", "(re)write the report of a run", _report, opens_links=False)
     report.add_argument("run", type=Path, help="the run's folder")
+    report.add_argument("--baseline", type=Path, metavar="RUN", help="also hold it against this older run of the same scenes")
+    report.add_argument("--single-file", action="store_true", help="also write single-file.html for mail: pictures in it, at most 20 MB")
+    report.add_argument("--pdf", action="store_true", help="also print report.pdf, by a Chromium, Chrome or Edge of this machine")
     score = commands.add("score", "score detectors on recorded frames: a table, and a run folder with a report", _score, opens_links=False)
     score.add_argument("recording", type=Path, help="a recording's folder")
     add_out(score)
@@ -42,6 +54,7 @@ def _run(given: argparse.Namespace) -> int:
     from rich.console import Console
 
     from bench.commands.looking_ahead import look_ahead
+    from bench.event_lines import WatchedProgress, event_lines
     from bench.offsets import is_offset_script
     from bench.progress import TerminalProgress
     from bench.rig import find_rig, load_rig
@@ -53,16 +66,18 @@ def _run(given: argparse.Namespace) -> int:
         return _run_offsets(rig, path, given.out, dry=given.dry_run)
     script = load_script(path, rig.rig.limits.set_point_c)
     if given.dry_run:
-        return look_ahead(rig, script)
+        return look_ahead(rig, script, given.out)
     from bench.jobs import run_script
 
     console = Console()
-    with TerminalProgress(console) as progress:
+    with event_lines(given.events) as lines, TerminalProgress(console) as shown:
+        progress = WatchedProgress(shown, lines)
         folder, _ = run_script(
             rig,
             script,
             given.out,
             progress,
+            typed=typed_lines(rig.rig.operator.url),
             seed=given.seed,
             detectors=given.detector,
             record=given.record,
@@ -72,7 +87,71 @@ def _run(given: argparse.Namespace) -> int:
         progress.state("writing the report")
         code, show = _reported(folder)
     show(console)
+    _compare_times(folder, given.out, rig, script)
     return code
+
+
+def _compare_times(folder: Path, out: Path, rig: LoadedRig, script: LoadedScript) -> None:
+    """Print what the run took beside what was expected, and learn from it; one that didn't get through teaches nothing."""
+    from bench.learnt import figures, needs, read_learnt, told, took, write_learnt
+    from bench.record import read_run
+
+    run = read_run(folder)
+    spent = took(run)
+    if run.ending == "finished" and "total_s" in spent:
+        expected = needs(rig, script, read_learnt(out, rig)).time
+        write_learnt(folder, rig, expected, spent, figures(run, rig, script, spent))
+        print(told(expected, spent))
+
+
+def _resume(given: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from bench.event_lines import WatchedProgress, event_lines
+    from bench.jobs import HowToRun, resume_run
+    from bench.progress import TerminalProgress
+    from bench.record import read_run
+    from bench.resuming import files_of
+
+    console = Console()
+    operator = files_of(read_run(given.run))[0].rig.operator.url
+    with event_lines(given.events) as lines, TerminalProgress(console) as shown:
+        progress = WatchedProgress(shown, lines)
+        resume_run(given.run, progress, HowToRun(capture=given.capture, typed=typed_lines(operator)))
+        progress.state("writing the report")
+        code, show = _reported(given.run)
+    show(console)
+    return code
+
+
+def _tell(given: argparse.Namespace) -> int:
+    from bench.record import read_run
+    from bench.wishes import leave_wish
+
+    run = read_run(given.run)
+    if run.ending != "interrupted":
+        print(f"{given.run} has ended ({run.ending}): nobody is there to hear it.")
+        return CODES.wrong_use
+    leave_wish(given.run, " ".join(given.words))
+    print("left for the run; it looks once a second.")
+    return CODES.met
+
+
+def add_events(parser: argparse.ArgumentParser) -> None:
+    """Where what goes on is told as JSON lines."""
+    parser.add_argument("--events", type=Path, metavar="FILE", help="also tell what goes on as JSON lines, for others to watch")
+
+
+def typed_lines(operator_url: str) -> Callable[[], str | None]:
+    """Lines typed at this terminal, where it is one and no operator is asked there."""
+    import sys
+
+    from bench.rig import CONSOLE
+    from instruments.operators.keyboard import keyboard_of
+
+    if operator_url == CONSOLE or sys.stdin is None or not sys.stdin.isatty():
+        return lambda: None
+    return keyboard_of(sys.stdin, lambda _: None).line
 
 
 def _score(given: argparse.Namespace) -> int:
@@ -124,18 +203,32 @@ def _report(given: argparse.Namespace) -> int:
 
     if is_offset_run(given.run):
         return _offsets_reported(given.run)
-    code, show = _reported(given.run)
+    code, show = _reported(given.run, _extras(given))
     show(Console())
     return code
 
 
-def _reported(folder: Path) -> tuple[int, Callable[..., None]]:
+def _extras(given: argparse.Namespace) -> Extras:
+    """What was asked for besides the page. Raises ConfigError before anything is written."""
+    from bench.config import ConfigError
+    from bench.summary import Extras
+    from bench.summary.baseline import baseline_section
+    from reports.pdf import find_browser
+
+    browser = find_browser() if given.pdf else None
+    if given.pdf and browser is None:
+        raise ConfigError.plain("no Chromium, Chrome or Edge was found to print a PDF with. Install one, or print index.html by hand.")
+    chapters = (baseline_section(given.baseline, given.run),) if given.baseline else ()
+    return Extras(chapters, given.single_file, browser)
+
+
+def _reported(folder: Path, extras: Extras | None = None) -> tuple[int, Callable[..., None]]:
     """Write the report of a run; gives back the exit code that it deserves, and what shows it on a console."""
     from bench.progress import show_result
-    from bench.summary import write_run_report
+    from bench.summary import PLAIN, write_run_report
     from bench.verdicts import run_verdict
 
-    path, run, judgements = write_run_report(folder)
+    path, run, judgements = write_run_report(folder, extras or PLAIN)
     codes = {"met": CODES.met, "not met": CODES.not_met}
     code = CODES.fault if run.ending != "finished" else codes.get(run_verdict(judgements).value, CODES.inconclusive)
     return code, lambda console: show_result(console, run, judgements, path)

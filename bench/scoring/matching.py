@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
-from math import dist, sqrt
+from itertools import combinations, starmap
+from math import dist, inf, sqrt
 from operator import attrgetter
 
 import numpy as np
@@ -100,11 +101,9 @@ def gate_mm(truth_mm: npt.ArrayLike, ceiling_mm: float = GATE_CEILING_MM) -> flo
 
 def gate_between(truth: Points, ceiling_mm: float = GATE_CEILING_MM) -> float:
     """`gate_mm` of points that are checked already."""
-    spacings = [(dist(b, a), i, j) for j, b in enumerate(truth) for i, a in enumerate(truth[:j])]
-    if not spacings:
-        return ceiling_mm
-    least, i, j = min(spacings)
+    least = min(starmap(dist, combinations(truth, 2)), default=inf)
     if least == 0.0:
+        i, j = next((i, j) for j in range(len(truth)) for i in range(j) if truth[i] == truth[j])
         raise ValueError(f"truth: teats {i} and {j} are at the same place {truth[i]} mm; one of them was touched twice")
     return min(ceiling_mm, least / 2)
 
@@ -122,7 +121,13 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
     """`match` of points and flags that are checked already: lists, since a scene has a handful of teats."""
     _check_gate(gate_mm)
     within = {(i, j): d for j, b in enumerate(truth) for i, a in enumerate(found) if (d := dist(a, b)) <= gate_mm}
-    kept = _apart(within) if len({i for i, _ in within}) == len(within) else _crowded(found, truth, seen, gate_mm, within)
+    near_found, near_truth = {i for i, _ in within}, {j for _, j in within}
+    if len(near_found) == len(near_truth) == len(within):
+        kept = list(within)  # nobody contends; in order of truth, as the pairs were looked at
+    elif len(near_found) == len(within):
+        kept = _apart(within)
+    else:
+        kept = _crowded(found, truth, seen, gate_mm, within)
     taken_found, taken_truth = {i for i, _ in kept}, {j for _, j in kept}
     pairs = tuple([(i, j) for i, j in kept if seen[j]])
     return Match(
@@ -167,8 +172,10 @@ def as_flags(visible: npt.ArrayLike, teats: int) -> list[bool]:
         return []
     if given.shape != (teats,):
         raise ValueError(f"visible: expected one flag for each of the {teats} teats, got shape {given.shape}")
-    flags = given.tolist()
-    if given.dtype != np.bool_ and any(flag not in (0, 1) for flag in flags):
+    flags: list[bool] = given.tolist()
+    if given.dtype == np.bool_:
+        return flags
+    if any(flag not in (0, 1) for flag in flags):
         raise ValueError(f"visible: expected true or false (1 or 0), got {flags}")
     return [bool(flag) for flag in flags]
 

@@ -18,10 +18,11 @@ from scipy.optimize import brentq
 from scipy.special import bdtr
 from scipy.stats import bootstrap, ttest_1samp
 
-from bench.scoring.points import Floats, as_values
+from bench.scoring.points import Floats, as_values, numbered
 
 RESAMPLES = 9999
 BATCH = 2_000_000  # numbers drawn at once
+FEW = 10  # poses: resampling fewer knows too little of the spread, and its interval is too narrow
 MANY = 1000  # poses: from here on the mean is normal to within its own rounding, and Student's interval is the same
 
 
@@ -113,8 +114,8 @@ def paired_difference(
 ) -> PairedDifference:
     """Mean difference new - old of errors (n,) of the same teats, with a bootstrap interval over poses (BCa; `seed` draws the resamples).
 
-    Each pose counts once, with the mean of its differences. The p-value is that of the sign-flip test (`sign_flip_p`). For more than MANY
-    poses both are Student's.
+    Each pose counts once, with the mean of its differences. The p-value is that of the sign-flip test (`sign_flip_p`). For fewer than FEW
+    poses the interval is Student's, for more than MANY both are.
     """
     differences = pose_differences(old, new, poses)
     n = len(differences)
@@ -125,10 +126,11 @@ def paired_difference(
         return PairedDifference(1, mean, confidence=confidence)
     if float(np.ptp(differences)) <= 1e-12 * max(1.0, abs(mean)):  # all alike: nothing to resample, and BCa isn't defined
         return PairedDifference(n, mean, mean, mean, sign_flip_p(differences, seed), confidence)
-    if n > MANY:
+    if not FEW <= n <= MANY:
         test = ttest_1samp(differences, 0.0)
         low, high = test.confidence_interval(confidence)
-        return PairedDifference(n, mean, float(low), float(high), float(test.pvalue), confidence)
+        p_value = float(test.pvalue) if n > MANY else sign_flip_p(differences, seed)
+        return PairedDifference(n, mean, float(low), float(high), p_value, confidence)
     found = bootstrap(
         (differences,), np.mean, n_resamples=resamples, batch=max(1, BATCH // n), confidence_level=confidence,
         method="BCa", vectorized=True, rng=np.random.default_rng(seed),
@@ -167,8 +169,7 @@ def pose_differences(old: npt.ArrayLike, new: npt.ArrayLike, poses: Sequence[Has
         return b - a
     if len(poses) != len(a):
         raise ValueError(f"paired errors: {len(poses)} pose names for {len(a)} values; give the pose of each value")
-    numbers: dict[Hashable, int] = {}
-    codes = np.array([numbers.setdefault(pose, len(numbers)) for pose in poses], dtype=np.intp)
+    codes = numbered(poses)
     return np.asarray(np.bincount(codes, b - a) / np.bincount(codes), dtype=np.float64) if len(codes) else b - a
 
 

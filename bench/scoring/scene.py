@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
+from operator import sub
 from typing import Any
 
 import numpy as np
@@ -99,13 +100,13 @@ def score_scene(
         raise ValueError(f"seconds: {seconds} must be finite and not negative; a detection that timed out took its time limit or more")
     if hidden_claimed is not None and hidden_claimed < 0:
         raise ValueError(f"hidden_claimed: {hidden_claimed} teats; None says that the detector makes no claim")
-    ends = truth.tolist()
-    result = assign(found.tolist(), ends, as_flags(visible, len(ends)), gate_between(ends))
+    answers, ends = found.tolist(), truth.tolist()
+    result = assign(answers, ends, as_flags(visible, len(ends)), gate_between(ends))
     in_time = bool(seconds <= time_limit_s)
     within = all(d <= limit_mm for d in result.distances_mm)
     return SceneScore(
         match=result,
-        errors_mm=_errors(found, truth, result),
+        errors_mm=_errors(answers, ends, result),
         seconds=float(seconds),
         in_time=in_time,
         limit_mm=float(limit_mm),
@@ -143,16 +144,16 @@ def scene_from_dict(stored: Mapping[str, Any]) -> SceneScore:
         raise ValueError(f"stored score: key {missing} is missing; the run was stored by another version, score it again") from missing
 
 
-def _errors(found: Floats, truth: Floats, result: Match) -> Floats:
-    if not result.pairs:
-        return _frozen(np.zeros((0, 3)))
-    answers, teats = zip(*result.pairs, strict=True)
-    return _frozen(found[list(answers)] - truth[list(teats)])
+def _errors(found: list[list[float]], truth: list[list[float]], result: Match) -> Floats:
+    rows = [list(map(sub, found[i], truth[j])) for i, j in result.pairs]
+    return _frozen(np.array(rows, dtype=np.float64).reshape(-1, 3))
 
 
 def _doubtful(result: Match, limit_mm: float, u_mm: float) -> tuple[int, ...]:
     accept, refuse = acceptance_limit_mm(limit_mm, u_mm), refusal_limit_mm(limit_mm, u_mm)
     floor = -1.0 if accept is None else accept
+    if all(d <= floor for d in result.distances_mm):
+        return ()
     return tuple(j for (_, j), d in zip(result.pairs, result.distances_mm, strict=True) if floor < d < refuse)
 
 

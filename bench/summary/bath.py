@@ -17,6 +17,7 @@ from bench.summary.wording import NOT_MEASURED, guardian_told, number
 from reports.figures import bath_curve
 from reports.page import Column, Figure, Paragraph, Part, Table
 
+MOST_ROWS = 40  # of a table that has a row a capture
 AROUND_S = 5.0  # readings so near to a capture are those of the capture
 
 
@@ -33,6 +34,8 @@ def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     yield Figure(svg, caption, f"{len(run.bath)} readings, {len(captures)} captures", wide=True)
     temps = [t.head["bath_c"] for t in run.trials if t.head["bath_c"] is not None]
     entries: list[tuple[str, object]] = [("set point", number(set_point, "°C")), ("readings", len(run.bath))]
+    room = run.facts.get("bath figures", {}).get("room_c")
+    entries.append(("room, of the rig file", None if room is None else number(room, "°C")))
     if temps:
         entries.append(("at the captures", f"{min(temps):.2f} to {max(temps):.2f} °C"))
     yield tables.key_values("Bath", entries)
@@ -51,6 +54,15 @@ def surface_at(run: RunRecord, trial: TrialRecord) -> Surface | None:
     return surface(bath, external, Figures(**figures))
 
 
+def capture_told(run: RunRecord, trial: TrialRecord) -> str:
+    """The bath at a trial's capture: what the gate saw, the range of the readings about then, and its state."""
+    told = number(trial.head["bath_c"], "°C")
+    readings = _readings(run, trial)[0] if trial.head["captured_s"] is not None else []
+    if readings:
+        told += f" ({min(readings):.2f} to {max(readings):.2f} within {AROUND_S:g} s)"
+    return f"{told}, {trial.head['bath_state']}" if trial.head["bath_state"] else told
+
+
 def surface_told(found: Surface | None) -> str:
     """``32.68 ± 0.35 °C (plant model)``; twice the standard uncertainty."""
     return NOT_MEASURED if found is None else f"{found.temp_c:.2f} ± {2 * found.u_k:.2f} °C ({found.how})"
@@ -65,7 +77,9 @@ def _readings(run: RunRecord, trial: TrialRecord) -> tuple[list[float], list[flo
 
 def _capture_parts(run: RunRecord) -> Iterator[Part]:
     found = {trial.id: surface_at(run, trial) for trial in run.trials}
-    rows = [_capture_row(run, trial, found[trial.id]) for trial in run.trials if trial.head["captured_s"] is not None]
+    taken = [trial for trial in run.trials if trial.head["captured_s"] is not None]
+    shown, left_out = _farthest(run, taken)
+    rows = [_capture_row(run, trial, found[trial.id]) for trial in shown]
     if not rows:
         return
     columns = (
@@ -78,7 +92,7 @@ def _capture_parts(run: RunRecord) -> Iterator[Part]:
         Column("teats' surface", "right", "°C"),
         Column("±", "right", "K", hint="twice the standard uncertainty"),
     )
-    note = f"Readings within {AROUND_S:g} s of each capture. The bath is not the stimulus: the teats' surface is."
+    note = f"Readings within {AROUND_S:g} s of each capture. The bath is not the stimulus: the teats' surface is.{left_out}"
     yield Table("Temperatures at the captures", columns, tuple(rows), note)
     last = next((surface for surface in reversed(found.values()) if surface), None)
     if last:
@@ -86,6 +100,15 @@ def _capture_parts(run: RunRecord) -> Iterator[Part]:
         budget.append(("combined", f"{last.u_k:.3f}", "root of the sum of squares"))
         title = f"Uncertainty budget of the teats' surface, by {last.how} (last capture)"
         yield Table(title, (Column("component"), Column("u", "right", "K"), Column("source")), tuple(budget))
+
+
+def _farthest(run: RunRecord, taken: Sequence[TrialRecord]) -> tuple[Sequence[TrialRecord], str]:
+    """The captures that a table shows, in their order: of many those farthest from the set point; and a sentence that says so."""
+    if len(taken) <= MOST_ROWS:
+        return taken, ""
+    off = [abs((trial.head["bath_c"] or 0.0) - run.facts["set_point_c"]) for trial in taken]
+    chosen = sorted(sorted(range(len(taken)), key=lambda k: -off[k])[:MOST_ROWS])
+    return [taken[k] for k in chosen], f" The {MOST_ROWS} of {len(taken)} captures farthest from the set point; each trial has its own."
 
 
 def _stability_table(run: RunRecord, set_point_c: float, window_s: float) -> Table:
@@ -99,10 +122,12 @@ def _stability_table(run: RunRecord, set_point_c: float, window_s: float) -> Tab
         Column("teats' sensor, slope", "right", "K/min"),
         Column("bath to teats' sensor", "right", "K"),
     )
-    rows = tuple(_stability_row(run, t, set_point_c, window_s) for t in run.trials if t.head["captured_s"] is not None)
+    shown, left_out = _farthest(run, [trial for trial in run.trials if trial.head["captured_s"] is not None])
+    rows = tuple(_stability_row(run, trial, set_point_c, window_s) for trial in shown)
     note = (
         "Stability is what varies in these readings at one place. Uniformity, from teat to teat and from root to tip, is not measured: "
         "there is one sensor at the teats at most; what it may be is in the uncertainty of the teats' surface."
+        f"{left_out}"
     )
     return Table(f"The {window_s:g} s before each capture", columns, rows, note)
 

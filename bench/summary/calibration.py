@@ -18,7 +18,6 @@ from bench.summary.calibration_parts import (
     finding_parts,
     held_out_parts,
     homography_parts,
-    measured_table,
     mm_text,
     parameter_parts,
     parameters,
@@ -27,12 +26,13 @@ from bench.summary.calibration_parts import (
     residual_parts,
     sd_text,
     still_missing,
+    target_table,
+    working_volume_mm,
     worth_parts,
 )
 from detector.calibration import Record
 from detector.calibration.diagnosis import Finding
 from detector.calibration.parameters import POSE
-from detector.calibration.remeasure import Remeasured
 from reports.page import Banner, Cell, Column, Page, Section, Table, Verdict
 
 NAMED_MM = 1200.0  # about where the thesis's teats stand
@@ -135,7 +135,10 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
             (str(n), *(f"{v:+.3f}" for v in row), f"{np.linalg.norm(row):.3f}") for n, row in enumerate(comparison.rigid.residuals_mm, 1)
         ),
     )
-    worst = f"Expected target error over the touched places: {target.min():.3f} to {target.max():.3f} mm."
+    volume = working_volume_mm(fit.touched_mm)
+    there = fit.target_error_mm(volume)
+    near = f"Expected target error {target.min():.2f} to {target.max():.2f} mm at the touched places"
+    worst = f"{near}, up to {there.max():.2f} mm in the working volume."
     banner = Banner(
         kind="computed",
         verdict=_verdict(result.findings),
@@ -147,29 +150,10 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
     sections = (
         Section("findings", "What was found wrong", tuple(finding_parts(result.findings, ()))),
         Section("fits", "Fits", (models, residuals)),
+        Section("volume", "Over the working volume", (target_table(volume, there),)),
         Section("provenance", "Provenance", tuple(provenance_parts(record, command))),
     )
     return Page("Calibration of the world", f"made {record.made}", banner, sections)
-
-
-def check_page(again: Remeasured, findings: Sequence[Finding], record: Record, command: str) -> Page:
-    """Of `calibrate check`: an existing calibration against a board seen today."""
-    figures = f"spacing {again.spacing_rms_mm:.3f} mm, flatness {again.flatness_rms_mm:.3f} mm, rows {again.epipolar_rms_px:.2f} px"
-    sentence = "It still holds." if not findings else "It no longer holds: " + "; ".join(f.name for f in findings) + "."
-    banner = Banner(
-        kind="computed",
-        verdict="met" if not findings else "not met",
-        tested=f"An existing calibration on {len(again.views)} views of a board.",
-        sentence=sentence,
-        confidence=f"Rms: {figures}.",
-        next_action="Nothing." if not findings else "Calibrate anew (teatbench calibrate cameras), after looking at what is named below.",
-    )
-    sections = (
-        Section("findings", "What was found wrong", tuple(finding_parts(findings, ()))),
-        Section("measured", "The board, measured", (measured_table(again),)),
-        Section("provenance", "Provenance", tuple(provenance_parts(record, command))),
-    )
-    return Page("Check of a calibration", f"checked {record.made}", banner, sections)
 
 
 def _verdict(findings: Sequence[Finding]) -> Verdict:

@@ -21,6 +21,7 @@ from reports.figures import precision_by_distance, residual_field
 from reports.page import Cell, Code, Column, Figure, KeyValues, Notes, Paragraph, Part, Table
 
 UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "om": "rad", "T": "mm"}
+MARGIN_MM = 100.0  # of the working volume beyond what was touched
 DISTANCES_M = np.linspace(0.7, 1.8, 23)
 
 
@@ -185,6 +186,25 @@ def picture_parts(views: BoardViews, fit: Calibrated) -> Iterator[Part]:
     yield Table("Views used", columns, tuple(rows), searchable=True)
     left_out = tuple(f"{r.camera} {r.view}: {r.reason}" for r in views.refused)
     yield Notes("Left out", left_out) if left_out else Paragraph("No picture was left out.", tone="good")
+
+
+def working_volume_mm(touched_mm: Array) -> Array:
+    """Points (27, 3) over the box of the touched places, `MARGIN_MM` larger on every side: where teats may stand."""
+    low, high = touched_mm.min(axis=0) - MARGIN_MM, touched_mm.max(axis=0) + MARGIN_MM
+    grid = np.meshgrid(*np.linspace(low, high, 3).T, indexing="ij")
+    return np.column_stack([axis.reshape(-1) for axis in grid])
+
+
+def target_table(volume_mm: Array, errors_mm: Array) -> Table:
+    """Expected target errors (27,) at the points of `working_volume_mm`: a row for each y and z, a column for each x."""
+    x = [volume_mm[9 * at, 0] for at in range(3)]
+    columns = (Column("y", "right", "mm"), Column("z", "right", "mm"), *(Column(f"x = {value:.0f} mm", "right", "mm") for value in x))
+    rows = tuple(
+        (f"{volume_mm[at, 1]:.0f}", f"{volume_mm[at, 2]:.0f}", *(f"{errors_mm[9 * across + at]:.2f}" for across in range(3)))
+        for at in range(9)
+    )
+    note = f"The box of the touched places, {MARGIN_MM:.0f} mm larger on every side. Fitzpatrick, West and Maurer 1998, eq. 46."
+    return Table("Expected target error, rms", columns, rows, note=note)
 
 
 def homography_parts(result: ThermalResult) -> Iterator[Part]:

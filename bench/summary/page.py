@@ -2,45 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from bench.config import read_config
+from bench.config import ConfigError, read_config
 from bench.exports import write_exports
 from bench.latency import LATENCY_RULE, failures_told, latency_of
 from bench.record import RunRecord, read_run
 from bench.rig import read_calibration
+from bench.scoring.limits import acceptance_limit_mm
 from bench.scoring.rates import zero_failure_n
 from bench.script import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement
 from bench.store import RULES, SCRIPT
 from bench.summary import tables
 from bench.summary.arm import arm_parts
+from bench.summary.attribution import attribution_parts
 from bench.summary.bath import bath_parts
+from bench.summary.calibrated import limit_parts, record_parts
+from bench.summary.evidence import fault_parts, provenance_parts
 from bench.summary.poses import pose_parts
-from bench.summary.trials import trial_id, trial_parts, trial_table
+from bench.summary.spread import spread_parts
+from bench.summary.trials import trial_id, trial_parts, trial_table, worst_trials
 from bench.summary.truth import deviation_parts, truth_parts
 from bench.summary.wording import headline, number
 from bench.verdicts import Judgement, judge, scored
 from detector.calibration import Calibration
 from reports.figures import error_histogram, error_scatter, found_bars, latency_strip, per_axis_errors
-from reports.page import Banner, Code, Column, Figure, Notes, Page, Paragraph, Part, Section, Table
+from reports.mail import write_single_file
+from reports.page import Banner, Column, Figure, Page, PageError, Paragraph, Part, Section, Table
+from reports.pdf import print_pdf
 from reports.render import write_report
 
-REPORT = "report"
+REPORT, SINGLE_FILE, PDF = "report", "single-file.html", "report.pdf"
 
 
-def write_run_report(folder: Path) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
+@dataclass(frozen=True, slots=True)
+class Extras:
+    """What a report has besides: chapters after the results, a single file for mail, a PDF by the browser named."""
+
+    chapters: tuple[Section, ...] = ()
+    single_file: bool = False
+    browser: str | None = None
+
+
+PLAIN = Extras()
+
+
+def write_run_report(folder: Path, extras: Extras = PLAIN) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
     """(Re)write the report and the exports of the run in ``folder``; gives back the page's path. Raises ConfigError for no run."""
     run = read_run(folder)
     rules = stored_rules(folder)
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
     calibration = read_calibration(folder / "calibration.toml")
-    page = build_page(run, rules, judgements, calibration, folder / REPORT)
+    page = build_page(run, rules, judgements, calibration, folder / REPORT, extras.chapters)
     path = write_report(page, folder / REPORT)
     write_exports(run, judgements, folder / REPORT)
+    if extras.single_file:
+        write_single_file(page, folder / REPORT, folder / REPORT / SINGLE_FILE)
+    if extras.browser:
+        try:
+            print_pdf(path, folder / REPORT / PDF, extras.browser)
+        except PageError as error:
+            raise ConfigError.plain(str(error)) from error
     return path, run, judgements
 
 
@@ -50,8 +76,15 @@ def stored_rules(folder: Path) -> Rules:
     return read_config(script, Script, stored=True) if script.is_file() else read_config(folder / RULES, Rules, stored=True)
 
 
-def build_page(run: RunRecord, rules: Rules, judgements: Sequence[Judgement], calibration: Calibration, folder: Path) -> Page:
-    """The page; the trials' pictures are written into ``folder``/images on the way."""
+def build_page(
+    run: RunRecord,
+    rules: Rules,
+    judgements: Sequence[Judgement],
+    calibration: Calibration,
+    folder: Path,
+    chapters: tuple[Section, ...] = (),
+) -> Page:
+    """The page; the trials' pictures are written into ``folder``/images on the way. ``chapters`` stand after the results."""
     verdict, why, then = headline(run, judgements)
     facts = run.facts
     poses = len({trial.pose for trial in run.counted})
@@ -60,19 +93,20 @@ def build_page(run: RunRecord, rules: Rules, judgements: Sequence[Judgement], ca
         verdict=verdict,
         tested=f"{facts['title']}: detector {', '.join(run.detectors)} on {len(run.counted)} frame sets of {poses} poses{_left_out(run)}.",
         sentence=why,
-        confidence=_confidence(rules, poses),
+        confidence=_confidence(run, rules, poses),
         next_action=then,
     )
     sections = (
         Section("requirements", "Requirements", tuple(_requirement_parts(judgements, rules))),
-        Section("results", "Results by situation", tuple(_result_parts(run, rules))),
+        Section("results", "Results by situation", (*_result_parts(run, rules), *attribution_parts(run))),
+        *chapters,
         Section("accuracy", "Accuracy", tuple(_accuracy_parts(run, rules, calibration))),
         Section("poses", "Poses", tuple(pose_parts(run, rules.visible_within_mm))),
         Section("latency", "Time", tuple(_latency_parts(run, rules))),
         Section("environment", "Bath and environment", tuple(bath_parts(run, rules))),
-        Section("deviations", "Deviations and exclusions", tuple(deviation_parts(run))),
-        Section("reference", "Measurand and reference", (*truth_parts(run), *arm_parts(run))),
-        Section("provenance", "Provenance", tuple(_provenance_parts(run))),
+        Section("deviations", "Deviations and exclusions", (*deviation_parts(run), *fault_parts(run))),
+        Section("reference", "Measurand and reference", (*truth_parts(run), *arm_parts(run), *record_parts(run))),
+        Section("provenance", "Provenance", tuple(provenance_parts(run))),
         Section("trial-list", "Trials", (trial_table(run),)),
     )
     return Page(
@@ -80,7 +114,8 @@ def build_page(run: RunRecord, rules: Rules, judgements: Sequence[Judgement], ca
         subtitle=str(facts.get("about", "")),
         banner=banner,
         sections=sections,
-        trials=tuple(trial_parts(run, calibration, folder)),
+        trials=trial_parts(run, calibration, folder),
+        worst=worst_trials(run),
         footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),
     )
 
@@ -90,14 +125,23 @@ def _left_out(run: RunRecord) -> str:
     return f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
 
 
-def _confidence(rules: Rules, poses: int) -> str:
+def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
     claims = [(r.rate, r.confidence) for r in rules.requirements if isinstance(r, ErrorRequirement | SuccessRequirement)]
     if not claims:
         return f"{poses} poses."
     rate, confidence = claims[0]
     needed = zero_failure_n(rate, confidence)
-    claim = f"{100 * rate:g} % of poses with {100 * confidence:g} % confidence"
-    return f"{poses} poses were tried. Without a single failure, {needed} show {claim}."
+    if not poses:
+        return f"No pose was tried; {needed} without a failure would show {100 * rate:g} % with {100 * confidence:g} % confidence."
+    best = (1.0 - confidence) ** (1.0 / poses)
+    shown = f"{poses} poses were tried: at best they show a success rate of {100 * best:.1f} %, with {100 * confidence:g} % confidence."
+    more = "" if poses >= needed else f" To show {100 * rate:g} % takes {needed} poses without a failure."
+    return f"{shown}{more}{_truth_told(run)}"
+
+
+def _truth_told(run: RunRecord) -> str:
+    known = [row["u_mm"] for trial in run.counted for row in trial.truth if row["u_mm"] is not None]
+    return f" The truth is known to ± {2 * max(known):.2f} mm (k = 2)." if known else ""
 
 
 def _requirement_parts(judgements: Sequence[Judgement], rules: Rules) -> Iterator[Part]:
@@ -128,16 +172,26 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
         yield from tables.errors(run, pool, detector, calibration)
         camera = pool.errors_mm @ calibration.world_from_right.inverse().R.T
         radial = np.linalg.norm(pool.errors_mm, axis=1)
+        accept_mm = _accepted_mm(run, rules, detector)
         links = [f"#{trial_id(t)}" for t in run.counted if detector in t.scores for _ in t.scores[detector].errors_mm]
         lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
-        scatter = error_scatter(lateral, camera[:, 2], limit_mm, links=links, name=f"scatter-{detector}")
+        scatter = error_scatter(lateral, camera[:, 2], limit_mm, accept_mm=accept_mm, links=links, name=f"scatter-{detector}")
         yield Figure(scatter, f"Depth error against lateral error, {detector}; each point opens its trial", f"{len(radial)} points")
-        histogram = error_histogram(radial, limit_mm, name=f"histogram-{detector}")
+        histogram = error_histogram(radial, limit_mm, accept_mm=accept_mm, name=f"histogram-{detector}")
         within = f"{int((radial <= limit_mm).sum())} of {len(radial)} within the limit"
         yield Figure(histogram, f"Distance to the teat end, {detector}", within)
         strips = per_axis_errors(names, [scored(run, detector, n).errors_mm for n in names], limit_mm, name=f"axes-{detector}")
         yield Figure(strips, f"Errors along the world's axes by situation, {detector}", "strips of signed errors", wide=True)
+        yield from spread_parts(run, detector, limit_mm, {trial.id: f"#{trial_id(trial)}" for trial in run.trials})
     yield Paragraph(tables.depth_limit(run, calibration))
+    yield from limit_parts(run, calibration)
+
+
+def _accepted_mm(run: RunRecord, rules: Rules, detector: str) -> float | None:
+    """The acceptance limit of the error's requirement, where it has the limit that the figures show."""
+    u_mm = max((score.u_mm for score in scored(run, detector).scores), default=0.0)
+    limits = [rule.limit_mm for rule in rules.requirements if isinstance(rule, ErrorRequirement)]
+    return acceptance_limit_mm(rules.visible_within_mm, u_mm) if rules.visible_within_mm in limits else None
 
 
 def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
@@ -163,32 +217,3 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     )
     note = f"Real time of the detector alone, on the machine named under Provenance. {LATENCY_RULE}"
     yield Table("Detection time", columns, tuple(rows), note)
-
-
-def _provenance_parts(run: RunRecord) -> Iterator[Part]:
-    facts = run.facts
-    for name, identity in facts.get("identities", {}).items():
-        yield tables.key_values(f"Instrument: {name}", list(identity.items()))
-    for name, item in facts["items"].items():
-        yield tables.key_values(f"Item under test: {name}", list(item.items()))
-    yield tables.key_values(
-        "Run",
-        [
-            ("folder", run.folder.name),
-            ("ending", run.ending),
-            ("started", facts["wall_started"]),
-            ("ended", facts.get("wall_ended")),
-            ("seed", facts.get("seed")),
-            ("rig", facts.get("rig")),
-            ("script", facts.get("script")),
-            ("calibration SHA-256", facts["calibration_sha256"]),
-            *((f"version, {name}", version) for name, version in facts["versions"].items()),
-        ],
-    )
-    yield Code("The command that repeats it", str(facts["command"]))
-    yield Notes("Events", tuple(_event(event) for event in run.events))
-
-
-def _event(event: Mapping[str, Any]) -> str:
-    time = "" if event["t_s"] is None else f"{event['t_s']:.0f} s: "
-    return f"{time}{event['kind']}: {event['text']}"

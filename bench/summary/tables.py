@@ -23,7 +23,7 @@ def requirements(judgement: Judgement, rules: Rules) -> Requirements:
     """One row a requirement: rule, n, measured, limit, margin, verdict."""
     sources = {rule.name: rule.source for rule in rules.requirements}
     rows = tuple(
-        Requirement(d.name, d.rule, d.n, measured(d), limit(d), margin(d), d.verdict.value, sources.get(d.name, ""))
+        Requirement(d.name, d.rule, d.n, measured(d).replace("± ", "±\u00a0"), limit(d), margin(d), d.verdict.value, sources.get(d.name, ""))
         for d in judgement.decisions
     )
     note = " ".join(d.sentence for d in judgement.decisions)

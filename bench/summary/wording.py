@@ -77,16 +77,15 @@ def guardian_told(record: Mapping[str, Any]) -> str:
     if record["standby"]:
         more = " The hung bench kept the port and was ended." if record.get("killed") else ""
         more += f" The pump {record['pump']}." if "pump" in record else ""
-        return (
-            f"{befell}; the guardian had the bath in standby at {record['wall_safe']}, {record['seconds']:.1f} s after it took notice.{more}"
-        )
+        safe = f"the guardian had the bath in standby at {record['wall_safe']}, {record['seconds']:.1f} s after it took notice"
+        return f"{befell}; {safe}.{more}"
     return f"{befell}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries ({record['error']}): switch it off by hand."
 
 
 def _after_ending(run: RunRecord) -> str:
     if run.ending == "faulted":
-        return "See the events below, remove the cause, check the instruments with 'teatbench check', then run the script again."
-    return "Look whether the bath is in standby, then run the script again; what is below is unfinished."
+        return "See the events below, remove the cause, check the instruments with 'teatbench check', then go on with 'teatbench resume'."
+    return "Look whether the bath is in standby, then go on with 'teatbench resume'; what is below is unfinished."
 
 
 def _worst(judgements: Sequence[Judgement], verdict: Verdict) -> list[tuple[str, Decision]]:
@@ -95,7 +94,7 @@ def _worst(judgements: Sequence[Judgement], verdict: Verdict) -> list[tuple[str,
 
 
 def _why(worst: Sequence[tuple[str, Decision]], detectors: int) -> str:
-    return " ".join(f"{f'{name}: ' if detectors > 1 else ''}{d.name[0].upper()}{d.name[1:]}: {d.sentence}" for name, d in worst)
+    return "\n".join(f"{f'{name}: ' if detectors > 1 else ''}{d.name[0].upper()}{d.name[1:]}: {d.sentence}" for name, d in worst)
 
 
 def _next_action(verdict: Verdict, worst: Sequence[tuple[str, Decision]], of_bench: frozenset[str]) -> str:

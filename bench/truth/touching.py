@@ -18,7 +18,7 @@ from bench.rig import Arm
 from bench.store import Row
 from bench.truth.point import TruthPoint, reading_u_mm, touched
 from bench.truth.rules import mistaken, outliers
-from instruments.clock import Clock
+from instruments.clock import Clock, wall_time
 from instruments.errors import DeviceError
 from instruments.microscribe.refusals import ArmMovesError
 from instruments.teat_end import end_under_ball_mm
@@ -61,6 +61,7 @@ class _Reading:
     seen: WorldTip
     end_mm: Floats
     t_s: float
+    wall: str
     refused: str | None = None
 
 
@@ -118,7 +119,7 @@ class Toucher:
             return f"{moves} Touch teat {taken.teat} once more."
         end = end_under_ball_mm(seen.point_mm, taken.ends.axes[taken.teat - 1], self._arm.tip_radius_mm)
         reason = mistaken(end, taken.teat, taken.ends.expected_mm, taken.done) if taken.ends.known else None
-        taken.readings.append(_Reading(seen, end, self._clock.now(), reason))
+        taken.readings.append(_Reading(seen, end, self._clock.now(), wall_time().isoformat(timespec="milliseconds"), reason))
         if reason:
             return f"{reason} Touch teat {taken.teat}."
         if len(taken.kept) < min(self.readings, 3):
@@ -164,6 +165,7 @@ def _row(teat: int, number: int, reading: _Reading) -> Row:
         "teat": str(teat),
         "touch": number,
         "t_s": reading.t_s,
+        "wall_time": reading.wall,
         "x_mm": x,
         "y_mm": y,
         "z_mm": z,

@@ -7,6 +7,7 @@ along one direction as by motion, is refused by the width of its edges. The modu
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,15 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration.boards import Board
+from detector.calibration.strays import between_neighbours, strays
 from detector.geometry import Array
 
 Gray = NDArray[np.uint8]
 LARGEST_WINDOW_PX = 11  # half of the sub-pixel window's side
 SMALLEST_WINDOW_PX = 2
-REACH = 0.3  # of the least distance between corners, what the window may cover on each side
+REACH = 0.3  # of the least distance between corners, to each side of one: its edges alone are there
 BLURRED_PX = 5.0  # width of an edge from 10 to 90 %: sharp pictures have 2 to 3
 MOVED_RATIO = 1.8  # edges across one direction this much wider than across the other
 LEAST_CHARUCO = 8  # points of a partly hidden board that make a view
+AROUND = (0.02, 0.04, 0.08)  # of the picture's width: the neighbourhoods that a circle may be darker than
+LEAST_STEP = 0.06  # of the picture's range, by which it is
+LEAST_FILL, MOST_OBLONG = 0.5, 4.0  # of a circle's box, and its longer side over its shorter
+MOST_UNLIKE = 3.0  # one circle's area over another's
+MOST_BLOBS = 4  # times the board's circles: more is texture
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +41,12 @@ class SubPixel:
     steps: int = 60
     epsilon_px: float = 0.001
 
-    def refine(self, image: Gray, corners: NDArray[Any], grid_px: NDArray[Any]) -> tuple[NDArray[Any], int]:
-        """The corners (n, 1, 2), refined, and the window used; ``grid_px`` (rows, columns, 2), NaN where a corner is hidden."""
-        window = self.window_px or _largest_window(grid_px)
+    def refine(self, image: Gray, corners: NDArray[Any], grid_px: NDArray[Any], reach: float = REACH) -> tuple[NDArray[Any], int]:
+        """The corners (n, 1, 2), refined, and the window used; ``grid_px`` (rows, columns, 2), NaN where a corner is hidden.
+
+        ``reach``: what of the least distance between corners the window may cover on each side.
+        """
+        window = self.window_px or _largest_window(grid_px, reach)
         until = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, self.steps, self.epsilon_px)
         return cv2.cornerSubPix(image, corners, (window, window), (-1, -1), until), window
 
@@ -105,7 +115,13 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
     done, corners = cv2.findChessboardCorners(image, shape, flags=flags)
     if not done:
         return None
-    fine, window = sub_pixel.refine(image, corners, corners.reshape(board.rows, board.columns, 2))
+    grid = (board.rows, board.columns, 2)
+    fine, window = sub_pixel.refine(image, corners, corners.reshape(grid))
+    if (astray := strays(fine.reshape(grid))).any():  # OpenCV's finder may leave one beside its place, too far for the window to get there
+        fine = np.where(astray[:, :, None], between_neighbours(fine.reshape(grid)), fine.reshape(grid)).astype(np.float32).reshape(-1, 1, 2)
+        fine, window = sub_pixel.refine(image, fine, fine.reshape(grid))
+        if lost := int(strays(fine.reshape(grid)).sum()):
+            raise ViewRefusedError(f"{lost} corners lie beside their places among the others: does something cover the board, or glare?")
     pixels = np.asarray(fine.reshape(-1, 2), dtype=np.float64)
     if not board.reads_the_same_turned and not _dark_before_first(image, pixels.reshape(board.rows, board.columns, 2)):
         pixels = pixels[::-1].copy()
@@ -119,26 +135,55 @@ def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
     numbers = ids.reshape(-1).astype(np.intp)
     grid = np.full((board.rows * board.columns, 2), np.nan)
     grid[numbers] = corners.reshape(-1, 2)
-    fine, window = sub_pixel.refine(image, corners.reshape(-1, 1, 2).copy(), grid.reshape(board.rows, board.columns, 2))
+    to_marker = 0.5 * (1.0 - (board.marker_mm or 0.0) / board.pitch_mm)  # its corner must stay out of the window too
+    reach = min(REACH, to_marker)
+    fine, window = sub_pixel.refine(image, corners.reshape(-1, 1, 2).copy(), grid.reshape(board.rows, board.columns, 2), reach)
     return Found(numbers, np.asarray(fine.reshape(-1, 2), dtype=np.float64), None, window)
 
 
 def _circles(image: Gray, board: Board, _: SubPixel) -> Found | None:
-    """Dark circles. OpenCV's finder is given the centres of gravity of dark blobs: its own blob detector wants 8 px and more."""
-    dark = cv2.threshold(image, 0, 255, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
+    """Dark circles. OpenCV's finder is given the centres of gravity of dark blobs: its own blob detector wants 8 px and more.
+
+    Dark is what lies below one threshold for the whole picture; where that finds no board, as in the shade, what is darker than around it.
+    """
+    for dark in _darknesses(image):
+        pixels = _grid_of_blobs(image, dark, board)
+        if pixels is not None:
+            return Found(np.arange(len(pixels)), pixels, None, 0)
+    return None
+
+
+def _darknesses(image: Gray) -> Iterator[NDArray[Any]]:
+    yield cv2.threshold(image, 0, 255, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
+    low, high = np.percentile(image, [1.0, 99.0])
+    for share in AROUND:
+        side = int(share * image.shape[1]) | 1
+        yield cv2.adaptiveThreshold(image, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, side, float(LEAST_STEP * (high - low)))
+
+
+def _grid_of_blobs(image: Gray, dark: NDArray[Any], board: Board) -> Array | None:
+    """The board's circles (n, 2) px among blobs of ``dark``, in the print's order; None where they make no grid."""
     count, labels, stats, _rough = cv2.connectedComponentsWithStats(dark)
-    largest = image.size / (2.0 * board.columns * board.rows)
-    blobs = [n for n in range(1, count) if 4 <= stats[n, cv2.CC_STAT_AREA] <= largest and _whole(stats[n], image)]
-    if len(blobs) < board.columns * board.rows:
+    wanted = board.columns * board.rows
+    blobs = [n for n in range(1, count) if _round(stats[n], image.size / (2.0 * wanted)) and _whole(stats[n], image)]
+    if len(blobs) < wanted:
+        return None
+    areas = stats[blobs, cv2.CC_STAT_AREA]
+    usual = float(np.sort(areas)[::-1][wanted // 2])  # specks are smaller and many; one circle is not much larger than another
+    blobs = [n for n, area in zip(blobs, areas, strict=True) if usual / MOST_UNLIKE < area < usual * MOST_UNLIKE]
+    if not wanted <= len(blobs) <= MOST_BLOBS * wanted:
         return None
     centres = np.array([_centre(image, labels, stats[n], n) for n in blobs], dtype=np.float32).reshape(-1, 1, 2)
     shape, settings = (board.columns, board.rows), cv2.CirclesGridFinderParameters()
     # The manual allows None with points in place of a picture; OpenCV's type stubs don't.
     done, ordered = cv2.findCirclesGrid(centres, shape, cv2.CALIB_CB_SYMMETRIC_GRID, None, settings)  # type: ignore[call-overload]
-    if not done:
-        return None
-    pixels = np.asarray(ordered.reshape(-1, 2), dtype=np.float64)
-    return Found(np.arange(len(pixels)), pixels, None, 0)
+    return np.asarray(ordered.reshape(-1, 2), dtype=np.float64) if done else None
+
+
+def _round(box: NDArray[Any], largest: float) -> bool:
+    """Whether a blob of this box (left, top, width, height, area) may be a circle seen from somewhere."""
+    width, height, area = (float(v) for v in box[2:5])
+    return 4.0 <= area <= largest and area >= LEAST_FILL * width * height and max(width, height) <= MOST_OBLONG * min(width, height)
 
 
 def _whole(box: NDArray[Any], image: Gray) -> bool:
@@ -158,11 +203,11 @@ def _centre(image: Gray, labels: NDArray[Any], box: NDArray[Any], number: int) -
     return float((weight * x).sum() / weight.sum()), float((weight * y).sum() / weight.sum())
 
 
-def _largest_window(grid_px: NDArray[Any]) -> int:
+def _largest_window(grid_px: NDArray[Any], reach: float) -> int:
     """Half the side of the sub-pixel window that can't reach the next corner, for corners (rows, columns, 2)."""
     steps = [np.linalg.norm(np.diff(grid_px, axis=axis), axis=2) for axis in (0, 1)]
     least = float(min(np.nanmin(step) for step in steps if np.isfinite(step).any()))
-    return int(np.clip(REACH * least, SMALLEST_WINDOW_PX, LARGEST_WINDOW_PX))
+    return int(np.clip(reach * least, SMALLEST_WINDOW_PX, LARGEST_WINDOW_PX))
 
 
 def _dark_before_first(image: Gray, grid_px: Array) -> bool:

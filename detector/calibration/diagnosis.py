@@ -11,13 +11,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm, t
 
 from detector.calibration.remeasure import Remeasured
 from detector.calibration.uncertainty import Pair
 from detector.calibration.world import WorldFit
 from detector.geometry import Motion
 
-SIGNIFICANT = 4.0  # standard deviations: several marks are looked at, and views are not quite independent
+SIGNIFICANT = 4.0  # standard deviations of a normal distribution: several marks are looked at, and views are not quite independent
 SCALE_MATTERS = 0.002  # 2 mm a metre
 ROWS_MATTER_PX = 0.2
 BEND_MATTERS = 0.002  # of the board's diagonal
@@ -60,7 +61,7 @@ def measured_again(again: Remeasured, pair: Pair) -> list[Finding]:
     depths = np.array([view.depth_mm for view in again.views])
     if (depths <= 0).any():
         return [Finding("swapped cameras", "the board is measured behind the cameras: left and right pictures are swapped")]
-    return [*_bent(again), *_scale(again, pair), *_rows(again)]
+    return [*bent(again), *_scale(again, pair), *_rows(again)]
 
 
 def against_the_arm(world: WorldFit) -> list[Finding]:
@@ -75,10 +76,16 @@ def against_the_arm(world: WorldFit) -> list[Finding]:
     return [Finding("wrong square size", said)]
 
 
+def _significant(value: float, sd: float, again: Remeasured) -> bool:
+    """Whether a mean over views is off by more than chance: as unlikely as `SIGNIFICANT`, the sd itself being known from so many views."""
+    freedom = len(again.views) - 1
+    return freedom > 0 and abs(value) > float(t.isf(norm.sf(SIGNIFICANT), freedom)) * sd
+
+
 def _scale(again: Remeasured, pair: Pair) -> list[Finding]:
     scale, sd = again.scale
     off = scale - 1.0
-    if not (abs(off) > SCALE_MATTERS and abs(off) > SIGNIFICANT * sd):
+    if not (abs(off) > SCALE_MATTERS and _significant(off, sd, again)):
         return []
     said = f"the board is measured {100 * abs(off):.2f} % too {'large' if off > 0 else 'small'}"
     if again.grows_with_distance:
@@ -94,15 +101,19 @@ def _scale(again: Remeasured, pair: Pair) -> list[Finding]:
 
 def _rows(again: Remeasured) -> list[Finding]:
     offset, sd = again.epipolar
-    if not (abs(offset) > ROWS_MATTER_PX and abs(offset) > SIGNIFICANT * sd):
+    if not (abs(offset) > ROWS_MATTER_PX and _significant(offset, sd, again)):
         return []
     said = f"the right camera's rows are {abs(offset):.2f} px too {'low' if offset > 0 else 'high'} against the left's"
     return [Finding("shifted rows", f"{said}: pixel centres counted from 0 in one and 0.5 in the other, or a lens or camera that moved")]
 
 
-def _bent(again: Remeasured) -> list[Finding]:
+def bent(again: Remeasured) -> list[Finding]:
+    """Whether the board's middle stands off its rim. It may be measured with the very calibration that was made with it.
+
+    A bend that the calibration took up in its lenses is missing then, so that what is left is real.
+    """
     bend, sd = again.bend
     diagonal = float(np.hypot(*again.board.size_mm))
-    if not (abs(bend) > BEND_MATTERS * diagonal and abs(bend) > SIGNIFICANT * sd):
+    if not (abs(bend) > BEND_MATTERS * diagonal and _significant(bend, sd, again)):
         return []
     return [Finding("bent board", f"the board's middle stands {abs(bend):.2f} mm {'before' if bend > 0 else 'behind'} its rim: it is bent")]

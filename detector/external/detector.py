@@ -22,6 +22,7 @@ from detector.external.lines import BadAnswer, Garbled, check_ready, parse_answe
 from detector.external.process import Child, ChildFault, ChildSilent
 from detector.protocol import Detection, DetectionFailure, Frames, Image, Outcome
 
+_GRACE_S = 2.0  # to put its things in order, once nothing more is asked
 _PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
@@ -139,8 +140,8 @@ class ExternalDetector:
         return "\n".join(word for word in words if word)
 
     def close(self) -> None:
-        """End the process with all that it started, and remove the pictures."""
-        self._end()
+        """End the process with all that it started, its input closed first, and remove the pictures."""
+        self._end(_GRACE_S)
         if self._desk:
             self._desk.clear()
             self._desk = None
@@ -174,10 +175,10 @@ class ExternalDetector:
         self._off = f"switched off for the rest of the run after {why}; the last: {reason}"
         return DetectionFailure(f"{reason}. After {why} it is switched off for the rest of the run", outcome)
 
-    def _end(self) -> None:
+    def _end(self, grace_s: float = 0.0) -> None:
         if self._child is not None:
             child, self._child = self._child, None
-            child.end()
+            child.end(grace_s)
             self._last_words = "\n".join(word for word in (self._last_words, child.complaints()) if word)
 
 

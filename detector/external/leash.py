@@ -1,9 +1,9 @@
 """Holds a program on a leash (Linux, macOS): when whoever holds the other end lets go, or dies, the program and all that it started end.
 
 Run by its path with the number of an open pipe and a command. It lets the command have its own standard streams, waits, and ends as the
-command ended (128 + the number of the signal that killed it). On Linux it adopts every orphan below it, so that a process in a session of
-its own is found too; elsewhere only the process group is ended. Standard library only, and nothing imported that is slow: it stands between
-the bench and each start of a detector.
+command ended (128 + the number of the signal that killed it). The command gets a process group of its own, which is ended as a whole; on
+Linux every orphan below is adopted too, so that a process in a session of its own is found. Standard library only, and nothing imported
+that is slow: it stands between the bench and each start of a detector.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def main(arguments: list[str]) -> int:
     os.set_inheritable(pipe, False)
     _adopt_orphans()
     try:
-        child = os.posix_spawnp(command[0], command, os.environ)
+        child = os.posix_spawnp(command[0], command, os.environ, setpgroup=0)
     except OSError as error:
         os.write(2, f"{command[0]} can't be started: {error.strerror}\n".encode())
         return 127
@@ -87,10 +87,10 @@ def _reap(child: int) -> int | None:
 
 
 def _end_all(child: int) -> None:
-    if sys.platform != "linux":
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        os.killpg(os.getpgrp(), signal.SIGTERM)
-        return
+    try:  # noqa: SIM105 - contextlib is slow to import
+        os.killpg(child, signal.SIGKILL)
+    except (ProcessLookupError, PermissionError):  # nobody is left in it; macOS says the latter where only the dead are
+        pass
     while left := descendants(os.getpid()):
         for process in left:
             try:
@@ -99,6 +99,11 @@ def _end_all(child: int) -> None:
                 continue
         select.select([], [], [], 0.005)
         _reap(child)
+    try:  # the dead too: whoever inherits them may never take them in
+        while True:
+            os.waitpid(-1, 0)
+    except ChildProcessError:
+        return
 
 
 if __name__ == "__main__":

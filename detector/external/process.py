@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
+import signal
 import subprocess
 import sys
 import threading
@@ -86,8 +87,16 @@ class Child:
         """What came on its standard error since this was last asked."""
         return self._complaints.given_out()
 
-    def end(self) -> None:
-        """End it and all that it started; its last words on standard error can be asked for afterwards. Once more is no error."""
+    def end(self, grace_s: float = 0.0) -> None:
+        """End it and all that it started, by closing its input where it gets time to go, else at once. Once more is no error.
+
+        Its last words on standard error can be asked for afterwards.
+        """
+        if grace_s > 0:
+            with contextlib.suppress(OSError):  # what was never sent can't be sent now
+                self._in.close()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(grace_s)
         if self._hold is not None:
             os.close(self._hold)
             self._hold = None
@@ -104,9 +113,10 @@ class Child:
                 cast(IO[bytes], pipe).close()
 
     def _kill(self) -> None:
-        if sys.platform != "win32":
+        """Where the leash didn't do it, or there is none."""
+        for pid in leash.descendants(self._process.pid):
             with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._process.pid, 9)
+                os.kill(pid, signal.SIGTERM if sys.platform == "win32" else signal.SIGKILL)
         self._process.kill()
 
     def _ending(self) -> str:

@@ -1,8 +1,8 @@
 """Which fitted teats are teats: every one is accepted, or rejected with its reason.
 
 Strategy: what makes a teat is asked one thing at a time: an end and a side seen in each picture, edges where the model says, a size that
-teats have, a place that is sure enough, warmth in the thermal picture wherever the model says, and no better teat that it would pass through.
-Nothing false is the first rule, so a doubt rejects. The module may not know how the fit was reached.
+teats have, a place that is sure enough, warmth in the thermal picture wherever the model says, and no better teat that it would pass
+through. Nothing false is the first rule, so a doubt rejects. The module may not know how the fit was reached.
 """
 
 from __future__ import annotations
@@ -12,13 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.fused.model import END, RADIUS, SIDE_A, SIDE_B, axes
+from detector.fused.edges import CLEAR
+from detector.fused.model import CZ, END, RADIUS, SIDE_A, SIDE_B, axes
 from detector.fused.parameters import Parameters
 from detector.fused.refine import FINE_OUTLINE, Fitted
 from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion
 
-_CLOSE_PX, _MOST_SD_PX, _CLEAR_GAIN = 0.6, 0.6, 0.6
+_CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
+_SIZE = "it isn't of a teat's size"
+_OUTLINE, _UNSURE, _WORSE = "its outline isn't that of a teat", "its place is too unsure", "a better one is in the same place"
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-0.6, 0.0, 0.6)  # of the radius
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
@@ -26,7 +29,11 @@ _AXIS_MM = np.linspace(0.0, 60.0, 7)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What speaks for m fitted teats: shares of the outline seen, (m, 3 views) each; misfit px (m,); warmth (m, 3 lines) or NaN; sd mm (m,)."""
+    """What speaks for m fitted teats: shares of the outline seen, (m, 3 views) each; misfit px (m,); warmth (m, 3
+    lines) or NaN; standard deviation mm (m,) where it is largest.
+
+    The views are left, right and thermal.
+    """
 
     end: Array
     side: Array  # the better side
@@ -63,19 +70,21 @@ def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
 
 
 def _thermal_offsets(fitted: Fitted) -> Array:
+    """Medians (m, 3 parts) of how far off the thermal edges are, sensor pixels, where most of a part shows clear ones; else NaN."""
     part = FINE_OUTLINE.part
     thermal = slice(2 * len(part), 3 * len(part))
-    clear = ~fitted.hidden[:, thermal] & (fitted.seen.gain[:, thermal] > _CLEAR_GAIN) & np.isfinite(fitted.seen.offset_px[:, thermal])
-    offset = np.where(clear, fitted.seen.offset_px[:, thermal], 0.0)
-    medians = np.full((len(offset), 3), np.nan)
+    open_ = ~fitted.hidden[:, thermal]
+    clear = open_ & (fitted.seen.clarity[:, thermal] > CLEAR) & np.isfinite(fitted.seen.offset_px[:, thermal])
+    medians = np.full((len(clear), 3), np.nan)
     for p in (SIDE_A, END, SIDE_B):
-        for i in np.flatnonzero(clear[:, part == p].mean(axis=1) > 0.5):
-            medians[i, p] = np.median(offset[i, (part == p) & clear[i]])
+        at = part == p
+        for i in np.flatnonzero(clear[:, at].sum(axis=1) > 0.5 * np.maximum(open_[:, at].sum(axis=1), 0.3 * at.sum())):
+            medians[i, p] = np.median(fitted.seen.offset_px[i, thermal][at & clear[i]])
     return medians
 
 
 def warmth_inside(teats: Array, warm: Field, lens: Camera, thermal_from_right: Motion, px_a_sensor_px: float) -> Array:
-    """Medians (m, 3) of the thermal picture along lines down teats (m, 8): left of the axis, on it, right of it; NaN where it doesn't reach."""
+    """Medians (m, 3) of the thermal picture along three lines down teats (m, 8), the axis in the middle; NaN where it doesn't reach."""
     axis = axes(teats)
     line = teats[:, None, None, :3] + _ALONG_MM[:, None] * axis[:, None, None]
     aside = np.array(_ACROSS)[:, None, None] * teats[:, None, None, RADIUS, None] * np.cross(axis, [0.0, 0.0, -1.0])[:, None, None]
@@ -100,38 +109,99 @@ def objections(teats: Array, evidence: Evidence, surroundings: float, p: Paramet
     kept: list[int] = []
     for i in sorted((i for i in clean if reasons[i] is None), key=lambda i: -evidence.merit[i]):
         if any(_passes_through(teats[i], teats[k], p.overlap) for k in kept):
-            reasons[i] = "a better one is in the same place"
+            reasons[i] = _WORSE
         else:
             kept.append(i)
     return reasons
 
 
+def doubts(teats: Array, evidence: Evidence, reasons: list[str | None], p: Parameters) -> tuple[list[int], list[int]]:
+    """Of the teats (m, 8), those that may bridge two teats, and those that may be too high or too low on one; at most a few of each.
+
+    Both have their sides where they should be, but not all of their end. A teat that has both sides hardly bridges two.
+    """
+    partial = (evidence.end[:, :2].min(axis=1) < p.whole_end) & (evidence.side[:, :2].min(axis=1) > p.least_side)
+    whole = [i for i, reason in enumerate(reasons) if reason is None and not partial[i]]
+    open_ = [
+        int(i)
+        for i in np.argsort(-evidence.merit)
+        if partial[i] and (maybe_hidden(reasons[i]) or reasons[i] == _SIZE) and not any(_same(teats[i], teats[k]) for k in whole)
+    ]
+    both = evidence.both[:, :2].min(axis=1) > p.least_side
+    half = evidence.end[:, :2].max(axis=1) > 0.5 * p.whole_end
+    bridging, shifted = [i for i in open_ if half[i] and not both[i]], [i for i in open_ if both[i]]
+    return bridging[: p.most_doubts], shifted[: p.most_doubts]
+
+
+def unlocated(teats: Array, evidence: Evidence, reasons: list[str | None], surroundings: float, p: Parameters) -> int:
+    """How many teats the thermal picture shows whole, end and both sides, that the optical ones don't: there, but hidden."""
+    taken = [teats[i] for i, reason in enumerate(reasons) if reason is None]
+    reference = max((float(np.median(evidence.warmth[i])) for i, reason in enumerate(reasons) if reason is None), default=np.inf)
+    thermal = np.minimum(evidence.end[:, 2], evidence.both[:, 2])
+    count = 0
+    for i in np.argsort(-thermal, kind="stable"):
+        warm = evidence.warmth[i].min() - surroundings > p.least_warmth * (reference - surroundings)
+        if (
+            thermal[i] > p.whole_end
+            and warm
+            and maybe_hidden(reasons[i])
+            and not any(_passes_through(teats[i], t, p.overlap) for t in taken)
+        ):
+            taken.append(teats[i])
+            count += reasons[i] is not None
+    return count
+
+
+def _same(a: Array, b: Array) -> bool:
+    """Whether two fits (8,) are of one and the same teat: one's middle near the other's axis."""
+    aside = np.cross(a[:3] - b[:3], axes(b[None])[0])
+    return bool(np.linalg.norm(aside) < 0.4 * b[RADIUS])
+
+
+def maybe_hidden(reason: str | None) -> bool:
+    """Whether what speaks against a teat, if anything, may be that a nearer one hides a part of it."""
+    return reason is None or "seen" in reason or reason in (_OUTLINE, _UNSURE, _WORSE)
+
+
 def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | None:
     for view, name in enumerate(("left", "right")):
-        if evidence.end[i, view] < p.least_end:
-            return f"its end isn't seen in the {name} picture"
-        least = p.least_end_one_sided * (1.0 if evidence.misfit_px[i] < p.good_misfit_px else 1.4)
-        if evidence.end[i, view] < least and evidence.both[i, :2].max() < p.least_side:
-            return f"only a side of it and too little of its end are seen in the {name} picture"
-        if evidence.side[i, view] < p.least_side:
-            return f"neither side is seen in the {name} picture"
+        if unseen := _unseen(evidence, i, view, p):
+            return f"{unseen} in the {name} picture"
     if evidence.misfit_px[i] > p.greatest_misfit_px:
-        return "its outline isn't that of a teat"
+        return _OUTLINE
     if not p.least_radius_mm < teat[RADIUS] < p.greatest_radius_mm:
-        return "it isn't of a teat's size"
-    if not p.nearest_mm < teat[2] < p.farthest_mm:
+        return _SIZE
+    if not p.nearest_mm < teat[CZ] < p.farthest_mm:
         return "it is outside of the working volume"
     if not np.isfinite(evidence.warmth[i]).all():
         return "the thermal picture doesn't reach it"
     if _elsewhere(evidence.thermal_px[i], p.greatest_thermal_px):
         return "the thermal picture shows its outline elsewhere"
-    if evidence.sd_mm[i] > p.greatest_sd_mm:
-        return "its place is too unsure"
+    return _UNSURE if evidence.sd_mm[i] > p.greatest_sd_mm else None
+
+
+def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
+    """What of teat ``i`` an optical picture shows too little of."""
+    end = evidence.end[i, view]
+    alone = evidence.end[i, 2] < 0.5 and evidence.end[i, :2].mean() < p.least_end_alone
+    if end < p.least_end or alone:
+        return "its end isn't seen"
+    one_sided = evidence.both[i, :2].max() < p.least_side
+    least = p.least_end_one_sided * (1.0 if evidence.misfit_px[i] < p.good_misfit_px else 1.4)
+    if one_sided and (end < least or np.isnan(evidence.thermal_px[i, END])):
+        return "only a side of it and too little of its end are seen"
+    if evidence.side[i, view] < p.least_side and not _held_by_thermal(evidence, i):
+        return "neither side is seen"
     return None
 
 
+def _held_by_thermal(evidence: Evidence, i: int) -> bool:
+    """Whether a teat may lack its sides in a picture: its end is well seen in both, and the thermal picture shows its end and a side."""
+    return bool(evidence.end[i, :2].min() > 0.6 and evidence.side[i, :2].max() > 0.5 and min(evidence.end[i, 2], evidence.side[i, 2]) > 0.8)
+
+
 def _elsewhere(offset_px: Array, most_px: float) -> bool:
-    """Whether the thermal outline contradicts. What is warm beyond one side may be a neighbour; beyond the end or both sides it is no teat's."""
+    """Whether the thermal outline contradicts. Warmth beyond one side may be a neighbour's; beyond the end or both sides it can't."""
     side_a, end, side_b = np.nan_to_num(offset_px)
     return bool(abs(end) > most_px or min(side_a, side_b) < -most_px or (side_a > most_px and side_b > most_px))
 

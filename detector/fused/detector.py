@@ -15,18 +15,32 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.fused import pictures
-from detector.fused.decide import Evidence, objections, warmth_inside, weigh
+from detector.fused.decide import Evidence, doubts, maybe_hidden, objections, unlocated, warmth_inside, weigh
 from detector.fused.fit import View
 from detector.fused.model import apexes
 from detector.fused.parameters import Parameters
-from detector.fused.refine import OPTICAL_FINE, OPTICAL_FLOOR_PX, OPTICAL_ROUGH, THERMAL, THERMAL_FLOOR_PX, Fitted, hidden_points, refine, refine_again
-from detector.fused.sweep import Map, Starts, depths_mm, hypotheses, sweep_bars, sweep_ends
+from detector.fused.refine import (
+    OPTICAL_FINE,
+    OPTICAL_FLOOR_PX,
+    OPTICAL_ROUGH,
+    THERMAL,
+    THERMAL_FLOOR_PX,
+    Fitted,
+    hidden_points,
+    one_sided,
+    refine,
+    refine_again,
+    refine_more,
+)
+from detector.fused.sweep import Map, best_starts, depths_mm, hypotheses, slide_ends, sweep_bars, sweep_ends
 from detector.fused.thermal import Nominations, bars, nominate
-from detector.fused.uncertainty import world_covariances
+from detector.fused.uncertainty import end_covariances, world_covariances
 from detector.geometry import Array, Camera, Motion
 from detector.protocol import Detection, Frames, Stage, Teat
 
 _ROOM_PX = 60  # about the nominations: half a teat's width, and as far down as the fit looks
+_OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
+_COLD_PERCENT = 20  # of the thermal picture is of the surroundings, at the least
 _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
 
 
@@ -62,51 +76,76 @@ class FusedDetector:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Thermal:
-    """The thermal picture and the way from it to the right camera."""
+    """The thermal picture, what it shows where nothing is warm, and the way to it from the right camera."""
 
     warm: NDArray[np.float32]
     lens: Camera
     from_right: Motion
     px_a_sensor_px: float
+    surroundings: float
 
 
 def _detect(frames: Frames, calibration: Calibration, p: Parameters, trace: list[Stage]) -> Detection:
     left = pictures.optical(frames.left, calibration.left.image_size, "left")
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
     thermal = _thermal(frames, calibration)
-    starts, views = _start(thermal, left, right, calibration, p, trace)
-    views = (*views, _thermal_view(thermal))
-    fitted = refine(starts, views, p)
-    covariances, evidence, reasons = _judge(fitted, thermal, calibration, p)
-    hidden = hidden_points(fitted, [i for i, reason in enumerate(reasons) if reason is None])
-    if hidden.any():
-        fitted = refine_again(fitted, hidden, views, p)
-        covariances, evidence, reasons = _judge(fitted, thermal, calibration, p)
-    trace.append(_decisions(fitted, evidence, reasons))
-    accepted = [i for i, reason in enumerate(reasons) if reason is None]
-    answers = _answers(fitted.teats[accepted], covariances[accepted], thermal, calibration)
-    return Detection(answers, 0, None if answers else "nothing warm has the outline of a teat in both optical pictures", tuple(trace))
+    teats, maps = _start(thermal, left, right, calibration, p, trace)
+    judged = _fit(teats, maps, thermal, p)
+    trace.append(_decisions(judged))
+    answers = _answers(judged, thermal, calibration)
+    hidden = unlocated(judged.fitted.teats, judged.evidence, judged.reasons, thermal.surroundings, p)
+    return Detection(answers, hidden, None if answers else "nothing warm has the outline of a teat in both optical pictures", tuple(trace))
 
 
-def _judge(fitted: Fitted, thermal: _Thermal, calibration: Calibration, p: Parameters) -> tuple[Array, Evidence, list[str | None]]:
-    """Covariances in the world, evidence, and objections."""
-    covariances = world_covariances(fitted, calibration, p)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    """Fitted teats, covariances (m, 3, 3) of their ends in the right camera's frame, what speaks for each, and the reasons against."""
+
+    fitted: Fitted
+    covariances: Array
+    evidence: Evidence
+    reasons: list[str | None]
+
+    @property
+    def accepted(self) -> list[int]:
+        return [i for i, reason in enumerate(self.reasons) if reason is None]
+
+
+def _fit(teats: Array, maps: tuple[Map, ...], thermal: _Thermal, p: Parameters) -> _Judged:
+    """Fit and judge; then again without what a neighbour may have bridged or hidden, where there is cause to."""
+    views = tuple(each.view for each in maps)
+    judged = _judge(refine(teats, views, p), thermal, p)
+    bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.reasons, p)
+    if bridging or shifted:
+        starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
+        slid = slide_ends(judged.fitted.teats[shifted], maps[:2], maps[2])
+        nothing = np.zeros((len(slid), left_out.shape[1]), dtype=bool)
+        more = refine_more(judged.fitted, np.concatenate([starts, slid]), np.concatenate([left_out, nothing]), views, p)
+        judged = _judge(more, thermal, p)
+    hidden = hidden_points(judged.fitted, judged.accepted, [i for i, reason in enumerate(judged.reasons) if maybe_hidden(reason)])
+    return _judge(refine_again(judged.fitted, hidden, views, p), thermal, p) if hidden.any() else judged
+
+
+def _judge(fitted: Fitted, thermal: _Thermal, p: Parameters) -> _Judged:
+    covariances = end_covariances(fitted, p)
     warmth = warmth_inside(fitted.teats, thermal.warm, thermal.lens, thermal.from_right, thermal.px_a_sensor_px)
     evidence = weigh(fitted, covariances, warmth)
-    return covariances, evidence, objections(fitted.teats, evidence, float(np.percentile(thermal.warm, 20)), p)
+    return _Judged(fitted, covariances, evidence, objections(fitted.teats, evidence, thermal.surroundings, p))
 
 
 def _thermal(frames: Frames, calibration: Calibration) -> _Thermal:
     warm = pictures.thermal(frames, calibration.thermal)
     camera, motion = calibration.thermal, calibration.thermal_from_right
     if camera.lens is None or motion is None:
-        raise pictures.UnusableError("the calibration has no lens and pose of the thermal camera, by which fused goes from thermal to optical")
-    return _Thermal(warm, camera.lens, motion, camera.image_size[0] / camera.sensor_size[0])
+        raise pictures.UnusableError(
+            "the calibration has no lens and pose of the thermal camera, by which fused goes from thermal to optical"
+        )
+    return _Thermal(warm, camera.lens, motion, camera.image_size[0] / camera.sensor_size[0], float(np.percentile(warm, _COLD_PERCENT)))
 
 
 def _start(
     thermal: _Thermal, left: NDArray[Any], right: NDArray[Any], calibration: Calibration, p: Parameters, trace: list[Stage]
-) -> tuple[Starts, tuple[View, ...]]:
+) -> tuple[Array, tuple[Map, ...]]:
     ends = nominate(thermal.warm, p.most_nominations)
     upright = bars(thermal.warm, ends, p.most_bars)
     trace.append(Stage("thermal", {"warmth": thermal.warm, **_shown("end", ends), **_shown("bar", upright)}))
@@ -115,10 +154,12 @@ def _start(
     depth_mm, right_from_thermal = depths_mm(calibration, p), thermal.from_right.inverse()
     of_ends, of_bars = (hypotheses(n, thermal.lens, thermal.px_a_sensor_px, right_from_thermal, depth_mm) for n in (ends, upright))
     views = _views(left, right, calibration, np.concatenate([of_ends, of_bars - [0, _ROOM_ABOVE_MM, 0, 0, 0, 0, 0, 0], of_bars]))
-    maps = tuple(Map.of(view) for view in views)
-    starts = sweep_ends(of_ends, ends.score, maps, p) + sweep_bars(of_bars, upright.score, maps, p)
-    trace.append(Stage("starts", {"teats": starts.teats, "score": starts.score}))
-    return starts, views
+    maps = tuple(Map.of(view, _OPTICAL_BLUR_PX) for view in views)
+    warm = Map.of(_thermal_view(thermal), _THERMAL_BLUR_PX)
+    starts = sweep_ends(of_ends, ends.score, maps, p) + sweep_bars(of_bars, upright.score, maps, warm, p)
+    teats = best_starts(starts, maps, p)
+    trace.append(Stage("starts", {"teats": teats}))
+    return teats, (*maps, warm)
 
 
 def _shown(what: str, found: Nominations) -> dict[str, Array]:
@@ -128,7 +169,7 @@ def _shown(what: str, found: Nominations) -> dict[str, Array]:
 def _views(left: NDArray[Any], right: NDArray[Any], calibration: Calibration, guesses: Array) -> tuple[View, ...]:
     """The parts of both pictures that the guesses (n, d, 8) reach."""
     points = guesses[..., :3].reshape(-1, 3)
-    points = np.concatenate([points, points + [0.0, 60.0, 0.0]])
+    points = np.concatenate([points, points + np.array([0.0, 60.0, 0.0])])
     made = []
     sides = (left, calibration.left, calibration.right_from_left.inverse()), (right, calibration.right, Motion.identity())
     for picture, camera, motion in sides:
@@ -142,22 +183,30 @@ def _thermal_view(thermal: _Thermal) -> View:
     lens, size = thermal.lens, thermal.px_a_sensor_px
     rows, columns = thermal.warm.shape
     sensor = Camera(
-        (columns, rows), (lens.fc[0] / size, lens.fc[1] / size), ((lens.cc[0] + 0.5) / size - 0.5, (lens.cc[1] + 0.5) / size - 0.5), lens.alpha_c, lens.kc
+        (columns, rows),
+        (lens.fc[0] / size, lens.fc[1] / size),
+        ((lens.cc[0] + 0.5) / size - 0.5, (lens.cc[1] + 0.5) / size - 0.5),
+        lens.alpha_c,
+        lens.kc,
     )
     return View(thermal.warm, np.zeros(2), pictures.noise_of(thermal.warm), sensor, thermal.from_right, THERMAL, THERMAL, THERMAL_FLOOR_PX)
 
 
-def _decisions(fitted: Fitted, evidence: Evidence, reasons: list[str | None]) -> Stage:
+def _decisions(judged: _Judged) -> Stage:
     """Every fitted teat with what speaks for it and the reason against it, empty for those accepted."""
-    shown = {name: getattr(evidence, name) for name in Evidence.__slots__}
-    return Stage("decisions", {"teats": fitted.teats, **shown, "merit": evidence.merit, "reasons": np.array([r or "" for r in reasons])})
+    shown = {name: getattr(judged.evidence, name) for name in Evidence.__slots__}
+    reasons = np.array([reason or "" for reason in judged.reasons], dtype=np.str_)
+    return Stage("decisions", {"teats": judged.fitted.teats, **shown, "merit": judged.evidence.merit, "reasons": reasons})
 
 
-def _answers(teats: Array, covariances: Array, thermal: _Thermal, calibration: Calibration) -> tuple[Teat, ...]:
-    if len(teats) == 0:
+def _answers(judged: _Judged, thermal: _Thermal, calibration: Calibration) -> tuple[Teat, ...]:
+    """The accepted teats' ends with their covariances, the calibration's share included, and their pixels."""
+    accepted = judged.accepted
+    if not accepted:
         return ()
-    ends = apexes(teats)
+    ends = apexes(judged.fitted.teats[accepted])
     world = calibration.world_from_right.apply(ends)
+    covariances = world_covariances(judged.covariances[accepted], ends, calibration)
     left_px, right_px = calibration.project(world)
     thermal_px = thermal.lens.project(thermal.from_right.apply(ends))
     return tuple(Teat(*each) for each in zip(world, covariances, left_px, right_px, thermal_px, strict=True))

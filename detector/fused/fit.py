@@ -1,8 +1,8 @@
-"""The teat that both cameras' outlines show: a joint robust fit of the model, for many starts at once, and how sure it is.
+"""The teat that the outlines in all pictures show: a joint robust fit of the model, for many starts at once, and how sure it is.
 
-Strategy: Levenberg-Marquardt on the distance of found edges from the predicted outlines along their normals, edges looked for anew at
-each step. Weak priors on size and lean only keep what the pictures don't show from running away. Derivatives are differences of the closed-form
-outlines, for all teats and parameters in one call. The module may not know temperatures nor how the starts were found.
+Strategy: damped Gauss-Newton on the distance of found edges from the predicted outlines along their normals, edges looked for anew at
+each step. Weak priors on size, lean, taper and height only keep what the pictures don't show from running away. Derivatives are closed
+forms, for all teats in one call. The module may not know temperatures nor how the starts were found.
 """
 
 from __future__ import annotations
@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detector.fused.edges import Edges, Field, Profile, find_edges, sample
-from detector.fused.model import COUNT, HEIGHT, LEAN_X, LEAN_Z, RADIUS, TAPER, Outline, axes, normals_of, outlines
+from detector.fused.edges import LEAST_CLEAR, Field, Profile, find_edges, sample
+from detector.fused.model import COUNT, HEIGHT, LEAN_X, LEAN_Z, RADIUS, TAPER, Outline, axes, contours, normals_of, pixels_of, slopes
 from detector.geometry import Array, Camera, Motion
 
-_LEAST_GAIN = 0.3  # of an edge over a straight line, to count at all
-_STEPS = np.array([0.05, 0.05, 0.5, 1e-3, 1e-3, 0.05, 1e-3, 5e-3])  # of the differences: mm, mm, mm, -, -, mm, -, -
+_STEP_MM = 0.1  # outward, to see how far the outline moves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,10 +37,11 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is known of teats before looking: mean and standard deviation of radius (mm), and how far lean (slope) and taper are from 0, and height from 1."""
+    """What is known of teats before looking: mean and standard deviation of radius (mm), and how far lean (slope) and taper are from 0,
+    and height from 1."""
 
     radius_mm: float = 11.0
-    radius_sd_mm: float = 3.0
+    radius_sd_mm: float = 1.7
     lean_sd: float = 0.4
     taper_sd: float = 0.006
     height_sd: float = 0.1
@@ -53,8 +53,7 @@ class Seen:
 
     offset_px: Array
     sd_px: Array
-    gain: Array
-    contrast: Array
+    clarity: Array
     floor_px: Array
     jacobian: Array  # (m, views * n, 8): how far the outline moves outward, px a unit of each parameter
     pixels_px: Array  # (m, views * n, 2)
@@ -63,27 +62,28 @@ class Seen:
 
 def look(teats: Array, views: tuple[View, ...], outline: Outline, jacobian: Array | None = None, *, fine: bool) -> Seen:
     """Find edges about the outlines of teats (m, 8). ``jacobian``: that of teats nearby, to save finding it anew."""
-    parts = [_look_at(teats, view, outline, view.fine if fine else view.rough, slopes=jacobian is None) for view in views]
+    parts = [_look_at(teats, view, outline, view.fine if fine else view.rough, slopes_too=jacobian is None) for view in views]
     found = {name: np.concatenate([getattr(p, name) for p in parts], axis=1) for name in Seen.__slots__}
     return Seen(**(found if jacobian is None else {**found, "jacobian": jacobian}))
 
 
-def _look_at(teats: Array, view: View, outline: Outline, profile: Profile, *, slopes: bool) -> Seen:
-    changed = np.concatenate([teats, *(teats + step * np.eye(COUNT)[i] for i, step in enumerate(_STEPS))]) if slopes else teats
-    pixels = outlines(changed, view.camera, view.camera_from_teats, outline)
-    m, n = len(teats), pixels.shape[1]
-    pixels = pixels.reshape(-1, m, n, 2)
-    normals = normals_of(pixels[0])
-    moved = np.einsum("kmnd,mnd->mnk", pixels[1:] - pixels[0], normals) / _STEPS if slopes else np.zeros((m, n, COUNT))
-    lines = sample(view.field, pixels[0].reshape(-1, 2) - view.corner_px, normals.reshape(-1, 2), profile.offsets)
-    found: Edges = find_edges(lines, profile, view.noise)
-    edges = (getattr(found, name).reshape(m, n) for name in ("offset_px", "sd_px", "gain", "contrast"))
-    return Seen(*edges, np.full((m, n), view.floor_px), moved, pixels[0], normals)
+def _look_at(teats: Array, view: View, outline: Outline, profile: Profile, *, slopes_too: bool) -> Seen:
+    contour = contours(teats, view.camera_from_teats, outline)
+    pixels = pixels_of(contour.points, view.camera)
+    normals = normals_of(pixels)
+    m, n = pixels.shape[:2]
+    jacobian = np.zeros((m, n, COUNT))
+    if slopes_too:
+        outward = pixels_of(contour.points + _STEP_MM * contour.normals, view.camera) - pixels
+        jacobian = slopes(teats, contour, np.einsum("mnd,mnd->mn", outward, normals) / _STEP_MM, view.camera_from_teats)
+    lines = sample(view.field, pixels.reshape(-1, 2) - view.corner_px, normals.reshape(-1, 2), profile.offsets)
+    found = find_edges(lines.reshape(m, n, -1), profile, view.noise)
+    return Seen(found.offset_px, found.sd_px, found.clarity, np.full((m, n), view.floor_px), jacobian, pixels, normals)
 
 
 def weights(seen: Seen, scale: float) -> Array:
     """Weights (m, k) of the edges: by their own uncertainty, Cauchy beyond ``scale`` floors off, none where there is hardly an edge."""
-    usable = np.isfinite(seen.offset_px) & (seen.gain > _LEAST_GAIN) & np.isfinite(seen.jacobian).all(axis=2)
+    usable = np.isfinite(seen.offset_px) & (seen.clarity > LEAST_CLEAR) & np.isfinite(seen.jacobian).all(axis=2)
     variance = seen.sd_px**2 + seen.floor_px**2
     off = np.where(usable, seen.offset_px, 0.0) / np.sqrt(variance + (scale * seen.floor_px) ** 2)
     return np.where(usable, 1.0 / (variance * (1 + off**2)), 0.0)
@@ -96,7 +96,9 @@ def normal_equations(teats: Array, seen: Seen, weight: Array, prior: Prior) -> t
     H = np.einsum("mki,mk,mkj->mij", j, weight, j)
     b = np.einsum("mki,mk,mk->mi", j, weight, r)
     mean = np.array([0, 0, 0, 0, 0, prior.radius_mm, 0, 1])
-    sure = np.array([1e-8, 1e-8, 1e-8, prior.lean_sd**-2, prior.lean_sd**-2, prior.radius_sd_mm**-2, prior.taper_sd**-2, prior.height_sd**-2])
+    sure = np.array(
+        [1e-8, 1e-8, 1e-8, prior.lean_sd**-2, prior.lean_sd**-2, prior.radius_sd_mm**-2, prior.taper_sd**-2, prior.height_sd**-2]
+    )
     return H + np.diag(sure), b + sure * np.where(sure > 1e-6, mean - teats, 0.0)
 
 

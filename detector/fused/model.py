@@ -1,10 +1,10 @@
 """A round-ended teat as eight numbers, and its outline in any camera: closed forms, for many teats at once.
 
-Strategy: a teat is a cylinder of free radius and axis, perhaps a little wider towards its base, that ends in a ball to which its sides are tangents,
-or in half an ellipsoid, which is a ball squeezed along the axis: what is said of the ball holds when all, the camera included, is stretched back.
-A surface point with unit normal n lies on the outline where the line of sight is at right angles to n. On the ball that is a circle, on the sides two
-straight lines, and the three join without a gap, so that one list of points goes up one side, over the end and down the other.
-The module may not know pictures.
+Strategy: a teat is a cylinder of free radius and axis, perhaps a little wider towards its base, that ends in a ball to which its sides
+are tangents, or in half an ellipsoid, which is a ball squeezed along the axis: what is said of the ball holds when all, the camera
+included, is stretched back. A surface point with unit normal n lies on the outline where the line of sight is at right angles to n. On
+the ball that is a circle, on the sides two straight lines, and the three join without a gap, so that one list of points goes up one
+side, over the end and down the other. The module may not know pictures.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ import numpy as np
 
 from detector.geometry import Array, Camera, Motion
 
-CX, CY, CZ, LEAN_X, LEAN_Z, RADIUS, TAPER, HEIGHT = range(8)  # the end's middle, the axis, its radius, the sides' slope, its height in radii
+CX, CY, CZ, LEAN_X, LEAN_Z, RADIUS, TAPER, HEIGHT = range(
+    8
+)  # the end's middle, the axis, its radius, the sides' slope, its height in radii
 COUNT = 8
 SIDE_A, END, SIDE_B = range(3)  # the parts of an outline; a camera that looks along +z with y down has side A on its left
 
@@ -52,31 +54,74 @@ def apexes(teats: Array) -> Array:
     return np.asarray(teats[:, :3] - (teats[:, RADIUS] * teats[:, HEIGHT])[:, None] * axes(teats))
 
 
-def outlines(teats: Array, camera: Camera, camera_from_teats: Motion, outline: Outline) -> Array:
-    """Pixels (m, n, 2) of the outlines of teats (m, 8) as a camera sees them, from the foot of side A over the end to that of side B.
+@dataclass(frozen=True, slots=True, eq=False)
+class Contour:
+    """Outlines of m teats in a camera's frame: points (m, n, 3), unit surface normals there, and the points from the end's middle."""
 
-    NaN for a teat that isn't wholly before the camera, or that the camera is inside of.
-    """
+    points: Array
+    normals: Array
+    from_centre: Array
+
+
+def contours(teats: Array, camera_from_teats: Motion, outline: Outline) -> Contour:
+    """The outlines of teats (m, 8), from the foot of side A over the end to that of side B; NaN for a teat that the camera is inside of."""
     centre, axis = camera_from_teats.apply(teats[:, :3]), axes(teats) @ camera_from_teats.R.T
     height = teats[:, HEIGHT]
     round_centre = centre + ((1 / height - 1) * _dot(centre, axis))[:, None] * axis
-    from_centre = _surface(round_centre, axis, teats[:, RADIUS], teats[:, TAPER], outline)
-    along = np.einsum("mnd,md->mn", from_centre, axis)
-    points = centre[:, None] + from_centre + ((height - 1)[:, None] * along)[..., None] * axis[:, None]
+    round_points, round_normals = _surface(round_centre, axis, teats[:, RADIUS], teats[:, TAPER], outline)
+    from_centre = round_points + _along(round_points, axis, height - 1)
+    normals = round_normals + _along(round_normals, axis, 1 / height - 1)
+    normals /= np.sqrt(np.einsum("mnd,mnd->mn", normals, normals))[..., None]
+    return Contour(centre[:, None] + from_centre, normals, from_centre)
+
+
+def pixels_of(points: Array, camera: Camera) -> Array:
+    """Pixels (m, n, 2) of points (m, n, 3) in a camera's frame; NaN behind it."""
     return camera.project(points.reshape(-1, 3)).reshape(*points.shape[:2], 2)
+
+
+def slopes(teats: Array, contour: Contour, px_a_mm: Array, camera_from_teats: Motion) -> Array:
+    """How far outlines move outward (m, n, 8), px a unit of each of the teats' numbers; ``px_a_mm`` (m, n) along the surface normal.
+
+    An outline moves with the surface along its normal; what slides along the surface doesn't move it.
+    """
+    R = camera_from_teats.R
+    n, q = contour.normals @ R, contour.from_centre @ R  # in the teats' own frame
+    axis, height = axes(teats), teats[:, HEIGHT]
+    length = np.sqrt(1 + teats[:, LEAN_X] ** 2 + teats[:, LEAN_Z] ** 2)
+    along_q, along_n = np.einsum("mnd,md->mn", q, axis), np.einsum("mnd,md->mn", n, axis)
+    result = np.empty((*n.shape[:2], COUNT))
+    result[..., :3] = n
+    for column, which in ((LEAN_X, 0), (LEAN_Z, 2)):
+        turned = (np.eye(3)[which] - axis * axis[:, [which]]) / length[:, None]
+        by_turn, towards = np.einsum("mnd,md->mn", n, turned), np.einsum("mnd,md->mn", q, turned)
+        result[..., column] = along_q * by_turn - towards * along_n
+    round_q = np.einsum("mnd,mnd->mn", n, q) / teats[:, RADIUS, None]
+    below = np.clip(along_q, 0, None)
+    result[..., RADIUS] = np.where(below > 0, 1.0, round_q)
+    result[..., TAPER] = below / height[:, None]  # taper is told where all is stretched back
+    result[..., HEIGHT] = np.where(below > 0, 0.0, along_n * along_q / height[:, None])
+    return np.asarray(result * px_a_mm[..., None])
+
+
+def _along(vectors: Array, axis: Array, factor: Array) -> Array:
+    """The components of vectors (m, n, 3) along axes (m, 3), times a factor (m,)."""
+    return np.asarray((np.einsum("mnd,md->mn", vectors, axis) * factor[:, None])[..., None] * axis[:, None])
 
 
 def normals_of(pixels_px: Array) -> Array:
     """Outward unit normals (m, n, 2) of outlines (m, n, 2): at right angles to the way from the point before to the point after."""
-    along = np.gradient(pixels_px, axis=1)
-    outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
-    return np.asarray(outward / np.linalg.norm(outward, axis=-1, keepdims=True))
+    along = np.empty_like(pixels_px)
+    along[:, 1:-1] = pixels_px[:, 2:] - pixels_px[:, :-2]
+    along[:, 0], along[:, -1] = pixels_px[:, 1] - pixels_px[:, 0], pixels_px[:, -1] - pixels_px[:, -2]
+    length = np.sqrt(along[..., 0] ** 2 + along[..., 1] ** 2)
+    return np.stack([along[..., 1] / length, -along[..., 0] / length], axis=-1)
 
 
-def _surface(centre: Array, axis: Array, radius: Array, taper: Array, outline: Outline) -> Array:
-    """Points (m, n, 3) of the outline about the ball's centre, in the camera's frame. Every normal n has n . centre = -radius.
+def _surface(centre: Array, axis: Array, radius: Array, taper: Array, outline: Outline) -> tuple[Array, Array]:
+    """Points (m, n, 3) of the outline about the ball's centre, in the camera's frame, and the normals there.
 
-    On the sides n . axis = -taper besides, which leaves two normals, one a side.
+    Every normal n has n . centre = -radius; on the sides n . axis = -taper besides, which leaves two, one a side.
     """
     depth_along = _dot(centre, axis)
     across = centre - depth_along[:, None] * axis
@@ -93,8 +138,12 @@ def _surface(centre: Array, axis: Array, radius: Array, taper: Array, outline: O
     over = _over_end(centre, radius, rims[0], rims[1], outline.over_end)
     k, m = len(outline.along_mm), over.shape[1]
     normals = np.concatenate([np.repeat(rims[0][:, None], k, axis=1), over, np.repeat(rims[1][:, None], k, axis=1)], axis=1)
-    sides = [outline.along_mm[::-1, None] * generators[0][:, None], np.zeros((len(centre), m, 3)), outline.along_mm[:, None] * generators[1][:, None]]
-    return np.asarray(radius[:, None, None] * normals + np.concatenate(sides, axis=1))
+    sides = [
+        outline.along_mm[::-1, None] * generators[0][:, None],
+        np.zeros((len(centre), m, 3)),
+        outline.along_mm[:, None] * generators[1][:, None],
+    ]
+    return radius[:, None, None] * normals + np.concatenate(sides, axis=1), normals
 
 
 def _over_end(centre: Array, radius: Array, start: Array, stop: Array, shares: Array) -> Array:

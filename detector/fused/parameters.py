@@ -9,7 +9,11 @@ from detector.fused.fit import Prior
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """What is known of teats and rigs before looking; nothing here was fitted to a scene."""
+    """What is known of teats and rigs before looking, and how much must speak for a teat.
+
+    Sizes are those of teats. How much must be seen was set by hand, on the path-traced frames of another program and on situations of
+    seeds below 34; seeds from 40 on were kept apart to measure with.
+    """
 
     nearest_mm: float = 850.0  # working volume, along the right camera's axis
     farthest_mm: float = 1900.0
@@ -20,14 +24,18 @@ class Parameters:
     most_bars: int = 5
     starts_per_nomination: int = 3
     most_starts: int = 26
-    most_fits: int = 14
+    most_fits: int = 12
+    whole_end: float = 0.7  # share of the rounded end, below which a fit may have bridged two teats
+    most_doubts: int = 3
     least_side: float = 0.5  # share of the better side's outline that must be seen, a picture
-    least_end: float = 0.35  # of the rounded end's; and where only one side is seen,
+    least_end: float = 0.4  # of the rounded end's; where the thermal picture doesn't show it,
+    least_end_alone: float = 0.65  # and where only one side is seen,
     least_end_one_sided: float = 0.45
     greatest_thermal_px: float = 1.2  # how far the thermal outline may lie off, sensor pixels
     good_misfit_px: float = 0.15
     greatest_misfit_px: float = 0.35
     greatest_sd_mm: float = 2.5  # of an end, along the axis where it is the least sure
-    least_warmth: float = 0.7  # of the way from the surroundings' temperature to the warmest teat's
+    least_warmth: float = 0.78  # of the way from the surroundings' temperature to the warmest teat's
     overlap: float = 0.85  # two teats' axes are never closer than this share of the sum of their radii
     stretch_bias: float = 1.0  # what a short stretch of an outline has in common (paint, shadow, blur), in floors of its picture
+    end_shape_sd_mm: float = 0.12  # how far an end may be from that of half an ellipsoid that fits its outline

@@ -1,7 +1,7 @@
 """The pictures as the detector needs them, or one sentence on why they can't be used.
 
-Strategy: optical intensities stay linear, as the camera gives them; only a region about the nominations is ever touched. The thermal picture is brought
-to the sensor's own pixels, un-mirrored, warm high. The module may not know teats.
+Strategy: optical intensities stay linear, as the camera gives them; only a region about the nominations is ever touched. The thermal
+picture is brought to the sensor's own pixels, un-mirrored, warm high. The module may not know teats.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.calibration import Calibration, ThermalCamera
+from detector.calibration import ThermalCamera
 from detector.fused.edges import Field
 from detector.protocol import Frames
 
@@ -31,7 +31,7 @@ def optical(picture: NDArray[Any], size: tuple[int, int], camera: str) -> NDArra
 
 
 def thermal(frames: Frames, camera: ThermalCamera) -> Field:
-    """Warmth (rows, columns) at sensor resolution, un-mirrored: kelvin where the frame set has them, else grey levels. Raises UnusableError."""
+    """Warmth (rows, columns) at sensor resolution, un-mirrored: kelvin where there are any, else grey levels. Raises UnusableError."""
     columns, rows = camera.sensor_size
     if frames.thermal_k is not None:
         kelvin = np.asarray(frames.thermal_k)
@@ -49,7 +49,10 @@ def thermal(frames: Frames, camera: ThermalCamera) -> Field:
 
 
 def region(picture: NDArray[Any], points_px: NDArray[np.float64], margin_px: int) -> tuple[Field, NDArray[np.float64]]:
-    """The part of a picture about points (n, 2) as linear intensities, and the pixel (2,) where it begins. Raises UnusableError where it is empty."""
+    """The part of a picture about points (n, 2) as linear intensities, and the pixel (2,) where it begins.
+
+    Raises UnusableError where it is empty.
+    """
     rows, columns = picture.shape
     seen = points_px[np.isfinite(points_px).all(axis=1)]
     if len(seen) == 0:
@@ -64,7 +67,7 @@ def region(picture: NDArray[Any], points_px: NDArray[np.float64], margin_px: int
 def noise_of(field: Field) -> float:
     """Standard deviation of the noise of intensities: robust, from what is left after differences of second order (Immerkaer 1996)."""
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
-    return max(float(np.median(np.abs(cv2.filter2D(field, cv2.CV_32F, mask)))) / (0.6745 * 6.0), 0.05)
+    return max(float(np.median(np.abs(cv2.filter2D(field, cv2.CV_32F, mask)[::3, ::3]))) / (0.6745 * 6.0), 0.05)
 
 
 def _grey(picture: NDArray[Any], camera: str) -> NDArray[Any]:
@@ -75,6 +78,8 @@ def _grey(picture: NDArray[Any], camera: str) -> NDArray[Any]:
         raise UnusableError(f"the {camera} picture has the shape {image.shape}; a grey or colour picture is needed")
     if not (np.issubdtype(image.dtype, np.integer) or np.issubdtype(image.dtype, np.floating)):
         raise UnusableError(f"the {camera} picture has pixels of type {image.dtype}; numbers are needed")
+    if not np.isfinite(image).all():
+        raise UnusableError(f"the {camera} picture has pixels that are no numbers")
     return image
 
 

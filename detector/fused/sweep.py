@@ -1,9 +1,9 @@
 """From a thermal nomination to places in space: which depths along its line of sight do both optical pictures bear out?
 
 Strategy: the nomination's ball and axis are put at every depth of the working volume, a step of disparity apart, and carried through
-the calibrated cameras into both pictures, where the outline is laid over the squeezed gradients. That is a mapping for each depth, not one homography
-for all. The few depths at which both pictures agree best become starts for the fit. A bar without a visible end gets its depth from its
-sides, and then its end is sought upwards along its axis. May not know what is warm.
+the calibrated cameras into both pictures, where the outline is laid over the squeezed gradients. That is a mapping for each depth, not
+one homography for all. The few depths at which both pictures agree best become starts for the fit. A bar without a visible end gets its
+depth from its sides, and then its end is sought upwards along its axis. The module may not know what is warm.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ _ARC = np.radians([-70.0, -42.0, -14.0, 14.0, 42.0, 70.0])
 _BELOW = np.array([0.4, 1.2, 2.0, 2.8, 3.6])  # of the half width, below the ball's middle
 _APART_STEPS = 2
 _LEAST = 0.1
+_NEXT = 0.8  # what a nomination's next best place is worth of the one before, so that none is crowded out
 _SLIDE_MM = np.arange(0.0, 111.0, 3.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Starts:
-    """Teats (m, 8) to begin the fit with, in the right camera's frame, their scores (m,), and those of the nominations (m,) they come from."""
+    """Teats (m, 8) to begin the fit with, in the right camera's frame, their scores (m,), and those of their nominations (m,)."""
 
     teats: Array
     score: Array
@@ -41,7 +42,11 @@ class Starts:
 
     def __add__(self, other: Starts) -> Starts:
         """All of both."""
-        return Starts(np.concatenate([self.teats, other.teats]), np.concatenate([self.score, other.score]), np.concatenate([self.nominated, other.nominated]))
+        return Starts(
+            np.concatenate([self.teats, other.teats]),
+            np.concatenate([self.score, other.score]),
+            np.concatenate([self.nominated, other.nominated]),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,9 +58,9 @@ class Map:
     view: View
 
     @classmethod
-    def of(cls, view: View) -> Map:
+    def of(cls, view: View, blur_px: float) -> Map:
         """The map of a view."""
-        gx, gy = (np.pad(g, 1) for g in strengths(view.field, blur_px=1.5, noises=3.0))
+        gx, gy = (np.pad(g, 1) for g in strengths(view.field, blur_px, noises=3.0))
         return cls(gx, gy, view)
 
 
@@ -83,20 +88,35 @@ def hypotheses(found: Nominations, lens: Camera, px_a_sensor_px: float, right_fr
 def sweep_ends(teats: Array, nominated: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
     """The best starts among teats (n, d, 8) whose ends the thermal picture shows with scores ``nominated`` (n,)."""
     score = _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0).max(axis=0).reshape(teats.shape[:2])
-    rows, columns = _peaks(np.where(_possible(teats, p), score, 0.0), p.starts_per_nomination)
-    return _refined(teats[rows, columns], nominated[rows], maps, p)
+    best = np.where(_possible(teats, p), score, 0.0)
+    rows, columns = _peaks(best, p.starts_per_nomination)
+    return Starts(teats[rows, columns], best[rows, columns], nominated[rows] * _NEXT ** _rank(rows))
 
 
-def sweep_bars(teats: Array, nominated: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
+def sweep_bars(teats: Array, nominated: Array, maps: tuple[Map, ...], thermal: Map, p: Parameters) -> Starts:
     """The best starts among teats (n, d, 8) of which only the sides are known: the depth first, then how far up the end is."""
     score = _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0, end=False).max(axis=0).reshape(teats.shape[:2])
     rows, columns = _peaks(np.where(_possible(teats, p), score, 0.0), p.starts_per_nomination)
-    deep, nominated = teats[rows, columns], nominated[rows]
+    deep, nominated = teats[rows, columns], nominated[rows] * _NEXT ** _rank(rows)
     slid = np.repeat(deep[:, None], len(_SLIDE_MM), axis=1)
     slid[..., :3] -= _SLIDE_MM[:, None] * axes(deep)[:, None]
-    score = _joint(slid.reshape(-1, COUNT), maps, _CROSS_PX, 1.0).max(axis=0).reshape(slid.shape[:2])
+    score = _ended(slid.reshape(-1, COUNT), maps, thermal).reshape(slid.shape[:2])
     rows, columns = _peaks(score, 2)
-    return _refined(slid[rows, columns], nominated[rows], maps, p)
+    return Starts(slid[rows, columns], score[rows, columns] / 1.5, nominated[rows] * _NEXT ** _rank(rows))
+
+
+def slide_ends(teats: Array, maps: tuple[Map, ...], thermal: Map) -> Array:
+    """The teats (m, 8) moved along their axes to where the pictures show an end the best."""
+    by = np.arange(-45.0, 46.0, 1.5)
+    slid = np.repeat(teats[:, None], len(by), axis=1)
+    slid[..., :3] += by[:, None] * axes(teats)[:, None]
+    best = _ended(slid.reshape(-1, COUNT), maps, thermal).reshape(slid.shape[:2]).argmax(axis=1)
+    return np.asarray(slid[np.arange(len(teats)), best])
+
+
+def _ended(teats: Array, maps: tuple[Map, ...], thermal: Map) -> Array:
+    """Scores (m,) of teats (m, 8) by both optical pictures and the thermal one: one kind may not tell an end from an arm."""
+    return np.asarray(_joint(teats, maps, _CROSS_PX, 1.0).max(axis=0) + 0.5 * _scores(teats, thermal, _CROSS_PX[:1], 1.0, end=True)[0])
 
 
 def _possible(teats: Array, p: Parameters) -> NDArray[np.bool_]:
@@ -104,35 +124,37 @@ def _possible(teats: Array, p: Parameters) -> NDArray[np.bool_]:
     return np.asarray((teats[..., RADIUS] > 0.75 * p.least_radius_mm) & (teats[..., RADIUS] < 1.3 * p.greatest_radius_mm))
 
 
-def _refined(teats: Array, nominated: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
-    """The teats (m, 8) with the shift and swell that fit both pictures best."""
+def best_starts(starts: Starts, maps: tuple[Map, ...], p: Parameters) -> Array:
+    """The teats (m, 8) of the most promising starts, with the shift and swell that fit both pictures best."""
+    teats = starts.teats[np.argsort(-starts.score * starts.nominated, kind="stable")[: p.most_starts]]
     if len(teats) == 0:
-        return Starts(teats, np.zeros(0), np.zeros(0))
+        return teats
     joint = np.stack([_joint(teats, maps, _GRID_PX, swell) for swell in _SWELLS])  # (swells, shifts, m)
-    way = joint.reshape(-1, len(teats)).argmax(axis=0)
-    swell, shift = np.unravel_index(way, joint.shape[:2])
+    swell, shift = np.unravel_index(joint.reshape(-1, len(teats)).argmax(axis=0), joint.shape[:2])
     moved = teats.copy()
     moved[:, :2] += _GRID_PX[shift] * moved[:, 2:3] / np.array(maps[1].view.camera.fc)
     moved[:, RADIUS] = np.clip(moved[:, RADIUS] * np.array(_SWELLS)[swell], p.least_radius_mm, p.greatest_radius_mm)
-    return Starts(moved, joint.max(axis=(0, 1)), nominated)
+    return moved
 
 
 def _joint(teats: Array, maps: tuple[Map, ...], shifts: Field, swell: float, *, end: bool = True) -> Array:
     """Scores (shifts, m) of teats (m, 8) in both pictures together; ``end``: whether the round end counts."""
-    left, right = (_scores(teats, each, shifts, swell, end) for each in maps)
+    left, right = (_scores(teats, each, shifts, swell, end=end) for each in maps)
     return np.asarray(np.sqrt(left * right))
 
 
-def _scores(teats: Array, each: Map, shifts: Field, swell: float, end: bool) -> Array:
+def _scores(teats: Array, each: Map, shifts: Field, swell: float, *, end: bool) -> Array:
     """Scores (shifts, m) of teats (m, 8) in one picture."""
     camera, motion = each.view.camera, each.view.camera_from_teats
     foot = teats[:, :3] + 20.0 * np.column_stack([teats[:, LEAN_X], np.ones(len(teats)), np.zeros(len(teats))])
     points = motion.apply(np.concatenate([teats[:, :3], foot]))
     pixels = camera.project(points)
-    middle, down = pixels[: len(teats)], pixels[len(teats) :] - pixels[: len(teats)]
+    seen = np.isfinite(pixels).all(axis=1).reshape(2, -1).all(axis=0)[:, None]
+    middle = np.where(seen, pixels[: len(teats)], -1e4)  # nowhere, and so without a score
+    down = np.where(seen, pixels[len(teats) :] - pixels[: len(teats)], [0.0, 1.0])
     down /= np.linalg.norm(down, axis=1, keepdims=True)
     right = np.column_stack([down[:, 1], -down[:, 0]])
-    half = (swell * teats[:, RADIUS] * camera.fc[0] / points[: len(teats), 2])[:, None]
+    half = (swell * teats[:, RADIUS] * camera.fc[0] / np.maximum(points[: len(teats), 2], 1.0))[:, None]
     arc = -np.cos(_ARC)[:, None, None] * down + np.sin(_ARC)[:, None, None] * right
     at = middle - each.view.corner_px
     left, other = (_across(each, shifts, at + half * (_BELOW[:, None, None] * down + s * right), s * right[None]) for s in (-1.0, 1.0))
@@ -143,13 +165,18 @@ def _scores(teats: Array, each: Map, shifts: Field, swell: float, end: bool) -> 
 def _across(each: Map, shifts: Field, at: Array, normals: Array) -> Array:
     """Mean strength (shifts, m) across an outline at ``at`` (k, m, 2) along ``normals`` (k or 1, m, 2); none outside of the picture."""
     rows, columns = each.gx.shape
-    place = np.nan_to_num(at, nan=-9.0).astype(np.float32)[:, None] + (shifts[None, :, None] + np.float32(1.5))
+    place = at.astype(np.float32)[:, None] + (shifts[None, :, None] + np.float32(1.5))
     np.clip(place, 0, np.array([columns - 1, rows - 1], dtype=np.float32), out=place)  # the border holds nothing
     whole = place.astype(np.int32)
     index = whole[..., 1] * columns + whole[..., 0]
-    n = np.nan_to_num(normals).astype(np.float32)[:, None]
+    n = normals.astype(np.float32)[:, None]
     across = each.gx.ravel()[index] * n[..., 0] + each.gy.ravel()[index] * n[..., 1]
     return np.asarray(np.abs(across).mean(axis=0))
+
+
+def _rank(rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """How many times (m,) each of ``rows`` (m,) came before."""
+    return np.array([np.count_nonzero(rows[:i] == row) for i, row in enumerate(rows)], dtype=np.intp)
 
 
 def _peaks(score: Array, most: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -1,8 +1,8 @@
 """Where the thermal picture shows something like the end of an upright bar: candidates for teats, many rather than few.
 
-Strategy: a bar's outline (two sides and a round top) is laid over the direction and strength of the picture's gradient, for several widths and
-leans at once, at every pixel. Gradients saturate at a few times their noise, so that a bar a little cooler than an arm behind it
-scores as one that is far warmer than a wall, and no threshold on temperature is needed. A bar may lack a side: that is where teats
+Strategy: a bar's outline (two sides and a round top) is laid over the direction and strength of the picture's gradient, for several
+widths and leans at once, at every pixel. Gradients saturate at a few times their noise, so that a bar a little cooler than an arm behind
+it scores as one that is far warmer than a wall, and no threshold on temperature is needed. A bar may lack a side: that is where teats
 touch. The module may not know the optical cameras.
 """
 
@@ -22,6 +22,9 @@ LEANS = (-0.28, -0.14, 0.0, 0.14, 0.28)
 _ARC = np.radians([-65.0, -40.0, -15.0, 15.0, 40.0, 65.0])
 _BELOW_PX = np.array([1.0, 4.0, 7.0, 10.0, 13.0, 16.0])
 _BAR_LEANS = (-0.22, 0.0, 0.22)
+_ROUGH_WIDTHS_PX, _MOST_TIPS = (3.6, 6.0), 250
+_ROOM_PX = 34
+_APART_PX = 4.0
 _STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END = 0.35, 0.25, 0.45, 0.8  # strengths, 0 to 1
 
 
@@ -53,7 +56,10 @@ def nominate(temperature: Field, most: int) -> Nominations:
     if len(u) == 0:
         return _NONE
     tips = np.column_stack([u, v]).astype(np.float32)
-    scores = np.stack([_end_score(gx, gy, tips, w, lean) for w in HALF_WIDTHS_PX for lean in LEANS])
+    maps = _Padded.of(gx, gy)
+    rough = np.stack([_end_score(maps, maps.index(tips), w, lean) for w in _ROUGH_WIDTHS_PX for lean in _BAR_LEANS]).max(axis=0)
+    tips = tips[np.argsort(-rough, kind="stable")[:_MOST_TIPS]]
+    scores = np.stack([_end_score(maps, maps.index(tips), w, lean) for w in HALF_WIDTHS_PX for lean in LEANS])
     found = _best(tips, scores, HALF_WIDTHS_PX, LEANS)
     length = np.sqrt(1 + found.lean**2)
     down = np.column_stack([found.lean, np.ones_like(found.lean)]) / length[:, None]
@@ -72,30 +78,35 @@ def bars(temperature: Field, ends: Nominations, most: int) -> Nominations:
     if len(rows) == 0 or high <= low:
         return _NONE
     at = np.column_stack([columns, 4 * rows]).astype(np.float32)
-    scores = np.stack([_bar_score(gx, gy, at, w, lean) for w in HALF_WIDTHS_PX for lean in _BAR_LEANS])
+    clear = [(ends.centre_px[i], ends.lean[i]) for i in range(len(ends)) if ends.score[i] > _CLEAR_END]
+    at = at[np.all([_beside(at.T.astype(np.float64), 0.0, middle, lean) > _APART_PX for middle, lean in clear], axis=0)] if clear else at
+    if len(at) == 0:
+        return _NONE
+    maps = _Padded.of(gx, gy)
+    index = maps.index(at)
+    scores = np.stack([_bar_score(maps, index, w, lean) for w in HALF_WIDTHS_PX for lean in _BAR_LEANS])
     found = _best(at, scores, HALF_WIDTHS_PX, _BAR_LEANS)
     order = [int(i) for i in np.argsort(-found.score, kind="stable") if found.score[i] > _LEAST_BAR]
-    clear = [(ends.centre_px[i], ends.lean[i]) for i in range(len(ends)) if ends.score[i] > _CLEAR_END]
     kept: list[int] = []
     for i in order:
         middle, lean = found.centre_px[i], found.lean[i]
-        if len(kept) < most and all(_beside(middle, lean, other, slope) > 4.0 for other, slope in clear):
+        if len(kept) < most and all(_beside(middle, lean, other, slope) > _APART_PX for other, slope in clear):
             kept.append(i)
             clear.append((middle, lean))
     return found.take(np.array(kept, dtype=np.intp))
 
 
-def _beside(a: Array, lean_a: float, b: Array, lean_b: float) -> float:
-    """How far apart two bars are across, half way between their middles, px."""
+def _beside(a: Array, lean_a: float, b: Array, lean_b: float) -> Array:
+    """How far apart across two bars are, half way between their middles, px; ``a`` may be many, (2, n)."""
     half = 0.5 * (b[1] - a[1])
-    return float(abs((a[0] + lean_a * half) - (b[0] - lean_b * half)))
+    return np.asarray(np.abs((a[0] + lean_a * half) - (b[0] - lean_b * half)))
 
 
-def _best(at: Field, scores: Field, widths: tuple[float, ...], leans: tuple[float, ...]) -> Nominations:
+def _best(at: Field, scores: Array, widths: tuple[float, ...], leans: tuple[float, ...]) -> Nominations:
     """The best of the shapes (width by lean, n) at each place."""
     shape = scores.argmax(axis=0)
     width, lean = np.repeat(widths, len(leans))[shape], np.tile(leans, len(widths))[shape]
-    return Nominations(at.astype(np.float64), width, lean, scores.max(axis=0).astype(np.float64))
+    return Nominations(at.astype(np.float64), width, lean, np.asarray(scores.max(axis=0), dtype=np.float64))
 
 
 def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0) -> tuple[Field, Field]:
@@ -103,42 +114,59 @@ def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0) -> tupl
     smooth = cv2.GaussianBlur(picture, (0, 0), blur_px)
     gx, gy = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125) for order in ((1, 0), (0, 1)))
     length = cv2.magnitude(gx, gy)
-    noise = float(np.median(length[::2, ::2]))
+    noise = float(np.median(length[::3, ::3]))
     squeezed = 1.0 / (length + max(noises * noise, 1e-6))
     return gx * squeezed, gy * squeezed
 
 
-def _end_score(gx: Field, gy: Field, tips: Field, width: float, lean: float) -> Field:
-    """How well (n,) a bar of half width ``width`` px and lean fits with its tip at ``tips`` (n, 2)."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Padded:
+    """Squeezed gradients, flat, with room about them, so that an outline may reach beyond the picture: there is nothing there."""
+
+    gx: Field
+    gy: Field
+    columns: int
+
+    @classmethod
+    def of(cls, gx: Field, gy: Field) -> _Padded:
+        return cls(np.pad(gx, _ROOM_PX).ravel(), np.pad(gy, _ROOM_PX).ravel(), gx.shape[1] + 2 * _ROOM_PX)
+
+    def index(self, places: Field) -> NDArray[np.intp]:
+        """Where places (n, 2) of the picture, at whole pixels, are."""
+        whole = places.astype(np.intp) + _ROOM_PX
+        return np.asarray(whole[:, 1] * self.columns + whole[:, 0])
+
+
+def _end_score(maps: _Padded, tips: NDArray[np.intp], width: float, lean: float) -> Array:
+    """How well (n,) a bar of half width ``width`` px and lean fits with its tip at ``tips`` (n,)."""
     length = np.hypot(1.0, lean)
     down, right = np.array([lean, 1.0]) / length, np.array([1.0, -lean]) / length
     arc = -np.cos(_ARC)[:, None] * down + np.sin(_ARC)[:, None] * right
-    top = np.abs(_along(gx, gy, tips, width * (down + arc), arc))
+    top = np.abs(_along(maps, tips, width * (down + arc), arc))
     sides = [
-        np.abs(_along(gx, gy, tips, (width + _BELOW_PX)[:, None] * down + side * width * right, np.tile(side * right, (6, 1))))
+        np.abs(_along(maps, tips, (width + _BELOW_PX)[:, None] * down + side * width * right, np.tile(side * right, (6, 1))))
         for side in (-1.0, 1.0)
     ]
     return joined(top.mean(axis=0), sides[0].mean(axis=0), sides[1].mean(axis=0))
 
 
-def _bar_score(gx: Field, gy: Field, at: Field, width: float, lean: float) -> Field:
-    """How well (n,) the sides of a warm bar of half width ``width`` px and lean fit below ``at`` (n, 2)."""
+def _bar_score(maps: _Padded, at: NDArray[np.intp], width: float, lean: float) -> Array:
+    """How well (n,) the sides of a warm bar of half width ``width`` px and lean fit below ``at`` (n,)."""
     length = np.hypot(1.0, lean)
     down, right = np.array([lean, 1.0]) / length, np.array([1.0, -lean]) / length
     sides = [
-        -_along(gx, gy, at, _BELOW_PX[:, None] * down + side * width * right, np.tile(side * right, (6, 1))).mean(axis=0)
+        -1.0 * _along(maps, at, _BELOW_PX[:, None] * down + side * width * right, np.tile(side * right, (6, 1))).mean(axis=0)
         for side in (-1.0, 1.0)
     ]
-    return np.minimum(*sides)
-def _along(gx: Field, gy: Field, at: Field, points: Array, normals: Array) -> Field:
-    """Strength (k, n) outward across the outline at ``points`` (k, 2) px from each of ``at`` (n, 2), along ``normals`` (k, 2)."""
-    rows, columns = gx.shape
-    whole = np.rint(points[:, None] + at[None]).astype(np.int32)
-    u, v = whole[..., 0], whole[..., 1]
-    inside = (u >= 0) & (u < columns) & (v >= 0) & (v < rows)
-    index = np.where(inside, v * columns + u, 0)
+    return np.asarray(np.minimum(*sides), dtype=np.float64)
+
+
+def _along(maps: _Padded, at: NDArray[np.intp], points: Array, normals: Array) -> Field:
+    """Strength (k, n) outward across the outline at ``points`` (k, 2) px from the places ``at`` (n,), along ``normals`` (k, 2)."""
+    whole = np.rint(points).astype(np.intp)
+    index = at + (whole[:, 1] * maps.columns + whole[:, 0])[:, None]
     n = normals.astype(np.float32)
-    return np.where(inside, gx.ravel()[index] * n[:, :1] + gy.ravel()[index] * n[:, 1:], np.float32(0))
+    return np.asarray(maps.gx[index] * n[:, :1] + maps.gy[index] * n[:, 1:], dtype=np.float32)
 
 
 def joined(top: Array, left: Array, right: Array) -> Array:

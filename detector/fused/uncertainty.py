@@ -1,7 +1,8 @@
 """How sure a fitted teat end is: covariances from the edges that were found, and from what edges can't say of themselves.
 
-Strategy: first order (JCGM 102:2011). Three things move an end: the noise of each edge; what neighbouring edges have in common (paint, a
-shadow, a neighbour's limb), as one unknown shift for each short stretch of outline; and the calibration. May not know temperatures.
+Strategy: first order (JCGM 102:2011). Four things move an end: the noise of each edge; what neighbouring edges have in common (paint, a
+shadow, a neighbour's limb), as one unknown shift for each short stretch of outline; how far an end's shape is from half an ellipsoid's,
+along the axis; and the calibration. The module may not know temperatures.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import numpy as np
 
 from detector.calibration import Calibration
 from detector.fused.fit import apex_jacobian, normal_equations
-from detector.fused.model import apexes
+from detector.fused.model import axes
 from detector.fused.parameters import Parameters
 from detector.fused.refine import Fitted
 from detector.geometry import Array
@@ -31,8 +32,9 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     common = gain.reshape(m, gain.shape[1], k // _STRETCH, _STRETCH).sum(axis=3)
     shift = fitted.seen.floor_px.reshape(m, -1, _STRETCH)[:, :, 0] * p.stretch_bias
     shared = np.einsum("mis,ms,mjs->mij", common, shift**2, common)
-    to_end = apex_jacobian(fitted.teats)
-    return np.asarray(to_end @ (noise + shared) @ to_end.transpose(0, 2, 1))
+    to_end, axis = apex_jacobian(fitted.teats), axes(fitted.teats)
+    shape = p.end_shape_sd_mm**2 * np.einsum("mi,mj->mij", axis, axis)
+    return np.asarray(to_end @ (noise + shared) @ to_end.transpose(0, 2, 1) + shape)
 
 
 def _scatter(fitted: Fitted) -> Array:
@@ -43,9 +45,12 @@ def _scatter(fitted: Fitted) -> Array:
     return np.asarray(np.maximum((square * weight).sum(axis=1) / freedom, 1.0))
 
 
-def world_covariances(fitted: Fitted, calibration: Calibration, p: Parameters) -> Array:
-    """Covariances (m, 3, 3) mm^2 of the ends in the world, the calibration's share included."""
+def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> Array:
+    """Covariances (m, 3, 3) mm^2 in the world: the ends' ``own`` in the right camera's frame, and the calibration's share
+    at ``ends_mm`` (m, 3).
+    """
     R = calibration.world_from_right.R
-    own = R @ end_covariances(fitted, p) @ R.T
-    world = calibration.world_from_right.apply(apexes(fitted.teats))
-    return np.asarray(own + calibration.covariance_of(world)) if len(world) else own
+    total = R @ own @ R.T
+    if calibration.covariance is None or len(own) == 0:
+        return np.asarray(total)
+    return np.asarray(total + calibration.covariance_of(calibration.world_from_right.apply(ends_mm)))

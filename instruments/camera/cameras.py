@@ -46,19 +46,20 @@ class CameraSet:
         missing = [name for name in REQUIRED if name not in openers]
         if wrong or missing:
             raise ValueError(f"a rig has cameras left, right and perhaps thermal, got {', '.join(openers) or 'none'}")
+        self._openers = dict(openers)
         self._conversions = {name: conversions.get(name, Conversion()) for name in openers}
         self._cameras: dict[str, Camera] = {}
-        try:
-            for name, opener in openers.items():
-                self._cameras[name] = opener()
-        except InstrumentError:
-            self.close()
-            raise
+        self._open()
 
     @property
     def identity(self) -> Mapping[str, str]:
         """Who each camera is."""
         return {name: camera.identity for name, camera in self._cameras.items()}
+
+    def reopen(self) -> None:
+        """Let all cameras go and open them anew, with their settings. Raises as their openers do; all are closed then."""
+        self.close()
+        self._open()
 
     def capture(self) -> FrameSet:
         """Expose all cameras as nearly together as they can. Raises FrameError, LinkError, ProtocolError."""
@@ -81,3 +82,11 @@ class CameraSet:
         for camera in self._cameras.values():
             camera.close()
         self._cameras.clear()
+
+    def _open(self) -> None:
+        try:
+            for name, opener in self._openers.items():
+                self._cameras[name] = opener()
+        except InstrumentError:
+            self.close()
+            raise

@@ -17,9 +17,9 @@ from instruments.world.solids import Point
 from instruments.world.world import World
 
 SHOWN = 24  # views after which the arms are tired
-DEPTHS_MM = (700.0, 1200.0)
+DEPTHS_MM = (450.0, 1200.0)
 FIXED_TURNS_RAD = ((-0.35, -0.25), (0.30, 0.30))  # about the board's own axes, position by position
-FIXED_SHIFTS_MM = ((30.0, -60.0, 30.0), (-40.0, 70.0, -10.0))
+FIXED_SHIFTS_MM = ((-40.0, -50.0, 30.0), (-40.0, 70.0, -10.0))
 HEATED_C = 40.0
 
 
@@ -38,11 +38,11 @@ class BoardHands:
         return self._board
 
     def tip(self, corner: int, tip_radius_mm: float) -> tuple[Floats, Floats]:
-        """The centre (3,) of the arm's ball tip that rests on a point of the board, and the stylus's axis. Raises ValueError without one."""
+        """The centre (3,) of the arm's ball tip that rests on a point of the board, the stylus's axis. Raises ValueError without one."""
         if self._board is None:
             raise ValueError("the emulated operator holds no board that could be touched")
         normal = self._board.normal
-        axis = normal + np.array([0.0, 0.0, 1.0])
+        axis = 0.5 * normal + np.array([0.0, 0.0, 1.0])  # nearly upright, which the arm reaches farthest with
         return self._board.corners_mm[corner] + tip_radius_mm * normal, axis / np.linalg.norm(axis)
 
     def _before_cameras(self, asked: BoardAsked) -> Board:

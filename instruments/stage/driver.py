@@ -209,6 +209,15 @@ class Stage:
 
     safe = stop
 
+    def reconnect(self) -> StageIdentity:
+        """After a cable was out or the power gone: open the link again and meet the controller. The stage must be homed again after it.
+
+        Raises LinkError while it is not back, else as ``connect``.
+        """
+        self._move = None
+        self._link.reopen()
+        return self.connect()
+
     def recover(self) -> None:
         """Leave an alarm, a hold, or a conversation out of step: restart the controller. The stage must be homed again after it."""
         self._move = None

@@ -6,13 +6,17 @@ refused, since a plot that drops them in silence shows something that was not me
 """
 
 from reports.figures.calibration import precision_by_distance, residual_field
+from reports.figures.change import change_scatter
 from reports.figures.course import bath_curve, latency_strip
 from reports.figures.errors import error_histogram, error_scatter, per_axis_errors
 from reports.figures.plane import error_map
 from reports.figures.rates import found_bars
+from reports.figures.teats import error_drift, teat_boxes
 
 __all__ = [
     "bath_curve",
+    "change_scatter",
+    "error_drift",
     "error_histogram",
     "error_map",
     "error_scatter",
@@ -21,4 +25,5 @@ __all__ = [
     "per_axis_errors",
     "precision_by_distance",
     "residual_field",
+    "teat_boxes",
 ]

@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike
 
 from reports.figures.arrays import Floats, finite, together
 from reports.figures.drawing import COLOURS, HALF_INCHES, WIDE_INCHES, LegendEntry, draw, legend, not_measured
+from reports.figures.thinning import envelope, telling
+
+_MOST_CAPTURES = 250  # more marks than that stand on each other
 
 
 def bath_curve(
@@ -30,12 +33,16 @@ def bath_curve(
     """
     times, temps = together("bath_curve", times_s=times_s, temps_c=temps_c)
     captures = finite("bath_curve", "captures_s", captures_s).ravel()
+    taken = captures.size
     teats = None if teat_temps_c is None else finite("bath_curve", "teat_temps_c", teat_temps_c)
     if teats is not None and len(teats) != times.size:
         raise ValueError(f"bath_curve: teat_temps_c has {len(teats)} rows for {times.size} times; give one row a time")
     inches = (WIDE_INCHES, 4.4)
     if not times.size:
         return not_measured(name, inches, "the bath gave no reading")
+    shown = envelope(temps)
+    times, temps, teats = times[shown], temps[shown], None if teats is None else teats[shown]
+    captures = captures[telling(captures, _MOST_CAPTURES)]
 
     def plot(figure: Figure) -> None:
         whole, close = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -49,7 +56,7 @@ def bath_curve(
         close.set_xlabel("time (min)")
         teat_entry: list[LegendEntry] = [] if teats is None else [("teats", "theirs", "-")]
         limits: list[LegendEntry] = [(f"set point {setpoint_c:g} °C ± {band_k:g} K", "good", "--"), ("stable", "span", "patch")]
-        legend(figure, [("bath", "ours", "-"), *teat_entry, *limits, (f"capture ({captures.size})", "ink", "v")])
+        legend(figure, [("bath", "ours", "-"), *teat_entry, *limits, (f"capture ({taken})", "ink", "v")])
 
     return draw(name, inches, plot)
 
@@ -63,7 +70,8 @@ def latency_strip(times_s: ArrayLike, limits_s: Sequence[float], *, name: str = 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
         order = np.arange(1, times.size + 1)
-        axes.plot(order, times, linestyle="none", marker="o", markersize=4.2, color=COLOURS["ours"], markeredgewidth=0)
+        shown = telling(times)
+        axes.plot(order[shown], times[shown], linestyle="none", marker="o", markersize=4.2, color=COLOURS["ours"], markeredgewidth=0)
         top = 1.12 * max(float(times.max()), *limits_s, 1e-6)
         axes.set(xlim=(0.5, times.size + 0.5), ylim=(0, top), xlabel="detection, in order", ylabel="time (s)")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from reports.figures.arrays import Floats, finite, together
 from reports.figures.drawing import COLOURS, HALF_INCHES, WIDE_INCHES, LegendEntry, draw, legend, not_measured, plain
+from reports.figures.thinning import MOST_POINTS, MOST_STEPS, telling, told
 
 _SQUARE = (HALF_INCHES, 4.2)
 
@@ -41,10 +42,13 @@ def error_scatter(
         axes.add_patch(Circle((0, 0), limit_mm, fill=False, edgecolor=COLOURS["limit"], linewidth=1.4))
         if accept_mm is not None:
             axes.add_patch(Circle((0, 0), accept_mm, fill=False, edgecolor=COLOURS["accept"], linewidth=1, linestyle="--"))
-        points = axes.scatter(across, along, s=18, color=COLOURS["ours"], alpha=0.7, linewidths=0)
+        drawn = telling(np.hypot(across, along))
+        points = axes.scatter(across[drawn], along[drawn], s=18, color=COLOURS["ours"], alpha=0.7, linewidths=0)
         if links is not None:
-            points.set_urls(list(links))
+            points.set_urls([links[index] for index in drawn])
         legend(figure, _limits(limit_mm, accept_mm))
+        if len(drawn) < across.size:
+            axes.set_title(told(len(drawn), across.size).strip(" ()"), loc="left", color=COLOURS["muted"])
 
     if links is not None and len(links) != across.size:
         raise ValueError(f"error_scatter: {len(links)} links for {across.size} points; give one a point")
@@ -64,8 +68,9 @@ def error_histogram(errors_mm: ArrayLike, limit_mm: float, *, accept_mm: float |
         axes.set(xlim=(0, reach), xlabel="radial error (mm)", ylabel="teat ends")
         axes.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
         share = axes.twinx()
-        steps = np.r_[0, np.arange(1, errors.size + 1) / errors.size, 1]
-        share.step(np.r_[0, np.sort(errors), reach], steps, where="post", color=COLOURS["ink"])
+        ordered = np.sort(errors)
+        at = np.unique(np.linspace(0, errors.size - 1, MOST_STEPS).round().astype(np.intp))
+        share.step(np.r_[0, ordered[at], reach], np.r_[0, (at + 1) / errors.size, 1], where="post", color=COLOURS["ink"])
         share.set(ylim=(0, 1.1), ylabel="share at or below")
         share.yaxis.set_major_formatter(PercentFormatter(1))
         share.grid(visible=False)
@@ -96,16 +101,25 @@ def per_axis_errors(
     def plot(figure: Figure) -> None:
         panels = figure.subplots(1, 3, sharex=True, sharey=True)
         reach = 1.1 * max(limit_mm, *(float(np.abs(array).max()) for array in arrays if array.size))
+        each = max(20, MOST_POINTS // len(arrays))
+        every = all(len(array) <= each for array in arrays)
         for axis, panel in enumerate(panels):
             panel.axvline(0, color=COLOURS["muted"], linewidth=0.6)
             for side in (-limit_mm, limit_mm):
                 panel.axvline(side, color=COLOURS["limit"], linewidth=1)
             for row, array in enumerate(arrays):
-                _strip(panel, row, array[:, axis])
+                _strip(panel, row, array[:, axis], each)
             panel.set(xlim=(-reach, reach), ylim=(len(situations) - 0.5, -0.5), xlabel=f"{plain(axes_names[axis])} error (mm)")
             panel.grid(visible=False, axis="y")
             panel.tick_params(axis="y", length=0)
-        legend(figure, [("one teat end", "ours", "o"), ("mean", "ink", "-"), (f"limit ± {limit_mm:g} mm", "limit", "-")])
+        legend(
+            figure,
+            [
+                ("one teat end" if every else f"teat ends, at most {each} drawn, the worst among them", "ours", "o"),
+                ("mean", "ink", "-"),
+                (f"limit ± {limit_mm:g} mm", "limit", "-"),
+            ],
+        )
         panels[0].set_yticks(range(len(situations)), [plain(text) for text in situations])
 
     return draw(name, inches, plot)
@@ -116,12 +130,21 @@ def _limits(limit_mm: float, accept_mm: float | None) -> list[LegendEntry]:
     return [(f"limit {limit_mm:g} mm", "limit", "-"), *accepted]
 
 
-def _strip(axes: Axes, row: int, values: Floats) -> None:
+def _strip(axes: Axes, row: int, values: Floats, most: int) -> None:
     """Points of one situation, spread in a fixed zigzag so that equal values stay apart, and their mean."""
     if not values.size:
         axes.text(0, row, "not measured", ha="center", va="center", color=COLOURS["muted"], fontsize=7.5)
         return
-    spread = row + 0.11 * (np.arange(values.size) % 5 - 2)
-    axes.plot(values, spread, linestyle="none", marker="o", markersize=3, color=COLOURS["ours"], alpha=0.6, markeredgewidth=0)
+    drawn = values[telling(np.abs(values), most)]
+    axes.plot(
+        drawn,
+        row + 0.11 * (np.arange(drawn.size) % 5 - 2),
+        linestyle="none",
+        marker="o",
+        markersize=3,
+        color=COLOURS["ours"],
+        alpha=0.6,
+        markeredgewidth=0,
+    )
     mean = float(values.mean())
     axes.plot([mean, mean], [row - 0.36, row + 0.36], color=COLOURS["ink"], linewidth=1.6)

@@ -6,6 +6,7 @@ from numpy.typing import ArrayLike
 
 from reports.figures.arrays import together
 from reports.figures.drawing import COLOURS, WIDE_INCHES, LegendEntry, draw, legend, not_measured
+from reports.figures.thinning import telling, told
 
 _INCHES = (WIDE_INCHES, 5.6)
 _MARK = 90.0  # points squared, of an error at the limit; the area grows with the error
@@ -21,6 +22,8 @@ def error_map(
     ``missed_x_mm``, ``missed_y_mm`` (m,): where nothing was found. Equal scales.
     """
     x, y, errors = together("error_map", x_mm=x_mm, y_mm=y_mm, error_mm=error_mm)
+    drawn, of = telling(errors), errors.size
+    x, y, errors = x[drawn], y[drawn], errors[drawn]
     missed_x, missed_y = together("error_map", missed_x_mm=missed_x_mm, missed_y_mm=missed_y_mm)
     if not x.size and not missed_x.size:
         return not_measured(name, _INCHES, "no place had a truth")
@@ -35,5 +38,9 @@ def error_map(
         axes.margins(0.06)
         legend(figure, entries)
 
-    entries: list[LegendEntry] = [(f"within {limit_mm:g} mm", "good", "o"), ("beyond", "limit", "o"), ("not found", "muted", "v")]
+    entries: list[LegendEntry] = [
+        (f"within {limit_mm:g} mm{told(len(drawn), of)}", "good", "o"),
+        ("beyond", "limit", "o"),
+        ("not found", "muted", "v"),
+    ]
     return draw(name, _INCHES, plot)

@@ -1,7 +1,9 @@
 "use strict";
 (() => {
   const all = (selector, root = document) => [...root.querySelectorAll(selector)];
-  const trials = all("article.trial");
+  const alone = document.body.classList.contains("alone");  // one trial's own file
+  const trials = alone ? [] : all("article.trial");
+  const listed = all("table[data-searchable] tbody tr[id]");  // trials that have files of their own
   const boxes = all("#layers input");
   const filter = document.querySelector(".filter input");
   const help = document.getElementById("keys");
@@ -22,7 +24,31 @@
     trial.scrollIntoView({ behavior: "instant", block: "start" });
     trial.focus({ preventScroll: true });
   };
+  // Files of their own: the neighbours are those that the list's filter and order left, as it told this window last.
+  const told = () => {
+    try { return JSON.parse(sessionStorage.getItem("teatbench trials")) ?? []; } catch { return []; }
+  };
+  const tell = () => {
+    const names = all("table[data-searchable] tbody tr[id]").filter((row) => !row.hidden).map((row) => row.id);
+    try { sessionStorage.setItem("teatbench trials", JSON.stringify(names)); } catch { /* a browser may forbid it: the page's own order then holds */ }
+  };
+  const leave = (by) => {
+    const names = told();
+    const at = names.indexOf(document.querySelector("article.trial").id);
+    if (at >= 0 && names[at + by]) location.href = names[at + by] + ".html";
+    else if (at < 0) document.querySelector(by > 0 ? "a[rel=next]" : "a[rel=prev]")?.click();
+  };
+  const walk = (by) => {
+    const rows = all("table[data-searchable] tbody tr[id]").filter((row) => !row.hidden);
+    if (!rows.length) return;
+    const next = rows[Math.min(Math.max(rows.indexOf(here) + by, 0), rows.length - 1)];
+    mark(next);
+    next.scrollIntoView({ behavior: "instant", block: "nearest" });
+    next.querySelector("a").focus({ preventScroll: true });
+  };
   const step = (by) => {
+    if (alone) return leave(by);
+    if (listed.length) return walk(by);
     const open = trials.filter((trial) => !trial.hidden);
     if (!open.length) return;
     const top = (trial) => trial.getBoundingClientRect().top;
@@ -33,6 +59,14 @@
     else go(by > 0 ? open.find((trial) => top(trial) > innerHeight / 4) ?? open[last] : open.findLast((trial) => top(trial) < 0) ?? open[0]);
   };
   const arrive = () => {
+    if (location.hash === "#filter") return find();
+    const row = listed.find((one) => "#" + one.id === location.hash);
+    if (row) {
+      if (row.hidden) clear();
+      mark(row);
+      row.scrollIntoView({ behavior: "instant", block: "center" });
+      return;
+    }
     const trial = trials.find((one) => "#" + one.id === location.hash);
     if (trial && trial.hidden) clear();
     mark(trial || null);
@@ -57,6 +91,7 @@
   };
 
   // Searchable tables: filter by every word typed, sort by a column.
+  const byId = new Map(trials.map((trial) => ["#" + trial.id, trial]));
   const sift = (input) => {
     const part = input.closest(".part");
     const words = input.value.toLowerCase().split(/\s+/).filter(Boolean);
@@ -65,7 +100,7 @@
       const text = row.textContent.toLowerCase();
       row.hidden = !words.every((word) => text.includes(word));
       const link = row.querySelector("a[href^='#']");
-      const trial = link && trials.find((one) => "#" + one.id === link.getAttribute("href"));
+      const trial = link && byId.get(link.getAttribute("href"));
       if (trial) trial.hidden = row.hidden;
     });
     part.querySelector(".count").textContent = words.length ? rows.filter((row) => !row.hidden).length + " of " + rows.length : "";
@@ -99,6 +134,33 @@
   });
   all(".filter input").forEach((input) => input.addEventListener("input", () => sift(input)));
 
+  const find = () => {
+    if (alone) location.href = "../index.html#filter";
+    else if (filter) { filter.scrollIntoView({ block: "center" }); filter.focus(); filter.select(); }
+  };
+
+  // A point of a figure leads to its trial's row; from there on to the trial's file.
+  all(".plot a").forEach((link) => link.addEventListener("click", (event) => {
+    const row = listed.find((one) => "#" + one.id === link.getAttribute("href"));
+    if (!row) return;
+    event.preventDefault();
+    tell();
+    location.href = row.querySelector("a").href;
+  }));
+  listed.forEach((row) => row.addEventListener("click", tell));
+
+  // A frame over the whole width, and back.
+  all(".frame").forEach((frame) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.className = "enlarge";
+    button.textContent = "Enlarge";
+    button.setAttribute("aria-pressed", "false");
+    button.setAttribute("aria-label", "Enlarge " + frame.querySelector("figcaption").textContent);
+    button.addEventListener("click", () => button.setAttribute("aria-pressed", frame.classList.toggle("large")));
+    frame.querySelector("figcaption").append(button);
+  });
+
   const acts = {
     help: () => (help.open ? help.close() : help.showModal()),
     overlays,
@@ -111,13 +173,14 @@
     o: overlays,
     z: whole,
     "?": acts.help,
-    "/": () => filter && (filter.scrollIntoView({ block: "center" }), filter.focus(), filter.select()),
+    "/": find,
   };
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const typing = event.target.matches("input[type=search], textarea, select");
     if (event.key === "Escape") {
       if (help.open) return;
+      if (alone) return document.querySelector("a[rel=up]").click();
       clear();
       document.activeElement.blur();
     } else if (!typing && Object.hasOwn(keys, event.key) && (!help.open || event.key === "?")) {

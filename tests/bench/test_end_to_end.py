@@ -204,3 +204,10 @@ def wait_for_run(out: Path, child: subprocess.Popen[str]) -> Path:
             return found[0]
         time.sleep(0.01)
     raise AssertionError(f"the bench ended before it had a run: {child.communicate()[0]}")
+
+
+def test_the_report_names_the_digest_by_which_the_record_is_checked(done: Done) -> None:
+    head = read_run(done.run.folder).head
+    assert head is not None
+    assert head.wall_digest in (done.run.folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert main(["store", "check", str(done.run.folder), "--digest", head.wall_digest]) == 0

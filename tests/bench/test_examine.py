@@ -178,6 +178,8 @@ def test_stages_are_kept_points_in_the_record_and_masks_as_pictures(calibration:
 
 
 def test_stages_that_the_record_cannot_hold_are_left_out_with_a_word(calibration: Calibration) -> None:
+    (told,) = [examine(Scripted(answered(reason="dark\n and   cold")), FRAMES, calibration).detection.reason]
+    assert told == "dark and cold"
     good = Stage("fine", {"p": np.zeros(2)})
     bad = (Stage("../up", {"p": np.zeros(2)}), Stage("things", {"p": np.array([object()])}), "no stage")
     answer = examine(Scripted(answered(reason="dark", trace=(good, *bad))), FRAMES, calibration)

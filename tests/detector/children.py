@@ -4,9 +4,19 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
+import pytest
+
+from detector.calibration import Calibration
 from detector.external import ExternalDetector, Limits
+from detector.protocol import Detection, DetectionFailure
+from tests.detector.conftest import Pictures
+
+Start = Callable[..., ExternalDetector]
+PICTURES = Pictures(np.full((8, 9), 7, np.uint8), np.zeros((8, 9), np.uint8), None, np.full((3, 4), 305.15))
 
 HEAD = """\
 import json, os, subprocess, sys, time
@@ -35,3 +45,27 @@ def child(folder: Path, program: str, **limits: float | None) -> ExternalDetecto
     path = folder / "program.py"
     path.write_text(program, encoding="utf-8")
     return ExternalDetector("mine", [sys.executable, str(path)], time.perf_counter, limits=Limits(**limits))  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    made: list[ExternalDetector] = []
+
+    def begin(program: str, **limits: float | None) -> ExternalDetector:
+        made.append(child(tmp_path, program, **limits))
+        return made[-1]
+
+    yield begin
+    for detector in made:
+        detector.close()
+
+
+def failure(detector: ExternalDetector, calibration: Calibration) -> DetectionFailure:
+    with pytest.raises(DetectionFailure) as caught:
+        ask(detector, calibration)
+    return caught.value
+
+
+def ask(detector: ExternalDetector, calibration: Calibration) -> Detection:
+    detector.prepare(PICTURES, calibration)
+    return detector.detect(PICTURES, calibration)

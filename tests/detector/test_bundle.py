@@ -14,6 +14,7 @@ from detector.calibration.cameras import Calibrated, TooFewViewsError, View, cal
 from detector.calibration.corners import SubPixel, find_board
 from detector.calibration.halves import pair_of, split_half
 from detector.calibration.parameters import LENS, POSE, Freedom, Rig, Sighting
+from detector.calibration.remeasure import PairView, remeasure
 from detector.geometry import Array, Camera, Motion
 from tests.detector.boards_seen import BOARD, seen, thesis_rig
 
@@ -124,9 +125,15 @@ def test_opencvs_pictures(shared_data: Path, sub_pixel: SubPixel, rms: float, fo
 def test_opencvs_pictures_as_a_pair(shared_data: Path) -> None:
     folder = shared_data / "opencv_stereo_chessboards" / "photos"
     alone = {name: opencv_camera(folder, name, SubPixel(5)) for name in ("left", "right")}
-    fit = join_cameras(alone, joint_lenses=("left", "right"), model=OPENCV_MODEL, square_pixels=True).fit
+    joint = join_cameras(alone, joint_lenses=("left", "right"), model=OPENCV_MODEL, square_pixels=True)
+    fit = joint.fit
     assert 0.215 <= fit.rms_px <= 0.217
     assert np.linalg.norm(fit.rig.from_reference["right"].T) == pytest.approx(83.2, abs=0.05)
+    board, ids = Board("chessboard", 9, 6, 25.0), np.arange(54)
+    seen_by = {name: {view.name: view.pixels_px for view in opencv_views(folder, name, SubPixel(5))} for name in alone}
+    pairs = [PairView(name, ids, left, seen_by["right"][name]) for name, left in seen_by["left"].items()]
+    spacing_mm = 25.0 + np.concatenate([view.spacing_mm for view in remeasure(pair_of(joint), board, pairs).views])
+    assert spacing_mm.mean() == pytest.approx(25.01, abs=0.005)
 
 
 def test_the_window_that_is_chosen_does_no_worse_than_the_best_fixed_one(shared_data: Path) -> None:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -15,39 +13,10 @@ import pytest
 
 from detector.calibration import Calibration
 from detector.external import ExternalDetector
-from detector.external.process import resident_mib
-from detector.protocol import Detection, DetectionFailure, Detector, Outcome, Served
-from tests.conftest import ROOT
-from tests.detector.children import GOOD, HEAD, answering, child
-from tests.detector.conftest import Pictures
+from detector.protocol import DetectionFailure, Detector, Outcome, Served
+from tests.detector.children import GOOD, PICTURES, Start, answering, ask, failure, start
 
-Start = Callable[..., ExternalDetector]
-PICTURES = Pictures(np.full((8, 9), 7, np.uint8), np.zeros((8, 9), np.uint8), None, np.full((3, 4), 305.15))
-linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a process's memory and all its descendants")
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Start]:
-    made: list[ExternalDetector] = []
-
-    def begin(program: str, **limits: float | None) -> ExternalDetector:
-        made.append(child(tmp_path, program, **limits))
-        return made[-1]
-
-    yield begin
-    for detector in made:
-        detector.close()
-
-
-def failure(detector: ExternalDetector, calibration: Calibration) -> DetectionFailure:
-    with pytest.raises(DetectionFailure) as caught:
-        ask(detector, calibration)
-    return caught.value
-
-
-def ask(detector: ExternalDetector, calibration: Calibration) -> Detection:
-    detector.prepare(PICTURES, calibration)
-    return detector.detect(PICTURES, calibration)
+__all__ = ["start"]
 
 
 def test_it_answers_and_its_start_stands_apart(start: Start, rig: Calibration) -> None:
@@ -72,8 +41,9 @@ def test_it_gets_the_pictures_and_the_calibration_as_they_are(start: Start, rig:
     what = copies + 'say({"frame": asked["frame"], "teats": []})'
     ask(start(answering(what)), rig)
     left, kelvin = (cv2.imread(str(kept / f"1-{name}.png"), cv2.IMREAD_UNCHANGED) for name in ("left", "thermal_radiometric"))
-    assert np.array_equal(left, PICTURES.left)
+    assert left is not None
     assert kelvin is not None
+    assert np.array_equal(left, PICTURES.left)
     assert kelvin.dtype == np.uint16
     assert (kelvin == 30515).all()
     assert sorted(path.name for path in kept.iterdir()) == ["1-left.png", "1-right.png", "1-thermal_radiometric.png", "calibration.toml"]
@@ -180,86 +150,3 @@ def test_what_it_writes_to_standard_error_is_kept_within_bounds(start: Start, ri
     noisy = start(answering('sys.stderr.write("x" * 200_000)\nsys.stderr.flush()\nsys.exit(1)'))
     failure(noisy, rig)
     assert noisy.said().startswith("(183616 bytes before this are left out)")
-
-
-@linux
-def test_memory_is_watched_during_and_after_a_call(start: Start, rig: Calibration) -> None:
-    hoard = "kept = bytearray(os.urandom(1)) * (200 << 20)\n"
-    during = start(answering(hoard + "time.sleep(60)"), memory_mib=120.0)
-    assert "MiB of memory, 120 MiB are allowed" in str(failure(during, rig))
-    after = start(answering(hoard + 'say({"frame": asked["frame"], "teats": []})'), memory_mib=120.0)
-    ask(after, rig)
-    with pytest.raises(DetectionFailure, match="MiB of memory"):
-        after.check()
-    ask(after, rig)
-    assert after.start_up_s is not None, "it was started again"
-    used = resident_mib(os.getppid())
-    assert used is not None
-    assert used > 1
-
-
-def alive(pid: int) -> bool:
-    try:
-        return b") Z" not in Path(f"/proc/{pid}/stat").read_bytes()
-    except OSError:
-        return False
-
-
-GRANDCHILD = """
-spec = dict(start_new_session=True, stdin=subprocess.DEVNULL)
-grandchild = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], **spec)
-with open(%r, "w") as file: file.write(f"{os.getpid()} {grandchild.pid}")
-"""
-
-
-@linux
-@pytest.mark.parametrize("ending", ["close", "crash", "timeout"])
-def test_a_grandchild_in_a_session_of_its_own_ends_too(start: Start, rig: Calibration, tmp_path: Path, ending: str) -> None:
-    deed = {"close": 'say({"frame": asked["frame"], "teats": []})', "crash": "sys.exit(1)", "timeout": "time.sleep(60)"}[ending]
-    detector = start(answering(deed, GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})'), answer_s=0.5)
-    if ending == "close":
-        ask(detector, rig)
-    else:
-        failure(detector, rig)
-    pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
-    assert all(alive(pid) for pid in pids) == (ending == "close")
-    detector.close()
-    detector.close()
-    assert not any(alive(pid) for pid in pids)
-
-
-@linux
-def test_nothing_outlives_a_bench_that_is_killed(tmp_path: Path) -> None:
-    (tmp_path / "program.py").write_text(
-        HEAD + GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})\ntime.sleep(600)', encoding="utf-8"
-    )
-    bench = f"""
-import sys, time
-from pathlib import Path
-from detector.external.process import Child
-child = Child([sys.executable, {str(tmp_path / "program.py")!r}], None, None, time.perf_counter)
-child.line(60.0)
-print("up", flush=True)
-time.sleep(600)
-"""
-    with subprocess.Popen([sys.executable, "-c", bench], cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "up\n"
-        pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
-        assert all(alive(pid) for pid in pids)
-        process.kill()
-    deadline = time.monotonic() + 20
-    while any(alive(pid) for pid in pids) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert not any(alive(pid) for pid in pids)
-
-
-def test_closing_removes_the_pictures(start: Start, rig: Calibration, tmp_path: Path) -> None:
-    place = tmp_path / "where"
-    what = f'open({str(place)!r}, "w").write(asked["left"])\nsay({{"frame": asked["frame"], "teats": []}})'
-    detector = start(answering(what))
-    ask(detector, rig)
-    left = Path(place.read_text(encoding="utf-8"))
-    assert left.is_file()
-    detector.close()
-    assert not left.parent.exists()

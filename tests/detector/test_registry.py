@@ -102,6 +102,14 @@ def test_a_shipped_name_and_a_second_of_one_name_are_left_out(plugs: dict[str, E
     assert "a second detector of this name" in broken(given)["plain"]
 
 
+def test_a_name_that_no_file_could_bear_is_left_out() -> None:
+    given = [EntryPoint("../up", "udders:Plain", GROUP), EntryPoint("a:b", "udders:Plain", GROUP)]
+    assert "../up" not in available(given)
+    assert "no file could bear" in broken(given)["a:b"]
+    with pytest.raises(UnknownDetectorError):
+        create("../up", given)
+
+
 def test_an_installed_package_is_found_and_a_broken_one_does_not_stop_the_list(tmp_path: Path) -> None:
     (tmp_path / "udders.py").write_text(PACKAGE, encoding="utf-8")
     info = tmp_path / "udders-1.5.dist-info"

@@ -9,37 +9,9 @@ import pytest
 
 from bench.cli import main
 from detector.calibration import load_calibration, load_part
-from detector.geometry import Motion
-from tests.bench.calibrating.board_pictures import BOARD_TOML, LEFT, RIGHT, RIGHT_FROM_LEFT, write_pairs
-
-WORLD_FROM_RIGHT = Motion.from_vectors([-1.57, 0.02, -0.02], [-160.0, -840.0, 60.0])
-TOUCHED = np.array([[x, y, z] for z in (40.0, 120.0) for x in (-300.0, -190.0, -80.0) for y in (60.0, 160.0, 250.0)])
-
-
-@pytest.fixture(scope="module")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with pictures, a board's file, and the cameras calibrated from them."""
-    folder = tmp_path_factory.mktemp("lab")
-    (folder / "board.toml").write_text(BOARD_TOML, encoding="utf-8")
-    write_pairs(folder / "day1", 12)
-    assert calibrate_cameras(folder, folder / "cameras.toml") == 0
-    return folder
-
-
-def calibrate_cameras(lab: Path, out: Path, *more: str) -> int:
-    return main(
-        ["calibrate", "cameras", str(lab / "day1"), "--board", str(lab / "board.toml"), "--model", "k1 k2", "--out", str(out), *more]
-    )
-
-
-def write_touched(path: Path, noise_mm: float = 0.1) -> Path:
-    rng = np.random.default_rng(4)
-    in_right = WORLD_FROM_RIGHT.inverse().apply(TOUCHED)
-    left, right = LEFT.project(RIGHT_FROM_LEFT.inverse().apply(in_right)), RIGHT.project(in_right)
-    rows = np.column_stack([left, right, TOUCHED + rng.normal(0, noise_mm, TOUCHED.shape)])
-    lines = ["left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm", *(",".join(f"{v:.4f}" for v in row) for row in rows)]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
+from tests.bench.calibrating.board_pictures import LEFT, RIGHT_FROM_LEFT, write_pairs
+from tests.bench.calibrating.conftest import calibrate_cameras
+from tests.bench.calibrating.touched import TOUCHED, WORLD_FROM_RIGHT, write_touched
 
 
 def write_pairs_table(path: Path) -> Path:
@@ -136,34 +108,3 @@ def test_parts_that_do_not_belong_together_are_refused(lab: Path, capsys: pytest
     assert main(["calibrate", "merge", str(lab / "cameras.toml"), str(lab / "other.toml"), *out]) == 2
     assert "leave one of them out" in capsys.readouterr().err
     assert not (lab / "never.toml").exists()
-
-
-def test_a_wrong_square_size_is_named_by_the_worlds_step(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (lab / "wrong.toml").write_text(BOARD_TOML.replace("40.0", "39.0"), encoding="utf-8")
-    given = [
-        "calibrate",
-        "cameras",
-        str(lab / "day1"),
-        "--board",
-        str(lab / "wrong.toml"),
-        "--model",
-        "k1 k2",
-        "--out",
-        str(lab / "short.toml"),
-    ]
-    assert main(given) == 0, "the pictures alone can't tell"
-    points = write_touched(lab / "points3.csv")
-    assert main(["calibrate", "world", str(points), "--cameras", str(lab / "short.toml"), "--out", str(lab / "sw.toml")]) == 1
-    assert "wrong square size" in capsys.readouterr().err
-
-
-def test_swapped_cameras_are_named(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    swapped = lab / "swapped"
-    swapped.mkdir()
-    for name, other in (("left", "right"), ("right", "left")):
-        (swapped / name).mkdir()
-        for path in (lab / "day1" / other).iterdir():
-            (swapped / name / path.name).write_bytes(path.read_bytes())
-    given = ["calibrate", "cameras", str(swapped), "--board", str(lab / "board.toml"), "--model", "k1 k2", "--out", str(lab / "sc.toml")]
-    assert main(given) == 1
-    assert "swapped cameras: the right camera stands 100 mm to the left of the left one" in capsys.readouterr().err

@@ -6,11 +6,13 @@ from collections.abc import Callable
 from itertools import permutations
 from math import sqrt
 
+import motmetrics  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, unused-ignore]
 
 from bench.scoring.matching import Counts, Match, gate_mm, gospa_mm, match
 from bench.scoring.points import Floats
@@ -56,6 +58,45 @@ def test_no_other_assignment_is_cheaper(found: Floats, truth: Floats, data: st.D
     c = data.draw(st.floats(1, 60))
     result = match(found, truth, np.array(visible, dtype=bool), c)
     assert cost(result, found, truth) == pytest.approx(cheapest(found, truth, visible, c), abs=1e-6)
+
+
+def scene(seed: int, teats: int, spread_mm: float) -> tuple[Floats, Floats]:
+    """Teats on a grid, and findings about them: some near, some twice, some nowhere."""
+    rng = np.random.default_rng(seed)
+    grid = np.stack(np.meshgrid(np.arange(4), np.arange(4), [0]), axis=-1).reshape(-1, 3) * 30.0
+    truth = grid[rng.permutation(16)[:teats]] + rng.normal(0, 4, (teats, 3))
+    found = np.repeat(truth, rng.integers(0, 3, teats), axis=0)
+    return np.vstack([found + rng.normal(0, spread_mm, found.shape), rng.uniform(-50, 150, (2, 3))]), truth
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 6), st.floats(0.5, 15))
+def test_under_the_benchs_gate_against_motmetrics(seed: int, teats: int, spread_mm: float) -> None:
+    found, truth = scene(seed, teats, spread_mm)
+    gate = gate_mm(truth)
+    mine = match(found, truth, np.ones(teats, dtype=bool), gate)
+    distances = np.linalg.norm(truth[:, None] - found[None], axis=2)
+    rows, cols = motmetrics.lap.linear_sum_assignment(np.where(distances <= gate, distances**2, np.nan), solver="scipy")
+    theirs = [(int(i), int(j)) for j, i in sorted(zip(rows, cols, strict=True)) if distances[j, i] <= gate]
+    assert mine.pairs == tuple(theirs)
+    book = motmetrics.MOTAccumulator()
+    book.update(list(range(teats)), list(range(len(found))), np.where(distances <= gate, distances**2, np.nan), frameid=0)
+    found_all = motmetrics.metrics.create().compute(book, metrics=["num_misses", "num_false_positives", "recall", "precision"])
+    assert (len(mine.missed), len(mine.false)) == (int(found_all["num_misses"].iloc[0]), int(found_all["num_false_positives"].iloc[0]))
+    assert (mine.counts.recall.value, mine.counts.precision.value) == pytest.approx(
+        (float(found_all["recall"].iloc[0]), float(found_all["precision"].iloc[0]) if len(found) else None)
+    )
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.floats(0.5, 30), st.floats(1, 60), st.integers(0, 63))
+def test_the_short_way_costs_what_the_whole_assignment_costs(seed: int, teats: int, spread_mm: float, gate: float, hidden: int) -> None:
+    found, truth = scene(seed, teats, spread_mm)
+    seen = [not hidden >> k & 1 for k in range(teats)]
+    squared = ((found[:, None] - truth[None]) ** 2).sum(axis=2)
+    gain = np.where(seen, 1.0, 0.5) * (np.minimum(squared, gate**2) - gate**2)
+    least = float(gain[linear_sum_assignment(gain)].sum()) + gate**2 / 2 * (len(found) + sum(seen))
+    assert cost(match(found, truth, np.array(seen), gate), found, truth) == pytest.approx(least, abs=1e-6)
 
 
 @given(clouds(), clouds(), st.integers(0, 2**32 - 1), st.floats(1, 60))

@@ -138,6 +138,13 @@ class TestPool:
         assert merged.counts == first.counts + second.counts
         assert merged.summary().n == first.summary().n + second.summary().n
 
+    def test_errors_of_two_runs_are_pooled_and_not_averaged(self) -> None:
+        few = pool([score(moved(0, 5.0)[:1])], ["a"])  # one teat, 5 mm off
+        many = pool([score(TRUTH)] * 6, [f"b{k}" for k in range(6)])  # 24 teats, none off
+        rms = (few + many).summary().radial.rms_mm
+        assert rms == pytest.approx(1.0)  # sqrt(25 / 25); the mean of the two runs' rms would say 2.5
+        assert (few + many).counts.recall == Rate(25, 28)
+
     def test_no_claim_on_hidden_teats_is_not_measured(self) -> None:
         assert pool([score(TRUTH)]).hidden_right.value is None
 

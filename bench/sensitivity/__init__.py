@@ -1,0 +1,1 @@
+"""How detectors' errors grow with one quantity at a time, beside what physics allows: `teatbench scene sensitivity`."""

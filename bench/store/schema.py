@@ -1,0 +1,117 @@
+"""What a run's database holds, and how the tables of older benches become today's.
+
+Columns that begin with ``wall`` hold real time; all others repeat with the seed. ``t_s`` and all ``…_s`` are seconds of the bench's
+monotonic clock, which starts anew with each session: a run that was resumed has several. Rows are only ever added, but for ``facts``,
+where the last word on a key holds. A version's text never changes once a bench has written it.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+
+SCHEMA_VERSION = 3
+DATABASE, SCRIPT, RULES = "run.sqlite", "script.toml", "rules.toml"
+GUARDIAN = "guardian.json"  # written by the guardian, when it had to act
+
+OF_A_TRIAL = ("frames", "touches", "truth", "detections", "found", "scores")
+LATER_WORD = "facts"  # the one table whose rows are written over
+
+SCHEMA = """
+CREATE TABLE sessions (number INTEGER PRIMARY KEY, bench TEXT NOT NULL, wall_time TEXT NOT NULL);
+CREATE TABLE files (name TEXT PRIMARY KEY, sha256 TEXT NOT NULL);
+CREATE TABLE facts (key TEXT PRIMARY KEY, value TEXT NOT NULL, wall_time TEXT);
+CREATE TABLE events (number INTEGER PRIMARY KEY, session INTEGER NOT NULL REFERENCES sessions, t_s REAL, kind TEXT NOT NULL,
+  text TEXT NOT NULL, wall_time TEXT NOT NULL);
+CREATE TABLE bath (session INTEGER NOT NULL REFERENCES sessions, t_s REAL NOT NULL, temp_c REAL NOT NULL, external_c REAL,
+  power_percent REAL, state TEXT NOT NULL, wall_time TEXT, PRIMARY KEY (session, t_s));
+CREATE TABLE trials (id TEXT PRIMARY KEY, session INTEGER NOT NULL REFERENCES sessions, number INTEGER NOT NULL, name TEXT NOT NULL,
+  situation TEXT NOT NULL, repeat INTEGER NOT NULL, started_s REAL, ended_s REAL, captured_s REAL, bath_c REAL, bath_state TEXT,
+  note TEXT, stage_mm TEXT, wall_time TEXT NOT NULL);
+CREATE TABLE invalidated (trial TEXT PRIMARY KEY REFERENCES trials, reason TEXT NOT NULL, wall_time TEXT);
+CREATE TABLE skipped (trial TEXT PRIMARY KEY, session INTEGER NOT NULL REFERENCES sessions, number INTEGER NOT NULL, name TEXT NOT NULL,
+  situation TEXT NOT NULL, repeat INTEGER NOT NULL, t_s REAL NOT NULL, reason TEXT NOT NULL, wall_time TEXT);
+CREATE TABLE frames (trial TEXT NOT NULL REFERENCES trials, camera TEXT NOT NULL, path TEXT NOT NULL, sha256 TEXT NOT NULL, exposed_s REAL,
+  wall_time TEXT, PRIMARY KEY (trial, camera));
+CREATE TABLE touches (trial TEXT NOT NULL REFERENCES trials, teat TEXT NOT NULL, touch INTEGER NOT NULL, t_s REAL NOT NULL,
+  x_mm REAL NOT NULL, y_mm REAL NOT NULL, z_mm REAL NOT NULL, spread_mm REAL NOT NULL, packets INTEGER NOT NULL, counts TEXT NOT NULL,
+  refused TEXT, wall_time TEXT, PRIMARY KEY (trial, teat, touch));
+CREATE TABLE truth (trial TEXT NOT NULL REFERENCES trials, teat TEXT NOT NULL,
+  x_mm REAL NOT NULL, y_mm REAL NOT NULL, z_mm REAL NOT NULL, u_mm REAL, visible INTEGER NOT NULL, exact_mm TEXT,
+  how TEXT, budget TEXT, covariance_mm2 TEXT, PRIMARY KEY (trial, teat));
+CREATE TABLE checks (number INTEGER NOT NULL, teat TEXT NOT NULL, after_trial TEXT NOT NULL REFERENCES trials, t_s REAL NOT NULL,
+  x_mm REAL NOT NULL, y_mm REAL NOT NULL, z_mm REAL NOT NULL, carried_x_mm REAL NOT NULL, carried_y_mm REAL NOT NULL,
+  carried_z_mm REAL NOT NULL, off_mm REAL NOT NULL, limit_mm REAL NOT NULL, held INTEGER NOT NULL, wall_time TEXT,
+  PRIMARY KEY (number, teat));
+CREATE TABLE detections (trial TEXT NOT NULL REFERENCES trials, detector TEXT NOT NULL, hidden INTEGER NOT NULL, reason TEXT,
+  outcome TEXT NOT NULL DEFAULT 'answered', cold INTEGER NOT NULL DEFAULT 0, trace TEXT NOT NULL,
+  wall_seconds REAL NOT NULL, wall_start_up_s REAL, wall_stderr TEXT, PRIMARY KEY (trial, detector));
+CREATE TABLE found (trial TEXT NOT NULL, detector TEXT NOT NULL, number INTEGER NOT NULL, x_mm REAL NOT NULL, y_mm REAL NOT NULL,
+  z_mm REAL NOT NULL, covariance_mm2 TEXT, left_px TEXT, right_px TEXT, PRIMARY KEY (trial, detector, number),
+  FOREIGN KEY (trial, detector) REFERENCES detections);
+CREATE TABLE scores (trial TEXT NOT NULL, detector TEXT NOT NULL, score TEXT NOT NULL, wall_score TEXT NOT NULL,
+  PRIMARY KEY (trial, detector), FOREIGN KEY (trial, detector) REFERENCES detections);
+CREATE TABLE chain (number INTEGER PRIMARY KEY, covers TEXT NOT NULL, digest TEXT NOT NULL, wall_covers TEXT NOT NULL,
+  wall_digest TEXT NOT NULL);
+"""
+
+TO_2 = """
+ALTER TABLE trials ADD COLUMN stage_mm TEXT;
+ALTER TABLE trials ADD COLUMN invalid TEXT;
+CREATE TABLE skipped (trial TEXT PRIMARY KEY, number INTEGER NOT NULL, name TEXT NOT NULL, situation TEXT NOT NULL, repeat INTEGER NOT NULL,
+  t_s REAL NOT NULL, reason TEXT NOT NULL);
+ALTER TABLE touches ADD COLUMN refused TEXT;
+ALTER TABLE truth ADD COLUMN how TEXT;
+ALTER TABLE truth ADD COLUMN budget TEXT;
+ALTER TABLE truth ADD COLUMN covariance_mm2 TEXT;
+CREATE TABLE checks (number INTEGER NOT NULL, teat TEXT NOT NULL, after_trial TEXT NOT NULL REFERENCES trials, t_s REAL NOT NULL,
+  x_mm REAL NOT NULL, y_mm REAL NOT NULL, z_mm REAL NOT NULL, carried_x_mm REAL NOT NULL, carried_y_mm REAL NOT NULL,
+  carried_z_mm REAL NOT NULL, off_mm REAL NOT NULL, limit_mm REAL NOT NULL, held INTEGER NOT NULL, PRIMARY KEY (number, teat));
+ALTER TABLE detections ADD COLUMN outcome TEXT NOT NULL DEFAULT 'answered';
+ALTER TABLE detections ADD COLUMN cold INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE detections ADD COLUMN wall_start_up_s REAL;
+ALTER TABLE detections ADD COLUMN wall_stderr TEXT;
+"""
+
+TO_3 = """
+CREATE TABLE sessions (number INTEGER PRIMARY KEY, bench TEXT NOT NULL, wall_time TEXT NOT NULL);
+INSERT INTO sessions VALUES (1, 'an older bench', coalesce((SELECT wall_time FROM events ORDER BY number LIMIT 1), ''));
+CREATE TABLE files (name TEXT PRIMARY KEY, sha256 TEXT NOT NULL);
+ALTER TABLE facts ADD COLUMN wall_time TEXT;
+ALTER TABLE events ADD COLUMN session INTEGER NOT NULL DEFAULT 1;
+ALTER TABLE bath ADD COLUMN session INTEGER NOT NULL DEFAULT 1;
+ALTER TABLE bath ADD COLUMN wall_time TEXT;
+ALTER TABLE trials ADD COLUMN session INTEGER NOT NULL DEFAULT 1;
+CREATE TABLE invalidated (trial TEXT PRIMARY KEY REFERENCES trials, reason TEXT NOT NULL, wall_time TEXT);
+INSERT INTO invalidated SELECT id, invalid, NULL FROM trials WHERE invalid IS NOT NULL;
+ALTER TABLE trials DROP COLUMN invalid;
+ALTER TABLE skipped ADD COLUMN session INTEGER NOT NULL DEFAULT 1;
+ALTER TABLE skipped ADD COLUMN wall_time TEXT;
+ALTER TABLE frames ADD COLUMN wall_time TEXT;
+ALTER TABLE touches ADD COLUMN wall_time TEXT;
+ALTER TABLE checks ADD COLUMN wall_time TEXT;
+CREATE TABLE chain (number INTEGER PRIMARY KEY, covers TEXT NOT NULL, digest TEXT NOT NULL, wall_covers TEXT NOT NULL,
+  wall_digest TEXT NOT NULL);
+"""
+
+STEPS = {2: TO_2, 3: TO_3}  # the version that a step leads to
+
+
+def version_of(db: sqlite3.Connection) -> int:
+    """The schema that ``db`` was written with; 0 for none."""
+    return int(db.execute("PRAGMA user_version").fetchone()[0])
+
+
+def tables_of(db: sqlite3.Connection) -> tuple[str, ...]:
+    """All tables of ``db`` in the order in which they were made."""
+    return tuple(row[0] for row in db.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY rowid"))
+
+
+def make_tables(db: sqlite3.Connection) -> None:
+    """Today's tables in an empty database, all or none."""
+    db.executescript(f"BEGIN; {SCHEMA} PRAGMA user_version = {SCHEMA_VERSION}; COMMIT;")
+
+
+def migrate(db: sqlite3.Connection) -> None:
+    """Bring the tables of an older bench to today's schema, a version at a time; each step whole or not at all."""
+    for version in range(version_of(db) + 1, SCHEMA_VERSION + 1):
+        db.executescript(f"BEGIN; {STEPS[version]} PRAGMA user_version = {version}; COMMIT;")

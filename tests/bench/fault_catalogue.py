@@ -1,0 +1,169 @@
+"""Every fault of every emulator in every state of a short run: what the bench does about it, as a table.
+
+`python -m tests.bench.fault_catalogue` runs all of it and writes docs/faults.md; `test_fault_catalogue` runs some of it, and holds each
+row against the page. A fault is put into the emulator at the moment when the run comes into the state, and lasts FOR_S.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from unittest.mock import patch
+
+from bench.devices import Devices
+from bench.emulation import EmulatedRig
+from bench.event_lines import WatchedProgress
+from bench.faults import fault_names
+from bench.jobs import run_script
+from bench.record import RunRecord, read_run
+from bench.rig import EmulatedFault, load_rig
+from bench.run_state import EVENT
+from bench.script import load_script
+from tests.bench.killed_runs import Silent
+from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files
+from tests.conftest import ROOT
+
+PAGE = ROOT / "docs" / "faults.md"
+STATES = ("preparing", "settling", "running", "paused", "safing")
+FOR_S = 15.0
+INSTRUMENTS = ("arm", "bath", "cameras", "stage")
+NO_SUCH = {("bath", "bad CRC")}  # over Modbus TCP, as on the emulated rig, there is no check sum
+FAULTS = tuple(
+    (instrument, str(name)) for instrument in INSTRUMENTS for name in fault_names(instrument) if (instrument, str(name)) not in NO_SUCH
+)
+HEAD = """# Faults and what the bench does
+
+Each fault of each emulated instrument, put in at the moment when a short run (three trials, one touch an end, stage and arm check)
+comes into a state, for {for_s:g} s; paused is a pause that somebody asked for before the second trial. Made by
+`python -m tests.bench.fault_catalogue`, which runs all {count} of them; the tests run some, and hold them against this page.
+
+In every one of them the bench ended by itself, the bath was in standby, no trial was in the record by halves, and no fault was taken for
+a mistake of the bench. "-" means: nothing noticed, all three trials done.
+
+"""
+
+
+class Bringer(Silent):
+    """Puts the fault in when the run comes into ``state``; asks for a pause where that is the state."""
+
+    def __init__(self, state: str, fault: EmulatedFault) -> None:
+        super().__init__()
+        self._state, self._fault = state, fault
+        self._lines = ["pause", *[""] * 40, "go on"] if state == "paused" else []
+        self._there = False
+        self.twin: EmulatedRig | None = None
+
+    def event(self, kind: str, text: str) -> None:
+        if (kind, text) == (EVENT, self._state):
+            self.bring()
+
+    def bring(self) -> None:
+        if self.twin is not None:
+            self.twin._plan(self._fault)
+            self.twin = None
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        self._there = self._there or name == "place-2"
+
+    def typed(self) -> str | None:
+        return self._lines.pop(0) if self._there and self._lines else None
+
+
+def what_happens(instrument: str, name: str, state: str, folder: Path) -> RunRecord:
+    """The run with that fault in that state."""
+    script = SCRIPT.replace("window_s = 2.0", "window_s = 20.0")
+    files(folder, stage=STAGE, check_point=CHECK_POINT, emulation="prompt_s = 2.0", script=script)
+    rig = load_rig(folder / "rig.toml")
+    bringer = Bringer(state, EmulatedFault(instrument=instrument, name=name, for_s=FOR_S))
+    with _known_to(bringer):
+        progress = WatchedProgress(bringer, None)
+        with patch.object(progress, "event", bringer.event):
+            run, _ = run_script(rig, load_script(folder / "script.toml"), folder / "runs", progress, typed=bringer.typed)
+    return read_run(run)
+
+
+@contextmanager
+def _known_to(bringer: Bringer) -> Iterator[None]:
+    """The bringer gets the emulators, and hears when the bench sets about going to safe."""
+    made, safe = EmulatedRig.__init__, Devices.make_safe
+
+    def make(twin: EmulatedRig, *arguments: Any, **more: Any) -> None:
+        made(twin, *arguments, **more)
+        bringer.twin = twin
+
+    def make_safe(devices: Devices, *arguments: Any) -> tuple[str, ...]:
+        bringer.event(EVENT, "safing")
+        return safe(devices, *arguments)
+
+    with patch.object(EmulatedRig, "__init__", make), patch.object(Devices, "make_safe", make_safe):
+        yield
+
+
+def check_sound(run: RunRecord) -> None:
+    """What holds whatever went wrong. Raises AssertionError."""
+    texts = [event["text"] for event in run.events]
+    assert run.ending in ("finished", "faulted"), run.ending
+    assert not any("a mistake of the bench" in text for text in texts), texts
+    assert "bath is safe" in texts or any("bath could not be made safe" in text for text in texts), texts
+    assert all(len({row["teat"] for row in trial.truth}) == 4 and trial.detections and trial.frames for trial in run.trials)
+    assert run.ending == "faulted" or len(run.trials) + len(run.skipped) == 3
+
+
+def reaction(run: RunRecord) -> str:
+    """In a few words."""
+    kinds = [event["kind"] for event in run.events]
+    told = []
+    if "trip" in run.facts:
+        told.append(f"interlock {run.facts['trip']['rule']}")
+    back = [event["text"].split()[1] for event in run.events if event["kind"] == "back"]
+    told += [f"paused for the {name}{f' {back.count(name)} times' if back.count(name) > 1 else ''}" for name in dict.fromkeys(back)]
+    told += ["waited in vain"] if "given up" in kinds else []
+    told += ["frames taken again"] if "camera" in kinds else []
+    told += ["suspended until stable"] if "suspended" in kinds else []
+    told += [f"{len(run.skipped)} trial{'s' if len(run.skipped) > 1 else ''} left out"] if run.skipped else []
+    if run.ending == "faulted":
+        unsafe = any("could not be made safe" in event["text"] for event in run.events)
+        told.append("ended, told as NOT SAFE" if unsafe else "ended, safe")
+    return ", ".join(told) or "-"
+
+
+def row(instrument: str, name: str) -> list[str]:
+    """The reactions to one fault, state by state."""
+    reactions = []
+    for state in STATES:
+        with TemporaryDirectory() as folder:
+            run = what_happens(instrument, name, state, Path(folder))
+            try:
+                check_sound(run)
+            except AssertionError as error:
+                raise AssertionError(f"{instrument}, {name}, {state}: {error}") from error
+            reactions.append(reaction(run))
+    return reactions
+
+
+def line(instrument: str, name: str, reactions: list[str]) -> str:
+    return f"| {instrument} | {name} | {' | '.join(reactions)} |"
+
+
+def main() -> int:
+    lines = [f"| instrument | fault | {' | '.join(STATES)} |", "|---|---|" + "---|" * len(STATES)]
+    wrong = 0
+    for instrument, name in FAULTS:
+        try:
+            lines.append(line(instrument, name, row(instrument, name)))
+            sys.stdout.write(lines[-1] + "\n")
+        except Exception as error:
+            wrong += 1
+            sys.stdout.write(f"WRONG {type(error).__name__}: {error}\n")
+        sys.stdout.flush()
+    if not wrong:
+        PAGE.write_text(HEAD.format(for_s=FOR_S, count=len(FAULTS) * len(STATES)) + "\n".join(lines) + "\n", encoding="utf-8")
+    return wrong
+
+
+if __name__ == "__main__":
+    sys.exit(main())

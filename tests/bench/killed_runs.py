@@ -1,0 +1,122 @@
+"""Runs whose bench is killed at a moment of one's choice, as a process of its own, and what two records have in common."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing, nullcontext
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from bench.engine import Ending
+from bench.jobs import resume_run, run_script
+from bench.rig import load_rig
+from bench.script import load_script
+from bench.store import DATABASE
+from instruments.clock import VirtualClock
+
+TABLES = ("trials", "skipped", "frames", "touches", "truth", "checks", "detections", "found", "scores", "bath", "invalidated")
+OF_THE_SESSION = ("session", "cold")  # which session it was, and which call was a process's first, is no part of the result
+
+
+class Silent:
+    """Shows nothing; keeps warnings."""
+
+    def __init__(self) -> None:
+        self.warned: list[str] = []
+
+    def state(self, text: str) -> None: ...
+    def trial(self, done: int, total: int, name: str) -> None: ...
+    def warn(self, text: str) -> None:
+        self.warned.append(text)
+
+    def aside(self) -> nullcontext[None]:
+        return nullcontext()
+
+
+def start(folder: Path, out: str = "runs", progress: Silent | None = None) -> tuple[Path, Ending]:
+    """The script in ``folder`` on the rig there, from the beginning."""
+    rig = load_rig(folder / "rig.toml")
+    return run_script(rig, load_script(folder / "script.toml", rig.rig.limits.set_point_c), folder / out, progress or Silent())
+
+
+def only_run(folder: Path, out: str) -> Path:
+    (run,) = (folder / out).iterdir()
+    return run
+
+
+def steps_of(work: Callable[[], Any]) -> int:
+    """How many steps the virtual clock makes in ``work``."""
+    count = 0
+    step = VirtualClock.step
+
+    def counted(clock: VirtualClock, limit_s: float) -> bool:
+        nonlocal count
+        count += 1
+        return step(clock, limit_s)
+
+    with patch.object(VirtualClock, "step", counted):
+        work()
+    return count
+
+
+def killed_at(step: int, work: Callable[[], Any]) -> bool:
+    """Do ``work`` in a process that is killed, as by the system, at the clock's ``step``; False where it was over before."""
+    process = multiprocessing.get_context("fork").Process(target=_dying, args=(step, work))
+    process.start()
+    process.join(120)
+    return process.exitcode == -signal.SIGKILL
+
+
+def killed_while(words: str, method: str, kind: type, work: Callable[[], Any]) -> bool:
+    """The same, in the call of ``method`` of ``kind`` whose arguments have ``words`` in them."""
+    process = multiprocessing.get_context("fork").Process(target=_dying_in, args=(words, method, kind, work))
+    process.start()
+    process.join(120)
+    return process.exitcode == -signal.SIGKILL
+
+
+def _dying(at: int, work: Callable[[], Any]) -> None:
+    left, step = at, VirtualClock.step
+
+    def counted(clock: VirtualClock, limit_s: float) -> bool:
+        nonlocal left
+        left -= 1
+        if left <= 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return step(clock, limit_s)
+
+    with patch.object(VirtualClock, "step", counted):
+        work()
+
+
+def _dying_in(words: str, method: str, kind: type, work: Callable[[], Any]) -> None:
+    own = getattr(kind, method)
+
+    def fatal(*arguments: Any, **more: Any) -> Any:
+        if words in repr(arguments):
+            os.kill(os.getpid(), signal.SIGKILL)
+        return own(*arguments, **more)
+
+    with patch.object(kind, method, fatal):
+        work()
+
+
+def resume(folder: Path, out: str, progress: Silent | None = None) -> tuple[Path, Ending]:
+    return resume_run(only_run(folder, out), progress or Silent())
+
+
+def results(run: Path) -> dict[str, list[tuple[Any, ...]]]:
+    """All rows of all results, without what depends on real time or on the session."""
+    with closing(sqlite3.connect(run / DATABASE)) as db:
+        found = {}
+        for table in TABLES:
+            columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})")]
+            kept = [name for name in columns if not name.startswith("wall") and name not in OF_THE_SESSION]
+            if kept:
+                found[table] = sorted(db.execute(f"SELECT {', '.join(kept)} FROM {table}").fetchall(), key=repr)
+        return found

@@ -1,0 +1,149 @@
+"""`teatbench compare` end to end: frames recorded from the scene, scored by a detector and by the same with a fault, then the gate."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from bench.cli import main
+from bench.comparing import compare_folders
+from bench.config import ConfigError
+from bench.scoring.decisions import Verdict
+from detector import registry
+from detector.calibration import Calibration
+from detector.protocol import Detection, Detector, Frames
+
+SCENES = 3
+
+
+@dataclass(frozen=True)
+class Shifted:
+    """A frame set whose left picture lies a little to the side."""
+
+    left: NDArray[Any]
+    right: NDArray[Any]
+    thermal: NDArray[Any] | None
+    thermal_k: NDArray[Any] | None
+
+
+class Faulted:
+    """A detector with a fault: it takes the left picture for one moved by so many pixels."""
+
+    def __init__(self, inner: Detector, fault_px: float) -> None:
+        self._inner, self._fault_px = inner, fault_px
+        self.name, self.version = inner.name, f"{inner.version}-faulted"
+        self.parameters = {**inner.parameters, "fault_px": fault_px}
+
+    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+        motion = np.array([[1.0, 0.0, self._fault_px], [0.0, 1.0, 0.0]])
+        size = frames.left.shape[::-1]
+        left = cv2.warpAffine(frames.left, motion, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        return self._inner.detect(Shifted(left, frames.right, frames.thermal, frames.thermal_k), calibration)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recording") / "scenes"
+    main(["scene", "record", "--situation", "ideal", "--seeds", str(SCENES), "--out", str(folder)])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def baseline(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return score(recording, tmp_path_factory.mktemp("old"), "fused")
+
+
+def score(recording: Path, out: Path, *detectors: str) -> Path:
+    """Score the recording; the run's folder."""
+    main(["score", str(recording), "--out", str(out), *(word for name in detectors for word in ("--detector", name))])
+    (folder,) = out.iterdir()
+    return folder
+
+
+@pytest.mark.parametrize("fault_px", [0.2, -0.2])
+def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
+    recording: Path, baseline: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], fault_px: float
+) -> None:
+    create = registry.create
+    monkeypatch.setattr(registry, "create", lambda name: Faulted(create(name), fault_px))
+    new = score(recording, tmp_path, "fused")
+    capsys.readouterr()
+    assert main(["compare", str(baseline), str(new), "--gate"]) == 1
+    told = " ".join(capsys.readouterr().out.split())
+    assert "THE NEW ONE IS WORSE" in told
+    assert f"{SCENES} scenes, each in the very same frames." in told
+    assert "the mean distance to the teat end grew by 1." in told
+    assert main(["compare", str(baseline), str(new)]) == 0  # without --gate it only tells
+    assert main(["compare", str(new), str(baseline), "--gate"]) == 0  # the repair is not worse
+
+
+def test_the_same_detector_again_is_green(recording: Path, baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    again = score(recording, tmp_path, "fused")
+    assert main(["compare", str(baseline), str(again), "--gate"]) == 0
+    assert "The new one is not worse:" in capsys.readouterr().out
+
+
+def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = score(recording, tmp_path / "runs", "fused", "thesis")
+    capsys.readouterr()
+    assert main(["compare", str(run), "--gate", "--json", "--out", str(tmp_path / "page")]) == 1
+    (told,) = json.loads(capsys.readouterr().out)
+    assert (told["old"]["detector"], told["new"]["detector"]) == ("fused", "thesis")
+    assert told["gate"]["verdict"] == "not met"
+    assert told["rows"][0]["scenes"] == told["same_frames"] == SCENES
+    assert told["rows"][0]["success"]["only_old"] == SCENES
+    page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+    assert "THE NEW ONE IS WORSE" in page
+    assert "passed and now fails" in page
+    assert json.loads((tmp_path / "page" / "comparison.json").read_text(encoding="utf-8")) == [told]
+
+
+def test_trials_without_a_counterpart_leave_the_gate_open(baseline: Path, tmp_path: Path) -> None:
+    fewer = tmp_path / "fewer"
+    shutil.copytree(baseline, fewer)
+    with closing(sqlite3.connect(fewer / "run.sqlite")) as db:
+        db.execute("DELETE FROM scores WHERE trial LIKE '001-%'")
+        db.commit()
+    (found,) = compare_folders([baseline, fewer])
+    assert (found.only_old, found.only_new, len(found.pairs)) == (1, 0, SCENES - 1)
+    assert found.compared.gate.verdict is Verdict.INCONCLUSIVE
+    assert main(["compare", str(baseline), str(fewer), "--gate"]) == 4
+
+
+def test_frames_that_differ_are_paired_by_name_and_told(baseline: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(baseline, other)
+    with closing(sqlite3.connect(other / "run.sqlite")) as db:
+        db.execute("UPDATE frames SET sha256 = 'x' || sha256")
+        db.commit()
+    (found,) = compare_folders([baseline, other])
+    assert (len(found.pairs), found.same_frames) == (SCENES, 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([], "name a second run"),
+        (["--detector", "fusedd"], 'did you mean "fused"'),
+    ],
+)
+def test_what_cannot_be_compared(baseline: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", str(baseline), *arguments]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_no_run_and_no_common_detector(baseline: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is no run"):
+        compare_folders([baseline, tmp_path])
+    with pytest.raises(ConfigError, match="no detector of those named is in both runs"):
+        compare_folders([baseline, baseline], ["thesis"])

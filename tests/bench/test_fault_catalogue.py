@@ -1,0 +1,41 @@
+"""The catalogue of faults: some of it is run anew, all of it stands in docs/faults.md; TEATBENCH_CATALOGUE=all runs all."""
+
+from __future__ import annotations
+
+import os
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from tests.bench.fault_catalogue import FAULTS, FOR_S, HEAD, PAGE, STATES, check_sound, reaction, what_happens
+
+ALL = tuple((*fault, state) for fault, state in product(FAULTS, STATES))
+SOME = (
+    ("arm", "power loss", "running"),
+    ("bath", "sensor break", "settling"),
+    ("cameras", "black", "running"),
+    ("stage", "disconnect", "preparing"),
+    ("arm", "disconnect", "safing"),
+)
+
+
+def rows() -> dict[tuple[str, str], list[str]]:
+    """The page's table: reactions by fault."""
+    lines = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+    return {(one[0], one[1]): one[2:] for one in cells}
+
+
+@pytest.mark.parametrize(("instrument", "name", "state"), ALL if os.environ.get("TEATBENCH_CATALOGUE") == "all" else SOME)
+def test_the_bench_does_what_the_page_says(instrument: str, name: str, state: str, tmp_path: Path) -> None:
+    run = what_happens(instrument, name, state, tmp_path)
+    check_sound(run)
+    assert reaction(run) == rows()[instrument, name][STATES.index(state)]
+
+
+def test_the_page_has_every_fault_in_every_state() -> None:
+    assert len(ALL) > 200
+    assert set(rows()) == set(FAULTS)
+    assert all(len(cells) == len(STATES) and all(cells) for cells in rows().values())
+    assert PAGE.read_text(encoding="utf-8").startswith(HEAD.format(for_s=FOR_S, count=len(ALL)))

@@ -1,0 +1,146 @@
+"""Disk full, folder read-only, clock set, a watcher that fails: the bench goes to safe or goes on, and nothing finished is lost."""
+
+from __future__ import annotations
+
+import errno
+import json
+import sqlite3
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.cli import main
+from bench.engine import Ending
+from bench.event_lines import EventLines, WatchedProgress, event_lines
+from bench.record import read_run
+from bench.store import Store
+from tests.bench.killed_runs import Silent, only_run, resume, start
+from tests.bench.operated_runs import files
+
+FULL = [OSError(errno.ENOSPC, "No space left on device"), sqlite3.OperationalError("database or disk is full")]
+
+
+class FullDisk:
+    """The store's ``method`` raises ``error`` from the second trial's frames on: once, or ever after."""
+
+    def __init__(self, method: str, error: Exception, *, for_good: bool) -> None:
+        self._method, self._error, self._for_good = method, error, for_good
+        self._trials, self._struck = 0, False
+
+    def put_into(self, patch: pytest.MonkeyPatch) -> None:
+        frames, own = Store.frames, getattr(Store, self._method)
+
+        def counted(*arguments: Any, **more: Any) -> Any:
+            self._trials += 1
+            return (frames if self._method == "_write" else failing)(*arguments, **more)
+
+        def failing(*arguments: Any, **more: Any) -> Any:
+            if self._trials >= 2 and (self._for_good or not self._struck):
+                self._struck = True
+                raise self._error
+            return own(*arguments, **more)
+
+        patch.setattr(Store, self._method, failing)
+        patch.setattr(Store, "frames", counted)
+
+
+@pytest.mark.parametrize("error", FULL, ids=["frames", "database"])
+@pytest.mark.parametrize("for_good", [False, True], ids=["once", "for good"])
+def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
+    error: Exception, for_good: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files(tmp_path)
+    method = "frames" if isinstance(error, OSError) else "_write"
+    fails = FullDisk(method, error, for_good=for_good)
+    progress = Silent()
+    with monkeypatch.context() as patch:
+        fails.put_into(patch)
+        try:
+            assert start(tmp_path, progress=progress)[1] is Ending.FAULTED
+        except sqlite3.OperationalError:
+            assert for_good, "what could not be closed cleanly is told by the command"
+    run = read_run(only_run(tmp_path, "runs"))
+    assert run.ending in ("faulted", "interrupted")
+    kept = [trial.id for trial in run.trials]
+    assert any("the record could not be written" in text and "teatbench resume" in text for text in progress.warned)
+    assert resume(tmp_path, "runs")[1] is Ending.FINISHED
+    whole = read_run(only_run(tmp_path, "runs"))
+    assert [trial.id for trial in whole.trials][: len(kept)] == kept
+    assert len(whole.trials) == 3
+
+
+def test_a_folder_that_may_not_be_written_is_told_before_anything_is_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = files(tmp_path)
+
+    def refused(*_: Any, **__: Any) -> Any:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(Store, "create", refused)
+    assert main(arguments) == 2
+    assert "a run can't be kept in" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("by_s", [-3600.0, 86400.0])
+def test_a_clock_that_is_set_amid_a_run_is_noted_and_changes_nothing_else(
+    by_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files(tmp_path)
+    looks = {"n": 0}
+
+    def stepping() -> datetime:
+        looks["n"] += 1
+        return datetime.now(UTC) + (timedelta(seconds=by_s) if looks["n"] > 12 else timedelta())
+
+    monkeypatch.setattr("bench.attention.wall_time", stepping)
+    folder, ending = start(tmp_path)
+    run = read_run(folder)
+    assert (ending, len(run.trials)) == (Ending.FINISHED, 3)
+    (told,) = [event["text"] for event in run.events if event["kind"] == "clock"]
+    assert told.startswith(f"the computer's clock was set {by_s:+.0f} s")
+    times = [event["t_s"] for event in run.events if event["t_s"] is not None]
+    assert times == sorted(times), "the bench's own time goes on"
+
+
+def test_events_as_lines_and_each_is_json(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    assert main([*files(tmp_path), "--events", str(path)]) in (0, 1, 4)
+    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    assert {line["what"] for line in lines} == {"doing", "trial", "event"}
+    states = [line["text"] for line in lines if line.get("kind") == "run state"]
+    assert states == ["preparing", "settling", "running", "safing", "finished"]
+    assert [line["name"] for line in lines if line["what"] == "trial"] == ["place-1", "place-2", "place-3", ""]
+    record = [event["text"] for event in read_run(only_run(tmp_path, "runs")).events]
+    assert [line["text"] for line in lines if line["what"] == "event"] == record, "what is told is on record"
+    assert any("bath" in line for line in lines if line["what"] == "doing")
+
+
+class Broken(Silent):
+    """A screen that fails at everything but warnings."""
+
+    def state(self, text: str) -> None:
+        raise RuntimeError("the plot has a bug")
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        raise RuntimeError("the plot has a bug")
+
+
+def test_nothing_that_only_watches_can_end_a_run(tmp_path: Path) -> None:
+    files(tmp_path)
+    assert start(tmp_path, progress=Broken())[1] is Ending.FINISHED
+    with (tmp_path / "e").open("w", encoding="utf-8") as file:
+        lines = EventLines(file)
+    shown = Silent()
+    assert start(tmp_path, "again", WatchedProgress(shown, lines))[1] is Ending.FINISHED  # type: ignore[arg-type]
+    assert len(shown.warned) == 1, "it is told once"
+    assert "--events: no further lines" in shown.warned[0]
+
+
+def test_a_file_for_lines_that_cannot_be_opened_is_wrong_use(tmp_path: Path) -> None:
+    from bench.config import ConfigError
+
+    with pytest.raises(ConfigError, match="it can't be opened"), event_lines(tmp_path / "no" / "e"):
+        pass

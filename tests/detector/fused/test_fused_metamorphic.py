@@ -1,0 +1,101 @@
+"""Changes whose effect on the answers is known beforehand: mirrors, brightness, gain, another world, another order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from detector.calibration import Calibration
+from detector.fused.detector import FusedDetector
+from detector.geometry import Camera, Motion
+from detector.protocol import Detection
+
+Array = NDArray[np.float64]
+M = np.diag([-1.0, 1.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def frames(draw_scene: Callable[..., Any], udder: list[Any]) -> Any:
+    return draw_scene(udder, seed=2)
+
+
+@pytest.fixture(scope="module")
+def plain(frames: Any, rig: Calibration) -> Detection:
+    found = FusedDetector().detect(frames, rig)
+    assert len(found.teats) == 4
+    return found
+
+
+def places(found: Detection) -> Array:
+    world = np.array([teat.world_mm for teat in found.teats]).reshape(-1, 3)
+    return world[np.argsort(world[:, 0])]
+
+
+def mirrored_camera(camera: Camera) -> Camera:
+    k1, k2, p1, p2, k3 = camera.kc
+    return replace(camera, cc=(camera.image_size[0] - 1 - camera.cc[0], camera.cc[1]), alpha_c=-camera.alpha_c, kc=(k1, k2, p1, -p2, k3))
+
+
+def mirrored_motion(motion: Motion) -> Motion:
+    return Motion(M @ motion.R @ M, M @ motion.T)
+
+
+def mirrored_rig(rig: Calibration) -> Calibration:
+    """The rig in a mirror: what was the left camera is the right one, and the world's x runs the other way."""
+    assert rig.thermal.lens is not None
+    assert rig.thermal_from_right is not None
+    return replace(
+        rig,
+        left=mirrored_camera(rig.right),
+        right=mirrored_camera(rig.left),
+        thermal=replace(rig.thermal, lens=mirrored_camera(rig.thermal.lens)),
+        right_from_left=mirrored_motion(rig.right_from_left.inverse()),
+        thermal_from_left=mirrored_motion(rig.thermal_from_right),
+        world_from_right=mirrored_motion(rig.world_from_left),
+    )
+
+
+def test_a_mirrored_scene_has_mirrored_answers(frames: Any, plain: Detection, rig: Calibration) -> None:
+    left, right = np.ascontiguousarray(frames.right[:, ::-1]), np.ascontiguousarray(frames.left[:, ::-1])
+    mirrored = replace(frames, left=left, right=right, thermal_k=np.ascontiguousarray(frames.thermal_k[:, ::-1]))
+    found = FusedDetector().detect(mirrored, mirrored_rig(rig))
+    assert np.abs(places(found)[::-1] * [-1, 1, 1] - places(plain)).max() < 0.1
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(0.5, 0.0), (0.8, 40.0), (1.2, 10.0)])
+def test_brightness_and_gain_hardly_move_the_ends(frames: Any, plain: Detection, rig: Calibration, gain: float, offset: float) -> None:
+    left, right = (np.clip(np.rint(p * gain + offset), 0, 255).astype(np.uint8) for p in (frames.left, frames.right))
+    found = FusedDetector().detect(replace(frames, left=left, right=right), rig)
+    assert np.linalg.norm(places(found) - places(plain), axis=1).max() < 0.1
+
+
+def test_a_warmer_room_moves_nothing(frames: Any, plain: Detection, rig: Calibration) -> None:
+    found = FusedDetector().detect(replace(frames, thermal_k=frames.thermal_k + 8.0), rig)
+    assert np.linalg.norm(places(found) - places(plain), axis=1).max() < 0.01
+
+
+def test_another_world_frame_turns_the_answers(frames: Any, plain: Detection, rig: Calibration) -> None:
+    turn = Motion.from_vectors([0.3, -0.5, 1.1], [10.0, -200.0, 35.0])
+    found = FusedDetector().detect(frames, replace(rig, world_from_right=turn @ rig.world_from_right))
+    for before, after in zip(plain.teats, found.teats, strict=True):
+        assert np.allclose(turn.apply(before.world_mm), after.world_mm, atol=1e-6)
+        assert before.covariance_mm2 is not None
+        assert after.covariance_mm2 is not None
+        assert np.allclose(turn.R @ before.covariance_mm2 @ turn.R.T, after.covariance_mm2, atol=1e-9)
+
+
+def test_the_same_frames_give_the_same_answer(frames: Any, plain: Detection, rig: Calibration) -> None:
+    again = FusedDetector().detect(frames, rig)
+    assert all(np.array_equal(a.world_mm, b.world_mm) for a, b in zip(plain.teats, again.teats, strict=True))
+
+
+def test_a_shifted_world_of_teats_shifts_the_answers(draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration) -> None:
+    by = np.array([7.3, -11.7, 4.1])
+    shifted = [replace(b, end_mm=tuple(np.add(b.end_mm, by))) for b in udder]
+    found, before = (FusedDetector().detect(draw_scene(bodies, noise=0.5), rig) for bodies in (shifted, udder))
+    assert np.linalg.norm(places(found) - places(before) - by, axis=1).max() < 0.4

@@ -1,0 +1,125 @@
+"""What holds a detector's processes: memory watched, and an end for all of them, whoever ends first."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from detector.calibration import Calibration
+from detector.external import ExternalDetector
+from detector.external.process import resident_mib
+from detector.protocol import DetectionFailure
+from tests.conftest import ROOT
+from tests.detector.children import GOOD, HEAD, Start, answering, ask, failure, start
+
+__all__ = ["start"]
+linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a process's memory and all its descendants")
+
+
+def look_for_a_minute(detector: ExternalDetector) -> None:
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        detector.check()
+
+
+@linux
+def test_memory_is_watched_during_and_after_a_call(start: Start, rig: Calibration) -> None:
+    hoard = "kept = bytearray(os.urandom(1)) * (200 << 20)\n"
+    during = start(answering(hoard + "time.sleep(60)"), memory_mib=120.0)
+    assert "MiB of memory, 120 MiB are allowed" in str(failure(during, rig))
+    after = start(answering('say({"frame": asked["frame"], "teats": []})\n' + hoard), memory_mib=120.0)
+    ask(after, rig)
+    with pytest.raises(DetectionFailure, match="MiB of memory"):
+        look_for_a_minute(after)
+    ask(after, rig)
+    assert after.start_up_s is not None, "it was started again"
+    used = resident_mib(os.getppid())
+    assert used is not None
+    assert used > 1
+
+
+def alive(pid: int) -> bool:
+    try:
+        return b") Z" not in Path(f"/proc/{pid}/stat").read_bytes()
+    except OSError:
+        return False
+
+
+GRANDCHILD = """
+spec = dict(start_new_session=True, stdin=subprocess.DEVNULL)
+grandchild = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], **spec)
+with open(%r, "w") as file: file.write(f"{os.getpid()} {grandchild.pid}")
+"""
+
+
+@linux
+@pytest.mark.parametrize("ending", ["close", "crash", "timeout"])
+def test_a_grandchild_in_a_session_of_its_own_ends_too(start: Start, rig: Calibration, tmp_path: Path, ending: str) -> None:
+    deed = {"close": 'say({"frame": asked["frame"], "teats": []})', "crash": "sys.exit(1)", "timeout": "time.sleep(60)"}[ending]
+    detector = start(answering(deed, GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})'), answer_s=0.5)
+    if ending == "close":
+        ask(detector, rig)
+    else:
+        failure(detector, rig)
+    pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
+    assert all(alive(pid) for pid in pids) == (ending == "close")
+    detector.close()
+    detector.close()
+    assert not any(alive(pid) for pid in pids)
+
+
+@linux
+def test_nothing_outlives_a_bench_that_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "program.py").write_text(
+        HEAD + GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})\ntime.sleep(600)', encoding="utf-8"
+    )
+    bench = f"""
+import sys, time
+from pathlib import Path
+from detector.external import ExternalDetector
+from detector.external.process import Child
+child = Child([sys.executable, {str(tmp_path / "program.py")!r}], None, None, time.perf_counter)
+child.line(60.0)
+print("up", flush=True)
+time.sleep(600)
+"""
+    with subprocess.Popen([sys.executable, "-c", bench], cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "up\n"
+        pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
+        assert all(alive(pid) for pid in pids)
+        process.kill()
+    deadline = time.monotonic() + 20
+    while any(alive(pid) for pid in pids) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert not any(alive(pid) for pid in pids)
+
+
+def test_it_may_put_its_things_in_order(start: Start, rig: Calibration, tmp_path: Path) -> None:
+    detector = start(f'{GOOD}\nopen({str(tmp_path / "tidy")!r}, "w").write("yes")')
+    ask(detector, rig)
+    detector.close()
+    assert (tmp_path / "tidy").read_text(encoding="ascii") == "yes"
+
+
+def test_one_that_does_not_go_is_made_to(start: Start, rig: Calibration) -> None:
+    detector = start(GOOD + "\ntime.sleep(600)")
+    ask(detector, rig)
+    detector.close()
+    assert detector.said() == ""
+
+
+def test_closing_removes_the_pictures(start: Start, rig: Calibration, tmp_path: Path) -> None:
+    place = tmp_path / "where"
+    what = f'open({str(place)!r}, "w").write(asked["left"])\nsay({{"frame": asked["frame"], "teats": []}})'
+    detector = start(answering(what))
+    ask(detector, rig)
+    left = Path(place.read_text(encoding="utf-8"))
+    assert left.is_file()
+    detector.close()
+    assert not left.parent.exists()

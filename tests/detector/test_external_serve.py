@@ -1,0 +1,69 @@
+"""A detector in Python behind the protocol: the same answers as without it, over pipes and over files."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from detector.calibration import Calibration
+from detector.external import ExternalDetector
+from detector.external.serve import read_pictures, serve
+from detector.protocol import DetectionFailure
+from detector.registry import create
+from tests.conftest import ROOT
+from tests.detector.conftest import Draw, Pictures
+
+
+def test_the_thesis_gives_the_same_ends_from_a_process_of_its_own(draw: Draw, teats_mm: NDArray[np.float64], rig: Calibration) -> None:
+    frames = draw(teats_mm)
+    command = [sys.executable, "-m", "detector.external.serve", "thesis"]
+    there = ExternalDetector("there", command, time.perf_counter, folder=ROOT)
+    try:
+        for _ in range(2):
+            here, far = create("thesis").detect(frames, rig), there.detect(frames, rig)
+            assert len(here.teats) == len(far.teats) == 4
+            for one, other in zip(here.teats, far.teats, strict=True):
+                assert np.allclose(one.world_mm, other.world_mm, atol=1e-4)  # a calibration file has ten digits
+    finally:
+        there.close()
+    assert there.said() == ""
+
+
+def test_it_says_ready_and_answers_every_line(tmp_path: Path, rig_file: Path) -> None:
+    for name in ("left", "right"):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((4, 4), np.uint8))
+    asked = {"frame": "5", "left": str(tmp_path / "left.png"), "right": str(tmp_path / "right.png"), "calibration": str(rig_file)}
+    answers = io.BytesIO()
+    serve("thesis", io.BytesIO((json.dumps(asked) + "\n").encode() * 2), answers)
+    ready, *lines = [json.loads(line) for line in answers.getvalue().splitlines()]
+    assert ready == {"ready": True}
+    assert [(line["frame"], line["teats"]) for line in lines] == [("5", [])] * 2
+    assert "4 x 4" in lines[0]["reason"]
+
+
+def test_kelvin_come_as_hundredths(tmp_path: Path) -> None:
+    for name, picture in (("left", np.zeros((2, 2), np.uint8)), ("thermal_radiometric", np.full((2, 2), 30515, np.uint16))):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), picture)
+    left, kelvin = str(tmp_path / "left.png"), str(tmp_path / "thermal_radiometric.png")
+    found = read_pictures({"left": left, "right": left, "thermal_radiometric": kelvin})
+    assert found.thermal is None
+    assert found.thermal_k is not None
+    assert found.thermal_k.tolist() == [[305.15, 305.15]] * 2
+    (tmp_path / "left.png").write_bytes(b"no picture")
+    with pytest.raises(ValueError, match="is no picture"):
+        read_pictures({"left": str(tmp_path / "left.png")})
+
+
+def test_pictures_that_png_cannot_hold_are_a_failure_before_anything_starts(rig: Calibration) -> None:
+    detector = ExternalDetector("never", ["/no/such/program"], time.perf_counter)
+    with pytest.raises(DetectionFailure, match=r"the left picture .* can't be written as PNG"):
+        detector.prepare(Pictures(np.zeros((0, 3), np.uint8), np.zeros((2, 2), np.uint8)), rig)
+    detector.close()
