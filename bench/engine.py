@@ -25,6 +25,7 @@ from bench.exits import current, undisturbed
 from bench.interlocks import InterlockTrip
 from bench.keeper import Keeper
 from bench.lifeline import Lifeline
+from bench.pausing import Pause
 from bench.planning import PlannedTrial
 from bench.preparing import Preparation
 from bench.pulse import AwaitedOperator, Pulse
@@ -115,6 +116,7 @@ class Engine:
         )  # fmt: skip
         session = store.session if left and not self._rehearsed else 1
         self._preparation = Preparation(rig, script.script, self._devices, store, tip, self._attention, self.recovery, session)
+        self._pause = Pause(self._wishes, self.states, self._attention, devices.clock, store.folder)
         self._reserve = Reserve(store.folder)
         self.bath_is_safe = False  # until the run has ended and made it so
 
@@ -163,7 +165,7 @@ class Engine:
                 self._attempts.passed()
             return
         self._go_live()
-        self._pause_if_asked()
+        self._pause.if_asked()
         self._attempts.run(trial)
 
     def _go_live(self) -> None:
@@ -182,22 +184,6 @@ class Engine:
                 told += f", other touches in {', '.join(seen.differ)}: WHAT FOLLOWS IS NOT WHAT AN UNDISTURBED RUN WOULD GIVE"
             self._attention.event(EVENT, self.states.current.value)
         self._attention.event("resumed", told)
-
-    def _pause_if_asked(self) -> None:
-        """Between two trials, until somebody says to go on. The bath is watched meanwhile."""
-        self._wishes_looked_at()
-        if not self._wishes.paused:
-            return
-        with self.states.during(RunState.PAUSED):
-            self._progress.warn(f"Paused, as asked. To go on: teatbench tell {self._store.folder} go on (or type: go on)")
-            while self._wishes.paused:
-                self._attention.wait(1.0)
-
-    def _wishes_looked_at(self) -> None:
-        try:
-            self._wishes.look()
-        except (OperatorSkip, OperatorRepeat) as wish:
-            self._progress.warn(f"{wish}: no trial is in flight just now, so nothing was done")
 
     def _live(self) -> dict[str, str]:
         """What a line in the terminal says beside what is being done."""

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from bench.record import RunRecord
 from bench.summary.wording import headline, limit, measured
 from bench.verdicts import Judgement
 
 TONES = {"met": "green", "not met": "red", "inconclusive": "yellow", "not measured": "yellow", "aborted": "red", "no verdict": "yellow"}
+
+
+class _TwoLines(Progress):
+    """A bar, and under it a line that may be as long as the terminal is wide: trial, what is done, bath, time left, last error."""
+
+    doing = ""
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        yield from super().get_renderables()
+        yield Text(self.doing, no_wrap=True, overflow="ellipsis")
 
 
 class TerminalProgress:
@@ -28,14 +39,13 @@ class TerminalProgress:
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
-            TextColumn("{task.fields[doing]}"),
         )
         self._asking = False  # the cursor stands behind a question
-        self._bar = Progress(*columns, console=console, transient=False)
-        self._task = self._bar.add_task("trials", total=None, doing="")
+        self._bar = _TwoLines(*columns, console=console, transient=False)
+        self._task = self._bar.add_task("trials", total=None)
 
     def state(self, text: str) -> None:
-        self._bar.update(self._task, doing=text)
+        self._bar.doing = text
 
     def trial(self, done: int, total: int, name: str) -> None:
         self._bar.update(self._task, completed=done, total=total)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -23,7 +24,7 @@ from detector.calibration.corners import Found, ViewRefusedError, find_board, or
 from detector.geometry import Array
 from instruments.errors import DeviceError
 from instruments.microscribe.refusals import ArmMovesError
-from instruments.operators.operator import BoardAsked, Operator
+from instruments.operators.operator import BoardAsked
 
 POSITIONS = 2
 TRIES = 4  # of one position, or of one point, before it is given up
@@ -31,6 +32,14 @@ ROWS, COLUMNS = ("upper", "middle", "lower"), ("left", "middle", "right")
 MISTAKEN = 0.25  # of the pitch: touched distances that miss printed ones by more are another point's
 WHERE = ("high and near", "lower and farther, tilted another way")
 POINTS_FILE = "points.csv"
+
+
+class BoardOperator(Protocol):
+    """Whoever fixes the board and touches it."""
+
+    def hold_board(self, asked: BoardAsked) -> None: ...
+    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None: ...
+    def release(self) -> None: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +61,7 @@ class Asking:
     """Who looks, who is asked, whose tip is read; ``tip_radius_mm`` is that of a ball tip, 0 for a point."""
 
     look: Callable[[], Mapping[str, Grey]]
-    operator: Operator
+    operator: BoardOperator
     tip: TipReader
     tip_radius_mm: float
     tell: Callable[[str], None]

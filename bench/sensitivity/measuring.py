@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.config import read_text
+from bench.config import ConfigError, read_text
 from bench.examine import examine, points_of
 from bench.rig import LoadedRig
 from bench.scene_recording import warm
@@ -40,17 +40,20 @@ class Bench:
 
 
 def measure(bench: Bench, quantity: Quantity) -> Iterator[Measured]:
-    """What every detector does at each value, one by one."""
-    for value in quantity.values:
-        yield _at(bench, quantity, value)
+    """What every detector does at each value, one by one. Cameras are made anew only where their sensors change.
 
-
-def renderer_of(bench: Bench, quantity: Quantity, value: float) -> Renderer:
-    """The rig's emulated cameras with the sensors of that value."""
+    Raises ConfigError for a scene that can't be set up before these cameras.
+    """
     table = tomllib.loads(read_text(bench.rig.calibration_path))
     said = bench.rig.rig.emulation
-    optics = quantity.optics(value, Optics(said.optical.sensor(), said.thermal.sensor(table)))
-    return Renderer.from_calibration(table, bench.seed, optical=optics.optical, thermal=optics.thermal)
+    usual = Optics(said.optical.sensor(), said.thermal.sensor(table))
+    optics, renderer = None, None
+    for value in quantity.values:
+        wanted = quantity.optics(value, usual)
+        if renderer is None or wanted != optics:
+            optics = wanted
+            renderer = Renderer.from_calibration(table, bench.seed, optical=wanted.optical, thermal=wanted.thermal)
+        yield _at(bench, quantity, value, renderer)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,8 +66,7 @@ class _Scene:
     told: Calibration
 
 
-def _at(bench: Bench, quantity: Quantity, value: float) -> Measured:
-    renderer, truth = renderer_of(bench, quantity, value), bench.rig.calibration
+def _at(bench: Bench, quantity: Quantity, value: float, renderer: Renderer) -> Measured:
     tallies = {detector.name: Tally() for detector in bench.detectors}
     bounds = []
     for member in bench.members:
@@ -72,13 +74,18 @@ def _at(bench: Bench, quantity: Quantity, value: float) -> Measured:
         for detector in bench.detectors:
             tallies[detector.name] += _asked(detector, scene)
         if scene.teats:
-            bounds.append(_bounds(scene, renderer, truth, thermal=quantity.thermal))
+            bounds.append(_bounds(scene, renderer, bench.rig.calibration, thermal=quantity.thermal))
     return Measured(value, sum(len(bound.shifts_mm) for bound in bounds), tallies, _limit(bounds) if bounds else None)
 
 
 def _drawn(bench: Bench, quantity: Quantity, value: float, member: int, renderer: Renderer) -> _Scene:
-    state = warm(quantity.set_up(value, member, renderer))
-    taken = renderer.render(state, np.random.default_rng([bench.seed, member, *quantity.name.encode()]))
+    try:
+        state = warm(quantity.set_up(value, member, renderer))
+        taken = renderer.render(state, np.random.default_rng([bench.seed, member, *quantity.name.encode()]))
+    except ValueError as error:
+        raise ConfigError.plain(
+            f"{quantity.name} {value:g} can't be set up for member {member}: {error}; choose others by --first"
+        ) from error
     teats = np.flatnonzero(renderer.visible_ends(state).all(axis=1))
     frames = FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)
     return _Scene(state, teats.tolist(), frames, quantity.told(value, member, bench.rig.calibration))

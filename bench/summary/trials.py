@@ -90,6 +90,7 @@ def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: 
         *((f"hidden, {d['detector']}", f"claims {d['hidden']}") for d in trial.detections),
     )
     notes = tuple(note for d in trial.detections for note in _notes(d))
+    notes = (f"Note: {head['note']}", *notes) if head["note"] else notes
     notes = (f"In no count: {trial.invalid}", *notes) if trial.invalid else notes
     budget = trial_truth(trial)
     return TrialPart(

@@ -133,25 +133,6 @@ def doubts(teats: Array, evidence: Evidence, reasons: list[str | None], p: Param
     return bridging[: p.most_doubts], shifted[: p.most_doubts]
 
 
-def unlocated(teats: Array, evidence: Evidence, reasons: list[str | None], surroundings: float, p: Parameters) -> int:
-    """How many teats the thermal picture shows whole, end and both sides, that the optical ones don't: there, but hidden."""
-    taken = [teats[i] for i, reason in enumerate(reasons) if reason is None]
-    reference = max((float(np.median(evidence.warmth[i])) for i, reason in enumerate(reasons) if reason is None), default=np.inf)
-    thermal = np.minimum(evidence.end[:, 2], evidence.both[:, 2])
-    count = 0
-    for i in np.argsort(-thermal, kind="stable"):
-        warm = evidence.warmth[i].min() - surroundings > p.least_warmth * (reference - surroundings)
-        if (
-            thermal[i] > p.whole_end
-            and warm
-            and maybe_hidden(reasons[i])
-            and not any(_passes_through(teats[i], t, p.overlap) for t in taken)
-        ):
-            taken.append(teats[i])
-            count += reasons[i] is not None
-    return count
-
-
 def _same(a: Array, b: Array) -> bool:
     """Whether two fits (8,) are of one and the same teat: one's middle near the other's axis."""
     aside = np.cross(a[:3] - b[:3], axes(b[None])[0])

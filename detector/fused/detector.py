@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.fused import pictures
-from detector.fused.decide import Evidence, doubts, maybe_hidden, objections, unlocated, warmth_inside, weigh
+from detector.fused.decide import Evidence, doubts, maybe_hidden, objections, warmth_inside, weigh
 from detector.fused.fit import View
-from detector.fused.model import apexes
+from detector.fused.model import apexes, axes
 from detector.fused.parameters import Parameters
 from detector.fused.refine import (
     OPTICAL_FINE,
@@ -33,7 +33,7 @@ from detector.fused.refine import (
     refine_more,
 )
 from detector.fused.sweep import Map, best_starts, depths_mm, hypotheses, slide_ends, sweep_bars, sweep_ends
-from detector.fused.thermal import Nominations, bars, nominate
+from detector.fused.thermal import Nominations, bars, nominate, unexplained
 from detector.fused.uncertainty import end_covariances, world_covariances
 from detector.geometry import Array, Camera, Motion
 from detector.protocol import Detection, Frames, Stage, Teat
@@ -89,11 +89,11 @@ def _detect(frames: Frames, calibration: Calibration, p: Parameters, trace: list
     left = pictures.optical(frames.left, calibration.left.image_size, "left")
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
     thermal = _thermal(frames, calibration)
-    teats, maps = _start(thermal, left, right, calibration, p, trace)
+    teats, maps, ends = _start(thermal, left, right, calibration, p, trace)
     judged = _fit(teats, maps, thermal, p)
     trace.append(_decisions(judged))
     answers = _answers(judged, thermal, calibration)
-    hidden = unlocated(judged.fitted.teats, judged.evidence, judged.reasons, thermal.surroundings, p)
+    hidden = unexplained(thermal.warm, ends, *_bars_of(judged, thermal))
     return Detection(answers, hidden, None if answers else "nothing warm has the outline of a teat in both optical pictures", tuple(trace))
 
 
@@ -145,7 +145,7 @@ def _thermal(frames: Frames, calibration: Calibration) -> _Thermal:
 
 def _start(
     thermal: _Thermal, left: NDArray[Any], right: NDArray[Any], calibration: Calibration, p: Parameters, trace: list[Stage]
-) -> tuple[Array, tuple[Map, ...]]:
+) -> tuple[Array, tuple[Map, ...], Nominations]:
     ends = nominate(thermal.warm, p.most_nominations)
     upright = bars(thermal.warm, ends, p.most_bars)
     trace.append(Stage("thermal", {"warmth": thermal.warm, **_shown("end", ends), **_shown("bar", upright)}))
@@ -159,7 +159,7 @@ def _start(
     starts = sweep_ends(of_ends, ends.score, maps, p) + sweep_bars(of_bars, upright.score, maps, warm, p)
     teats = best_starts(starts, maps, p)
     trace.append(Stage("starts", {"teats": teats}))
-    return teats, (*maps, warm)
+    return teats, (*maps, warm), ends
 
 
 def _shown(what: str, found: Nominations) -> dict[str, Array]:
@@ -197,6 +197,14 @@ def _decisions(judged: _Judged) -> Stage:
     shown = {name: getattr(judged.evidence, name) for name in Evidence.__slots__}
     reasons = np.array([reason or "" for reason in judged.reasons], dtype=np.str_)
     return Stage("decisions", {"teats": judged.fitted.teats, **shown, "merit": judged.evidence.merit, "reasons": reasons})
+
+
+def _bars_of(judged: _Judged, thermal: _Thermal) -> tuple[Array, Array]:
+    """Feet and tips (k, 2) of the accepted teats in the thermal picture, sensor pixels."""
+    teats, sensor = judged.fitted.teats[judged.accepted], _thermal_view(thermal).camera
+    tips = apexes(teats)
+    feet, tips_px = (sensor.project(thermal.from_right.apply(points)) for points in (tips + 60.0 * axes(teats), tips))
+    return feet, tips_px
 
 
 def _answers(judged: _Judged, thermal: _Thermal, calibration: Calibration) -> tuple[Teat, ...]:

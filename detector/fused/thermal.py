@@ -25,7 +25,7 @@ _BAR_LEANS = (-0.22, 0.0, 0.22)
 _ROUGH_WIDTHS_PX, _MOST_TIPS = (3.6, 6.0), 250
 _ROOM_PX = 34
 _APART_PX = 4.0
-_STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END = 0.35, 0.25, 0.45, 0.8  # strengths, 0 to 1
+_STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END, _SURE_END = 0.35, 0.25, 0.45, 0.8, 0.85  # strengths, 0 to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,6 +94,23 @@ def bars(temperature: Field, ends: Nominations, most: int) -> Nominations:
             kept.append(i)
             clear.append((middle, lean))
     return found.take(np.array(kept, dtype=np.intp))
+
+
+def unexplained(temperature: Field, ends: Nominations, feet_px: Array, tips_px: Array) -> int:
+    """How many of the ends beyond doubt are on none of the bars from ``tips_px`` (k, 2) to ``feet_px`` (k, 2): teats that nobody located."""
+    middles, leans = 0.5 * (tips_px + feet_px), (tips_px[:, 0] - feet_px[:, 0]) / (tips_px[:, 1] - feet_px[:, 1])
+    bars_seen = list(zip(middles, leans.tolist(), strict=True))
+    low, high = np.percentile(temperature, [20, 99])
+    count = 0
+    for i in np.flatnonzero(ends.score > _SURE_END):
+        middle, lean = ends.centre_px[i] + 8.0 * np.array([ends.lean[i], 1.0]), ends.lean[i]
+        row, column = np.rint(middle).astype(int)[::-1].clip(0, np.array(temperature.shape) - 1)
+        if temperature[row, column] < low + 0.6 * (high - low):
+            continue  # the gap between two teats below an arm has a bar's outline too
+        if all(_beside(middle, lean, other, slope) > 1.2 * ends.radius_px[i] for other, slope in bars_seen):
+            bars_seen.append((middle, lean))
+            count += 1
+    return count
 
 
 def _beside(a: Array, lean_a: float, b: Array, lean_b: float) -> Array:

@@ -20,10 +20,10 @@ from typing import Any
 
 from rich.console import Console
 
-import bench.trial_run
 from bench.console_window import CTRL_CLOSE_EVENT, Handler
 from bench.devices import Devices
 from bench.engine import Ending
+from bench.examine import Examiner
 from bench.exits import installed
 from bench.jobs import run_script
 from bench.progress import TerminalProgress
@@ -130,7 +130,7 @@ MARKS: dict[str, Callable[[], None]] = {
     "moving": lambda: begins(Stage, "move_to", "moving"),
     "capturing": lambda: begins(RecordingCameras, "capture", "capturing", LINGER_S),
     "capturing long": lambda: begins(RecordingCameras, "capture", "capturing long", LONG_S),
-    "detecting": lambda: begins(bench.trial_run, "examine", "detecting", LINGER_S),
+    "detecting": lambda: begins(Examiner, "ask", "detecting", LINGER_S),
     "storing": storing,
     "going to safe": lambda: begins(Devices, "make_safe", "going to safe", LINGER_S),
     "hanging": hanging,

@@ -1,15 +1,20 @@
-"""The report's table of what can be reached at best, by distance, against the calibration's own figures."""
+"""What the report says of the calibration: its record, and what can be reached at best by distance, against its own figures."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import date
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
+from bench.calibration_age import CALIBRATION_FACT, calibration_fact
+from bench.record import RunRecord
 from bench.rig import RIGS
-from bench.summary.calibrated import limit_table
-from detector.calibration import Calibration, ParameterCovariance, load_calibration
+from bench.summary.calibrated import limit_table, record_parts
+from detector.calibration import Calibration, ParameterCovariance, Record, load_calibration
 
 ENDS = np.array([[-250.0, y, 120.0] for y in (150.0, 200.0, 300.0, 420.0, 600.0, 800.0, 900.0)])
 BASELINE_SD_MM = 0.5
@@ -47,3 +52,22 @@ def test_a_calibration_that_states_nothing_says_so(rig: Calibration) -> None:
     table = limit_table(ENDS, replace(rig, covariance=None))
     assert {str(row[3]) for row in table.rows} == {"not measured"}
     assert "states no uncertainty" in (table.note or "")
+
+
+class TestRecord:
+    def told(self, calibration: Calibration, *, emulated: bool) -> str:
+        facts = {CALIBRATION_FACT: calibration_fact(calibration, date(2026, 11, 20), emulated=emulated)}
+        return str(tuple(record_parts(cast("RunRecord", SimpleNamespace(facts=facts)))))
+
+    def test_it_states_the_age_and_who_made_it_from_what(self, rig: Calibration) -> None:
+        record = Record("2026-11-01", "A. Tester", "teatbench 0.1", {"left": "SN 1"}, {})
+        said = self.told(replace(rig, record=record), emulated=False)
+        for words in ("2026-11-01", "19 days on the day of the run", "A. Tester", "SN 1"):
+            assert words in said
+
+    def test_one_without_a_record_is_no_better_than_unknown(self, rig: Calibration) -> None:
+        assert "Its age is not known." in self.told(rig, emulated=False)
+        assert "The emulated cameras are made from it." in self.told(rig, emulated=True)
+
+    def test_a_run_that_kept_nothing_of_it_says_nothing(self) -> None:
+        assert tuple(record_parts(cast("RunRecord", SimpleNamespace(facts={})))) == ()

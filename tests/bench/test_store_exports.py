@@ -125,7 +125,15 @@ def log(run: RunRecord, tmp_path_factory: pytest.TempPathFactory) -> dict[str, l
     return found
 
 
-KINDS: dict[str, Any] = {"string": str, "number": (int, float), "integer": int, "boolean": bool, "null": type(None), "object": dict, "array": list}
+KINDS: dict[str, Any] = {
+    "string": str,
+    "number": (int, float),
+    "integer": int,
+    "boolean": bool,
+    "null": type(None),
+    "object": dict,
+    "array": list,
+}
 
 
 def misfits(schema: Any, value: Any, where: str = "") -> list[str]:

@@ -38,6 +38,9 @@ DRAWINGS: dict[str, Draw] = {
         _rng(n).uniform(0, 300, n), _rng(n).uniform(0, 300, n), _rng(n).uniform(0, 9, n), 5.0, missed_x_mm=[1.0] * n, missed_y_mm=[2.0] * n
     ),
     "latency": lambda n: figures.latency_strip(_rng(n).uniform(0, 1, n), [1.0, 2.0]),
+    "change": lambda n: figures.change_scatter(_rng(n).uniform(0, 9, n), _rng(n + 1).uniform(0, 9, n), 5.0),
+    "drift": lambda n: figures.error_drift(np.arange(n), _rng(n).uniform(0, 9, n), 5.0, links=["#trial-001"] * n),
+    "teats": lambda n: figures.teat_boxes([str(k) for k in range(min(n, 4))], [_rng(k).uniform(0, 9, n) for k in range(min(n, 4))], 5.0),
     "axes": lambda n: figures.per_axis_errors([f"s {k}" for k in range(n)], [_rng(k).normal(0, 1, (k, 3)) for k in range(n)], 5.0),
 }
 

@@ -141,9 +141,9 @@ def test_miscalibration_is_seeded_scales_and_leaves_the_rest_alone(calibration: 
     assert miscalibration.told(0.1, 5, calibration).left != one.left
     moved = np.subtract(one.left.cc, calibration.left.cc)
     assert np.subtract(twice.left.cc, calibration.left.cc) == pytest.approx(2.0 * moved)
-    assert twice.right_from_left.T - calibration.right_from_left.T == pytest.approx(
-        2.0 * (one.right_from_left.T - calibration.right_from_left.T)
-    )
+    before = calibration.right_from_left.T
+    carried = one.right_from_left.T - before
+    assert np.allclose(twice.right_from_left.T, before + 2.0 * carried)
     assert one.world_from_right is calibration.world_from_right
     assert one.thermal_from_left is calibration.thermal_from_left
     assert shifts_mm(calibration, miscalibration.told(0.0, 4, calibration), np.array([[-150.0, 240.0, 135.0]])) == pytest.approx(

@@ -103,6 +103,12 @@ def test_wrong_use_is_explained(arguments: list[str], said: str, tmp_path: Path,
     assert said in capsys.readouterr().err
 
 
+def test_a_scene_that_cannot_stand_before_the_cameras_is_told() -> None:
+    quantity = replace(QUANTITIES["range"], values=(3.0,))
+    with pytest.raises(ConfigError, match=r"range 3 can't be set up for member 0: .* stands behind the board .*; choose others by --first"):
+        list(measure(Bench(load_rig(find_rig(None)), [], [0], 1), quantity))
+
+
 def test_no_scenes_at_all_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
         main(["scene", "sensitivity", "--seeds", "0"])

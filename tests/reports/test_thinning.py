@@ -1,0 +1,57 @@
+"""Plots of many points stay light and keep the worst; a curve keeps its peaks."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from reports import figures
+from reports.figures.thinning import MOST_POINTS, envelope, telling
+
+
+@given(st.lists(st.floats(0, 100), max_size=300), st.integers(2, 50))
+def test_the_heaviest_are_kept_and_no_more_than_asked(values: list[float], most: int) -> None:
+    weight = np.array(values)
+    kept = telling(weight, most)
+    assert len(kept) == len(set(kept.tolist())) <= max(most, 0)
+    assert len(kept) == min(most, len(values))
+    assert list(kept) == sorted(kept)
+    if len(values):
+        assert weight[kept].max() == weight.max()
+
+
+@given(st.lists(st.floats(-50, 50), min_size=1, max_size=400), st.integers(2, 40))
+def test_a_curve_keeps_its_ends_and_its_extremes(values: list[float], most: int) -> None:
+    curve = np.array(values)
+    kept = envelope(curve, most)
+    assert len(kept) <= 2 * most + 2
+    assert (kept[0], kept[-1]) == (0, len(values) - 1)
+    assert curve[kept].max() == curve.max()
+    assert curve[kept].min() == curve.min()
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda e, t: figures.error_scatter(e, t, 5.0, links=["#trial-001"] * e.size),
+        lambda e, t: figures.per_axis_errors(["a", "b"], [np.column_stack([e, t, e])] * 2, 5.0),
+        lambda e, t: figures.error_histogram(np.abs(e), 5.0),
+        lambda e, t: figures.latency_strip(np.abs(e), [1.0]),
+        lambda e, t: figures.error_map(e, t, np.abs(e), 5.0),
+        lambda e, t: figures.error_drift(t, np.abs(e), 5.0, links=["#trial-001"] * e.size),
+        lambda e, t: figures.change_scatter(np.abs(e), np.abs(t), 5.0),
+        lambda e, t: figures.teat_boxes(["1", "2"], [np.abs(e), np.abs(t)], 5.0),
+        lambda e, t: figures.bath_curve(np.arange(e.size), e, 33.0, 0.1, np.arange(e.size)),
+    ],
+)
+def test_a_hundred_thousand_points_weigh_no_more_than_a_few(draw: object) -> None:
+    rng = np.random.default_rng(1)
+    few, many = (draw(*rng.normal(0, 1, (2, n))) for n in (MOST_POINTS, 100_000))  # type: ignore[operator]
+    assert len(many) < max(2.5 * len(few), 60_000)
+    assert len(many) < 150_000
+
+
+def test_a_plot_says_that_it_doesn_t_draw_all() -> None:
+    errors = np.abs(np.random.default_rng(1).normal(0, 2, 5000))
+    assert "400 of 5000 drawn, the worst among them" in figures.error_scatter(errors, errors, 5.0)
+    assert "drawn" not in figures.error_scatter(errors[:50], errors[:50], 5.0)
