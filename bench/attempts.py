@@ -95,5 +95,4 @@ class Attempts:
 
 def _because(wish: OperatorRepeat) -> str:
     """The reason, where one was given."""
-    reason = getattr(wish, "reason", "")
-    return f": {reason}" if reason else ""
+    return f": {wish.reason}" if wish.reason else ""

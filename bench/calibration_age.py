@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from bench.config import ConfigError
 from bench.rig import EMULATED, LoadedRig
 from bench.scoring.decisions import Decision, decide_condition
-from detector.calibration import Calibration
+from detector.calibration import Calibration, Record
 from instruments.errors import LimitError
 
 if TYPE_CHECKING:
@@ -38,12 +38,12 @@ def refuse_old_calibration(rig: LoadedRig, script: LoadedScript, today: date) ->
         raise ConfigError.plain(f"{rig.calibration_path} was made on {record.made}, which is still to come: is this machine's clock right?")
 
 
-def refuse_other_cameras(calibration: Calibration, identity: Mapping[str, str]) -> None:
+def refuse_other_cameras(record: Record | None, identity: Mapping[str, str]) -> None:
     """Raises LimitError for a camera that isn't the one on record. ``identity`` is what each camera says of itself.
 
     On record may stand all of it, or a part that only this camera has, as its serial number.
     """
-    on_record = calibration.record.cameras if calibration.record else {}
+    on_record = record.cameras if record else {}
     for camera, recorded in on_record.items():
         seen = identity.get(camera)
         if seen is not None and recorded.strip().lower() not in seen.lower():

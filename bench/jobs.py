@@ -22,7 +22,7 @@ from bench.record import read_run
 from bench.recorder import Recorder
 from bench.resuming import ASKED, Left, RehearsedStore, files_of, open_store, what_is_left
 from bench.rig import LoadedRig, read_calibration
-from bench.rig_lock import lock_path, locked
+from bench.rig_lock import lock_path, locked, run_lock
 from bench.rows import frame_rows, judged, truth_row
 from bench.script import RECORDING_RULES, LoadedScript, Rules
 from bench.showing import Progress
@@ -75,7 +75,8 @@ def run_script(
     with locked(lock_path(rig), str(out.resolve()), progress.warn):
         recorder = Recorder(record, rig.calibration_path) if record else None
         store = _begun(rig, script, out, under_test, used_seed, how)
-        return _run(rig, script, store, under_test, progress, used_seed, how, recorder)
+        with locked(run_lock(store.folder), "itself", progress.warn, "run"):
+            return _run(rig, script, store, under_test, progress, used_seed, how, recorder)
 
 
 def resume_run(folder: Path, progress: Progress, how: HowToRun | None = None) -> tuple[Path, Ending]:
@@ -85,13 +86,16 @@ def resume_run(folder: Path, progress: Progress, how: HowToRun | None = None) ->
     """
     how = how or HowToRun()
     rig, script = files_of(run := read_run(folder))
+    if rig.rig.cameras.url.startswith("recording:"):
+        raise ConfigError.plain(f"{folder} can't be resumed: its cameras play a recording, which would begin anew. Start a new run.")
     refuse_latched(rig)
     refuse_old_calibration(rig, script, wall_time().date())
     asked = run.facts[ASKED]
     names = tuple(asked["detectors"])
     under_test = make_detectors(names) if names else make_detectors(script.script.detectors, script.path.parent)
     how = replace(how, detectors=names, record=None, realtime=bool(asked["realtime"]))
-    with locked(lock_path(rig), str(folder.resolve()), progress.warn):
+    here = str(folder.resolve())
+    with locked(lock_path(rig), here, progress.warn), locked(run_lock(folder), here, lambda _: None, "run"):
         left = what_is_left(folder, [trial.id for trial in script.planned])
         store = open_store(left, rehearsed=in_virtual_time(rig, realtime=how.realtime))
         return _run(rig, script, store, under_test, progress, int(run.facts["seed"]), how, None, left)
@@ -137,7 +141,7 @@ def _run(
             start_s = left.last_s + BETWEEN_S if left else 0.0
             opened = open_rig(rig, seed=seed, realtime=how.realtime, capture=how.capture, screen=progress.aside, start_s=start_s)
             with opened as hookup:
-                refuse_other_cameras(rig.calibration, hookup.devices.cameras.identity)
+                refuse_other_cameras(rig.calibration.record, hookup.devices.cameras.identity)
                 bath, clock = hookup.devices.bath, hookup.devices.clock
                 charge = Charge(bath.url, rig.profile_source, bath.pump_url, rig.relay_source, rig.rig.bath.allow_inferred)
                 with guarded(charge, store.folder, clock) as (pulse, lifeline):

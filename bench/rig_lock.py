@@ -21,12 +21,17 @@ from bench.rig import LoadedRig
 from instruments.clock import wall_time
 from instruments.errors import LimitError
 
-ENDING = ".lock.json"
+ENDING, RUN_LOCK = ".lock.json", "bench.lock.json"
 AT = 4096  # the locked byte lies behind the text: Windows keeps others from reading what is locked
 
 
 class RigInUseError(LimitError):
     """Another bench has the rig."""
+
+
+def run_lock(folder: Path) -> Path:
+    """Where the lock of a run is, whatever its rig: nobody may go on with a run that is under way."""
+    return folder / RUN_LOCK
 
 
 def lock_path(rig: LoadedRig) -> Path | None:
@@ -35,7 +40,7 @@ def lock_path(rig: LoadedRig) -> Path | None:
 
 
 @contextmanager
-def locked(path: Path | None, what: str, tell: Callable[[str], None]) -> Iterator[None]:
+def locked(path: Path | None, what: str, tell: Callable[[str], None], who: str = "rig") -> Iterator[None]:
     """Hold the lock at ``path`` (None: there is none) for ``what``. ``tell`` hears where a dead bench's lock was taken over.
 
     Raises RigInUseError where another bench has it, ConfigError where the file can't be had at all.
@@ -46,14 +51,14 @@ def locked(path: Path | None, what: str, tell: Callable[[str], None]) -> Iterato
     try:
         file = path.open("r+b" if path.exists() else "w+b")
     except OSError as error:
-        raise ConfigError.plain(f"{path}: the rig can't be locked: {error.strerror or error}") from error
+        raise ConfigError.plain(f"{path}: the {who} can't be locked: {error.strerror or error}") from error
     with file:
         told = _told(file)
         if not _taken(file):
-            raise _in_use(path, told)
+            raise _in_use(path, told, who)
         if told:
             if told.get("host") != platform.node():  # its process can't be seen from here
-                raise _in_use(path, told)
+                raise _in_use(path, told, who)
             tell(f"the lock of a bench that died ({_who(told)}) was taken over")
         _write(file, {"host": platform.node(), "pid": os.getpid(), "since": wall_time().isoformat(timespec="seconds"), "run": what})
         try:
@@ -79,9 +84,9 @@ def _write(file: IO[bytes], told: dict[str, Any]) -> None:
     file.flush()
 
 
-def _in_use(path: Path, told: dict[str, Any]) -> RigInUseError:
+def _in_use(path: Path, told: dict[str, Any], who: str) -> RigInUseError:
     hint = f"Wait for it to end, or end it. Where you know that it is gone, delete {path}."
-    return RigInUseError("rig", f"another bench has it: {_who(told)}", hint=hint)
+    return RigInUseError(who, f"another bench has it: {_who(told)}", hint=hint)
 
 
 def _who(told: dict[str, Any]) -> str:

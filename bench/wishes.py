@@ -20,14 +20,6 @@ SHORT = {"p": PAUSE, "g": GO_ON, "go": GO_ON, "go-on": GO_ON, "s": SKIP, "r": RE
 HELP = "pause, go on, skip REASON, repeat REASON, abort"
 
 
-class RepeatWithReason(OperatorRepeat):
-    """The trial is wanted again, for the ``reason``."""
-
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
-        super().__init__(f"the trial is wanted again: {reason}")
-
-
 def read_wish(words: str) -> tuple[str, str]:
     """The wish and its reason. Raises ValueError for words that mean none, and for a skip or repeat without a reason."""
     text = " ".join(words.split())
@@ -78,7 +70,7 @@ class Wishes:
         if wish == SKIP:
             raise OperatorSkip(reason)
         if wish == REPEAT:
-            raise RepeatWithReason(reason)
+            raise OperatorRepeat(reason)
         if wish == ABORT:
             raise OperatorAbort("somebody told the run to end")
         self.paused = wish == PAUSE

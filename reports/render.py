@@ -88,13 +88,14 @@ class Press:
     def _fill(self, template: str, place: Place, **values: Any) -> str:
         shown = [image for trial in place.trials for image in trial.images]
         views = {view: f"v{number}" for number, view in enumerate(dict.fromkeys(_view(image) for image in shown))}
+        named: set[str] = set()
         style = self._style + "".join(_view_rule(name, view) for view, name in views.items())
         return self._environment.get_template(template).render(
             page=self._page,
             place=place,
             layers=layers(shown),
             view_name=lambda image: views[_view(image)],
-            row_id=lambda row: self._row_id(row, values["away"]),
+            row_id=lambda row: self._new_row_id(row, values["away"], named),
             link=lambda href: self._link(href, place, values["away"]),
             signs=_SIGNS,
             style=Markup(style),  # noqa: S704 our own file and numbers
@@ -102,6 +103,14 @@ class Press:
             policy=_policy(style, self._script),
             **values,
         )
+
+    def _new_row_id(self, row: _Row, away: set[str], named: set[str]) -> str:
+        """The same for the first of several rows of a trial only: an id stands for one thing."""
+        name = self._row_id(row, away)
+        if name in named:
+            return ""
+        named.add(name)
+        return name
 
     @staticmethod
     def _row_id(row: _Row, away: set[str]) -> str:

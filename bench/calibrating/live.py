@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -17,12 +18,18 @@ from bench.calibrating.guide import Grey, Guide
 from bench.config import ConfigError
 from bench.store import write_synced
 from detector.calibration.boards import DICTIONARIES, Board
-from instruments.operators.operator import BoardAsked, Operator, OperatorEnough
+from instruments.operators.operator import BoardAsked, OperatorEnough
 from instruments.world.boards import Pattern
 
 MOST_VIEWS = 60
 TOLD = 3  # of what is missing, in one instruction
 GUIDE = "guide.png"
+
+
+class BoardHolder(Protocol):
+    """Whoever holds the board."""
+
+    def hold_board(self, asked: BoardAsked) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +47,7 @@ class Wanted:
 
 
 def gather(
-    look: Callable[[], Mapping[str, Grey]], operator: Operator, board: Board, wanted: Wanted, folder: Path, tell: Callable[[str], None]
+    look: Callable[[], Mapping[str, Grey]], operator: BoardHolder, board: Board, wanted: Wanted, folder: Path, tell: Callable[[str], None]
 ) -> int:
     """Keep views in ``folder`` as CAMERA/NN.png; gives back how many. Raises OperatorAbort, ConfigError, and as ``look`` does."""
     guide = Guide(board, wanted.guided)
@@ -90,12 +97,12 @@ def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
 
 
 def _instruction(wanted: Wanted, missing: tuple[str, ...]) -> str:
-    who = " and ".join(wanted.cameras)
+    who = f"{' and '.join(wanted.cameras)} see{'s' if len(wanted.cameras) == 1 else ''}"
     board = "heated board" if wanted.heated else "board"
     if not missing:
-        return f"Hold the {board} still where {who} see all of it, another way each time: {wanted.most} views."
+        return f"Hold the {board} still where {who} all of it, another way each time: {wanted.most} views."
     more = f"; and {len(missing) - TOLD} more" if len(missing) > TOLD else ""
-    return f"Hold the {board} still where {who} see all of it. Missing: {'; '.join(missing[:TOLD])}{more}."
+    return f"Hold the {board} still where {who} all of it. Missing: {'; '.join(missing[:TOLD])}{more}."
 
 
 def _seen(look: Callable[[], Mapping[str, Grey]], cameras: tuple[str, ...]) -> dict[str, Grey]:

@@ -126,7 +126,7 @@ def _thermal(given: argparse.Namespace) -> int:
     cameras, identity = read_part(given.cameras), {}
     if given.rig:
         mirrored = frozenset({"thermal"} if delivered.mirrored else ())
-        gathered = gather_views(given, Wanted(("left", "thermal"), ("thermal",), heated=True, mirrored=mirrored))
+        gathered = gather_views(given, Wanted(("left", "thermal"), ("thermal",), heated=True, mirrored=mirrored), cameras.part)
         given.frames, identity = [gathered.folder], gathered.identity
     views, paths = views_of(given, "left", "thermal", mirrored=delivered.mirrored)
     plane = DEFAULT_PLANE_DEPTH_MM if given.plane is None else given.plane
@@ -150,7 +150,7 @@ def _world(given: argparse.Namespace) -> int:
     if given.rig:
         if not given.board:
             raise ConfigError.plain("--rig needs --board: what both cameras see and the arm touches")
-        given.points = gather_world(given).folder / POINTS_FILE
+        given.points = gather_world(given, cameras.part).folder / POINTS_FILE
     result = calibrate_world(read_points(given.points), cameras.part, pixel_sd_px=given.pixel_sd, touch_sd_mm=given.touch_sd)
     record = make_record(given, (given.points,), {}, {CAMERAS_INPUT: cameras.sha256})
     write_step(given, result.part(record), world_page(result, record, command_line()))

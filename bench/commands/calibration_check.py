@@ -51,7 +51,7 @@ def _board(given: argparse.Namespace, part: Part) -> int:
     if not given.board:
         raise ConfigError.plain("--board is needed: what is in the pictures")
     if given.rig:
-        given.frames = [gather_views(given, Wanted(guided=(), most=VIEWS)).folder]
+        given.frames = [gather_views(given, Wanted(guided=(), most=VIEWS), part).folder]
     views, paths = views_of(given, "left", "right")
     again, findings = check_pair(part, views)
     scale, sd = again.scale

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from bench.calibrating.live import Wanted
     from bench.hookup import Parts
     from bench.rig import LoadedRig
+    from detector.calibration import Part
 
 PEG = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
 
@@ -31,15 +32,18 @@ def add_rig_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, metavar="N", help="of the emulators' noise (default: the rig's)")
 
 
-def gather_views(given: argparse.Namespace, wanted: Wanted) -> Gathered:
-    """Views of ``given.board`` from the cameras of ``given.rig``. Raises ConfigError, InstrumentError, OperatorAbort."""
+def gather_views(given: argparse.Namespace, wanted: Wanted, known: Part | None = None) -> Gathered:
+    """Views of ``given.board`` from the cameras of ``given.rig``, which are those of ``known``.
+
+    Raises ConfigError, InstrumentError, OperatorAbort.
+    """
     from bench.calibrating.board_file import find_board_file, load_board
     from bench.calibrating.live import free_folder, gather
     from bench.camera_alone import patient, pictures
 
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)
-    with _opened(given, arm=False) as (parts, _):
+    with _opened(given, known, arm=False) as (parts, _):
         look = patient(lambda: pictures(parts.cameras.capture()))
         kept = gather(look, parts.operator, board, wanted, folder, _tell)
         parts.operator.finish()
@@ -48,8 +52,8 @@ def gather_views(given: argparse.Namespace, wanted: Wanted) -> Gathered:
     return Gathered(folder, identity)
 
 
-def gather_world(given: argparse.Namespace) -> Gathered:
-    """Points of ``given.board`` that the arm of ``given.rig`` touched and its cameras saw, as a table in the folder."""
+def gather_world(given: argparse.Namespace, known: Part) -> Gathered:
+    """Points of ``given.board`` that the arm of ``given.rig`` touched and its cameras, those of ``known``, saw: a table in the folder."""
     from bench.arm.tip import TipReader
     from bench.calibrating.board_file import find_board_file, load_board
     from bench.calibrating.live import free_folder
@@ -58,7 +62,7 @@ def gather_world(given: argparse.Namespace) -> Gathered:
 
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)
-    with _opened(given, arm=True) as (parts, rig):
+    with _opened(given, known, arm=True) as (parts, rig):
         arm = parts.arm
         if arm is None:
             raise ValueError("the arm was asked for, and is not open")
@@ -78,13 +82,15 @@ def gather_world(given: argparse.Namespace) -> Gathered:
 
 
 @contextmanager
-def _opened(given: argparse.Namespace, *, arm: bool) -> Iterator[tuple[Parts, LoadedRig]]:
+def _opened(given: argparse.Namespace, known: Part | None, *, arm: bool) -> Iterator[tuple[Parts, LoadedRig]]:
+    from bench.calibration_age import refuse_other_cameras
     from bench.hookup import open_parts
     from bench.rig import find_rig, load_rig
 
     rig = load_rig(find_rig(given.rig))
     seed = rig.rig.seed if given.seed is None else given.seed
     with open_parts(rig, seed=seed, arm=arm, capture=given.capture) as parts:
+        refuse_other_cameras(known.record if known else None, parts.cameras.identity)
         yield parts, rig
 
 

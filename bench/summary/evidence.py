@@ -13,6 +13,7 @@ from bench.summary import tables
 from reports.page import Cell, Code, Column, KeyValues, Notes, Part, Table
 
 CAMERA_FAULTS, RETRIES = "camera faults", "retries"
+MOST_EVENTS = 60  # at either end
 FILES = (
     (SCRIPT, "the trials and the rules, as used"), (RULES, "the rules, as used"), ("rig.toml", "the rig, as used"),
     ("calibration.toml", "the calibration, as used"),
@@ -48,7 +49,7 @@ def provenance_parts(run: RunRecord) -> Iterator[Part]:
     yield _files(run)
     yield _beside(run)
     yield Code("The command that repeats it", str(facts["command"]))
-    yield Notes("Events", tuple(_event(event) for event in run.events))
+    yield _events(run)
 
 
 def fault_parts(run: RunRecord) -> Iterator[Part]:
@@ -91,6 +92,14 @@ def _beside(run: RunRecord) -> KeyValues:
 
 def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _events(run: RunRecord) -> Notes:
+    """All of them, or of many the first and the last."""
+    told = [_event(event) for event in run.events]
+    if len(told) > 2 * MOST_EVENTS:
+        told[MOST_EVENTS:-MOST_EVENTS] = [f"… {len(told) - 2 * MOST_EVENTS} more, in run.sqlite …"]
+    return Notes("Events", tuple(told))
 
 
 def _event(event: Mapping[str, Any]) -> str:

@@ -25,7 +25,7 @@ from bench.summary.calibrated import limit_parts, record_parts
 from bench.summary.evidence import fault_parts, provenance_parts
 from bench.summary.poses import pose_parts
 from bench.summary.spread import spread_parts
-from bench.summary.trials import trial_id, trial_parts, trial_table, worst_trials
+from bench.summary.trials import first_looks, trial_id, trial_parts, trial_table, worst_trials
 from bench.summary.truth import deviation_parts, truth_parts
 from bench.summary.wording import headline, number
 from bench.verdicts import Judgement, judge, scored
@@ -107,7 +107,7 @@ def build_page(
         Section("deviations", "Deviations and exclusions", (*deviation_parts(run), *fault_parts(run))),
         Section("reference", "Measurand and reference", (*truth_parts(run), *arm_parts(run), *record_parts(run))),
         Section("provenance", "Provenance", tuple(provenance_parts(run))),
-        Section("trial-list", "Trials", (trial_table(run),)),
+        Section("trial-list", "Trials", _list_parts(run)),
     )
     return Page(
         title=str(facts["title"]),
@@ -118,6 +118,11 @@ def build_page(
         worst=worst_trials(run),
         footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),
     )
+
+
+def _list_parts(run: RunRecord) -> tuple[Part, ...]:
+    first = first_looks(run)
+    return (trial_table(run),) if first is None else (first, trial_table(run))
 
 
 def _left_out(run: RunRecord) -> str:

@@ -101,7 +101,7 @@ def _consistent(found: Sequence[_Found]) -> str:
         return ""
     return (
         f"Stated covariances, with the truth's: mean e' C⁻¹ e / 3 is {held.ratio:.2f} over {held.n} ends, where 1 is as stated and chance "
-        f"leaves {held.low:.2f} to {held.high:.2f}; above, the detector claims to be surer than it is."
+        f"leaves {held.low:.2f} to {held.high:.2f}; above, the detector claims to be surer than it is; below, it is too modest."
     )
 
 

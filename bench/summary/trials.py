@@ -16,10 +16,11 @@ from bench.summary.truth import trial_truth
 from bench.summary.wording import number
 from detector.calibration import Calibration
 from detector.protocol import Outcome
-from reports.page import Cell, Column, Table, Tone, TrialPart
+from reports.page import Cell, Column, KeyValues, Table, Tone, TrialPart
 
 AT_ONCE = 4  # trials: decoding and encoding pictures lets others work
 MOST_WORST = 60
+FIRST_LOOKS = 9
 
 
 def trial_id(trial: TrialRecord) -> str:
@@ -70,16 +71,29 @@ def trial_table(run: RunRecord) -> Table:
                     str(counts.false) if counts else "",
                     Cell(number(worst), sort=worst),
                     Cell(f"{seconds:.3f}", sort=seconds),
-                    _told(trial, score)[0],
+                    Cell(*_told(trial, score)),
                 )
             )
     return Table("All trials", columns, tuple(rows), searchable=True)
 
 
+def first_looks(run: RunRecord) -> KeyValues | None:
+    """Links to the trials that are worth the first look; None where none failed."""
+    by_anchor = {trial_id(trial): trial for trial in run.trials}
+    entries = [(by_anchor[anchor].id, anchor, _statuses(by_anchor[anchor])) for anchor in worst_trials(run)[:FIRST_LOOKS]]
+    if not entries:
+        return None
+    return KeyValues("Look at these first", tuple((name, Cell(*status, href=f"#{anchor}")) for name, anchor, status in entries))
+
+
+def _statuses(trial: TrialRecord) -> tuple[str, Tone]:
+    """What one says of the trial: its worst detector's status."""
+    statuses = [_told(trial, score) for score in trial.scores.values()] or [_told(trial, None)]
+    return next((status for status in statuses if status[1] == "bad"), statuses[0])
+
+
 def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path) -> TrialPart:
-    scores = list(trial.scores.values())
-    statuses = [_told(trial, score) for score in scores] or [_told(trial, None)]
-    status, tone = next((s for s in statuses if s[1] == "bad"), statuses[0])
+    status, tone = _statuses(trial)
     head = trial.head
     summary = (
         ("situation", str(head["situation"])),

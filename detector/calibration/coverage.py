@@ -66,7 +66,8 @@ class Coverage:
         return [f"hold the board nearer and farther: all views are {near:.0f} to {far:.0f} mm away"]
 
     def _count(self) -> list[str]:
-        return [f"{LEAST_VIEWS - self.views} more views"] if self.views < LEAST_VIEWS else []
+        more = LEAST_VIEWS - self.views
+        return [f"{more} more view{'s' if more > 1 else ''}"] if more > 0 else []
 
 
 def coverage(pixels_px: Sequence[Array], image_size: tuple[int, int], poses: Sequence[Motion] = ()) -> Coverage:

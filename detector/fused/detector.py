@@ -140,7 +140,10 @@ def _thermal(frames: Frames, calibration: Calibration) -> _Thermal:
         raise pictures.UnusableError(
             "the calibration has no lens and pose of the thermal camera, by which fused goes from thermal to optical"
         )
-    return _Thermal(warm, camera.lens, motion, camera.image_size[0] / camera.sensor_size[0], float(np.percentile(warm, _COLD_PERCENT)))
+    across, down = (delivered / sensor for delivered, sensor in zip(camera.image_size, camera.sensor_size, strict=True))
+    if abs(across - down) > 0.01 * across:
+        raise pictures.UnusableError(f"the thermal picture is stretched: {across:g} pixels a sensor pixel across, {down:g} down")
+    return _Thermal(warm, camera.lens, motion, across, float(np.percentile(warm, _COLD_PERCENT)))
 
 
 def _start(

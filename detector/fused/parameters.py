@@ -34,7 +34,7 @@ class Parameters:
     greatest_thermal_px: float = 1.2  # how far the thermal outline may lie off, sensor pixels
     good_misfit_px: float = 0.15
     greatest_misfit_px: float = 0.35
-    greatest_sd_mm: float = 2.5  # of an end, along the axis where it is the least sure
+    greatest_sd_mm: float = 3.5  # of an end, along the axis where it is the least sure
     least_warmth: float = 0.78  # of the way from the surroundings' temperature to the warmest teat's
     overlap: float = 0.85  # two teats' axes are never closer than this share of the sum of their radii
     stretch_bias: float = 1.0  # what a short stretch of an outline has in common (paint, shadow, blur), in floors of its picture

@@ -149,7 +149,7 @@ def _scores(teats: Array, each: Map, shifts: Field, swell: float, *, end: bool) 
     foot = teats[:, :3] + 20.0 * np.column_stack([teats[:, LEAN_X], np.ones(len(teats)), np.zeros(len(teats))])
     points = motion.apply(np.concatenate([teats[:, :3], foot]))
     pixels = camera.project(points)
-    seen = np.isfinite(pixels).all(axis=1).reshape(2, -1).all(axis=0)[:, None]
+    seen = np.isfinite(pixels[: len(teats)] + pixels[len(teats) :]).all(axis=1, keepdims=True)
     middle = np.where(seen, pixels[: len(teats)], -1e4)  # nowhere, and so without a score
     down = np.where(seen, pixels[len(teats) :] - pixels[: len(teats)], [0.0, 1.0])
     down /= np.linalg.norm(down, axis=1, keepdims=True)

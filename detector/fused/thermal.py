@@ -97,9 +97,9 @@ def bars(temperature: Field, ends: Nominations, most: int) -> Nominations:
 
 
 def unexplained(temperature: Field, ends: Nominations, feet_px: Array, tips_px: Array) -> int:
-    """How many of the ends beyond doubt are on none of the bars from ``tips_px`` (k, 2) to ``feet_px`` (k, 2): teats that nobody located."""
-    middles, leans = 0.5 * (tips_px + feet_px), (tips_px[:, 0] - feet_px[:, 0]) / (tips_px[:, 1] - feet_px[:, 1])
-    bars_seen = list(zip(middles, leans.tolist(), strict=True))
+    """How many of the ends beyond doubt are on none of the bars from ``tips_px`` (k, 2) to ``feet_px`` (k, 2): teats not located."""
+    way = tips_px - feet_px
+    bars_seen = list(zip(0.5 * (tips_px + feet_px), (way[:, 0] / way[:, 1]).tolist(), strict=True))
     low, high = np.percentile(temperature, [20, 99])
     count = 0
     for i in np.flatnonzero(ends.score > _SURE_END):

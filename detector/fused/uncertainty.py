@@ -13,9 +13,10 @@ from detector.calibration import Calibration
 from detector.fused.fit import apex_jacobian, normal_equations
 from detector.fused.model import axes
 from detector.fused.parameters import Parameters
-from detector.fused.refine import Fitted
+from detector.fused.refine import FINE_OUTLINE, Fitted
 from detector.geometry import Array
 
+_NEAR_PX = 0.3
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
@@ -31,10 +32,17 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     m, k = weight.shape
     common = gain.reshape(m, gain.shape[1], k // _STRETCH, _STRETCH).sum(axis=3)
     shift = fitted.seen.floor_px.reshape(m, -1, _STRETCH)[:, :, 0] * p.stretch_bias
-    shared = np.einsum("mis,ms,mjs->mij", common, shift**2, common)
+    shared = np.einsum("mis,ms,mjs->mij", common, (shift / _support(fitted)[:, None]) ** 2, common)
     to_end, axis = apex_jacobian(fitted.teats), axes(fitted.teats)
     shape = p.end_shape_sd_mm**2 * np.einsum("mi,mj->mij", axis, axis)
     return np.asarray(to_end @ (noise + shared) @ to_end.transpose(0, 2, 1) + shape)
+
+
+def _support(fitted: Fitted) -> Array:
+    """The share (m,) of the optical outlines that shows an edge where it should be: where a part doesn't, the rest is the more doubtful."""
+    k = 2 * len(FINE_OUTLINE.part)
+    near = np.abs(np.nan_to_num(fitted.seen.offset_px[:, :k], nan=9.0)) < _NEAR_PX
+    return np.asarray(np.maximum((near & (fitted.weight[:, :k] > 0)).mean(axis=1), 0.2))
 
 
 def _scatter(fitted: Fitted) -> Array:

@@ -28,7 +28,14 @@ class OperatorSkip(Exception):  # noqa: N818 - a wish, not a fault
 
 
 class OperatorRepeat(Exception):  # noqa: N818 - a wish, not a fault
-    """Something went wrong in this trial: it is to be done again from its set-up. Raised by ``set_up`` and ``touch`` only."""
+    """Something went wrong in this trial: it is to be done again from its set-up. Raised by ``set_up`` and ``touch`` only.
+
+    ``reason`` is empty where none was given.
+    """
+
+    def __init__(self, reason: str = "") -> None:
+        self.reason = reason
+        super().__init__(f"the operator wants the trial again{f': {reason}' if reason else ''}")
 
 
 class OperatorEnough(Exception):  # noqa: N818 - a wish, not a fault

@@ -60,8 +60,8 @@ def understood(answer: str, prompt: Prompt) -> frozenset[int]:
     first = words[0] if words else ""
     if first in ABORT and len(words) == 1:
         raise OperatorAbort("the operator aborted the run")
-    if prompt.in_trial and first in REPEAT and len(words) == 1:
-        raise OperatorRepeat("the operator wants the trial again")
+    if prompt.in_trial and first in REPEAT:
+        raise OperatorRepeat(" ".join(answer.split()[1:]))
     if prompt.enough and first in ENOUGH and len(words) == 1:
         raise OperatorEnough("the operator has shown enough")
     if prompt.in_trial and first in SKIP:

@@ -8,7 +8,7 @@ Knows nothing of what is plotted.
 import io
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 from matplotlib import style
@@ -109,12 +109,13 @@ def _for_a_page(svg: str, name: str) -> str:
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<(style|metadata)\b.*?</\1>", "", body, flags=re.DOTALL)
     wanted = set(re.findall(r'(?:url\(|xlink:href=")#([^")]+)', body))
-    defined = wanted.intersection(re.findall(r'\bid="([^"]*)"', body))
+    known = dict.fromkeys(found for found in re.findall(r'\bid="([^"]*)"', body) if found in wanted)
+    defined = {known_id: f"{name}-{number}" for number, known_id in enumerate(known, 1)}  # short: every point of a cloud names one
     body = _TAG.sub(lambda tag: _rewritten(tag, name, defined), body)
     return re.sub(r">\s+<", "><", body.strip())
 
 
-def _rewritten(tag: re.Match[str], name: str, defined: set[str]) -> str:
+def _rewritten(tag: re.Match[str], name: str, defined: Mapping[str, str]) -> str:
     closing, element, rest, empty = tag.groups()
     if closing:
         return tag.group(0)
@@ -126,7 +127,7 @@ def _rewritten(tag: re.Match[str], name: str, defined: set[str]) -> str:
     if element == "a":
         attributes = {"href": attributes["href"], "tabindex": "-1"}
     kept = {key: value for key, value in _with_classes(attributes).items() if _kept(key, value, defined)}
-    text = "".join(f' {key}="{_value(key, value, name, defined)}"' for key, value in kept.items())
+    text = "".join(f' {key}="{_value(key, value, defined)}"' for key, value in kept.items())
     name_of_link = f"<title>{attributes['href'].removeprefix('#')}</title>" if element == "a" else ""
     return f"<{element}{text}{empty}>{name_of_link}"
 
@@ -143,14 +144,14 @@ def _with_classes(attributes: dict[str, str]) -> dict[str, str]:
     return {"class": " ".join(classes), **attributes} if classes else attributes
 
 
-def _kept(key: str, value: str, defined: set[str]) -> bool:
+def _kept(key: str, value: str, defined: Mapping[str, str]) -> bool:
     return not (key == "id" and value not in defined) and not (key == "transform" and value.startswith("rotate(-0 ")) and key != "target"
 
 
-def _value(key: str, value: str, name: str, defined: set[str]) -> str:
+def _value(key: str, value: str, defined: Mapping[str, str]) -> str:
     if key == "id":
-        return f"{name}-{value}"
+        return defined[value]
     if key in {"href", "clip-path"}:
         target = value.removeprefix("url(").removesuffix(")").removeprefix("#")
-        return value.replace(f"#{target}", f"#{name}-{target}") if target in defined else value
+        return value.replace(f"#{target}", f"#{defined[target]}") if target in defined else value
     return _LONG_NUMBER.sub(lambda number: f"{float(number.group(0)):.2f}", " ".join(value.split()))

@@ -101,7 +101,7 @@ def per_axis_errors(
     def plot(figure: Figure) -> None:
         panels = figure.subplots(1, 3, sharex=True, sharey=True)
         reach = 1.1 * max(limit_mm, *(float(np.abs(array).max()) for array in arrays if array.size))
-        each = max(20, MOST_POINTS // len(arrays))
+        each = max(20, MOST_POINTS // (len(arrays) + 1))
         every = all(len(array) <= each for array in arrays)
         for axis, panel in enumerate(panels):
             panel.axvline(0, color=COLOURS["muted"], linewidth=0.6)

@@ -30,9 +30,11 @@ def error_map(
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot(aspect="equal")
-        area = np.clip(_MARK * errors / limit_mm, _LEAST, _MOST)
+        area = np.round(np.sqrt(np.clip(_MARK * errors / limit_mm, _LEAST, _MOST))) ** 2
         for within, role in ((errors <= limit_mm, "good"), (errors > limit_mm, "limit")):
-            axes.scatter(x[within], y[within], s=area[within], color=COLOURS[role], alpha=0.75, linewidths=0)
+            for size in np.unique(area[within]):  # one size at a time: the discs of a size share their outline in the file
+                alike = within & (area == size)
+                axes.scatter(x[alike], y[alike], s=size, color=COLOURS[role], alpha=0.75, linewidths=0)
         axes.scatter(missed_x, missed_y, s=22, marker="v", color=COLOURS["muted"], linewidths=0)
         axes.set(xlabel="x (mm)", ylabel="y (mm), away from the cameras")
         axes.margins(0.06)

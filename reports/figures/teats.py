@@ -3,14 +3,16 @@
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib import cbook
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from reports.figures.arrays import finite, together
-from reports.figures.drawing import COLOURS, HALF_INCHES, WIDE_INCHES, LegendEntry, draw, legend, not_measured, plain
+from reports.figures.drawing import COLOURS, HALF_INCHES, LegendEntry, draw, legend, not_measured, plain
 from reports.figures.thinning import telling
 
 _HIGH = 3.6
+_MOST_BEYOND = 60  # points beyond the whiskers of a box
 
 
 def teat_boxes(teats: Sequence[str], errors_mm: Sequence[ArrayLike], limit_mm: float, *, name: str = "teat-boxes") -> str:
@@ -25,8 +27,11 @@ def teat_boxes(teats: Sequence[str], errors_mm: Sequence[ArrayLike], limit_mm: f
         axes = figure.add_subplot()
         places = [k for k, array in enumerate(arrays) if array.size]
         line = {"color": COLOURS["ours"], "linewidth": 1.1}
-        axes.boxplot(
-            [arrays[k] for k in places], positions=places, widths=0.5, patch_artist=True,
+        boxes = [cbook.boxplot_stats(arrays[k])[0] for k in places]
+        for box in boxes:
+            box["fliers"] = box["fliers"][telling(box["fliers"], _MOST_BEYOND)]
+        axes.bxp(
+            boxes, positions=places, widths=0.5, patch_artist=True,
             boxprops={"facecolor": COLOURS["span"], "edgecolor": COLOURS["ours"], "linewidth": 1.1}, whiskerprops=line, capprops=line,
             medianprops={"color": COLOURS["ink"], "linewidth": 1.6},
             flierprops={"marker": "o", "markersize": 3, "markerfacecolor": COLOURS["ours"], "markeredgewidth": 0},
@@ -49,7 +54,7 @@ def error_drift(
     if links is not None and len(links) != time.size:
         raise ValueError(f"error_drift: {len(links)} links for {time.size} points; give one a point")
     if not time.size:
-        return not_measured(name, (WIDE_INCHES, 3.0), "no teat end was paired with a truth")
+        return not_measured(name, (HALF_INCHES, _HIGH), "no teat end was paired with a truth")
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
@@ -62,9 +67,9 @@ def error_drift(
             slope, level = np.polyfit(time - time.mean(), errors, 1)
             ends = np.array([time.min(), time.max()])
             axes.plot(ends, level + slope * (ends - time.mean()), color=COLOURS["ink"], linewidth=1.4)
-            entries.append((f"line of least squares, {slope * 60:+.3f} mm an hour", "ink", "-"))
+            entries.append((f"least squares: {slope * np.ptp(time):+.2f} mm over the run", "ink", "-"))
         axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
         axes.set(ylim=(0, 1.1 * max(limit_mm, float(errors.max()))), xlabel="time of the capture (min)", ylabel="distance (mm)")
         legend(figure, [*entries, (f"limit {limit_mm:g} mm", "limit", "-")])
 
-    return draw(name, (WIDE_INCHES, 3.0), plot)
+    return draw(name, (HALF_INCHES, _HIGH), plot)

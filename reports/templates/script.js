@@ -25,11 +25,12 @@
     trial.focus({ preventScroll: true });
   };
   // Files of their own: the neighbours are those that the list's filter and order left, as it told this window last.
+  const shown = () => all("table[data-searchable] tbody tr").filter((row) => !row.hidden && row.querySelector("a[href^='trials/']"));
   const told = () => {
     try { return JSON.parse(sessionStorage.getItem("teatbench trials")) ?? []; } catch { return []; }
   };
   const tell = () => {
-    const names = all("table[data-searchable] tbody tr[id]").filter((row) => !row.hidden).map((row) => row.id);
+    const names = [...new Set(shown().map((row) => row.querySelector("a").getAttribute("href").slice(7, -5)))];
     try { sessionStorage.setItem("teatbench trials", JSON.stringify(names)); } catch { /* a browser may forbid it: the page's own order then holds */ }
   };
   const leave = (by) => {
@@ -39,7 +40,7 @@
     else if (at < 0) document.querySelector(by > 0 ? "a[rel=next]" : "a[rel=prev]")?.click();
   };
   const walk = (by) => {
-    const rows = all("table[data-searchable] tbody tr[id]").filter((row) => !row.hidden);
+    const rows = shown();
     if (!rows.length) return;
     const next = rows[Math.min(Math.max(rows.indexOf(here) + by, 0), rows.length - 1)];
     mark(next);
@@ -147,7 +148,7 @@
     tell();
     location.href = row.querySelector("a").href;
   }));
-  listed.forEach((row) => row.addEventListener("click", tell));
+  if (listed.length) document.querySelector("main").addEventListener("click", (event) => { if (event.target.closest("a[href^='trials/']")) tell(); });
 
   // A frame over the whole width, and back.
   all(".frame").forEach((frame) => {

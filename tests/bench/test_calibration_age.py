@@ -80,17 +80,17 @@ SEEN = {"left": "Basler acA1300-60gm, serial 21876543", "right": "Basler acA1300
 
 class TestCameras:
     def test_a_serial_number_is_enough(self) -> None:
-        refuse_other_cameras(made("2026-11-01", left="21876543", right="21876544"), SEEN)
+        refuse_other_cameras(made("2026-11-01", left="21876543", right="21876544").record, SEEN)
 
     def test_without_a_record_nobody_knows(self) -> None:
-        refuse_other_cameras(load_calibration(RIGS / "calibration.toml"), SEEN)
+        refuse_other_cameras(load_calibration(RIGS / "calibration.toml").record, SEEN)
 
     def test_a_camera_that_is_not_there_is_not_asked(self) -> None:
-        refuse_other_cameras(made("2026-11-01", thermal="FLIR 7"), SEEN)
+        refuse_other_cameras(made("2026-11-01", thermal="FLIR 7").record, SEEN)
 
     def test_cables_that_were_swapped(self) -> None:
         with pytest.raises(LimitError, match=r"made for the left camera '21876544', but the one that answers is 'Basler .*543'"):
-            refuse_other_cameras(made("2026-11-01", left="21876544", right="21876543"), SEEN)
+            refuse_other_cameras(made("2026-11-01", left="21876544", right="21876543").record, SEEN)
 
     def test_in_a_run_it_is_an_instruments_fault(self, tmp_path: Path, short_script: Path, capsys: pytest.CaptureFixture[str]) -> None:
         text = dump_calibration(made("2026-11-01", left="emulated 640 x 480"))

@@ -58,7 +58,7 @@ def test_a_deep_link_opens_its_trial(report: Path) -> None:
 def test_links_of_the_trial_list_lead_to_the_trials(report: Path) -> None:
     with browser_page() as seen:
         page = seen.open(report)
-        links = page.locator("#trial-list a[href^='#trial-']")
+        links = page.locator("#trial-list tbody a[href^='#trial-']")
         assert links.count() == 6
         links.nth(2).click()
         assert page.url.endswith("#trial-003")

@@ -43,8 +43,7 @@ POINTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "1 verdict, reason, next action": ("verdict", ("Not met", "thesis: Error below 5 mm", "What to do next", "How sure that is")),
     "2 item and bench": (
         "provenance",
-        ("Item under test: thesis", "Item under test: fused", "configuration SHA-256", "version, teatbench", "bench's commit", "seed")
-        + ("version, machine", "started"),
+        ("Item under test: thesis", "Item under test: fused", "configuration SHA-256", "version, machine", "bench's commit", "seed"),
     ),
     "3 measurand and source": ("reference", ("Measurand:", "apex")),
     "3 the requirement's source": ("requirements", ("thesis, section 1.4.3",)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -14,11 +15,13 @@ from bench.config import ConfigError
 from bench.engine import Ending
 from bench.record import read_run
 from bench.resuming import what_is_left
+from bench.rig_lock import locked, run_lock
 from bench.run_state import EVENT
 from bench.script import load_script
 from bench.trial_run import TrialRun
 from tests.bench.killed_runs import Silent, killed_at, killed_while, only_run, results, resume, start, steps_of
 from tests.bench.operated_runs import CHECK_POINT, STAGE, files
+from tests.conftest import ROOT
 
 if sys.platform == "win32":
     pytest.skip("forks benches, and kills them", allow_module_level=True)
@@ -45,6 +48,20 @@ def test_killed_at_random_moments_and_resumed_equals_undisturbed(undisturbed: tu
             continue  # before there was a run at all
         assert resume(folder, out)[1] is Ending.FINISHED, step
         assert results(only_run(folder, out)) == wanted, f"killed at step {step} of {steps}"
+
+
+def test_two_runs_with_one_seed_are_the_same_but_for_real_time(undisturbed: tuple[Path, int]) -> None:
+    folder, _ = undisturbed
+    start(folder, "twin")
+    one, other = (read_run(only_run(folder, out)) for out in ("whole", "twin"))
+    assert results(one.folder) == results(other.folder)
+    assert [(e["t_s"], e["kind"], e["text"]) for e in one.events] == [(e["t_s"], e["kind"], e["text"]) for e in other.events]
+    for trial in one.trials:
+        for frame in trial.frames:
+            assert (one.folder / frame["path"]).read_bytes() == (other.folder / frame["path"]).read_bytes()
+    assert one.head is not None
+    assert other.head is not None
+    assert one.head.digest == other.head.digest, "the chain without real time"
 
 
 def test_killed_twice_on_its_way_and_once_while_it_catches_up(undisturbed: tuple[Path, int]) -> None:
@@ -80,6 +97,19 @@ def test_nothing_is_left_of_a_finished_run(undisturbed: tuple[Path, int], capsys
     folder, _ = undisturbed
     assert main(["resume", str(only_run(folder, "whole"))]) == 2
     assert "is finished: nothing is left to do" in capsys.readouterr().err
+
+
+def test_a_run_that_is_under_way_is_left_alone(undisturbed: tuple[Path, int], capsys: pytest.CaptureFixture[str]) -> None:
+    folder, _ = undisturbed
+    assert killed_at(200, lambda: start(folder, "busy"))
+    run = only_run(folder, "busy")
+    before = read_run(run)
+    with locked(run_lock(run), "somebody", print):
+        command = [sys.executable, "-m", "bench.cli", "resume", str(run)]
+        said = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=60, check=False)
+    assert said.returncode == 3
+    assert "run: another bench has it" in said.stderr
+    assert read_run(run).facts == before.facts
 
 
 def test_a_rig_or_script_that_has_changed_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -38,6 +38,7 @@ class Tally:
     visible: int = 0
     found: int = 0
     false: int = 0
+    imagined: int = 0  # teats said to be hidden that aren't there
     errors_mm: list[float] = field(default_factory=list)
     normalised: list[float] = field(default_factory=list)
 
@@ -64,7 +65,9 @@ def tallies(shared: Path) -> dict[str, Tally]:
     found: dict[str, Tally] = defaultdict(Tally)
     for frame, rows in truth.items():
         answer = FusedDetector().detect(read(folder / "frames" / frame), calibration)
-        count(found[rows[0]["situation"]], rows, [(t.world_mm, t.covariance_mm2) for t in answer.teats])
+        tally = found[rows[0]["situation"]]
+        count(tally, rows, [(t.world_mm, t.covariance_mm2) for t in answer.teats])
+        tally.imagined += max(0, answer.hidden - sum(row["visible"] == "0" for row in rows))
     return dict(found)
 
 
@@ -91,6 +94,7 @@ def count(tally: Tally, rows: list[dict[str, str]], answers: list[tuple[Array, A
 def test_every_visible_teat_is_found_and_nothing_else(tallies: dict[str, Tally]) -> None:
     assert len(tallies) == 11
     assert {name: (t.found, t.visible, t.false) for name, t in tallies.items() if t.found < t.visible or t.false} == {}
+    assert {name: t.imagined for name, t in tallies.items() if t.imagined} == {}
 
 
 LIMITS = {"overlapping": (1.0, 3.5), "cooler_bodies": (1.0, 3.0), "low_contrast": (1.1, 3.5), "hot_body_at_ends": (0.7, 2.0)}
