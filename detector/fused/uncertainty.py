@@ -1,8 +1,8 @@
 """How sure a fitted teat end is: covariances from the edges that were found, and from what edges can't say of themselves.
 
 Strategy: first order (JCGM 102:2011). Four things move an end: the noise of each edge; what neighbouring edges have in common (paint, a
-shadow, a neighbour's limb), as one unknown shift for each short stretch of outline; how far an end's shape is from half an ellipsoid's,
-along the axis; and the calibration. The module may not know temperatures.
+shadow, a neighbour's limb), as one unknown shift for each short stretch of outline, the larger the less of the outline is seen; how far
+an end's shape is from half an ellipsoid's, along the axis; and the calibration. The module may not know temperatures.
 """
 
 from __future__ import annotations

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from bench.cli import main
-from tests.chromium import browser_page
+from tests.axe import violations
+from tests.chromium import Scheme, browser_page
 
 pytestmark = pytest.mark.browser
 
@@ -69,3 +70,19 @@ def test_it_fits_a_telephone_and_the_dark(report: Path) -> None:
         page = seen.open(report)
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         assert seen.complaints == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_in_it(report: Path, scheme: Scheme) -> None:
+    with browser_page(scheme=scheme) as seen:
+        assert violations(seen.open(report)) == []
+
+
+def test_the_worst_trials_are_linked_before_the_list(report: Path) -> None:
+    with browser_page() as seen:
+        page = seen.open(report)
+        first = page.locator("#trial-list .entries a").first
+        anchor = str(first.get_attribute("href"))
+        first.click()
+        assert page.url.endswith(anchor)
+        assert "missed" in page.locator(anchor).inner_text()

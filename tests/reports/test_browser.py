@@ -182,3 +182,14 @@ def test_prints_in_light_colours_without_the_controls(seen: Seen) -> None:
     expect(seen.page.locator("#layers")).to_be_hidden()
     assert seen.page.evaluate("() => getComputedStyle(document.body).color") == "rgb(27, 39, 51)"
     assert seen.page.pdf().startswith(b"%PDF-")
+
+
+def test_a_frame_is_enlarged_and_back(seen: Seen) -> None:
+    frame = seen.page.locator("#trial-001 .frame").first
+    small = frame.locator("img").evaluate("image => image.getBoundingClientRect().width")
+    frame.get_by_role("button", name="Enlarge Left camera").click()
+    large = frame.locator("img").evaluate("image => image.getBoundingClientRect().width")
+    assert large > 2.5 * small
+    expect(frame.get_by_role("button")).to_have_attribute("aria-pressed", "true")
+    frame.get_by_role("button").click()
+    assert frame.locator("img").evaluate("image => image.getBoundingClientRect().width") == pytest.approx(small)
