@@ -187,11 +187,11 @@ def test_a_wrong_file_gives_2_and_a_sentence(
     assert threading.active_count() == threads
 
 
-WITHOUT_A_LINK = {"report", "score", "compare", "plan", "detect", "rigs", "trials", "detectors", "emulate", "replay-wire"}
+WITHOUT_A_LINK = {"tell", "report", "score", "compare", "plan", "detect", "rigs", "trials", "detectors", "emulate", "replay-wire"}
 WITHOUT_A_LINK |= {f"camera {name}" for name in ("list", "show", "focus", "grab")}
-WITHOUT_A_LINK |= {f"scene {name}" for name in ("sheet", "record", "boards")}
+WITHOUT_A_LINK |= {f"scene {name}" for name in ("sheet", "record", "boards", "sensitivity")}
 WITHOUT_A_LINK |= {f"store {name}" for name in ("check", "export")}
-WITHOUT_A_LINK |= {f"calibrate {name}" for name in ("cameras", "thermal", "world", "merge", "check", "board", "export", "import")}
+WITHOUT_A_LINK |= {f"calibrate {name}" for name in ("merge", "board", "export", "import")}
 
 
 def commands_of(one: argparse.ArgumentParser, name: str = "") -> Iterator[tuple[str, argparse.ArgumentParser]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from time import perf_counter
 from typing import Any
 
@@ -54,12 +55,8 @@ def test_overhead_of_a_trial_without_frames(benchmark: Any, tmp_path: Path, monk
     rig, loaded = load_rig(tmp_path / "rig.toml"), load_script(tmp_path / "script.toml")
     benchmark.pedantic(lambda: run_script(rig, loaded, tmp_path / "runs", Quiet()), rounds=1)
     assert len(began) == TRIALS
-    each_ms = sorted(1e3 * (b - a) for a, b in pairwise(began))
-    figure(benchmark, "ms of the engine for a trial without frames, median", each_ms[len(each_ms) // 2], "at most 2")
-    third, began = TRIALS // 3, began[5:]  # the first waited for the bath
-    ratio = each_ms_of(began[-third:]) / each_ms_of(began[:third])
-    figure(benchmark, "the same, mean of the last third over that of the first", ratio, "1")
-
-
-def each_ms_of(began: list[float]) -> float:
-    return 1e3 * (began[-1] - began[0]) / (len(began) - 1)
+    in_order = [1e3 * (b - a) for a, b in pairwise(began)]
+    figure(benchmark, "ms of the engine for a trial without frames, median", median(in_order), "at most 2")
+    third = TRIALS // 3
+    ratio = median(in_order[-third:]) / median(in_order[:third])
+    figure(benchmark, "the same, median of the last third over that of the first", ratio, "1")

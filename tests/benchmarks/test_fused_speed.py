@@ -1,0 +1,63 @@
+"""The bench's own detector beside the thesis's on the same frame sets, one core: printed, not asserted."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from bench.rig import find_rig, load_rig
+from bench.scene_recording import record
+from detector import registry
+from detector.calibration import Calibration
+from instruments.camera.frame import FrameSet
+from instruments.camera.recording import Recording
+from tests.benchmarks.figures import figure
+
+FAMILIES = ("ideal", "overlapping", "hot_body_at_ends", "low_contrast")
+SEEDS = 4
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory: pytest.TempPathFactory) -> list[FrameSet]:
+    folder = tmp_path_factory.mktemp("recording")
+    list(record(load_rig(find_rig(None)), FAMILIES, range(SEEDS), folder, 1))
+    recording = Recording(folder)
+    return [recording.load(frame) for frame in recording.frames]
+
+
+@pytest.fixture
+def one_core() -> Iterator[None]:
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    yield
+    cv2.setNumThreads(threads)
+
+
+@pytest.mark.usefixtures("one_core")
+@pytest.mark.parametrize("name", ["fused", "thesis"])
+def test_detectors_on_sixteen_frame_sets(benchmark: BenchmarkFixture, name: str, frames: list[FrameSet]) -> None:
+    detector, calibration = registry.create(name), calibration_of_rig()
+    detector.detect(frames[0], calibration)  # the first call loads code and fills caches
+    times_ms: list[float] = []
+
+    def all_frames() -> None:
+        for one in frames:
+            start = time.process_time()
+            detector.detect(one, calibration)
+            times_ms.append(1000.0 * (time.process_time() - start))
+
+    benchmark.pedantic(all_frames, rounds=3, iterations=1)
+    figure(benchmark, f"{name}: median of processor time, ms a frame set", float(np.median(times_ms)), "at most 60")
+    figure(benchmark, f"{name}: 99th percentile, ms", float(np.percentile(times_ms, 99)), "at most 120")
+
+
+def calibration_of_rig() -> Calibration:
+    rig = load_rig(find_rig(None))
+    assert Path(rig.calibration_path).is_file()
+    return rig.calibration
