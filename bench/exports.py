@@ -43,9 +43,18 @@ def trials_csv(run: RunRecord) -> str:
             tail = [score.gospa_mm if score else "", int(score.success) if score else ""]
             writer.writerow(
                 [
-                    *head, *counts, *hidden, *errors, *tail, detection["wall_seconds"], detection["cold"], detection["outcome"],
-                    detection["reason"] or "", trial.head["bath_c"],
-                    trial.how or "", trial.invalid or "",
+                    *head,
+                    *counts,
+                    *hidden,
+                    *errors,
+                    *tail,
+                    detection["wall_seconds"],
+                    detection["cold"],
+                    detection["outcome"],
+                    detection["reason"] or "",
+                    trial.head["bath_c"],
+                    trial.how or "",
+                    trial.invalid or "",
                 ]
             )
     return text.getvalue()

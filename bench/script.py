@@ -112,13 +112,7 @@ class CalibrationTable(Section):
 
 
 Requirement = Annotated[
-    ErrorRequirement
-    | TimeRequirement
-    | SuccessRequirement
-    | FalseRequirement
-    | BathRequirement
-    | ArmRequirement
-    | CalibrationRequirement,
+    ErrorRequirement | TimeRequirement | SuccessRequirement | FalseRequirement | BathRequirement | ArmRequirement | CalibrationRequirement,
     Field(discriminator="kind"),
 ]
 
