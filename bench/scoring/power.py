@@ -17,6 +17,8 @@ from scipy.stats import binom
 from bench.scoring.points import Floats
 from bench.scoring.rates import Rate, trials_needed, zero_failure_n
 
+RARE = 1e-100  # a share so small is none: scipy's distributions overflow there
+
 
 def failures_allowed(trials: int, rate: float, confidence: float = 0.95) -> int | None:
     """The most failures in `trials` poses that still show `rate`; None where not even all successes do."""
@@ -53,10 +55,10 @@ def mcnemar_power(trials: int, lost: float, won: float, alpha: float = 0.05) -> 
     """
     if min(lost, won) < 0.0 or lost + won > 1.0:
         raise ValueError(f"shares of discordant scenes: {lost} and {won} must not be negative, nor more than 1 together")
+    if lost + won < RARE:
+        return 0.0
     discordant = np.arange(trials + 1)
     chance = binom.pmf(discordant, trials, lost + won)
-    if lost + won == 0.0:
-        return 0.0
     critical = _critical(discordant, alpha)
     share = lost / (lost + won)
     significant = np.where(critical >= 0, bdtr(critical, discordant, share) + bdtrc(discordant - critical - 1, discordant, share), 0.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
 from statsmodels.stats.power import TTestPower  # type: ignore[import-untyped]
@@ -44,8 +44,16 @@ def test_the_chance_to_show_a_rate() -> None:
     assert power_of_rate(58, 0.999, 0.95) == 0.0
 
 
+def test_a_share_too_small_for_any_computer_is_none() -> None:
+    assert mcnemar_power(2, 0.0, 1.1125369292536007e-308) == 0.0
+
+
+SHARES = st.floats(0, 0.5).map(lambda share: share if share > 1e-12 else 0.0)
+
+
 @settings(max_examples=30, deadline=None)
-@given(st.integers(1, 25), st.floats(0, 0.5), st.floats(0, 0.5))
+@given(st.integers(1, 25), SHARES, SHARES)
+@example(2, 0.0, 0.0)
 def test_the_power_of_mcnemar_by_counting_every_outcome(n: int, lost: float, won: float) -> None:
     total = 0.0
     for b in range(n + 1):
