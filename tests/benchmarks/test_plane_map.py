@@ -22,8 +22,7 @@ from tests.benchmarks.figures import figure
 SPENT = {
     "rendering": ("scene.py", "render"),
     "checking the frames": ("frame_checks.py", "notice"),
-    "encoding the pictures": ("store.py", "png_bytes"),
-    "detecting": ("examine.py", "examine"),
+    "detecting": ("examine.py", "ask"),
 }
 
 

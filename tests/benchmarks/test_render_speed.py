@@ -20,13 +20,15 @@ from instruments.world.phantom import PlatePose
 from instruments.world.scene import Renderer
 from instruments.world.situations import SITUATIONS as FAMILIES
 from instruments.world.situations import situation as member
-from tests.benchmarks.figures import figure
+from tests.benchmarks.figures import PEAK_KIB, figure
 from tests.situations import SITUATIONS, situation
 
 ROOT = Path(__file__).resolve().parents[2]
 CALIBRATION = ROOT / "bench/rigs/calibration.toml"
-ONE_START = """
-import resource, sys, time, tomllib
+ONE_START = (
+    PEAK_KIB
+    + """
+import sys, time, tomllib
 from pathlib import Path
 start = time.perf_counter()
 import cv2, numpy as np
@@ -40,8 +42,9 @@ draw(renderer, situation("cooler_bodies", 0))
 first_s = time.perf_counter() - start
 for name in SITUATIONS:
     draw(renderer, situation(name, 1))
-print(first_s, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024.0 ** 2 if sys.platform == "darwin" else 1024.0))
+print(first_s, peak_kib() / 1024.0)
 """
+)
 
 
 @pytest.fixture(autouse=True)

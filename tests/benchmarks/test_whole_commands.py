@@ -10,15 +10,19 @@ from pathlib import Path
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from tests.benchmarks.figures import PEAK_KIB
 from tests.conftest import ROOT
 
-CHILD = """
-import resource, runpy, sys
+CHILD = (
+    PEAK_KIB
+    + """
+import runpy, sys
 try:
     runpy.run_module("bench.cli", run_name="__main__", alter_sys=True)
 finally:
-    print("peak", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, file=sys.stderr)
+    print("peak", peak_kib(), file=sys.stderr)
 """
+)
 
 
 def call(*arguments: str) -> str:
