@@ -10,6 +10,8 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol
 from urllib.parse import urlsplit
@@ -224,10 +226,28 @@ class _TcpPort:
         self._socket.close()
 
 
+if sys.platform == "win32":
+    _HANG_UPS: tuple[type[Exception], ...] = ()
+else:
+    import termios
+
+    _HANG_UPS = (termios.error,)
+
+
+@contextlib.contextmanager
+def _hang_up_is_os_error() -> Iterator[None]:
+    """A terminal that hangs up amid a call raises an error of its own kind, which pyserial lets through."""
+    try:
+        yield
+    except _HANG_UPS as error:
+        raise OSError(*error.args) from error
+
+
 class _SerialPort:
     def __init__(self, url: str, baud: int, who: str) -> None:
         try:
-            self._serial = serial.serial_for_url(url, baudrate=baud, timeout=0, write_timeout=2.0, exclusive=True)
+            with _hang_up_is_os_error():
+                self._serial = serial.serial_for_url(url, baudrate=baud, timeout=0, write_timeout=2.0, exclusive=True)
         except (serial.SerialException, ValueError, OSError) as error:
             raise LinkError(who, f"the port can't be opened: {error}", hint=_port_hint(url, error)) from error
 
@@ -240,11 +260,13 @@ class _SerialPort:
         return first + rest
 
     def write(self, data: bytes) -> None:
-        self._serial.write(data)
-        self._serial.flush()
+        with _hang_up_is_os_error():
+            self._serial.write(data)
+            self._serial.flush()
 
     def set_baud(self, baud: int) -> None:
-        self._serial.baudrate = baud
+        with _hang_up_is_os_error():
+            self._serial.baudrate = baud
 
     def close(self) -> None:
         self._serial.close()

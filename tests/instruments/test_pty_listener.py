@@ -126,8 +126,8 @@ def test_a_device_that_hangs_up_breaks_the_link_and_comes_back_elsewhere(listene
     echo.obeys, before = True, listener.url
     link = Link(before, clock, who="echo")
     link.read_until(b"\n", 5.0)
-    link.write(b"x")
-    with pytest.raises(LinkError, match="broke"):  # noqa: PT012 - behind what came before
+    with pytest.raises(LinkError, match="broke"):  # noqa: PT012 - amid the write, or behind what came before
+        link.write(b"x")
         while True:
             link.receive(5.0)
     assert until(lambda: listener.url != before)
@@ -200,3 +200,18 @@ def test_a_system_without_terminals_says_so(echo: Echo, clock: RealClock, monkey
     monkeypatch.delattr(os, "openpty")
     with pytest.raises(OSError, match=r"arm: this system has no pseudo-terminals .*TCP"):
         PtyListener(echo, clock, lock=threading.RLock(), name="arm")
+
+
+def test_a_terminal_that_hangs_up_amid_a_write_is_a_broken_link(
+    listener: PtyListener, clock: RealClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    termios = pytest.importorskip("termios")
+
+    def hang_up(_: int) -> None:
+        raise termios.error(5, "Input/output error")
+
+    link = Link(listener.url, clock, who="echo")
+    monkeypatch.setattr(termios, "tcdrain", hang_up)
+    with pytest.raises(LinkError, match="the link broke while sending"):
+        link.write(b"x")
+    link.close()
