@@ -108,16 +108,18 @@ def opencv_camera(folder: Path, camera: str, sub_pixel: SubPixel) -> Calibrated:
 
 
 @pytest.mark.parametrize(
-    ("sub_pixel", "rms", "focal", "worst"),
-    [(SubPixel(11, 30, 0.1), 0.393, 535.92, ("02", 1.18)), (SubPixel(5, 30, 0.1), 0.196, None, (None, 0.254))],
+    ("sub_pixel", "rms", "focal", "worst", "digit"),
+    [(SubPixel(11, 30, 0.1), 0.393, 535.92, ("02", 1.18), 0.01), (SubPixel(5, 30, 0.1), 0.196, None, (None, 0.254), 0.001)],
     ids=["window 11", "window 5"],
 )
-def test_opencvs_pictures(shared_data: Path, sub_pixel: SubPixel, rms: float, focal: float | None, worst: tuple[str | None, float]) -> None:
+def test_opencvs_pictures(
+    shared_data: Path, sub_pixel: SubPixel, rms: float, focal: float | None, worst: tuple[str | None, float], digit: float
+) -> None:
     found = opencv_camera(shared_data / "opencv_stereo_chessboards" / "photos", "left", sub_pixel)
     errors = found.view_rms_px("left")
     name = max(errors, key=lambda view: errors[view])
     assert round(found.fit.rms_px, 3) == rms
-    assert errors[name] == pytest.approx(worst[1], abs=0.004)
+    assert worst[1] <= errors[name] < worst[1] + digit, "to the digits given; OpenCV's own solver gives 1.1835 and 0.2549"
     if focal:
         assert (round(found.fit.rig.cameras["left"].fc[0], 2), name) == (focal, worst[0])
 

@@ -1,7 +1,7 @@
 """Boards before the emulated cameras, rendered, found and calibrated: what was put in comes back within what is claimed, over 20 seeds.
 
-The emulated rig's own cameras and sensors at half their size in pixels. Corners miss by noise and by what the corner finder makes of a
-picture; both are new with every pose. A chi-square over all parameters says whether the stated covariance is right, no more and no less.
+The emulated rig's own cameras and sensors at half their size in pixels, and once as they are, with 24 poses. Corners miss by noise and by
+what the corner finder makes of a picture; both are new with every pose. A chi-square over all parameters says whether the stated covariance is right, no more and no less.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import binom, chi2
 
 from bench.calibrating.live import pattern_of
 from bench.rig import RIGS
@@ -26,7 +26,7 @@ from instruments.world.board_poses import poses
 from instruments.world.phantom import Phantom
 from instruments.world.scene import Renderer, SceneState
 
-SEEDS, VIEWS = 20, 8
+SEEDS, VIEWS, FULL_VIEWS = 20, 8, 24
 BOARD = Board("chessboard", 9, 6, 40.0)
 DEPTHS_MM = (500.0, 1200.0)
 
@@ -42,11 +42,11 @@ def half_size() -> dict[str, Any]:
     return table
 
 
-def rendered_views(table: Mapping[str, Any], seed: int) -> dict[str, list[View]]:
+def rendered_views(table: Mapping[str, Any], seed: int, count: int = VIEWS) -> dict[str, list[View]]:
     """Boards in new poses before cameras with fixed patterns and noise of their own, found in the pictures."""
     renderer = Renderer.from_calibration(table, seed)
     views: dict[str, list[View]] = {"left": [], "right": []}
-    for number, board in enumerate(poses(pattern_of(BOARD), renderer.cameras[:2], DEPTHS_MM, seed, VIEWS)):
+    for number, board in enumerate(poses(pattern_of(BOARD), renderer.cameras[:2], DEPTHS_MM, seed, count)):
         state, rng = SceneState(Phantom(()), (), 20.0, 20.0, boards=(board,)), np.random.default_rng([seed, number])
         for name, camera in (("left", renderer.left), ("right", renderer.right)):
             try:
@@ -101,3 +101,15 @@ def test_the_stated_covariance_is_neither_too_small_nor_too_large(twenty: list[t
 def test_no_parameter_is_wrong_on_the_mean(twenty: list[tuple[Array, Array]]) -> None:
     standardised = np.array([miss / np.sqrt(np.diag(covariance)) for miss, covariance in twenty])
     assert np.abs(standardised.mean(axis=0)).max() * np.sqrt(SEEDS) < 3.5, "of 22 means one beyond 3.5 comes once in a hundred times"
+
+
+def test_24_poses_before_the_cameras_as_they_are_give_them_back() -> None:
+    table = tomllib.loads((RIGS / "calibration.toml").read_text(encoding="utf-8"))
+    width, height = table["cameras"]["left"]["image_size"]
+    views = rendered_views(table, 1, FULL_VIEWS)
+    assert min(len(seen) for seen in views.values()) >= FULL_VIEWS - 2, "a view may be refused"
+    found = calibrated(views, (width, height))
+    miss, covariance = missed(found, table), found.fit.covariance
+    within = np.abs(miss) < 2.0 * np.sqrt(np.diag(covariance))
+    assert np.count_nonzero(~within) <= binom.ppf(0.99, 22, 0.0455), "no more beyond two deviations than chance has"
+    assert float(miss @ np.linalg.solve(covariance, miss)) < chi2.ppf(0.99, 22)
