@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.commands import CODES, Commands
+from bench.commands.arguments import whole
 
 BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 PORT = '"/dev/ttyUSB0", "COM5", "socket://host:port", or "emulator:" for an emulated arm to try it on'
@@ -19,7 +20,7 @@ def add_to(commands: Commands) -> None:
     """The family's commands with their arguments."""
     arm = commands.group("arm", "a MicroScribe arm alone: read, watch, home, set the table frame, verify")
     read = _add(arm, "read", "one position", _read, homed=True)
-    read.add_argument("--packets", type=_whole(1, 1000), default=8, metavar="N", help="packets that make one reading (default: 8)")
+    read.add_argument("--packets", type=whole(1, 1000), default=8, metavar="N", help="packets that make one reading (default: 8)")
     read.add_argument("--frame", type=Path, metavar="FILE", help="a table frame: gives the position in the world too")
     read.add_argument("--json", action="store_true", help="one JSON object, units in its keys")
     watch = _add(arm, "watch", "tip, pedals and rate, live, until Ctrl-C", _watch, homed=True)
@@ -28,7 +29,7 @@ def add_to(commands: Commands) -> None:
     home.add_argument("--on-peg", action="store_true", help="the stylus is on its peg: don't ask")
     frame = _add(arm, "frame", "set the table frame: three touches and check points (docs/arm.md)", _frame, homed=True)
     frame.add_argument(
-        "--plane-checks", type=_whole(0, 20), default=1, metavar="N", help="further touches anywhere in the plane (default: 1)"
+        "--plane-checks", type=whole(0, 20), default=1, metavar="N", help="further touches anywhere in the plane (default: 1)"
     )
     frame.add_argument(
         "--check",
@@ -46,11 +47,11 @@ def add_to(commands: Commands) -> None:
         arm, "verify", "verify the arm: one divot at up to three distances, a calibrated length (docs/arm.md)", _verify, homed=True
     )
     verify.add_argument(
-        "--distances", type=_whole(1, 3), default=3, metavar="N", help="divots: 1 middle, 2 near and far, 3 all (default: 3)"
+        "--distances", type=whole(1, 3), default=3, metavar="N", help="divots: 1 middle, 2 near and far, 3 all (default: 3)"
     )
-    verify.add_argument("--touches", type=_whole(5, 100), default=10, metavar="N", help="touches in each divot (default: 10)")
+    verify.add_argument("--touches", type=whole(5, 100), default=10, metavar="N", help="touches in each divot (default: 10)")
     verify.add_argument("--length-mm", type=_positive, metavar="L", help="a calibrated length to measure too")
-    verify.add_argument("--directions", type=_whole(1, 7), default=7, metavar="N", help="directions to measure it in (default: 7)")
+    verify.add_argument("--directions", type=whole(1, 7), default=7, metavar="N", help="directions to measure it in (default: 7)")
     verify.add_argument("--script", metavar="SCRIPT", help="whose limits to hold it against (default: six-situations)")
     _add_out(verify)
 
@@ -208,15 +209,6 @@ def _positive(text: str) -> float:
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
     return value
-
-
-def _whole(low: int, high: int) -> Callable[[str], int]:
-    def whole(text: str) -> int:
-        if not text.isdecimal() or not low <= int(text) <= high:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {low} to {high}")
-        return int(text)
-
-    return whole
 
 
 def _point(text: str) -> tuple[float, float, float]:

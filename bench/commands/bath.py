@@ -8,6 +8,7 @@ import math
 import sys
 
 from bench.commands import CODES, Commands, add_rig
+from bench.commands.arguments import address, seconds
 
 
 def add_to(commands: Commands) -> None:
@@ -19,27 +20,18 @@ def add_to(commands: Commands) -> None:
     change.add_argument("set_point", type=_degrees, metavar="DEGC", help="the new set point in degC")
     change.add_argument("--allow-inferred", action="store_true", help="also write what the profile only infers")
     watch = _add_bath(bath.add("watch", "a live plot until Ctrl-C; changes nothing", _watch))
-    watch.add_argument("--seconds", type=_seconds, default=math.inf, metavar="N", help="end after so long (default: Ctrl-C ends it)")
+    watch.add_argument("--seconds", type=seconds, default=math.inf, metavar="N", help="end after so long (default: Ctrl-C ends it)")
     _add_bath(bath.add("standby", "heater off now, whatever the bath is doing", _standby))
     acknowledge = bath.add("acknowledge", "after an interlock has tripped and its cause is gone: let the rig run again", _acknowledge)
     add_rig(acknowledge)
 
 
 def _add_bath(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
-    parser.add_argument("--port", required=True, type=_url, metavar="URL", help="where the controller is, as in a rig file's [bath] url")
+    parser.add_argument(
+        "--port", required=True, type=address("bath"), metavar="URL", help="where the controller is, as in a rig file's [bath] url"
+    )
     parser.add_argument("--profile", required=True, metavar="NAME", help="the controller's family, or the path of a profile of your own")
     return parser
-
-
-def _url(text: str) -> str:
-    from bench.rig import EMULATED, bath_url
-
-    try:
-        if text == EMULATED:
-            raise ValueError("an emulated bath lives in the bench; 'teatbench emulate' serves one at a port")
-        return bath_url(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is no bath: {error}") from error
 
 
 def _degrees(text: str) -> float:
@@ -49,13 +41,6 @@ def _degrees(text: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is not a temperature in degC")
-    return value
-
-
-def _seconds(text: str) -> float:
-    value = _degrees(text) if text.replace(".", "", 1).isdigit() else -1.0
-    if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above 0")
     return value
 
 

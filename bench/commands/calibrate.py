@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.commands import CODES, Commands
+from bench.commands.arguments import whole
 from bench.commands.calibrating import add_steps
 from bench.commands.calibration_check import add_check
 from bench.commands.calibration_files import add_files
@@ -27,8 +28,8 @@ def add_to(commands: Commands) -> None:
     stage.add_argument("--out", type=Path, required=True, metavar="FILE", help="where to write it; a script's [truth] names it")
     stage.add_argument("--replace", action="store_true", help="write over a file that is there")
     stage.add_argument("--layout", default="table-5-1", metavar="NAME", help="how the phantom's teats stand (default: table-5-1)")
-    stage.add_argument("--teat", type=_count, default=1, metavar="N", help="the teat to touch (default: 1)")
-    stage.add_argument("--readings", type=_count, metavar="N", help="touches at each position (default: as the rig says)")
+    stage.add_argument("--teat", type=whole(1, 20), default=1, metavar="N", help="the teat to touch (default: 1)")
+    stage.add_argument("--readings", type=whole(1, 20), metavar="N", help="touches at each position (default: as the rig says)")
     stage.add_argument("--seed", type=int, metavar="N", help="of the emulators' noise (default: the rig's)")
     stage.add_argument(
         "--at",
@@ -75,12 +76,6 @@ def _show(found: Registration) -> None:
     print(f"expected residual of the rigid fit: {found.expected_fre_mm:.2f} mm")
     for one in found.diagnostics:
         print(f"{one.name}: {one.value:+.5f} (u {one.u:.5f}){', SIGNIFICANT' if one.significant else ''}")
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 20:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 20")
-    return int(text)
 
 
 def _place(text: str) -> tuple[float, float]:

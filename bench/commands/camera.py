@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.commands import CODES, Commands
+from bench.commands.arguments import seconds
 
 if TYPE_CHECKING:
     from bench.camera_alone import Alone
@@ -26,8 +27,8 @@ def add_to(commands: Commands) -> None:
     show = _add_sources(camera.add("show", "who each camera is, what it sees, and what is wrong with it", _show, opens_links=False))
     show.add_argument("--json", action="store_true", help="one JSON object, units in its keys")
     focus = _add_sources(camera.add("focus", "a live figure of sharpness, to set a lens by, until Ctrl-C", _focus, opens_links=False))
-    focus.add_argument("--seconds", type=_seconds, default=math.inf, metavar="N", help="end after so long (default: Ctrl-C ends it)")
-    focus.add_argument("--every", type=_seconds, default=0.2, metavar="N", help="seconds between two figures (default: 0.2)")
+    focus.add_argument("--seconds", type=seconds, default=math.inf, metavar="N", help="end after so long (default: Ctrl-C ends it)")
+    focus.add_argument("--every", type=seconds, default=0.2, metavar="N", help="seconds between two figures (default: 0.2)")
     grab = _add_sources(camera.add("grab", "save frame sets as a recording", _grab, opens_links=False))
     grab.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the recording; one that is there is added to")
     grab.add_argument("--count", type=_count, default=1, metavar="N", help="how many frame sets (default: 1)")
@@ -36,13 +37,6 @@ def add_to(commands: Commands) -> None:
 def _add_sources(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     parser.add_argument("sources", nargs="*", metavar="SOURCE", help=SOURCES)
     return parser
-
-
-def _seconds(text: str) -> float:
-    value = float(text) if text.replace(".", "", 1).isdigit() else 0.0
-    if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above 0")
-    return value
 
 
 def _count(text: str) -> int:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.commands import CODES, Commands
+from bench.commands.arguments import number
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -29,24 +30,17 @@ def add_to(commands: Commands) -> None:
 
 
 def _length(text: str) -> float:
-    value = _number(text)
+    value = number(text)
     if not 0.0 <= value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r} is not a length in mm of 0 or more")
     return value
 
 
 def _share(text: str) -> float:
-    value = _number(text)
+    value = number(text)
     if not 0.5 <= value < 1.0:
         raise argparse.ArgumentTypeError(f"{text!r} must lie between 0.5 and 1, for example 0.95")
     return value
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
 
 
 def _compare(given: argparse.Namespace) -> int:
@@ -86,8 +80,8 @@ def _table(title: str, columns: Sequence[tuple[str, str]], rows: Iterable[tuple[
     from rich.table import Table
 
     table = Table(title=title)
-    for number, (column, unit) in enumerate(columns):
-        table.add_column(f"{column}, {unit}" if unit else column, justify="right" if number else "left", no_wrap=not number)
+    for at, (column, unit) in enumerate(columns):
+        table.add_column(f"{column}, {unit}" if unit else column, justify="right" if at else "left", no_wrap=not at)
     for row in rows:
         table.add_row(*row)
     return table

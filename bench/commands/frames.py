@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bench.commands import CODES, Commands, add_detectors, sensitivity
+from bench.commands.arguments import natural
 
 SHEET, RECORDING, BOARDS = Path("scene.png"), Path("recordings") / "situations", Path("recordings") / "boards"
 CAMERAS = ("left", "right", "thermal")
@@ -32,9 +33,9 @@ def add_to(commands: Commands) -> None:
     boards.add_argument(
         "--camera", action="append", choices=CAMERAS, metavar="NAME", help="sees the whole board; several times (default: left and right)"
     )
-    boards.add_argument("--poses", type=_whole, default=24, metavar="N", help="default: 24")
+    boards.add_argument("--poses", type=natural, default=24, metavar="N", help="default: 24")
     boards.add_argument("--warmer-k", type=float, default=0.0, metavar="K", help="what is dark on the board above the room (default: 0)")
-    boards.add_argument("--seed", type=_whole, default=1, metavar="N", help="of poses, noise and the cameras' fixed patterns (default: 1)")
+    boards.add_argument("--seed", type=natural, default=1, metavar="N", help="of poses, noise and the cameras' fixed patterns (default: 1)")
     boards.add_argument("--out", type=Path, default=BOARDS, metavar="DIR", help="default: recordings/boards; is added to")
     sensitivity.add_to(scene)
 
@@ -42,15 +43,9 @@ def add_to(commands: Commands) -> None:
 def _add_scenes(parser: argparse.ArgumentParser, seeds: int) -> None:
     parser.add_argument("--rig", help="whose cameras: a shipped rig by name, or a .toml file (default: emulated)")
     parser.add_argument("--situation", action="append", default=[], metavar="NAME", help="may be given several times (default: all eleven)")
-    parser.add_argument("--seeds", type=_whole, metavar="N", default=seeds, help=f"members of each family (default: {seeds})")
-    parser.add_argument("--first", type=_whole, metavar="N", default=0, help="the first member's seed (default: 0)")
-    parser.add_argument("--seed", type=_whole, metavar="N", default=1, help="of noise and of the cameras' fixed patterns (default: 1)")
-
-
-def _whole(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"must be a whole number of 0 or more, is {text!r}")
-    return int(text)
+    parser.add_argument("--seeds", type=natural, metavar="N", default=seeds, help=f"members of each family (default: {seeds})")
+    parser.add_argument("--first", type=natural, metavar="N", default=0, help="the first member's seed (default: 0)")
+    parser.add_argument("--seed", type=natural, metavar="N", default=1, help="of noise and of the cameras' fixed patterns (default: 1)")
 
 
 def _members(given: argparse.Namespace) -> range:

@@ -7,6 +7,7 @@ import json
 from typing import TYPE_CHECKING
 
 from bench.commands import CODES, Commands
+from bench.commands.arguments import number
 
 if TYPE_CHECKING:
     from bench.claims import Plan
@@ -30,24 +31,17 @@ def add_to(commands: Commands) -> None:
 
 
 def _share(text: str) -> float:
-    value = _number(text)
+    value = number(text)
     if not 0.0 < value < 1.0:
         raise argparse.ArgumentTypeError(f"{text!r} must lie between 0 and 1, for example 0.95: no number of poses shows 100 %")
     return value
 
 
 def _length(text: str) -> float:
-    value = _number(text)
+    value = number(text)
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r} is not a length in mm above 0")
     return value
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
 
 
 def _whole(text: str) -> int:

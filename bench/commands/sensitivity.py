@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from bench import __version__
 from bench.commands import CODES, Commands, add_detectors
+from bench.commands.arguments import natural
 
 if TYPE_CHECKING:
     from bench.sensitivity.values import Measured
@@ -25,19 +26,15 @@ def add_to(scene: Commands) -> None:
     sensitivity.add_argument("--quantity", action="append", default=[], metavar="NAME", help="several times (default: all eight)")
     sensitivity.add_argument("--rig", help="whose cameras: a shipped rig by name, or a .toml file (default: emulated)")
     sensitivity.add_argument("--seeds", type=_at_least_one, default=SEEDS, metavar="N", help=f"scenes at each value (default: {SEEDS})")
-    sensitivity.add_argument("--first", type=_whole, default=0, metavar="N", help="the first scene's seed (default: 0)")
-    sensitivity.add_argument("--seed", type=_whole, default=1, metavar="N", help="of noise and of the cameras' fixed patterns (default: 1)")
+    sensitivity.add_argument("--first", type=natural, default=0, metavar="N", help="the first scene's seed (default: 0)")
+    sensitivity.add_argument(
+        "--seed", type=natural, default=1, metavar="N", help="of noise and of the cameras' fixed patterns (default: 1)"
+    )
     sensitivity.add_argument("--out", type=Path, default=OUT, metavar="DIR", help="default: sensitivity; files there are replaced")
 
 
-def _whole(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"must be a whole number of 0 or more, is {text!r}")
-    return int(text)
-
-
 def _at_least_one(text: str) -> int:
-    if not _whole(text):
+    if not natural(text):
         raise argparse.ArgumentTypeError("must be at least 1: there is nothing to draw")
     return int(text)
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from bench.commands import CODES, Commands
+from bench.commands.arguments import address
 
 if TYPE_CHECKING:
     from bench.stage_alone import StageAt
@@ -38,21 +39,10 @@ def add_to(commands: Commands) -> None:
 
 def _add_stage(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     which = parser.add_mutually_exclusive_group(required=True)
-    which.add_argument("--port", type=_url, metavar="URL", help="where the controller is, as in a rig file's [stage] url")
+    which.add_argument("--port", type=address("stage"), metavar="URL", help="where the controller is, as in a rig file's [stage] url")
     which.add_argument("--rig", metavar="RIG", help="the stage of this rig")
     parser.add_argument("--axes", choices=["XY", "XYZ", "XYA", "XYZA"], help="with --port: the axes that it has (default: XY)")
     return parser
-
-
-def _url(text: str) -> str:
-    from bench.rig import EMULATED, serial_url
-
-    try:
-        if text == EMULATED:
-            raise ValueError("an emulated stage lives in the bench; 'teatbench emulate' serves one at a port")
-        return serial_url(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is no stage: {error}") from error
 
 
 def _number(text: str) -> float:

@@ -104,9 +104,9 @@ class Console:
 
     def _line(self, question: str, check: Callable[[], None], *, pedal: bool = False) -> str:
         """What is typed, or "\\n" for a pedal; asks again in other words from time to time."""
+        asked_s = self._clock.now()  # before the question stands there: who reads it has waited from then on
         self._write(question)
         pressed = self._watch() if pedal and self._watch else None
-        asked_s = self._clock.now()
         remind_s = asked_s + self._remind_s
         while (line := self._keyboard.line()) is None:
             check()

@@ -1,7 +1,8 @@
 """Boards before the emulated cameras, rendered, found and calibrated: what was put in comes back within what is claimed, over 20 seeds.
 
 The emulated rig's own cameras and sensors at half their size in pixels, and once as they are, with 24 poses. Corners miss by noise and by
-what the corner finder makes of a picture; both are new with every pose. A chi-square over all parameters says whether the stated covariance is right, no more and no less.
+what the corner finder makes of a picture; both are new with every pose. A chi-square over all parameters says whether the stated
+covariance is right, no more and no less.
 """
 
 from __future__ import annotations
