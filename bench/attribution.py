@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from bench.record import RunRecord, TrialRecord
+from bench.running.stability import State
 from bench.scoring.scene import SceneScore
-from bench.stability import State
 
 OPERATORS_EVENT = "the operator skipped it"
 

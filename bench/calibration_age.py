@@ -9,8 +9,9 @@ from collections.abc import Mapping
 from datetime import date
 from typing import TYPE_CHECKING, Any
 
+from bench.addresses import EMULATED
 from bench.config import ConfigError
-from bench.rig import EMULATED, LoadedRig
+from bench.rig import LoadedRig
 from bench.scoring.decisions import Decision, decide_condition
 from detector.calibration import Calibration, Record
 from instruments.errors import LimitError

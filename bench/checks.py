@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, is_dataclass
 from typing import Any
 
-from bench.emulation import EmulatedRig
+from bench.alone.stage import shown
+from bench.emulated.emulation import EmulatedRig
 from bench.hookup import driver_openers
 from bench.rig import LoadedRig
-from bench.safing import has_own_pump
-from bench.stage_alone import shown
+from bench.safety.safing import has_own_pump
 from instruments.bath.relay import PUMP
 from instruments.capture import NO_CAPTURE, Captures
 from instruments.clock import Clock, RealClock, VirtualClock

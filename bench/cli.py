@@ -31,7 +31,7 @@ from bench.commands import (
     trials,
     wire,
 )
-from bench.exits import installed
+from bench.safety.exits import installed
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

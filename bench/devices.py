@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
-from bench.safing import heater_off, run_pump_on
+from bench.safety.safing import heater_off, run_pump_on
 from instruments.bath.driver import Bath
 from instruments.camera.frame import FrameSet
 from instruments.clock import Clock

@@ -17,30 +17,30 @@ from numpy.typing import NDArray
 
 from bench.arm.check import AFTER
 from bench.arm.tip import TipReader
-from bench.attempts import Attempts
-from bench.attention import Attention
 from bench.devices import Devices
-from bench.event_lines import WatchedProgress
-from bench.exits import current, undisturbed
-from bench.interlocks import InterlockTrip
-from bench.keeper import Keeper
-from bench.lifeline import Lifeline
-from bench.pausing import Pause
-from bench.planning import PlannedTrial
-from bench.preparing import Preparation
-from bench.pulse import AwaitedOperator, Pulse
-from bench.recovery import Recovery
-from bench.reserve import Reserve
-from bench.resuming import Left, RehearsedStore
+from bench.planning.trials import PlannedTrial
 from bench.rig import LoadedRig
-from bench.run_state import EVENT, RunState, RunStates
+from bench.running.attempts import Attempts
+from bench.running.attention import Attention
+from bench.running.event_lines import WatchedProgress
+from bench.running.pausing import Pause
+from bench.running.preparing import Preparation
+from bench.running.recovery import Recovery
+from bench.running.reserve import Reserve
+from bench.running.resuming import Left, RehearsedStore
+from bench.running.run_state import EVENT, RunState, RunStates
+from bench.running.showing import Progress, Unfailing
+from bench.running.stability import StabilityGate
+from bench.running.trial_run import FrameSink, TrialRun
+from bench.running.wishes import Wishes
+from bench.safety.exits import current, undisturbed
+from bench.safety.interlocks import InterlockTrip
+from bench.safety.keeper import Keeper
+from bench.safety.lifeline import Lifeline
+from bench.safety.pulse import AwaitedOperator, Pulse
 from bench.script import LoadedScript
-from bench.showing import Progress, Unfailing
-from bench.stability import StabilityGate
 from bench.store import Store
-from bench.trial_run import FrameSink, TrialRun
 from bench.truth.choosing import choose_truth
-from bench.wishes import Wishes
 from detector.protocol import Detector
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.addresses import CONSOLE, EMULATED, SCRIPT
 from bench.answers import load_answers
 from bench.arm.pedals import pedal_watch
-from bench.camera_hookup import open_cameras
+from bench.cameras.hookup import open_cameras
 from bench.config import ConfigError
 from bench.devices import Cameras, Devices
-from bench.emulation import EmulatedRig
-from bench.rig import CONSOLE, EMULATED, SCRIPT, LoadedRig
+from bench.emulated.emulation import EmulatedRig
+from bench.rig import LoadedRig
 from instruments.bath.driver import Bath
 from instruments.bath.relay import PumpAt
 from instruments.capture import NO_CAPTURE, Captures

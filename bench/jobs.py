@@ -9,23 +9,23 @@ from pathlib import Path
 
 from bench.calibration_age import CALIBRATION_FACT, calibration_fact, refuse_old_calibration, refuse_other_cameras
 from bench.config import ConfigError, read_config, read_text
-from bench.detector_choice import make_detectors
+from bench.detecting.choice import make_detectors
+from bench.detecting.examine import Examiner, TruthRow, close_detectors
 from bench.engine import Ending, Engine
-from bench.examine import Examiner, TruthRow, close_detectors
-from bench.exits import current, undisturbed
 from bench.facts import write_facts
 from bench.hookup import in_virtual_time, open_rig
-from bench.latch import refuse_latched
-from bench.lifeline import Charge, guarded
-from bench.planning import pose_set
+from bench.planning.trials import pose_set
 from bench.record import read_run
-from bench.recorder import Recorder
-from bench.resuming import ASKED, Left, RehearsedStore, files_of, open_store, what_is_left
 from bench.rig import LoadedRig, read_calibration
-from bench.rig_lock import lock_path, locked, run_lock
 from bench.rows import frame_rows, judged, truth_row
+from bench.running.recorder import Recorder
+from bench.running.resuming import ASKED, Left, RehearsedStore, files_of, open_store, what_is_left
+from bench.running.rig_lock import lock_path, locked, run_lock
+from bench.running.showing import Progress
+from bench.safety.exits import current, undisturbed
+from bench.safety.latch import refuse_latched
+from bench.safety.lifeline import Charge, guarded
 from bench.script import RECORDING_RULES, LoadedScript, Rules
-from bench.showing import Progress
 from bench.store import RULES, SCRIPT, FinishedTrial, Store, new_run_folder
 from bench.truth.choosing import refuse_carry
 from detector.protocol import Detector

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.examine import Answer, TruthRow, score_answer
+from bench.detecting.examine import Answer, TruthRow, score_answer
 from bench.scoring.scene import SceneScore
 from bench.store import Picture, Row, Store
 from bench.truth.point import TruthPoint

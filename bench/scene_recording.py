@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.calibrating.board_file import BoardFile, load_board
 from bench.config import ConfigError, read_text
-from bench.emulated_optics import make_renderer
+from bench.emulated.optics import make_renderer
 from bench.rig import LoadedRig
 from detector.calibration.boards import DICTIONARIES
 from instruments.camera.frame import FrameSet

@@ -13,12 +13,13 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from bench.config import ConfigError, Section, parse_config, read_text
-from bench.detector_choice import check_named
-from bench.phantom_file import Layout, find_layout, load_layout
-from bench.planning import PlannedTrial, plan
-from bench.python_script import ENDING, script_text
-from bench.rig import Positive, find_shipped
-from bench.trial_table import Published, Trial
+from bench.detecting.choice import check_named
+from bench.planning.phantom_file import Layout, find_layout, load_layout
+from bench.planning.python_script import ENDING, script_text
+from bench.planning.trial_table import Published, Trial
+from bench.planning.trials import PlannedTrial, plan
+from bench.quantities import Positive
+from bench.rig import find_shipped
 from bench.truth.registration import Registration
 from bench.truth.registration_file import load_registration
 from bench.truth.settings import TruthTable

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.arm.decision import decide_arm
 from bench.calibration_age import decide_calibration
-from bench.latency import latency_of
+from bench.detecting.latency import latency_of
 from bench.record import RunRecord
 from bench.scoring.decisions import Decision, Verdict, decide_condition, decide_count, decide_error, decide_rate, decide_time, overall
 from bench.scoring.pool import Pool, pool

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from bench.config import read_config
-from bench.phantom_file import shipped_phantom
+from bench.planning.phantom_file import shipped_phantom
+from bench.planning.trial_table import Trial
 from bench.script import TRIALS, Script
-from bench.trial_table import Trial
 from instruments.world.objects import make_object
 from instruments.world.scene import SceneState
 

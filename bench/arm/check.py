@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.arm.tip import TipReader
 from bench.arm.verification import LocationTest
-from bench.rig import Arm
+from bench.rig_tables import Arm
 from instruments.clock import Clock
 
 BEFORE, AFTER = "before", "after"

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from bench.addresses import EMULATED, serial_url
 from bench.arm.frame import TableFrame, Triple
 from bench.arm.guided import Plan, Step, touch_frame, verify
 from bench.arm.pedals import pedal_watch
 from bench.arm.trying import TryingArm
 from bench.arm.verification import Limits, Verification
 from bench.config import ConfigError
-from bench.rig import EMULATED, serial_url
 from bench.script import ArmRequirement, find_script, load_script
 from instruments.capture import Captures
 from instruments.clock import RealClock, wall_time

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.arm.frame import TableFrame
-from bench.rig import Arm
+from bench.rig_tables import Arm
 from instruments.errors import LimitError
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.reading import Reading

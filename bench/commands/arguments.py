@@ -44,7 +44,7 @@ def address(instrument: str) -> Callable[[str], str]:
     """Where a "bath" or a "stage" is, as in a rig file, but not an emulated one: that lives in the bench."""
 
     def take(text: str) -> str:
-        from bench.rig import EMULATED, bath_url, serial_url
+        from bench.addresses import EMULATED, bath_url, serial_url
 
         try:
             if text == EMULATED:

@@ -45,7 +45,7 @@ def _degrees(text: str) -> float:
 
 
 def _read(given: argparse.Namespace) -> int:
-    from bench.bath_alone import described, open_bath, profile_of
+    from bench.alone.bath import described, open_bath, profile_of
 
     with open_bath(given.port, profile_of(given.profile), capture=given.capture) as (bath, _):
         told = described(bath)
@@ -58,7 +58,7 @@ def _read(given: argparse.Namespace) -> int:
 
 
 def _set(given: argparse.Namespace) -> int:
-    from bench.bath_alone import open_bath, profile_of, set_point
+    from bench.alone.bath import open_bath, profile_of, set_point
     from instruments.errors import LimitError
 
     with open_bath(given.port, profile_of(given.profile), allow_inferred=given.allow_inferred, capture=given.capture) as (bath, _):
@@ -73,8 +73,8 @@ def _set(given: argparse.Namespace) -> int:
 def _watch(given: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from bench.bath_alone import open_bath, profile_of
-    from bench.bath_watch import watch_bath
+    from bench.alone.bath import open_bath, profile_of
+    from bench.alone.bath_watch import watch_bath
 
     with open_bath(given.port, profile_of(given.profile), capture=given.capture) as (bath, clock):
         try:
@@ -85,7 +85,7 @@ def _watch(given: argparse.Namespace) -> int:
 
 
 def _standby(given: argparse.Namespace) -> int:
-    from bench.bath_alone import open_bath, profile_of, standby
+    from bench.alone.bath import open_bath, profile_of, standby
 
     with open_bath(given.port, profile_of(given.profile), identify=False, capture=given.capture) as (bath, _):
         print(standby(bath))
@@ -93,9 +93,9 @@ def _standby(given: argparse.Namespace) -> int:
 
 
 def _acknowledge(given: argparse.Namespace) -> int:
-    from bench.bath_alone import open_bath
-    from bench.latch import acknowledge, latch_path, read_latch
+    from bench.alone.bath import open_bath
     from bench.rig import find_rig, load_rig
+    from bench.safety.latch import acknowledge, latch_path, read_latch
 
     rig = load_rig(find_rig(given.rig))
     latch = read_latch(latch_path(rig))

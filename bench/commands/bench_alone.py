@@ -33,7 +33,7 @@ def _check(given: argparse.Namespace) -> int:
 
 
 def _emulate(given: argparse.Namespace) -> int:
-    from bench.emulation import EmulatedRig
+    from bench.emulated.emulation import EmulatedRig
     from bench.rig import find_rig, load_rig
     from instruments.camera.stream import StreamServer
     from instruments.clock import RealClock

@@ -14,7 +14,7 @@ from bench.commands import CODES, Commands
 from bench.commands.arguments import seconds
 
 if TYPE_CHECKING:
-    from bench.camera_alone import Alone
+    from bench.alone.cameras import Alone
 
 SOURCES = "a rig by name or .toml file (default: emulated), or one to three cameras: opencv:0, opencv:http://…, genicam:NAME"
 
@@ -46,7 +46,7 @@ def _count(text: str) -> int:
 
 
 def _list(given: argparse.Namespace) -> int:
-    from bench.camera_alone import attached, of_rig
+    from bench.alone.cameras import attached, of_rig
 
     rows = list(of_rig(given.rig) if given.rig else attached())
     for name, what in rows:
@@ -57,7 +57,7 @@ def _list(given: argparse.Namespace) -> int:
 
 
 def _show(given: argparse.Namespace) -> int:
-    from bench.camera_alone import figures, open_alone, patient, pictures
+    from bench.alone.cameras import figures, open_alone, patient, pictures
 
     with open_alone(given.sources) as alone:
         noticed: list[str] = []
@@ -85,7 +85,7 @@ def _print_seen(identity: Mapping[str, str], seen: Mapping[str, object]) -> None
 
 
 def _focus(given: argparse.Namespace) -> int:
-    from bench.camera_alone import open_alone
+    from bench.alone.cameras import open_alone
 
     best: dict[str, float] = {}
     with open_alone(given.sources) as alone:
@@ -124,9 +124,9 @@ def _bar(best_px: float, blur_px: float) -> str:
 
 
 def _grab(given: argparse.Namespace) -> int:
-    from bench.camera_alone import calibration_text, open_alone
+    from bench.alone.cameras import calibration_text, open_alone
+    from bench.cameras.frame_taker import FrameTaker
     from bench.config import ConfigError
-    from bench.frame_taker import FrameTaker
     from instruments.camera.recording import RecordingWriter
 
     with open_alone(given.sources) as alone:

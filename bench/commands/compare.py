@@ -14,7 +14,7 @@ from bench.commands.arguments import number
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from bench.comparing import Comparison
+    from bench.comparing.runs import Comparison
 
 
 def add_to(commands: Commands) -> None:
@@ -44,9 +44,9 @@ def _share(text: str) -> float:
 
 
 def _compare(given: argparse.Namespace) -> int:
-    from bench.comparing import compare_folders
-    from bench.comparison_page import write_comparison
-    from bench.comparison_words import as_json
+    from bench.comparing.page import write_comparison
+    from bench.comparing.runs import compare_folders
+    from bench.comparing.words import as_json
 
     found = compare_folders(given.run, given.detector, margin_mm=given.margin_mm, confidence=given.confidence)
     if given.json:
@@ -63,7 +63,7 @@ def _compare(given: argparse.Namespace) -> int:
 def _show(found: tuple[Comparison, ...]) -> None:
     from rich.console import Console
 
-    from bench.comparison_words import DISTANCE, SUCCESS, distance_rows, heading, notes, success_rows, verdict_told
+    from bench.comparing.words import DISTANCE, SUCCESS, distance_rows, heading, notes, success_rows, verdict_told
 
     console = Console()
     for comparison in found:

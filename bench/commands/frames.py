@@ -94,7 +94,7 @@ def _record(given: argparse.Namespace) -> int:
 
 
 def _detect(given: argparse.Namespace) -> int:
-    from bench.detections import detect_lines
+    from bench.detecting.detections import detect_lines
 
     for line, text in detect_lines(given.recording, given.detector or ["thesis"]):
         print(json.dumps(line) if given.json else text, flush=True)

@@ -21,7 +21,7 @@ def _rigs(_: argparse.Namespace) -> int:
 
 
 def _detectors(_: argparse.Namespace) -> int:
-    from bench.detector_choice import declared
+    from bench.detecting.choice import declared
     from detector.registry import available, broken
 
     _list({**declared(), **available()})

@@ -37,9 +37,9 @@ def gather_views(given: argparse.Namespace, wanted: Wanted, known: Part | None =
 
     Raises ConfigError, InstrumentError, OperatorAbort.
     """
+    from bench.alone.cameras import patient, pictures
     from bench.calibrating.board_file import find_board_file, load_board
     from bench.calibrating.live import free_folder, gather
-    from bench.camera_alone import patient, pictures
 
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)
@@ -54,11 +54,11 @@ def gather_views(given: argparse.Namespace, wanted: Wanted, known: Part | None =
 
 def gather_world(given: argparse.Namespace, known: Part) -> Gathered:
     """Points of ``given.board`` that the arm of ``given.rig`` touched and its cameras, those of ``known``, saw: a table in the folder."""
+    from bench.alone.cameras import patient, pictures
     from bench.arm.tip import TipReader
     from bench.calibrating.board_file import find_board_file, load_board
     from bench.calibrating.live import free_folder
     from bench.calibrating.live_world import Asking, gather_points
-    from bench.camera_alone import patient, pictures
 
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)

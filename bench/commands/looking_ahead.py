@@ -21,7 +21,7 @@ SHOWN = 40  # findings; a plane map on a wrong stage has hundreds
 
 def look_ahead(rig: LoadedRig, script: LoadedScript, out: Path) -> int:
     """Print what a dry run finds, and what the run will need, kept in ``out``; gives back the exit code: 2 where something is wrong."""
-    from bench.dry_run import dry_run
+    from bench.planning.dry_run import dry_run
 
     result = dry_run(rig, script, _travel(rig))
     for finding in result.findings[:SHOWN]:
@@ -41,7 +41,7 @@ def look_ahead(rig: LoadedRig, script: LoadedScript, out: Path) -> int:
 
 def _tell_needs(rig: LoadedRig, script: LoadedScript, out: Path) -> None:
     """Time, room and prompts; room that isn't there is said."""
-    from bench.learnt import needs, read_learnt
+    from bench.running.learnt import needs, read_learnt
 
     learnt = read_learnt(out, rig)
     wanted = needs(rig, script, learnt)
@@ -54,7 +54,7 @@ def _tell_needs(rig: LoadedRig, script: LoadedScript, out: Path) -> None:
 
 def _travel(rig: LoadedRig) -> Mapping[str, AxisLimits] | None:
     """The travel that the stage's controller tells; None without a stage, or where it doesn't answer. It only asks."""
-    from bench.emulation import EmulatedRig
+    from bench.emulated.emulation import EmulatedRig
     from bench.hookup import driver_openers
     from instruments.clock import RealClock, VirtualClock
     from instruments.errors import InstrumentError

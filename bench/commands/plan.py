@@ -10,7 +10,7 @@ from bench.commands import CODES, Commands
 from bench.commands.arguments import number
 
 if TYPE_CHECKING:
-    from bench.claims import Plan
+    from bench.planning.claims import Plan
 
 RATES = (0.95, 0.99, 0.999)
 
@@ -53,8 +53,8 @@ def _whole(text: str) -> int:
 def _plan(given: argparse.Namespace) -> int:
     from dataclasses import asdict
 
-    from bench.claims import make_plan, told
     from bench.config import ConfigError
+    from bench.planning.claims import make_plan, told
 
     if given.script and given.trials is not None:
         raise ConfigError.plain("--script and --trials both say how many poses there are; give one of them")

@@ -54,10 +54,10 @@ def _run(given: argparse.Namespace) -> int:
     from rich.console import Console
 
     from bench.commands.looking_ahead import look_ahead
-    from bench.event_lines import WatchedProgress, event_lines
-    from bench.offsets import is_offset_script
-    from bench.progress import TerminalProgress
+    from bench.planning.offsets import is_offset_script
     from bench.rig import find_rig, load_rig
+    from bench.running.event_lines import WatchedProgress, event_lines
+    from bench.running.progress import TerminalProgress
     from bench.script import find_script, load_script
 
     rig = load_rig(find_rig(given.rig))
@@ -93,8 +93,8 @@ def _run(given: argparse.Namespace) -> int:
 
 def _compare_times(folder: Path, out: Path, rig: LoadedRig, script: LoadedScript) -> None:
     """Print what the run took beside what was expected, and learn from it; one that didn't get through teaches nothing."""
-    from bench.learnt import figures, needs, read_learnt, told, took, write_learnt
     from bench.record import read_run
+    from bench.running.learnt import figures, needs, read_learnt, told, took, write_learnt
 
     run = read_run(folder)
     spent = took(run)
@@ -107,11 +107,11 @@ def _compare_times(folder: Path, out: Path, rig: LoadedRig, script: LoadedScript
 def _resume(given: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from bench.event_lines import WatchedProgress, event_lines
     from bench.jobs import HowToRun, resume_run
-    from bench.progress import TerminalProgress
     from bench.record import read_run
-    from bench.resuming import files_of
+    from bench.running.event_lines import WatchedProgress, event_lines
+    from bench.running.progress import TerminalProgress
+    from bench.running.resuming import files_of
 
     console = Console()
     operator = files_of(read_run(given.run))[0].rig.operator.url
@@ -126,7 +126,7 @@ def _resume(given: argparse.Namespace) -> int:
 
 def _tell(given: argparse.Namespace) -> int:
     from bench.record import read_run
-    from bench.wishes import leave_wish
+    from bench.running.wishes import leave_wish
 
     run = read_run(given.run)
     if run.ending != "interrupted":
@@ -146,7 +146,7 @@ def typed_lines(operator_url: str) -> Callable[[], str | None]:
     """Lines typed at this terminal, where it is one and no operator is asked there."""
     import sys
 
-    from bench.rig import CONSOLE
+    from bench.addresses import CONSOLE
     from instruments.operators.keyboard import keyboard_of
 
     if operator_url == CONSOLE or sys.stdin is None or not sys.stdin.isatty():
@@ -157,10 +157,10 @@ def typed_lines(operator_url: str) -> Callable[[], str | None]:
 def _score(given: argparse.Namespace) -> int:
     from rich.console import Console
 
+    from bench.detecting.score_table import score_table
     from bench.jobs import score_recording
-    from bench.progress import TerminalProgress
     from bench.record import read_run
-    from bench.score_table import score_table
+    from bench.running.progress import TerminalProgress
 
     console = Console()
     with TerminalProgress(console) as progress:
@@ -174,8 +174,8 @@ def _score(given: argparse.Namespace) -> int:
 
 def _run_offsets(rig: LoadedRig, path: Path, out: Path, *, dry: bool) -> int:
     """A sensitivity script: no instrument takes part."""
-    from bench.offset_run import run_offsets
-    from bench.offsets import load_offsets, outcomes
+    from bench.planning.offset_run import run_offsets
+    from bench.planning.offsets import load_offsets, outcomes
 
     if dry:
         outcomes(load_offsets(path), rig.calibration)
@@ -185,7 +185,7 @@ def _run_offsets(rig: LoadedRig, path: Path, out: Path, *, dry: bool) -> int:
 
 
 def _offsets_reported(folder: Path) -> int:
-    from bench.offset_run import report_offsets
+    from bench.planning.offset_run import report_offsets
     from bench.summary.offsets import offset_told
 
     page, loaded, found, verdict = report_offsets(folder)
@@ -199,7 +199,7 @@ def _offsets_reported(folder: Path) -> int:
 def _report(given: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from bench.offset_run import is_offset_run
+    from bench.planning.offset_run import is_offset_run
 
     if is_offset_run(given.run):
         return _offsets_reported(given.run)
@@ -224,7 +224,7 @@ def _extras(given: argparse.Namespace) -> Extras:
 
 def _reported(folder: Path, extras: Extras | None = None) -> tuple[int, Callable[..., None]]:
     """Write the report of a run; gives back the exit code that it deserves, and what shows it on a console."""
-    from bench.progress import show_result
+    from bench.running.progress import show_result
     from bench.summary import PLAIN, write_run_report
     from bench.verdicts import run_verdict
 

@@ -40,8 +40,8 @@ def _at_least_one(text: str) -> int:
 
 
 def _sensitivity(given: argparse.Namespace) -> int:
-    from bench.detector_choice import make_detectors
-    from bench.examine import close_detectors
+    from bench.detecting.choice import make_detectors
+    from bench.detecting.examine import close_detectors
     from bench.rig import find_rig, load_rig
     from bench.sensitivity.measuring import Bench, measure
     from bench.sensitivity.output import write_figure, write_numbers

@@ -13,7 +13,7 @@ from bench.commands import CODES, Commands
 from bench.commands.arguments import address
 
 if TYPE_CHECKING:
-    from bench.stage_alone import StageAt
+    from bench.alone.stage import StageAt
     from instruments.stage.driver import Stage
 
 _RESETS = "opening the port resets most controllers, so that the stage has to be homed again"
@@ -56,7 +56,7 @@ def _number(text: str) -> float:
 
 
 def _step(text: str) -> dict[str, float]:
-    from bench.stage_alone import step
+    from bench.alone.stage import step
 
     try:
         return step(text)
@@ -65,8 +65,8 @@ def _step(text: str) -> dict[str, float]:
 
 
 def _at(given: argparse.Namespace) -> StageAt:
+    from bench.alone.stage import StageAt, of_rig
     from bench.config import ConfigError
-    from bench.stage_alone import StageAt, of_rig
 
     if given.rig is None:
         return StageAt(given.port, given.axes or "XY")
@@ -76,7 +76,7 @@ def _at(given: argparse.Namespace) -> StageAt:
 
 
 def _status(given: argparse.Namespace) -> int:
-    from bench.stage_alone import described, open_stage
+    from bench.alone.stage import described, open_stage
 
     with open_stage(_at(given), given.capture) as stage:
         told = described(stage)
@@ -93,7 +93,7 @@ def _home(given: argparse.Namespace) -> int:
 
 
 def _move(given: argparse.Namespace) -> int:
-    from bench.stage_alone import check_target, shown
+    from bench.alone.stage import check_target, shown
 
     def go(stage: Stage) -> None:
         check_target(stage, given.x_mm, given.y_mm, z_mm=given.z_mm, a_deg=given.a_deg)
@@ -105,7 +105,7 @@ def _move(given: argparse.Namespace) -> int:
 
 
 def _jog(given: argparse.Namespace) -> int:
-    from bench.stage_alone import jog, shown
+    from bench.alone.stage import jog, shown
 
     def go(stage: Stage) -> None:
         _homed(stage)
@@ -117,7 +117,7 @@ def _jog(given: argparse.Namespace) -> int:
 
 
 def _homed(stage: Stage) -> None:
-    from bench.stage_alone import shown
+    from bench.alone.stage import shown
 
     stage.home()
     print(f"homed: {shown(stage)}", flush=True)
@@ -125,7 +125,7 @@ def _homed(stage: Stage) -> None:
 
 def _work(given: argparse.Namespace, go: Callable[[Stage], None]) -> int:
     """``go`` with the stage; what the driver refuses to send is wrong use."""
-    from bench.stage_alone import open_stage
+    from bench.alone.stage import open_stage
     from instruments.errors import LimitError
 
     try:
@@ -138,7 +138,7 @@ def _work(given: argparse.Namespace, go: Callable[[Stage], None]) -> int:
 
 
 def _recover(given: argparse.Namespace) -> int:
-    from bench.stage_alone import open_stage
+    from bench.alone.stage import open_stage
 
     with open_stage(_at(given), given.capture) as stage:
         stage.recover()

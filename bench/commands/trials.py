@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from bench.commands import CODES, Commands
 
 if TYPE_CHECKING:
+    from bench.running.trial_time import TimeEstimate
     from bench.script import LoadedScript
-    from bench.trial_time import TimeEstimate
 
 SHOW = "show"
 
@@ -50,17 +50,17 @@ def _list(as_json: bool) -> int:
 
 
 def _about(path: Path) -> str:
-    from bench.offsets import is_offset_script, load_offsets
+    from bench.planning.offsets import is_offset_script, load_offsets
     from bench.script import load_script
 
     return load_offsets(path).script.about if is_offset_script(path) else load_script(path).script.about
 
 
 def _show(path: Path, rig_name: str | None, *, as_json: bool) -> int:
-    from bench.offsets import is_offset_script
+    from bench.planning.offsets import is_offset_script
     from bench.rig import find_rig, load_rig
+    from bench.running.trial_time import estimate
     from bench.script import load_script
-    from bench.trial_time import estimate
 
     if is_offset_script(path):
         return _show_offsets(path, as_json=as_json)
@@ -75,7 +75,7 @@ def _show(path: Path, rig_name: str | None, *, as_json: bool) -> int:
 
 
 def _show_offsets(path: Path, *, as_json: bool) -> int:
-    from bench.offsets import load_offsets
+    from bench.planning.offsets import load_offsets
 
     script = load_offsets(path).script
     if as_json:
@@ -91,8 +91,8 @@ def _show_offsets(path: Path, *, as_json: bool) -> int:
 def _as_json(script: LoadedScript, time: TimeEstimate, rig: str) -> dict[str, Any]:
     from dataclasses import asdict
 
-    from bench.planning import POSE_KEYS, pose_set
-    from bench.trial_time import ASSUMED, UNITS
+    from bench.planning.trials import POSE_KEYS, pose_set
+    from bench.running.trial_time import ASSUMED, UNITS
 
     s = script.script
     poses = pose_set(s.trials, script.planned, seed=s.seed, order=s.order)
@@ -106,8 +106,8 @@ def _print(script: LoadedScript, time: TimeEstimate) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from bench.planning import chosen
-    from bench.trial_time import assumed_told
+    from bench.planning.trials import chosen
+    from bench.running.trial_time import assumed_told
 
     console = Console()
     table = Table(title=f"{script.script.title}: {len(script.planned)} trials, {len({one.name for one in script.planned})} poses")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.config import ConfigError, read_text
-from bench.examine import examine, points_of
+from bench.detecting.examine import examine, points_of
 from bench.rig import LoadedRig
 from bench.scene_recording import warm
 from bench.scoring.matching import gate_mm, match

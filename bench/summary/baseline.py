@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from bench.comparing import Comparison, compare_folders
-from bench.comparison_page import comparison_parts
+from bench.comparing.page import comparison_parts
+from bench.comparing.runs import Comparison, compare_folders
 from reports.figures import change_scatter
 from reports.page import Figure, Part, Section
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.interlock_rules import RULES
 from bench.record import RunRecord, TrialRecord
+from bench.running.stimulus import Figures, Surface, surface
+from bench.safety.interlock_rules import RULES
 from bench.script import Rules, Script
-from bench.stimulus import Figures, Surface, surface
 from bench.summary import tables
 from bench.summary.wording import NOT_MEASURED, guardian_told, number
 from reports.figures import bath_curve

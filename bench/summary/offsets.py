@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bench import __version__
-from bench.offsets import LoadedOffsets, Offset, Outcome
+from bench.planning.offsets import LoadedOffsets, Offset, Outcome
 from reports.figures import error_histogram
 from reports.page import Banner, Column, Figure, Page, Paragraph, Part, Requirement, Requirements, Section, Table, Verdict
 

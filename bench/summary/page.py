@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from bench.config import ConfigError, read_config
+from bench.detecting.latency import LATENCY_RULE, failures_told, latency_of
 from bench.exports import write_exports
-from bench.latency import LATENCY_RULE, failures_told, latency_of
 from bench.record import RunRecord, read_run
 from bench.rig import read_calibration
 from bench.scoring.limits import acceptance_limit_mm

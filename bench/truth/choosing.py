@@ -9,13 +9,13 @@ from collections.abc import Callable, Sequence
 from math import hypot
 
 from bench.arm.tip import TipReader
-from bench.attention import Attention
 from bench.config import ConfigError
 from bench.devices import Devices
-from bench.planning import PlannedTrial, shared
+from bench.planning.trials import PlannedTrial, shared
 from bench.record import RunRecord
 from bench.rig import LoadedRig
-from bench.rig import Stage as StageSettings
+from bench.rig_tables import Stage as StageSettings
+from bench.running.attention import Attention
 from bench.script import LoadedScript
 from bench.store import Row, Store
 from bench.truth.carry import fixed_key

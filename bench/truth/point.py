@@ -14,7 +14,7 @@ from math import hypot, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.rig import Arm
+from bench.rig_tables import Arm
 from bench.scoring.uncertainty import Component, TruthUncertainty
 
 ROUNDING_MM = 0.105 / 3**0.5  # 0.105 mm rms in space over random poses (the arm's fact sheet), along one axis

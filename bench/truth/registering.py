@@ -11,7 +11,7 @@ from datetime import datetime
 
 import numpy as np
 
-from bench.rig import Stage as StageSettings
+from bench.rig_tables import Stage as StageSettings
 from bench.truth.axes import StageAccuracy
 from bench.truth.point import Triple, triple
 from bench.truth.registration import Registration, Station

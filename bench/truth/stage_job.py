@@ -14,9 +14,9 @@ from bench.arm.tip import TipReader
 from bench.config import ConfigError
 from bench.devices import Devices
 from bench.hookup import open_rig
-from bench.phantom_file import find_layout, load_layout
+from bench.planning.phantom_file import find_layout, load_layout
 from bench.rig import LoadedRig
-from bench.rig import Stage as StageSettings
+from bench.rig_tables import Stage as StageSettings
 from bench.truth.point import end_u_mm
 from bench.truth.registering import around, register
 from bench.truth.registration import Registration, RegistrationError

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.arm.tip import TipReader, WorldTip
-from bench.rig import Arm
+from bench.rig_tables import Arm
 from bench.store import Row
 from bench.truth.point import TruthPoint, reading_u_mm, touched
 from bench.truth.rules import mistaken, outliers

@@ -15,13 +15,14 @@ from typing import Any
 from unittest.mock import patch
 
 from bench.devices import Devices
-from bench.emulation import EmulatedRig
-from bench.event_lines import WatchedProgress
-from bench.faults import fault_names
+from bench.emulated.emulation import EmulatedRig
+from bench.emulated.faults import fault_names
+from bench.emulated.tables import EmulatedFault
 from bench.jobs import run_script
 from bench.record import RunRecord, read_run
-from bench.rig import EmulatedFault, load_rig
-from bench.run_state import EVENT
+from bench.rig import load_rig
+from bench.running.event_lines import WatchedProgress
+from bench.running.run_state import EVENT
 from bench.script import load_script
 from tests.bench.killed_runs import Silent
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files

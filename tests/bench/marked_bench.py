@@ -20,17 +20,17 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.console_window import CTRL_CLOSE_EVENT, Handler
+from bench.detecting.examine import Examiner
 from bench.devices import Devices
 from bench.engine import Ending
-from bench.examine import Examiner
-from bench.exits import installed
 from bench.jobs import run_script
-from bench.progress import TerminalProgress
 from bench.rig import load_rig
+from bench.running.progress import TerminalProgress
+from bench.running.trial_run import TrialRun
+from bench.safety.console_window import CTRL_CLOSE_EVENT, Handler
+from bench.safety.exits import installed
 from bench.script import load_script
 from bench.store import Row, Store
-from bench.trial_run import TrialRun
 from instruments.camera.recording import RecordingCameras
 from instruments.stage.driver import Stage
 from tests.bench.real_rig import RealRig

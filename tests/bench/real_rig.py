@@ -15,8 +15,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bench.emulation import EmulatedRig
-from bench.phantom_file import shipped_phantom
+from bench.emulated.emulation import EmulatedRig
+from bench.planning.phantom_file import shipped_phantom
 from bench.rig import RIGS, LoadedRig, find_rig, load_rig
 from instruments.camera.recording import RecordingWriter
 from instruments.clock import RealClock

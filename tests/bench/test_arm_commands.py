@@ -21,7 +21,7 @@ from bench.arm.files import load_frame, load_verification
 from bench.arm.guided import Step
 from bench.arm.trying import PLACED, TryingArm
 from bench.cli import main, parser
-from bench.rig import Arm
+from bench.rig_tables import Arm
 from bench.script import TRIALS, ArmRequirement, find_script, load_script
 from instruments.clock import RealClock
 from instruments.listener import Connection, Listener

@@ -8,9 +8,9 @@ from typing import cast
 
 import pytest
 
-from bench.attempts import Attempts
-from bench.attention import Attention
-from bench.planning import PlannedTrial
+from bench.planning.trials import PlannedTrial
+from bench.running.attempts import Attempts
+from bench.running.attention import Attention
 from bench.script import find_script, load_script
 from bench.store import Store
 from instruments.clock import VirtualClock

@@ -15,13 +15,13 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule, run_state_machine_as_test
 
-from bench.emulation import EmulatedRig
+from bench.emulated.emulation import EmulatedRig
 from bench.hookup import driver_openers
-from bench.interlocks import Interlocks, bath_of
 from bench.rig import LoadedRig, load_rig
-from bench.safing import heater_off, pump_on, start_bath
-from bench.stability import StabilityGate
-from bench.watch import Watch
+from bench.running.stability import StabilityGate
+from bench.running.watch import Watch
+from bench.safety.interlocks import Interlocks, bath_of
+from bench.safety.safing import heater_off, pump_on, start_bath
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import FAULTS
 from instruments.bath.profile import profile_names

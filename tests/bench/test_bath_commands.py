@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import pytest
 from rich.console import Console
 
-from bench.bath_alone import open_bath, profile_of
-from bench.bath_watch import BathView, Sample, output_strip, plot, rate_k_per_s, seconds_to_stable, watch_bath
+from bench.alone.bath import open_bath, profile_of
+from bench.alone.bath_watch import BathView, Sample, output_strip, plot, rate_k_per_s, seconds_to_stable, watch_bath
 from bench.cli import main
-from bench.stability import StabilityGate
+from bench.running.stability import StabilityGate
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
 from instruments.bath.reading import BathReading

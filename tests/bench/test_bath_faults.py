@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.emulation import EmulatedRig
+from bench.emulated.emulation import EmulatedRig
 from bench.rig import load_rig
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import FAULTS

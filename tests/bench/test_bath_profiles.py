@@ -9,10 +9,10 @@ import pytest
 
 from bench.cli import main
 from bench.config import ConfigError
-from bench.emulation import EmulatedRig
+from bench.emulated.emulation import EmulatedRig
 from bench.hookup import driver_openers
 from bench.rig import LoadedRig, load_rig
-from bench.safing import start_bath
+from bench.safety.safing import start_bath
 from instruments.bath.driver import Bath
 from instruments.bath.profile import profile_names
 from instruments.clock import RealClock, VirtualClock

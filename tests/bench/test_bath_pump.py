@@ -9,8 +9,8 @@ import pytest
 
 from bench.cli import main
 from bench.config import ConfigError
-from bench.emulation import EmulatedRig
-from bench.faults import fault_names
+from bench.emulated.emulation import EmulatedRig
+from bench.emulated.faults import fault_names
 from bench.record import RunRecord, read_run
 from bench.rig import load_rig
 from instruments.bath.relay_emulator import RELAY_FAULTS

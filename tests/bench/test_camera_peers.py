@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.camera_hookup import open_cameras
-from bench.camera_tables import Cameras as CamerasTable
-from bench.camera_tables import Checks
-from bench.frame_taker import FrameTaker
+from bench.cameras.frame_taker import FrameTaker
+from bench.cameras.hookup import open_cameras
+from bench.cameras.tables import Cameras as CamerasTable
+from bench.cameras.tables import Checks
 from instruments.camera.cameras import CameraSet
 from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.genicam import GenicamCamera

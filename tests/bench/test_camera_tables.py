@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.camera_hookup import conversion_of
-from bench.camera_tables import OneCamera, camera_url
+from bench.cameras.hookup import conversion_of
+from bench.cameras.tables import OneCamera, camera_url
 from bench.config import ConfigError
 from bench.rig import LoadedRig, load_rig
 from instruments.camera.conversion import Conversion, Radiometry

@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.cli import main
-from bench.comparing import compare_folders
+from bench.comparing.runs import compare_folders
 from bench.config import ConfigError
 from bench.scoring.decisions import Verdict
 from detector import registry

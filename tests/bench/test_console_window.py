@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from bench.console_window import (
+from bench.safety.console_window import (
     CTRL_BREAK_EVENT,
     CTRL_C_EVENT,
     CTRL_CLOSE_EVENT,
@@ -24,8 +24,8 @@ from bench.console_window import (
     handler_for,
     windows_register,
 )
-from bench.exits import CLOSE_S, installed
-from bench.safing import heater_off
+from bench.safety.exits import CLOSE_S, installed
+from bench.safety.safing import heater_off
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile

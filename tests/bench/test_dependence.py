@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.comparing import scored_together
+from bench.comparing.runs import scored_together
 from bench.dependence import ErrorRows, error_rows, plane_cells, run_bias, run_precision, run_trends
 from bench.gauging import truth_gage
 from bench.record import RunRecord, TrialRecord

@@ -10,7 +10,7 @@ import pytest
 
 from bench.cli import main
 from bench.config import ConfigError
-from bench.detector_choice import check_named, declared, make_detectors, taken_apart
+from bench.detecting.choice import check_named, declared, make_detectors, taken_apart
 from bench.script import TRIALS, load_script
 from detector.external import ExternalDetector
 

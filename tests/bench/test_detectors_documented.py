@@ -12,7 +12,7 @@ import pytest
 
 from bench.cli import main
 from bench.config import read_config
-from bench.detector_choice import DetectorFile
+from bench.detecting.choice import DetectorFile
 from detector.external import Limits
 from detector.registry import available
 from tests.bench.small_recording import write_recording

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from bench.cli import main
-from bench.dry_run import carry_touches, dry_run
-from bench.phantom_file import Layout, PhantomFile, find_layout, load_layout
-from bench.planning import plan
+from bench.planning.dry_run import carry_touches, dry_run
+from bench.planning.phantom_file import Layout, PhantomFile, find_layout, load_layout
+from bench.planning.trial_table import Trial
+from bench.planning.trials import plan
 from bench.rig import RIGS, LoadedRig, find_rig, load_rig
 from bench.script import LoadedScript, find_script, load_script
-from bench.trial_table import Trial
 from instruments.stage.settings import AxisLimits
 
 TRAVEL = {"X": AxisLimits(-300.0, 0.0), "Y": AxisLimits(-275.0, 0.0), "Z": AxisLimits(-50.0, 0.0)}

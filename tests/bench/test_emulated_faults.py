@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from bench.config import ConfigError
-from bench.emulation import EmulatedRig
-from bench.faults import fault_names
+from bench.emulated.emulation import EmulatedRig
+from bench.emulated.faults import fault_names
 from bench.rig import load_rig
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import InstrumentError, LinkError

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bench.config import ConfigError
-from bench.emulation import EmulatedRig
+from bench.emulated.emulation import EmulatedRig
 from bench.hookup import driver_openers
 from bench.rig import LoadedRig, find_rig, load_rig
 from instruments.clock import VirtualClock

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from bench.emulation import EmulatedRig
+from bench.emulated.emulation import EmulatedRig
 from bench.hookup import driver_openers, open_rig
-from bench.phantom_file import shipped_phantom
+from bench.planning.phantom_file import shipped_phantom
 from bench.rig import LoadedRig, find_rig, load_rig
 from instruments.bath.driver import Bath
 from instruments.clock import VirtualClock

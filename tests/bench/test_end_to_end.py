@@ -22,7 +22,7 @@ import pytest
 
 from bench.cli import main
 from bench.record import RunRecord, read_run
-from bench.stability import State
+from bench.running.stability import State
 from tests.conftest import ROOT
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.examine import Answer, Examiner, TruthRow, close_detectors, examine, score_answer
+from bench.detecting.examine import Answer, Examiner, TruthRow, close_detectors, examine, score_answer
 from bench.rig import RIGS, read_calibration
 from bench.rows import detection_rows, score_row, stage_pictures
 from bench.scoring.scene import scene_from_dict

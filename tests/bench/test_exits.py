@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.exits import Exits, Interrupted, current, installed, undisturbed
+from bench.safety.exits import Exits, Interrupted, current, installed, undisturbed
 from tests.conftest import ROOT
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
@@ -21,8 +21,8 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals"
 # A program shaped like the engine's run: it works, then goes to safe in half a second, and says what it did.
 CHILD = """
 import sys, time
-from bench.exits import current, installed, undisturbed
-from bench.exits import Interrupted
+from bench.safety.exits import current, installed, undisturbed
+from bench.safety.exits import Interrupted
 def say(text):
     with open(sys.argv[1], "a", encoding="utf-8") as file:
         file.write(text + chr(10))
@@ -125,7 +125,7 @@ def test_a_closed_console_makes_safe_on_its_own_thread_and_in_bounded_time(monke
     exits.at_close = lambda: done.append(threading.current_thread().name)
     exits.console_closed()
     assert done == ["console closed"]
-    monkeypatch.setattr("bench.exits.CLOSE_S", 0.1)
+    monkeypatch.setattr("bench.safety.exits.CLOSE_S", 0.1)
     ended = threading.Event()
     exits.at_close = lambda: ended.wait(5.0)
     start = time.monotonic()
@@ -190,7 +190,7 @@ def lived_through(signals: list[str], log: Path, gap_s: float) -> list[str]:
 @posix
 def test_a_request_never_leaves_a_lock_held(monkeypatch: pytest.MonkeyPatch) -> None:
     """Raised while Python's own code takes a lock, it would be held for ever, and whoever wants it would wait for ever."""
-    monkeypatch.setattr("bench.exits.ON_THE_WAY_S", 0.0)
+    monkeypatch.setattr("bench.safety.exits.ON_THE_WAY_S", 0.0)
     condition, rng, raised = threading.Condition(), random.Random(1), 0
 
     def is_free() -> None:

@@ -8,10 +8,10 @@ from typing import Literal
 import pytest
 
 from bench.devices import Devices
-from bench.emulation import EmulatedRig
+from bench.emulated.emulation import EmulatedRig
 from bench.hookup import driver_openers, open_rig
 from bench.rig import find_rig, load_rig
-from bench.safing import heater_off, pump_on, pump_told, run_pump_on, start_bath
+from bench.safety.safing import heater_off, pump_on, pump_told, run_pump_on, start_bath
 from instruments.bath.profile import Profile, load_profile
 from instruments.bath.reading import BathReading
 from instruments.bath.rows import Row

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bench.config import ConfigError
-from bench.emulation import EmulatedRig
-from bench.planning import chosen
+from bench.emulated.emulation import EmulatedRig
+from bench.planning.trials import chosen
 from bench.rig import find_rig, load_rig
 from bench.script import LoadedScript, load_script
 from instruments.clock import VirtualClock

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.camera_tables import Checks, FocusTable
-from bench.frame_checks import FrameChecks
+from bench.cameras.frame_checks import FrameChecks
+from bench.cameras.stereo_order import StereoOrder
+from bench.cameras.tables import Checks, FocusTable
 from bench.rig import find_rig, load_rig, read_calibration
-from bench.stereo_order import StereoOrder
 from detector.calibration import Calibration
 from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.emulator_faults import AMOUNTS, FAULTS, KEPT_BACK, check_amount, check_camera, named

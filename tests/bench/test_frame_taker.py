@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.camera_tables import Cameras as CamerasTable
-from bench.frame_taker import HINTS, FrameTaker
+from bench.cameras.frame_taker import HINTS, FrameTaker
+from bench.cameras.tables import Cameras as CamerasTable
 from bench.rig import find_rig, load_rig
 from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.emulator_faults import FAULTS

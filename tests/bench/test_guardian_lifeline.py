@@ -16,9 +16,9 @@ from typing import Any
 
 import pytest
 
-from bench.guardian import main as guardian
-from bench.lifeline import Charge, Lifeline, guarded
-from bench.pulse import Pulse
+from bench.safety.guardian import main as guardian
+from bench.safety.lifeline import Charge, Lifeline, guarded
+from bench.safety.pulse import Pulse
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
 from instruments.clock import RealClock, VirtualClock
@@ -140,7 +140,7 @@ def test_under_virtual_time_there_is_nothing_to_guard(tmp_path: Path) -> None:
 
 BENCH_THAT_HANGS = """
 import subprocess, sys, time
-command = [sys.executable, "-m", "bench.guardian", "--url", sys.argv[1], "--profile", "julabo-presto", "--record", sys.argv[2]]
+command = [sys.executable, "-m", "bench.safety.guardian", "--url", sys.argv[1], "--profile", "julabo-presto", "--record", sys.argv[2]]
 import os
 child = subprocess.Popen(command + ["--bench", str(os.getpid())], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
 child.stdout.readline()

@@ -17,8 +17,8 @@ from typing import Any
 
 import pytest
 
-from bench.guardian import DONE
 from bench.record import read_run
+from bench.safety.guardian import DONE
 from bench.summary.wording import guardian_told
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile, load_relay
@@ -148,7 +148,7 @@ class Hot:
     def abandoned(self, overrun_s: float) -> Iterator[subprocess.Popen[bytes]]:
         """A guardian whose bench has just died."""
         more = ["--record", str(self.record), "--bench", "1", "--overrun-s", str(overrun_s)]
-        command = [sys.executable, "-m", "bench.guardian", *self.arguments, *more]
+        command = [sys.executable, "-m", "bench.safety.guardian", *self.arguments, *more]
         pipe = subprocess.PIPE
         with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe, start_new_session=True) as process:
             assert process.stdin is not None
@@ -211,7 +211,7 @@ def test_a_relay_that_is_dead_keeps_nobody_from_standby(hot: Hot) -> None:
 
 
 def test_a_bench_that_has_made_safe_itself_leaves_the_pump_to_nobody(hot: Hot) -> None:
-    command = [sys.executable, "-m", "bench.guardian", *hot.arguments, "--record", str(hot.record), "--bench", "1"]
+    command = [sys.executable, "-m", "bench.safety.guardian", *hot.arguments, "--record", str(hot.record), "--bench", "1"]
     done = subprocess.run(command, cwd=ROOT, input=f"{DONE}\n".encode(), stdout=subprocess.PIPE, timeout=30, check=False)
     assert done.returncode == 0
     assert (hot.plant.running, hot.plant.pump) == (True, "on")

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.interlock_looks import Bath
-from bench.interlock_rules import RULES, rule_named
-from bench.interlocks import Interlocks, InterlockTrip, bath_of
-from bench.rig import Limits
+from bench.rig_tables import Limits
+from bench.safety.interlock_looks import Bath
+from bench.safety.interlock_rules import RULES, rule_named
+from bench.safety.interlocks import Interlocks, InterlockTrip, bath_of
 from instruments.bath.profile import load_profile
 from instruments.bath.reading import BathReading
 

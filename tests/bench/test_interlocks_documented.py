@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from bench.interlock_rules import RULES
+from bench.safety.interlock_rules import RULES
 from instruments.bath.profile import CommsLoss
 from tests.conftest import ROOT
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.interlocks import InterlockTrip
-from bench.latch import Latch, LatchedError, acknowledge, latch_path, read_latch, refuse_latched, set_latch
 from bench.rig import RIGS, LoadedRig, find_rig, load_rig
+from bench.safety.interlocks import InterlockTrip
+from bench.safety.latch import Latch, LatchedError, acknowledge, latch_path, read_latch, refuse_latched, set_latch
 from instruments.bath.reading import BathReading
 
 CALM = BathReading(t_s=0.0, temp_c=33.0, raw=(1, 2), external_c=None, power_percent=2.0, safety_c=None, alarm=0, warning=0, remote=True)

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from bench.interlock_rules import RULES, rule_named
-from bench.interlocks import Interlocks, InterlockTrip, bath_of, moving_of
-from bench.latch import LatchedError, acknowledge, latch_path, read_latch, refuse_latched, set_latch
-from bench.rig import RIGS, Limits, LoadedRig, load_rig
-from bench.stability import StabilityGate
-from bench.watch import Watch
+from bench.rig import RIGS, LoadedRig, load_rig
+from bench.rig_tables import Limits
+from bench.running.stability import StabilityGate
+from bench.running.watch import Watch
+from bench.safety.interlock_rules import RULES, rule_named
+from bench.safety.interlocks import Interlocks, InterlockTrip, bath_of, moving_of
+from bench.safety.latch import LatchedError, acknowledge, latch_path, read_latch, refuse_latched, set_latch
 from instruments.bath.profile import load_profile
 from instruments.bath.reading import BathReading
 from instruments.clock import VirtualClock

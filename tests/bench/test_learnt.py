@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from bench.cli import main
-from bench.learnt import FILE, figures, needs, read_learnt, told, took, write_learnt
 from bench.rig import find_rig, load_rig
+from bench.running.learnt import FILE, figures, needs, read_learnt, told, took, write_learnt
+from bench.running.trial_time import ASSUMED, estimate
 from bench.script import find_script, load_script
-from bench.trial_time import ASSUMED, estimate
 from tests.bench.operated_runs import SCRIPT, files, run_of
 
 SLOW = "bath_start_c = 28.0"

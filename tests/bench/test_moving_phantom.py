@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.emulation import EmulatedRig
-from bench.phantom_file import shipped_phantom
+from bench.emulated.emulation import EmulatedRig
+from bench.planning.phantom_file import shipped_phantom
 from bench.rig import find_rig, load_rig
 from instruments.clock import VirtualClock
 from instruments.link import Link

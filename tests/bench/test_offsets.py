@@ -12,7 +12,7 @@ import pytest
 
 from bench.cli import main
 from bench.config import ConfigError
-from bench.offsets import LoadedOffsets, is_offset_script, load_offsets, offset_errors, outcomes
+from bench.planning.offsets import LoadedOffsets, is_offset_script, load_offsets, offset_errors, outcomes
 from bench.rig import find_rig, load_rig
 from bench.script import TRIALS, find_script
 from bench.summary.offsets import beyond_axes, published_move_mm

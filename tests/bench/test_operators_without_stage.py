@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.phantom_file import shipped_phantom
+from bench.planning.phantom_file import shipped_phantom
 from bench.record import RunRecord
 from instruments.world.phantom import PlatePose
 from tests.bench.operated_runs import CHECK_POINT, files, run

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.config import ConfigError
-from bench.phantom_file import find_layout, layout_names, load_layout, shipped_phantom
+from bench.planning.phantom_file import find_layout, layout_names, load_layout, shipped_phantom
 from instruments.clock import VirtualClock
 from instruments.world.scene import Renderer
 from instruments.world.spacing import clearance_mm

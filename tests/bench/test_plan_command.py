@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from bench.claims import make_plan
 from bench.cli import main
+from bench.planning.claims import make_plan
 
 
 def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.config import ConfigError
-from bench.phantom_file import find_layout, load_layout
-from bench.planning import POSE_KEYS, PlannedTrial, plan, pose_set, shared
+from bench.planning.phantom_file import find_layout, load_layout
+from bench.planning.trial_table import Grid, Trial
+from bench.planning.trials import POSE_KEYS, PlannedTrial, plan, pose_set, shared
 from bench.script import find_script, load_script
-from bench.trial_table import Grid, Trial
 from instruments.world.phantom import PlatePose
 
 HEAD = {"name": "t", "situation": "s", "layout": "single", "set_up": "One teat."}

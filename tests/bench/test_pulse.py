@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from bench.pulse import Pulse
+from bench.safety.pulse import Pulse
 from instruments.clock import RealClock
 from instruments.link import Link
 
@@ -18,7 +18,7 @@ class Stopwatch:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 1000.0
-        monkeypatch.setattr("bench.pulse.stopwatch_s", lambda: self.now_s)
+        monkeypatch.setattr("bench.safety.pulse.stopwatch_s", lambda: self.now_s)
 
 
 @pytest.fixture

@@ -13,8 +13,8 @@ import pytest
 
 from bench.cli import main
 from bench.engine import Ending
-from bench.event_lines import EventLines, WatchedProgress, event_lines
 from bench.record import read_run
+from bench.running.event_lines import EventLines, WatchedProgress, event_lines
 from bench.store import Store
 from tests.bench.killed_runs import Silent, only_run, resume, start
 from tests.bench.operated_runs import files
@@ -95,7 +95,7 @@ def test_a_clock_that_is_set_amid_a_run_is_noted_and_changes_nothing_else(
         looks["n"] += 1
         return datetime.now(UTC) + (timedelta(seconds=by_s) if looks["n"] > 12 else timedelta())
 
-    monkeypatch.setattr("bench.attention.wall_time", stepping)
+    monkeypatch.setattr("bench.running.attention.wall_time", stepping)
     folder, ending = start(tmp_path)
     run = read_run(folder)
     assert (ending, len(run.trials)) == (Ending.FINISHED, 3)

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from bench.record import RunRecord
-from bench.retries import GARBLED, GONE, POLICIES, REFUSES, instrument_of, policy_for
-from bench.run_state import EVENT
+from bench.running.retries import GARBLED, GONE, POLICIES, REFUSES, instrument_of, policy_for
+from bench.running.run_state import EVENT
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.microscribe.refusals import AnotherArmError, SilentArmError
 from tests.bench.operated_runs import STAGE, files, run

@@ -14,11 +14,11 @@ from bench.cli import main
 from bench.config import ConfigError
 from bench.engine import Ending
 from bench.record import read_run
-from bench.resuming import what_is_left
-from bench.rig_lock import locked, run_lock
-from bench.run_state import EVENT
+from bench.running.resuming import what_is_left
+from bench.running.rig_lock import locked, run_lock
+from bench.running.run_state import EVENT
+from bench.running.trial_run import TrialRun
 from bench.script import load_script
-from bench.trial_run import TrialRun
 from tests.bench.killed_runs import Silent, killed_at, killed_while, only_run, results, resume, start, steps_of
 from tests.bench.operated_runs import CHECK_POINT, STAGE, files
 from tests.conftest import ROOT

@@ -17,7 +17,7 @@ from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files
 if sys.platform == "win32":
     pytest.skip("forks benches, and kills them", allow_module_level=True)
 
-from bench.trial_run import TrialRun
+from bench.running.trial_run import TrialRun
 
 CARRY = SCRIPT.replace(
     "poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0, yaw_deg = 4.0 }, {}]",

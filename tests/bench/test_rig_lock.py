@@ -13,13 +13,13 @@ import pytest
 
 from bench.config import ConfigError
 from bench.rig import find_rig, load_rig
-from bench.rig_lock import RigInUseError, lock_path, locked
+from bench.running.rig_lock import RigInUseError, lock_path, locked
 from tests.conftest import ROOT
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from bench.rig_lock import locked
+from bench.running.rig_lock import locked
 with locked(Path(sys.argv[1]), "runs/here", print):
     print("held", flush=True)
     sys.stdin.readline()

@@ -6,9 +6,9 @@ from itertools import product
 
 import pytest
 
-from bench.retries import POLICIES
-from bench.retries import table_text as retries_text
-from bench.run_state import AWAY, ENDS, TABLE, RunState, RunStates, drawing, table_text
+from bench.running.retries import POLICIES
+from bench.running.retries import table_text as retries_text
+from bench.running.run_state import AWAY, ENDS, TABLE, RunState, RunStates, drawing, table_text
 from tests.conftest import ROOT
 
 PAGE = ROOT / "docs" / "runs.md"

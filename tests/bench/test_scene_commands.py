@@ -10,8 +10,9 @@ import pytest
 
 from bench.cli import main
 from bench.config import ConfigError, read_config
-from bench.emulated_optics import EmulatedOptical, EmulatedThermal
-from bench.rig import Rig, find_rig, load_rig
+from bench.emulated.optics import EmulatedOptical, EmulatedThermal
+from bench.rig import find_rig, load_rig
+from bench.rig_tables import Rig
 from bench.scene_recording import chosen, record, rig_renderer, warm
 from instruments.camera.recording import Recording, RecordingError
 from instruments.world.situations import SITUATIONS, situation

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from bench.cli import main
-from bench.latency import Latency, failures_told, latency_of
+from bench.detecting.latency import Latency, failures_told, latency_of
+from bench.detecting.score_table import score_table
 from bench.record import RunRecord, read_run
-from bench.score_table import score_table
 from bench.summary.page import stored_rules
 from bench.verdicts import judge
 from tests.bench.small_recording import ENDS_MM, write_recording

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.stability import StabilityGate, State
+from bench.running.stability import StabilityGate, State
 
 SP = 33.0
 HEATING, SETTLING, STABLE = State.HEATING, State.SETTLING, State.STABLE

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import pytest
 
+from bench.alone.stage import step
 from bench.cli import main
 from bench.rig import find_rig
-from bench.stage_alone import step
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.stage.emulator import GRBL_HAL, Fault, StageEmulator

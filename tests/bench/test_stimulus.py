@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.stimulus import Figures, below_water_k, hose_drop_k, surface
+from bench.running.stimulus import Figures, below_water_k, hose_drop_k, surface
 from instruments.world.plant import Plant
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench.latency import latency_of
-from bench.run_state import EVENT
+from bench.detecting.latency import latency_of
+from bench.running.run_state import EVENT
 from tests.bench.operated_runs import SCRIPT, files, run
 
 FAULT = """prompt_s = 120.0

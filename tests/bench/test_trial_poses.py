@@ -12,9 +12,9 @@ from rich.console import Console
 
 from bench.engine import Ending
 from bench.jobs import run_script
-from bench.progress import TerminalProgress
 from bench.record import RunRecord, read_run
 from bench.rig import RIGS, LoadedRig, load_rig
+from bench.running.progress import TerminalProgress
 from bench.script import LoadedScript, load_script
 from instruments.stage.driver import Stage
 from instruments.world.phantom import PIVOT_MM

@@ -9,8 +9,8 @@ import pytest
 
 from bench.cli import main
 from bench.rig import find_rig, load_rig, shipped
+from bench.running.trial_time import ASSUMED, estimate, move_s
 from bench.script import TRIALS, find_script, load_script
-from bench.trial_time import ASSUMED, estimate, move_s
 
 
 def test_each_script_that_ships_is_listed_with_what_it_is_about(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from bench.offsets import Offset, OffsetScript
-from bench.phantom_file import Envelope, PhantomFile, TeatTable, layout_names, load_layout
+from bench.planning.offsets import Offset, OffsetScript
+from bench.planning.phantom_file import Envelope, PhantomFile, TeatTable, layout_names, load_layout
+from bench.planning.trial_table import Draw, Grid, PoseTable, Trial
 from bench.script import load_script
-from bench.trial_table import Draw, Grid, PoseTable, Trial
 from tests.bench.test_planning import SCRIPT
 from tests.conftest import ROOT
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from bench.interlocks import Interlocks, InterlockTrip, bath_of
-from bench.rig import Limits
-from bench.stability import StabilityGate, State
+from bench.rig_tables import Limits
+from bench.running.stability import StabilityGate, State
+from bench.running.watch import Watch
+from bench.safety.interlocks import Interlocks, InterlockTrip, bath_of
 from bench.store import Row
-from bench.watch import Watch
 from instruments.bath.profile import load_profile
 from instruments.bath.reading import BathReading
 from instruments.clock import RealClock, VirtualClock

@@ -11,9 +11,9 @@ from bench.config import ConfigError
 from bench.jobs import run_script
 from bench.record import RunRecord, read_run
 from bench.rig import load_rig
-from bench.run_state import EVENT
+from bench.running.run_state import EVENT
+from bench.running.wishes import FILE, Wishes, leave_wish, read_wish
 from bench.script import load_script
-from bench.wishes import FILE, Wishes, leave_wish, read_wish
 from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
 from tests.bench.killed_runs import Silent
 from tests.bench.operated_runs import files

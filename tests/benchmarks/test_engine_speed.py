@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from bench.jobs import run_script
-from bench.planning import PlannedTrial
+from bench.planning.trials import PlannedTrial
 from bench.rig import load_rig
 from bench.script import load_script
 from bench.store import FinishedTrial
@@ -44,7 +44,7 @@ def empty_trials(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         head = {"id": trial.id, "number": trial.number, "name": trial.name, "situation": trial.situation, "repeat": trial.repeat}
         trials._store.finished(FinishedTrial({**head, "wall_time": ""}, [], [], [], [], [], []))
 
-    monkeypatch.setattr("bench.trial_run.TrialRun.run", run)
+    monkeypatch.setattr("bench.running.trial_run.TrialRun.run", run)
     return began
 
 

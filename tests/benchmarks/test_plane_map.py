@@ -12,9 +12,9 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from rich.console import Console
 
 from bench.jobs import run_script
-from bench.progress import TerminalProgress
 from bench.record import read_run
 from bench.rig import find_rig, load_rig
+from bench.running.progress import TerminalProgress
 from bench.script import find_script, load_script
 from bench.summary import write_run_report
 from tests.benchmarks.figures import figure

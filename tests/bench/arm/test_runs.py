@@ -19,7 +19,8 @@ from bench.arm.trying import TryingArm
 from bench.arm.verification import Limits
 from bench.cli import main
 from bench.record import RunRecord, read_run
-from bench.rig import RIGS, Arm
+from bench.rig import RIGS
+from bench.rig_tables import Arm
 from bench.scoring.decisions import Verdict
 from bench.script import TRIALS
 from bench.summary.page import stored_rules

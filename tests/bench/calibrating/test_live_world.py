@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bench.arm.tip import TipReader
 from bench.calibrating.live_world import Asking, gather_points, nine, under_ball
-from bench.rig import Arm
+from bench.rig_tables import Arm
 from detector.calibration.boards import Board
 from detector.geometry import Array, Motion
 from instruments.errors import DeviceError

@@ -13,7 +13,7 @@ import pytest
 
 from bench.cli import main
 from bench.config import ConfigError
-from bench.planning import PlannedTrial
+from bench.planning.trials import PlannedTrial
 from bench.record import RunRecord
 from bench.rig import load_rig
 from bench.script import load_script

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.arm.tip import TipReader
-from bench.phantom_file import find_layout, load_layout
-from bench.rig import Arm
+from bench.planning.phantom_file import find_layout, load_layout
+from bench.rig_tables import Arm
 from bench.truth.axes import StageAccuracy
 from bench.truth.registration import Registration, stations_of
 from bench.truth.touching import Ends, Toucher

@@ -5,9 +5,9 @@ from __future__ import annotations
 import io
 import tomllib
 
-from bench.phantom_file import shipped_phantom
-from bench.pulse import AwaitedOperator, Pulse
+from bench.planning.phantom_file import shipped_phantom
 from bench.rig import RIGS
+from bench.safety.pulse import AwaitedOperator, Pulse
 from instruments.clock import VirtualClock
 from instruments.operators.console import Console
 from instruments.operators.emulated import EmulatedOperator, Mistake

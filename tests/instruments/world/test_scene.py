@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.phantom_file import shipped_phantom
+from bench.planning.phantom_file import shipped_phantom
 from instruments.world.eyes import OpticalCamera
 from instruments.world.noise import Image
 from instruments.world.objects import SceneObject, make_object

@@ -1,0 +1,1 @@
+"""One instrument without a run: looked at, tried, set."""

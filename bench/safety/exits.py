@@ -1,0 +1,159 @@
+"""The one place that hears who asks the bench to end: Ctrl-C, SIGTERM, a dropped connection (SIGHUP), a closed console window.
+
+The first request is raised in the main thread as `Interrupted`, so that every `finally` runs and the bench passes through
+safe; what comes while it is on its way there is only noted. The handler of the signals is itself the state, so nothing is
+global but what the system keeps. May not know what safe is: the engine brings it along.
+"""
+
+from __future__ import annotations
+
+import _thread
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from bench.safety.console_window import Register, console_heard, windows_register
+from instruments.clock import RealClock, stopwatch_s
+
+ASKED_BY = {
+    "SIGINT": "Ctrl-C",
+    "SIGTERM": "SIGTERM: somebody ended the program",
+    "SIGHUP": "SIGHUP: the terminal or its connection has gone",
+    "SIGBREAK": "Ctrl-Break",
+}
+ON_THE_WAY_S = 5.0  # a second Ctrl-C within this is the same wish; a later one is that of a person who sees nothing happen
+AMID_A_LOCK = ("__enter__", "__exit__", "_release_save", "_acquire_restore", "notify", "notify_all")
+MOMENT_S = 0.001
+CLOSE_S = 4.5  # Windows ends a program 5 s after its console was closed, whatever it does
+
+
+class Interrupted(KeyboardInterrupt):
+    """Somebody asked the bench to end; the text says who."""
+
+
+class Exits:
+    """Handler of all signals that ask for an end. ``asked`` tells all that came."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+        self.at_close: Callable[[], object] | None = None
+        self._raised_s: float | None = None
+        self._held = 0
+        self._terminals = [number for number in (0, 1, 2) if _is_terminal(number)]
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        if _amid_a_lock(frame):
+            _come_again(number)
+            return
+        name = signal.Signals(number).name
+        self.asked.append(name)
+        if name == "SIGHUP":
+            self._let_go_of_the_terminal()
+        now = stopwatch_s()
+        if self._held or (self._raised_s is not None and now - self._raised_s < ON_THE_WAY_S):
+            return
+        self._raised_s = now
+        raise Interrupted(f"the run was interrupted ({ASKED_BY.get(name, name)})")
+
+    def hold(self) -> None:
+        """From now on requests are noted and not raised. Each call needs its ``let_go``."""
+        self._held += 1
+
+    def let_go(self) -> None:
+        """Requests are raised again."""
+        self._held -= 1
+
+    def heed(self) -> None:
+        """Raise what came while requests were held, where nobody has ended for it."""
+        if self.asked and self._raised_s is None:
+            self._raised_s = stopwatch_s()
+            raise Interrupted(f"the run was interrupted ({ASKED_BY.get(self.asked[0], self.asked[0])})")
+
+    def console_closed(self, how: str = "console closed") -> None:
+        """Windows ends the program: make safe in this thread, for the main one may be waiting for input for ever."""
+        self.asked.append(how)
+        if self.at_close is not None:
+            work = threading.Thread(target=self.at_close, name="console closed", daemon=True)
+            work.start()
+            work.join(CLOSE_S)
+
+    def _let_go_of_the_terminal(self) -> None:
+        """What is written to a terminal that has gone fails, and would fail amid going to safe."""
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for number in self._terminals:
+            os.dup2(nowhere, number)
+        os.close(nowhere)
+
+
+@contextmanager
+def installed(register: Register | None = None) -> Iterator[Exits]:
+    """Hear all requests to end while this lasts. What was ignored when the program started (`nohup`, `&`) stays ignored.
+
+    ``register`` stands in for the system's way to tell of a closed console window.
+    """
+    exits = Exits()
+    if threading.current_thread() is not threading.main_thread():
+        yield exits
+        return
+    names = [name for name in ASKED_BY if hasattr(signal, name)]
+    numbers = [getattr(signal, name) for name in names if signal.getsignal(getattr(signal, name)) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, exits) for number in numbers}
+    try:
+        with console_heard(exits.console_closed, register or windows_register()):
+            yield exits
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def current() -> Exits:
+    """Whoever is installed; one that hears nothing where none is."""
+    handlers = (signal.getsignal(getattr(signal, name)) for name in ASKED_BY if hasattr(signal, name))
+    return next((handler for handler in handlers if isinstance(handler, Exits)), Exits())
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Requests to end are noted and not raised while this lasts: going to safe is short and bounded, and must not be cut off."""
+    exits = current()
+    exits.hold()
+    try:
+        yield
+    finally:
+        exits.let_go()
+
+
+def _amid_a_lock(frame: FrameType | None) -> bool:
+    """Whether Python's own code is just taking or giving back a lock: raised there, the lock would be held for ever.
+
+    All callers count: a signal that comes again may find us still at the handler's own work, called amid a lock.
+    """
+    while frame is not None:
+        if frame.f_code.co_filename == threading.__file__ and frame.f_code.co_name in AMID_A_LOCK:
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _come_again(number: int) -> None:
+    """Have the signal come once more, in a moment."""
+
+    def later() -> None:
+        RealClock().sleep(MOMENT_S)
+        if sys.platform == "win32":
+            _thread.interrupt_main(number)
+        else:
+            signal.pthread_kill(threading.main_thread().ident or 0, number)  # also out of a call that waits
+
+    threading.Thread(target=later, name="signal", daemon=True).start()
+
+
+def _is_terminal(number: int) -> bool:
+    with contextlib.suppress(OSError):
+        return os.isatty(number)
+    return False

@@ -1,0 +1,182 @@
+"""The guardian: a small process of its own that puts the bath into standby when the bench dies or hangs.
+
+    python -m bench.safety.guardian --url tcp://host:502 --profile julabo-presto --record runs/…/guardian.json
+
+The bench starts it and writes lines to its standard input: ``alive`` once a second, ``hung: …`` when its main thread makes no
+progress, ``done`` once it has made the bath safe itself, ``take over`` when it could not. The end of the input without a last
+word is the bench's death: it comes at once, however the bench died, on every system. While the bench lives the guardian owns
+nothing: no link, no file. All that it needs is loaded before, because a dying machine may have no disk any more. A pump with a
+switch of its own runs on for a minute behind the heater, and then stops; the ports are free meanwhile. It is no safety
+function: it dies with the computer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import queue
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from bench.safety.safing import OFF, ON, OVERRUN_S, has_own_pump
+from instruments.bath.driver import Bath
+from instruments.bath.profile import ProfileError, load_profile, load_relay
+from instruments.bath.relay import PUMP, PumpAt
+from instruments.clock import RealClock, stopwatch_s, wall_time
+from instruments.errors import InstrumentError, LinkError
+
+READY, ALIVE, HUNG, DONE, TAKE_OVER = "ready", "alive", "hung: ", "done", "take over"
+HANG_S = 10.0  # without a word from the bench
+PAUSE_S = 1.0  # between attempts
+GIVE_UP_S = 300.0  # then somebody has long been there, or never comes
+IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")  # they are meant for the bench; the end of the input always ends us
+
+
+class Ear:
+    """Hears the bench on a file descriptor, on a thread: not every system can wait for a pipe with a time limit."""
+
+    def __init__(self, source: int) -> None:
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        threading.Thread(target=self._listen, args=(source,), daemon=True).start()
+
+    def wait_for_trouble(self) -> tuple[str, str, float] | None:
+        """What befell the bench (``died``, ``hung`` or ``gave up``), in what, and the stopwatch at its last sign; None when it is done."""
+        last_s = stopwatch_s()
+        while True:
+            try:
+                line = self._lines.get(timeout=HANG_S)
+            except queue.Empty:
+                return "hung", f"no sign of life for {HANG_S:g} s", last_s
+            if line == DONE:
+                return None
+            if line.startswith(HUNG):
+                return "hung", line.removeprefix(HUNG), last_s
+            if line == TAKE_OVER:
+                return "gave up", "the bench could not make the bath safe itself", stopwatch_s()
+            if not line:
+                return "died", "its end of the pipe closed without a word", stopwatch_s()
+            last_s = stopwatch_s()
+
+    def _listen(self, source: int) -> None:
+        rest = b""
+        with contextlib.suppress(OSError):
+            while data := os.read(source, 4096):
+                *lines, rest = (rest + data).split(b"\n")
+                for line in lines:
+                    self._lines.put(line.decode("utf-8", "replace"))
+        self._lines.put("")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Guard one bath; 0 when the bench needed nothing or the bath is in standby, 1 when it could not be reached."""
+    given = _parser().parse_args(arguments)
+    for name in IGNORED:
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    clock = RealClock()
+    try:
+        pump = PumpAt(given.pump_url, load_relay(given.pump_profile)) if given.pump_url else None
+        bath = Bath(given.url, load_profile(given.profile), clock, allow_inferred=given.allow_inferred, identify=False, pump=pump)
+    except (ProfileError, InstrumentError) as error:
+        sys.stderr.write(f"guardian: {error}\n")
+        return 2
+    sys.stdout.write(READY + "\n")
+    sys.stdout.flush()
+    trouble = Ear(sys.stdin.fileno()).wait_for_trouble()
+    if trouble is None:
+        return 0
+    cause, why, last_sign_s = trouble
+    noticed, silent = wall_time(), timedelta(seconds=stopwatch_s() - last_sign_s)
+    record: dict[str, Any] = {"cause": cause, "why": why, "bath": given.url, "guardian": os.getpid()}
+    record |= {"wall_last_sign": _told(noticed - silent), "wall_noticed": _told(noticed)}
+    reached = _make_safe(bath, clock, given.record, record, bench=given.bench if cause == "hung" else None)
+    if reached and has_own_pump(bath):
+        _run_pump_on(bath, clock, given.record, record, given.overrun_s)
+    bath.close()
+    return 0 if reached else 1
+
+
+def _make_safe(bath: Bath, clock: RealClock, path: Path, record: dict[str, Any], *, bench: int | None) -> bool:
+    """Standby, tried until it is reached or GIVE_UP_S are over; the record follows. ``bench`` hangs and may hold the port."""
+    start_s, tries = stopwatch_s(), 0
+    while stopwatch_s() - start_s < GIVE_UP_S:
+        tries += 1
+        try:
+            bath.safe()
+        except InstrumentError as error:
+            _write(path, record | {"standby": False, "tries": tries, "error": str(error)})
+            if bench is not None and isinstance(error, LinkError):
+                record["killed"] = _kill(bench)
+                bench = None
+            clock.sleep(PAUSE_S)
+            continue
+        record |= {"standby": True, "tries": tries, "seconds": round(stopwatch_s() - start_s, 3), "wall_safe": _told(wall_time())}
+        _write(path, record)
+        return True
+    return False
+
+
+def _run_pump_on(bath: Bath, clock: RealClock, path: Path, record: dict[str, Any], overrun_s: float) -> None:
+    """Let the pump carry the heater's rest of heat away, then switch it off; the driver refuses where the bath is started again."""
+    try:
+        bath.set(PUMP, ON)
+        record["pump"] = f"runs on for {overrun_s:g} s"
+        _write(path, record)
+        bath.close()  # whoever comes to look has the ports
+        clock.sleep(overrun_s)
+        bath.set(PUMP, OFF)
+        record["pump"] = f"ran on for {overrun_s:g} s and is off"
+    except InstrumentError as error:
+        record["pump"] = f"was left as it was: {error}"
+    _write(path, record)
+
+
+def _kill(bench: int) -> bool:
+    """End a bench that hangs and keeps the port from us: what it has stored is whole at every moment."""
+    if bench != os.getppid():  # it has ended meanwhile, and its number may be another's
+        return False
+    with contextlib.suppress(OSError):
+        os.kill(bench, getattr(signal, "SIGKILL", signal.SIGTERM))
+        return True
+    return False
+
+
+def _write(path: Path, record: dict[str, Any]) -> None:
+    """Whole or not at all. A disk that is full or gone keeps us from telling, not from acting."""
+    part = path.with_name(path.name + ".part")
+    with contextlib.suppress(OSError):
+        with part.open("w", encoding="utf-8") as file:
+            json.dump(record, file, indent=1)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+
+
+def _told(when: datetime) -> str:
+    return when.isoformat(timespec="milliseconds")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="bench.safety.guardian", description="Puts a bath into standby when the bench that started it dies."
+    )
+    parser.add_argument("--url", required=True)
+    parser.add_argument("--profile", required=True)
+    parser.add_argument("--pump-url", default="", help="where the relay of a pump is that the controller doesn't turn")
+    parser.add_argument("--pump-profile", default="")
+    parser.add_argument("--allow-inferred", action="store_true")
+    parser.add_argument("--overrun-s", type=float, default=OVERRUN_S, help="how long the pump runs on behind the heater")
+    parser.add_argument("--record", required=True, type=Path)
+    parser.add_argument("--bench", required=True, type=int, help="the bench's process id")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

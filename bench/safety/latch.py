@@ -1,0 +1,91 @@
+"""What an interlock leaves behind: a file beside the rig file that keeps the next run from starting until a person acknowledges.
+
+The latch belongs to the bath, not to a run: another output folder, another script or a restart of the computer doesn't get
+round it. An emulated rig has none, for its bath is a new one in each run. May not know what tripped or why.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bench.rig import LoadedRig
+from bench.safety.interlock_rules import rule_named
+from bench.safety.interlocks import InterlockTrip
+from bench.store import write_synced
+from instruments.bath.reading import BathReading
+from instruments.clock import wall_time
+from instruments.errors import DeviceError
+
+ENDING = ".tripped.json"
+
+
+class LatchedError(DeviceError):
+    """An interlock has tripped on this rig and nobody has acknowledged it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Latch:
+    """What tripped, as the file tells it."""
+
+    path: Path
+    told: Mapping[str, Any]
+
+    @property
+    def rule(self) -> str:
+        """The rule's name."""
+        return str(self.told.get("rule", "unknown"))
+
+    def __str__(self) -> str:
+        return f"interlock {self.rule} at {self.told.get('wall_time', 'an unknown time')}: {self.told.get('why', 'no reason can be read')}"
+
+
+def latch_path(rig: LoadedRig) -> Path | None:
+    """Where the rig's latch is; None for an emulated rig."""
+    return None if rig.rig.emulated else rig.path.with_name(rig.path.stem + ENDING)
+
+
+def set_latch(path: Path, trip: Exception, run: str) -> None:
+    """Keep ``trip`` of the run in folder ``run``. The first one stays. Raises OSError where the file can't be written."""
+    if path.exists():
+        return
+    told: dict[str, object] = {"rule": "mistake of the bench", "why": f"{type(trip).__name__}: {trip}"}
+    if isinstance(trip, InterlockTrip):
+        told = trip.as_dict()
+    told |= {"wall_time": wall_time().isoformat(timespec="seconds"), "run": run}
+    write_synced(path, json.dumps(told, indent=1).encode())
+
+
+def read_latch(path: Path | None) -> Latch | None:
+    """The latch at ``path``, None where nothing is latched. A file that can't be understood is a latch all the same."""
+    if path is None or not path.exists():
+        return None
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        told = {"why": f"the file can't be read ({error})"}
+    return Latch(path, told if isinstance(told, dict) else {})
+
+
+def refuse_latched(rig: LoadedRig) -> None:
+    """Raises LatchedError where a trip of this rig has not been acknowledged."""
+    latch = read_latch(latch_path(rig))
+    if latch is not None:
+        then = str(latch.told.get("then", ""))
+        hint = f"{then} Then: teatbench bath acknowledge {rig.path}".strip()
+        raise LatchedError("rig", f"not started: {latch}", hint=hint)
+
+
+def acknowledge(rig: LoadedRig, latch: Latch, reading: BathReading) -> None:
+    """Take the latch away. Raises LatchedError while the rule's reset condition does not hold for ``reading``."""
+    try:
+        rule = rule_named(latch.rule)
+    except KeyError:
+        rule = None
+    not_yet = rule.not_yet(reading, rig.rig.limits) if rule else None
+    if rule and not_yet:
+        raise LatchedError("rig", f"not yet: {not_yet}", asked=f"acknowledge {latch.rule}", hint=f"It resets with: {rule.resets}.")
+    latch.path.unlink()
