@@ -35,7 +35,7 @@ def test_each_command_of_the_readme_works(tmp_path: Path) -> None:
         words = [sys.executable, "-m", "bench.cli", *shlex.split(line)[1:]]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         done = subprocess.run(
-            words, cwd=tmp_path, env=environment, capture_output=True, text=True, encoding="utf-8", timeout=110, check=False
+            words, cwd=tmp_path, env=environment, capture_output=True, text=True, encoding="utf-8", timeout=280, check=False
         )
         assert done.returncode in (VERDICTS if words[3] in ("run", "score") else (0,)), f"{line}\n{done.stdout}\n{done.stderr}"
         assert "Traceback" not in done.stderr

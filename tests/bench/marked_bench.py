@@ -205,7 +205,7 @@ class MarkedBench:
         if self.process.is_alive():
             self.process.kill()
         self.process.join()
-        self._reader.join(5)
+        self._reader.join(60)
         for end in (self._answers, self._said):
             end.close()
         self.process.close()

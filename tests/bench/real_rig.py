@@ -209,7 +209,7 @@ def bench(rig: RealRig, more: Sequence[str] = ()) -> Iterator[Bench]:
             if process.poll() is None:
                 process.kill()
             process.wait()
-            reader.join(5)
+            reader.join(60)
 
 
 def _listen(running: Bench) -> None:

@@ -7,10 +7,9 @@ import math
 import re
 import signal
 import sys
-import threading
 import time
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,14 +21,12 @@ from bench.arm.guided import Step
 from bench.arm.trying import PLACED, TryingArm
 from bench.cli import main, parser
 from bench.rig_tables import Arm
-from bench.script import TRIALS, ArmRequirement, find_script, load_script
+from bench.script import ArmRequirement, find_script, load_script
 from instruments.clock import RealClock
-from instruments.listener import Connection, Listener
-from tests.bench.arm.terminal import Terminal, at_terminal
+from tests.bench.arm.terminal import ENTER, answer, at_terminal
 from tests.bench.test_end_to_end import started
 from tests.conftest import ROOT
 
-ENTER = "Enter"
 HOMING = "Was the stylus on its peg"
 
 
@@ -44,16 +41,9 @@ def arm_in_hand(accuracy_mm: float = 0.23) -> Iterator[TryingArm]:
         clock.close()
 
 
-def answer(terminal: Terminal, words: str, line: str = "") -> None:
-    """Wait for a prompt that says ``words``, then type ``line``."""
-    terminal.expect(words)
-    terminal.expect("(a = abort")
-    terminal.type(line)
-
-
 def wait_for_packets(trying: TryingArm, n: int = 10) -> None:
     """Wait until the command has asked for ``n`` more packets: it watches the pedals then."""
-    end, deadline = trying.emulator.packets + n, time.monotonic() + 10.0
+    end, deadline = trying.emulator.packets + n, time.monotonic() + 60.0
     while trying.emulator.packets < end:
         assert time.monotonic() < deadline, "nobody asks the arm for packets"
         time.sleep(0.005)
@@ -196,7 +186,7 @@ def test_ctrl_c_is_how_watching_ends() -> None:
         assert child.stdout is not None
         assert "packets/s" in child.stdout.readline()
         child.send_signal(signal.SIGINT)
-        output, _ = child.communicate(timeout=20)
+        output, _ = child.communicate(timeout=60)
     assert child.returncode == 0, output
     assert "Traceback" not in output
 
@@ -246,7 +236,7 @@ def test_it_reads_the_arm_of_a_bench_that_only_emulates(capsys: pytest.CaptureFi
         assert main(["arm", "read", "--port", urls["arm"], "--homed", "--json"]) == 0
         assert main(["arm", "watch", "--port", urls["arm"], "--homed", "--seconds", "0.5"]) == 0
         child.send_signal(signal.SIGINT)
-        child.communicate(timeout=20)
+        child.communicate(timeout=60)
     said = capsys.readouterr().out.strip().split("\n")
     assert json.loads(said[0])["tip_mm"][2] == pytest.approx(212.2, abs=0.01)
     assert "packets/s" in said[1]
@@ -273,128 +263,3 @@ def test_the_guides_pieces_of_files_are_right() -> None:
     assert set(rule) | {"source"} == set(ArmRequirement.model_fields)
     (shipped,) = [r for r in load_script(find_script(None)).script.requirements if isinstance(r, ArmRequirement)]
     assert told.model_copy(update={"dated_required": False, "source": shipped.source}) == shipped
-
-
-# What can be wrong
-
-
-class Silent:
-    """Takes everything, and says nothing."""
-
-    def connect(self, connection: Connection) -> None: ...
-    def receive(self, connection: Connection, data: bytes) -> None: ...
-    def disconnect(self, connection: Connection) -> None: ...
-
-
-class Chatter(Silent):
-    """Something else: answers whatever it gets with a line of its own."""
-
-    def receive(self, connection: Connection, data: bytes) -> None:
-        connection.send(b"error: expected command letter\r\n")
-
-
-@pytest.mark.parametrize(("device", "words"), [(Silent, ("arm", "switched on")), (Chatter, ("arm", "not"))])
-def test_who_does_not_answer_as_an_arm_is_told(
-    device: Callable[[], Silent], words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    clock = RealClock()
-    listener = Listener(device(), clock, lock=threading.RLock(), name="other")
-    try:
-        assert main(["arm", "read", "--port", listener.url, "--homed"]) == 3
-    finally:
-        listener.close()
-        clock.close()
-    said = capsys.readouterr().err
-    assert said.startswith("teatbench: ")
-    assert all(word in said for word in words), said
-    assert "Traceback" not in said
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "message"),
-    [
-        (["read", "--port", "ttyUSB0", "--homed"], 2, '--port ttyUSB0: not a link; allowed: "emulator:"'),
-        (["read", "--port", "/dev/no-such-port", "--homed"], 3, "Is the adapter plugged in"),
-        (["read", "--port", "socket://127.0.0.1:1", "--homed"], 3, "nothing takes the connection"),
-        (["read", "--port", "emulator:"], 2, "nobody is at a terminal to confirm it. Give --homed"),
-        (["watch", "--port", "emulator:"], 2, "Give --homed"),
-        (["frame", "--port", "emulator:", "--out", "new.toml"], 2, "Give --homed"),
-        (["verify", "--port", "emulator:", "--out", "new.toml"], 2, "Give --homed"),
-        (["home", "--port", "emulator:"], 2, "give --on-peg"),
-        (["frame", "--port", "emulator:", "--homed", "--out", "there.toml"], 2, "is there already"),
-        (["verify", "--port", "emulator:", "--homed", "--out", "nowhere/new.toml"], 2, "a folder that is there"),
-        (
-            ["verify", "--port", "emulator:", "--homed", "--out", "new.toml", "--script", "bare.toml"],
-            2,
-            "no requirement of the kind arm_verified",
-        ),
-        (["read", "--port", "emulator:", "--homed", "--frame", "none.toml"], 2, "can't be read"),
-        (["frame", "--port", "emulator:", "--homed", "--out", "new.toml"], 3, "nobody is at the terminal any more; nothing was written"),
-        (
-            ["frame", "--port", "emulator:", "--homed", "--out", "new.toml", "--check", "2000,0,0"],
-            2,
-            "the emulated arm can't do this: out of reach",
-        ),
-    ],
-)
-def test_bad_input_gives_a_sentence(
-    arguments: list[str], code: int, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    import io
-
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n\n" if "--check" in arguments else ""))
-    (tmp_path / "there.toml").write_text("precious", encoding="utf-8")
-    script = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
-    parts = re.split(r"(?=\[\[)", script)
-    (tmp_path / "bare.toml").write_text("".join(p for p in parts if '"arm_verified"' not in p), encoding="utf-8")
-    assert main(["arm", *arguments]) == code
-    said = capsys.readouterr().err
-    assert message in said, said
-    assert "Traceback" not in said
-    assert (tmp_path / "there.toml").read_text(encoding="utf-8") == "precious"
-    assert not (tmp_path / "new.toml").exists()
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["arm"],
-        ["arm", "fly"],
-        ["arm", "read"],
-        ["arm", "read", "--port", "emulator:", "--packets", "0"],
-        ["arm", "read", "--port", "emulator:", "--baud", "1200"],
-        ["arm", "watch", "--port", "emulator:", "--seconds", "-1"],
-        ["arm", "frame", "--port", "emulator:"],
-        ["arm", "frame", "--port", "emulator:", "--out", "x", "--check", "1,2"],
-        ["arm", "frame", "--port", "emulator:", "--out", "x", "--check", "1,2,inf"],
-        ["arm", "verify", "--port", "emulator:", "--out", "x", "--distances", "4"],
-        ["arm", "verify", "--port", "emulator:", "--out", "x", "--length-mm", "0"],
-    ],
-)
-def test_wrong_arguments_give_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(arguments)
-    assert caught.value.code == 2
-    assert "usage" in capsys.readouterr().err
-
-
-def test_a_port_that_another_program_has_is_told(capsys: pytest.CaptureFixture[str]) -> None:
-    """A port without permission, as a user without the group sees it."""
-    if sys.platform != "linux":
-        pytest.skip("needs a device that nobody may open as a serial port")
-    assert main(["arm", "read", "--port", "/dev/null", "--homed"]) == 3
-    said = capsys.readouterr().err
-    assert "the port can't be opened" in said
-    assert "Traceback" not in said
-
-
-def test_writing_over_has_to_be_asked_for(tmp_path: Path) -> None:
-    out = tmp_path / "frame.toml"
-    out.write_text("old", encoding="utf-8")
-    with at_terminal(["arm", "frame", "--port", "emulator:", "--out", str(out), "--homed", "--plane-checks", "0", "--replace"]) as terminal:
-        for _ in range(3):
-            answer(terminal, ENTER)
-        assert terminal.code() == 0, terminal.text
-    assert load_frame(out).residual_mm is None
-    assert "No check point was touched" in terminal.text

@@ -15,31 +15,9 @@ from bench.record import RunRecord, read_run
 from bench.rig import load_rig
 from instruments.bath.relay_emulator import RELAY_FAULTS
 from instruments.clock import RealClock, VirtualClock
+from tests.bench.real_rig import SCRIPT
 from tests.bench.test_bath_profiles import rig_of
 
-SCRIPT = """
-title = "One trial"
-detectors = ["thesis"]
-repeats = 1
-
-[bath]
-set_point_c = 33.0
-window_s = {window_s}
-slope_k_per_min = 10.0
-teat_slope_k_per_min = 10.0
-
-[[requirements]]
-kind = "bath_in_band"
-name = "bath"
-band_k = 0.15
-
-[[trials]]
-name = "one"
-situation = "ideal"
-layout = "table-5-1"
-set_up = "Teats as in table 5.1."
-pose = {{ x_mm = 5.0 }}
-"""
 FAULT = """
 [[emulation.faults]]
 instrument = "pump"
@@ -50,7 +28,7 @@ at_s = {at_s}
 
 def run(rig: Path, folder: Path, code: set[int], *, window_s: float = 60.0) -> RunRecord:
     script = folder / "script.toml"
-    script.write_text(SCRIPT.format(window_s=window_s), encoding="utf-8")
+    script.write_text(SCRIPT.format(repeats=1, window_s=window_s), encoding="utf-8")
     assert main(["run", str(script), "--rig", str(rig), "--out", str(folder / "runs")]) in code
     (made,) = (folder / "runs").iterdir()
     return read_run(made)

@@ -77,7 +77,7 @@ def test_emulate_serves_its_cameras_too(capsys: Capture) -> None:
         assert told["size_px"] == "1360 x 1024"
         assert told["brightest_dn"] > 100
         child.send_signal(signal.SIGINT)
-        child.communicate(timeout=20)
+        child.communicate(timeout=60)
         assert child.returncode == 0
 
 

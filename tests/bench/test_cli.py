@@ -131,7 +131,7 @@ def test_emulate_serves_drivers_of_another_process() -> None:
         assert 19.0 < bath.read().temp_c < 21.0
         bath.close()
         child.send_signal(signal.SIGINT)
-        output, _ = child.communicate(timeout=20)
+        output, _ = child.communicate(timeout=60)
         assert child.returncode == 0, output
 
 

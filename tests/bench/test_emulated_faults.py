@@ -171,7 +171,7 @@ def test_serial_instruments_on_pseudo_terminals() -> None:
     stage.connect()
     stage.close()
     process.send_signal(signal.SIGINT)
-    assert process.wait(10) == 0
+    assert process.wait(60) == 0
     process.stdout.close()
     clock.close()
 

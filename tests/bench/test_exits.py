@@ -168,7 +168,7 @@ def test_a_storm_of_signals_from_the_end_of_the_work_on_cuts_nothing_off(tmp_pat
             while time.monotonic() < deadline and child.poll() is None:
                 child.send_signal(signal.SIGINT)
                 time.sleep(0.0005)
-            child.wait(10)
+            child.wait(60)
         assert log.read_text(encoding="utf-8").split("\n")[:3] == ["working", "going to safe", "safe"]
 
 
@@ -181,7 +181,7 @@ def lived_through(signals: list[str], log: Path, gap_s: float) -> list[str]:
         for name in signals:
             child.send_signal(getattr(signal, name))
             time.sleep(gap_s)
-        child.wait(10)
+        child.wait(60)
     *lines, why = log.read_text(encoding="utf-8").strip().split("\n")
     known = ("finished", "Ctrl-C", "SIGTERM", "SIGHUP")
     return [*lines, next(word for word in known if word in why)]

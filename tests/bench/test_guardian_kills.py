@@ -126,7 +126,7 @@ def kill_in(name: str, kill: str, folder: Path, recording: Path) -> Outcome:
             time.sleep(0.002)
         seconds = time.monotonic() - start
         state = asked(rig.twin.urls["bath"], "julabo-presto")
-        running.process.join(20)
+        running.process.join(60)
         if kill == "SIGKILL":
             await_record(rig.run_folder() / "guardian.json")
         return Outcome(name, seconds, killed, state, running.process.exitcode, read_run(rig.run_folder()), running.said)

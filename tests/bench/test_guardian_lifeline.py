@@ -161,7 +161,7 @@ def test_a_hung_bench_that_keeps_the_port_is_ended(hot: HotBath) -> None:
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as child:
         assert child.stdout is not None
         assert child.stdout.readline() == b"ready\n"
-        assert child.wait(30) == -signal.SIGKILL
+        assert child.wait(60) == -signal.SIGKILL
         within(3.0, record.is_file, "the record")
         forward(port, hot.url)
         within(10.0, lambda: not hot.plant.running, "standby")

@@ -71,7 +71,7 @@ def trip_in(name: str, folder: Path, recording: Path) -> Outcome:
         time.sleep(LASTS_S)
         seconds = overheat(rig, running)
         still_at_it, stage_still = running.process.exitcode is None, stands(rig)  # in this order
-        running.process.join(40)
+        running.process.join(60)
         assert running.process.exitcode == 3, running.said
         latch = json.loads((rig.folder / "lab.tripped.json").read_text(encoding="utf-8"))
         return Outcome(name, seconds, still_at_it, stage_still, read_run(rig.run_folder()), latch, running.said)

@@ -86,7 +86,7 @@ def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowl
             assert time.monotonic() - start < 3.0, "nobody pressed Enter"
             running.wait_for("interlock over-temperature", within_s=3.0)
             running.wait_for("No answer is needed any more", within_s=3.0)
-            assert running.process.wait(20) == 3, running.said
+            assert running.process.wait(60) == 3, running.said
         trip = read_run(rig.run_folder()).facts["trip"]
         assert trip["values"][-1]["safety_c"] == pytest.approx(39.0, abs=0.2)
         latch = rig.folder / "lab.tripped.json"

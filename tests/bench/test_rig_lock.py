@@ -51,7 +51,7 @@ def test_the_lock_of_a_bench_that_was_killed_is_taken_over_and_that_is_told(tmp_
     path, told = tmp_path / "lab.lock.json", list[str]()
     first = holder(path)
     first.kill()
-    first.communicate(timeout=20)
+    first.communicate(timeout=60)
     with locked(path, "x", told.append):
         pass
     assert len(told) == 1

@@ -112,7 +112,7 @@ def test_a_whole_check_is_replayed_to_a_check(check_capture: Path, tmp_path: Pat
         (tmp_path / "calibration.toml").write_bytes((ROOT / "bench" / "rigs" / "calibration.toml").read_bytes())
         main(["check", str(tmp_path / "lab.toml")])
         said = capsys.readouterr().out
-        output, _ = child.communicate(timeout=20)
+        output, _ = child.communicate(timeout=60)
     for words in ("arm: ok", "serial_number: 40937", "bath: ok", "temperature: 20.0", "stage: ok", "1.1h", "cameras: FAULT"):
         assert words in said, words
     assert (child.returncode, output) == (0, "")
@@ -126,7 +126,7 @@ def test_a_mismatch_gives_1_and_its_place(tmp_path: Path) -> None:
         link.write(b"\xc2")
         assert link.receive(0.3) == b""
         link.close()
-        output, _ = child.communicate(timeout=20)
+        output, _ = child.communicate(timeout=60)
     assert child.returncode == 1
     assert f"{path}:3: arm: connection 1, request 1: byte 0 of it is another than recorded (expected 03, got C2)" in output
     assert "arm: connection 1: 0 of 1 requests as recorded, then a mismatch" in output
@@ -137,7 +137,7 @@ def test_once_is_not_content_with_half_of_it(tmp_path: Path) -> None:
     path.write_text(HEAD + TALK, encoding="utf-8")
     with playing(str(path), "--once") as (child, urls):
         Link(urls["arm"], RealClock(), who="arm").close()
-        output, _ = child.communicate(timeout=20)
+        output, _ = child.communicate(timeout=60)
     assert (child.returncode, output.strip()) == (1, "arm: connection 1: the host left after 0 of 1 requests")
 
 
@@ -155,7 +155,7 @@ def test_it_plays_again_and_again_until_ctrl_c(tmp_path: Path) -> None:
             link.close()
             time.sleep(0.2)  # for the other process to see that we have gone
         child.send_signal(signal.SIGINT)
-        output, _ = child.communicate(timeout=20)
+        output, _ = child.communicate(timeout=60)
     assert child.returncode == 0
     assert "Traceback" not in output
 

@@ -12,6 +12,7 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.listener import Connection, Listener
+from tests.instruments.listening_in import Heard
 
 
 class Echo:
@@ -148,25 +149,6 @@ def test_planned_actions_run_in_order_of_time() -> None:
     clock.sleep(5.0)
     assert seen == [(1.0, "a"), (2.0, "b"), (2.0, "c")]
     assert clock.now() == 5.0
-
-
-class Heard:
-    """A tap that notes what it is told."""
-
-    def __init__(self) -> None:
-        self.told: list[tuple[str, bytes | str]] = []
-
-    def opened(self, url: str) -> None:
-        self.told.append(("opened", url))
-
-    def sent(self, data: bytes) -> None:
-        self.told.append(("sent", data))
-
-    def received(self, data: bytes) -> None:
-        self.told.append(("received", data))
-
-    def closed(self, why: str = "") -> None:
-        self.told.append(("closed", why))
 
 
 def test_a_tap_hears_every_byte_once_and_in_order() -> None:

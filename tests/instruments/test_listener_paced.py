@@ -165,7 +165,7 @@ def test_a_host_that_goes_is_noticed(benches: list[Bench]) -> None:
     bench.link.write(b"a")
     bench.link.read(1, 5.0)
     bench.link.close()
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + 60.0
     while bench.echo.connection is not None and time.monotonic() < deadline:
         time.sleep(0.005)
     assert bench.echo.connection is None

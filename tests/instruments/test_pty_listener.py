@@ -61,7 +61,7 @@ def listener(request: pytest.FixtureRequest, echo: Echo, clock: RealClock) -> It
 
 
 def until(true: Callable[[], bool]) -> bool:
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + 60.0
     while not true() and time.monotonic() < deadline:
         time.sleep(0.005)
     return true()

@@ -14,7 +14,8 @@ import pytest
 
 from tests.conftest import ROOT
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
+ENTER = "Enter"
 OWN_TERMINAL = "import fcntl, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); from bench.cli import main; sys.exit(main())"
 
 
@@ -93,3 +94,10 @@ def at_terminal(arguments: Sequence[str]) -> Iterator[Terminal]:
             child.kill()
         child.wait(timeout=PATIENCE_S)
         terminal.close()
+
+
+def answer(terminal: Terminal, words: str, line: str = "") -> None:
+    """Wait for a prompt that says ``words``, then type ``line``."""
+    terminal.expect(words)
+    terminal.expect("(a = abort")
+    terminal.type(line)

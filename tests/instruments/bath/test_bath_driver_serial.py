@@ -19,6 +19,7 @@ from instruments.pty_listener import PtyListener
 from instruments.world.plant import Plant
 from tests.instruments.bath.far_end import FarEnd, rtu, served
 from tests.instruments.bath.stand import Stand
+from tests.instruments.listening_in import Heard
 
 pty = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals: POSIX only")
 
@@ -105,27 +106,8 @@ def test_at_exit_standby_needs_no_look_and_no_second() -> None:
 # ---- taps
 
 
-class Noted:
-    """Keeps what a tap is told."""
-
-    def __init__(self) -> None:
-        self.told: list[tuple[str, str | bytes]] = []
-
-    def opened(self, url: str) -> None:
-        self.told.append(("opened", url))
-
-    def sent(self, data: bytes) -> None:
-        self.told.append(("sent", data))
-
-    def received(self, data: bytes) -> None:
-        self.told.append(("received", data))
-
-    def closed(self, why: str = "") -> None:
-        self.told.append(("closed", why))
-
-
 def test_a_tap_sees_every_byte_garbage_too() -> None:
-    clock, tap = VirtualClock(), Noted()
+    clock, tap = VirtualClock(), Heard()
     far_end = FarEnd(clock)
     far_end.memory = {0x1000: 200, 0x1001: 200}
     with served(far_end) as url:
@@ -141,7 +123,7 @@ def test_a_tap_sees_every_byte_garbage_too() -> None:
 
 
 def test_a_tap_is_told_of_a_link_that_breaks_and_of_the_next_one(stand: Stand) -> None:
-    tap = Noted()
+    tap = Heard()
     bath = Bath(stand.url, stand.profile, stand.clock, tap=tap)
     next(iter(stand.emulator.hosts)).hang_up()
     bath.read()

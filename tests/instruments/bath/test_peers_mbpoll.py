@@ -69,7 +69,7 @@ class Polled:
         order = ["-B"] if high else []
         reading = ["-1"] if not values else []
         options = ["-0", "-a", str(unit), "-t", kind, "-r", str(address), "-o", "0.5", *order, *reading]
-        return subprocess.run([program("mbpoll"), *options, *self.where, *values], capture_output=True, text=True, timeout=20)
+        return subprocess.run([program("mbpoll"), *options, *self.where, *values], capture_output=True, text=True, timeout=60)
 
     def read(self, kind: str, address: int, *, high: bool = True) -> str:
         """The value as it is shown."""

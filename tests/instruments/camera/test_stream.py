@@ -114,7 +114,7 @@ def test_settings_of_a_stream_do_not_take(served: StreamServer, clock: RealClock
 
 def test_what_is_sent(served: StreamServer) -> None:
     host, port = served.urls["left"].removeprefix("http://").split("/")[0].split(":")
-    connection = http.client.HTTPConnection(host, int(port), timeout=10)
+    connection = http.client.HTTPConnection(host, int(port), timeout=60)
     connection.request("GET", "/right.mjpg")
     answer = connection.getresponse()
     assert answer.getheader("Content-Type") == "multipart/x-mixed-replace; boundary=frame"

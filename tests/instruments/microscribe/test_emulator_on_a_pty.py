@@ -110,7 +110,7 @@ def test_a_cable_that_breaks_within_a_packet_comes_back_elsewhere(make: Callable
         for _ in range(100):
             driver.poll()
     driver.close()
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + 60.0
     while rig.listener.url == before and time.monotonic() < deadline:
         time.sleep(0.005)
     again = rig.driver()

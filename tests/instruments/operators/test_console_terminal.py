@@ -22,7 +22,7 @@ if sys.platform == "win32":
     pytest.skip("needs a pseudo-terminal, which Windows has not", allow_module_level=True)
 import pty
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 KEYS = "(s REASON = skip this trial, r = repeat it from its set-up, a = abort the run): "
 
 
