@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bench.config import read_config
 from bench.record import RunRecord
 from bench.scoring.ellipsoid import BiasTest, Ellipsoid, bias_ellipsoid, bias_test, pose_means, prediction_ellipsoid
 from bench.scoring.plane import Cell, error_map
 from bench.scoring.points import Bools, Floats
 from bench.scoring.repeatability import Precision, precision
 from bench.scoring.trends import Trend, trends
-from bench.script import load_script
+from bench.script import Script, layouts_of, planned_of
 from bench.store import SCRIPT
 
 WITHIN = ("time_s", "bath_c")
@@ -43,6 +44,21 @@ class ErrorRows:
     teats: tuple[str, ...]
 
     @property
+    def teat_names(self) -> tuple[str, ...]:
+        """Each teat once, in order."""
+        return tuple(sorted(set(self.teats)))
+
+    def of_teat(self, teat: str) -> ErrorRows:
+        """The rows of one teat."""
+        return self._kept(np.array([name == teat for name in self.teats], dtype=np.bool_))
+
+    def _kept(self, rows: Bools) -> ErrorRows:
+        names = ([n for n, kept in zip(column, rows, strict=True) if kept] for column in (self.poses, self.trials, self.teats))
+        poses, trials, teats = (tuple(column) for column in names)
+        columns = (self.time_s[rows], self.bath_c[rows], self.tilt_deg[rows])
+        return ErrorRows(self.places_mm[rows], self.found[rows], self.errors_mm[rows[self.found]], *columns, poses, trials, teats)
+
+    @property
     def quantities(self) -> dict[str, Floats]:
         """What the errors may depend on, for the found rows."""
         columns = {"x_mm": self.places_mm[:, 0], "y_mm": self.places_mm[:, 1], "z_mm": self.places_mm[:, 2]}
@@ -55,6 +71,35 @@ class ErrorRows:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TeatErrors:
+    """One teat over its poses (p of them), each counted once: the mean error (p, 3) of the repeats that found it, the trial with the worst
+    of them, and the ellipsoids of those means.
+    """
+
+    teat: str
+    means_mm: Floats
+    worst_trials: tuple[str, ...]
+    bias: Bias
+
+
+@dataclass(frozen=True, slots=True)
+class PosePlace:
+    """One teat at one pose: where its end was (mean of the repeats), how often it was to be found and was, and its worst distance.
+
+    ``worst_trial`` is the trial of that distance, ``missed_trial`` the first that missed it; None where there is no such trial.
+    """
+
+    teat: str
+    pose: str
+    place_mm: tuple[float, float, float]
+    repeats: int
+    found: int
+    worst_mm: float | None
+    worst_trial: str | None
+    missed_trial: str | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Bias:
     """Over the means of poses: where the next error will be, where the bias is (95 % both), and whether it is one."""
 
@@ -63,15 +108,15 @@ class Bias:
     test: BiasTest
 
 
-def error_rows(run: RunRecord, detector: str) -> ErrorRows:
-    """The rows of one detector, of trials that count."""
+def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> ErrorRows:
+    """The rows of one detector, of trials that count; of one situation where named."""
     tilts = teat_tilts_deg(run)
     rows: list[tuple[float, ...]] = []
     names: list[tuple[str, str, str]] = []
     errors: list[Floats] = []
     for trial in run.counted:
         score = trial.scores.get(detector)
-        if score is None:
+        if score is None or situation not in (None, trial.head["situation"]):
             continue
         at = {teat: row for row, (_, teat) in enumerate(score.match.pairs)}
         for index, truth in enumerate(trial.truth):
@@ -105,8 +150,43 @@ def plane_cells(rows: ErrorRows, step_mm: float | None = None) -> tuple[Cell, ..
 
 def run_bias(rows: ErrorRows) -> Bias:
     """Ellipsoids of the poses' mean errors, and Hotelling's test of their mean."""
+    return _bias(pose_means(rows.errors_mm, rows.of_found(rows.poses)))
+
+
+def _bias(means_mm: Floats) -> Bias:
+    return Bias(prediction_ellipsoid(means_mm), bias_ellipsoid(means_mm), bias_test(means_mm))
+
+
+def teat_errors(rows: ErrorRows) -> tuple[TeatErrors, ...]:
+    """Each teat's errors pose by pose, in the order of its poses; a teat that was never found has none."""
+    return tuple(_teat_errors(teat, rows.of_teat(teat)) for teat in rows.teat_names)
+
+
+def _teat_errors(teat: str, rows: ErrorRows) -> TeatErrors:
+    worst: dict[str, tuple[float, str]] = {}
+    distances = np.linalg.norm(rows.errors_mm, axis=1).tolist()
+    for pose, trial, distance in zip(rows.of_found(rows.poses), rows.of_found(rows.trials), distances, strict=True):
+        worst[pose] = max(worst.get(pose, (-1.0, "")), (distance, trial))
     means = pose_means(rows.errors_mm, rows.of_found(rows.poses))
-    return Bias(prediction_ellipsoid(means), bias_ellipsoid(means), bias_test(means))
+    return TeatErrors(teat, means, tuple(trial for _, trial in worst.values()), _bias(means))
+
+
+def pose_places(rows: ErrorRows) -> tuple[PosePlace, ...]:
+    """Each teat at each pose, in order of teat, then of time."""
+    at: dict[tuple[str, str], list[int]] = {}
+    for row, key in enumerate(zip(rows.teats, rows.poses, strict=True)):
+        at.setdefault(key, []).append(row)
+    distances = np.full(len(rows.found), np.nan)
+    distances[rows.found] = np.linalg.norm(rows.errors_mm, axis=1)
+    return tuple(_pose_place(rows, key, at[key], distances) for key in sorted(at, key=lambda key: (key[0], at[key][0])))
+
+
+def _pose_place(rows: ErrorRows, key: tuple[str, str], at: list[int], distances: Floats) -> PosePlace:
+    found, missed = [row for row in at if rows.found[row]], [row for row in at if not rows.found[row]]
+    worst = max(found, key=lambda row: float(distances[row]), default=None)
+    worst_mm, worst_trial = (None, None) if worst is None else (float(distances[worst]), rows.trials[worst])
+    x, y, z = rows.places_mm[at].mean(axis=0).tolist()
+    return PosePlace(*key, (x, y, z), len(at), len(found), worst_mm, worst_trial, rows.trials[missed[0]] if missed else None)
 
 
 def run_precision(rows: ErrorRows) -> tuple[Precision, Precision, Precision]:
@@ -120,11 +200,12 @@ def run_precision(rows: ErrorRows) -> tuple[Precision, Precision, Precision]:
 
 def teat_tilts_deg(run: RunRecord) -> dict[tuple[str, str], float]:
     """How far each teat leans from the vertical, by trial and teat (its number or its name); nothing for a recording: it has no phantom."""
-    script = run.folder / SCRIPT
-    if not script.is_file():
+    path = run.folder / SCRIPT
+    if not path.is_file():
         return {}
+    script = read_config(path, Script, stored=True)  # a detector that isn't at hand any more is no hindrance
     tilts: dict[tuple[str, str], float] = {}
-    for planned in load_script(script).planned:
+    for planned in planned_of(script, layouts_of(script, run.folder)):
         for number, teat in enumerate(planned.phantom.teats, 1):
             lean = np.hypot(*np.tan(teat.tilt_rad))
             for name in (str(number), teat.name):

@@ -88,7 +88,7 @@ class Engine:
         self._rehearsed = store if isinstance(store, RehearsedStore) else None
         self._devices = replace(devices, operator=AwaitedOperator(devices.operator, pulse))
         self._store = store
-        self._progress = Unfailing(progress)
+        self._progress = Unfailing(progress, self._not_shown)
         tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
         gate = self._script.bath
         limits = gate.model_dump(
@@ -98,8 +98,9 @@ class Engine:
         self._watch = self._keeper.watch
         self._attention = Attention(devices, store, self._progress, pulse, self._watch)
         if isinstance(progress, WatchedProgress):
-            progress.fed_by(devices.clock.now, self._live)
+            progress.fed_by(devices.clock.now, self._live, self._not_shown)
             self._attention.heard_by(progress.event)
+            self._keeper.heard, self._keeper.seen = progress.event, progress.refresh
         self.states = RunStates(self._tell_state, devices.clock.now)
         self.recovery = Recovery(self._devices, self._attention, self.states, rig.rig.limits.away_s, lambda: self._trials.look())
         self._wishes = Wishes(store.folder, typed, self._progress.warn)
@@ -141,18 +142,18 @@ class Engine:
         return ending
 
     def _work(self) -> None:
+        self._wishes.forget()
+        self._attention.heed = self._wishes.look_between
         self.states.to(RunState.PREPARING)
         self._preparation.run()
-        self._truth.begin()
-        self._attention.heed = self._wishes.look
+        self.recovery.run("preparing the truth", self._truth.begin)
         for trial in self._planned:
             self._progress.trial(trial.number - 1, len(self._planned), trial.name)
             self._one(trial)
-        self._attention.heed = lambda: None
         self._go_live()  # where all trials had their result, and only the end was missing
         self._progress.trial(len(self._planned), len(self._planned), "")
-        self._truth.end()
-        self._preparation.check_arm(AFTER)
+        self.recovery.run("confirming the truth", self._truth.end)
+        self.recovery.run("the arm check after the trials", lambda: self._preparation.check_arm(AFTER))
         self._devices.operator.finish()
 
     def _one(self, trial: PlannedTrial) -> None:
@@ -166,7 +167,9 @@ class Engine:
             return
         self._go_live()
         self._pause.if_asked()
+        self._attention.heed = self._wishes.look
         self._attempts.run(trial)
+        self._attention.heed = self._wishes.look_between
 
     def _go_live(self) -> None:
         """The first trial without a result is next: from here on all is new, and on record."""
@@ -190,6 +193,10 @@ class Engine:
         bath, left_s = self._watch.last, self._attempts.left_s
         told = {} if bath is None else {"bath": f"bath {bath.temp_c:.2f} degC, {self._watch.state.value}"}
         return told | ({} if left_s is None else {"left": time_left(left_s)})
+
+    def _not_shown(self, why: str) -> None:
+        """Whoever looks for what the screen had to say finds why it said nothing."""
+        self._kept(lambda: self._attention.event("not shown", why))
 
     def _tell_state(self, state: RunState) -> None:
         self._attention.event(EVENT, state.value)
@@ -216,6 +223,7 @@ class Engine:
     def _finish(self, ending: Ending) -> Ending:
         """To safe first, whatever the disk, the terminal and the watch do."""
         self._reserve.give_back()
+        self._attention.heed = lambda: None
         self._attention.long("going to safe", 300.0)
         told: list[str] = []
         asked = len(current().asked)

@@ -18,7 +18,7 @@ from bench.planning.trials import pose_set
 from bench.record import read_run
 from bench.rig import LoadedRig, read_calibration
 from bench.rows import frame_rows, judged, truth_row
-from bench.running.recorder import Recorder
+from bench.running.recorder import RECORDED, Recorder, recorder_again
 from bench.running.resuming import ASKED, Left, RehearsedStore, files_of, open_store, what_is_left
 from bench.running.rig_lock import lock_path, locked, run_lock
 from bench.running.showing import Progress
@@ -73,7 +73,7 @@ def run_script(
     under_test = make_detectors(detectors) if detectors else make_detectors(script.script.detectors, script.path.parent)
     used_seed = rig.rig.seed if seed is None else seed
     with locked(lock_path(rig), str(out.resolve()), progress.warn):
-        recorder = Recorder(record, rig.calibration_path) if record else None
+        recorder = Recorder(record, rig.calibration_path, progress.warn) if record else None
         store = _begun(rig, script, out, under_test, used_seed, how)
         with locked(run_lock(store.folder), "itself", progress.warn, "run"):
             return _run(rig, script, store, under_test, progress, used_seed, how, recorder)
@@ -82,7 +82,7 @@ def run_script(
 def resume_run(folder: Path, progress: Progress, how: HowToRun | None = None) -> tuple[Path, Ending]:
     """Go on with the run in ``folder`` at its first trial without a result. Raises ConfigError, LatchedError, RigInUseError.
 
-    Seed, detectors and kind of time are the run's own.
+    Seed, detectors, kind of time and where it is recorded are the run's own.
     """
     how = how or HowToRun()
     rig, script = files_of(run := read_run(folder))
@@ -97,8 +97,9 @@ def resume_run(folder: Path, progress: Progress, how: HowToRun | None = None) ->
     here = str(folder.resolve())
     with locked(lock_path(rig), here, progress.warn), locked(run_lock(folder), here, lambda _: None, "run"):
         left = what_is_left(folder, [trial.id for trial in script.planned])
+        recorder = recorder_again(left.run, rig.calibration_path, progress.warn)
         store = open_store(left, rehearsed=in_virtual_time(rig, realtime=how.realtime))
-        return _run(rig, script, store, under_test, progress, int(run.facts["seed"]), how, None, left)
+        return _run(rig, script, store, under_test, progress, int(run.facts["seed"]), how, recorder, left)
 
 
 def _begun(rig: LoadedRig, script: LoadedScript, out: Path, under_test: Sequence[Detector], seed: int, how: HowToRun) -> Store:
@@ -113,6 +114,8 @@ def _begun(rig: LoadedRig, script: LoadedScript, out: Path, under_test: Sequence
     facts["pose set"] = pose_set(script.script.trials, script.planned, seed=script.script.seed, order=script.script.order)
     paths = {"rig": str(rig.path.resolve()), "script": str(script.path.resolve())}
     asked = {**paths, "detectors": list(how.detectors), "realtime": how.realtime}
+    if how.record:
+        facts[RECORDED] = str(how.record.resolve())
     with undisturbed():  # a run that is there at all says what it is, and how it ended
         store = _new_store(out, script.name, files, rig.calibration_path)
         try:

@@ -53,11 +53,22 @@ class ErrorRequirement(Section):
 
 
 class TimeRequirement(Section):
+    """Decided on what was timed; with a rate only where so many poses show it for that share, with the confidence."""
+
     kind: Literal["time"]
     name: str
     limit_s: Positive
     statistic: Literal["p95", "max"]
+    rate: Rate | None = None
+    confidence: Rate = 0.95
     source: str = ""
+
+    @field_validator("rate")
+    @classmethod
+    def _of_the_statistic(cls, rate: float | None, info: ValidationInfo) -> float | None:
+        if rate is not None and rate != 0.95 and info.data.get("statistic") == "p95":
+            raise ValueError('a p95 says it of 0.95 of the poses; for another rate the statistic is "max"')
+        return rate
 
 
 class SuccessRequirement(Section):
@@ -222,7 +233,16 @@ def load_script(path: Path, rig_limits_c: tuple[float, float] | None = None) -> 
         raise ConfigError.plain(
             f"{path}: bath.set_point_c = {wanted:g} degC is outside what the rig allows ({rig_limits_c[0]:g} to {rig_limits_c[1]:g} degC)"
         )
-    layouts = {name: load_layout(find_layout(name, path.parent)) for name in {trial.layout for trial in script.trials if trial.layout}}
-    planned = plan(script.trials, layouts, repeats=script.repeats, seed=script.seed, shuffled=script.order == "shuffled")
+    layouts = layouts_of(script, path.parent)
     registration = load_registration(path.parent / script.truth.file) if script.truth.file else None
-    return LoadedScript(path, text, script, planned, layouts, registration)
+    return LoadedScript(path, text, script, planned_of(script, layouts), layouts, registration)
+
+
+def layouts_of(script: Script, folder: Path) -> dict[str, Layout]:
+    """The layouts that the trials name, those of the script's own out of ``folder``. Raises ConfigError."""
+    return {name: load_layout(find_layout(name, folder)) for name in {trial.layout for trial in script.trials if trial.layout}}
+
+
+def planned_of(script: Script, layouts: Mapping[str, Layout]) -> tuple[PlannedTrial, ...]:
+    """The trials one by one, in the order of the run."""
+    return plan(script.trials, layouts, repeats=script.repeats, seed=script.seed, shuffled=script.order == "shuffled")

@@ -9,9 +9,10 @@ import numpy as np
 
 from bench.arm.decision import decide_arm
 from bench.calibration_age import decide_calibration
-from bench.detecting.latency import latency_of
+from bench.detecting.latency import Latency, latency_of
 from bench.record import RunRecord
-from bench.scoring.decisions import Decision, Verdict, decide_condition, decide_count, decide_error, decide_rate, decide_time, overall
+from bench.scoring.decisions import Decision, Verdict, decide_condition, decide_count, decide_rate, decide_time, overall
+from bench.scoring.error_decision import decide_error
 from bench.scoring.pool import Pool, pool
 from bench.script import (
     ArmRequirement,
@@ -24,6 +25,8 @@ from bench.script import (
     SuccessRequirement,
     TimeRequirement,
 )
+
+DetectorRequirement = ErrorRequirement | TimeRequirement | SuccessRequirement | FalseRequirement
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,31 +69,50 @@ def scored(run: RunRecord, detector: str, situation: str | None = None) -> Pool:
 
 def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> Decision:
     match rule:
-        case ErrorRequirement():
-            errors = np.linalg.norm(scores.errors_mm, axis=1)
-            u_mm = max((score.u_mm for score in scores.scores), default=0.0)
-            return decide_error(
-                rule.name,
-                errors,
-                limit_mm=rule.limit_mm,
-                u_mm=u_mm,
-                rate=rule.rate,
-                confidence=rule.confidence,
-                poses=scores.error_poses,
-                statistic=rule.statistic,
-            )
-        case SuccessRequirement():
-            return decide_rate(rule.name, scores.success, required=rule.rate, confidence=rule.confidence)
-        case FalseRequirement():
-            return decide_count(rule.name, scores.counts.false, scenes=len(scores.scores), confidence=rule.confidence)
-        case TimeRequirement():
-            return decide_time(rule.name, latency_of(run, detector).seconds, limit_s=rule.limit_s, statistic=rule.statistic)
         case BathRequirement():
             return _bath(rule, run)
         case ArmRequirement():
             return decide_arm(rule, run.facts)
         case CalibrationRequirement():
             return decide_calibration(rule, run.facts)
+        case _:
+            return decide_detector(rule, scores, latency_of(run, detector), truth_u_mm([run], scores, detector))
+
+
+def decide_detector(rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None) -> Decision:
+    """What a detector has to meet, held against its scores and times, of one run or of several; ``u_mm`` as ``truth_u_mm`` gives it."""
+    match rule:
+        case ErrorRequirement():
+            return decide_error(
+                rule.name,
+                np.linalg.norm(scores.errors_mm, axis=1),
+                limit_mm=rule.limit_mm,
+                u_mm=u_mm,
+                rate=rule.rate,
+                confidence=rule.confidence,
+                poses=scores.error_poses,
+                statistic=rule.statistic,
+                missed=scores.counts.missed,
+            )
+        case SuccessRequirement():
+            rate, sure = rule.rate, rule.confidence
+            shown, possible = scores.surely_succeeded(rate, sure), scores.perhaps_succeeded
+            return decide_rate(rule.name, scores.success, required=rate, confidence=sure, shown=shown, possible=possible)
+        case FalseRequirement():
+            of, false = len(scores.scores), scores.counts.false
+            return decide_count(rule.name, false, scenes=of, confidence=rule.confidence, per_pose=scores.worst_false)
+        case TimeRequirement():
+            how, rate_of, sure = rule.statistic, rule.rate, rule.confidence
+            return decide_time(
+                rule.name, timed.seconds, limit_s=rule.limit_s, statistic=how, rate=rate_of, confidence=sure, poses=timed.poses
+            )
+
+
+def truth_u_mm(runs: Sequence[RunRecord], scores: Pool, detector: str) -> float | None:
+    """The largest uncertainty of a truth that the detector was scored against; None where one of them states none."""
+    trials = [trial for run in runs for trial in run.counted if detector in trial.scores]
+    stated = all(row["u_mm"] is not None for trial in trials for row in trial.truth if row["visible"])
+    return max((score.u_mm for score in scores.scores), default=0.0) if stated else None
 
 
 def _bath(rule: BathRequirement, run: RunRecord) -> Decision:

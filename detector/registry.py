@@ -7,6 +7,7 @@ name and is in nobody's way. The module may not import a detector at its top: `t
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -139,9 +140,11 @@ def _plugged(plug: EntryPoint) -> Plugged:
     try:
         given = plug.load()
         made = given() if isinstance(given, type) or not hasattr(given, "detect") else given
-        parameters = dict(getattr(made, "parameters", {}))
-        version = str(getattr(made, "version", None) or (plug.dist.version if plug.dist else "unknown"))
-    except (Exception, SystemExit) as error:  # another's code: it may fail in any way
+        parameters = json.loads(json.dumps(dict(getattr(made, "parameters", {})), default=_plain))
+        version = _line(str(getattr(made, "version", None) or (plug.dist.version if plug.dist else "unknown")))
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # another's code: it may fail in any way, and not every library's errors are Exceptions
         raise BrokenDetectorError(f"detector {plug.name!r} of {_source(plug)} can't be loaded: {_told(error)}") from error
     if not callable(getattr(made, "detect", None)):
         raise BrokenDetectorError(
@@ -155,5 +158,19 @@ def _source(plug: EntryPoint) -> str:
     return f"{package} ({plug.value})"
 
 
+def _plain(value: object) -> object:
+    """What JSON has no word for: arrays as lists, else as text."""
+    listed = getattr(value, "tolist", None)
+    return listed() if callable(listed) else str(value)
+
+
 def _told(error: BaseException) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())
+    try:
+        return _line(f"{type(error).__name__}: {error}")
+    except Exception:  # its own words fail
+        return type(error).__name__
+
+
+def _line(text: str) -> str:
+    """On one line, and such as a file takes."""
+    return " ".join(text.split()).encode("utf-8", "replace").decode("utf-8")

@@ -167,6 +167,7 @@ class Wire:
         self._closed = False
         self._to_device = 0
         self._to_host = 0
+        self.sending = False  # bytes were counted that may not be on their way yet
 
     def accepted(self) -> None:
         """The emulator has the connection and has said what it says unasked."""
@@ -186,6 +187,15 @@ class Wire:
             self._to_device += to_device
             self._to_host += to_host
             self._tell()
+
+    def send(self, count: int, write: Callable[[], None]) -> None:
+        """The emulator's ``write`` of ``count`` bytes, counted before: where its thread is held up amid it, the host knows to wait."""
+        try:
+            self.sending = True
+            self.add(to_host=count)
+            write()
+        finally:
+            self.sending = False
 
     def settle(self, patience_s: float) -> bool:
         """Wait until bytes are there for the host (True), or nothing is in flight (False).

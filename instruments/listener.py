@@ -50,7 +50,11 @@ class Connection:
         if not self.open or not data:
             return
         if self._wire:
-            self._wire.add(to_host=len(data))
+            self._wire.send(len(data), lambda: self._write(data))
+        else:
+            self._write(data)
+
+    def _write(self, data: bytes) -> None:
         if self._pacer:
             self._pacer.send(data)
             return

@@ -164,6 +164,13 @@ class Page:
         if self.banner.verdict == "met" and failed:
             raise PageError(f"page {self.title!r}: the banner says 'met', but {failed} is not; it must not claim more than the rows")
 
+    def first_looks(self) -> tuple[TrialPart, ...]:
+        """The trials that the first screen sends the reader to: the worst three, unless the run has to be gone on with first."""
+        if self.banner.verdict == "aborted":
+            return ()
+        by_id = {trial.id: trial for trial in self.trials}
+        return tuple(by_id[name] for name in self.worst[:3])
+
     def images(self) -> Iterator[ImageView]:
         """Every image, in order."""
         return (image for trial in self.trials for image in trial.images)

@@ -14,6 +14,7 @@ VERDICTS: tuple[Verdict, ...] = ("met", "not met", "inconclusive", "not measured
 Tone = Literal["plain", "good", "bad", "warn", "info", "muted"]
 TONES: tuple[Tone, ...] = ("plain", "good", "bad", "warn", "info", "muted")
 Align = Literal["left", "right", "center"]
+NARROW_BELOW = 500.0  # units of a drawing's viewBox: points
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +105,11 @@ class Figure:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "facts", svg_facts(self.svg, f"figure {self.caption!r}"))
+
+    @property
+    def narrow(self) -> bool:
+        """Drawn for half a page: over the whole of it its letters would be larger than the text's."""
+        return self.facts.width < NARROW_BELOW
 
 
 @dataclass(frozen=True, slots=True)

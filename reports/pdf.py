@@ -1,14 +1,18 @@
 """A page printed to PDF by a browser of this machine, where one is installed. The page's own print style sheet says how it looks.
 
-The browser runs once, without a window, with a profile of its own that is thrown away, and is given a time to end in.
+Strategy: the browser runs once, without a window, with a profile of its own that is thrown away, and is given a time to end in; what it
+says goes to a file, so that a process it leaves behind can't hold us up. Of its PDF only what tells of this machine is changed, in place
+and without a byte more or less: the browser's name for itself gives way to our name, and paths in links to paths from the PDF's folder.
 """
 
 import os
+import re
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from urllib.parse import quote, unquote, urlsplit
 
 from reports.trust import PageError
 
@@ -18,13 +22,24 @@ PLACES = (  # where they stand on Windows and macOS without being on the path
     *("Google Chrome.app/Contents/MacOS/Google Chrome", "Chromium.app/Contents/MacOS/Chromium"),
 )
 ROOTS = ("ProgramFiles", "ProgramFiles(x86)", "LOCALAPPDATA")
+BROWSER = "TEATBENCH_BROWSER"  # of the environment: the browser's path; empty where none is to be used
 TIME_LIMIT_S = 120.0
+SWITCHES = (
+    *("--headless", "--disable-gpu", "--no-first-run", "--disable-extensions", "--disable-background-networking"),
+    *("--no-pdf-header-footer", "--generate-pdf-document-outline"),
+)
+_TEXT = rb"\(((?:[^()\\]|\\.)*)\)"  # a string of a PDF, ISO 32000-1, 7.3.4.2
+_CREATOR = re.compile(rb"/Creator " + _TEXT)
+_LINK = re.compile(rb"/URI \((file://(?:[^()\\]|\\.)*)\)")
+_OURS = b"/Author (teatbench)/Creator (teatbench)"
 
 
-def find_browser(names: Sequence[str] = NAMES) -> str | None:
-    """The path of a Chromium, Chrome or Edge; None where there is none."""
+def find_browser(names: Sequence[str] = NAMES, environment: Mapping[str, str] = os.environ) -> str | None:
+    """The path of a Chromium, Chrome or Edge, or what TEATBENCH_BROWSER names; None where there is none."""
+    if BROWSER in environment:
+        return shutil.which(environment[BROWSER]) if environment[BROWSER] else None
     on_path = next((path for path in map(shutil.which, names) if path), None)
-    roots = [Path(os.environ[name]) for name in ROOTS if name in os.environ] + [Path("/Applications")]
+    roots = [Path(environment[name]) for name in ROOTS if name in environment] + [Path("/Applications")]
     return on_path or next((str(root / place) for root in roots for place in PLACES if (root / place).is_file()), None)
 
 
@@ -32,17 +47,59 @@ def print_pdf(page: Path, target: Path, browser: str, time_limit_s: float = TIME
     """Prints the HTML file `page` to `target`. Raises PageError with the browser's own words where it made none."""
     draft = target.with_name(target.name + ".part")
     draft.unlink(missing_ok=True)
+    try:
+        code, said = _printed(browser, page, draft, time_limit_s)
+        made = draft.read_bytes() if draft.is_file() else b""
+        if not made.startswith(b"%PDF-"):
+            raise PageError(f"{target}: {browser} ended with code {code} and printed nothing: {said or 'no word of it'}")
+        draft.write_bytes(travelling(made, target.resolve().parent))
+        draft.replace(target)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise PageError(f"{target}: {browser} could not print it: {error}") from error
+    finally:
+        draft.unlink(missing_ok=True)
+    return target
+
+
+def _printed(browser: str, page: Path, draft: Path, time_limit_s: float) -> tuple[int, str]:
+    """The browser's exit code and its last words."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        command = [browser, "--headless", "--disable-gpu", "--no-first-run", "--disable-extensions", "--disable-background-networking"]
+        command = [browser, *SWITCHES, f"--user-data-dir={profile}"]
         if hasattr(os, "geteuid") and os.geteuid() == 0:
             command.append("--no-sandbox")  # Chromium refuses its sandbox to root, as in containers
-        command += [f"--user-data-dir={profile}", "--no-pdf-header-footer", f"--print-to-pdf={draft.resolve()}", page.resolve().as_uri()]
+        words = Path(profile) / "words.txt"
+        code = _run([*command, f"--print-to-pdf={draft.resolve()}", page.resolve().as_uri()], words, time_limit_s)
+        return code, " ".join(words.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-3:])
+
+
+def _run(command: Sequence[str], words: Path, time_limit_s: float) -> int:
+    with words.open("wb") as said:
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)  # noqa: S603 a browser of this machine, our own file
         try:
-            done = subprocess.run(command, capture_output=True, timeout=time_limit_s, check=False)  # noqa: S603 a browser of this machine, our own file
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise PageError(f"{target}: {browser} could not print it: {error}") from error
-    if not draft.is_file() or not draft.read_bytes().startswith(b"%PDF-"):
-        said = done.stderr.decode(errors="replace").strip().splitlines()[-3:]
-        raise PageError(f"{target}: {browser} ended with code {done.returncode} and printed nothing: {' '.join(said) or 'no word of it'}")
-    draft.replace(target)
-    return target
+            return process.wait(time_limit_s)
+        finally:
+            process.kill()
+            process.wait()
+
+
+def travelling(pdf: bytes, folder: Path) -> bytes:
+    """`pdf` signed by us and without this machine's paths in its links: they become paths from `folder`.
+
+    Every part stays as long as it was, since a PDF's table of contents counts bytes (ISO 32000-1, 7.5.4).
+    """
+
+    def link(found: re.Match[bytes]) -> bytes:
+        path = Path(_local_path(found[1]))
+        relative = os.path.relpath(path, folder) if folder.anchor == path.anchor else path.name
+        return _as_long(found[0], b"/URI (" + quote(Path(relative).as_posix(), safe="/-._~").encode("ascii") + b")")
+
+    return _LINK.sub(link, _CREATOR.sub(lambda found: _as_long(found[0], _OURS), pdf))
+
+
+def _local_path(uri: bytes) -> str:
+    path = unquote(urlsplit(re.sub(rb"\\(.)", rb"\1", uri).decode("ascii", errors="replace")).path)
+    return path[1:] if re.match(r"/[A-Za-z]:", path) else path
+
+
+def _as_long(old: bytes, new: bytes) -> bytes:
+    return new.ljust(len(old)) if len(new) <= len(old) else old

@@ -19,7 +19,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from reports.frames import ImageView, layers
-from reports.page import Cell, Figure, Page, PageError, Table, TrialPart, Verdict
+from reports.page import Cell, Figure, Page, PageError, Part, Table, TrialPart, Verdict
 from reports.trust import address
 
 IN_PAGE = 40  # trials: more get a file each
@@ -60,7 +60,7 @@ class Press:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._trials = {trial.id for trial in page.trials}
-        self._style, self._script = _asset("style.css"), _asset("script.js")
+        self._style, self._script = _assets("style.css", "frames.css", "print.css"), _assets("frames.js", "script.js")
         self._environment = Environment(
             loader=FileSystemLoader(_TEMPLATES, encoding="utf-8"),
             autoescape=True,
@@ -96,6 +96,7 @@ class Press:
             layers=layers(shown),
             view_name=lambda image: views[_view(image)],
             row_id=lambda row: self._new_row_id(row, values["away"], named),
+            lone=_lone,
             link=lambda href: self._link(href, place, values["away"]),
             signs=_SIGNS,
             style=Markup(style),  # noqa: S704 our own file and numbers
@@ -122,6 +123,8 @@ class Press:
     def _link(href: str, place: Place, away: set[str]) -> str:
         if href.startswith("#") and href[1:] in away:
             return f"{place.base}{TRIALS}/{href[1:]}.html" if place.files else ""
+        if not place.files and not href.startswith("#"):
+            return ""  # the file beside which it stood stayed at home
         return address(href, "link")
 
     def _all_listed(self, away: set[str]) -> None:
@@ -178,11 +181,28 @@ def _own(page: Page) -> Place:
     return Place(page.trials if len(page.trials) <= IN_PAGE else ())
 
 
-def _asset(name: str) -> str:
-    text = (_TEMPLATES / name).read_text(encoding="utf-8")
-    if "</" in text:
-        raise PageError(f"reports/templates/{name} holds '</', which would end its own element")
-    return text
+def _lone(parts: Sequence[Part]) -> set[int]:
+    """Figures of half a page that have no neighbour in their row, by their places in `parts`: they get the row."""
+    found: set[int] = set()
+    left: int | None = None  # a figure in the left half, whose right half is free
+    for at, part in enumerate(parts):
+        half = isinstance(part, Figure) and not part.wide
+        if half and left is None:
+            left = at
+            continue
+        if left is not None and not half:
+            found.add(left)
+        left = None
+    return found if left is None else {*found, left}
+
+
+def _assets(*names: str) -> str:
+    """The texts of these files, one after the other."""
+    texts = [(_TEMPLATES / name).read_text(encoding="utf-8") for name in names]
+    unfit = [name for name, text in zip(names, texts, strict=True) if "</" in text]
+    if unfit:
+        raise PageError(f"reports/templates/{unfit[0]} holds '</', which would end its own element")
+    return "".join(texts)
 
 
 def _policy(style: str, script: str) -> str:

@@ -12,6 +12,7 @@ from urllib.parse import quote
 
 _SLUG = re.compile(r"[a-z][a-z0-9-]{0,79}")
 _UNSAFE_IN_PATH = re.compile(r"[\x00-\x1f\x7f-\x9f:\\]")
+_VIEW_BOX = re.compile(r"\S+ \S+ (\d+(?:\.\d+)?) \d\S*")
 _LOCAL_REFERENCE = re.compile(r"#[A-Za-z0-9._-]+")
 _SVG_ELEMENTS = frozenset({"svg", "g", "defs", "path", "use", "text", "tspan", "rect", "circle", "line", "clippath", "a", "title"})
 _SVG_ATTRIBUTES = frozenset(
@@ -30,10 +31,11 @@ class PageError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class SvgFacts:
-    """What a page needs to know of a drawing: the ids it defines, the fragments it links to."""
+    """What a page needs to know of a drawing: the ids it defines, the fragments it links to, how wide it was drawn (0: it doesn't say)."""
 
     ids: tuple[str, ...]
     links: tuple[str, ...]
+    width: float = 0.0
 
 
 def checked_slug(value: str, what: str) -> str:
@@ -72,7 +74,7 @@ def svg_facts(svg: str, what: str) -> SvgFacts:
     reader.close()
     if reader.open_elements:
         raise PageError(f"{what}: the drawing ends before </{reader.open_elements[-1]}>")
-    return SvgFacts(tuple(reader.ids), tuple(reader.links))
+    return SvgFacts(tuple(reader.ids), tuple(reader.links), reader.width)
 
 
 class _SvgReader(HTMLParser):
@@ -84,6 +86,7 @@ class _SvgReader(HTMLParser):
         self.ids: list[str] = []
         self.links: list[str] = []
         self.open_elements: list[str] = []
+        self.width = 0.0
         self.finished = False
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -103,6 +106,8 @@ class _SvgReader(HTMLParser):
             raise PageError(f"{self.what}: the drawing may not hold {name}={value[:60]!r} in <{tag}>; take it from reports.figures")
         if name == "id":
             self.ids.append(value)
+        if name == "viewbox" and (size := _VIEW_BOX.fullmatch(value)):
+            self.width = float(size[1])
         if name == "href" and tag == "a":
             self.links.append(value)
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from bench.comparing.runs import Comparison
+    from bench.scoring.decisions import Verdict
 
 
 def add_to(commands: Commands) -> None:
@@ -25,6 +26,7 @@ def add_to(commands: Commands) -> None:
     compare.add_argument("--margin-mm", type=_length, metavar="MM", help="how much larger an error may be (default: 5 %% of the limit)")
     compare.add_argument("--confidence", type=_share, default=0.95, metavar="P", help="of the intervals (default: 0.95)")
     compare.add_argument("--gate", action="store_true", help="exit code 1 when the new one is worse, 4 when that can't be told")
+    compare.add_argument("--together", action="store_true", help="judge all runs as one, by their counts and errors, instead of comparing")
     compare.add_argument("--out", type=Path, metavar="DIR", help="also write a page and comparison.json there")
     compare.add_argument("--json", action="store_true", help="print JSON instead of tables")
 
@@ -48,6 +50,8 @@ def _compare(given: argparse.Namespace) -> int:
     from bench.comparing.runs import compare_folders
     from bench.comparing.words import as_json
 
+    if given.together:
+        return _together(given)
     found = compare_folders(given.run, given.detector, margin_mm=given.margin_mm, confidence=given.confidence)
     if given.json:
         print(json.dumps(as_json(found), indent=1, ensure_ascii=False))
@@ -58,6 +62,21 @@ def _compare(given: argparse.Namespace) -> int:
         if not given.json:
             print(f"Report: {path}")
     return _code(found) if given.gate else CODES.met
+
+
+def _together(given: argparse.Namespace) -> int:
+    from bench.comparing.together import judge_folders, told
+    from bench.verdicts import run_verdict
+
+    judgements = judge_folders(given.run, given.detector)
+    if given.json:
+        lines = [
+            {"detector": one.detector, "verdict": one.verdict, "decisions": [d.as_dict() for d in one.decisions]} for one in judgements
+        ]
+        print(json.dumps(lines, indent=1, ensure_ascii=False))
+    else:
+        print("\n".join(line for one in judgements for line in told(one)))
+    return _code_of(run_verdict(judgements)) if given.gate else CODES.met
 
 
 def _show(found: tuple[Comparison, ...]) -> None:
@@ -88,7 +107,12 @@ def _table(title: str, columns: Sequence[tuple[str, str]], rows: Iterable[tuple[
 
 
 def _code(found: tuple[Comparison, ...]) -> int:
-    from bench.scoring.decisions import Verdict, overall
+    from bench.scoring.decisions import overall
 
-    worst = overall(comparison.compared.gate.verdict for comparison in found)
-    return {Verdict.MET: CODES.met, Verdict.NOT_MET: CODES.not_met}.get(worst, CODES.inconclusive)
+    return _code_of(overall(comparison.compared.gate.verdict for comparison in found))
+
+
+def _code_of(verdict: Verdict) -> int:
+    from bench.scoring.decisions import Verdict
+
+    return {Verdict.MET: CODES.met, Verdict.NOT_MET: CODES.not_met}.get(verdict, CODES.inconclusive)

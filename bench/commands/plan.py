@@ -27,6 +27,8 @@ def add_to(commands: Commands) -> None:
     plan.add_argument("--sd-mm", type=_length, metavar="SD", help="of the difference of two detectors' errors from pose to pose")
     plan.add_argument("--shift-mm", type=_length, metavar="MM", help="difference of two detectors to be shown: how many poses?")
     plan.add_argument("--power", type=_share, default=0.8, metavar="P", help="chance to show a difference that is there (default: 0.8)")
+    plan.add_argument("--limit-mm", type=_length, metavar="T", help="of the error: how near to it may the largest lie? With --u-mm")
+    plan.add_argument("--u-mm", type=_length, metavar="U", help="standard uncertainty of the truth along an axis; a report says it")
     plan.add_argument("--json", action="store_true", help="print JSON")
 
 
@@ -60,6 +62,8 @@ def _plan(given: argparse.Namespace) -> int:
         raise ConfigError.plain("--script and --trials both say how many poses there are; give one of them")
     if given.shift_mm is not None and given.sd_mm is None:
         raise ConfigError.plain("--shift-mm needs --sd-mm: how much the difference varies from pose to pose ('teatbench compare' shows it)")
+    if (given.limit_mm is None) != (given.u_mm is None):
+        raise ConfigError.plain("--limit-mm and --u-mm belong together: the limit of the error, and the uncertainty of the truth")
     plan: Plan = make_plan(
         tuple(given.rate) or RATES,
         given.confidence,
@@ -69,6 +73,8 @@ def _plan(given: argparse.Namespace) -> int:
         sd_mm=given.sd_mm,
         shift_mm=given.shift_mm,
         power=given.power,
+        limit_mm=given.limit_mm,
+        u_mm=given.u_mm,
     )
     if given.json:
         print(json.dumps(asdict(plan), indent=1))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +16,8 @@ if TYPE_CHECKING:
     from bench.script import LoadedScript
     from bench.summary import Extras
 
+TOLD_S = 10.0  # a run looks once a second; a capture or a detection may take longer
+
 
 def add_to(commands: Commands) -> None:
     """The family's commands with their arguments."""
@@ -23,7 +27,7 @@ def add_to(commands: Commands) -> None:
     run.add_argument("--seed", type=_seed, help="seed of all chance (default: the rig file's)")
     run.add_argument("--record", type=Path, metavar="DIR", help="also write a recording that 'teatbench score' reads")
     run.add_argument("--realtime", action="store_true", help="emulated rig only: let time pass as it does")
-    run.add_argument("--dry-run", action="store_true", help="move nothing: check reach, limits, fields of view and collisions")
+    run.add_argument("--dry-run", action="store_true", help="move nothing: look at each pose, then go through all trials on emulators")
     add_out(run)
     add_detectors(run)
     add_events(run)
@@ -37,7 +41,9 @@ def add_to(commands: Commands) -> None:
     report.add_argument("run", type=Path, help="the run's folder")
     report.add_argument("--baseline", type=Path, metavar="RUN", help="also hold it against this older run of the same scenes")
     report.add_argument("--single-file", action="store_true", help="also write single-file.html for mail: pictures in it, at most 20 MB")
-    report.add_argument("--pdf", action="store_true", help="also print report.pdf, by a Chromium, Chrome or Edge of this machine")
+    printed = report.add_mutually_exclusive_group()
+    printed.add_argument("--pdf", action="store_true", help="fail where report.pdf can't be printed (by a Chromium, Chrome or Edge)")
+    printed.add_argument("--no-pdf", action="store_true", help="print no report.pdf, though a browser is installed")
     score = commands.add("score", "score detectors on recorded frames: a table, and a run folder with a report", _score, opens_links=False)
     score.add_argument("recording", type=Path, help="a recording's folder")
     add_out(score)
@@ -66,7 +72,7 @@ def _run(given: argparse.Namespace) -> int:
         return _run_offsets(rig, path, given.out, dry=given.dry_run)
     script = load_script(path, rig.rig.limits.set_point_c)
     if given.dry_run:
-        return look_ahead(rig, script, given.out)
+        return look_ahead(rig, script, given.out, given.detector, given.seed)
     from bench.jobs import run_script
 
     console = Console()
@@ -126,14 +132,18 @@ def _resume(given: argparse.Namespace) -> int:
 
 def _tell(given: argparse.Namespace) -> int:
     from bench.record import read_run
-    from bench.running.wishes import leave_wish
+    from bench.running.wishes import leave_wish, was_taken
+    from instruments.clock import RealClock
 
     run = read_run(given.run)
     if run.ending != "interrupted":
         print(f"{given.run} has ended ({run.ending}): nobody is there to hear it.")
         return CODES.wrong_use
     leave_wish(given.run, " ".join(given.words))
-    print("left for the run; it looks once a second.")
+    if was_taken(given.run, RealClock(), TOLD_S):
+        print("taken; what comes of it is shown at the run's terminal.")
+    else:
+        print(f"left for the run, which has not looked for {TOLD_S:g} s: it is busy, or its bench has died and takes nothing any more.")
     return CODES.met
 
 
@@ -144,14 +154,23 @@ def add_events(parser: argparse.ArgumentParser) -> None:
 
 def typed_lines(operator_url: str) -> Callable[[], str | None]:
     """Lines typed at this terminal, where it is one and no operator is asked there."""
-    import sys
-
     from bench.addresses import CONSOLE
     from instruments.operators.keyboard import keyboard_of
 
     if operator_url == CONSOLE or sys.stdin is None or not sys.stdin.isatty():
         return lambda: None
-    return keyboard_of(sys.stdin, lambda _: None).line
+    keyboard, terminal = keyboard_of(sys.stdin, lambda _: None), sys.stdin.fileno()
+    return lambda: keyboard.line() if _is_ours(terminal) else None
+
+
+def _is_ours(terminal: int) -> bool:
+    """Whether what is typed there is for us: who reads a terminal from the background (`teatbench run &`) is stopped by the system."""
+    if sys.platform == "win32":
+        return True
+    try:
+        return os.tcgetpgrp(terminal) == os.getpgrp()
+    except OSError:  # no terminal of ours: nothing stops us there
+        return True
 
 
 def _score(given: argparse.Namespace) -> int:
@@ -161,9 +180,11 @@ def _score(given: argparse.Namespace) -> int:
     from bench.jobs import score_recording
     from bench.record import read_run
     from bench.running.progress import TerminalProgress
+    from bench.running.showing import Unfailing
 
     console = Console()
-    with TerminalProgress(console) as progress:
+    with TerminalProgress(console) as shown:
+        progress = Unfailing(shown)
         folder = score_recording(given.recording, given.out, progress, given.detector or ["thesis"])
         progress.state("writing the report")
         code, show = _reported(folder)
@@ -199,27 +220,45 @@ def _offsets_reported(folder: Path) -> int:
 def _report(given: argparse.Namespace) -> int:
     from rich.console import Console
 
+    from bench.config import ConfigError
     from bench.planning.offset_run import is_offset_run
+    from reports.pdf import find_browser
 
+    browser = None if given.no_pdf else find_browser()
+    if given.pdf and browser is None:
+        raise ConfigError.plain("no Chromium, Chrome or Edge was found to print a PDF with. Install one, or print index.html by hand.")
     if is_offset_run(given.run):
-        return _offsets_reported(given.run)
-    code, show = _reported(given.run, _extras(given))
-    show(Console())
+        code = _offsets_reported(given.run)
+    else:
+        code, show = _reported(given.run, _extras(given))
+        show(Console())
+    if browser:
+        _print(given.run, browser, needed=given.pdf)
     return code
+
+
+def _print(folder: Path, browser: str, *, needed: bool) -> None:
+    """The report as PDF, when all else is written and told. Raises ConfigError where it is needed and can't be printed."""
+    from bench.config import ConfigError
+    from bench.summary.page import PDF, REPORT
+    from reports.page import PageError
+    from reports.pdf import print_pdf
+
+    try:
+        print(f"PDF: {print_pdf(folder / REPORT / 'index.html', folder / REPORT / PDF, browser)}")
+    except (PageError, OSError) as error:
+        if needed:
+            raise ConfigError.plain(str(error)) from error
+        print(f"no PDF: {error}", file=sys.stderr)
 
 
 def _extras(given: argparse.Namespace) -> Extras:
     """What was asked for besides the page. Raises ConfigError before anything is written."""
-    from bench.config import ConfigError
     from bench.summary import Extras
     from bench.summary.baseline import baseline_section
-    from reports.pdf import find_browser
 
-    browser = find_browser() if given.pdf else None
-    if given.pdf and browser is None:
-        raise ConfigError.plain("no Chromium, Chrome or Edge was found to print a PDF with. Install one, or print index.html by hand.")
     chapters = (baseline_section(given.baseline, given.run),) if given.baseline else ()
-    return Extras(chapters, given.single_file, browser)
+    return Extras(chapters, given.single_file)
 
 
 def _reported(folder: Path, extras: Extras | None = None) -> tuple[int, Callable[..., None]]:

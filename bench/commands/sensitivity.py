@@ -44,12 +44,13 @@ def _sensitivity(given: argparse.Namespace) -> int:
     from bench.detecting.examine import close_detectors
     from bench.rig import find_rig, load_rig
     from bench.sensitivity.measuring import Bench, measure
-    from bench.sensitivity.output import write_figure, write_numbers
+    from bench.sensitivity.output import check_curves, no_answers, write_figure, write_numbers
     from bench.sensitivity.quantities import chosen
 
     quantities = chosen(given.quantity)
     rig = load_rig(find_rig(given.rig))
     detectors = make_detectors(given.detector or DETECTORS)
+    check_curves([detector.name for detector in detectors])
     bench = Bench(rig, detectors, range(given.first, given.first + given.seeds), given.seed)
     results: dict[str, list[Measured]] = {}
     try:
@@ -57,7 +58,7 @@ def _sensitivity(given: argparse.Namespace) -> int:
             points = results[quantity.name] = []
             for point in measure(bench, quantity):
                 points.append(point)
-                found = ", ".join(f"{name} {len(tally.distances_mm)}" for name, tally in point.tallies.items())
+                found = ", ".join(f"{name} {len(tally.distances_mm)}{no_answers(tally)}" for name, tally in point.tallies.items())
                 print(f"{quantity.name} {point.value:g}: found of {point.visible} visible: {found}", flush=True)
             print(write_figure(given.out, quantity, points), flush=True)
     finally:

@@ -60,7 +60,7 @@ def comparison_parts(comparison: Comparison) -> Iterator[Part]:
     gate = comparison.compared.gate
     yield Paragraph(f"{verdict_told(comparison)} {_listed(gate.reasons)}", tone=TONES[gate.verdict])
     yield Table("Success of poses, and what was counted", _columns(SUCCESS), tuple(success_rows(comparison)), LEGEND)
-    yield Table("Distance to the teat end", _columns(DISTANCE), tuple(distance_rows(comparison)))
+    yield Table("Distance to the teat end", _columns(DISTANCE), tuple(distance_rows(comparison, wide=True)))
     yield Notes("Of this comparison", tuple(notes(comparison)))
     yield _changed(comparison)
     yield key_values("Compared", [("old run", comparison.old.run.folder.name), ("new run", comparison.new.run.folder.name)])

@@ -1,21 +1,27 @@
 """Runs side by side: which detector of which run is held against which, and which of their trials show the same scene.
 
 Two trials are a pair where their frames are the same files, byte by byte; else where they have the same pose and repeat, as two runs of
-one script have, whose noise differs then. The first run is the old one. May not judge: that is `bench.scoring.comparison`.
+one script have, and the truth has the same teats at the same places: names alone would pair poses that were drawn by two seeds. What
+was scored by two sets of limits isn't compared at all. The first run is the old one. May not judge: that is `bench.scoring.comparison`.
 """
 
 from __future__ import annotations
 
+import hashlib
+import math
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.config import ConfigError, did_you_mean
+from bench.config import ConfigError, did_you_mean, read_config
 from bench.record import RunRecord, TrialRecord, read_run
 from bench.scoring.comparison import Compared, ScenePair, compare
 from bench.scoring.pool import Pool
+from bench.script import Rules, Script
+from bench.store import RULES, SCRIPT
 
+SAME_PLACE_MM = 10.0  # a hand sets a phantom up within a few mm; scripts move it by 25 mm
 CAMERAS = frozenset({"left", "right", "thermal", "thermal_radiometric"})  # other pictures are a detector's own
 
 
@@ -40,7 +46,10 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two sides compared. `same_frames` of the pairs were detected in identical frames; `only_old` and `only_new` had no counterpart."""
+    """Two sides compared. `same_frames` of the pairs were detected in identical frames; `only_old` and `only_new` had no counterpart.
+
+    `elsewhere` trials had one by name, but its teats stood at other places.
+    """
 
     old: Side
     new: Side
@@ -49,15 +58,17 @@ class Comparison:
     only_old: int
     only_new: int
     compared: Compared
+    elsewhere: int = 0
 
 
 def scored_together(runs: Sequence[RunRecord], detector: str) -> Pool:
     """The scores of one detector over several runs as one: counts and errors side by side, so nothing is an average of averages.
 
-    A pose of one script is the same pose in every run of it, and succeeds when it does in all; poses of two scripts differ.
+    A pose of one script, or of one recording, is the same pose in every run of it, and succeeds when it does in all; poses of two scripts
+    differ.
     """
-    sides = [Side(run, detector) for run in runs]
-    rows = [((str(side.run.facts.get("script", side.run.folder)), trial.pose), trial) for side in sides for trial in side.trials]
+    sides = [(Side(run, detector), poses_of(run)) for run in runs]
+    rows = [((poses, trial.pose), trial) for side, poses in sides for trial in side.trials]
     return Pool(tuple(trial.scores[detector] for _, trial in rows), tuple(pose for pose, _ in rows))
 
 
@@ -78,16 +89,17 @@ def compare_folders(
 
 
 def compare_sides(old: Side, new: Side, *, margin_mm: float | None = None, confidence: float = 0.95, seed: int = 0) -> Comparison:
-    """Compare two detectors on the trials that both have. Raises ConfigError where they have none in common."""
-    matched = list(_paired(old.trials, new.trials))
+    """Compare two detectors on the trials that both have. Raises ConfigError where they have none in common, or other limits."""
+    check_limits(old, new)
+    matched, elsewhere = _paired(old.trials, new.trials)
     if not matched:
-        raise ConfigError.plain(
-            f"{old.label} and {new.label} have no scored trial in common. Run both on one recording, or one script on one seed."
-        )
+        moved = f" {elsewhere} have the same name, but their teats stood at other places." if elsewhere else ""
+        hint = "Run both on one recording, or one script on one seed."
+        raise ConfigError.plain(f"{old.label} and {new.label} have no scored trial in common.{moved} {hint}")
     pairs = tuple(ScenePair(a.id, a.pose, str(a.head["situation"]), a.scores[old.detector], b.scores[new.detector]) for a, b, _ in matched)
     only_old, only_new = len(old.trials) - len(matched), len(new.trials) - len(matched)
     found = compare(pairs, margin_mm=margin_mm, confidence=confidence, seed=seed, unpaired=only_old)
-    return Comparison(old, new, pairs, sum(same for _, _, same in matched), only_old, only_new, found)
+    return Comparison(old, new, pairs, sum(same for _, _, same in matched), only_old, only_new, found, elsewhere)
 
 
 def sides(runs: Sequence[RunRecord], detectors: Sequence[str] = ()) -> Iterator[tuple[Side, Side]]:
@@ -117,18 +129,60 @@ def _between(old: RunRecord, new: RunRecord, detectors: Sequence[str]) -> Iterat
         raise ConfigError.plain(f"no detector{' of those named' if detectors else ''} is in both runs: {there}")
 
 
-def _paired(old: Sequence[TrialRecord], new: Sequence[TrialRecord]) -> Iterator[tuple[TrialRecord, TrialRecord, bool]]:
-    """Trials of one scene, in the old one's order, and whether their frames are identical."""
+def _paired(old: Sequence[TrialRecord], new: Sequence[TrialRecord]) -> tuple[list[tuple[TrialRecord, TrialRecord, bool]], int]:
+    """Trials of one scene, in the old one's order, and whether their frames are identical; and how many had only the name in common."""
     by_frames, by_name = _unique(new, _frames), _unique(new, _name)
     ours = Counter(_frames(trial) for trial in old)
     taken: set[str] = set()
+    pairs: list[tuple[TrialRecord, TrialRecord, bool]] = []
+    elsewhere = 0
     for trial in old:
         key = _frames(trial)
         other = by_frames.get(key) if key and ours[key] == 1 else None
-        other = other or by_name.get(_name(trial))
+        if other is None and (other := by_name.get(_name(trial))) and not _same_place(trial, other):
+            elsewhere += 1
+            continue
         if other is not None and other.id not in taken:
             taken.add(other.id)
-            yield trial, other, bool(key) and _frames(other) == key
+            pairs.append((trial, other, bool(key) and _frames(other) == key))
+    return pairs, elsewhere
+
+
+def _same_place(one: TrialRecord, other: TrialRecord) -> bool:
+    """Whether the truths of both have the same teats, each end within SAME_PLACE_MM."""
+    ends = [[(str(row["teat"]), (row["x_mm"], row["y_mm"], row["z_mm"])) for row in trial.truth] for trial in (one, other)]
+    return len(ends[0]) == len(ends[1]) and all(
+        a == b and math.dist(p, q) <= SAME_PLACE_MM for (a, p), (b, q) in zip(*ends, strict=True)
+    )  # fmt: skip
+
+
+def check_limits(old: Side, new: Side) -> None:
+    """Raises ConfigError where success means two things: another limit of the error, or of the time."""
+    for what, limits_of in (("mm", _error_limits_mm), ("s", _time_limits_s)):
+        a, b = limits_of(old), limits_of(new)
+        if a and b and a != b:
+            told = " and ".join(", ".join(f"{limit:g}" for limit in sorted(limits)) for limits in (a, b))
+            hint = "success would mean two things. Run or score both by the same rules."
+            raise ConfigError.plain(f"{old.label} and {new.label} were held against different limits ({told} {what}): {hint}")
+
+
+def _error_limits_mm(side: Side) -> set[float]:
+    return {trial.scores[side.detector].limit_mm for trial in side.trials}
+
+
+def _time_limits_s(side: Side) -> set[float]:
+    """The limit that the run's scenes were held against; none where the run's rules aren't in its folder."""
+    for name, kind in ((SCRIPT, Script), (RULES, Rules)):
+        if (side.run.folder / name).is_file():
+            return {read_config(side.run.folder / name, kind, stored=True).time_limit_s}
+    return set()
+
+
+def poses_of(run: RunRecord) -> str:
+    """What its poses belong to: a script as it was written, or a recording by its path; else the run alone."""
+    script = run.folder / SCRIPT
+    text = hashlib.sha256(script.read_bytes()).hexdigest() if script.is_file() else ""
+    return f"{run.facts.get('script') or run.facts.get('about') or run.folder} {text}"
 
 
 def _unique(trials: Sequence[TrialRecord], key: Callable[[TrialRecord], Hashable]) -> dict[Hashable, TrialRecord]:

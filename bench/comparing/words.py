@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from bench.comparing.runs import Comparison
+from bench.gauging import truth_gage
 from bench.scoring.comparison import Row
 from bench.scoring.decisions import Verdict
 from bench.scoring.paired import PairedDifference
@@ -29,6 +30,8 @@ LEGEND = (
     "poses, BCa, Student's for fewer than 10; p by sign flips); |x|, |y|, |z|: of the absolute error along the world's axes. The p-values "
     "of situations are adjusted after Holm."
 )
+DIFFER = {"kind": "kind", "rig": "rig", "script": "script", "seed": "seed", "calibration": "calibration_sha256"}
+NOT_KNOWN = "not known"
 TOLD = {
     Verdict.MET: "The new one is not worse:",
     Verdict.NOT_MET: "THE NEW ONE IS WORSE:",
@@ -55,7 +58,46 @@ def notes(comparison: Comparison) -> Iterator[str]:
         yield f"{n} scenes; {n - comparison.same_frames} of them in different frames of the same pose, so their noise differs as well."
     if comparison.only_old or comparison.only_new:
         yield f"Without a counterpart, and not compared: {comparison.only_old} trials of the old run, {comparison.only_new} of the new."
+    if comparison.elsewhere:
+        yield f"{comparison.elsewhere} trials of the old run have a namesake in the new one with its teats elsewhere: not compared."
+    yield from _unlike(comparison)
+    yield from _truth(comparison)
     yield f"Intervals: {100 * comparison.compared.confidence:g} %. Margin: {comparison.compared.gate.margin_mm:g} mm."
+
+
+def _unlike(comparison: Comparison) -> Iterator[str]:
+    """What else differs between the two runs than the detector."""
+    old, new = comparison.old.run.facts, comparison.new.run.facts
+    for what, key in DIFFER.items():
+        a, b = old.get(key), new.get(key)
+        if a != b:
+            yield f"The runs also differ in {what}: {_short(a)} (old), {_short(b)} (new)."
+
+
+def _truth(comparison: Comparison) -> Iterator[str]:
+    """How well the truth of the two runs agrees, where their ends were touched: each run is a set-up."""
+    old, new = comparison.old.run, comparison.new.run
+    found = truth_gage((old, new)) if old.folder.resolve() != new.folder.resolve() else None
+    if found is None or found.studies is None:
+        return
+    width_mm = 2.0 * comparison.pairs[0].old.limit_mm
+    first = found.studies[0]
+    within, between, share = (
+        ", ".join(f"{value:.{digits}f}" for value in values)
+        for values, digits in (
+            ([study.repeatability for study in found.studies], 3),
+            ([study.reproducibility for study in found.studies], 3),
+            ([100.0 * study.share_of_tolerance(width_mm) for study in found.studies], 0),
+        )
+    )
+    yield (
+        f"The truth itself (gage R&R along x, y, z; {first.parts} ends touched {first.repeats} times in each run): repeatability "
+        f"{within} mm, reproducibility {between} mm, setting the phantom up again included; {share} % of the tolerance of {width_mm:g} mm."
+    )
+
+
+def _short(value: object) -> str:
+    return NOT_KNOWN if value is None else str(value)[:40]
 
 
 def success_rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
@@ -68,11 +110,11 @@ def success_rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
         yield (name, str(row.poses), str(won.only_old), str(won.only_new), _percent_points(row, confidence), _p(p), *counts)
 
 
-def distance_rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
-    """The rows under DISTANCE: all, then each situation."""
+def distance_rows(comparison: Comparison, *, wide: bool = False) -> Iterator[tuple[str, ...]]:
+    """The rows under DISTANCE: all, then each situation. ``wide`` gives the axes their intervals too."""
     for row in _rows(comparison):
         p = row.radial.p_value if row.radial_holm is None else row.radial_holm
-        axes = (NOT_MEASURED if axis.mean is None else f"{axis.mean:+.3f}" for axis in row.axes)
+        axes = (difference_told(axis if wide else replace(axis, low=None, high=None)) for axis in row.axes)
         yield (row.situation or "all", str(row.teats), difference_told(row.radial), _p(p), *axes)
 
 
@@ -104,6 +146,7 @@ def _one(comparison: Comparison) -> dict[str, Any]:
         "same_frames": comparison.same_frames,
         "only_old": comparison.only_old,
         "only_new": comparison.only_new,
+        "elsewhere": comparison.elsewhere,
         "confidence": found.confidence,
         "gate": {"verdict": found.gate.verdict.value, "reasons": list(found.gate.reasons), "margin_mm": found.gate.margin_mm},
         "rows": [_numbers(row, found.confidence) for row in (found.pooled, *found.situations)],

@@ -62,7 +62,8 @@ def check_named(names: Iterable[str]) -> None:
     for name in names:
         if not name.startswith(EXEC) and not name.endswith(FILE) and name not in known and not _declared(name):
             there = ", ".join(known)
-            raise ValueError(f"no detector {name!r}{did_you_mean(name, known)} (there are: {there}; or {EXEC}COMMAND, or a file)")
+            hint = f"; to run that file, write {EXEC}COMMAND" if Path(name).is_file() else did_you_mean(name, known)
+            raise ValueError(f"no detector {name!r}{hint} (there are: {there}; or {EXEC}COMMAND, or a {FILE} file)")
 
 
 def declared() -> dict[str, str]:
@@ -124,6 +125,8 @@ def _of_file(path: Path) -> Detector:
 
 def _find_program(program: str, folder: Path) -> None:
     there = shutil.which(program) or shutil.which(str(folder / program))
+    if there is None and (folder / program).is_file():
+        raise ConfigError.plain(f"{program!r} may not be run: make it executable, or name what runs it, as in python3 {program}")
     if there is None:
         raise ConfigError.plain(f"no program {program!r} is there that can be run: give its path, or look at the environment's PATH")
 

@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from bench.detecting.answer_checks import one_line
 from bench.detecting.choice import make_detectors
 from bench.detecting.examine import Answer, Examiner, close_detectors
 from bench.rig import read_calibration
 from detector.protocol import Detection, Detector, Outcome
 from instruments.camera.recording import Recording, RecordingError
+
+SHOWN_LINES = 5
 
 
 def detect_lines(path: Path, names: Sequence[str]) -> Iterator[tuple[dict[str, Any], str]]:
@@ -40,13 +43,14 @@ def _answers(recording: Recording, frame: str, detectors: Sequence[Detector], ex
 
 
 def json_line(frame: str, answer: Answer) -> dict[str, Any]:
-    """One line of `teatbench detect --json` (the recording format, Detections); ``outcome`` and ``cold`` only where they apply."""
+    """One line of `teatbench detect --json` (the recording format, Detections); ``outcome``, ``stderr``, ``cold`` where they apply."""
     detection = answer.detection
     teats = [{"world_mm": _list(teat.world_mm), "covariance_mm2": _list(teat.covariance_mm2)} for teat in detection.teats]
     line = {"frame": frame, "detector": answer.detector, "teats": teats, "hidden": detection.hidden, "seconds": round(answer.seconds, 6)}
     reason = {} if detection.reason is None else {"reason": detection.reason}
     outcome = {} if answer.outcome is Outcome.ANSWERED else {"outcome": answer.outcome.value}
-    return {**line, **reason, **outcome, **({"cold": True} if answer.cold else {})}
+    said = {"stderr": "\n".join(_last_words(answer))} if _last_words(answer) else {}
+    return {**line, **reason, **outcome, **said, **({"cold": True} if answer.cold else {})}
 
 
 def sentence(frame: str, answer: Answer) -> str:
@@ -54,7 +58,14 @@ def sentence(frame: str, answer: Answer) -> str:
     detection = answer.detection
     places = "; ".join(", ".join(f"{v:.1f}" for v in teat.world_mm) for teat in detection.teats)
     found = f"{len(detection.teats)} teats, {detection.hidden} hidden" + (f": {places} mm" if places else "")
-    return f"{frame} {answer.detector}: {found} ({answer.seconds:.3f} s)" + (f" - {detection.reason}" if detection.reason else "")
+    head = f"{frame} {answer.detector}: {found} ({answer.seconds:.3f} s)" + (f" - {detection.reason}" if detection.reason else "")
+    return "\n    ".join([head, *_last_words(answer)])
+
+
+def _last_words(answer: Answer) -> list[str]:
+    """The last lines of what a program wrote to its standard error, where it gave no answer: they may say why."""
+    lines = [one_line(line) for line in answer.stderr.splitlines()]
+    return [] if answer.outcome is Outcome.ANSWERED else [line for line in lines if line][-SHOWN_LINES:]
 
 
 def _list(value: Any) -> Any:

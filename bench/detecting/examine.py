@@ -6,14 +6,16 @@ same call for every detector, in the bench's process or in one of its own: `dete
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.detecting.answer_checks import checked
+from bench.detecting.answer_checks import LONGEST_REASON, checked, one_line
 from bench.scoring.scene import SceneScore, score_scene
 from detector.calibration import Calibration
 from detector.protocol import Detection, DetectionFailure, Detector, Frames, Outcome, Served
@@ -73,7 +75,8 @@ def examine(detector: Detector, frames: Frames, calibration: Calibration, *, fir
             served.prepare(shown, calibration)
         start_s = stopwatch_s()
         try:
-            given = detector.detect(shown, calibration)
+            with redirect_stdout(sys.stderr):  # the bench's own output may be read by a program
+                given = detector.detect(shown, calibration)
         finally:
             seconds = stopwatch_s() - start_s
         if seconds > timeout_s:
@@ -83,8 +86,10 @@ def examine(detector: Detector, frames: Frames, calibration: Calibration, *, fir
             served.check()
     except DetectionFailure as failure:
         outcome, detection = failure.outcome, _nothing(failure)
-    except (Exception, SystemExit) as error:  # anyone's code: it may fail in any way
-        outcome, detection = Outcome.FAILED, _nothing(f"{type(error).__name__}: {error}")
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # anyone's code: it may fail in any way, and not every library's errors are Exceptions
+        outcome, detection = Outcome.FAILED, _nothing(_named(error))
     start_up_s, stderr = (served.start_up_s, served.said()) if served else (None, "")
     return Answer(detector.name, detection, seconds, outcome, first or start_up_s is not None, start_up_s, stderr)
 
@@ -120,8 +125,15 @@ def points_of(detection: Detection) -> NDArray[np.float64]:
 
 
 def _nothing(why: object) -> Detection:
-    text = " ".join(str(why).split())
-    return Detection((), 0, f"the detector failed: {text}"[:500], ())
+    return Detection((), 0, f"the detector failed: {one_line(str(why))}"[:LONGEST_REASON], ())
+
+
+def _named(error: BaseException) -> str:
+    """What a failure is called, and its own words where it has any."""
+    try:
+        return f"{type(error).__name__}: {error}"
+    except Exception:  # its own words fail
+        return type(error).__name__
 
 
 class _Shown:

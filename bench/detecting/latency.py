@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 
 from bench.record import RunRecord
@@ -19,7 +19,8 @@ _TIMED = (Outcome.ANSWERED.value, Outcome.TIMEOUT.value)
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """seconds: what counts, in the order of the trials. cold_s: first calls. start_up_s: the longest start of a process, None for none.
+    """seconds: what counts, in the order of the trials, and ``poses`` the pose of each. cold_s: first calls. start_up_s: the longest start
+    of a process, None for none.
 
     unanswered: how often each outcome but an answer came about.
     """
@@ -28,6 +29,7 @@ class Latency:
     cold_s: tuple[float, ...] = ()
     start_up_s: float | None = None
     unanswered: Mapping[str, int] = field(default_factory=dict)
+    poses: tuple[Hashable, ...] = ()
 
     @property
     def median_s(self) -> float | None:
@@ -49,6 +51,7 @@ def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> L
     """The times of one detector over the trials that count; of one situation where named."""
     trials = [trial for trial in run.counted if situation in (None, trial.head["situation"])]
     rows = [row for trial in trials for row in trial.detections if row["detector"] == detector]
+    poses = [trial.pose for trial in trials for row in trial.detections if row["detector"] == detector and row["outcome"] in _TIMED]
     timed = [row for row in rows if row["outcome"] in _TIMED]
     starts = [row["wall_start_up_s"] for row in rows if row["wall_start_up_s"] is not None]
     return Latency(
@@ -56,6 +59,7 @@ def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> L
         tuple(row["wall_seconds"] for row in timed if row["cold"]),
         max(starts, default=None),
         Counter(row["outcome"] for row in rows if row["outcome"] != Outcome.ANSWERED.value),
+        tuple(pose for pose, row in zip(poses, timed, strict=True) if not row["cold"]),
     )
 
 

@@ -37,11 +37,16 @@ def _row(run: RunRecord, situation: str | None, detector: str) -> tuple[str, ...
     errors = "not measured" if radial.n == 0 else f"{radial.mean_mm:.2f}, {radial.p95_mm:.2f}, {radial.max_mm:.2f}"
     time = "not measured" if times.median_s is None or times.p99_s is None else f"{1e3 * times.median_s:.0f}, {1e3 * times.p99_s:.0f}"
     found = f"{counts.matched} of {counts.visible}"
-    return (situation or ALL, detector, str(len(pool.scores)), found, str(counts.false), errors, time, failures_told(times))
+    return (_cell(situation or ALL), detector, str(len(pool.scores)), found, str(counts.false), errors, time, failures_told(times))
 
 
 def _line(row: Sequence[str], widths: Sequence[int]) -> str:
     return "| " + " | ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) + " |"
+
+
+def _cell(text: str) -> str:
+    """A name that anybody gave, as Markdown takes it in a table."""
+    return text.replace("|", "\\|")
 
 
 def _notes(run: RunRecord) -> Iterator[str]:

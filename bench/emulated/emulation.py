@@ -116,7 +116,8 @@ class EmulatedRig:
     def _stage(self, said: Stage, errors: EmulatedStage) -> StageEmulator:
         """A stage that carries the world's phantom; at its reference place the phantom stands as its layout says."""
         axes, dialect = 4 if "A" in said.axes else 3, GRBL_HAL if errors.dialect == "grblHAL" else CLASSIC
-        stage = StageEmulator(self._clock, dialect=dialect, axes=axes, play_mm=(*errors.backlash_mm, errors.backlash_deg)[:axes])
+        play_mm = (*errors.backlash_mm, errors.backlash_deg)[:axes]
+        stage = StageEmulator(self._clock, settings=errors.settings, dialect=dialect, axes=axes, play_mm=play_mm)
         reference = (*said.reference_mm, said.reference_z_mm, said.reference_a_deg)
         mounting = Mounting(said.axes, reference, errors.scale_errors, errors.squareness_rad, errors.yaw_rad)
 

@@ -1,108 +1,132 @@
-"""Rows of a run as messages that viewers of MCAP files know: Foxglove's published schemas, and a few of our own.
+"""Rows of a run as the messages that `schemas` describes: values by field, ready to be encoded.
 
-Lengths are metres here, as those schemas ask, and only here. A pose without a direction has the unit quaternion. Schema names and
-fields are Foxglove's (docs.foxglove.dev/docs/sdk/schemas); the descriptions are ours. Pure: rows in, values out.
+Lengths are metres here, as those schemas ask, and only here; frames of reference are those of the bench (`world`, `stage`, `left`, `right`,
+`thermal`). A pose without a direction has the unit quaternion. Pure: rows in, values out.
 """
 
 from __future__ import annotations
 
-import base64
 import json
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-Json = Mapping[str, Any]  # what JSON can say; rows of the database look the same
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bench.exporting.schemas import LEVEL
+from detector.calibration.values import Calibration
+from detector.geometry import Camera, Motion
+
+Row = Mapping[str, Any]
+Message = Mapping[str, Any]
 NS = 1_000_000_000
 MM_PER_M = 1000.0
+UNIT = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
-_TEXT, _NUMBER, _INTEGER = {"type": "string"}, {"type": "number"}, {"type": "integer"}
-_MAYBE = {"type": ["number", "null"]}
-_MAYBE_TEXT = {"type": ["string", "null"]}
-
-
-def _object(title: str, **fields: Json) -> dict[str, Any]:
-    return {"title": title, "type": "object", "properties": fields}
+_LEVELS = {"trip": "ERROR", "fault": "ERROR", "aborted": "WARNING", "camera": "WARNING", "skipped": "WARNING", "repeated": "WARNING"}
 
 
-_TIME = _object("time", sec={**_INTEGER, "minimum": 0}, nsec={**_INTEGER, "minimum": 0, "maximum": NS - 1})
-_VECTOR = _object("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
-_QUATERNION = _object("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
-_POSE = _object("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)
-_BYTES = {"type": "string", "contentEncoding": "base64"}
-
-SCHEMAS: dict[str, Json] = {
-    schema["title"]: schema
-    for schema in (
-        _object("foxglove.CompressedImage", timestamp=_TIME, frame_id=_TEXT, data=_BYTES, format=_TEXT),
-        _object("foxglove.PoseInFrame", timestamp=_TIME, frame_id=_TEXT, pose=_POSE),
-        _object("foxglove.PosesInFrame", timestamp=_TIME, frame_id=_TEXT, poses={"type": "array", "items": _POSE}),
-        _object("foxglove.Log", timestamp=_TIME, level=_INTEGER, message=_TEXT, name=_TEXT, file=_TEXT, line=_INTEGER),
-        _object("teatbench.Bath", timestamp=_TIME, temp_c=_NUMBER, external_c=_MAYBE, power_percent=_MAYBE, state=_TEXT),
-        _object(
-            "teatbench.Answer", timestamp=_TIME, trial=_TEXT, detector=_TEXT, outcome=_TEXT, hidden=_INTEGER, reason=_MAYBE_TEXT,
-            seconds=_NUMBER, success={"type": ["boolean", "null"]}, max_error_mm=_MAYBE,
-        ),
-        _object(
-            "teatbench.Trial", timestamp=_TIME, id=_TEXT, number=_INTEGER, name=_TEXT, situation=_TEXT, repeat=_INTEGER, bath_c=_MAYBE,
-            bath_state=_MAYBE_TEXT, invalid=_MAYBE_TEXT,
-        ),
-    )
-}  # fmt: skip
-
-_LEVELS = {"trip": 4, "fault": 4, "aborted": 3, "camera": 3, "skipped": 3, "repeated": 3}  # foxglove.Log: 2 tells, 3 warns, 4 is an error
-_TELLS = 2
+def stamp(time_ns: int) -> Message:
+    """A google.protobuf.Timestamp."""
+    return {"seconds": time_ns // NS, "nanos": time_ns % NS}
 
 
-def stamp(time_ns: int) -> Json:
-    """A time as Foxglove's schemas write it."""
-    return {"sec": time_ns // NS, "nsec": time_ns % NS}
-
-
-def image(time_ns: int, camera: str, png: bytes) -> Json:
+def image(time_ns: int, frame: str, png: bytes) -> Message:
     """A frame, byte for byte as its file holds it."""
-    return {"timestamp": stamp(time_ns), "frame_id": camera, "data": base64.b64encode(png).decode("ascii"), "format": "png"}
+    return {"timestamp": stamp(time_ns), "frame_id": frame, "data": png, "format": "png"}
 
 
-def point(time_ns: int, frame: str, at_mm: Sequence[float]) -> Json:
+def raw_image(time_ns: int, frame: str, png: bytes) -> Message:
+    """A frame of 16 bits pixel by pixel: viewers let one choose what is black and what is white, which they don't for a PNG.
+
+    Raises ValueError where it is no picture of 16 bits.
+    """
+    pixels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED) if png else None
+    if pixels is None or pixels.dtype != np.uint16 or pixels.ndim != 2:
+        raise ValueError("it is no grey picture of 16 bits")
+    height, width = pixels.shape
+    about = {"width": width, "height": height, "encoding": "mono16", "step": 2 * width}
+    return {"timestamp": stamp(time_ns), "frame_id": frame, **about, "data": pixels.astype("<u2").tobytes()}
+
+
+def camera(time_ns: int, frame: str, lens: Camera) -> Message:
+    """A camera as Bouguet, OpenCV and the ROS model plumb_bob have it: K row by row, D = (k1, k2, p1, p2, k3)."""
+    (fx, fy), (cx, cy) = lens.fc, lens.cc
+    rows = [[fx, lens.alpha_c * fx, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
+    return {
+        "timestamp": stamp(time_ns), "frame_id": frame, "width": lens.image_size[0], "height": lens.image_size[1],
+        "distortion_model": "plumb_bob", "D": list(lens.kc), "K": [value for row in rows for value in row],
+        "R": np.eye(3).ravel().tolist(), "P": [value for row in rows for value in (*row, 0.0)],
+    }  # fmt: skip
+
+
+def frames_of_reference(time_ns: int, known: Calibration) -> Message:
+    """Where the cameras are in the world: the right one first, to which the left is tied, and the thermal one to that."""
+    motions = [("world", "right", known.world_from_right), ("right", "left", known.right_from_left)]
+    if known.thermal_from_left is not None:
+        motions.append(("left", "thermal", known.thermal_from_left.inverse()))
+    return {"transforms": [_transform(time_ns, parent, child, motion) for parent, child, motion in motions]}
+
+
+def _transform(time_ns: int, parent: str, child: str, parent_from_child: Motion) -> Message:
+    x, y, z, w = (float(value) for value in Rotation.from_matrix(parent_from_child.R).as_quat())
+    ids = {"parent_frame_id": parent, "child_frame_id": child}
+    return {"timestamp": stamp(time_ns), **ids, "translation": _metres(parent_from_child.T), "rotation": {"x": x, "y": y, "z": z, "w": w}}
+
+
+def point(time_ns: int, frame: str, at_mm: Sequence[float]) -> Message:
     """One place in ``frame``."""
     return {"timestamp": stamp(time_ns), "frame_id": frame, "pose": _pose(at_mm)}
 
 
-def points(time_ns: int, frame: str, rows: Sequence[Json]) -> Json:
+def points(time_ns: int, frame: str, rows: Sequence[Row]) -> Message:
     """Places in ``frame``, of rows with x_mm, y_mm, z_mm."""
     return {"timestamp": stamp(time_ns), "frame_id": frame, "poses": [_pose((row["x_mm"], row["y_mm"], row["z_mm"])) for row in rows]}
 
 
-def log(time_ns: int, event: Json) -> Json:
+def log(time_ns: int, event: Row) -> Message:
     """A row of ``events``."""
-    level = _LEVELS.get(event["kind"], _TELLS)
-    return {"timestamp": stamp(time_ns), "level": level, "message": event["text"], "name": event["kind"], "file": "", "line": 0}
+    level = LEVEL.numbers[_LEVELS.get(event["kind"], "INFO")]
+    return {"timestamp": stamp(time_ns), "level": level, "message": event["text"], "name": event["kind"]}
 
 
-def bath(time_ns: int, row: Json) -> Json:
+def bath(time_ns: int, row: Row) -> Message:
     """A row of ``bath``."""
-    return {"timestamp": stamp(time_ns)} | {key: row[key] for key in ("temp_c", "external_c", "power_percent", "state")}
+    figures = {key: _number(row[key]) for key in ("temp_c", "external_c", "power_percent")}
+    return {"timestamp": stamp(time_ns), **figures, "state": row["state"]}
 
 
-def answer(time_ns: int, row: Json, score: Json | None) -> Json:
-    """A row of ``detections`` with its ``scores``; what was not scored is null."""
+def answer(time_ns: int, row: Row, score: Row | None) -> Message:
+    """A row of ``detections`` with its ``scores``; ``success`` is 1 or 0."""
     wall = json.loads(score["wall_score"]) if score else {}
     errors = json.loads(score["score"]).get("radial_mm", []) if score else []
     return {
         "timestamp": stamp(time_ns),
-        **{key: row[key] for key in ("trial", "detector", "outcome", "hidden", "reason")},
+        **{key: row[key] for key in ("trial", "detector", "outcome", "hidden")},
+        "reason": row["reason"] or "",
         "seconds": row["wall_seconds"],
-        "success": wall.get("success"),
-        "max_error_mm": max(errors, default=None),
+        "success": _number(wall.get("success")),
+        "max_error_mm": _number(max(errors, default=None)),
     }
 
 
-def trial(time_ns: int, row: Json) -> Json:
+def trial(time_ns: int, row: Row) -> Message:
     """A row of ``trials``."""
-    names = ("id", "number", "name", "situation", "repeat", "bath_c", "bath_state", "invalid")
-    return {"timestamp": stamp(time_ns)} | {key: row[key] for key in names}
+    texts = {key: row[key] or "" for key in ("bath_state", "invalid")}
+    names = {key: row[key] for key in ("id", "number", "name", "situation", "repeat")}
+    return {"timestamp": stamp(time_ns), **names, "bath_c": _number(row["bath_c"]), **texts}
 
 
-def _pose(at_mm: Sequence[float]) -> Json:
-    x, y, z = (value / MM_PER_M for value in at_mm)
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _pose(at_mm: Sequence[float]) -> Message:
+    return {"position": _metres(at_mm), "orientation": UNIT}
+
+
+def _metres(at_mm: Sequence[float] | np.ndarray[Any, Any]) -> Message:
+    x, y, z = (float(value) / MM_PER_M for value in at_mm)
+    return {"x": x, "y": y, "z": z}

@@ -57,16 +57,19 @@ class DryRun:
     unchecked: tuple[str, ...]
 
 
-def dry_run(rig: LoadedRig, script: LoadedScript, travel: Mapping[str, AxisLimits] | None) -> DryRun:
-    """Look at each pose of ``script``. ``travel`` is the stage's, in machine coordinates, None where nobody could ask."""
+def dry_run(
+    rig: LoadedRig, script: LoadedScript, travel: Mapping[str, AxisLimits] | None, why_no_travel: str = "its controller doesn't answer"
+) -> DryRun:
+    """Look at each pose of ``script``. ``travel`` is the stage's, in machine coordinates, None where nobody could ask, and why."""
     distinct = list({(one.name, one.side): one for one in script.planned}.values())
     poses = list({one.name: one for one in distinct}.values())
     views = views_of(rig.calibration)
     findings = [finding for one in distinct for finding in _limits(rig, one, travel)]
+    findings += [found for pose in registered_at(rig, script) for found in _beyond(rig, f"registration at {told(pose)}", pose, travel)]
     findings += [finding for one in poses for finding in _unseen(one, views)]
     findings += [finding for one in distinct for finding in _collisions(one)]
     findings += list(_out_of_reach(rig, touched(rig, script)))
-    return DryRun(len(poses), tuple(findings), tuple(_unchecked(rig, views, travel)))
+    return DryRun(len(poses), tuple(findings), tuple(_unchecked(rig, views, why_no_travel if travel is None else None)))
 
 
 def touched(rig: LoadedRig, script: LoadedScript) -> Iterator[tuple[str, Phantom]]:
@@ -77,13 +80,20 @@ def touched(rig: LoadedRig, script: LoadedScript) -> Iterator[tuple[str, Phantom
         return
     axes = rig.rig.stage.axes if rig.rig.stage else ""
     first = planned[0]
-    if truth.registration == FIRST:
-        named = [PlatePose(x, y) for x, y in truth.registration_at_mm or ()]
-        for pose in named or around(shared(one.pose, axes)[0] for one in planned):
-            stands = first.phantom.moved(shared(first.pose, axes)[1].carried(pose))
-            yield f"registration at {told(pose)}", replace(stands, teats=stands.teats[truth.registration_teat - 1 :][:1])
+    for pose in registered_at(rig, script):
+        stands = first.phantom.moved(shared(first.pose, axes)[1].carried(pose))
+        yield f"registration at {told(pose)}", replace(stands, teats=stands.teats[truth.registration_teat - 1 :][:1])
     for index in carry_touches(planned, axes, truth.check_every):
         yield planned[index].name, planned[index].phantom.moved(planned[index].pose)
+
+
+def registered_at(rig: LoadedRig, script: LoadedScript) -> tuple[PlatePose, ...]:
+    """Where the stage goes for the touches of a registration that the run makes itself; nowhere where it makes none."""
+    truth, axes = script.script.truth, rig.rig.stage.axes if rig.rig.stage else ""
+    if truth.mode != "carry" or truth.registration != FIRST:
+        return ()
+    named = tuple(PlatePose(x, y) for x, y in truth.registration_at_mm or ())
+    return named or around(shared(one.pose, axes)[0] for one in script.planned)
 
 
 def carry_touches(planned: Sequence[PlannedTrial], axes: str, check_every: int) -> list[int]:
@@ -103,9 +113,9 @@ def carry_touches(planned: Sequence[PlannedTrial], axes: str, check_every: int) 
     return [*at, len(planned) - 1] if carried else at
 
 
-def _unchecked(rig: LoadedRig, views: Sequence[View], travel: Mapping[str, AxisLimits] | None) -> Iterator[str]:
-    if rig.rig.stage and travel is None:
-        yield "the stage's travel: its controller doesn't answer"
+def _unchecked(rig: LoadedRig, views: Sequence[View], why_no_travel: str | None) -> Iterator[str]:
+    if rig.rig.stage and why_no_travel:
+        yield f"the stage's travel: {why_no_travel}"
     if len(views) < 3:
         yield "the thermal picture: the calibration has no lens or place of the thermal camera"
     if rig.arm_unit is None and rig.rig.arm.url != EMULATED:
@@ -113,17 +123,21 @@ def _unchecked(rig: LoadedRig, views: Sequence[View], travel: Mapping[str, AxisL
 
 
 def _limits(rig: LoadedRig, one: PlannedTrial, travel: Mapping[str, AxisLimits] | None) -> Iterator[Finding]:
+    for pose in (one.approach, one.pose):
+        if pose is not None:
+            yield from _beyond(rig, one.name, pose, travel)
+
+
+def _beyond(rig: LoadedRig, name: str, pose: PlatePose, travel: Mapping[str, AxisLimits] | None) -> Iterator[Finding]:
+    """Axes of the stage that can't go where ``pose`` needs them."""
     stage = rig.rig.stage
     if stage is None or travel is None:
         return
-    for pose in (one.approach, one.pose):
-        if pose is None:
-            continue
-        for key, value in stage.machine(shared(pose, stage.axes)[0]).items():
-            limits = travel.get(KEYS[key])
-            if limits is not None and not limits.hold(value):
-                where = f"{told(pose)} needs the stage's {KEYS[key]} axis at {value:g}"
-                yield Finding(one.name, "limits", f"{where}, which goes from {limits.low_mm:g} to {limits.high_mm:g}")
+    for key, value in stage.machine(shared(pose, stage.axes)[0]).items():
+        limits = travel.get(KEYS[key])
+        if limits is not None and not limits.hold(value):
+            where = f"{told(pose)} needs the stage's {KEYS[key]} axis at {value:g}"
+            yield Finding(name, "limits", f"{where}, which goes from {limits.low_mm:g} to {limits.high_mm:g}")
 
 
 def _unseen(one: PlannedTrial, views: Sequence[View]) -> Iterator[Finding]:

@@ -7,10 +7,12 @@ itself. It decides which trials there are, and nothing else: instruments, safety
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from bench.arm.toml_text import toml_text
 from bench.config import ConfigError, read_text
@@ -31,7 +33,7 @@ def script_text(path: Path) -> str:
         head, made = names.get("SCRIPT"), names.get("trials")
         if not isinstance(head, Mapping) or not callable(made):
             raise ConfigError.plain(f"{path}: a script in Python has SCRIPT, a dictionary, and trials(), a generator of dictionaries")
-        return toml_text({**head, "trials": list(_tables(path, made()))}, HEADING.format(path.name))
+        return toml_text(_plain({**head, "trials": list(_tables(path, made()))}, path), HEADING.format(path.name))
     except ConfigError:
         raise
     except (Exception, SystemExit) as error:  # anyone's code: it may fail in any way
@@ -40,6 +42,8 @@ def script_text(path: Path) -> str:
 
 def _tables(path: Path, made: Any) -> Iterator[Mapping[str, Any]]:
     """Its trials. Raises ConfigError for what is none, and where they don't end."""
+    if not isinstance(made, Iterable):
+        raise ConfigError.plain(f"{path}: trials() gives a {type(made).__name__}; it has to yield dictionaries")
     number = 0
     for number, table in enumerate(islice(made, MOST + 1), 1):
         if not isinstance(table, Mapping):
@@ -47,6 +51,19 @@ def _tables(path: Path, made: Any) -> Iterator[Mapping[str, Any]]:
         yield table
     if number > MOST:
         raise ConfigError.plain(f"{path}: trials() gives more than {MOST} trials; does it end?")
+
+
+def _plain(value: Any, path: Path, at: str = "") -> Any:
+    """``value`` as TOML has it; numpy's numbers and arrays become Python's. Raises ConfigError for what TOML has no words for."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(name): _plain(one, path, f"{at}.{name}" if at else str(name)) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one, path, f"{at}[{number}]") for number, one in enumerate(value, 1)]
+    if value is None or isinstance(value, str | int | float):
+        return value
+    raise ConfigError.plain(f"{path}: {at} is a {type(value).__name__}; it has to be text, a number, true or false, a list or a table")
 
 
 def _line_of(path: Path, error: BaseException) -> str:

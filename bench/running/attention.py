@@ -16,6 +16,7 @@ from instruments.clock import stopwatch_s, wall_time
 
 LOOK_S = 1.0
 STEPPED_S = 5.0  # time servers nudge a clock by less
+READ_S = 1.0  # both clocks are read within microseconds
 
 
 class Attention:
@@ -48,8 +49,15 @@ class Attention:
             self.check()
 
     def check(self) -> None:
-        """The bench lives; raises InterlockTrip where an interlock has tripped, and what ``heed`` raises: somebody's wish."""
+        """The bench lives; raises as ``look``."""
         self._pulse.sign("going on")
+        self.look()
+
+    def look(self) -> None:
+        """Raises InterlockTrip where an interlock has tripped, and what ``heed`` raises: somebody's wish.
+
+        No sign of life: for whoever waits for a person, and has said so.
+        """
         self.watch.check()
         self.heed()
 
@@ -77,10 +85,13 @@ class Attention:
 
     def _see_steps_of_the_clock(self) -> None:
         """Somebody may set the computer's clock amid a run. The bench's own time doesn't follow it, the record's wall times do."""
-        behind_s = wall_time().timestamp() - stopwatch_s()
-        before_s, self._wall_behind_s = self._wall_behind_s, behind_s
-        if before_s is not None and abs(behind_s - before_s) > STEPPED_S:
-            by_s = behind_s - before_s
+        before_s = stopwatch_s()
+        behind_s = wall_time().timestamp() - before_s
+        if stopwatch_s() - before_s > READ_S:
+            return  # a busy computer let us wait between the two: they are of no one moment
+        known_s, self._wall_behind_s = self._wall_behind_s, behind_s
+        if known_s is not None and abs(behind_s - known_s) > STEPPED_S:
+            by_s = behind_s - known_s
             self._write(
                 "clock", f"the computer's clock was set {by_s:+.0f} s; wall times before and after don't compare, the bench's own do"
             )

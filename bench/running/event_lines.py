@@ -6,13 +6,14 @@ It only watches: what fails here is told once and ends the lines, never the run.
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
 
 from bench.config import ConfigError
-from bench.running.showing import Progress
+from bench.running.showing import FAILURES, Progress, Unfailing
 from instruments.clock import wall_time
 
 ERRORS = ("dropped out", "camera", "fault", "trip", "suspended")  # kinds of events
@@ -24,33 +25,47 @@ class EventLines:
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
+        self._lock = threading.Lock()  # the watch tells of a trip from its own thread
         self.now_s: Callable[[], float | None] = lambda: None
 
     def write(self, what: str, **more: Any) -> None:
         """A line. Raises OSError, and ValueError once the file is closed."""
-        line = {"wall_time": wall_time().isoformat(timespec="milliseconds"), "t_s": self.now_s(), "what": what, **more}
-        self._file.write(json.dumps(line, ensure_ascii=False) + "\n")
-        self._file.flush()
+        with self._lock:
+            line = {"wall_time": wall_time().isoformat(timespec="milliseconds"), "t_s": self.now_s(), "what": what, **more}
+            self._file.write(json.dumps(line, ensure_ascii=False) + "\n")
+            self._file.flush()
 
 
 class WatchedProgress:
     """Shows on ``progress``, as one line: trial, what is done, bath, time left, last error; and tells ``lines``.
 
-    Lines that fail end, and the person at ``progress`` hears of it.
+    Neither can end what it shows, nor the other: of lines that fail the person at ``progress`` hears, of a screen that fails the lines, of
+    both whoever is ``fed_by``, once.
     """
 
     def __init__(self, progress: Progress, lines: EventLines | None) -> None:
-        self._progress = progress
+        self._progress = Unfailing(progress, self._screen_failed)
         self._lines = lines
+        self._failed: Callable[[str], None] = lambda _: None
         self._live: Callable[[], Mapping[str, str]] = dict
-        self._name = self._error = ""
+        self._name = self._text = self._error = ""
 
     def state(self, text: str) -> None:
+        self._text = text
+        self._tell("doing", text=text, **self._show())
+
+    def refresh(self) -> None:
+        """The line once more, with the bath as it is now. From any thread; what goes wrong with it is nobody's trouble."""
+        with suppress(*FAILURES):
+            self._show()
+
+    def _show(self) -> dict[str, str]:
+        """The line on the screen; gives back what stands there beside trial and text."""
         live = self._live()
         error = {"last error": self._error} if self._error else {}
-        parts = [self._name, text, *live.values(), *(f"last error: {said[:LONGEST]}" for said in error.values())]
+        parts = [self._name, self._text, *live.values(), *(f"last error: {said[:LONGEST]}" for said in error.values())]
         self._progress.state("; ".join(part for part in parts if part))
-        self._tell("doing", text=text, **live, **error)
+        return {**live, **error}
 
     def trial(self, done: int, total: int, name: str) -> None:
         self._name = name
@@ -72,9 +87,15 @@ class WatchedProgress:
             self._error = text
         self._tell("event", kind=kind, text=text)
 
-    def fed_by(self, now_s: Callable[[], float], live: Callable[[], Mapping[str, str]]) -> None:
-        """From now on lines have the bench's time, and the line in the terminal what ``live`` says: bath, time left."""
+    def fed_by(
+        self, now_s: Callable[[], float], live: Callable[[], Mapping[str, str]], failed: Callable[[str], None] = lambda _: None
+    ) -> None:
+        """From now on lines have the bench's time, and the line in the terminal what ``live`` says: bath, time left.
+
+        ``failed`` hears what can't be shown any more.
+        """
         self._live = live
+        self._failed = failed
         if self._lines:
             self._lines.now_s = now_s
 
@@ -85,7 +106,13 @@ class WatchedProgress:
             self._lines.write(what, **more)
         except Exception as error:  # whatever it is, it only watched
             self._lines = None
-            self._progress.warn(f"--events: no further lines: {error}")
+            said = f"--events: no further lines: {error}"
+            self._progress.warn(said)
+            self._failed(said)
+
+    def _screen_failed(self, said: str) -> None:
+        self._tell("warning", text=said)
+        self._failed(said)
 
 
 @contextmanager

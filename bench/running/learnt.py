@@ -10,10 +10,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from bench.planning.dry_run import carry_touches
 from bench.record import RunRecord
 from bench.rig import LoadedRig
-from bench.running.trial_time import ASSUMED, TimeEstimate, estimate
+from bench.running.trial_time import ASSUMED, TimeEstimate, estimate, touched_trials
 from bench.script import LoadedScript
 from bench.store import write_synced
 
@@ -47,12 +46,9 @@ def _disk_mb(rig: LoadedRig, script: LoadedScript) -> float:
 
 def _prompts(rig: LoadedRig, script: LoadedScript) -> int:
     """Homing, the arm check before and after, each set-up, each touch; carried trials need neither where the stage moves all."""
-    arm, truth, planned = rig.rig.arm, script.script.truth, script.planned
-    each = truth.readings or arm.touches
-    asked = list(range(len(planned)))
-    if truth.mode == "carry" and rig.rig.stage:
-        asked = carry_touches(planned, rig.rig.stage.axes, truth.check_every)
-    touches = sum(each * len(planned[index].phantom.teats) + 1 for index in asked)
+    arm, planned = rig.rig.arm, script.planned
+    each = script.script.truth.readings or arm.touches
+    touches = sum(each * len(planned[at].phantom.teats) + 1 for at in touched_trials(rig, script))
     return 1 + (2 * arm.check_touches if arm.check_point_mm else 0) + touches
 
 

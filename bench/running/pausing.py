@@ -8,7 +8,6 @@ from bench.running.attention import Attention
 from bench.running.run_state import RunState, RunStates
 from bench.running.wishes import Wishes
 from instruments.clock import Clock, RealClock, VirtualClock
-from instruments.operators.operator import OperatorRepeat, OperatorSkip
 
 LOOK_S = 1.0
 REAL_S = 0.02  # of real time, for a second of virtual time
@@ -27,18 +26,13 @@ class Pause:
 
     def if_asked(self) -> None:
         """Returns once nobody wants a pause. Raises OperatorAbort, and what an interlock raises."""
-        self._look()
+        self._wishes.look_between()
         if not self._wishes.paused:
             return
         with self._states.during(RunState.PAUSED):
             self._attention.progress.warn(f"Paused, as asked. To go on: teatbench tell {self._folder} go on (or type: go on)")
             while self._wishes.paused:
+                self._attention.progress.state("paused, as asked")
                 if self._virtual:
                     self._real.sleep(REAL_S)  # whoever pauses lives in real time, and the bath need not race through days meanwhile
                 self._attention.wait(LOOK_S)
-
-    def _look(self) -> None:
-        try:
-            self._wishes.look()
-        except (OperatorSkip, OperatorRepeat) as wish:
-            self._attention.progress.warn(f"{wish}: no trial is in flight just now, so nothing was done")

@@ -48,7 +48,7 @@ class Preparation:
         d = self._devices
         self._attention.note("preparing")
         self._attention.watch.start()
-        d.operator.heed(self._attention.watch.check)
+        d.operator.heed(self._attention.look)
         self._recovery.run("signing on to the arm", self._sign_on)
         self._recovery.run("the arm check", lambda: self.check_arm(BEFORE))
         self._attention.check()
@@ -93,6 +93,7 @@ class Preparation:
             return
         self._attention.long("homing the stage", 600.0)
         stage.connect()
+        self._attention.check()
         stage.home()
         self._attention.check()
 

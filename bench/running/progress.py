@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.record import RunRecord
+from bench.running.showing import FAILURES
 from bench.summary.wording import headline, limit, measured
 from bench.verdicts import Judgement
 
@@ -71,15 +72,22 @@ class TerminalProgress:
             self._bar.start()
 
     def __enter__(self) -> TerminalProgress:
-        self._bar.start()
+        with suppress(*FAILURES):
+            self._bar.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
-        self._bar.stop()
+        with suppress(*FAILURES):
+            self._bar.stop()
 
 
 def show_result(console: Console, run: RunRecord, judgements: Sequence[Judgement], report: Path) -> None:
-    """The verdict table, the sentence and where the report is."""
+    """The verdict table, the sentence and where the report is; whether anybody sees them changes no verdict."""
+    with suppress(*FAILURES):
+        _show_result(console, run, judgements, report)
+
+
+def _show_result(console: Console, run: RunRecord, judgements: Sequence[Judgement], report: Path) -> None:
     for judgement in judgements:
         table = Table(title=f"{run.facts['title']}: detector {judgement.detector}")
         for title in ("requirement", "measured", "limit", "verdict"):

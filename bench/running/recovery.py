@@ -1,7 +1,8 @@
 """An instrument that drops out pauses the run; the operator hears what to check; it goes on when the instrument is back.
 
 What was under way is done again whole by whoever asked: nothing half done is kept. How often, and for what, is `retries`' table;
-how long is waited is the rig's. Interlocks go on being looked at meanwhile, and may end the wait. May not know trials.
+how long is waited is the rig's. Interlocks go on being looked at meanwhile, and may end the wait; so may somebody who gives up what waits:
+then what comes next waits on. May not know trials.
 """
 
 from __future__ import annotations
@@ -33,12 +34,16 @@ class Recovery:
         self._attention = attention
         self._states = states
         self._patience_s = patience_s
+        self._missing: tuple[InstrumentError, Policy] | None = None
         self.counts: Counter[str] = Counter()
 
     def run(self, what: str, work: Callable[[], None]) -> None:
         """Do ``work`` until it is done. Raises a fault that has no policy, or came too often, or whose instrument does not come back."""
         tried: Counter[str] = Counter()
+        if self._missing:  # whoever waited for it was told to do something else, and it may be back, but not where it was
+            self._pause(what, *self._missing, "still away")
         while True:
+            self._attention.check()
             try:
                 return work()
             except InstrumentError as fault:
@@ -49,24 +54,28 @@ class Recovery:
                 if policy is None or tried[kind] > policy.times:
                     raise
                 self.counts[kind] += 1
-                self._pause(what, fault, policy, f"{tried[kind]} of {policy.times}")
+                self._pause(what, fault, policy, f"try {tried[kind]} of {policy.times}")
 
     def _pause(self, what: str, fault: InstrumentError, policy: Policy, count: str) -> None:
         """Until the instrument is back; then as before. Raises ``fault`` where it stays away."""
         name = str(instrument_of(fault))
+        are = "are" if name == "cameras" else "is"
+        self._missing = (fault, policy)
         started_s = self._attention.now_s()
         if name == "arm":
             self._devices.operator.release()
         with self._states.during(RunState.PAUSED):
-            self._attention.event("dropped out", f"{what}: {fault} (try {count})")
-            self._attention.progress.warn(f"{fault}\nThe run is paused. {policy.check} It goes on by itself when the {name} is back.")
+            self._attention.event("dropped out", f"{what}: {fault} ({count})")
+            self._attention.progress.warn(f"{fault}\nThe run is paused. {policy.check} It goes on by itself when the {name} {are} back.")
             while not self._back(name):
                 if self._attention.now_s() - started_s >= self._patience_s:
                     self._attention.event("given up", f"the {name} did not come back within {self._patience_s:g} s")
                     raise fault
                 self._attention.wait(EVERY_S)
+            self._attention.check()
             away_s = self._attention.now_s() - started_s
-            self._attention.event("back", f"the {name} is back after {away_s:.1f} s; done again from its start: {what}")
+            self._attention.event("back", f"the {name} {are} back after {away_s:.1f} s; done again from its start: {what}")
+        self._missing = None
 
     def _back(self, name: str) -> bool:
         self._attention.progress.state(f"waiting for the {name}")
@@ -91,6 +100,7 @@ class Recovery:
             raise DeviceError("stage", "this rig has none")
         self._attention.long("homing the stage again", 600.0)
         stage.reconnect()
+        self._attention.check()  # that took its time, and a stage that a trip has braked meanwhile is not to move
         stage.home()
 
     def _bath(self) -> None:

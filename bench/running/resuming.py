@@ -106,7 +106,8 @@ class Compared:
 class RehearsedStore(Store):
     """The store of a run whose finished trials are gone through again: it takes nothing that it has, until ``go_live``.
 
-    Bath readings that the dead bench had not yet written are taken; whatever else it does is known.
+    Bath readings that the dead bench had not yet written are taken; whatever else it does is known. A check of the carried truth comes
+    just before the trial that is new, so that the dead bench may have written it: it is taken once.
     """
 
     def __init__(self, left: Left) -> None:
@@ -115,6 +116,8 @@ class RehearsedStore(Store):
         self._read_to_s = float(left.run.bath[-1, 0]) if len(left.run.bath) else -np.inf
         note_deaths(self, left)
         self._silent = True
+        self._checks = {int(row["number"]) for row in left.run.checks}
+        self._invalid = {trial.id for trial in left.run.trials if trial.invalid is not None}
         self.compared = Compared({trial.id: trial.touches for trial in left.run.trials})
 
     def go_live(self) -> None:
@@ -144,8 +147,10 @@ class RehearsedStore(Store):
             super().skipped(row)
 
     def checked(self, touches: Sequence[Row], invalid: Sequence[str], reason: str) -> None:
-        if not self._silent:
-            super().checked(touches, invalid, reason)
+        new = [touch for touch in touches if touch["number"] not in self._checks]
+        lost = [trial for trial in invalid if trial not in self._invalid]
+        if not self._silent and (new or lost):
+            super().checked(new, lost, reason)
 
     def frame(self, trial: str, camera: str, image: Picture, exposed_s: float | None) -> Row:
         return {} if self._silent else super().frame(trial, camera, image, exposed_s)

@@ -7,14 +7,17 @@ emulated rig has none: each bench has emulators of its own. Two rig files for on
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import platform
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
-from typing import IO, Any
+from typing import Any, Protocol
 
 from bench.config import ConfigError
 from bench.rig import LoadedRig
@@ -22,7 +25,9 @@ from instruments.clock import wall_time
 from instruments.errors import LimitError
 
 ENDING, RUN_LOCK = ".lock.json", "bench.lock.json"
-AT = 4096  # the locked byte lies behind the text: Windows keeps others from reading what is locked
+TEXT_BYTES = 4096
+AT = 1 << 30  # the locked byte, far behind the text and whatever a reader reads at once: Windows keeps others from reading it
+TAKEN = (errno.EACCES, errno.EAGAIN)  # the system's words for "somebody has it"; any other means that it can't lock there
 
 
 class RigInUseError(LimitError):
@@ -39,8 +44,43 @@ def lock_path(rig: LoadedRig) -> Path | None:
     return None if rig.rig.emulated else rig.path.with_name(rig.path.stem + ENDING)
 
 
+class Msvcrt(Protocol):
+    """What of Windows's C library is used (Microsoft's `_locking`): it locks from where the file's own pointer stands."""
+
+    LK_NBLCK: int
+    LK_UNLCK: int
+
+    def locking(self, fd: int, mode: int, nbytes: int, /) -> None:
+        """Lock or unlock; raises OSError, EACCES where somebody has it."""
+
+
+class SystemLock(Protocol):
+    """The system's lock on one byte of an open file."""
+
+    def take(self, file: FileIO) -> None:
+        """Raises OSError, with one of `TAKEN` where somebody has it."""
+
+    def give_back(self, file: FileIO) -> None:
+        """Let go of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class WindowsLock:
+    """By handle: a second one in the same process is refused too. What is unlocked has to be what was locked."""
+
+    library: Msvcrt
+
+    def take(self, file: FileIO) -> None:
+        file.seek(AT)
+        self.library.locking(file.fileno(), self.library.LK_NBLCK, 1)
+
+    def give_back(self, file: FileIO) -> None:
+        file.seek(AT)
+        self.library.locking(file.fileno(), self.library.LK_UNLCK, 1)
+
+
 @contextmanager
-def locked(path: Path | None, what: str, tell: Callable[[str], None], who: str = "rig") -> Iterator[None]:
+def locked(path: Path | None, what: str, tell: Callable[[str], None], who: str = "rig", lock: SystemLock | None = None) -> Iterator[None]:
     """Hold the lock at ``path`` (None: there is none) for ``what``. ``tell`` hears where a dead bench's lock was taken over.
 
     Raises RigInUseError where another bench has it, ConfigError where the file can't be had at all.
@@ -48,14 +88,20 @@ def locked(path: Path | None, what: str, tell: Callable[[str], None], who: str =
     if path is None:
         yield
         return
+    lock = lock or SYSTEM
     try:
-        file = path.open("r+b" if path.exists() else "w+b")
+        path.touch()
+        file = FileIO(path, "r+")  # without a buffer, so that its pointer is the system's, and no more is read than asked for
     except OSError as error:
         raise ConfigError.plain(f"{path}: the {who} can't be locked: {error.strerror or error}") from error
     with file:
         told = _told(file)
-        if not _taken(file):
-            raise _in_use(path, told, who)
+        try:
+            lock.take(file)
+        except OSError as error:
+            if error.errno in TAKEN:
+                raise _in_use(path, told, who) from error
+            raise ConfigError.plain(f"{path}: the {who} can't be locked: {error.strerror or error}") from error
         if told:
             if told.get("host") != platform.node():  # its process can't be seen from here
                 raise _in_use(path, told, who)
@@ -65,23 +111,22 @@ def locked(path: Path | None, what: str, tell: Callable[[str], None], who: str =
             yield
         finally:
             _write(file, {})
-            _given_back(file)
+            lock.give_back(file)
 
 
-def _told(file: IO[bytes]) -> dict[str, Any]:
+def _told(file: FileIO) -> dict[str, Any]:
     file.seek(0)
     try:
-        told = json.loads(file.read(AT).rstrip(b"\0 ") or b"{}")
+        told = json.loads(file.read(TEXT_BYTES).rstrip(b"\0 ") or b"{}")
     except ValueError:
         return {"host": platform.node(), "run": "what it wrote can't be read"}
     return told if isinstance(told, dict) else {}
 
 
-def _write(file: IO[bytes], told: dict[str, Any]) -> None:
+def _write(file: FileIO, told: dict[str, Any]) -> None:
     file.seek(0)
     file.truncate()
     file.write(json.dumps(told).encode() if told else b"")
-    file.flush()
 
 
 def _in_use(path: Path, told: dict[str, Any], who: str) -> RigInUseError:
@@ -97,26 +142,18 @@ def _who(told: dict[str, Any]) -> str:
 if sys.platform == "win32":
     import msvcrt
 
-    def _taken(file: IO[bytes]) -> bool:
-        file.seek(AT)
-        try:
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        except OSError:
-            return False
-        return True
-
-    def _given_back(file: IO[bytes]) -> None:
-        file.seek(AT)
-        msvcrt.locking(file.fileno(), msvcrt.LK_UNLCK, 1)
+    SYSTEM: SystemLock = WindowsLock(msvcrt)
 else:
     import fcntl
 
-    def _taken(file: IO[bytes]) -> bool:
-        try:
-            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, AT)
-        except OSError:
-            return False
-        return True
+    @dataclass(frozen=True, slots=True)
+    class PosixLock:
+        """By process: it goes when any handle of the process on that file is closed."""
 
-    def _given_back(file: IO[bytes]) -> None:
-        fcntl.lockf(file, fcntl.LOCK_UN, 1, AT)
+        def take(self, file: FileIO) -> None:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, AT)
+
+        def give_back(self, file: FileIO) -> None:
+            fcntl.lockf(file, fcntl.LOCK_UN, 1, AT)
+
+    SYSTEM = PosixLock()

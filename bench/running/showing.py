@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol
+
+FAILURES = (Exception, SystemExit)  # rich ends the program where the reader of its output has gone (`| head`)
 
 
 class Progress(Protocol):
@@ -27,31 +30,44 @@ class Progress(Protocol):
 
 
 class Unfailing:
-    """Shows on ``progress`` until that fails for the first time; from then on in silence."""
+    """Shows on ``progress``; from its first failure on only what a person has to see at once is still tried there.
 
-    def __init__(self, progress: Progress) -> None:
-        self._progress: Progress | None = progress
+    ``told`` hears of that failure, once.
+    """
+
+    def __init__(self, progress: Progress, told: Callable[[str], None] = lambda _: None) -> None:
+        self._progress = progress
+        self._told = told
+        self._failed = False
 
     def state(self, text: str) -> None:
-        if self._progress:
-            try:
-                self._progress.state(text)
-            except Exception:  # whoever only watches ends no run, whatever went wrong with him
-                self._progress = None
+        if not self._failed:
+            self._tried(lambda: self._progress.state(text))
 
     def trial(self, done: int, total: int, name: str) -> None:
-        if self._progress:
-            try:
-                self._progress.trial(done, total, name)
-            except Exception:
-                self._progress = None
-
-    def aside(self) -> AbstractContextManager[None]:
-        return self._progress.aside() if self._progress else nullcontext()
+        if not self._failed:
+            self._tried(lambda: self._progress.trial(done, total, name))
 
     def warn(self, text: str) -> None:
-        if self._progress:
-            try:
-                self._progress.warn(text)
-            except Exception:
-                self._progress = None
+        self._tried(lambda: self._progress.warn(text))
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        around = self._progress.aside()
+        entered = self._tried(around.__enter__)
+        try:
+            yield
+        finally:
+            if entered:
+                self._tried(lambda: around.__exit__(None, None, None))
+
+    def _tried(self, show: Callable[[], object]) -> bool:
+        """Whoever only watches ends no run, whatever went wrong with him."""
+        try:
+            show()
+        except FAILURES as error:
+            first, self._failed = not self._failed, True
+            if first:
+                self._told(f"the screen shows nothing any more: {type(error).__name__}: {error}")
+            return False
+        return True

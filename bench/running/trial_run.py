@@ -91,8 +91,7 @@ class TrialRun:
         asked = replace(trial.arrangement(self._axes), unattended=self._truth.unattended(there))
         placed = self._devices.operator.set_up(asked)
         self._attention.wait(self._rig.cameras.settle_s)
-        self._settle_again(trial_id)
-        frames = self._capture()
+        frames = self._capture_settled(trial_id)
         captured_s = self._devices.clock.now()
         bath = self._watch.last
         bath_state = self._watch.state
@@ -149,6 +148,17 @@ class TrialRun:
             self._attention.wait(self._rig.cameras.settle_s)
         self._states.to(RunState.RUNNING)
 
+    def _capture_settled(self, trial_id: str) -> FrameSet:
+        """Frames of a bath in its band, also where it leaves that while a camera lets us wait: they are taken again.
+
+        A recording isn't asked twice; what the bath was then is in the trial's row.
+        """
+        while True:
+            self._settle_again(trial_id)
+            frames = self._capture()
+            if self._watch.state == State.STABLE or self._rig.cameras.url.startswith("recording:"):
+                return frames
+
     @property
     def _axes(self) -> str:
         """What of a pose the stage does; the operator does the rest."""
@@ -167,6 +177,7 @@ class TrialRun:
         stage, there = self._devices.stage, self._rig.stage
         if stage is None or there is None:
             return
+        self._attention.check()  # nothing moves any more once an interlock has tripped
         self._attention.long("moving the stage", 600.0)
         stage.move_to(**there.machine(pose), feed_mm_min=there.feed_mm_per_min)
         self._attention.check()

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
+from bench.planning.dry_run import carry_touches
 from bench.planning.trials import PlannedTrial, shared
 from bench.rig import LoadedRig
 from bench.rig_tables import Stage
@@ -49,7 +50,7 @@ def estimate(rig: LoadedRig, script: LoadedScript, figures: Mapping[str, float] 
     r, planned = rig.rig, script.planned
     gate = script.script.bath
     settling = gate.window_s + 60.0 * max(0.0, gate.set_point_c - r.bath.room_c) / figures["heating"]
-    touches = r.arm.touches * sum(len(one.phantom.teats) for one in planned)
+    touches = (script.script.truth.readings or r.arm.touches) * sum(len(planned[at].phantom.teats) for at in touched_trials(rig, script))
     return TimeEstimate(
         settling_s=settling,
         moves_s=_moves_s(r.stage, planned, figures) if r.stage else 0.0,
@@ -57,6 +58,14 @@ def estimate(rig: LoadedRig, script: LoadedScript, figures: Mapping[str, float] 
         captures_s=len(planned) * (r.cameras.settle_s + figures["capture"]),
         touches_s=touches * figures["touch"],
     )
+
+
+def touched_trials(rig: LoadedRig, script: LoadedScript) -> list[int]:
+    """At which of the planned trials (from 0) teat ends are touched, once for each time: all, or those that a stage doesn't carry."""
+    truth, stage = script.script.truth, rig.rig.stage
+    if truth.mode == "carry" and stage:
+        return carry_touches(script.planned, stage.axes, truth.check_every)
+    return list(range(len(script.planned)))
 
 
 def assumed_told() -> str:

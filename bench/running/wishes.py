@@ -2,7 +2,8 @@
 
 `teatbench tell RUN WORDS` writes the file, from any other terminal, over SSH, on Windows as elsewhere; where no operator sits at the
 run's own terminal, the same words may be typed there. Looked at wherever the bench looks at its interlocks. A pause takes effect before
-the next trial, for a trial that stood around is none; the others at once, and the trial in flight leaves no trace.
+the next trial, for a trial that stood around is none; the others at once, and the trial in flight leaves no trace. Each wish is answered
+in a line, for whoever sits at the run's terminal may not be the one who has it.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ from pathlib import Path
 
 from bench.config import ConfigError
 from bench.store import write_synced
+from instruments.clock import Clock
 from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
 
-FILE = "wish.txt"
+FILE, TAKEN = "wish.txt", "wish-taken.txt"
+LOOK_S = 0.1
 PAUSE, GO_ON, SKIP, REPEAT, ABORT = "pause", "go on", "skip", "repeat", "abort"
 SHORT = {"p": PAUSE, "g": GO_ON, "go": GO_ON, "go-on": GO_ON, "s": SKIP, "r": REPEAT, "a": ABORT}
 HELP = "pause, go on, skip REASON, repeat REASON, abort"
@@ -46,41 +49,71 @@ def leave_wish(folder: Path, words: str) -> None:
         raise ConfigError.plain(f"{folder / FILE} can't be written: {error.strerror or error}") from error
 
 
+def was_taken(folder: Path, clock: Clock, within_s: float) -> bool:
+    """Whether the run in ``folder`` took what was left for it, which it may need ``within_s`` for."""
+    until_s = clock.now() + within_s
+    while (folder / FILE).exists():
+        if clock.now() >= until_s:
+            return False
+        clock.sleep(LOOK_S)
+    return True
+
+
 class Wishes:
     """Those left in ``folder``, and those that ``typed`` gives as lines (None: nothing new)."""
 
     def __init__(self, folder: Path, typed: Callable[[], str | None], tell: Callable[[str], None]) -> None:
-        self._path = folder / FILE
+        self._path, self._taken = folder / FILE, folder / TAKEN
         self._typed = typed
         self._tell = tell
         self.paused = False
 
+    def forget(self) -> None:
+        """What was left for a bench that died before it took it isn't this one's."""
+        if words := self._left():
+            self._tell(f"Nobody took this in the last session, and it counts no more: {words.strip()}")
+
     def look(self) -> None:
-        """Raises OperatorSkip, OperatorRepeat and OperatorAbort; a pause is noted in ``paused``."""
+        """Amid a trial. Raises OperatorSkip, OperatorRepeat and OperatorAbort; a pause is noted in ``paused``."""
+        self._look(amid=True)
+
+    def look_between(self) -> None:
+        """While no trial is in flight there is none to skip or to repeat, and to say so is all. Raises OperatorAbort."""
+        self._look(amid=False)
+
+    def _look(self, *, amid: bool) -> None:
         for words in (self._left(), self._typed()):
             if words and words.strip():
-                self._take(words)
+                self._take(words, amid=amid)
 
-    def _take(self, words: str) -> None:
+    def _take(self, words: str, *, amid: bool) -> None:
         try:
             wish, reason = read_wish(words)
         except ValueError as error:
             self._tell(str(error))
             return
-        if wish == SKIP:
-            raise OperatorSkip(reason)
-        if wish == REPEAT:
-            raise OperatorRepeat(reason)
         if wish == ABORT:
             raise OperatorAbort("somebody told the run to end")
+        if wish in (SKIP, REPEAT):
+            self._about_a_trial(wish, reason, amid=amid)
+            return
+        if wish == PAUSE and not self.paused:
+            self._tell("The run pauses before its next trial.")
         self.paused = wish == PAUSE
 
+    def _about_a_trial(self, wish: str, reason: str, *, amid: bool) -> None:
+        if not amid:
+            self._tell(f"No trial is in flight just now, so nothing is done about: {wish} {reason}")
+            return
+        self._tell(f"As told: {wish} {reason}")
+        raise OperatorSkip(reason) if wish == SKIP else OperatorRepeat(reason)
+
     def _left(self) -> str | None:
-        if not self._path.exists():
-            return None
+        """Taken away first, then read: a wish that is left meanwhile is the next look's."""
         try:
-            words = self._path.read_text(encoding="utf-8", errors="replace")
-            self._path.unlink()
-        except OSError:  # it is just being written, on a system that locks files: the next look finds it
+            self._path.replace(self._taken)
+            words = self._taken.read_text(encoding="utf-8", errors="replace")
+            self._taken.unlink()
+        except OSError:  # there is none, or it is just being written, on a system that locks files: the next look finds it
             return None
         return words

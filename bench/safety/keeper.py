@@ -20,7 +20,7 @@ from bench.safety.latch import latch_path, set_latch
 from bench.safety.lifeline import Lifeline
 from bench.safety.pulse import Pulse
 from bench.safety.safing import heater_off, pump_on, pump_told
-from bench.store import Store
+from bench.store import Row, Store
 from instruments.bath.reading import BathReading
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
@@ -32,7 +32,10 @@ READING_S = 60.0  # a reading of a bath that has gone, with all attempts to reac
 
 
 class Keeper:
-    """``watch`` is to be started and stopped by the engine; ``lifeline`` is None where nothing needs a guardian."""
+    """``watch`` is to be started and stopped by the engine; ``lifeline`` is None where nothing needs a guardian.
+
+    ``heard`` gets the event of a trip, its kind and text, once it is in the record; ``seen`` is called after each reading.
+    """
 
     def __init__(
         self,
@@ -51,9 +54,13 @@ class Keeper:
         self._lifeline = lifeline
         self._latch = latch_path(rig)
         self._told = self._held = False
+        self.heard: Callable[[str, str], None] = lambda _kind, _text: None
+        self.seen: Callable[[], None] = lambda: None
         interlocks = self._interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
         moving, pump_on, also = moving_of(rig.profile), self._pump_on, self._also
-        self.watch = Watch(devices.bath, devices.clock, gate, interlocks, store.bath, self._act, pump_on=pump_on, also=also, moving=moving)
+        self.watch = Watch(
+            devices.bath, devices.clock, gate, interlocks, self._record, self._act, pump_on=pump_on, also=also, moving=moving
+        )
         self._write_facts(rig, interlocks)
 
     def stop(self) -> None:
@@ -67,6 +74,10 @@ class Keeper:
 
     def _pump_on(self, reading: BathReading) -> bool | None:
         return pump_on(self._devices.bath, reading)
+
+    def _record(self, reading: Row) -> None:
+        self._store.bath(reading)
+        self.seen()
 
     def _also(self) -> InterlockTrip | None:
         """With each reading: the watch is alive, and the guardian has to be too."""
@@ -93,6 +104,7 @@ class Keeper:
             if isinstance(trip, InterlockTrip):
                 self._store.fact("trip", trip.as_dict() | {"t_s": self._devices.clock.now(), "done": said})
             self._store.event(self._devices.clock.now(), "trip", f"{trip} ({done})", wall_time())
+            self.heard("trip", f"{trip} ({done})")
         except sqlite3.Error as error:
             self._progress.warn(f"the trip could not be written down: {error}")
         try:

@@ -4,7 +4,8 @@ Success, false teats and misses are compared as they are counted; errors only on
 gate asks one thing, "is it worse?": a scene that passed and now fails, a false teat or a miss more, or a mean error larger by more than
 the margin is worse; the mean distance, and the mean absolute error along each axis too, for a large error along one axis hides a new one
 across it. It is shown to be no worse only where the upper bound of the distance's difference stays within the margin (non-inferiority; ICH
-E9, 3.3.2); between the two it is inconclusive. Knows neither runs nor frames.
+E9, 3.3.2); between the two it is inconclusive. A situation whose mean distance grew by more than the margin is worse where chance doesn't
+explain it (adjusted for all situations), and leaves the gate open where it may. Knows neither runs nor frames.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from bench.scoring.points import Floats
 from bench.scoring.scene import SceneScore
 
 ROUNDING_MM = 1e-6
+ALPHA = 0.05
 MARGIN_SHARE = 0.05  # of the error's limit: the margin where none is named
 
 
@@ -78,22 +80,28 @@ class Compared:
 def compare(
     pairs: Sequence[ScenePair], *, margin_mm: float | None = None, confidence: float = 0.95, seed: int = 0, unpaired: int = 0
 ) -> Compared:
-    """Compare on `pairs`; `unpaired` scenes of the old one have no counterpart. Raises ValueError for no pair or a margin below 0.
+    """Compare on `pairs`; `unpaired` scenes of the old one have no counterpart.
 
+    Raises ValueError for no pair, a margin below 0, or a scene that was scored with two limits: its success means two things then.
     `margin_mm` is by default a twentieth of the limit that the scenes were scored with.
     """
     if not pairs:
         raise ValueError("compare: the two have no scene in common")
+    for pair in pairs:
+        if pair.old.limit_mm != pair.new.limit_mm:
+            limits = f"{pair.old.limit_mm:g} mm and {pair.new.limit_mm:g} mm"
+            raise ValueError(f"compare: {pair.scene} was scored within {limits}; score both by the same rules")
     margin = MARGIN_SHARE * min(pair.old.limit_mm for pair in pairs) if margin_mm is None else margin_mm
     if not 0.0 <= margin < float("inf"):
         raise ValueError(f"margin: {margin} mm must be 0 or more")
     pooled = _row(None, pairs, confidence, seed)
     names = dict.fromkeys(pair.situation for pair in pairs)
     rows = [_row(name, [pair for pair in pairs if pair.situation == name], confidence, seed) for name in names]
-    return Compared(pooled, _adjusted(rows), gate(pairs, pooled, margin, unpaired), confidence)
+    adjusted = _adjusted(rows)
+    return Compared(pooled, adjusted, gate(pairs, pooled, margin, unpaired, adjusted if len(adjusted) > 1 else ()), confidence)
 
 
-def gate(pairs: Sequence[ScenePair], pooled: Row, margin_mm: float, unpaired: int = 0) -> Gate:
+def gate(pairs: Sequence[ScenePair], pooled: Row, margin_mm: float, unpaired: int = 0, situations: Sequence[Row] = ()) -> Gate:
     """Is the new one worse on these scenes?"""
     worse = [f"{pair.scene} passed and now fails: {why_failed(pair.new)}" for pair in pairs if pair.old.success and not pair.new.success]
     worse += _more("false teat", pooled.old.false, pooled.new.false) + _more("missed teat", pooled.old.missed, pooled.new.missed)
@@ -104,9 +112,11 @@ def gate(pairs: Sequence[ScenePair], pooled: Row, margin_mm: float, unpaired: in
     )
     grown = [(what, found.mean) for what, found in errors if found.mean is not None and found.mean > margin_mm]
     worse += [f"the mean {what} grew by {by:.3f} mm, more than the margin of {margin_mm:g} mm" for what, by in grown]
+    shown, perhaps = _grown_in(situations, margin_mm)
+    worse += shown
     if worse:
         return Gate(Verdict.NOT_MET, tuple(worse), margin_mm)
-    open_questions = []
+    open_questions = list(perhaps)
     if unpaired:
         open_questions.append(f"{unpaired} scenes of the old one were not run with the new one")
     if mean is None:
@@ -117,6 +127,22 @@ def gate(pairs: Sequence[ScenePair], pooled: Row, margin_mm: float, unpaired: in
     if open_questions:
         return Gate(Verdict.INCONCLUSIVE, tuple(open_questions), margin_mm)
     return Gate(Verdict.MET, (f"no scene lost, no false or missed teat more, and no larger error (margin {margin_mm:g} mm)",), margin_mm)
+
+
+def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], list[str]]:
+    """Situations whose mean distance grew by more than the margin, which the mean over all may hide: shown, and perhaps by chance."""
+    shown: list[str] = []
+    perhaps: list[str] = []
+    for row in situations:
+        by, p = row.radial.mean, row.radial_holm
+        if by is None or by <= margin_mm:
+            continue
+        grew = f"in {row.situation} the mean distance to the teat end grew by {by:.3f} mm"
+        if p is not None and p < ALPHA:
+            shown.append(f"{grew}, more than the margin of {margin_mm:g} mm (adjusted p = {p:.3f})")
+        else:
+            perhaps.append(f"{grew}, which {row.poses} poses don't tell from chance: compare on more poses of it")
+    return shown, perhaps
 
 
 def why_failed(score: SceneScore) -> str:

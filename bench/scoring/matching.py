@@ -23,6 +23,7 @@ from bench.scoring.points import as_points
 from bench.scoring.rates import Rate
 
 GATE_CEILING_MM = 25.0
+LEAST_SPACING_MM = 5.0  # a teat is some 20 mm thick: two ends nearer than this are one end, touched or written down twice
 
 Points = list[list[float]]
 
@@ -94,7 +95,7 @@ class Match:
 def gate_mm(truth_mm: npt.ArrayLike, ceiling_mm: float = GATE_CEILING_MM) -> float:
     """The gate of a scene: min(25 mm, half the least spacing of its teats, the hidden ones too); `truth_mm` is (m, 3).
 
-    Half the spacing, because then no finding lies within the gate of two teats. Raises ValueError where two teats coincide.
+    Half the spacing, because then no finding lies within the gate of two teats. Raises ValueError where two ends are at one place.
     """
     return gate_between(as_points(truth_mm, "truth").tolist(), ceiling_mm)
 
@@ -102,9 +103,9 @@ def gate_mm(truth_mm: npt.ArrayLike, ceiling_mm: float = GATE_CEILING_MM) -> flo
 def gate_between(truth: Points, ceiling_mm: float = GATE_CEILING_MM) -> float:
     """`gate_mm` of points that are checked already."""
     least = min(starmap(dist, combinations(truth, 2)), default=inf)
-    if least == 0.0:
-        i, j = next((i, j) for j in range(len(truth)) for i in range(j) if truth[i] == truth[j])
-        raise ValueError(f"truth: teats {i} and {j} are at the same place {truth[i]} mm; one of them was touched twice")
+    if least < LEAST_SPACING_MM:
+        i, j = min(combinations(range(len(truth)), 2), key=lambda two: dist(truth[two[0]], truth[two[1]]))
+        raise ValueError(f"truth: the ends of teats {i + 1} and {j + 1} are {least:.2f} mm apart, at {truth[i]} mm; one was touched twice")
     return min(ceiling_mm, least / 2)
 
 

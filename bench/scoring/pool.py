@@ -14,6 +14,7 @@ import numpy as np
 from bench.scoring.errors import ErrorSummary, summarise
 from bench.scoring.matching import Counts, added
 from bench.scoring.points import Floats
+from bench.scoring.power import failures_allowed, shown_error_mm
 from bench.scoring.rates import Rate, pose_successes
 from bench.scoring.scene import SceneScore
 
@@ -46,6 +47,48 @@ class Pool:
     def success(self) -> Rate:
         """Poses that succeeded in all repeats, of the poses."""
         return pose_successes(self.poses, [s.success for s in self.scores])
+
+    def surely_succeeded(self, rate: float, confidence: float) -> Rate:
+        """Poses whose success the truth's uncertainty can't turn in any repeat, of the poses, where `rate` is to be shown.
+
+        Up to which distance a success is sure follows from the number of poses alone (`power.shown_error_mm`, for as many failures as
+        they may have), so that the claim is false in no more than 1 - `confidence` whatever the truth's errors; with poses too few for
+        the claim, and for enough of them, up to the acceptance limit.
+        """
+        poses = len(set(self.poses))
+        failures = failures_allowed(poses, rate, confidence)
+        kinds = {(s.limit_mm, s.u_mm) for s in self.scores}
+        reach = {} if failures is None else {kind: shown_error_mm(poses, rate, *kind, confidence, failures) for kind in kinds}
+
+        def sure(score: SceneScore) -> bool:
+            most = reach.get((score.limit_mm, score.u_mm), score.limit_mm)
+            return score.surely_succeeded and (not score.radial_mm or (most is not None and max(score.radial_mm) <= most))
+
+        return pose_successes(self.poses, [sure(s) for s in self.scores])
+
+    @property
+    def perhaps_succeeded(self) -> Rate:
+        """Poses that succeeded, or whose failures the truth's uncertainty could turn, of the poses."""
+        return pose_successes(self.poses, [not s.surely_failed for s in self.scores])
+
+    @property
+    def all_found(self) -> Rate:
+        """Poses whose visible teats were all found in all repeats, of the poses that have any: recall by pose, for an interval."""
+        seen = [(p, not s.match.missed) for p, s in zip(self.poses, self.scores, strict=True) if s.counts.visible]
+        return pose_successes([p for p, _ in seen], [found for _, found in seen])
+
+    @property
+    def nothing_false(self) -> Rate:
+        """Poses without a false finding in any repeat, of the poses: precision by pose, for an interval."""
+        return pose_successes(self.poses, [not s.match.false for s in self.scores])
+
+    @property
+    def worst_false(self) -> tuple[int, ...]:
+        """The false findings of each pose's worst repeat."""
+        worst: dict[Hashable, int] = {}
+        for pose, score in zip(self.poses, self.scores, strict=True):
+            worst[pose] = max(worst.get(pose, 0), len(score.match.false))
+        return tuple(worst.values())
 
     @property
     def hidden_right(self) -> Rate:

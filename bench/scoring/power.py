@@ -14,8 +14,9 @@ from scipy.optimize import brentq
 from scipy.special import bdtr, bdtrc, gammaincinv, ndtr, stdtrit
 from scipy.stats import binom
 
+from bench.scoring.limits import acceptance_limit_mm, leak
 from bench.scoring.points import Floats
-from bench.scoring.rates import Rate, trials_needed, zero_failure_n
+from bench.scoring.rates import Rate, shown_falsely, trials_needed, zero_failure_n
 
 RARE = 1e-100  # a share so small is none: scipy's distributions overflow there
 
@@ -34,6 +35,22 @@ def failures_allowed(trials: int, rate: float, confidence: float = 0.95) -> int 
 def shown_rate(trials: int, failures: int = 0, confidence: float = 0.95) -> float | None:
     """The rate that `trials` poses with so many failures show (exact one-sided bound): 24 of 24 show 0.883. None for no trial."""
     return Rate(trials - failures, trials).lower_bound(confidence)
+
+
+def shown_error_mm(trials: int, rate: float, limit_mm: float, u_mm: float, confidence: float = 0.95, failures: int = 0) -> float | None:
+    """The largest distance that so many poses, all but `failures` within it, show to be below `limit_mm` in a share `rate` of poses.
+
+    At most the acceptance limit; below it where the poses leave less than that of the risk to the truth (`rates.shown_falsely`, solved for
+    the distance). None for too few poses, or a truth too uncertain.
+    """
+    accept, allowed = acceptance_limit_mm(limit_mm, u_mm), 1.0 - confidence
+
+    def risk(seen_mm: float) -> float:
+        return shown_falsely(failures, trials, rate, leak(seen_mm, limit_mm, u_mm)) - allowed
+
+    if accept is None or trials < trials_needed(failures, rate, confidence) or risk(0.0) > 1e-12:
+        return None
+    return accept if u_mm == 0.0 or risk(accept) <= 0.0 else float(brentq(risk, 0.0, accept, xtol=1e-9))
 
 
 def power_of_rate(trials: int, true_rate: float, rate: float, confidence: float = 0.95) -> float:

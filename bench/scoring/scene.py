@@ -2,7 +2,7 @@
 
 A scene succeeds when every visible teat was found within the limit, nothing false was found, and the answer came in time. The hidden
 count is scored beside it. Success is counted on the seen error as it stands; `doubtful` names the teats whose error lies in the guard
-band, where the truth's uncertainty could turn it.
+band, where the truth's uncertainty could turn it, and a decision on a rate takes neither such successes nor such failures as shown.
 """
 
 from __future__ import annotations
@@ -50,6 +50,20 @@ class SceneScore:
     def radial_mm(self) -> tuple[float, ...]:
         """Distance of each matched teat, in the order of `match.pairs`."""
         return self.match.distances_mm
+
+    @property
+    def surely_succeeded(self) -> bool:
+        """A success that the truth's uncertainty can't turn: no error in the guard band."""
+        return self.success and not self.doubtful
+
+    @property
+    def surely_failed(self) -> bool:
+        """A failure that the truth's uncertainty can't turn: something else than errors in the guard band made it one."""
+        if self.success:
+            return False
+        off = [d for d in self.radial_mm if d > self.limit_mm]
+        near = self.in_time and not self.match.missed and not self.match.false and bool(off)
+        return not near or max(off) >= refusal_limit_mm(self.limit_mm, self.u_mm)
 
     @property
     def hidden_right(self) -> bool | None:

@@ -40,13 +40,3 @@ def quantile_bounds(values: npt.ArrayLike, rate: float, confidence: float = 0.95
     upper = int(np.searchsorted(at_most, confidence))  # 0-based: P(at most `upper` values lie below the quantile) >= confidence
     lower = int(np.searchsorted(at_most, 1.0 - confidence)) - 1  # P(at least `lower` + 1 values lie below it) >= confidence
     return (float(ordered[lower]) if lower >= 0 else None, float(ordered[upper]) if upper < n else None)
-
-
-def worst_false_acceptance(n: int, rate: float, guard: float = 0.05) -> float:
-    """Bound on the chance that n poses are all accepted though a share of more than 1 - `rate` of poses is over the limit.
-
-    A guard band lets each such pose through with at most `guard`, so (rate + (1 - rate) guard)^n: 5.7 % for 59 poses at 95 %, 4.9 % for 62.
-    It is reached only where every bad pose lies just above the limit and every good one far below it.
-    """
-    zero_failure_n(rate)
-    return float((rate + (1.0 - rate) * guard) ** n)

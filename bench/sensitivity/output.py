@@ -12,7 +12,7 @@ from bench.scoring.errors import RadialSummary, summarise_radial
 from bench.sensitivity.measuring import DISPARITY_PX
 from bench.sensitivity.values import Measured, Quantity, Tally
 from reports.figures.drawing import COLOURS
-from reports.figures.sensitivity import Bound, Curve, sensitivity
+from reports.figures.sensitivity import MOST_CURVES, Bound, Curve, sensitivity
 
 COLUMNS = (
     "quantity", "value", "detector", "visible", "found", "false", "no_answer", "median_mm", "p95_mm", "max_mm",
@@ -20,6 +20,17 @@ COLUMNS = (
 )  # fmt: skip
 POINTS, PAGE = "points.csv", "measured.md"
 Results = Mapping[str, Sequence[Measured]]
+
+
+def check_curves(names: Sequence[str]) -> None:
+    """Raises ConfigError where a figure can't show so many detectors: before hours are spent on them."""
+    if len(names) > MOST_CURVES:
+        raise ConfigError.plain(f"a figure shows {MOST_CURVES} detectors at most, {len(names)} are asked for: {', '.join(names)}")
+
+
+def no_answers(tally: Tally) -> str:
+    """What stands behind a count of ends; empty where every frame set had an answer."""
+    return f" (without an answer on {tally.failures})" if tally.failures else ""
 
 
 def write_figure(folder: Path, quantity: Quantity, points: Sequence[Measured]) -> Path:
@@ -97,7 +108,7 @@ def _table(quantity: Quantity, points: Sequence[Measured]) -> str:
 def _cells(tally: Tally, visible: int) -> tuple[str, str, str]:
     errors: RadialSummary = summarise_radial(tally.distances_mm)
     text = "not measured" if errors.median_mm is None or errors.p95_mm is None else f"{errors.median_mm:.2f}, {errors.p95_mm:.2f}"
-    return f"{len(tally.distances_mm)} of {visible}", str(tally.false), text
+    return f"{len(tally.distances_mm)} of {visible}{no_answers(tally)}", str(tally.false), text
 
 
 def _allowed(quantity: Quantity, point: Measured) -> Iterator[str]:

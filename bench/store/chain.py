@@ -18,7 +18,7 @@ from typing import Any
 from bench.store.schema import LATER_WORD
 
 ZERO = "0" * 64
-VARYING_FACTS = ("wall", "command")  # keys that begin like this hold what doesn't repeat with the seed
+VARYING_FACTS = ("wall", "command", "recorded to")  # keys that begin like this hold what doesn't repeat with the seed
 
 Spans = Mapping[str, tuple[int, int]]  # table -> first and last rowid
 

@@ -1,14 +1,16 @@
-"""The report's chapter on a baseline: this run held against an older one of the same scenes, with its differences and their intervals."""
+"""The report's chapters that compare: a run against an older one of the same scenes, and the detectors of one run against its first."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from bench.comparing.page import comparison_parts
-from bench.comparing.runs import Comparison, compare_folders
+from bench.comparing.runs import Comparison, Side, compare_folders, compare_sides
+from bench.record import RunRecord
 from reports.figures import change_scatter
-from reports.page import Figure, Part, Section
+from reports.page import Figure, KeyValues, Paragraph, Part, Section, Table
 
 
 def baseline_section(baseline: Path, folder: Path) -> Section:
@@ -16,6 +18,27 @@ def baseline_section(baseline: Path, folder: Path) -> Section:
     found = compare_folders([baseline, folder])
     parts = tuple(part for number, one in enumerate(found, 1) for part in (*_figure(one, number), *comparison_parts(one)))
     return Section("baseline", "Against the baseline", parts)
+
+
+def detectors_section(run: RunRecord) -> tuple[Section, ...]:
+    """Each later detector against the first, on the same frames; none where there are no two that were scored."""
+    first, *others = (Side(run, name) for name in run.detectors)
+    compared = [compare_sides(first, other) for other in others if {t.id for t in first.trials} & {t.id for t in other.trials}]
+    if not compared:
+        return ()
+    parts = tuple(part for one in compared for part in _of_one_run(one))
+    return (Section("detectors", "Detectors compared", parts),)
+
+
+def _of_one_run(found: Comparison) -> Iterator[Part]:
+    """Without a filter, since that of the trials is the page's, and without the runs' names."""
+    old, new = found.old.detector, found.new.detector
+    yield Paragraph(f"{new} against {old}, in the same frames: {old} is the old one, {new} the new.")
+    for part in comparison_parts(found):
+        if isinstance(part, Table):
+            yield replace(part, caption=f"{part.caption}: {new} against {old}", searchable=False)
+        elif not isinstance(part, KeyValues):
+            yield part
 
 
 def _figure(found: Comparison, number: int) -> Iterator[Part]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from bench import __version__
 from bench.planning.offsets import LoadedOffsets, Offset, Outcome
+from bench.summary.thesis import Thesis, components_table, elsewhere_table, first_test_table, second_test_table, thesis
 from reports.figures import error_histogram
 from reports.page import Banner, Column, Figure, Page, Paragraph, Part, Requirement, Requirements, Section, Table, Verdict
 
@@ -94,6 +95,7 @@ def _figures(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Figure
 
 
 def _published(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Part]:
+    figures = thesis()
     columns = (
         Column("teat", "right"), Column("offset"),
         Column("published: x, y, z", "right", "mm"), Column("most possible: x, y, z", "right", "mm"),
@@ -111,6 +113,35 @@ def _published(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Part
             "other causes than the offset must have been in those figures.",
             tone="info",
         )
+    if _of_thesis(loaded, figures):
+        yield second_test_table(figures, found)
+        yield first_test_table(figures, {})
+        yield components_table(figures)
+        yield _one_pixel(figures, found)
+        yield elsewhere_table(figures, "offsets")
+
+
+def _of_thesis(loaded: LoadedOffsets, figures: Thesis) -> bool:
+    """Whether the script puts off what the thesis put off, as far as it: its own printed ends, all of them."""
+    return tuple(one.published_mm for one in loaded.script.offsets) == figures.test_2.triangulated_mm
+
+
+def _one_pixel(figures: Thesis, found: Sequence[Outcome]) -> Table:
+    """Section 6.1's figure beside every offset of one pixel in one picture."""
+    one = [outcome for outcome in found if {outcome.offset.left_px, outcome.offset.right_px} == {0.0, 1.0}]
+    columns = (
+        Column("figure"),
+        Column("section"),
+        Column("thesis", "right", "mm"),
+        Column("median", "right", "mm"),
+        Column("most", "right", "mm"),
+    )
+    rows = tuple(
+        (f"teat {outcome.offset.teat}, {offset_told(outcome.offset)}", figures.one_pixel.section, f"{figures.one_pixel.error_mm:g}",
+         f"{outcome.median_mm:.2f}", f"{outcome.worst_mm:.2f}")
+        for outcome in one
+    )  # fmt: skip
+    return Table("What one pixel is worth, over all directions", columns, rows, figures.one_pixel.wrong)
 
 
 def _published_row(loaded: LoadedOffsets, one: Outcome) -> tuple[str, ...]:

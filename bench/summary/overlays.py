@@ -68,10 +68,17 @@ def stage_overlays(detection: Row) -> tuple[Overlay, ...]:
 
 def points_of(trace: Mapping[str, Any], stage: str, key: str) -> Points:
     """The finite points (n, 2) of a stage; none where it has no such thing."""
-    value = trace.get(stage, {}).get(key)
-    array = np.array(value if isinstance(value, list) else [], dtype=np.float64)
-    points = array.reshape(-1, 2) if array.size % 2 == 0 else array[:0].reshape(-1, 2)
+    points = _rows(trace.get(stage, {}).get(key), 2)
     return points[np.isfinite(points).all(axis=1)]
+
+
+def _rows(value: Any, width: int) -> Points:
+    """A stage's numbers as rows (n, width); none where they aren't such, for any detector names its stages as it likes."""
+    try:
+        array = np.array(value if isinstance(value, list) else [], dtype=np.float64)
+    except (TypeError, ValueError):  # text, or rows of different lengths
+        return np.empty((0, width))
+    return array.reshape(-1, width) if array.size % width == 0 else np.empty((0, width))
 
 
 def _truth(trial: TrialRecord, at: Points | None) -> Iterator[Shape]:
@@ -95,7 +102,7 @@ def _stages(trace: Mapping[str, Any], camera: str, detector: str) -> Iterator[tu
             yield "nomination", Cross(x, y, 6, title=f"{detector}: nominated")
         return
     region = trace.get("regions", {}).get(camera)
-    if isinstance(region, dict):
+    if isinstance(region, dict) and len(region["shape"]) >= 2:
         rows, columns = region["shape"][-2:]
         for x, y in points_of(trace, "nominations", f"{camera}_px"):
             yield "region", Rect(np.round(x) - columns / 2, np.round(y) - rows / 2, columns, rows, f"{detector}: search region")
@@ -106,7 +113,7 @@ def _models(trace: Mapping[str, Any], camera: str, calibration: Calibration, det
     if camera == "thermal":
         yield from _warm_ends(trace, calibration, detector)
     decided = trace.get("decisions", {})
-    teats = np.array(decided.get("teats") if isinstance(decided.get("teats"), list) else [], dtype=np.float64).reshape(-1, COUNT)
+    teats = _rows(decided.get("teats"), COUNT)
     reasons = decided.get("reasons") if isinstance(decided.get("reasons"), list) else []
     if not len(teats):
         return

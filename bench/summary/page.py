@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.config import ConfigError, read_config
+from bench.config import read_config
 from bench.detecting.latency import LATENCY_RULE, failures_told, latency_of
 from bench.exports import write_exports
 from bench.record import RunRecord, read_run
@@ -18,13 +18,16 @@ from bench.scoring.rates import zero_failure_n
 from bench.script import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement
 from bench.store import RULES, SCRIPT
 from bench.summary import tables
+from bench.summary.accuracy import accuracy_tables
 from bench.summary.arm import arm_parts
 from bench.summary.attribution import attribution_parts
 from bench.summary.bath import bath_parts
 from bench.summary.calibrated import limit_parts, record_parts
 from bench.summary.evidence import fault_parts, provenance_parts
 from bench.summary.poses import pose_parts
+from bench.summary.precision import gage_parts
 from bench.summary.spread import spread_parts
+from bench.summary.thesis import published_counts, thesis_chapter
 from bench.summary.trials import first_looks, trial_id, trial_parts, trial_table, worst_trials
 from bench.summary.truth import deviation_parts, truth_parts
 from bench.summary.wording import headline, number
@@ -32,8 +35,7 @@ from bench.verdicts import Judgement, judge, scored
 from detector.calibration import Calibration
 from reports.figures import error_histogram, error_scatter, found_bars, latency_strip, per_axis_errors
 from reports.mail import write_single_file
-from reports.page import Banner, Column, Figure, Page, PageError, Paragraph, Part, Section, Table
-from reports.pdf import print_pdf
+from reports.page import Banner, Column, Figure, Page, Paragraph, Part, Section, Table
 from reports.render import write_report
 
 REPORT, SINGLE_FILE, PDF = "report", "single-file.html", "report.pdf"
@@ -41,11 +43,10 @@ REPORT, SINGLE_FILE, PDF = "report", "single-file.html", "report.pdf"
 
 @dataclass(frozen=True, slots=True)
 class Extras:
-    """What a report has besides: chapters after the results, a single file for mail, a PDF by the browser named."""
+    """What a report has besides: chapters after the results, a single file for mail."""
 
     chapters: tuple[Section, ...] = ()
     single_file: bool = False
-    browser: str | None = None
 
 
 PLAIN = Extras()
@@ -58,15 +59,12 @@ def write_run_report(folder: Path, extras: Extras = PLAIN) -> tuple[Path, RunRec
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
     calibration = read_calibration(folder / "calibration.toml")
     page = build_page(run, rules, judgements, calibration, folder / REPORT, extras.chapters)
+    for told_before in (SINGLE_FILE, PDF):  # by another reading of the run: it may not stand beside this one
+        (folder / REPORT / told_before).unlink(missing_ok=True)
     path = write_report(page, folder / REPORT)
     write_exports(run, judgements, folder / REPORT)
     if extras.single_file:
         write_single_file(page, folder / REPORT, folder / REPORT / SINGLE_FILE)
-    if extras.browser:
-        try:
-            print_pdf(path, folder / REPORT / PDF, extras.browser)
-        except PageError as error:
-            raise ConfigError.plain(str(error)) from error
     return path, run, judgements
 
 
@@ -85,13 +83,16 @@ def build_page(
     chapters: tuple[Section, ...] = (),
 ) -> Page:
     """The page; the trials' pictures are written into ``folder``/images on the way. ``chapters`` stand after the results."""
+    from bench.summary.baseline import detectors_section  # late: what compares is itself made of this package's tables
+
     verdict, why, then = headline(run, judgements)
     facts = run.facts
     poses = len({trial.pose for trial in run.counted})
     banner = Banner(
         kind=facts["kind"],
         verdict=verdict,
-        tested=f"{facts['title']}: detector {', '.join(run.detectors)} on {len(run.counted)} frame sets of {poses} poses{_left_out(run)}.",
+        tested=f"{facts['title']}: teat detector {', '.join(run.detectors)} "
+        f"on {len(run.counted)} frame sets of {poses} poses{_left_out(run)}.",
         sentence=why,
         confidence=_confidence(run, rules, poses),
         next_action=then,
@@ -99,13 +100,19 @@ def build_page(
     sections = (
         Section("requirements", "Requirements", tuple(_requirement_parts(judgements, rules))),
         Section("results", "Results by situation", (*_result_parts(run, rules), *attribution_parts(run))),
+        *thesis_chapter(run, rules, calibration),
         *chapters,
+        *detectors_section(run),
         Section("accuracy", "Accuracy", tuple(_accuracy_parts(run, rules, calibration))),
-        Section("poses", "Poses", tuple(pose_parts(run, rules.visible_within_mm))),
+        Section("poses", "Poses", tuple(pose_parts(run, rules.visible_within_mm, anchors_of(run)))),
         Section("latency", "Time", tuple(_latency_parts(run, rules))),
         Section("environment", "Bath and environment", tuple(bath_parts(run, rules))),
         Section("deviations", "Deviations and exclusions", (*deviation_parts(run), *fault_parts(run))),
-        Section("reference", "Measurand and reference", (*truth_parts(run), *arm_parts(run), *record_parts(run))),
+        Section(
+            "reference",
+            "Measurand and reference",
+            (*truth_parts(run), *gage_parts(run, rules.visible_within_mm), *arm_parts(run), *record_parts(run)),
+        ),
         Section("provenance", "Provenance", tuple(provenance_parts(run))),
         Section("trial-list", "Trials", _list_parts(run)),
     )
@@ -118,6 +125,11 @@ def build_page(
         worst=worst_trials(run),
         footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),
     )
+
+
+def anchors_of(run: RunRecord) -> dict[str, str]:
+    """Each trial's link by its id."""
+    return {trial.id: f"#{trial_id(trial)}" for trial in run.trials}
 
 
 def _list_parts(run: RunRecord) -> tuple[Part, ...]:
@@ -157,16 +169,18 @@ def _requirement_parts(judgements: Sequence[Judgement], rules: Rules) -> Iterato
 
 
 def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
-    published = rules.published
+    published = published_counts(rules)
     names = tables.situations(run)
     for detector in run.detectors:
         counts = [scored(run, detector, name).counts for name in names]
-        theirs = [published[name].found if name in published else None for name in names]
+        theirs = [published[name][0] if name in published else None for name in names]
         svg = found_bars(names, [c.matched for c in counts], [c.visible for c in counts], theirs, name=f"found-{detector}")
         alt = "; ".join(f"{n}: {c.matched} of {c.visible}" for n, c in zip(names, counts, strict=True))
         yield Figure(svg, f"Teats found by {detector}, beside the thesis's own count", alt or "not measured")
-        yield tables.found_by_situation(run, detector, rules)
-        yield tables.rates(scored(run, detector), detector)
+        yield tables.found_by_situation(run, detector, published)
+        yield tables.rates(run, detector)
+        if len(names) > 1:
+            yield tables.rates_by_situation(run, detector)
 
 
 def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
@@ -174,8 +188,9 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
     names = tables.situations(run)
     for detector in run.detectors:
         pool = scored(run, detector)
-        yield from tables.errors(run, pool, detector, calibration)
-        camera = pool.errors_mm @ calibration.world_from_right.inverse().R.T
+        camera_from_world = calibration.world_from_right.inverse().R
+        yield from accuracy_tables(run, detector, limit_mm, camera_from_world)
+        camera = pool.errors_mm @ camera_from_world.T
         radial = np.linalg.norm(pool.errors_mm, axis=1)
         accept_mm = _accepted_mm(run, rules, detector)
         links = [f"#{trial_id(t)}" for t in run.counted if detector in t.scores for _ in t.scores[detector].errors_mm]
@@ -187,7 +202,7 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
         yield Figure(histogram, f"Distance to the teat end, {detector}", within)
         strips = per_axis_errors(names, [scored(run, detector, n).errors_mm for n in names], limit_mm, name=f"axes-{detector}")
         yield Figure(strips, f"Errors along the world's axes by situation, {detector}", "strips of signed errors", wide=True)
-        yield from spread_parts(run, detector, limit_mm, {trial.id: f"#{trial_id(trial)}" for trial in run.trials})
+        yield from spread_parts(run, detector, limit_mm, anchors_of(run), camera_from_world)
     yield Paragraph(tables.depth_limit(run, calibration))
     yield from limit_parts(run, calibration)
 

@@ -72,11 +72,13 @@ def _edges(run: RunRecord, trial: TrialRecord, detector: str, folder: Path) -> I
 
 def round_teats(points: Points | None, width: int, height: int) -> tuple[int, int, int, int] | None:
     """A 4:3 part of the frame with the teat ends and what hangs on them; the whole frame where none is in it."""
-    if points is None or not len(points) or not np.isfinite(points).all():
+    if points is None or not np.isfinite(points).all() or not ((points >= 0) & (points < (width, height))).all(axis=1).any():
         return None
     low, high = points.min(axis=0) - MARGIN_PX, points.max(axis=0) + MARGIN_PX
     view_width = int(min(width, max(high[0] - low[0], (high[1] - low[1]) * 4 / 3)))
     view_height = int(min(height, view_width * 3 / 4))
+    if min(view_width, view_height) < 1:  # a frame of a few pixels has no part
+        return None
     middle = (low + high) / 2
     x = int(np.clip(middle[0] - view_width / 2, 0, width - view_width))
     y = int(np.clip(middle[1] - view_height / 2, 0, height - view_height))

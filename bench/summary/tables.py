@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from bench.record import RunRecord
-from bench.scoring.errors import ErrorSummary
-from bench.scoring.pool import Pool
-from bench.scoring.rates import Rate, percent
+from bench.scoring.rates import Rate, percent, pose_successes
 from bench.script import Rules
-from bench.summary.wording import NOT_MEASURED, limit, margin, measured, number
+from bench.summary.wording import NOT_MEASURED, limit, margin, measured
 from bench.verdicts import Judgement, scored
 from detector.calibration import Calibration
+from detector.protocol import Outcome
 from reports.page import Cell, Column, KeyValues, Requirement, Requirements, Table
 
 CONFIDENCE = 0.95
+NARROW = "k of n with its exact 95 % interval, which for few poses is wide: so little do they show."
 
 
 def requirements(judgement: Judgement, rules: Rules) -> Requirements:
@@ -40,9 +40,8 @@ def situations(run: RunRecord) -> list[str]:
     return list(dict.fromkeys(str(trial.head["situation"]) for trial in run.trials))
 
 
-def found_by_situation(run: RunRecord, detector: str, rules: Rules) -> Table:
-    """Found of visible in each situation, over all repeats, beside the thesis's own figures."""
-    published = rules.published
+def found_by_situation(run: RunRecord, detector: str, published: Mapping[str, tuple[int, int]]) -> Table:
+    """Found of visible in each situation, over all repeats, beside the thesis's own: found and present by situation."""
     rows: list[tuple[str | Cell, ...]] = []
     for situation in situations(run):
         pool = scored(run, detector, situation)
@@ -56,7 +55,7 @@ def found_by_situation(run: RunRecord, detector: str, rules: Rules) -> Table:
                 Cell(str(counts.false), tone="bad" if counts.false else "plain"),
                 str(counts.hidden),
                 f"{pool.frames.successes} of {pool.frames.trials}",
-                f"{theirs.found} of {theirs.present}" if theirs else "no figure",
+                f"{theirs[0]} of {theirs[1]}" if theirs else "no figure",
             )
         )
     columns = (
@@ -76,17 +75,11 @@ def found_by_situation(run: RunRecord, detector: str, rules: Rules) -> Table:
     return Table(f"Teats found, detector {detector}", columns, tuple(rows), note)
 
 
-def rates(pool: Pool, detector: str) -> Table:
+def rates(run: RunRecord, detector: str) -> Table:
     """Rates over poses with their exact intervals."""
-    counts = pool.counts
-    lines = [
-        ("scene success, poses", pool.success),
-        ("hidden count right, poses", pool.hidden_right),
-        ("in time, poses", pool.in_time),
-        ("recall, teats", counts.recall),
-        ("precision, answers", counts.precision),
-    ]
-    rows = tuple((name, str(rate.successes), str(rate.trials), _rate(rate), _interval(rate)) for name, rate in lines)
+    rows = tuple(
+        (name, str(rate.successes), str(rate.trials), _rate(rate), _interval(rate)) for name, rate in _rates(run, detector).items()
+    )  # fmt: skip
     columns = (Column("rate"), Column("of", "right"), Column("n", "right"), Column("value", "right"), Column("95 % interval", "right"))
     note = (
         "Exact (Clopper-Pearson) intervals. A pose succeeds when all its repeats do; teats of one scene are not independent, "
@@ -95,31 +88,30 @@ def rates(pool: Pool, detector: str) -> Table:
     return Table(f"Rates, detector {detector}", columns, rows, note)
 
 
-def errors(run: RunRecord, pool: Pool, detector: str, calibration: Calibration) -> tuple[Table, Table]:
-    """Errors along world and camera axes, and distances; pooled and per situation."""
-    world = pool.summary()
-    camera = pool.summary(calibration.world_from_right.inverse().R)
-    axes = [
-        *((f"world {name}", axis) for name, axis in (("x", world.x), ("y", world.y), ("z", world.z))),
-        *((f"camera {name}", axis) for name, axis in (("x (across)", camera.x), ("y (down)", camera.y), ("z (depth)", camera.z))),
-    ]
-    columns = (
-        Column("axis"),
-        Column("n", "right"),
-        *(Column(name, "right", "mm") for name in ("bias", "sd", "rms", "mean |e|", "max |e|")),
-    )
-    rows = tuple((name, str(a.n), *(_mm(v) for v in (a.bias_mm, a.sd_mm, a.rms_mm, a.mean_abs_mm, a.max_abs_mm))) for name, a in axes)
-    per_axis = Table(
-        f"Errors along each axis, detector {detector}", columns, rows, "bias² + sd² = rms²; camera axes are the right camera's."
-    )
-    lines = [("all", world), *((name, scored(run, detector, name).summary()) for name in situations(run))]
-    radial_columns = (
-        Column("situation"),
-        Column("n", "right"),
-        *(Column(t, "right", "mm") for t in ("mean", "median", "rms", "p95", "max")),
-    )
-    gospa = "Distances are over found teats only; " + _gospa(pool)
-    return per_axis, Table(f"Distance to the teat end, detector {detector}", radial_columns, tuple(_radial(*line) for line in lines), gospa)
+def rates_by_situation(run: RunRecord, detector: str) -> Table:
+    """The same rates, a row a situation."""
+    rows = [(situation, *(_cell(rate) for rate in _rates(run, detector, situation).values())) for situation in situations(run)]
+    columns = (Column("situation"), *(Column(name, "right", "k of n, interval") for name in _rates(run, detector)))
+    return Table(f"Rates by situation, detector {detector}", columns, tuple(rows), NARROW)
+
+
+def _rates(run: RunRecord, detector: str, situation: str | None = None) -> dict[str, Rate]:
+    found = scored(run, detector, situation)
+    return {
+        "scene success, poses": found.success,
+        "hidden count right, poses": found.hidden_right,
+        "in time, poses": found.in_time,
+        "no time-out, poses": _answered(run, detector, situation),
+        "recall, teats": found.counts.recall,
+        "precision, answers": found.counts.precision,
+    }
+
+
+def _answered(run: RunRecord, detector: str, situation: str | None) -> Rate:
+    """Poses at which no call timed out, of the poses."""
+    trials = [trial for trial in run.counted if situation in (None, trial.head["situation"])]
+    calls = [(trial.pose, row["outcome"]) for trial in trials for row in trial.detections if row["detector"] == detector]
+    return pose_successes([pose for pose, _ in calls], [outcome != Outcome.TIMEOUT.value for _, outcome in calls])
 
 
 def depth_limit(run: RunRecord, calibration: Calibration) -> str:
@@ -136,21 +128,6 @@ def key_values(title: str, entries: Sequence[tuple[str, object]]) -> KeyValues:
     return KeyValues(title, tuple((name, NOT_MEASURED if value is None else str(value)) for name, value in entries))
 
 
-def _radial(name: str, summary: ErrorSummary) -> tuple[str, ...]:
-    r = summary.radial
-    return (name, str(r.n), *(_mm(v) for v in (r.mean_mm, r.median_mm, r.rms_mm, r.p95_mm, r.max_mm)))
-
-
-def _gospa(pool: Pool) -> str:
-    values = [score.gospa_mm for score in pool.scores]
-    mean = float(np.mean(values)) if values else None
-    return f"GOSPA, which also charges missed and false teats: mean {number(mean, 'mm')} a scene."
-
-
-def _mm(value: float | None) -> str:
-    return number(value)
-
-
 def _rate(rate: Rate) -> str:
     return NOT_MEASURED if rate.value is None else percent(rate.value)
 
@@ -158,3 +135,12 @@ def _rate(rate: Rate) -> str:
 def _interval(rate: Rate) -> str:
     span = rate.interval(CONFIDENCE)
     return NOT_MEASURED if span is None else f"{100 * span[0]:.1f} to {100 * span[1]:.1f} %"
+
+
+def _cell(rate: Rate) -> str:
+    """``9 of 12 (43 to 95 %)``, broken before the bracket if anywhere."""
+    span = rate.interval(CONFIDENCE)
+    if span is None:
+        return NOT_MEASURED
+    low, high = (f"{100 * bound:.0f}" for bound in span)
+    return f"{rate.successes} of {rate.trials} ({low} to {high} %)".replace(" ", "\u00a0").replace("\u00a0(", " (")

@@ -18,12 +18,24 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.scoring.matching import LEAST_SPACING_MM
+
 FAR = 5.0
 MEDIAN_LENGTH = 1.5382
 TELL_MM = 2.0  # nearer to the other teat by this, or the two are taken to be equally near
 SAME_SHARE = 0.25  # of the expected distance between two ends: nearer than that, the tip stands at one of them twice
 
 Floats = NDArray[np.float64]
+
+
+def touched_before(point_mm: Floats, teat: int, done_mm: Mapping[int, Floats]) -> str | None:
+    """Why a touch (3,) asked of ``teat`` is another's that was touched already, also where nobody knows the places; None where it isn't."""
+    point = np.asarray(point_mm, dtype=np.float64)
+    for other, place in done_mm.items():
+        apart = float(np.linalg.norm(point - place))
+        if other != teat and apart < LEAST_SPACING_MM:
+            return f"That is the end of teat {other} once more ({apart:.1f} mm from where it was touched)."
+    return None
 
 
 def outliers(points_mm: Floats, s0_mm: float) -> dict[int, str]:

@@ -17,7 +17,7 @@ from bench.arm.tip import TipReader, WorldTip
 from bench.rig_tables import Arm
 from bench.store import Row
 from bench.truth.point import TruthPoint, reading_u_mm, touched
-from bench.truth.rules import mistaken, outliers
+from bench.truth.rules import mistaken, outliers, touched_before
 from instruments.clock import Clock, wall_time
 from instruments.errors import DeviceError
 from instruments.microscribe.refusals import ArmMovesError
@@ -118,7 +118,9 @@ class Toucher:
             taken.moved.append(str(moves))
             return f"{moves} Touch teat {taken.teat} once more."
         end = end_under_ball_mm(seen.point_mm, taken.ends.axes[taken.teat - 1], self._arm.tip_radius_mm)
-        reason = mistaken(end, taken.teat, taken.ends.expected_mm, taken.done) if taken.ends.known else None
+        reason = touched_before(end, taken.teat, taken.done)
+        if reason is None and taken.ends.known:
+            reason = mistaken(end, taken.teat, taken.ends.expected_mm, taken.done)
         taken.readings.append(_Reading(seen, end, self._clock.now(), wall_time().isoformat(timespec="milliseconds"), reason))
         if reason:
             return f"{reason} Touch teat {taken.teat}."

@@ -45,6 +45,13 @@ class Homographies:
     right: Array
     plane_depth_mm: float | None
 
+    def __post_init__(self) -> None:
+        """Kept from being written to, as motions are: one calibration serves all detectors."""
+        for name in ("left", "right"):
+            matrix = np.array(getattr(self, name), dtype=np.float64)
+            matrix.setflags(write=False)
+            object.__setattr__(self, name, matrix)
+
 
 @dataclass(frozen=True, slots=True)
 class Record:

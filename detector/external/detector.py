@@ -199,20 +199,25 @@ class _Desk:
         return str(self._count)
 
     def lay_out(self, frames: Frames, calibration: Calibration) -> None:
-        """Write a frame set in place of the one before. Raises DetectionFailure for pictures that PNG can't hold."""
-        for path in self.pictures.values():
-            path.unlink(missing_ok=True)
+        """Write a frame set in place of the one before. Raises DetectionFailure for pictures that PNG can't hold, or no disk takes."""
         self._count += 1
-        if calibration is not self._known:
-            self.calibration.write_text(dump_calibration(calibration), encoding="utf-8", newline="\n")
-            self._known = calibration
-        kelvin = frames.thermal_k
-        images = {"left": frames.left, "right": frames.right, "thermal": frames.thermal}
-        images["thermal_radiometric"] = None if kelvin is None else np.rint(np.clip(kelvin * 100.0, 0.0, 65535.0)).astype(np.uint16)
-        self.pictures = {name: self._write(name, image) for name, image in images.items() if image is not None}
+        try:
+            for path in self.pictures.values():
+                path.unlink(missing_ok=True)
+            self._lay_calibration(calibration)
+            self.pictures = {name: self._write(name, image) for name, image in _images(frames).items()}
+        except OSError as error:
+            raise DetectionFailure(f"its pictures can't be put into {self._folder}: {error.strerror or error}") from None
 
     def clear(self) -> None:
         self._held.cleanup()
+
+    def _lay_calibration(self, calibration: Calibration) -> None:
+        """Folder and calibration are the program's to read, and it may have removed them."""
+        if calibration is not self._known or not self.calibration.is_file():
+            self._folder.mkdir(exist_ok=True)
+            self.calibration.write_text(dump_calibration(calibration), encoding="utf-8", newline="\n")
+            self._known = calibration
 
     def _write(self, name: str, image: Image) -> Path:
         path = self._folder / f"{self._count}-{name}.png"
@@ -222,6 +227,14 @@ class _Desk:
             raise DetectionFailure(f"the {name} picture ({image.shape}, {image.dtype}) can't be written as PNG") from None
         path.write_bytes(data.tobytes())
         return path
+
+
+def _images(frames: Frames) -> dict[str, Image]:
+    """The pictures that there are, kelvin in hundredths."""
+    kelvin = frames.thermal_k
+    hundredths = None if kelvin is None else np.rint(np.clip(kelvin * 100.0, 0.0, 65535.0)).astype(np.uint16)
+    images = {"left": frames.left, "right": frames.right, "thermal": frames.thermal, "thermal_radiometric": hundredths}
+    return {name: image for name, image in images.items() if image is not None}
 
 
 def _digest(part: str, folder: Path | None) -> str | None:

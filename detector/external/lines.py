@@ -44,8 +44,13 @@ def answer_line(frame: str, detection: Detection) -> bytes:
 
 def check_ready(line: bytes) -> None:
     """Raises Garbled where the child's first line isn't the one that says it is ready."""
-    if _object(line).get("ready") is not True:
-        raise Garbled(f'its first line must be {json.dumps(READY)}, is "{shown(line)}"')
+    wanted = f"its first line must be {json.dumps(READY)}"
+    try:
+        said = _object(line)
+    except Garbled as fault:
+        raise Garbled(f"{wanted}, but {fault}") from None
+    if said.get("ready") is not True:
+        raise Garbled(f'{wanted}, is "{shown(line)}"')
 
 
 def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection:
@@ -55,7 +60,8 @@ def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection
     """
     answer = _object(line)
     if answer.get("frame") != frame:
-        raise Garbled(f'it was asked about frame "{frame}" and answered "{shown(line)}"')
+        hint = "; a frame's name is text" if str(answer.get("frame")) == frame else ""
+        raise Garbled(f'it was asked about frame "{frame}" and answered "{shown(line)}"{hint}')
     teats, hidden, reason = answer.get("teats"), answer.get("hidden", 0), answer.get("reason")
     if not isinstance(teats, list):
         raise BadAnswer('its answer has no list "teats"; an empty list says that there are none')
@@ -95,8 +101,17 @@ def _teat(number: int, given: Any, calibration: Calibration) -> Teat:
         return Teat(_numbers(given["world_mm"], (3,), f'"world_mm" of teat {number}'), spread, left, right)
     if left is None or right is None:
         raise BadAnswer(f'teat {number} of its answer has neither "world_mm" nor both of "left_px" and "right_px"')
-    in_right, _ = triangulate(left[None], right[None], calibration.left, calibration.right, calibration.right_from_left)
-    return Teat(calibration.world_from_right.apply(in_right)[0], spread, left, right)
+    return Teat(_world_mm(number, left, right, calibration), spread, left, right)
+
+
+def _world_mm(number: int, left: Array, right: Array, calibration: Calibration) -> Array:
+    """Where the rays through two pixels (2,) pass each other, (3,) mm."""
+    with np.errstate(all="ignore"):  # pixels may be anywhere; what comes of them is looked at
+        in_right, _ = triangulate(left[None], right[None], calibration.left, calibration.right, calibration.right_from_left)
+        world: Array = calibration.world_from_right.apply(in_right)[0]
+    if not np.isfinite(world).all():
+        raise BadAnswer(f'"left_px" {left.tolist()} and "right_px" {right.tolist()} of teat {number} lead to no point in space')
+    return world
 
 
 def _numbers(given: Any, shape: tuple[int, ...], what: str) -> Array:

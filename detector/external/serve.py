@@ -1,11 +1,13 @@
 """The other end of `detector.external`, for any detector that the registry has: ``python -m detector.external.serve thesis``.
 
-A detector in Python so runs in a process of its own, under limits; and this is the protocol's answering side, to compare with.
+A detector in Python so runs in a process of its own, under limits; and this is the protocol's answering side, to compare with. What the
+detector prints goes to standard error, for standard output is the bench's.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +19,7 @@ from numpy.typing import NDArray
 
 from detector.calibration import load_calibration
 from detector.external.lines import READY, answer_line
-from detector.registry import create
+from detector.registry import BrokenDetectorError, UnknownDetectorError, create
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,5 +59,20 @@ def _read(path: Path) -> NDArray[Any]:
     return image
 
 
+def main(arguments: list[str]) -> int:
+    """Serve the detector named; 2 and a sentence where there is none."""
+    if len(arguments) != 1:
+        sys.stderr.write("python -m detector.external.serve needs the name of one detector, such as thesis\n")
+        return 2
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    try:
+        serve(arguments[0], sys.stdin.buffer, answers)
+    except (UnknownDetectorError, BrokenDetectorError) as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    return 0
+
+
 if __name__ == "__main__":
-    serve(sys.argv[1], sys.stdin.buffer, sys.stdout.buffer)
+    sys.exit(main(sys.argv[1:]))

@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.fused.edges import CLEAR
-from detector.fused.model import CZ, END, RADIUS, SIDE_A, SIDE_B, axes
+from detector.fused.model import CZ, END, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, axes
 from detector.fused.parameters import Parameters
-from detector.fused.refine import FINE_OUTLINE, Fitted
+from detector.fused.refine import FINE_OUTLINE, Fitted, on_one_bar
 from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion
 
 _CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
+_LEANS = "it leans more than a teat does"
 _SIZE = "it isn't of a teat's size"
 _OUTLINE, _UNSURE, _WORSE = "its outline isn't that of a teat", "its place is too unsure", "a better one is in the same place"
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
@@ -41,12 +42,13 @@ class Evidence:
     misfit_px: Array
     warmth: Array
     sd_mm: Array
+    followed: NDArray[np.bool_]  # whether both sides were followed up to where the last of an end is seen
     thermal_px: Array  # the median distance (m, 3 parts) of the thermal outline, NaN where it shows none
 
     @property
     def merit(self) -> Array:
         """One number (m,) to tell the better of two."""
-        return np.asarray((2 * self.end + self.side + self.both)[:, :2].sum(axis=1) - 4 * self.misfit_px)
+        return np.asarray((2 * self.end + self.side + self.both)[:, :2].sum(axis=1) - 4 * self.misfit_px + 0.9 * self.followed)
 
 
 def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
@@ -61,7 +63,7 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
     misfit = np.sqrt((offset[:, :2].reshape(m, -1) ** 2 * optical).sum(axis=1) / np.maximum(optical.sum(axis=1), 1e-9))
     sides = np.stack([shares[SIDE_A], shares[SIDE_B]])
     largest = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
-    return Evidence(shares[END], sides.max(axis=0), sides.min(axis=0), misfit, warmth, largest, _thermal_offsets(fitted))
+    return Evidence(shares[END], sides.max(axis=0), sides.min(axis=0), misfit, warmth, largest, fitted.followed, _thermal_offsets(fitted))
 
 
 def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
@@ -120,23 +122,22 @@ def doubts(teats: Array, evidence: Evidence, reasons: list[str | None], p: Param
 
     Both have their sides where they should be, but not all of their end. A teat that has both sides hardly bridges two.
     """
-    partial = (evidence.end[:, :2].min(axis=1) < p.whole_end) & (evidence.side[:, :2].min(axis=1) > p.least_side)
+    both = evidence.both[:, :2].min(axis=1) > p.least_side
+    partial = (evidence.end[:, :2].min(axis=1) < np.where(both, p.whole_end_both, p.whole_end)) & (
+        evidence.side[:, :2].min(axis=1) > p.least_side
+    )
+    same = on_one_bar(teats)
     whole = [i for i, reason in enumerate(reasons) if reason is None and not partial[i]]
     open_ = [
         int(i)
         for i in np.argsort(-evidence.merit)
-        if partial[i] and (maybe_hidden(reasons[i]) or reasons[i] == _SIZE) and not any(_same(teats[i], teats[k]) for k in whole)
+        if partial[i] and (maybe_hidden(reasons[i]) or reasons[i] == _SIZE) and not same[i, whole].any()
     ]
-    both = evidence.both[:, :2].min(axis=1) > p.least_side
     half = evidence.end[:, :2].max(axis=1) > 0.5 * p.whole_end
     bridging, shifted = [i for i in open_ if half[i] and not both[i]], [i for i in open_ if both[i]]
-    return bridging[: p.most_doubts], shifted[: p.most_doubts]
-
-
-def _same(a: Array, b: Array) -> bool:
-    """Whether two fits (8,) are of one and the same teat: one's middle near the other's axis."""
-    aside = np.cross(a[:3] - b[:3], axes(b[None])[0])
-    return bool(np.linalg.norm(aside) < 0.4 * b[RADIUS])
+    bridging = [i for i, reason in enumerate(reasons) if reason == _LEANS] + bridging
+    one_each = [i for n, i in enumerate(shifted) if not same[i, shifted[:n]].any()]
+    return bridging[: p.most_doubts], one_each[: p.most_doubts]
 
 
 def maybe_hidden(reason: str | None) -> bool:
@@ -148,10 +149,14 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
     for view, name in enumerate(("left", "right")):
         if unseen := _unseen(evidence, i, view, p):
             return f"{unseen} in the {name} picture"
+    if _one_sees_a_side(evidence, i):
+        return "a side of it is seen in one picture only"
     if evidence.misfit_px[i] > p.greatest_misfit_px:
         return _OUTLINE
     if not p.least_radius_mm < teat[RADIUS] < p.greatest_radius_mm:
         return _SIZE
+    if max(abs(teat[LEAN_X]), abs(teat[LEAN_Z])) > p.greatest_lean:
+        return _LEANS
     if not p.nearest_mm < teat[CZ] < p.farthest_mm:
         return "it is outside of the working volume"
     if not np.isfinite(evidence.warmth[i]).all():
@@ -161,15 +166,23 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
     return _UNSURE if evidence.sd_mm[i] > p.greatest_sd_mm else None
 
 
+def _one_sees_a_side(evidence: Evidence, i: int) -> bool:
+    """Whether the pictures disagree on how many sides there are, neither being sure of one, and the thermal picture hardly shows an end."""
+    side, both = evidence.side[i, :2], evidence.both[i, :2]
+    return bool(np.ptp(both) > 0.5 and side.min() < 0.8 and evidence.end[i, 2] < 0.7)
+
+
 def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     """What of teat ``i`` an optical picture shows too little of."""
     end = evidence.end[i, view]
-    alone = evidence.end[i, 2] < 0.5 and evidence.end[i, :2].mean() < p.least_end_alone
-    if end < p.least_end or alone:
+    followed = evidence.followed[i] and evidence.both[i, :2].min() > 0.9
+    alone = evidence.end[i, 2] < 0.5 and evidence.end[i, :2].mean() < (p.least_end_followed if followed else p.least_end_alone)
+    if end < (0.3 if followed else p.least_end) or alone:
         return "its end isn't seen"
     one_sided = evidence.both[i, :2].max() < p.least_side
-    least = p.least_end_one_sided * (1.0 if evidence.misfit_px[i] < p.good_misfit_px else 1.4)
-    if one_sided and (end < least or np.isnan(evidence.thermal_px[i, END])):
+    good = evidence.misfit_px[i] < p.good_misfit_px
+    warm_end = np.isfinite(evidence.thermal_px[i, END]) or (good and end > p.least_end_alone and evidence.end[i, 2] >= 0.4)
+    if one_sided and (end < p.least_end_one_sided * (1.0 if good else 1.4) or not warm_end):
         return "only a side of it and too little of its end are seen"
     if evidence.side[i, view] < p.least_side and not _held_by_thermal(evidence, i):
         return "neither side is seen"
@@ -177,8 +190,10 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
 
 
 def _held_by_thermal(evidence: Evidence, i: int) -> bool:
-    """Whether a teat may lack its sides in a picture: its end is well seen in both, and the thermal picture shows its end and a side."""
-    return bool(evidence.end[i, :2].min() > 0.6 and evidence.side[i, :2].max() > 0.5 and min(evidence.end[i, 2], evidence.side[i, 2]) > 0.8)
+    """Whether a teat may lack its sides in a picture: its end is well seen in both, and the thermal picture shows its end and a side,
+    the less clearly where the other optical picture shows a side."""
+    end, side, thermal = evidence.end[i, :2].min(), evidence.side[i, :2].max(), min(evidence.end[i, 2], evidence.side[i, 2])
+    return bool((end > 0.7 and thermal > 0.9) or (end > 0.6 and thermal > 0.8 and side > 0.5))
 
 
 def _elsewhere(offset_px: Array, most_px: float) -> bool:

@@ -15,24 +15,13 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.fused import pictures
+from detector.fused.again import hidden_points, one_sided, refine_again, refine_more, refine_slid, slide_ends
 from detector.fused.decide import Evidence, doubts, maybe_hidden, objections, warmth_inside, weigh
 from detector.fused.fit import View
 from detector.fused.model import apexes, axes
 from detector.fused.parameters import Parameters
-from detector.fused.refine import (
-    OPTICAL_FINE,
-    OPTICAL_FLOOR_PX,
-    OPTICAL_ROUGH,
-    THERMAL,
-    THERMAL_FLOOR_PX,
-    Fitted,
-    hidden_points,
-    one_sided,
-    refine,
-    refine_again,
-    refine_more,
-)
-from detector.fused.sweep import Map, best_starts, depths_mm, hypotheses, slide_ends, sweep_bars, sweep_ends
+from detector.fused.refine import OPTICAL_FINE, OPTICAL_FLOOR_PX, OPTICAL_ROUGH, THERMAL, THERMAL_FLOOR_PX, Fitted, refine
+from detector.fused.sweep import Map, best_starts, depths_mm, hypotheses, sweep_bars, sweep_ends
 from detector.fused.thermal import Nominations, bars, nominate, unexplained
 from detector.fused.uncertainty import end_covariances, world_covariances
 from detector.geometry import Array, Camera, Motion
@@ -58,7 +47,7 @@ class FusedDetector:
     @property
     def version(self) -> str:
         """Counted up when an answer on any frame set changes."""
-        return "1"
+        return "2"
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -118,9 +107,8 @@ def _fit(teats: Array, maps: tuple[Map, ...], thermal: _Thermal, p: Parameters) 
     bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.reasons, p)
     if bridging or shifted:
         starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
-        slid = slide_ends(judged.fitted.teats[shifted], maps[:2], maps[2])
-        nothing = np.zeros((len(slid), left_out.shape[1]), dtype=bool)
-        more = refine_more(judged.fitted, np.concatenate([starts, slid]), np.concatenate([left_out, nothing]), views, p)
+        slid = slide_ends(judged.fitted.teats[shifted], views)
+        more = refine_slid(refine_more(judged.fitted, starts, left_out, views, p), slid, views, p)
         judged = _judge(more, thermal, p)
     hidden = hidden_points(judged.fitted, judged.accepted, [i for i, reason in enumerate(judged.reasons) if maybe_hidden(reason)])
     return _judge(refine_again(judged.fitted, hidden, views, p), thermal, p) if hidden.any() else judged

@@ -23,6 +23,7 @@ Field = NDArray[np.float32]
 _NEIGHBOURS = 7  # lines that may be taken together where one alone is too faint
 CLEAR, LEAST_CLEAR = 60.0, 18.0  # of an edge beyond doubt, and of one that may count: 7.7 and 4.2 standard deviations
 _DOUBT = 0.45  # neighbours share shadows and texture too: together they must be the clearer
+_MOST_LIMB_PX = 0.8
 _FINE = 0.05  # px, the grid on which the bases are blurred
 
 
@@ -89,11 +90,15 @@ class Edges:
 
     ``clarity``: by how much the step explains more than a straight line does, in variances of what it leaves over (a chi-square).
     An offset is NaN where there is none to be had.
+    ``limb_px``: how much farther out the edge is than without a fall of brightness towards the limb; NaN where that edge is another one.
+    ``limb_sd_px``: the noise of that (standard deviation), which is a part of the edge's.
     """
 
     offset_px: Array
     sd_px: Array
     clarity: Array
+    limb_px: Array
+    limb_sd_px: Array
 
 
 def sample(field: Field, middles_px: Array, normals: Array, offsets_px: Array) -> Field:
@@ -115,34 +120,60 @@ def find_edges(lines: Field, profile: Profile, noise: float) -> Edges:
     Where a line alone shows no clear edge, what its neighbours leave over is added to what it leaves over: along an outline the edge
     goes on. Such an edge is worth as much less as it shares with its neighbours.
     """
-    left, straight = _left_over(lines.reshape(-1, lines.shape[2]), profile)
-    floor = np.float32(lines.shape[2] * noise**2)
-    alone = _likeliest(left, straight, floor, profile)
-    shape = lines.shape[:2]
-    total = uniform_filter1d(left.reshape(*shape, -1), _NEIGHBOURS, axis=1, mode="nearest").reshape(left.shape) * _NEIGHBOURS
-    shared = uniform_filter1d(straight.reshape(shape), _NEIGHBOURS, axis=1, mode="nearest").ravel() * _NEIGHBOURS
-    together = _likeliest(total, shared, _NEIGHBOURS * floor, profile, _NEIGHBOURS)
-    faint = (alone.clarity < CLEAR).reshape(shape)
-    spread = np.sqrt(_NEIGHBOURS)
+    plain, shaded, straight = _left_over(lines.reshape(-1, lines.shape[2]), profile)
     usable = np.isfinite(lines[..., 0])
-    return Edges(
-        np.where(usable, np.where(faint, together.offset_px.reshape(shape), alone.offset_px.reshape(shape)), np.nan),
-        np.where(faint, spread * together.sd_px.reshape(shape), alone.sd_px.reshape(shape)),
-        np.where(
-            usable, np.where(faint, np.minimum(_DOUBT * together.clarity, 0.9 * CLEAR).reshape(shape), alone.clarity.reshape(shape)), 0.0
-        ),
-    )
+    found, faint = _alone_or_together(shaded, straight, lines.shape, profile, noise)
+    clarity = np.where(usable, found.clarity, 0.0)
+    if not profile.limb:
+        return Edges(np.where(usable, found.offset_px, np.nan), found.sd_px, clarity, found.limb_px, found.limb_px)
+    bare, _ = _alone_or_together(plain, straight, lines.shape, profile, noise, faint)
+    limb = np.where(usable, found.offset_px - bare.offset_px, np.nan)
+    limb = np.where(np.abs(np.nan_to_num(limb, nan=9.0)) < _MOST_LIMB_PX, limb, np.nan)
+    more = np.sqrt(np.maximum(found.sd_px**2 - bare.sd_px**2, 0.0))
+    return Edges(np.where(usable, found.offset_px, np.nan), found.sd_px, clarity, limb, more)
 
 
-def _left_over(lines: Field, profile: Profile) -> tuple[Field, Field]:
-    """What the best step at each place (n, g), and what a straight line (n,), leave over of lines (n, s): sums of squares."""
+def _alone_or_together(
+    left: Field, straight: Field, shape: tuple[int, ...], profile: Profile, noise: float, faint: NDArray[np.bool_] | None = None
+) -> tuple[Edges, NDArray[np.bool_]]:
+    """The edge of each line from what steps (m * n, g) and a straight line (m * n,) leave over of it, or of it and its neighbours.
+
+    Also which lines (m, n) are ``faint`` alone, unless that is known.
+    """
+    outlines = shape[:2]
+    floor = np.float32(shape[2] * noise**2)
+    alone = _likeliest(left, straight, floor, profile)
+    values = [a.reshape(outlines) for a in (alone.offset_px, alone.sd_px, alone.clarity)]
+    faint = values[2] < CLEAR if faint is None else faint
+    some = np.flatnonzero(faint.any(axis=1))
+    if len(some):
+        total, shared = (_summed(a.reshape(*outlines, -1)[some]) for a in (left, straight))
+        many = _likeliest(total, shared[:, 0], _NEIGHBOURS * floor, profile, _NEIGHBOURS)
+        known = many.offset_px, np.sqrt(_NEIGHBOURS) * many.sd_px, np.minimum(_DOUBT * many.clarity, 0.9 * CLEAR)
+        for value, of_many in zip(values, known, strict=True):
+            value[some] = np.where(faint[some], of_many.reshape(len(some), -1), value[some])
+    return Edges(*values, np.zeros(outlines), np.zeros(outlines)), faint
+
+
+def _summed(values: Field) -> Field:
+    """Values (m, n, g) of neighbouring lines added up, as (m * n, g)."""
+    total = uniform_filter1d(values, _NEIGHBOURS, axis=1, mode="nearest") * np.float32(_NEIGHBOURS)
+    return np.asarray(total.reshape(-1, values.shape[2]))
+
+
+def _left_over(lines: Field, profile: Profile) -> tuple[Field, Field, Field]:
+    """What is left over (sums of squares) of lines (n, s) by the best step at each place (n, g), without and with a limb, and by a
+    straight line (n,)."""
     y = np.nan_to_num(lines, nan=0.0)
     y -= y.mean(axis=1, keepdims=True)
     energy = np.einsum("ns,ns->n", y, y)
     g, s, c = profile.bases.shape
     along = (y @ profile.bases.transpose(1, 0, 2).reshape(s, g * c)).reshape(-1, g, c)
-    left = np.maximum(energy[:, None] - np.einsum("ngc,ngc->ng", along, along), 0)
-    return left, np.maximum(energy - ((y @ profile.flat.astype(np.float32)) ** 2).sum(axis=1), np.float32(1e-6))
+    along *= along
+    plain = energy[:, None] - along[..., 0] - along[..., 1]
+    shaded = plain - along[..., 2] - along[..., 3] if profile.limb else plain
+    straight = energy - ((y @ profile.flat.astype(np.float32)) ** 2).sum(axis=1)
+    return np.maximum(plain, 0), np.maximum(shaded, 0), np.maximum(straight, np.float32(1e-6))
 
 
 def _likeliest(left: Field, straight: Field, floor: np.float32, profile: Profile, lines: int = 1) -> Edges:
@@ -159,4 +190,5 @@ def _likeliest(left: Field, straight: Field, floor: np.float32, profile: Profile
     interior = (best > 0) & (best < g - 1)
     offset = np.where(interior, profile.places[inner] + shift * profile.grid_px, np.nan)
     clarity = (straight - left[rows, best]) / scale
-    return Edges(offset, np.sqrt(2.0 / bend) * profile.grid_px, np.where(interior, clarity, 0.0))
+    none = np.zeros(len(left))
+    return Edges(offset, np.sqrt(2.0 / bend) * profile.grid_px, np.where(interior, clarity, 0.0), none, none)

@@ -7,11 +7,13 @@ forms, for all teats in one call. The module may not know temperatures nor how t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from detector.fused.edges import LEAST_CLEAR, Field, Profile, find_edges, sample
+from detector.fused.limb import own_share, shared_limb
 from detector.fused.model import COUNT, HEIGHT, LEAN_X, LEAN_Z, RADIUS, TAPER, Outline, axes, contours, normals_of, pixels_of, slopes
 from detector.geometry import Array, Camera, Motion
 
@@ -42,7 +44,7 @@ class Prior:
 
     radius_mm: float = 11.0
     radius_sd_mm: float = 1.7
-    lean_sd: float = 0.4
+    lean_sd: float = 0.2
     taper_sd: float = 0.006
     height_sd: float = 0.1
 
@@ -58,13 +60,32 @@ class Seen:
     jacobian: Array  # (m, views * n, 8): how far the outline moves outward, px a unit of each parameter
     pixels_px: Array  # (m, views * n, 2)
     normals: Array
+    limb_px: Array  # by how much brightness that falls towards the limb moved the edges hereabouts
+    limb_sd_px: Array  # the noise of each line's own
+
+    def take(self, which: NDArray[np.intp] | list[int]) -> Seen:
+        """Some of the teats."""
+        return Seen(**{name: getattr(self, name)[which] for name in Seen.__slots__})
 
 
 def look(teats: Array, views: tuple[View, ...], outline: Outline, jacobian: Array | None = None, *, fine: bool) -> Seen:
     """Find edges about the outlines of teats (m, 8). ``jacobian``: that of teats nearby, to save finding it anew."""
     parts = [_look_at(teats, view, outline, view.fine if fine else view.rough, slopes_too=jacobian is None) for view in views]
+    if fine:
+        optical = [part for part, view in zip(parts, views, strict=True) if view.fine.limb]
+        shared = shared_limb(np.stack([part.limb_px for part in optical]))
+        parts[: len(optical)] = [_lit_alike(part, shared) for part in optical]
     found = {name: np.concatenate([getattr(p, name) for p in parts], axis=1) for name in Seen.__slots__}
     return Seen(**(found if jacobian is None else {**found, "jacobian": jacobian}))
+
+
+def _lit_alike(part: Seen, shared_px: Array) -> Seen:
+    """Edges by the fall of brightness that outlines (m, n) have in common, ``shared_px``, as far as each line's own is less sure."""
+    own = own_share(shared_px, part.limb_sd_px)
+    known = np.isfinite(part.limb_px)
+    offset = part.offset_px + np.where(known, (1 - own) * (shared_px - part.limb_px), 0.0)
+    sd = np.sqrt(part.sd_px**2 - np.where(known, (1 - own**2) * part.limb_sd_px**2, 0.0))
+    return replace(part, offset_px=offset, sd_px=sd, limb_px=shared_px)
 
 
 def _look_at(teats: Array, view: View, outline: Outline, profile: Profile, *, slopes_too: bool) -> Seen:
@@ -78,7 +99,8 @@ def _look_at(teats: Array, view: View, outline: Outline, profile: Profile, *, sl
         jacobian = slopes(teats, contour, np.einsum("mnd,mnd->mn", outward, normals) / _STEP_MM, view.camera_from_teats)
     lines = sample(view.field, pixels.reshape(-1, 2) - view.corner_px, normals.reshape(-1, 2), profile.offsets)
     found = find_edges(lines.reshape(m, n, -1), profile, view.noise)
-    return Seen(found.offset_px, found.sd_px, found.clarity, np.full((m, n), view.floor_px), jacobian, pixels, normals)
+    floor = np.full((m, n), view.floor_px)
+    return Seen(found.offset_px, found.sd_px, found.clarity, floor, jacobian, pixels, normals, found.limb_px, found.limb_sd_px)
 
 
 def weights(seen: Seen, scale: float) -> Array:

@@ -19,6 +19,7 @@ class Parameters:
     farthest_mm: float = 1900.0
     least_radius_mm: float = 7.5  # teats are 8 to 14 mm in radius
     greatest_radius_mm: float = 15.0
+    greatest_lean: float = 0.5  # slope, some 27 degrees: teats lean by less than 20 either way
     prior: Prior = field(default_factory=Prior)
     most_nominations: int = 14
     most_bars: int = 5
@@ -26,16 +27,22 @@ class Parameters:
     most_starts: int = 26
     most_fits: int = 12
     whole_end: float = 0.7  # share of the rounded end, below which a fit may have bridged two teats
+    whole_end_both: float = 0.85  # where both sides are seen
     most_doubts: int = 3
     least_side: float = 0.5  # share of the better side's outline that must be seen, a picture
     least_end: float = 0.4  # of the rounded end's; where the thermal picture doesn't show it,
     least_end_alone: float = 0.65  # and where only one side is seen,
+    least_end_followed: float = 0.45
     least_end_one_sided: float = 0.45
     greatest_thermal_px: float = 1.2  # how far the thermal outline may lie off, sensor pixels
     good_misfit_px: float = 0.15
     greatest_misfit_px: float = 0.35
-    greatest_sd_mm: float = 3.5  # of an end, along the axis where it is the least sure
+    greatest_sd_mm: float = 5.5  # of an end, along the axis where it is the least sure
     least_warmth: float = 0.78  # of the way from the surroundings' temperature to the warmest teat's
     overlap: float = 0.85  # two teats' axes are never closer than this share of the sum of their radii
-    stretch_bias: float = 1.0  # what a short stretch of an outline has in common (paint, shadow, blur), in floors of its picture
-    end_shape_sd_mm: float = 0.12  # how far an end may be from that of half an ellipsoid that fits its outline
+    stretch_least_px: float = 0.015  # what a short stretch of an outline has in common (paint, shadow, sampling) at the least,
+    stretch_share: float = 0.3  # and as a share of how the stretches' means scatter about the fitted outline
+    limb_share: float = 0.7  # how wrong the correction for the fall of brightness towards the limb may be, as a share of it, a part
+    limb_share_of_stretch: float = 0.25  # of the outline, and a stretch of it
+    end_shape_sd_mm: float = 0.06  # how far an end may be from that of half an ellipsoid that fits its outline
+    unseen_end_sd_mm: float = 1.0  # how much less sure an end is along its axis, of which nothing is seen

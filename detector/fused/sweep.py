@@ -105,15 +105,6 @@ def sweep_bars(teats: Array, nominated: Array, maps: tuple[Map, ...], thermal: M
     return Starts(slid[rows, columns], score[rows, columns] / 1.5, nominated[rows] * _NEXT ** _rank(rows))
 
 
-def slide_ends(teats: Array, maps: tuple[Map, ...], thermal: Map) -> Array:
-    """The teats (m, 8) moved along their axes to where the pictures show an end the best."""
-    by = np.arange(-45.0, 46.0, 1.5)
-    slid = np.repeat(teats[:, None], len(by), axis=1)
-    slid[..., :3] += by[:, None] * axes(teats)[:, None]
-    best = _ended(slid.reshape(-1, COUNT), maps, thermal).reshape(slid.shape[:2]).argmax(axis=1)
-    return np.asarray(slid[np.arange(len(teats)), best])
-
-
 def _ended(teats: Array, maps: tuple[Map, ...], thermal: Map) -> Array:
     """Scores (m,) of teats (m, 8) by both optical pictures and the thermal one: one kind may not tell an end from an arm."""
     return np.asarray(_joint(teats, maps, _CROSS_PX, 1.0).max(axis=0) + 0.5 * _scores(teats, thermal, _CROSS_PX[:1], 1.0, end=True)[0])

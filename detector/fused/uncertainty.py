@@ -1,8 +1,10 @@
 """How sure a fitted teat end is: covariances from the edges that were found, and from what edges can't say of themselves.
 
-Strategy: first order (JCGM 102:2011). Four things move an end: the noise of each edge; what neighbouring edges have in common (paint, a
-shadow, a neighbour's limb), as one unknown shift for each short stretch of outline, the larger the less of the outline is seen; how far
-an end's shape is from half an ellipsoid's, along the axis; and the calibration. The module may not know temperatures.
+Strategy: first order (JCGM 102:2011), every edge's way to the end through the fit's gain. Six things move an end: the noise of each
+edge, by how its line fits a step; what neighbouring edges have in common (paint, a shadow, sampling), as one unknown shift for each
+short stretch of outline, as large as the stretches' own means scatter about the fitted outline, and the larger the less of the outline
+is seen; the correction for brightness that falls towards the limb, which may be wrong by a share of itself; how far an end's shape is
+from half an ellipsoid's; how much of the end isn't seen; and the calibration. The module may not know temperatures.
 """
 
 from __future__ import annotations
@@ -11,46 +13,73 @@ import numpy as np
 
 from detector.calibration import Calibration
 from detector.fused.fit import apex_jacobian, normal_equations
-from detector.fused.model import axes
+from detector.fused.model import END, SIDE_A, SIDE_B, axes
 from detector.fused.parameters import Parameters
-from detector.fused.refine import FINE_OUTLINE, Fitted
+from detector.fused.refine import FINE_OUTLINE, THERMAL_FLOOR_PX, Fitted
 from detector.geometry import Array
 
 _NEAR_PX = 0.3
+_LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
 def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     """Covariances (m, 3, 3) mm^2 of the ends in the right camera's frame, without the calibration's share."""
+    m, k = fitted.weight.shape
+    optical = 2 * len(FINE_OUTLINE.part)
+    gain = _gain(fitted, p)
+    noise = gain * np.where(fitted.weight > 0, np.nan_to_num(fitted.seen.sd_px), 0.0)[:, None]
+    limb = gain[..., :optical] * fitted.seen.limb_px[:, None, :optical]
+    stretches = gain.reshape(m, 3, k // _STRETCH, _STRETCH).sum(axis=3)
+    shift = np.full((m, 1, k // _STRETCH), THERMAL_FLOOR_PX)
+    shift[..., : optical // _STRETCH] = _stretch_shift(fitted, p)[:, None, None]
+    axis = axes(fitted.teats)[..., None]
+    unseen = _unseen_end(fitted) * p.unseen_end_sd_mm
+    moves = [
+        noise,
+        stretches * shift,
+        p.limb_share * _by_part(limb),
+        p.limb_share_of_stretch * limb.reshape(m, 3, optical // _STRETCH, _STRETCH).sum(axis=3),
+        np.hypot(p.end_shape_sd_mm, unseen)[:, None, None] * axis,
+    ]
+    return np.asarray(sum(np.einsum("mik,mjk->mij", move, move) for move in moves) + _LEAST_MM2 * np.eye(3))
+
+
+def _gain(fitted: Fitted, p: Parameters) -> Array:
+    """How the ends move with each edge (m, 3, k), mm a px."""
     H, _ = normal_equations(fitted.teats, fitted.seen, fitted.weight, p.prior)
-    inverse = np.linalg.inv(H)
-    weight = fitted.weight
-    j = np.where(weight[..., None] > 0, fitted.seen.jacobian, 0.0)
-    gain = np.einsum("mij,mkj,mk->mik", inverse, j, weight)  # how each edge moves the parameters, (m, 8, k)
-    scatter = _scatter(fitted)
-    noise = inverse * scatter[:, None, None]
-    m, k = weight.shape
-    common = gain.reshape(m, gain.shape[1], k // _STRETCH, _STRETCH).sum(axis=3)
-    shift = fitted.seen.floor_px.reshape(m, -1, _STRETCH)[:, :, 0] * p.stretch_bias
-    shared = np.einsum("mis,ms,mjs->mij", common, (shift / _support(fitted)[:, None]) ** 2, common)
-    to_end, axis = apex_jacobian(fitted.teats), axes(fitted.teats)
-    shape = p.end_shape_sd_mm**2 * np.einsum("mi,mj->mij", axis, axis)
-    return np.asarray(to_end @ (noise + shared) @ to_end.transpose(0, 2, 1) + shape)
+    j = np.where(fitted.weight[..., None] > 0, fitted.seen.jacobian, 0.0) * fitted.weight[..., None]
+    return np.asarray(apex_jacobian(fitted.teats) @ np.linalg.solve(H, j.transpose(0, 2, 1)))
 
 
-def _support(fitted: Fitted) -> Array:
-    """The share (m,) of the optical outlines that shows an edge where it should be: where a part doesn't, the rest is the more doubtful."""
+def _by_part(limb: Array) -> Array:
+    """Moves (m, 3, views * n) of all edges of one part of the outline together, (m, 3, 3 parts): both pictures show the same light."""
+    part = np.tile(FINE_OUTLINE.part, limb.shape[2] // len(FINE_OUTLINE.part))
+    return np.stack([limb[..., part == p].sum(axis=2) for p in (SIDE_A, END, SIDE_B)], axis=2)
+
+
+def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
+    """Standard deviation (m,) px of what a stretch of the optical outlines has in common.
+
+    Where a part of the outline doesn't show, the rest is the more doubtful.
+    """
     k = 2 * len(FINE_OUTLINE.part)
-    near = np.abs(np.nan_to_num(fitted.seen.offset_px[:, :k], nan=9.0)) < _NEAR_PX
-    return np.asarray(np.maximum((near & (fitted.weight[:, :k] > 0)).mean(axis=1), 0.2))
+    used = fitted.weight[:, :k] > 0
+    offset = np.where(used, np.clip(np.nan_to_num(fitted.seen.offset_px[:, :k]), -1, 1), 0.0)
+    count = used.reshape(len(used), -1, _STRETCH).sum(axis=2)
+    mean = offset.reshape(*count.shape, _STRETCH).sum(axis=2) / np.maximum(count, 1)
+    whole = count >= _STRETCH - 1
+    scatter = np.where(whole.any(axis=1), (mean**2 * whole).sum(axis=1) / np.maximum(whole.sum(axis=1), 1), 1.0)
+    support = np.maximum((used & (np.abs(np.nan_to_num(fitted.seen.offset_px[:, :k], nan=9.0)) < _NEAR_PX)).mean(axis=1), 0.2)
+    return np.asarray(np.sqrt(p.stretch_least_px**2 + p.stretch_share**2 * scatter) / support)
 
 
-def _scatter(fitted: Fitted) -> Array:
-    """How much larger (m,) the edges' squared distances from the outline are than they claim, at least 1."""
-    weight = fitted.weight
-    square = np.where(weight > 0, np.nan_to_num(fitted.seen.offset_px) ** 2, 0.0)
-    freedom = np.maximum((weight > 0).sum(axis=1) - fitted.teats.shape[1], 1)
-    return np.asarray(np.maximum((square * weight).sum(axis=1) / freedom, 1.0))
+def _unseen_end(fitted: Fitted) -> Array:
+    """The share (m,) of the end's optical outline that shows no edge where it should be."""
+    at = np.tile(FINE_OUTLINE.part == END, 2)
+    k = len(at)
+    near = np.abs(np.nan_to_num(fitted.seen.offset_px[:, :k], nan=9.0)) < 2 * _NEAR_PX
+    return np.asarray(1.0 - (near & (fitted.weight[:, :k] > 0))[:, at].mean(axis=1))
 
 
 def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> Array:

@@ -23,6 +23,7 @@ from instruments.errors import DeviceError
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 COLUMNS = ("frame", "situation", "teat", "x_mm", "y_mm", "z_mm", "visible")
 OPTIONAL = ("u_mm",)
+SAME_END_MM = 5.0  # a teat is some 20 mm thick: two ends nearer than this are one end, measured twice
 UNSAFE = set('<>:"/\\|?*')
 
 
@@ -90,6 +91,10 @@ class Recording:
             raise RecordingError(f"{where}: teat {row.teat!r} of frame {frame!r} stands here a second time")
         if rows and rows[0].situation != row.situation:
             raise RecordingError(f"{where}: frame {frame!r} is {row.situation!r} here and {rows[0].situation!r} above")
+        for other in rows:
+            if (apart := math.dist(other.xyz_mm, row.xyz_mm)) < SAME_END_MM:
+                names = f"teats {other.teat!r} and {row.teat!r} of frame {frame!r}"
+                raise RecordingError(f"{where}: the ends of {names} are {apart:.2f} mm apart: one was measured twice; measure them again")
         rows.append(row)
 
 

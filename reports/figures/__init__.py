@@ -9,21 +9,30 @@ from reports.figures.calibration import precision_by_distance, residual_field
 from reports.figures.change import change_scatter
 from reports.figures.course import bath_curve, latency_strip
 from reports.figures.errors import error_histogram, error_scatter, per_axis_errors
-from reports.figures.plane import error_map
+from reports.figures.plane import TeatPlaces, error_map, error_maps
 from reports.figures.rates import found_bars
+from reports.figures.regions import MOST_GROUPS, ErrorGroup, error_regions
+from reports.figures.slopes import Slope, slope_intervals
 from reports.figures.teats import error_drift, teat_boxes
 
 __all__ = [
+    "MOST_GROUPS",
+    "ErrorGroup",
+    "Slope",
+    "TeatPlaces",
     "bath_curve",
     "change_scatter",
     "error_drift",
     "error_histogram",
     "error_map",
+    "error_maps",
+    "error_regions",
     "error_scatter",
     "found_bars",
     "latency_strip",
     "per_axis_errors",
     "precision_by_distance",
     "residual_field",
+    "slope_intervals",
     "teat_boxes",
 ]

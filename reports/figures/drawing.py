@@ -1,7 +1,8 @@
 """From a matplotlib figure to SVG that stands inside a page: the same bytes for the same input, the page's own colours and letters.
 
 Strategy: matplotlib lays out and writes; then every tag is rewritten. Styles become attributes and classes, so that a style sheet can
-recolour them (dark, print) under a strict content security policy; ids nobody refers to go, the others get the figure's name in front.
+recolour them (dark, print) under a strict content security policy; ids nobody refers to go, the others get the figure's name in front;
+what a run of marks shares is said once.
 Knows nothing of what is plotted.
 """
 
@@ -25,7 +26,8 @@ COLOURS = {
     "accept": "#7a4b9e", "good": "#1b7a3d", "band": "#cfe6d6", "span": "#dfe9f5", "paper": "#fdfdfe",
 }  # fmt: skip
 HALF_INCHES, WIDE_INCHES = 4.7, 9.4
-LegendForm = Literal["-", "--", "o", "v", "patch"]
+Marker = Literal["o", "s", "^", "D", "v", "P"]
+LegendForm = Literal["-", "--", "patch"] | Marker
 LegendEntry = tuple[str, str, LegendForm]  # text, role, form
 _ROLES = {colour: role for role, colour in COLOURS.items()}
 _SETTINGS = {
@@ -56,6 +58,16 @@ _SETTINGS = {
 _TAG = re.compile(r"<(/?)([A-Za-z]+)([^<>]*?)(/?)>")
 _ATTRIBUTE = re.compile(r'([\w:-]+)="([^"]*)"')
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}(?:e-?\d+)?")
+_FEWEST_ALIKE = 4  # marks, for which it is worth while to say once what they share
+_MARK = r'<use class="{0}" href="{1}" (?:x="[^"]*" y="[^"]*"){2}/>'
+_MARKS = re.compile(
+    _MARK.format('([^"]*)', '([^"]*)', '((?: [a-z-]+="[^"]*")*)') + "(?:" + _MARK.format(r"\1", r"\2", r"\3") + f"){{{_FEWEST_ALIKE - 1},}}"
+)
+_LINK = r'<a href="[^"]*" tabindex="-1"><title>[^<]*</title><g clip-path="{0}">{1}</g></a>'
+_LINKS = re.compile(
+    _LINK.format('([^"]*)', _MARK.format('([^"]*)', '([^"]*)', '((?: [a-z-]+="[^"]*")*)'))
+    + "(?:" + _LINK.format(r"\1", _MARK.format(r"\2", r"\3", r"\4")) + f"){{{_FEWEST_ALIKE - 1},}}"
+)  # fmt: skip
 _NO_TEXT_IN_XML = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]+")
 
 
@@ -86,7 +98,7 @@ def not_measured(name: str, inches: tuple[float, float], why: str) -> str:
 
 
 def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
-    """Above the plot: for each (text, role, form) a line ("-", "--"), a marker ("o", "v") or a "patch" in the role's colour."""
+    """Above the plot: for each (text, role, form) a line ("-", "--"), a marker or a "patch" in the role's colour."""
 
     def handle(text: str, role: str, form: LegendForm) -> Artist:
         if form == "patch":
@@ -112,7 +124,21 @@ def _for_a_page(svg: str, name: str) -> str:
     known = dict.fromkeys(found for found in re.findall(r'\bid="([^"]*)"', body) if found in wanted)
     defined = {known_id: f"{name}-{number}" for number, known_id in enumerate(known, 1)}  # short: every point of a cloud names one
     body = _TAG.sub(lambda tag: _rewritten(tag, name, defined), body)
-    return re.sub(r">\s+<", "><", body.strip())
+    return _MARKS.sub(_marks, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
+
+
+def _marks(run: re.Match[str]) -> str:
+    """Marks of one look: a cloud is most of a page's weight."""
+    look, _, paint = run.groups()
+    inner = run.group(0).replace(f'<use class="{look}"', "<use").replace(f"{paint}/>", "/>")
+    return f'<g class="{look}"{paint}>{inner}</g>'
+
+
+def _links(run: re.Match[str]) -> str:
+    """The same of marks that each open something."""
+    clip, look, _, paint = run.groups()
+    inner = run.group(0).replace(f'<g clip-path="{clip}"><use class="{look}"', "<use").replace(f"{paint}/></g>", "/>")
+    return f'<g class="{look}" clip-path="{clip}"{paint}>{inner}</g>'
 
 
 def _rewritten(tag: re.Match[str], name: str, defined: Mapping[str, str]) -> str:

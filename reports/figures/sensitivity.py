@@ -14,6 +14,7 @@ from reports.figures.drawing import COLOURS, WIDE_INCHES, LegendEntry, draw, leg
 
 _INCHES = (WIDE_INCHES, 5.0)
 _ROLES = ("ours", "theirs", "accept", "muted")  # of methods, in their order
+MOST_CURVES = len(_ROLES)
 _TICKS_MM = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
@@ -48,8 +49,8 @@ def sensitivity(curves: Sequence[Curve], bound: Bound, label: str, *, logarithmi
 
     Raises ValueError for numbers that aren't finite, errors that aren't above zero on their logarithmic scale, or too many curves.
     """
-    if len(curves) > len(_ROLES):
-        raise ValueError(f"sensitivity: {len(curves)} curves; at most {len(_ROLES)} can be told apart")
+    if len(curves) > MOST_CURVES:
+        raise ValueError(f"sensitivity: {len(curves)} curves; at most {MOST_CURVES} can be told apart")
     errors = [together("sensitivity", x=c.x, median_mm=c.median_mm, p95_mm=c.p95_mm) for c in curves]
     shares = [together("sensitivity", share_x=c.share_x, share=c.share) for c in curves]
     limit_x, limit_mm, disparity = together("sensitivity", x=bound.x, median_mm=bound.median_mm, disparity_mm=bound.disparity_mm)

@@ -67,7 +67,7 @@ def error_drift(
             slope, level = np.polyfit(time - time.mean(), errors, 1)
             ends = np.array([time.min(), time.max()])
             axes.plot(ends, level + slope * (ends - time.mean()), color=COLOURS["ink"], linewidth=1.4)
-            entries.append((f"least squares: {slope * np.ptp(time):+.2f} mm over the run", "ink", "-"))
+            entries.append((f"line: {slope * np.ptp(time):+.2f} mm over the run", "ink", "-"))
         axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
         axes.set(ylim=(0, 1.1 * max(limit_mm, float(errors.max()))), xlabel="time of the capture (min)", ylabel="distance (mm)")
         legend(figure, [*entries, (f"limit {limit_mm:g} mm", "limit", "-")])

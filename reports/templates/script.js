@@ -80,16 +80,6 @@
     boxes.forEach((box) => { box.checked = shown.length ? false : !remembered || remembered.includes(box); });
     remembered = shown.length ? shown : null;
   };
-  const whole = () => {
-    const on = document.body.classList.toggle("whole");
-    all("[data-act=whole]").forEach((button) => button.setAttribute("aria-pressed", on));
-    all(".pane svg").forEach((svg) => {
-      const next = svg.dataset.whole;
-      svg.dataset.whole = svg.getAttribute("viewBox");
-      svg.setAttribute("viewBox", next);
-      svg.setAttribute("font-size", Number(next.split(" ")[2]) / 26);
-    });
-  };
 
   // Searchable tables: filter by every word typed, sort by a column.
   const byId = new Map(trials.map((trial) => ["#" + trial.id, trial]));
@@ -150,29 +140,21 @@
   }));
   if (listed.length) document.querySelector("main").addEventListener("click", (event) => { if (event.target.closest("a[href^='trials/']")) tell(); });
 
-  // A frame over the whole width, and back.
-  all(".frame").forEach((frame) => {
-    const button = document.createElement("button");
-    button.type = "button";
-    button.className = "enlarge";
-    button.textContent = "Enlarge";
-    button.setAttribute("aria-pressed", "false");
-    button.setAttribute("aria-label", "Enlarge " + frame.querySelector("figcaption").textContent);
-    button.addEventListener("click", () => button.setAttribute("aria-pressed", frame.classList.toggle("large")));
-    frame.querySelector("figcaption").append(button);
-  });
-
   const acts = {
     help: () => (help.open ? help.close() : help.showModal()),
     overlays,
-    whole,
+    whole: pictures.whole,
   };
   all("[data-act]").forEach((button) => button.addEventListener("click", () => acts[button.dataset.act]()));
   const keys = {
     j: () => step(1),
     k: () => step(-1),
     o: overlays,
-    z: whole,
+    z: pictures.whole,
+    "+": pictures.nearer,
+    "=": pictures.nearer,
+    "-": pictures.farther,
+    0: pictures.back,
     "?": acts.help,
     "/": find,
   };

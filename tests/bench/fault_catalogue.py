@@ -43,7 +43,8 @@ comes into a state, for {for_s:g} s; paused is a pause that somebody asked for b
 `python -m tests.bench.fault_catalogue`, which runs all {count} of them; the tests run some, and hold them against this page.
 
 In every one of them the bench ended by itself, the bath was in standby, no trial was in the record by halves, and no fault was taken for
-a mistake of the bench. "-" means: nothing noticed, all three trials done.
+a mistake of the bench. "-" means: nothing noticed, all three trials done. What takes longer than that to do harm (a frozen sensor, a stuck
+or dead heater, a pump that stopped) is over before it does; what then stops it stands in [safety.md](safety.md).
 
 """
 
@@ -80,7 +81,7 @@ def what_happens(instrument: str, name: str, state: str, folder: Path) -> RunRec
     files(folder, stage=STAGE, check_point=CHECK_POINT, emulation="prompt_s = 2.0", script=script)
     rig = load_rig(folder / "rig.toml")
     bringer = Bringer(state, EmulatedFault(instrument=instrument, name=name, for_s=FOR_S))
-    with _known_to(bringer):
+    with known_to(bringer):
         progress = WatchedProgress(bringer, None)
         with patch.object(progress, "event", bringer.event):
             run, _ = run_script(rig, load_script(folder / "script.toml"), folder / "runs", progress, typed=bringer.typed)
@@ -88,7 +89,7 @@ def what_happens(instrument: str, name: str, state: str, folder: Path) -> RunRec
 
 
 @contextmanager
-def _known_to(bringer: Bringer) -> Iterator[None]:
+def known_to(bringer: Bringer) -> Iterator[None]:
     """The bringer gets the emulators, and hears when the bench sets about going to safe."""
     made, safe = EmulatedRig.__init__, Devices.make_safe
 

@@ -53,6 +53,26 @@ def test_the_time_left_is_told_from_the_third_trial_on(tmp_path: Path) -> None:
     assert told.trials == [(1, 5, None), (2, 5, None), (3, 5, 180.0), (4, 5, 180.0), (5, 5, 80.0)]
 
 
+def test_time_that_was_no_work_is_kept_out_of_the_time_left(tmp_path: Path) -> None:
+    """A pause, or a suspension: it says nothing of the trials to come."""
+    clock, away_s = VirtualClock(), 0.0
+
+    def once(_: PlannedTrial) -> None:
+        nonlocal away_s
+        clock.sleep(60.0)
+        clock.sleep(1000.0)
+        away_s += 1000.0
+
+    store = Store.create(tmp_path / "run", {})
+    told, operator = Told(), hands(world())
+    operator.next_trial = told.next_trial  # type: ignore[method-assign]
+    all_of = Attempts(once, len(PLANNED), operator, clock, store, cast(Attention, told), away_s=lambda: away_s)
+    for trial in PLANNED:
+        all_of.run(trial)
+    store.close()
+    assert [left_s for _, _, left_s in told.trials[2:]] == [180.0, 120.0, 60.0]
+
+
 def test_again_and_again_until_it_is_done(tmp_path: Path) -> None:
     wishes: list[Exception | None] = [OperatorRepeat(), OperatorRepeat(), None]
 

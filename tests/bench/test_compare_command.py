@@ -16,8 +16,11 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.cli import main
-from bench.comparing.runs import compare_folders
+from bench.comparing.runs import compare_folders, scored_together
+from bench.comparing.together import judge_folders
+from bench.comparing.words import notes
 from bench.config import ConfigError
+from bench.record import read_run
 from bench.scoring.decisions import Verdict
 from detector import registry
 from detector.calibration import Calibration
@@ -128,6 +131,82 @@ def test_frames_that_differ_are_paired_by_name_and_told(baseline: Path, tmp_path
         db.commit()
     (found,) = compare_folders([baseline, other])
     assert (len(found.pairs), found.same_frames) == (SCENES, 0)
+
+
+def changed(run: Path, to: Path, *statements: str) -> Path:
+    """A copy of a run with its record changed."""
+    shutil.copytree(run, to)
+    with closing(sqlite3.connect(to / "run.sqlite")) as db:
+        for statement in statements:
+            db.execute(statement)
+        db.commit()
+    return to
+
+
+def test_a_namesake_at_another_place_is_not_the_same_scene(baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = "UPDATE frames SET sha256 = 'x' || sha256"
+    near = changed(baseline, tmp_path / "near", other, "UPDATE truth SET x_mm = x_mm + 5")
+    assert len(compare_folders([baseline, near])[0].pairs) == SCENES
+    far = changed(baseline, tmp_path / "far", other, "UPDATE truth SET x_mm = x_mm + 25 WHERE trial LIKE '001-%'")
+    (found,) = compare_folders([baseline, far])
+    assert (len(found.pairs), found.only_old, found.elsewhere) == (SCENES - 1, 1, 1)
+    assert main(["compare", str(baseline), str(far), "--gate"]) == 4
+    assert "1 trials of the old run have a namesake" in " ".join(capsys.readouterr().out.split())
+    nowhere = changed(baseline, tmp_path / "nowhere", other, "UPDATE truth SET x_mm = x_mm + 25")
+    assert main(["compare", str(baseline), str(nowhere)]) == 2
+    assert f"{SCENES} have the same name, but their teats stood at other places" in capsys.readouterr().err
+
+
+def test_what_was_held_against_other_limits_is_not_compared(baseline: Path, tmp_path: Path) -> None:
+    wider = changed(baseline, tmp_path / "wider", "UPDATE scores SET score = replace(score, '\"limit_mm\": 5.0', '\"limit_mm\": 9.0')")
+    with pytest.raises(ConfigError, match=r"different limits \(5 and 9 mm\).*by the same rules"):
+        compare_folders([baseline, wider])
+    slower = changed(baseline, tmp_path / "slower")
+    rules = (slower / "rules.toml").read_text(encoding="utf-8")
+    (slower / "rules.toml").write_text(rules.replace("time_limit_s = 2.0", "time_limit_s = 4.0"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"different limits \(2 and 4 s\)"):
+        compare_folders([baseline, slower])
+
+
+def test_what_else_differs_is_told(baseline: Path, tmp_path: Path) -> None:
+    other = changed(baseline, tmp_path / "other", "UPDATE facts SET value = '\"emulated\"' WHERE key = 'kind'")
+    (found,) = compare_folders([baseline, other])
+    assert "The runs also differ in kind: recorded (old), emulated (new)." in list(notes(found))
+    assert not [note for note in notes(compare_folders([baseline, baseline])[0]) if "also differ" in note]
+
+
+def test_a_run_without_results(baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    empty = changed(baseline, tmp_path / "empty", "DELETE FROM scores")
+    assert main(["compare", str(baseline), str(empty), "--gate"]) == 2
+    assert "no scored trial in common" in capsys.readouterr().err
+
+
+def test_one_recording_scored_twice_is_the_same_poses_and_not_twice_as_many(baseline: Path, tmp_path: Path) -> None:
+    again = changed(baseline, tmp_path / "again")
+    together = scored_together([read_run(baseline), read_run(again)], "fused")
+    assert (together.success.trials, len(together.scores)) == (SCENES, 2 * SCENES)
+
+
+def test_runs_are_judged_together_by_their_counts(baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    again = changed(baseline, tmp_path / "again")
+    other = changed(baseline, tmp_path / "other", "UPDATE facts SET value = '\"another recording\"' WHERE key = 'about'")
+    for second, poses in ((again, SCENES), (other, 2 * SCENES)):
+        assert main(["compare", str(baseline), str(second), "--together", "--json"]) == 0
+        (told,) = json.loads(capsys.readouterr().out)
+        assert {decision["n"] for decision in told["decisions"] if decision["unit"] in ("mm", "%", "")} == {poses}
+    assert main(["compare", str(baseline), str(other), "--together", "--gate"]) == 4  # six poses show little
+    said = capsys.readouterr().out
+    assert "fused, all runs together: inconclusive" in said
+    assert f"0 in {2 * SCENES} scenes" in said
+    assert "of 6 poses succeeded" in said
+
+
+def test_what_cannot_be_judged_together(baseline: Path, tmp_path: Path) -> None:
+    wider = changed(baseline, tmp_path / "wider", "UPDATE scores SET score = replace(score, '\"limit_mm\": 5.0', '\"limit_mm\": 9.0')")
+    with pytest.raises(ConfigError, match="different limits"):
+        judge_folders([baseline, wider])
+    with pytest.raises(ConfigError, match="no detector of those named is in all runs"):
+        judge_folders([baseline, wider], ["thesis"])
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.comparing.runs import scored_together
+from bench.comparing.runs import Side, compare_sides, scored_together
+from bench.comparing.words import notes
 from bench.dependence import ErrorRows, error_rows, plane_cells, run_bias, run_precision, run_trends
 from bench.gauging import truth_gage
 from bench.record import RunRecord, TrialRecord
@@ -160,6 +161,16 @@ def test_two_runs_are_two_appraisers(tmp_path: Path) -> None:
     assert found.studies is not None
     assert found.studies[0].appraisers == 2
     assert found.studies[0].reproducibility == 0.0  # the very same touches twice
+
+
+def test_a_comparison_of_two_runs_tells_how_well_their_truths_agree(tmp_path: Path) -> None:
+    runs = [set_ups(tmp_path / name, repeats=1) for name in ("old", "new")]
+    old, new = (Side(run, "fused") for run in runs)
+    (told,) = [note for note in notes(compare_sides(old, new)) if note.startswith("The truth itself")]
+    assert "40 ends touched 3 times in each run" in told
+    assert "reproducibility 0.000, 0.000, 0.000 mm" in told
+    assert "of the tolerance of 10 mm" in told
+    assert not [note for note in notes(compare_sides(old, old)) if note.startswith("The truth itself")]
 
 
 def test_what_holds_no_study_says_why(tmp_path: Path, drifting: RunRecord) -> None:

@@ -13,6 +13,7 @@ import pytest
 from bench.cli import main
 from bench.config import read_config
 from bench.detecting.choice import DetectorFile
+from bench.summary.thesis.figures import thesis
 from detector.external import Limits
 from detector.registry import available
 from tests.bench.small_recording import write_recording
@@ -51,3 +52,9 @@ def test_the_file_shows_the_defaults(tmp_path: Path) -> None:
 def test_every_variant_of_the_thesis_is_told() -> None:
     for name in available([]):
         assert f"`{name}`" in PAGE, name
+
+
+def test_the_published_failures_are_told() -> None:
+    told = re.findall(r"^\| `(\w+)` \| (\d) \|", PAGE, re.MULTILINE)
+    assert [(name, int(found)) for name, found in told] == [(one.name, one.found) for one in thesis().situations]
+    assert {one.present for one in thesis().situations} == {4}

@@ -1,18 +1,16 @@
-"""A dry run: what ships is clean, each kind of trouble is found and named, and nothing moves."""
+"""The look at each pose before a run: what ships is clean, each kind of trouble is found and named, and nothing moves."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
-from bench.cli import main
 from bench.planning.dry_run import carry_touches, dry_run
 from bench.planning.phantom_file import Layout, PhantomFile, find_layout, load_layout
 from bench.planning.trial_table import Trial
 from bench.planning.trials import plan
-from bench.rig import RIGS, LoadedRig, find_rig, load_rig
+from bench.rig import LoadedRig, find_rig, load_rig
 from bench.script import LoadedScript, find_script, load_script
 from instruments.stage.settings import AxisLimits
 
@@ -53,6 +51,14 @@ def test_a_pose_beyond_the_travel(rig: LoadedRig) -> None:
 def test_an_approach_beyond_the_travel_though_the_pose_is_not(rig: LoadedRig) -> None:
     assert "limits" not in kinds(rig, script(pose={"y_mm": 135.0}, layout="single"))
     assert "Y axis at 7.5" in kinds(rig, script(pose={"y_mm": 135.0}, layout="single", approach=("-y", "+y")))["limits"]
+
+
+def test_a_registration_that_goes_beyond_the_travel(rig: LoadedRig) -> None:
+    loaded = load_script(find_script("repeatability"))
+    truth = loaded.script.truth.model_copy(update={"registration_at_mm": ((-150.0, 0.0), (151.0, 0.0), (0.0, 90.0))})
+    wide = replace(loaded, script=loaded.script.model_copy(update={"truth": truth}))
+    found = [finding for finding in dry_run(rig, wide, TRAVEL).findings if finding.kind == "limits"]
+    assert [finding.trial for finding in found] == ["registration at x +151 mm, y +0 mm"]
 
 
 def test_a_teat_that_leaves_the_thermal_picture(rig: LoadedRig) -> None:
@@ -110,30 +116,3 @@ def test_a_carried_truth_is_touched_at_the_start_at_checks_and_at_the_end() -> N
 
 SINGLE = {"about": "x", "teats": [{"name": "LF", "base_mm": (-115.0, 300.0)}]}
 OTHER = {"about": "x", "teats": [{"name": "RF", "base_mm": (-100.0, 300.0)}]}
-
-
-def test_the_command_says_what_and_exits_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    text = (find_script("repeatability")).read_text(encoding="utf-8").replace("x_mm = 104.0, y_mm = 96.0", "x_mm = 160.0, y_mm = 96.0")
-    path = tmp_path / "wide.toml"
-    path.write_text(text, encoding="utf-8")
-    assert main(["run", str(path), "--dry-run", "--out", str(tmp_path / "runs")]) == 2
-    said = capsys.readouterr().out
-    assert "p-2: limits: x +160 mm, y +96 mm needs the stage's X axis at 10, which goes from -300 to 0" in said
-    assert "Nothing was moved." in said
-    assert not (tmp_path / "runs").exists()
-
-
-def test_a_clean_script_exits_with_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", "six-situations", "--dry-run", "--out", str(tmp_path / "runs")]) == 0
-    first, needs = capsys.readouterr().out.splitlines()
-    assert first == "18 trials at 6 poses: nothing wrong. Nothing was moved."
-    assert needs.startswith("about 72 min of the bench's time (by assumed times")
-
-
-def test_a_stage_that_does_not_answer_is_left_unchecked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    text = (RIGS / "lab.example.toml").read_text(encoding="utf-8")
-    assert '"/dev/ttyACM0"' in text
-    (tmp_path / "lab.toml").write_text(text.replace("/dev/ttyACM0", "/dev/tty-there-is-none"), encoding="utf-8")
-    (tmp_path / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
-    assert main(["run", "six-situations", "--dry-run", "--rig", str(tmp_path / "lab.toml"), "--out", str(tmp_path / "runs")]) == 0
-    assert "not checked: the stage's travel: its controller doesn't answer" in capsys.readouterr().out

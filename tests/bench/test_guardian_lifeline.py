@@ -27,6 +27,8 @@ from instruments.listener import Listener
 from instruments.world.plant import Plant
 from tests.conftest import ROOT
 
+PATIENCE_S = 60.0
+
 
 @dataclass
 class HotBath:
@@ -36,7 +38,7 @@ class HotBath:
 
     def record(self) -> dict[str, Any]:
         path = self.folder / "guardian.json"
-        within(5.0, path.is_file, "the guardian wrote its record")
+        within(PATIENCE_S, path.is_file, "the guardian wrote its record")
         return dict(json.loads(path.read_text(encoding="utf-8")))
 
 
@@ -74,7 +76,7 @@ def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> No
 def test_left_without_a_word_the_guardian_takes_over(hot: HotBath) -> None:
     with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()):
         pass
-    within(3.0, lambda: not hot.plant.running, "standby")
+    within(PATIENCE_S, lambda: not hot.plant.running, "standby")
     assert hot.record()["cause"] == "gave up"
 
 
@@ -83,8 +85,8 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_seen(hot: HotBath) ->
     pulse.sign("detecting", 0.5)
     with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, pulse) as line:
         pulse.sign("detecting", 0.5)
-        within(5.0, lambda: not hot.plant.running, "standby")
-        within(5.0, lambda: line.lost is not None, "the bench learned of it")
+        within(PATIENCE_S, lambda: not hot.plant.running, "standby")
+        within(PATIENCE_S, lambda: line.lost is not None, "the bench learned of it")
         assert "took the bench for dead" in str(line.lost)
     told = hot.record()
     assert (told["cause"], told["standby"]) == ("hung", True)
@@ -105,7 +107,7 @@ def test_a_long_wait_that_was_announced_is_no_hang(hot: HotBath) -> None:
 def test_a_guardian_that_dies_is_missed(hot: HotBath) -> None:
     with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
         os.kill(line.pid, signal.SIGKILL)
-        within(3.0, lambda: line.lost is not None, "the loss was seen")
+        within(PATIENCE_S, lambda: line.lost is not None, "the loss was seen")
         assert "ended by itself" in str(line.lost)
         line.done()
 
@@ -162,10 +164,10 @@ def test_a_hung_bench_that_keeps_the_port_is_ended(hot: HotBath) -> None:
         assert child.stdout is not None
         assert child.stdout.readline() == b"ready\n"
         assert child.wait(60) == -signal.SIGKILL
-        within(3.0, record.is_file, "the record")
+        within(PATIENCE_S, record.is_file, "the record")
         forward(port, hot.url)
         within(10.0, lambda: not hot.plant.running, "standby")
-    within(3.0, lambda: hot.record()["standby"], "the record says so")
+    within(PATIENCE_S, lambda: hot.record()["standby"], "the record says so")
     assert hot.record()["killed"] is True
     assert hot.record()["tries"] >= 2
 

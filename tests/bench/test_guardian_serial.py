@@ -34,8 +34,9 @@ if sys.platform == "win32":
 
 from tests.bench.marked_bench import MARK, MarkedBench, marked_bench, serve
 
-STANDBY_S, HANG_S = 3.0, 10.0
+STANDBY_S, HANG_S = 8.0, 10.0  # standby: milliseconds, and what a busy machine adds; less than a hang
 RTU_FAMILY = "eurotherm-2400"
+OVERRUN_S, SEEN_LATE_S = 5.0, 4.0  # of the pump; how much later than it happens a busy machine may show us something
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +61,7 @@ def until(there: Callable[[], bool], within_s: float, what: str) -> float:
     return time.monotonic() - start
 
 
-def record_of(folder: Path, done: Callable[[dict[str, Any]], bool], within_s: float = 10.0) -> dict[str, Any]:
+def record_of(folder: Path, done: Callable[[dict[str, Any]], bool], within_s: float = 60.0) -> dict[str, Any]:
     """The guardian's record, once it is ``done``."""
 
     def there() -> dict[str, Any]:
@@ -82,7 +83,7 @@ def test_a_killed_bench_leaves_its_serial_port_to_the_guardian(
             to_settling(running)
             assert plant.running
             running.signal(kill)
-            seconds = until(lambda: not plant.running, 20.0, "standby")
+            seconds = until(lambda: not plant.running, 60.0, "standby")
             request.node.user_properties.append((f"s to standby, {kill} while settling, serial port", round(seconds, 3)))
             running.process.join(60)
         assert seconds < STANDBY_S
@@ -122,7 +123,7 @@ def test_with_a_pump_on_a_relay_the_heater_goes_off_first_and_the_pump_runs_on(
             to_settling(running)
             assert (plant.running, plant.pump) == (True, "on")
             running.signal("SIGKILL")
-            seconds = until(lambda: not plant.running, 20.0, "standby")
+            seconds = until(lambda: not plant.running, 60.0, "standby")
             request.node.user_properties.append(("s to standby, SIGKILL while settling, pump on a relay", round(seconds, 3)))
         assert seconds < STANDBY_S
         told = record_of(rig.run_folder(), lambda record: "pump" in record)
@@ -179,19 +180,19 @@ def hot(tmp_path: Path) -> Iterator[Hot]:
 
 
 def test_the_pump_stops_once_it_has_run_on(hot: Hot) -> None:
-    with hot.abandoned(2.0):
-        until(lambda: not hot.plant.running, STANDBY_S + 3.0, "standby")
+    with hot.abandoned(OVERRUN_S):
+        until(lambda: not hot.plant.running, 60.0, "standby")
         start = time.monotonic()
         assert hot.plant.pump == "on", "never before the heater"
-        until(lambda: hot.plant.pump == "off", 20.0, "pump off")
-        assert time.monotonic() - start >= 1.5
+        until(lambda: hot.plant.pump == "off", 60.0, "pump off")
+        assert time.monotonic() - start >= OVERRUN_S - SEEN_LATE_S
     told = json.loads(hot.record.read_text(encoding="utf-8"))
-    assert (told["standby"], told["pump"]) == (True, "ran on for 2 s and is off")
+    assert (told["standby"], told["pump"]) == (True, f"ran on for {OVERRUN_S:g} s and is off")
 
 
 def test_a_bath_that_somebody_starts_meanwhile_keeps_its_pump(hot: Hot) -> None:
-    with hot.abandoned(2.0):
-        until(lambda: not hot.plant.running, STANDBY_S + 3.0, "standby")
+    with hot.abandoned(OVERRUN_S):
+        until(lambda: not hot.plant.running, 60.0, "standby")
         record_of(hot.record.parent, lambda record: "pump" in record)
         hot.plant.run(33.0)
     told = json.loads(hot.record.read_text(encoding="utf-8"))
@@ -203,7 +204,7 @@ def test_a_bath_that_somebody_starts_meanwhile_keeps_its_pump(hot: Hot) -> None:
 def test_a_relay_that_is_dead_keeps_nobody_from_standby(hot: Hot) -> None:
     hot.relay.fault("silence")
     with hot.abandoned(0.5):
-        seconds = until(lambda: not hot.plant.running, STANDBY_S + 3.0, "standby")
+        seconds = until(lambda: not hot.plant.running, 60.0, "standby")
     assert seconds < STANDBY_S
     told = json.loads(hot.record.read_text(encoding="utf-8"))
     assert told["standby"] is True

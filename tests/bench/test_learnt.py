@@ -55,5 +55,6 @@ def test_needs_by_hand() -> None:
     assert needs(rig, script).prompts == 1 + 2 * 5 + 18 * (1 + 4 * rig.rig.arm.touches)
     plane = load_script(find_script("plane-map"))
     assert needs(rig, plane).prompts < len(plane.planned), "carried: most trials ask nobody"
+    assert needs(rig, plane).time.touches_s == pytest.approx(7 * 3 * 8.0), "the first, before every 26th further one, and the last"
     assert told(estimate(rig, script), {"total_s": 1200.0}) == "It took 20 min of the bench's time; 72 min were expected."
     assert set(ASSUMED) >= {"heating", "touch", "set-up", "placing"}

@@ -43,6 +43,13 @@ def test_its_trials_are_those_of_a_toml_script(tmp_path: Path) -> None:
     assert load_script(again).script == script.script
 
 
+def test_numbers_of_numpy_are_numbers(tmp_path: Path) -> None:
+    text = PYTHON.replace("for number in range(2):", "import numpy\n    for number in numpy.linspace(0, 1, 2):")
+    text = text.replace('f"step-{number}"', 'f"step-{number:.0f}"').replace("-3.5", "numpy.int64(-3)")
+    script = load_script(written(tmp_path, text))
+    assert [(one.pose.x_mm, one.pose.y_mm) for one in script.planned] == [(0, 0), (0, -3), (10, 0), (0, -3)]
+
+
 def test_a_run_keeps_the_file_and_what_it_gave(tmp_path: Path) -> None:
     arguments = files(tmp_path)
     path = written(tmp_path, PYTHON.replace("range(2)", "range(1)"))
@@ -63,8 +70,10 @@ def test_a_run_keeps_the_file_and_what_it_gave(tmp_path: Path) -> None:
         (PYTHON.replace("range(2)", "__import__('itertools').count()"), "gives more than 100000 trials; does it end"),
         (PYTHON.replace('"situation"', '"sitution"'), 'unknown key; did you mean "situation"'),
         (PYTHON + "\nraise SystemExit(3)", "SystemExit: 3"),
+        (PYTHON.replace("yield {", "print({").replace("]}\n", "]})\n"), r"steps\.py: trials.. gives a NoneType; it has to yield"),
+        (PYTHON.replace("10.0 * number", "object()"), r"trials\[1\]\.poses\[1\]\.x_mm is a object; it has to be text, a number"),
     ],
-    ids=["syntax", "nothing in it", "an error of its own", "no table", "endless", "a wrong key", "leaves"],
+    ids=["syntax", "nothing in it", "an error of its own", "no table", "endless", "a wrong key", "leaves", "no generator", "no value"],
 )
 def test_what_is_wrong_is_told_with_its_place(text: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=words):

@@ -16,6 +16,7 @@ from bench.engine import Ending
 from bench.record import read_run
 from bench.running.event_lines import EventLines, WatchedProgress, event_lines
 from bench.store import Store
+from instruments.clock import stopwatch_s
 from tests.bench.killed_runs import Silent, only_run, resume, start
 from tests.bench.operated_runs import files
 
@@ -103,6 +104,25 @@ def test_a_clock_that_is_set_amid_a_run_is_noted_and_changes_nothing_else(
     assert told.startswith(f"the computer's clock was set {by_s:+.0f} s")
     times = [event["t_s"] for event in run.events if event["t_s"] is not None]
     assert times == sorted(times), "the bench's own time goes on"
+
+
+def test_a_busy_computer_is_no_clock_that_is_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody else may run for seconds between two looks at two clocks."""
+    files(tmp_path)
+    asleep_s, looks = 0.0, 0
+
+    def late() -> datetime:
+        nonlocal asleep_s, looks
+        looks += 1
+        told = datetime.now(UTC) + timedelta(seconds=asleep_s)
+        asleep_s += 20.0 if looks == 11 else 0.0  # the first of an event: its look at both clocks
+        return told
+
+    monkeypatch.setattr("bench.running.attention.wall_time", late)
+    monkeypatch.setattr("bench.running.attention.stopwatch_s", lambda: stopwatch_s() + asleep_s)
+    run = read_run(start(tmp_path)[0])
+    assert looks > 12
+    assert [event["text"] for event in run.events if event["kind"] == "clock"] == []
 
 
 def test_events_as_lines_and_each_is_json(tmp_path: Path) -> None:

@@ -34,6 +34,20 @@ def test_the_first_screen_says_what_and_why_and_what_next(report: Path) -> None:
         assert seen.complaints == []
 
 
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
+def test_what_to_do_next_is_on_the_first_screen(report: Path, width: int, height: int) -> None:
+    with browser_page(width=width, height=height) as seen:
+        page = seen.open(report)
+        for part in ("header .kind", "h1", "#top-verdict", "#verdict .why", "#verdict .next dt", "#verdict .next dd"):
+            box = page.locator(part).bounding_box()
+            assert box is not None, part
+            assert box["y"] + min(box["height"], 24) <= height, part
+        links = page.locator("#verdict .looks a")
+        expect(links).to_have_count(3)
+        links.first.click()
+        expect(page.locator("article.trial.here")).to_be_in_viewport()
+
+
 def test_every_picture_is_there_and_nothing_is_asked_of_a_network(report: Path) -> None:
     with browser_page() as seen:
         seen.open(report)

@@ -64,6 +64,16 @@ def test_any_detector_shows_its_stages_by_their_pixels(calibration: Calibration)
     assert {one.name for one in found} <= set(NAMES.values())
 
 
+def test_stages_of_a_known_name_and_another_form_are_not_drawn(calibration: Calibration) -> None:
+    """Whoever writes a detector may call a stage as the bench's own are called."""
+    odd: list[Any] = [["a", "b"], [[1.0, 2.0], [3.0]], [1.0, 2.0, 3.0], {"shape": [500], "type": "float64"}, 7, None]
+    for value in odd:
+        trace = {name: {"left": value, "left_px": value, "points_px": value, "teats": value, "reasons": value, "end_px": value}
+                 for name in ("regions", "nominations", "decisions", "teat ends", "thermal", "mine")}  # fmt: skip
+        for camera in ("left", "thermal"):
+            assert {one.tone for one in overlays(trial(trace), camera, None, calibration)} <= {"point"}
+
+
 def test_regions_lie_round_their_nominations(calibration: Calibration) -> None:
     trace = {"nominations": {"left_px": [[100.0, 50.0]]}, "regions": {"left": {"shape": [1, 41, 21]}}}
     (region,) = layer(overlays(trial(trace), "left", None, calibration), "region").shapes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from bench.summary import build_page
 from bench.summary.page import stored_rules
 from bench.verdicts import judge
 from reports.render import render
+from tests.chromium import chromium
 from tests.reports.markup import Document, read
 
 HOSTILE = "<img src=x onerror=alert(1)></td></table><script>alert(2)</script>\"'&"
@@ -48,13 +50,29 @@ POINTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "3 measurand and source": ("reference", ("Measurand:", "apex")),
     "3 the requirement's source": ("requirements", ("thesis, section 1.4.3",)),
     "4 reference": ("reference", ("Uncertainty budget of the touched truth", "The arm before and after the trials", "World frame")),
+    "4 the bench's own repeatability": ("reference", ("Gage R&R of the ground truth: not measured", "repeat the poses")),
     "5 calibration": ("reference", ("The calibration has no record of who made it",)),
     "6 pose set": ("poses", ("How the poses were chosen", "seed of the script")),
     "6 environment": ("environment", ("room, of the rig file", "20.00 °C", "teats' surface", "set point")),
     "7 decision rule": ("requirements", ("accepted up to 4.", "5 % false acceptance", "exact (Clopper-Pearson)")),
     "8 counts and rates": ("results", ("found of visible", "95 % interval", "scene success, poses")),
+    "8 every rate by situation": ("results", ("Rates by situation", "hidden count right", "no time-out", "recall, teats", "(2\u00a0to\u00a0100\u00a0%)")),
+    "9 errors along the axes of world and camera": (
+        "accuracy",
+        ("bias", "sd", "rms", "mean |e|", "world z", "camera x (across)", "by teat"),
+    ),
+    "9 distances": ("accuracy", ("median", "p95", "p99", "max", "mm a scene", "The truth's noise alone would show")),
+    "9 limits of each axis and of the population": ("accuracy", ("Along one axis alone", "Tolerance limits", "59 poses are the least")),
+    "9 ellipsoids of each teat": (
+        "accuracy",
+        ("Errors with their 95 % ellipsoids, fused", "next pose's mean error, 95 %", "teat 4", "Hotelling"),
+    ),
+    "9 trends": ("accuracy", ("tilt of the teat", "bath temperature", "time (h)", "could be up to", "doesn't say that there is none")),
+    "9 map": ("poses", ("Error over the plane, fused", "24 places", "Each teat has a panel of its own")),
+    "9 repeats": ("poses", ("AP, RP, AD and RD (ISO 9283), fused: not measured", "Repeatability and reproducibility (ISO 5725), fused")),
+    "9 detectors against each other": ("detectors", ("fused against thesis", "exact McNemar", "Success of poses", "|z|")),
     "9 accuracy": ("accuracy", ("camera z (depth)", "GOSPA", "Ellipsoids", "Trends", "Limit of what can be reached")),
-    "10 latency": ("latency", ("median", "p95", "max", "above 1 s", "above 2 s", "first call (cold)")),
+    "10 latency": ("latency", ("median", "p95", "max", "above 1 s", "above 2 s", "first call (cold)", "start-up", "no answer")),
     "11 deviations": ("deviations", ("None: every trial of the script was done",)),
     "11 raw data and command": ("provenance", ("run.sqlite", "trials.csv", "record's digest", "teatbench", "The command that repeats it")),
 }
@@ -86,6 +104,15 @@ def test_frames_are_jpeg_and_link_their_originals(folder: Path, document: Docume
     assert len(frames) == 6
     assert all((folder / "report" / src).read_bytes()[:2] == b"\xff\xd8" for src in frames)
     assert f"../frames/{frames[0].removeprefix('images/').removesuffix('-left.jpg')}/left.png" in document.values("href")
+
+
+def test_frames_are_of_quality_80(folder: Path, document: Document) -> None:
+    """The luminance table of ITU-T T.81, K.1 (16, 11, 12, 14 in zigzag order), scaled as libjpeg does: (v (200 - 2 q) + 50) / 100."""
+    for src in (element.attributes["src"] for element in document.all("img")):
+        if src.endswith(".jpg"):
+            picture = (folder / "report" / src).read_bytes()
+            tables = picture.index(b"\xff\xdb")
+            assert list(picture[tables + 5 : tables + 9]) == [6, 4, 5, 6], src
 
 
 def test_faults_of_cameras_are_told(folder: Path, tmp_path: Path) -> None:
@@ -142,3 +169,36 @@ def test_a_pdf_needs_a_browser(folder: Path, monkeypatch: pytest.MonkeyPatch, ca
     monkeypatch.setattr("reports.pdf.find_browser", lambda: None)
     assert main(["report", str(folder), "--pdf"]) == 2
     assert "no Chromium, Chrome or Edge was found" in capsys.readouterr().err
+
+
+@pytest.mark.browser
+def test_a_pdf_is_printed_where_a_browser_is(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("TEATBENCH_BROWSER", chromium())
+    verdict = main(["report", str(folder), "--no-pdf"])
+    printed = folder / "report" / "report.pdf"
+    assert not printed.exists()
+    assert main(["report", str(folder)]) == verdict
+    assert f"PDF: {printed}" in capsys.readouterr().out
+    assert b"/Title (Six situations: not met)" in printed.read_bytes()
+    assert main(["report", str(folder), "--no-pdf"]) == verdict
+    assert not printed.exists()  # an older one doesn't stand beside a newer page
+
+
+def test_a_browser_that_fails_costs_the_pdf_only(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("TEATBENCH_BROWSER", sys.executable)
+    assert main(["report", str(folder)]) in (0, 1, 4)
+    told = capsys.readouterr()
+    assert "Report: " in told.out
+    assert re.search(r"no PDF: .*report\.pdf: .* ended with code 2 and printed nothing", told.err)
+    assert main(["report", str(folder), "--pdf"]) == 2
+
+
+@pytest.mark.browser
+def test_a_script_of_offsets_is_printed_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "thesis-test-2", "--out", str(tmp_path)]) == 1
+    (run,) = tmp_path.iterdir()
+    assert not (run / "report" / "report.pdf").exists()
+    monkeypatch.setenv("TEATBENCH_BROWSER", chromium())
+    assert main(["report", str(run), "--pdf"]) == 1
+    assert (run / "report" / "report.pdf").read_bytes().startswith(b"%PDF-")
+    capsys.readouterr()

@@ -37,6 +37,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
     return folder, steps_of(lambda: start(folder, "whole"))
 
 
+@pytest.mark.timeout(max(120, 60 * KILLS))
 def test_killed_at_random_moments_and_resumed_equals_undisturbed(undisturbed: tuple[Path, int]) -> None:
     folder, steps = undisturbed
     wanted = results(only_run(folder, "whole"))

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bench.engine import Ending
 from bench.jobs import HowToRun, resume_run
 from bench.record import RunRecord, read_run
+from bench.store import Store
+from bench.store.check import check_run
 from bench.truth.carrying import REFERENCE_FACT
-from tests.bench.killed_runs import Silent, killed_while, only_run, results, resume, start
+from tests.bench.killed_runs import Silent, killed_at, killed_while, only_run, results, resume, start, steps_of
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files
 
 if sys.platform == "win32":
@@ -19,6 +23,7 @@ if sys.platform == "win32":
 
 from bench.running.trial_run import TrialRun
 
+KILLS = int(os.environ.get("TEATBENCH_KILLS", "1"))
 CARRY = SCRIPT.replace(
     "poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0, yaw_deg = 4.0 }, {}]",
     "poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0 }, {}]",
@@ -64,6 +69,32 @@ def test_a_carried_truth_goes_on_either_way(tmp_path: Path, monkeypatch: pytest.
     assert after.facts[REFERENCE_FACT]["trial"] == "001-place-1-1"
     assert {check["held"] for check in after.checks} <= {0, 1}
     assert after.checks[-1]["after_trial"] == "003-place-3-1"
+
+
+@pytest.mark.parametrize(("limit_mm", "kind"), [(1.5, "check touch"), (0.01, "invalid")], ids=["a check that holds", "a check that fails"])
+def test_killed_just_after_a_check_of_the_carried_truth(tmp_path: Path, limit_mm: float, kind: str) -> None:
+    """The check is in the record, the trial that it came before is not: gone through again, it is not written a second time."""
+    files(tmp_path, stage=STAGE, script=CARRY.replace('mode = "carry"', f'mode = "carry"\ncheck_every = 1\ncheck_limit_mm = {limit_mm}'))
+    start(tmp_path, "whole")
+    wanted = results(only_run(tmp_path, "whole"))
+    assert killed_while(f"'{kind}'", "event", Store, lambda: start(tmp_path, "runs"))
+    assert read_run(only_run(tmp_path, "runs")).checks
+    assert resume(tmp_path, "runs")[1] is Ending.FINISHED
+    assert results(only_run(tmp_path, "runs")) == wanted
+    assert check_run(only_run(tmp_path, "runs")).whole
+
+
+@pytest.mark.timeout(max(120, 60 * KILLS))
+def test_killed_at_random_moments_with_a_carried_truth_equals_undisturbed(tmp_path: Path) -> None:
+    files(tmp_path, stage=STAGE, script=CARRY.replace('mode = "carry"', 'mode = "carry"\ncheck_every = 1'))
+    steps = steps_of(lambda: start(tmp_path, "whole"))
+    wanted = results(only_run(tmp_path, "whole"))
+    for number, step in enumerate(np.random.default_rng(14).integers(1, steps, KILLS).tolist()):
+        out = f"killed-{number}"
+        assert killed_at(step, lambda out=out: start(tmp_path, out)), step  # type: ignore[misc]
+        if (tmp_path / out).is_dir():
+            assert resume(tmp_path, out)[1] is Ending.FINISHED, step
+            assert results(only_run(tmp_path, out)) == wanted, f"killed at step {step} of {steps}"
 
 
 def test_a_run_that_somebody_ended_goes_on_too(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import pytest
 
 from bench.cli import main
 from bench.record import read_run
+from bench.running.recorder import RECORDED
 from bench.store import DATABASE, Store
 from bench.store.check import PRINTED, Weight, check_run
 from bench.store.schema import tables_of
@@ -196,6 +197,7 @@ def test_the_digest_without_real_time_repeats_and_the_other_does_not(tmp_path: P
         store = Store.create(tmp_path / name, {"script.toml": "x = 1"})
         facts(store)
         store.fact("command", command)
+        store.fact(RECORDED, str(tmp_path / f"recorded-{name}"))
         store.fact("wall_started", wall_time().isoformat())
         store.finished(trial(store, 1))
         heads.append(store.head)

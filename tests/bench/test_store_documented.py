@@ -7,7 +7,7 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-from bench.exporting.messages import SCHEMAS
+from bench.exporting.schemas import SCHEMAS
 from bench.store.schema import SCHEMA_VERSION, make_tables, tables_of
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "record.md").read_text(encoding="utf-8")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 import csv
 import json
+import math
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -13,14 +13,18 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from bench.cli import main
-from bench.exporting.messages import SCHEMAS
+from bench.exporting.schemas import SCHEMAS
 from bench.record import RunRecord, read_run
+from bench.rig import RIGS, read_calibration
 from bench.store import FinishedTrial, Store
 from instruments.clock import wall_time
+from tests.bench.mcap_reading import messages_of
 from tests.bench.test_store import facts, trial
 
+RADIOMETRIC = np.arange(29_300, 29_312, dtype=np.uint16).reshape(3, 4)
 SCORE = {"score": json.dumps({"radial_mm": [1.5, 2.5]}), "wall_score": json.dumps({"success": True})}
 TOUCH = {
     "teat": "1",
@@ -38,13 +42,11 @@ TOUCH = {
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
     folder = tmp_path_factory.mktemp("exports") / "run"
-    store = Store.create(folder, {})
+    store = Store.create(folder, {"calibration.toml": (RIGS / "calibration.toml").read_text(encoding="utf-8")})
     facts(store)
     store.event(0.5, "state", "preparing", wall_time())
     made = trial(store, 1)
-    frames = store.frames(
-        "001-x-1", {"left": np.full((6, 8), 1, np.uint8), "thermal_radiometric": np.full((3, 4), 29315, np.uint16)}, {"left": 1.0}
-    )
+    frames = store.frames("001-x-1", {"left": np.full((6, 8), 1, np.uint8), "thermal_radiometric": RADIOMETRIC}, {"left": 1.0})
     times = {"started_s": 0.75, "captured_s": 1.0, "ended_s": 2.0, "stage_mm": "[100.0, 0.0, -5.0]", "bath_c": 33.0, "bath_state": "stable"}
     touch = {"trial": "001-x-1", **TOUCH}
     score = {"trial": "001-x-1", "detector": "thesis", **SCORE}
@@ -116,48 +118,20 @@ def log(run: RunRecord, tmp_path_factory: pytest.TempPathFactory) -> dict[str, l
     reader = pytest.importorskip("mcap.reader", reason="the extra 'export' is not installed")
     out = exported(run, "mcap", tmp_path_factory.mktemp("mcap"))
     assert [path.name for path in out.iterdir()] == ["run.mcap"]
-    found: dict[str, list[tuple[str, int, Any]]] = {}
-    with (out / "run.mcap").open("rb") as file:
-        for schema, channel, message in reader.make_reader(file, validate_crcs=True).iter_messages():
-            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
-            assert json.loads(schema.data) == SCHEMAS[schema.name]
-            found.setdefault(channel.topic, []).append((schema.name, message.log_time, json.loads(message.data)))
-    return found
+    return messages_of(out / "run.mcap", reader)
 
 
-KINDS: dict[str, Any] = {
-    "string": str,
-    "number": (int, float),
-    "integer": int,
-    "boolean": bool,
-    "null": type(None),
-    "object": dict,
-    "array": list,
-}
-
-
-def misfits(schema: Any, value: Any, where: str = "") -> list[str]:
-    """Where ``value`` is not what its JSON schema says; all fields have to be there."""
-    kinds = [schema["type"]] if isinstance(schema["type"], str) else schema["type"]
-    if not any(isinstance(value, KINDS[kind]) for kind in kinds):
-        return [f"{where}: {value!r} is no {kinds}"]
-    fields = schema.get("properties", {})
-    found = [f"{where}: {value.keys()}"] if fields and fields.keys() != value.keys() else []
-    found += [one for name, field in fields.items() if name in value for one in misfits(field, value[name], f"{where}.{name}")]
-    return found + [one for item in (value if "items" in schema else ()) for one in misfits(schema["items"], item, f"{where}[]")]
-
-
-def test_mcap_messages_are_what_their_schemas_say(log: dict[str, list[tuple[str, int, Any]]]) -> None:
+def test_mcap_has_every_schema(log: dict[str, list[tuple[str, int, Any]]]) -> None:
     assert {name for rows in log.values() for name, _, _ in rows} == set(SCHEMAS)
-    for topic, rows in log.items():
-        for name, _, content in rows:
-            assert misfits(SCHEMAS[name], content, topic) == []
 
 
 def test_mcap_has_everything_on_the_benchs_time_line(run: RunRecord, log: dict[str, list[tuple[str, int, Any]]]) -> None:
     start = datetime.fromisoformat(run.events[0]["wall_time"]).timestamp() - 0.5
     at = {topic: [round(ns / 1e9 - start, 6) for _, ns, _ in rows] for topic, rows in log.items()}
     assert at == {
+        "/tf": [0.5],
+        "/lenses/left": [0.5],
+        "/lenses/right": [0.5],
         "/events": [0.5, 3.0],
         "/bath": [1.0],
         "/trial": [1.0],
@@ -171,18 +145,39 @@ def test_mcap_has_everything_on_the_benchs_time_line(run: RunRecord, log: dict[s
     }
     for rows in log.values():
         for _, ns, content in rows:
-            assert content["timestamp"] == {"sec": ns // 10**9, "nsec": ns % 10**9}
+            for one in content.get("transforms", [content]):
+                assert one["timestamp"] == {"seconds": ns // 10**9, "nanos": ns % 10**9}
 
 
 def test_mcap_frames_are_the_files_byte_for_byte(run: RunRecord, log: dict[str, list[tuple[str, int, Any]]]) -> None:
-    for row in run.trials[0].frames:
-        ((schema, _, content),) = log[f"/cameras/{row['camera']}"]
-        data = base64.b64decode(content["data"])
-        assert (schema, content["format"], content["frame_id"]) == ("foxglove.CompressedImage", "png", row["camera"])
-        assert data == (run.folder / row["path"]).read_bytes()
-    radiometric = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    assert radiometric is not None
-    assert (radiometric == 29315).all()
+    ((schema, _, content),) = log["/cameras/left"]
+    (path,) = (row["path"] for row in run.trials[0].frames if row["camera"] == "left")
+    assert (schema, content["format"], content["frame_id"]) == ("foxglove.CompressedImage", "png", "left")
+    assert content["data"] == (run.folder / path).read_bytes()
+
+
+def test_mcap_radiometric_frames_are_pixels_so_that_a_viewer_can_spread_them(log: dict[str, list[tuple[str, int, Any]]]) -> None:
+    ((schema, _, content),) = log["/cameras/thermal_radiometric"]
+    assert (schema, content["encoding"], content["frame_id"]) == ("foxglove.RawImage", "mono16", "thermal")
+    assert (content["width"], content["height"], content["step"]) == (4, 3, 8)
+    assert np.array_equal(np.frombuffer(content["data"], "<u2").reshape(3, 4), RADIOMETRIC)
+
+
+def test_mcap_ties_the_cameras_to_the_world_and_tells_their_lenses(log: dict[str, list[tuple[str, int, Any]]]) -> None:
+    """A point of the world goes through the ties and the lens as it goes through the calibration."""
+    known = read_calibration(RIGS / "calibration.toml")
+    (ties,) = (content["transforms"] for _, _, content in log["/tf"])
+    assert [(tie["parent_frame_id"], tie["child_frame_id"]) for tie in ties] == [("world", "right"), ("right", "left"), ("left", "thermal")]
+    point_m, wanted = np.array([-0.05, 0.29, 0.13]), known.world_from_left.inverse().apply([[-50.0, 290.0, 130.0]])
+    for tie in ties[:2]:
+        turn = Rotation.from_quat([tie["rotation"][axis] for axis in "xyzw"])
+        point_m = turn.inv().apply(point_m - [tie["translation"][axis] for axis in "xyz"])
+    assert np.allclose(1000.0 * point_m, wanted[0], atol=1e-9)
+    ((_, _, lens),) = log["/lenses/left"]
+    pixel, _ = cv2.projectPoints(point_m, np.zeros(3), np.zeros(3), np.reshape(lens["K"], (3, 3)), np.array(lens["D"]))
+    assert np.allclose(pixel.ravel(), known.left.project(wanted)[0], atol=1e-6)
+    assert (lens["frame_id"], lens["width"], lens["height"], lens["distortion_model"]) == ("left", 1360, 1024, "plumb_bob")
+    assert np.array_equal(np.reshape(lens["P"], (3, 4))[:, :3], np.reshape(lens["K"], (3, 3)))
 
 
 def test_mcap_places_are_metres_in_their_frames(log: dict[str, list[tuple[str, int, Any]]]) -> None:
@@ -204,9 +199,9 @@ def test_mcap_events_answers_and_trials_say_what_the_record_says(log: dict[str, 
         ("fault", "the stage is gone", 4),
     ]
     answer = log["/answers/thesis"][0][2]
-    assert (answer["success"], answer["max_error_mm"], answer["seconds"]) == (True, 2.5, 0.1)
-    assert log["/bath"][0][2]["external_c"] is None
-    assert (log["/trial"][0][2]["id"], log["/trial"][0][2]["invalid"]) == ("001-x-1", None)
+    assert (answer["success"], answer["max_error_mm"], answer["seconds"]) == (1.0, 2.5, 0.1)
+    assert math.isnan(log["/bath"][0][2]["external_c"]), "not measured"
+    assert (log["/trial"][0][2]["id"], log["/trial"][0][2]["invalid"]) == ("001-x-1", "")
 
 
 def test_a_rotten_frame_is_not_exported(run: RunRecord, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -218,6 +213,26 @@ def test_a_rotten_frame_is_not_exported(run: RunRecord, tmp_path: Path, capsys: 
     assert main(["store", "export", str(copy), "--format", "mcap", "--out", str(tmp_path / "out")]) == 2
     assert "is not as it was written: 'teatbench store check" in capsys.readouterr().err
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_run_without_a_calibration_has_neither_ties_nor_lenses_and_pixels_have_16_bits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reader = pytest.importorskip("mcap.reader", reason="the extra 'export' is not installed")
+    store = Store.create(tmp_path / "run", {})
+    facts(store)
+    done = trial(store, 1)
+    store.finished(done)
+    assert main(["store", "export", str(store.folder), "--format", "mcap", "--out", str(tmp_path)]) == 0
+    assert {topic.split("/")[1] for topic in messages_of(tmp_path / "run.mcap", reader)} == {
+        "bath", "trial", "answers", "detections", "truth", "cameras",
+    }  # fmt: skip
+    other = trial(store, 2)
+    frames = store.frames("002-x-1", {"thermal_radiometric": np.zeros((3, 4), np.uint8)}, {})
+    store.finished(FinishedTrial(other.trial, frames, [], other.truth, other.detections, other.found, []))
+    store.close()
+    assert main(["store", "export", str(store.folder), "--format", "mcap", "--out", str(tmp_path)]) == 2
+    assert "thermal_radiometric.png can't be exported: it is no grey picture of 16 bits" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("kind", "library"), [("parquet", "pyarrow"), ("mcap", "mcap")])

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
+from bench.cameras.frame_taker import FrameTaker
 from bench.detecting.latency import latency_of
+from bench.running.attention import Attention
 from bench.running.run_state import EVENT
+from instruments.camera.frame import FrameSet
 from tests.bench.operated_runs import SCRIPT, files, run
 
 FAULT = """prompt_s = 120.0
@@ -31,3 +36,31 @@ def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) 
     assert states[2:5] == ["running", "settling", "running"]
     assert latency_of(record, "thesis").median_s is not None
     assert max(latency_of(record, "thesis").seconds) < 60.0 <= late[0].head["ended_s"] - late[0].head["started_s"]
+
+
+def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was in its band when the cameras were asked: what they gave later is of a bath that wasn't, and no detector's fault."""
+    take, wait, waiting, taken = FrameTaker.take, Attention.wait, list[Attention](), list[FrameSet]()
+
+    def late(taker: FrameTaker) -> FrameSet:
+        if not taken:
+            wait(waiting[-1], 120.0)
+        taken.append(take(taker))
+        return taken[-1]
+
+    def noted(attention: Attention, seconds: float) -> None:
+        waiting.append(attention)
+        wait(attention, seconds)
+
+    monkeypatch.setattr(FrameTaker, "take", late)
+    monkeypatch.setattr(Attention, "wait", noted)
+    script = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\nleave_k = 0.03\nmean_k = 0.03")
+    fault = FAULT.replace("prompt_s = 120.0", "").replace("at_s = 855.0", "at_s = 100.0")
+    code, record = run(files(tmp_path, script=script, emulation=fault), tmp_path)
+    assert (code, record.ending) == (0, "finished")
+    assert [event["text"].split(":")[0] for event in record.events if event["kind"] == "suspended"] == ["001-place-1-1"]
+    assert [trial.head["bath_state"] for trial in record.trials] == ["stable"] * 3
+    assert len(taken) == 4, "the first trial's are taken again"
+    assert len(record.trials[0].frames) == len(record.trials[1].frames)

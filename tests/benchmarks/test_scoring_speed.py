@@ -11,8 +11,9 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from bench.scoring.comparison import ScenePair, compare
-from bench.scoring.decisions import Decision, decide_count, decide_error, decide_rate, decide_time
+from bench.scoring.decisions import Decision, decide_count, decide_rate, decide_time
 from bench.scoring.ellipsoid import pose_means, prediction_ellipsoid
+from bench.scoring.error_decision import decide_error
 from bench.scoring.errors import ErrorSummary
 from bench.scoring.plane import error_map
 from bench.scoring.points import Floats
@@ -48,11 +49,12 @@ def whole(truth: Floats, found: Floats) -> tuple[ErrorSummary, list[Decision], T
     together = pool(scored(truth, found), poses)
     errors, of = together.errors_mm, together.error_poses
     distances = np.linalg.norm(errors, axis=1)
+    sure, perhaps = together.surely_succeeded(0.99, 0.95), together.perhaps_succeeded
     decisions = [
         decide_error("error", distances, limit_mm=5.0, u_mm=0.3, rate=0.99, confidence=0.95, poses=of),
-        decide_rate("success", together.success, required=0.99, confidence=0.95),
-        decide_count("false", together.counts.false, scenes=len(together.scores)),
-        decide_time("time", together.seconds, limit_s=1.0, statistic="p95"),
+        decide_rate("success", together.success, required=0.99, confidence=0.95, shown=sure, possible=perhaps),
+        decide_count("false", together.counts.false, scenes=len(together.scores), per_pose=together.worst_false),
+        decide_time("time", together.seconds, limit_s=1.0, statistic="p95", poses=together.poses),
     ]
     assert together.hidden_right.trials == together.in_time.trials == -(-len(truth) // 3)
     places = np.concatenate([ends[[j for _, j in s.match.pairs]] for ends, s in zip(truth, together.scores, strict=True)])

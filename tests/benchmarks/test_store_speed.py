@@ -6,9 +6,10 @@ import importlib
 import importlib.util
 import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from statistics import median
+from statistics import median, quantiles
+from time import thread_time
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,8 @@ from tests.bench.test_store import facts
 from tests.benchmarks.figures import figure
 
 EVENTS, A_STEP = 3000, 50
-LONG = 100_000
+LONG, BLOCKS, A_BLOCK = 100_000, 40, 200
+COUNTED, TURNS = 300, 20
 FRAMES, A_TRIAL = 96, 4
 
 
@@ -38,14 +40,15 @@ def rate(count: int, benchmark: BenchmarkFixture) -> float:
     return count / float(benchmark.stats.stats.median)
 
 
-def test_events_in_steps(benchmark: BenchmarkFixture, store: Store) -> None:
-    def events() -> None:
-        for _ in range(EVENTS // A_STEP):
-            with store.step():
-                for number in range(A_STEP):
-                    store.event(float(number), "state", "the stage moves to x = 120 mm", wall_time())
+def say(store: Store, events: int) -> None:
+    for _ in range(events // A_STEP):
+        with store.step():
+            for number in range(A_STEP):
+                store.event(float(number), "state", "the stage moves to x = 120 mm", wall_time())
 
-    benchmark.pedantic(events, rounds=5, warmup_rounds=1)
+
+def test_events_in_steps(benchmark: BenchmarkFixture, store: Store) -> None:
+    benchmark.pedantic(lambda: say(store, EVENTS), rounds=5, warmup_rounds=1)
     figure(benchmark, f"events a second, durable with their step of {A_STEP}", rate(EVENTS, benchmark), "at least 5 000")
 
 
@@ -67,21 +70,51 @@ def bare_trial(number: int) -> FinishedTrial:
     return FinishedTrial(head, [], [], [truth], [detection], [found], [])
 
 
-def test_a_step_late_in_a_run_of_100_000(benchmark: BenchmarkFixture, store: Store) -> None:
-    """Syncs would hide it: they are off here, so that what grows with the run is all that could show."""
-    store._db.execute("PRAGMA synchronous = OFF")
-    taken: list[float] = []
+def test_a_step_late_in_a_run_of_100_000(benchmark: BenchmarkFixture, store: Store, tmp_path: Path) -> None:
+    """Beside a step early in another run, in turns, so that what else the machine does falls on both.
 
-    def whole_run() -> None:
-        for number in range(1, LONG + 1):
-            start = stopwatch_s()
-            store.finished(bare_trial(number))
-            taken.append(stopwatch_s() - start)
+    In the thread's own time, without syncs, which would hide it: then what grows with the run is all that could show.
+    """
+    early = Store.create(tmp_path / "early", {})
+    facts(early)
+    for one in (store, early):
+        one._db.execute("PRAGMA synchronous = OFF")
+    for number in range(1, LONG + 1):
+        store.finished(bare_trial(number))
+    steps_s(early, 1, LONG // 100)
+    blocks: list[tuple[float, float]] = []
 
-    benchmark.pedantic(whole_run, rounds=1)
-    first, last = (1e6 * median(some) for some in (taken[100 : LONG // 10], taken[-LONG // 10 :]))
-    figure(benchmark, "a trial's step in the run's first tenth without sync, us", first, "-")
-    figure(benchmark, f"the same in the last tenth of {LONG}, us", last, f"no more than {first:.4g}")
+    def in_turns() -> None:
+        for number in range(BLOCKS):
+            begun = [(store, LONG + 1 + number * A_BLOCK), (early, LONG // 100 + 1 + number * A_BLOCK)]
+            taken_s = {one: steps_s(one, first, A_BLOCK) for one, first in (begun if number % 2 else reversed(begun))}
+            blocks.append((taken_s[store], taken_s[early]))
+
+    benchmark.pedantic(in_turns, rounds=1)
+    early.close()
+    late_s, early_s = (median(some) for some in zip(*blocks, strict=True))
+    figure(benchmark, "a trial's step early in a run, without sync, us of the thread's time", 1e6 * early_s, "-")
+    figure(benchmark, f"the same after {LONG}, us", 1e6 * late_s, "no more than that")
+    ratios(benchmark, "the one over the other", [late / early for late, early in blocks], "at most 1")
+
+
+def steps_s(store: Store, first: int, count: int) -> float:
+    """The median cost of ``count`` trials from number ``first`` on."""
+    taken = []
+    for number in range(first, first + count):
+        done = bare_trial(number)
+        start_s = thread_time()
+        store.finished(done)
+        taken.append(thread_time() - start_s)
+    return median(taken)
+
+
+def ratios(benchmark: BenchmarkFixture, what: str, found: list[float], aim: str) -> None:
+    """Their median, and the span that holds nine in ten of them."""
+    twentieths = quantiles(found, n=20)
+    figure(benchmark, f"{what}, median of {len(found)}", median(found), aim)
+    figure(benchmark, f"{what}, 5 % lie below", twentieths[0], "-")
+    figure(benchmark, f"{what}, 5 % lie above", twentieths[-1], "-")
 
 
 @pytest.mark.parametrize("bits", [16, 8])
@@ -115,15 +148,40 @@ class Counter:
         return {self.name: {"source": "count", "dtype": "number", "shape": []}}
 
 
-@pytest.mark.skipif(importlib.util.find_spec("bluesky") is None, reason="bluesky is not installed: nothing to compare with")
-def test_blueskys_count_plan(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
-    """The same machine in the same minute: events of ``count`` through bluesky's run engine into a file of JSON lines, never synced."""
-    engine = importlib.import_module("bluesky").RunEngine({}, context_managers=[])
+@pytest.fixture
+def count_plan(tmp_path: Path) -> Iterator[Callable[[], None]]:
+    """Events of bluesky's ``count`` through its run engine into a file of JSON lines, which it never syncs."""
+    if importlib.util.find_spec("bluesky") is None:
+        pytest.skip("bluesky is not installed: nothing to compare with")
+    engine: Any = importlib.import_module("bluesky").RunEngine({}, context_managers=[])
     plans = importlib.import_module("bluesky.plans")
 
     def count() -> None:
         with (tmp_path / "documents.jsonl").open("a", encoding="utf-8") as file:
-            engine(plans.count([Counter()], num=300), lambda name, doc: file.write(json.dumps([name, doc], default=str) + "\n"))
+            engine(plans.count([Counter()], num=COUNTED), lambda name, doc: file.write(json.dumps([name, doc], default=str) + "\n"))
 
-    benchmark.pedantic(count, rounds=3, warmup_rounds=1)
-    figure(benchmark, "bluesky: events of the count plan a second, to JSON lines", rate(300, benchmark), "for scale")
+    yield count
+    engine.loop.call_soon_threadsafe(engine.loop.stop)
+    engine._th.join()
+    engine.loop.close()
+
+
+def test_events_beside_blueskys_count_plan(benchmark: BenchmarkFixture, store: Store, count_plan: Callable[[], None]) -> None:
+    """In turns in one run, so that what else the machine does falls on both."""
+    turns: list[tuple[float, float]] = []
+
+    def in_turns() -> None:
+        for _ in range(TURNS):
+            start_s = stopwatch_s()
+            say(store, COUNTED)
+            ours_s = stopwatch_s() - start_s
+            count_plan()
+            turns.append((COUNTED / ours_s, COUNTED / (stopwatch_s() - start_s - ours_s)))
+
+    in_turns()
+    turns.clear()
+    benchmark.pedantic(in_turns, rounds=1)
+    ours, theirs = (median(some) for some in zip(*turns, strict=True))
+    figure(benchmark, "events a second, durable with their step, in turns with bluesky", ours, "at least 5 000")
+    figure(benchmark, "bluesky: events of the count plan a second, to JSON lines without sync", theirs, "for scale")
+    ratios(benchmark, "the one over the other", [one / other for one, other in turns], "-")

@@ -59,7 +59,11 @@ MET: dict[str, Callable[[Pictures], Pictures]] = {
     "kelvin not a number": lambda f: replace(f, thermal=None, thermal_k=np.full((120, 160), np.nan)),
     "kelvin in a row": lambda f: replace(f, thermal=None, thermal_k=np.full(7, 305.0)),
 }
-HOPELESS = ("1 x 1", "1 x 1 thermal", "1 x 1 left", "half size", "turned", "empty", "one row", "black", "saturated", "no thermal")
+HOPELESS = {
+    *("1 x 1", "1 x 1 thermal", "1 x 1 left", "half size", "turned", "empty", "one row"),
+    *("black", "saturated", "thermal black", "no thermal"),
+}
+DECEPTIVE = {"noise only", "thermal noise", "swapped"}  # the published chain doesn't ask whether what it sees are teats
 
 
 def told(found: Detection) -> None:
@@ -81,8 +85,15 @@ def told(found: Detection) -> None:
 def test_it_works_or_says_why_not(name: str, what: str, frames: Pictures, rig: Calibration) -> None:
     found = create(name, []).detect(MET[what](frames), rig)
     told(found)
-    if what in HOPELESS:
+    if what in HOPELESS or (what in DECEPTIVE and not name.startswith("thesis")):
         assert found.teats == (), what
+        assert found.reason, what
+
+
+@pytest.mark.parametrize("what", sorted(DECEPTIVE))
+def test_the_published_chain_takes_anything_for_teats(what: str, frames: Pictures, rig: Calibration) -> None:
+    """Its faults are the original's: docs/detectors.md tells of this one."""
+    assert len(create("thesis", []).detect(MET[what](frames), rig).teats) == 4
 
 
 @pytest.mark.parametrize("name", NAMES)

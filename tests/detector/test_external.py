@@ -49,6 +49,26 @@ def test_it_gets_the_pictures_and_the_calibration_as_they_are(start: Start, rig:
     assert sorted(path.name for path in kept.iterdir()) == ["1-left.png", "1-right.png", "1-thermal_radiometric.png", "calibration.toml"]
 
 
+@pytest.mark.parametrize("deed", ["shutil.rmtree(os.path.dirname(asked['left']))", "os.unlink(asked['calibration'])"])
+def test_a_program_that_removes_what_it_was_given_gets_it_again(start: Start, rig: Calibration, deed: str) -> None:
+    there = 'import shutil\nthere = all(os.path.isfile(p) for k, p in asked.items() if k != "frame")\n'
+    detector = start(answering(f'{there}{deed}\nsay({{"frame": asked["frame"], "teats": [], "hidden": int(there)}})'))
+    assert [ask(detector, rig).hidden for _ in range(3)] == [1, 1, 1]
+
+
+def test_pictures_that_no_disk_takes_are_told(start: Start, rig: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
+    detector = start(GOOD)
+
+    def full(*_: object, **__: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", full)
+        assert "its pictures can't be put into" in (told := str(failure(detector, rig)))
+        assert told.endswith(": No space left on device")
+    assert ask(detector, rig).hidden == 1
+
+
 SILENT, PARTIAL = "time.sleep(60)", 'print("{\\"frame\\": ", end="", flush=True)\ntime.sleep(60)'
 
 

@@ -45,6 +45,12 @@ def test_pixel_pairs_are_triangulated(rig: Calibration) -> None:
     assert np.allclose(teat.left_px, left[0])
 
 
+@pytest.mark.parametrize("left", [[float("nan"), 1.0], [1e308, -1e308], [float("inf"), 0.0]])
+def test_pixels_that_lead_nowhere_are_told_as_pixels(rig: Calibration, left: list[float]) -> None:
+    with pytest.raises(BadAnswer, match=r'"left_px" .* and "right_px" .* of teat 1 lead to no point in space'):
+        parse_answer(line(teats=[{"left_px": left, "right_px": [1.0, 2.0]}]), "7", rig)
+
+
 @pytest.mark.parametrize(
     ("sent", "told"),
     [
@@ -54,7 +60,7 @@ def test_pixel_pairs_are_triangulated(rig: Calibration) -> None:
         (b"[" * 100_000, "not JSON"),
         (b"[1]", "no JSON object"),
         (line(frame="8"), "asked about frame"),
-        (line(frame=7), "asked about frame"),
+        (line(frame=7), 'asked about frame "7" .*; a frame\'s name is text'),
         (b'{"teats": []}', "asked about frame"),
     ],
 )
@@ -91,8 +97,8 @@ def test_wrong_values_are_told(rig: Calibration, answer: dict[str, Any], told: s
 
 def test_the_first_line_says_ready() -> None:
     check_ready(b'{"ready": true, "name": "mine"}\n')
-    for wrong in (b'{"ready": 1}', b"ready", b'{"frame": "1"}'):
-        with pytest.raises(Garbled):
+    for wrong in (b'{"ready": 1}', b"ready", b'{"frame": "1"}', b"null"):
+        with pytest.raises(Garbled, match=r'its first line must be {"ready": true}, (is|but its line is)'):
             check_ready(wrong)
 
 

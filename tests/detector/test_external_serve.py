@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -47,6 +49,43 @@ def test_it_says_ready_and_answers_every_line(tmp_path: Path, rig_file: Path) ->
     assert ready == {"ready": True}
     assert [(line["frame"], line["teats"]) for line in lines] == [("5", [])] * 2
     assert "4 x 4" in lines[0]["reason"]
+
+
+PRINTS = """
+from detector.protocol import Detection
+class Loud:
+    def detect(self, frames, calibration):
+        print("debug: here")
+        return Detection((), 3)
+"""
+
+
+def test_what_a_served_detector_prints_is_no_line_of_ours(
+    tmp_path: Path, rig: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "loud.py").write_text(PRINTS, encoding="utf-8")
+    info = tmp_path / "loud-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: loud\nVersion: 1\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text("[teatbench.detectors]\nloud = loud:Loud\n", encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(ROOT)]))
+    there = ExternalDetector("there", [sys.executable, "-m", "detector.external.serve", "loud"], time.perf_counter, folder=ROOT)
+    frames = Pictures(np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8))
+    try:
+        assert [there.detect(frames, rig).hidden for _ in range(2)] == [3, 3]
+    finally:
+        there.close()
+    assert there.said().splitlines() == ["debug: here", "debug: here"]
+
+
+@pytest.mark.parametrize(("words", "told"), [([], "needs the name of one detector"), (["fusde"], "did you mean 'fused'")])
+def test_serving_nobody_is_a_sentence(words: list[str], told: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "detector.external.serve", *words], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert told in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_kelvin_come_as_hundredths(tmp_path: Path) -> None:

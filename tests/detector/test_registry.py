@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from tests.conftest import ROOT
 from tests.detector.conftest import Pictures
 
 PACKAGE = """
+import numpy
 from detector.protocol import Detection
 class Plain:
     def detect(self, frames, calibration):
@@ -31,6 +33,18 @@ number = 5
 class Leaves(Plain):
     def __init__(self):
         raise SystemExit("bye")
+class Panics(Plain):
+    def __init__(self):
+        raise type("PanicException", (BaseException,), {})("index out of bounds")
+class Speechless(Plain):
+    def __init__(self):
+        raise type("Speechless", (Exception,), {"__str__": lambda self: 1 / 0})()
+class Odd(Plain):
+    version = "1\\n2 \\ud800"
+    parameters = {1: 2, "a": {3: 4, "b": numpy.eye(2)}, "c": {5}}
+class Round(Plain):
+    parameters = {}
+Round.parameters["me"] = Round.parameters
 """
 
 
@@ -39,7 +53,7 @@ def plugs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, EntryPoi
     (tmp_path / "udders.py").write_text(PACKAGE, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "udders", raising=False)
-    values = ["Plain", "Told", "ready", "made", "fails", "number", "Leaves", "nothing"]
+    values = ["Plain", "Told", "ready", "made", "fails", "number", "Leaves", "Panics", "Speechless", "Odd", "Round", "nothing"]
     return {value: EntryPoint(value.lower(), f"udders:{value}", GROUP) for value in values}
 
 
@@ -77,12 +91,23 @@ def test_what_it_does_not_say_of_itself_is_filled_in(plugs: dict[str, EntryPoint
     assert (detector.name, detector.version, dict(detector.parameters)) == ("plain", "unknown", {})
 
 
+def test_whatever_it_says_of_itself_can_be_kept(plugs: dict[str, EntryPoint]) -> None:
+    """Names, versions and settings go into the record and into a hash, whatever a package made them of."""
+    detector = create("odd", plugs.values())
+    assert detector.version == "1 2 ?"
+    assert detector.parameters == {"1": 2, "a": {"3": 4, "b": [[1.0, 0.0], [0.0, 1.0]]}, "c": "{5}"}
+    json.dumps(detector.parameters, sort_keys=True)
+
+
 @pytest.mark.parametrize(
     ("how", "told"),
     [
         ("fails", "RuntimeError: no licence"),
         ("number", "TypeError"),
         ("Leaves", "SystemExit: bye"),
+        ("Panics", "PanicException: index out of bounds"),
+        ("Speechless", "Speechless"),
+        ("Round", "ValueError: Circular reference"),
         ("nothing", "AttributeError"),
     ],
 )

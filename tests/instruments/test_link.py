@@ -204,3 +204,24 @@ def test_what_was_sent_is_taken_before_time_moves() -> None:
     link.close()
     listener.close()
     assert device.heard_s == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+def test_an_emulator_that_is_held_up_amid_sending_does_not_let_time_move(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a loaded machine its thread may stand still between counting bytes and writing them for longer than a host waits for them."""
+    monkeypatch.setattr("instruments.link.COUNTED_S", 0.01)
+    clock = VirtualClock()
+    listener = Listener(Echo(), clock, lock=threading.RLock(), name="echo")
+    write = Connection._write
+
+    def held_up(connection: Connection, data: bytes) -> None:
+        time.sleep(0.1)
+        write(connection, data)
+
+    monkeypatch.setattr(Connection, "_write", held_up)
+    link = Link(listener.url, clock, who="echo")
+    assert link.read_until(b"\n", 1.0) == b"hello\n"
+    link.write(b"one\n")
+    assert link.read_until(b"\n", 1.0) == b"ONE\n"
+    assert clock.now() == 0.0
+    link.close()
+    listener.close()

@@ -16,6 +16,8 @@ from instruments.link import Link
 from instruments.listener import Connection
 from instruments.pty_listener import PtyListener
 
+LATE_S = 10.0  # what a loaded machine may add to any time here
+
 pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them")
 
 
@@ -155,7 +157,7 @@ def test_a_paced_terminal_is_as_fast_as_its_wire(echo: Echo, clock: RealClock) -
     start = time.monotonic()
     port.write(bytes(95))
     assert len(port.read(95)) == 95
-    assert 0.1 - 0.001 <= time.monotonic() - start < 2.0
+    assert 0.1 - 0.001 <= time.monotonic() - start < 0.1 + LATE_S
     port.close()
     listener.close()
 

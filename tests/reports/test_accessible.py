@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser
+from playwright.sync_api import Browser, expect
 
 from reports.render import write_report
 from tests.axe import violations
@@ -33,6 +33,16 @@ def browser() -> Iterator[Browser]:
 def test_axe_is_content(browser: Browser, folders: dict[str, Path], which: str, width: int, scheme: Scheme) -> None:
     with window(browser, width=width, scheme=scheme) as seen:
         assert violations(seen.open(folders[which])) == []
+
+
+def test_axe_is_content_with_a_zoomed_frame_and_the_list_of_keys(browser: Browser, folders: dict[str, Path]) -> None:
+    with window(browser, width=390, scheme="dark") as seen:
+        page = seen.open(folders["page"], "trial-002")
+        page.keyboard.press("+")
+        expect(page.locator("#trial-002 .pane.moved")).to_have_count(3)
+        page.keyboard.press("?")
+        expect(page.locator("#keys")).to_be_visible()
+        assert violations(page) == []
 
 
 def test_axe_would_have_seen_a_fault(browser: Browser, folders: dict[str, Path]) -> None:

@@ -188,9 +188,10 @@ def test_prints_in_light_colours_without_the_controls(seen: Seen) -> None:
 def test_a_frame_is_enlarged_and_back(seen: Seen) -> None:
     frame = seen.page.locator("#trial-001 .frame").first
     small = frame.locator("img").evaluate("image => image.getBoundingClientRect().width")
-    frame.get_by_role("button", name="Enlarge Left camera").click()
+    button = frame.get_by_role("button", name="Enlarge Left camera")
+    button.click()
     large = frame.locator("img").evaluate("image => image.getBoundingClientRect().width")
     assert large > 2.5 * small
-    expect(frame.get_by_role("button")).to_have_attribute("aria-pressed", "true")
-    frame.get_by_role("button").click()
+    expect(button).to_have_attribute("aria-pressed", "true")
+    button.click()
     assert frame.locator("img").evaluate("image => image.getBoundingClientRect().width") == pytest.approx(small)

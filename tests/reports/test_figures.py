@@ -29,14 +29,34 @@ def _scatter(n: int) -> str:
     return figures.error_scatter(_rng(n).normal(0, 2, n), _rng(n).normal(0, 3, n), 5.0, accept_mm=4.611, links=["#trial-001"] * n)
 
 
+def _places(teat: str, n: int) -> figures.TeatPlaces:
+    rng = _rng(n + len(teat))
+    links = ("#trial-001",) * n
+    return figures.TeatPlaces(
+        teat, rng.uniform(0, 300, (n, 3)), rng.uniform(0, 9, n), rng.uniform(0, 300, (n // 2, 3)), links, links[: n // 2]
+    )
+
+
+def _group(name: str, n: int, outlined: bool = True) -> figures.ErrorGroup:
+    turn = np.linspace(0, 2 * np.pi, 9)
+    outline = 3.0 * np.column_stack([np.cos(turn), np.sin(turn)])
+    points = _rng(n).normal(0, 2, (n, 2))
+    return figures.ErrorGroup(name, (points, points), (outline, outline) if outlined and n else (), ("#trial-001",) * n)
+
+
+def _slope(against: str, shown: bool) -> figures.Slope:
+    return figures.Slope(against, "distance", 0.5, -0.5, 1.5, shown)
+
+
 DRAWINGS: dict[str, Draw] = {
     "bath": _bath,
     "scatter": _scatter,
     "histogram": lambda n: figures.error_histogram(_rng(n).uniform(0, 9, n), 5.0, accept_mm=4.611),
     "found": lambda n: figures.found_bars([f"situation {k}" for k in range(n)], [2] * n, [4] * n, [None if k % 2 else 3 for k in range(n)]),
-    "map": lambda n: figures.error_map(
-        _rng(n).uniform(0, 300, n), _rng(n).uniform(0, 300, n), _rng(n).uniform(0, 9, n), 5.0, missed_x_mm=[1.0] * n, missed_y_mm=[2.0] * n
-    ),
+    "map": lambda n: figures.error_map(_places("1", n), 5.0),
+    "maps": lambda n: figures.error_maps([_places(str(k), n) for k in range(1, 5)], 5.0),
+    "regions": lambda n: figures.error_regions([_group(f"teat {k}", n) for k in range(1, 5)], [("x", "y"), ("x", "z")], 5.0),
+    "slopes": lambda n: figures.slope_intervals([_slope(f"quantity {k}", k % 2 == 0) for k in range(n)]),
     "latency": lambda n: figures.latency_strip(_rng(n).uniform(0, 1, n), [1.0, 2.0]),
     "change": lambda n: figures.change_scatter(_rng(n).uniform(0, 9, n), _rng(n + 1).uniform(0, 9, n), 5.0),
     "drift": lambda n: figures.error_drift(np.arange(n), _rng(n).uniform(0, 9, n), 5.0, links=["#trial-001"] * n),
@@ -103,6 +123,61 @@ def test_counts_are_written_beside_the_bars() -> None:
     texts = re.findall(r"<text[^>]*>([^<]*)</text>", svg)
     assert [text for text in ("9 of 12", "3 of 4", "not measured", "Overlapping") if text not in texts] == []
     assert sum(text.endswith(" of 4") for text in texts) == 1
+
+
+def test_each_teat_has_a_panel_with_its_own_counts() -> None:
+    svg = figures.error_maps([_places("1", 12), figures.TeatPlaces("2", np.zeros((0, 3)), [], [[1.0, 2.0, 3.0]])], 5.0)
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>", svg)
+    told = [text for text in texts if text.startswith("teat") or text.endswith("missed")]
+    assert told == ["teat 1", "12 found, 6 missed", "teat 2", "0 found, 1 missed"]
+    assert {"x (mm)", "y (mm)", "z (mm)"} <= set(texts)
+
+
+def test_a_plane_has_no_view_from_the_front() -> None:
+    flat = figures.TeatPlaces("1", np.column_stack([np.arange(9.0), np.arange(9.0), np.full(9, 136.0)]), np.ones(9))
+    assert ">z (mm)<" not in figures.error_maps([flat], 5.0)
+
+
+def test_panels_of_teats_far_apart_have_one_scale() -> None:
+    """Two ends 20 mm apart are as far apart in either panel, wherever they lie."""
+    teats = [figures.TeatPlaces(str(k), [[100.0 * k, 0, 0], [100.0 * k + 20.0, 0, 0]], [9.0, 9.0]) for k in (1, 2)]
+    xs = [float(x) for x in re.findall(r'<use class="fill-limit"[^>]* x="([\d.]+)"', figures.error_maps(teats, 5.0))][:4]
+    assert xs[1] - xs[0] == pytest.approx(xs[3] - xs[2], abs=0.05)
+    assert xs[1] - xs[0] > 20
+
+
+def test_a_teat_has_a_colour_and_a_marker_and_says_on_how_many_poses_it_is() -> None:
+    svg = figures.error_regions([_group("teat 1", 9), _group("teat 2", 3, outlined=False)], [("x", "y"), ("x", "z")], 5.0)
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>", svg)
+    assert [text for text in texts if text.startswith("teat")] == ["teat 1, n = 9", "teat 2, n = 3 (too few)"]
+    outlines = re.findall(r'<path class="stroke-(ours|theirs)"[^>]* d="M [^"]*L [^"]*L [^"]*L [^"]*L', svg)
+    assert outlines == ["ours", "ours"]  # one a view; none of the teat with too few
+    first, second = (re.search(rf'class="fill-{role}".*?href="(#error-regions-\d+)"', svg) for role in ("ours", "theirs"))
+    assert first is not None
+    assert second is not None
+    assert first.group(1) != second.group(1)  # markers differ, not only colours
+    assert len(svg_facts(svg, "regions").links) == 2 * (9 + 3)
+
+
+def test_more_teats_than_can_be_told_apart_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"7 groups; at most 6 can be told apart"):
+        figures.error_regions([_group(str(k), 1) for k in range(7)], [("x", "y"), ("x", "z")], 5.0)
+    with pytest.raises(ValueError, match=r"teat 1: 2 clouds and 2 outlines for 1 views"):
+        figures.error_regions([_group("teat 1", 5)], [("x", "y")], 5.0)
+    with pytest.raises(ValueError, match=r"teat 1: lengths differ: places_mm 1, error_mm 2$"):
+        figures.error_maps([figures.TeatPlaces("1", [[0, 0, 0]], [1.0, 2.0])], 5.0)
+    with pytest.raises(ValueError, match=r"slope_intervals: tilt is not finite"):
+        figures.slope_intervals([figures.Slope("tilt", "distance", np.nan, 0.0, 1.0, False)])
+
+
+def test_a_cloud_says_once_what_its_marks_share() -> None:
+    few, many = (figures.error_scatter(np.arange(n), np.zeros(n), 5.0, links=["#trial-001"] * n) for n in (3, 300))
+    assert few.count('<use class="fill-ours"') == 3
+    assert '<use class="fill-ours"' not in many
+    cloud = re.search(r'<g class="fill-ours" clip-path="url\(#error-scatter-\d+\)" fill="#1d5fa6" fill-opacity="0.7">(.*?)</g>', many)
+    assert cloud is not None
+    assert cloud.group(1).count("<a href=") == cloud.group(1).count("<use href=") == 300
+    assert len(many) - len(few) < 300 * 130
 
 
 def test_latency_percentiles_are_those_of_the_times() -> None:

@@ -30,7 +30,8 @@ def test_everything_is_in_the_one_file(made: tuple[Page, Path], tmp_path: Path) 
     document = read(alone.read_text(encoding="utf-8"))
     assert articles(alone) == [f"trial-{number:03}" for number in range(1, 7)]
     assert [value for value in document.values("src") if not value.startswith("data:image/png;base64,")] == []
-    assert [image for image in document.all("a") if image.attributes["href"].startswith("frames/")] == []
+    assert [link.attributes["href"] for link in document.all("a") if not link.attributes["href"].startswith("#")] == []
+    assert "trials.csv" in document.by_id("provenance").text
 
 
 def test_the_worst_trials_go_first_where_there_is_no_room(made: tuple[Page, Path], tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from reports import figures
+from reports.figures.arrays import Floats
 from reports.figures.thinning import MOST_POINTS, envelope, telling
 
 
@@ -30,6 +31,12 @@ def test_a_curve_keeps_its_ends_and_its_extremes(values: list[float], most: int)
     assert curve[kept].min() == curve.min()
 
 
+def places(e: Floats, t: Floats) -> figures.TeatPlaces:
+    links = ("#trial-001",) * e.size
+    at = np.column_stack([e, t, 20.0 * e])
+    return figures.TeatPlaces("1", at, np.abs(e), at, links, links)
+
+
 @pytest.mark.parametrize(
     "draw",
     [
@@ -37,7 +44,9 @@ def test_a_curve_keeps_its_ends_and_its_extremes(values: list[float], most: int)
         lambda e, t: figures.per_axis_errors(["a", "b"], [np.column_stack([e, t, e])] * 2, 5.0),
         lambda e, t: figures.error_histogram(np.abs(e), 5.0),
         lambda e, t: figures.latency_strip(np.abs(e), [1.0]),
-        lambda e, t: figures.error_map(e, t, np.abs(e), 5.0),
+        lambda e, t: figures.error_map(places(e, t), 5.0),
+        lambda e, t: figures.error_maps([places(e, t)] * 4, 5.0),
+        lambda e, t: figures.error_regions([figures.ErrorGroup("1", [np.column_stack([e, t])] * 3)] * 4, [("x", "y")] * 3, 5.0),
         lambda e, t: figures.error_drift(t, np.abs(e), 5.0, links=["#trial-001"] * e.size),
         lambda e, t: figures.change_scatter(np.abs(e), np.abs(t), 5.0),
         lambda e, t: figures.teat_boxes(["1", "2"], [np.abs(e), np.abs(t)], 5.0),
@@ -55,3 +64,8 @@ def test_a_plot_says_that_it_doesn_t_draw_all() -> None:
     errors = np.abs(np.random.default_rng(1).normal(0, 2, 5000))
     assert "400 of 5000 drawn, the worst among them" in figures.error_scatter(errors, errors, 5.0)
     assert "drawn" not in figures.error_scatter(errors[:50], errors[:50], 5.0)
+    told = "120 of 20000 found ends drawn, the worst among them, and 120 of 20000 missed"
+    assert told in figures.error_maps([places(errors, errors)] * 4, 5.0)
+    assert "80 of 20000 drawn, the worst among them" in figures.error_regions(
+        [figures.ErrorGroup(str(k), [np.column_stack([errors, errors])] * 3) for k in range(4)], [("x", "y")] * 3, 5.0
+    )

@@ -132,6 +132,23 @@ def test_situations_are_adjusted_for_being_several() -> None:
     assert sum(row.teats for row in found.situations) == found.pooled.teats == 48
 
 
+@pytest.mark.parametrize(("dim", "verdict", "says"), [(10, NOT_MET, "adjusted p = 0.0"), (4, OPEN, "don't tell from chance")])
+def test_an_error_that_grew_in_one_situation_is_not_lost_among_the_others(dim: int, verdict: Verdict, says: str) -> None:
+    olds = [noisy(k, 0.1) for k in range(48)]
+    news = [np.add(old, [0.0, 0.9, 0.0]) if k < dim else old for k, old in enumerate(olds)]
+    found = compare(
+        [
+            ScenePair(str(k), str(k), "dim" if k < dim else "ideal", scored(a), scored(b))
+            for k, (a, b) in enumerate(zip(olds, news, strict=True))
+        ]
+    )
+    assert found.pooled.radial.mean is not None
+    assert found.pooled.radial.mean < found.gate.margin_mm
+    assert found.gate.verdict is verdict
+    assert "in dim the mean distance to the teat end grew by 0." in found.gate.reasons[0]
+    assert says in found.gate.reasons[0]
+
+
 def test_why_a_scene_failed() -> None:
     assert why_failed(scored(TRUTH)) == "it succeeded"
     assert why_failed(scored(TRUTH[:3], seconds=3.0)) == "1 missed, too slow (3.00 s)"
@@ -140,5 +157,8 @@ def test_why_a_scene_failed() -> None:
 def test_bad_questions() -> None:
     with pytest.raises(ValueError, match="no scene in common"):
         compare([])
-    with pytest.raises(ValueError, match="0 or more"):
-        compare(pairs([TRUTH], [TRUTH]), margin_mm=-1.0)
+    for margin in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="0 or more"):
+            compare(pairs([TRUTH], [TRUTH]), margin_mm=margin)
+    with pytest.raises(ValueError, match="scored within 5 mm and 10 mm; score both by the same rules"):
+        compare([ScenePair("001-a-1", "a", "dim", scored(TRUTH), scored(TRUTH, limit_mm=10.0))])

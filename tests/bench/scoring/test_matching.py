@@ -212,7 +212,8 @@ def test_counts_add(parts: list[Counts]) -> None:
         (lambda: match([], SQUARE, [True], 25), "one flag for each of the 4 teats"),
         (lambda: match([], SQUARE, [2, 0, 0, 0], 25), "true or false"),
         (lambda: match([], SQUARE, ALL, 0), "gate: 0 mm"),
-        (lambda: gate_mm([[1, 1, 1], [0, 0, 0], [1, 1, 1]]), "teats 0 and 2 are at the same place"),
+        (lambda: gate_mm([[1, 1, 1], [99, 0, 0], [1, 1, 1]]), "teats 1 and 3 are 0.00 mm apart.*touched twice"),
+        (lambda: gate_mm([[99.0, 0.0, 0.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.3]]), "teats 2 and 3 are 0.30 mm apart"),
     ],
 )
 def test_bad_input_is_refused_with_its_place(call: Callable[[], object], says: str) -> None:

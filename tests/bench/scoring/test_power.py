@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 from statsmodels.stats.power import TTestPower  # type: ignore[import-untyped]
 
+from bench.scoring.limits import acceptance_limit_mm, leak
 from bench.scoring.paired import Discordance
 from bench.scoring.power import (
     detectable_loss,
@@ -18,9 +19,10 @@ from bench.scoring.power import (
     mcnemar_power,
     poses_for_shift,
     power_of_rate,
+    shown_error_mm,
     shown_rate,
 )
-from bench.scoring.rates import Rate
+from bench.scoring.rates import Rate, guarded_n
 
 
 def test_frozen_numbers() -> None:
@@ -42,6 +44,26 @@ def test_the_chance_to_show_a_rate() -> None:
     assert power_of_rate(59, 0.99, 0.95) == pytest.approx(0.99**59)
     assert power_of_rate(93, 0.99, 0.95) == pytest.approx(float(binom.cdf(1, 93, 0.01)))
     assert power_of_rate(58, 0.999, 0.95) == 0.0
+
+
+@pytest.mark.parametrize(("trials", "u_mm"), [(59, 0.23), (70, 0.23), (91, 0.23), (500, 0.23), (59, 0.0), (62, 1.0)])
+def test_the_largest_error_that_poses_show(trials: int, u_mm: float) -> None:
+    most = shown_error_mm(trials, 0.95, 5.0, u_mm)
+    assert most is not None
+    accept = acceptance_limit_mm(5.0, u_mm)
+    assert accept is not None
+    assert most <= accept
+    needed = guarded_n(0, 0.95, 0.95, leak(most - 1e-6, 5.0, u_mm))
+    assert needed is not None
+    assert needed <= trials
+    if most < accept:
+        beyond = guarded_n(0, 0.95, 0.95, leak(most + 1e-3, 5.0, u_mm))
+        assert beyond is None or beyond > trials
+
+
+def test_too_few_poses_and_too_uncertain_a_truth_show_no_error() -> None:
+    assert shown_error_mm(58, 0.95, 5.0, 0.23) is None
+    assert shown_error_mm(500, 0.95, 5.0, 2.5) is None
 
 
 def test_a_share_too_small_for_any_computer_is_none() -> None:

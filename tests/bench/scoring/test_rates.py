@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binomtest  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
+from scipy.stats import binom, binomtest  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
 
-from bench.scoring.rates import Rate, percent, pose_successes, trials_needed, zero_failure_n
+from bench.scoring.rates import Rate, guarded_n, percent, percent_apart, pose_successes, shown_falsely, trials_needed, zero_failure_n
 
 RATES = st.integers(1, 400).flatmap(lambda n: st.builds(Rate, st.integers(0, n), st.just(n)))
 
@@ -102,3 +103,48 @@ def test_impossible_counts_and_claims_are_refused() -> None:
             zero_failure_n(rate)
     with pytest.raises(ValueError, match="confidence"):
         Rate(1, 1).interval(1.0)
+
+
+@pytest.mark.parametrize(
+    ("failures", "leak", "n"),
+    [(0, 0.0, 59), (0, 1e-4, 59), (0, 0.0408, 91), (0, 0.05, None), (1, 0.0, 93), (1, 0.02, 110), (1, 0.05, None)],
+)
+def test_poses_where_the_truth_could_pass_a_bad_one(failures: int, leak: float, n: int | None) -> None:
+    assert guarded_n(failures, 0.95, 0.95, leak) == n
+
+
+@pytest.mark.parametrize(("failures", "trials", "rate", "leak"), [(0, 59, 0.95, 0.04), (1, 100, 0.95, 0.02), (3, 3000, 0.999, 0.01)])
+def test_the_risk_of_a_false_claim_is_the_sum_over_the_bad_poses(failures: int, trials: int, rate: float, leak: float) -> None:
+    b = np.arange(failures + 1, trials + 1)
+    passed = np.minimum(1.0, b * leak / (b - failures))
+    expected = binom.cdf(failures, trials, 1.0 - rate) + np.sum(binom.pmf(b, trials, 1.0 - rate) * passed)
+    assert shown_falsely(failures, trials, rate, leak) == pytest.approx(float(expected), abs=1e-9)
+    if failures == 0:
+        assert expected == pytest.approx(rate**trials + (1.0 - rate**trials) * leak)
+
+
+@pytest.mark.parametrize("failures", [0, 1, 2])
+@pytest.mark.parametrize("dependence", ["afresh", "alike"])
+def test_the_risk_stays_below_5_percent_however_the_truths_errors_depend(failures: int, dependence: str) -> None:
+    leak, experiments = 0.01, 20_000
+    n = guarded_n(failures, 0.95, 0.95, leak)
+    assert n is not None
+    rng = np.random.default_rng(failures)
+    bad = rng.random((experiments, n)) < 0.05
+    passed = rng.random((experiments, n if dependence == "afresh" else 1)) < leak
+    accepted = np.mean((bad & ~passed).sum(axis=1) <= failures)
+    assert accepted < 0.05 + 3 * np.sqrt(0.05 * 0.95 / experiments)
+
+
+@pytest.mark.parametrize(
+    ("fraction", "limit", "text"),
+    [
+        (0.94966, 0.95, "94.97 %"),
+        (0.95049, 0.95, "95.0 %"),
+        (0.98999, 0.99, "98.999 %"),
+        (0.999001, 0.999, "> 99.9 %"),
+        (0.5, 0.95, "50.0 %"),
+    ],
+)
+def test_a_figure_is_read_on_the_right_side_of_its_limit(fraction: float, limit: float, text: str) -> None:
+    assert percent_apart(fraction, limit) == text

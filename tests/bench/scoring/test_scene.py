@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.scoring.decisions import decide_rate
 from bench.scoring.matching import Counts
 from bench.scoring.pool import Pool, pool
+from bench.scoring.power import failures_allowed, shown_error_mm
 from bench.scoring.rates import Rate
 from bench.scoring.scene import SceneScore, scene_from_dict, score_scene
 
@@ -112,6 +114,28 @@ def test_impossible_input() -> None:
         score(TRUTH, hidden_claimed=-1)
 
 
+@pytest.mark.parametrize(
+    ("found", "changes", "surely"),
+    [
+        (TRUTH, {}, "succeeded"),
+        (moved(1, 4.60), {}, "succeeded"),
+        (moved(1, 4.62), {}, ""),  # in the guard band: A = 4.611, T + w = 5.378
+        (moved(1, 5.37), {}, ""),
+        (moved(1, 5.38), {}, "failed"),
+        (moved(1, 5.2)[:3], {}, "failed"),  # a miss is no matter of the truth
+        (np.vstack([moved(1, 5.2), [[0, 0, 0]]]), {}, "failed"),
+        (moved(1, 5.2), {"seconds": 3.0}, "failed"),
+        ([], {}, "failed"),
+        (moved(1, 4.99), {"u_mm": 0.0}, "succeeded"),
+        (moved(1, 5.01), {"u_mm": 0.0}, "failed"),
+        (TRUTH, {"u_mm": 1.8}, ""),  # a truth too uncertain to accept anything
+    ],
+)
+def test_what_the_truths_uncertainty_could_turn_is_neither(found: Any, changes: dict[str, Any], surely: str) -> None:
+    s = score(found, **changes)
+    assert (s.surely_succeeded, s.surely_failed) == (surely == "succeeded", surely == "failed")
+
+
 class TestPool:
     GOOD, BAD = score(TRUTH, hidden_claimed=0), score(moved(0, 7.0)[:3], hidden_claimed=1, seconds=3.0)
 
@@ -129,6 +153,38 @@ class TestPool:
         assert p.errors_of_teat(0).tolist() == [[0, 0, 0], [0, 0, pytest.approx(7.0)]]
         assert p.errors_of_teat(3).shape == (1, 3)
         assert p.summary().radial.max_mm == pytest.approx(7.0)
+
+    def test_rates_that_the_truth_cannot_turn_count_poses(self) -> None:
+        near, over = score(moved(0, 4.9)), score(moved(0, 5.1))
+        p = pool([self.GOOD, near, over, self.BAD, self.GOOD, self.GOOD], ["a", "a", "b", "c", "d", "d"])
+        assert (p.surely_succeeded(0.95, 0.95), p.success, p.perhaps_succeeded) == (Rate(1, 4), Rate(2, 4), Rate(3, 4))
+
+    @pytest.mark.parametrize(
+        ("near_mm", "poses", "sure"),
+        [(4.6, 20, 20), (4.3, 59, 59), (4.4, 59, 58), (4.6, 91, 91), (4.6, 93, 92), (3.9, 93, 93), (4.7, 93, 92)],
+    )
+    def test_how_near_a_success_may_be_follows_from_the_number_of_poses(self, near_mm: float, poses: int, sure: int) -> None:
+        p = pool([score(moved(0, near_mm)), *[self.GOOD] * (poses - 1)])
+        assert p.surely_succeeded(0.95, 0.95) == Rate(sure, poses)
+
+    @pytest.mark.parametrize("n", [59, 93, 150])
+    def test_one_pose_in_twenty_just_over_the_limit_is_taken_for_reliable_in_no_more_than_5_percent(self, n: int) -> None:
+        """The worst detector against the worst truth: off to one side, and off by the same all through a run."""
+        rng = np.random.default_rng(n)
+        reach = shown_error_mm(n, 0.95, 5.0, 0.23, 0.95, failures_allowed(n, 0.95) or 0)
+        bad, off = rng.random((10_000, n)) < 0.0501, rng.normal(0, 0.23, (10_000, 1, 3))
+        true = np.zeros((10_000, n, 3))
+        true[..., 0] = np.where(bad, 5.0001, 0.0)
+        sure = (np.linalg.norm(true + off, axis=2) <= reach).sum(axis=1)
+        met = [decide_rate("rate", Rate(n, n), required=0.95, confidence=0.95, shown=Rate(k, n)).verdict == "met" for k in range(n + 1)]
+        assert float(np.mean(np.array(met)[sure])) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 10_000)
+
+    def test_recall_and_precision_by_pose(self) -> None:
+        false = score(np.vstack([TRUTH, [[0, 0, 0]]]))
+        p = pool([self.GOOD, self.BAD, false, false, self.GOOD], ["a", "b", "c", "c", "d"])
+        assert (p.all_found, p.nothing_false, p.worst_false) == (Rate(3, 4), Rate(3, 4), (0, 0, 1, 0))
+        nothing_there = score_scene([], np.zeros((0, 3)), [], u_mm=0.2, seconds=0.1, limit_mm=5.0, time_limit_s=2.0)
+        assert (pool([nothing_there]).all_found.value, Pool().nothing_false.value) == (None, None)
 
     def test_two_pools_merge_to_what_one_would_have_been(self) -> None:
         first, second = pool([self.GOOD, self.BAD], ["a", "b"]), pool([self.BAD], ["a"])

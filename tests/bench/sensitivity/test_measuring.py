@@ -15,6 +15,7 @@ from bench.sensitivity.measuring import Bench, measure
 from bench.sensitivity.output import COLUMNS, figure_of, write_figure, write_numbers
 from bench.sensitivity.quantities import QUANTITIES
 from bench.sensitivity.values import Limit, Measured, Tally
+from detector.registry import available
 from instruments.world.situations import situation
 from reports.trust import svg_facts
 from tests.bench.sensitivity.small_bench import Knowing
@@ -101,6 +102,22 @@ def test_a_figure_stands_alone_on_paper_of_its_own(tmp_path: Path) -> None:
 def test_wrong_use_is_explained(arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scene", "sensitivity", *arguments, "--out", str(tmp_path)]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_more_detectors_than_a_figure_shows_are_refused_before_any_is_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    five = [word for name in available([]) for word in ("--detector", name)]
+    assert len(five) == 10
+    assert main(["scene", "sensitivity", *five, "--out", str(tmp_path)]) == 2
+    said = capsys.readouterr()
+    assert "a figure shows 4 detectors at most, 5 are asked for: thesis, fused," in said.err
+    assert said.out == ""
+
+
+def test_frame_sets_without_an_answer_are_told_apart_from_nothing_found(tmp_path: Path) -> None:
+    failed = Measured(0.2, 8, {"a": Tally((0.3,), 0, 1), "b": Tally()}, LIMIT)
+    write_numbers(tmp_path, [QUANTITIES["tilt"]], {"tilt": [failed]}, "Made with nothing.")
+    page = (tmp_path / "measured.md").read_text(encoding="utf-8")
+    assert "| 0.2 | 1 of 8 (without an answer on 1) | 0 | 0.30, 0.30 | 0 of 8 | 0 | not measured |" in page
 
 
 def test_a_scene_that_cannot_stand_before_the_cameras_is_told() -> None:

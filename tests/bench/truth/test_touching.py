@@ -47,6 +47,13 @@ def test_the_same_end_twice_is_asked_for_again() -> None:
     assert np.allclose([p.point_mm for p in points], ENDS_MM)
 
 
+def test_the_same_end_twice_is_asked_for_again_also_where_the_places_are_not_known() -> None:
+    hand = Hand(ENDS_MM, [ENDS_MM[0], ENDS_MM[0] + 0.2])
+    points, _ = toucher(hand, readings=1).touch_all(Ends(ENDS_MM, UP, known=False))
+    assert "teat 1 once more (0.3 mm" in hand.again[0]
+    assert np.allclose([p.point_mm for p in points], ENDS_MM)
+
+
 def test_asking_again_has_an_end() -> None:
     hand = Hand(ENDS_MM, [ENDS_MM[1]] * 20)
     with pytest.raises(NoTruthError, match=r"teat 1.*could not be used.*looks like teat 2") as raised:

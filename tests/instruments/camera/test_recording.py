@@ -130,6 +130,7 @@ def test_a_radiometric_picture_of_eight_bits_is_refused(folder: Path) -> None:
     [
         ("frame,teat\n", r"truth\.csv:1: the column\(s\) situation, x_mm"),
         ("", r"truth\.csv:1: the column"),
+        (HEAD + "0000,ideal,1,1,2,3,1\n0000,ideal,2,1,2,3.2,1\n", r"truth\.csv:3: the ends of teats '1' and '2' .* are 0.20 mm"),
         (HEAD + "0000,ideal,1,1,2,3,1\n0000,ideal,1,1,2,4,1\n", r"truth\.csv:3: teat '1' of frame '0000' stands here a second time"),
         (HEAD + "0000,ideal,1,1,2,x,1\n", r"truth\.csv:2: z_mm must be a number in mm, is 'x'"),
         (HEAD + "0000,ideal,1,1,nan,3,1\n", r"truth\.csv:2: y_mm must be finite"),

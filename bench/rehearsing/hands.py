@@ -1,0 +1,105 @@
+"""The emulated operator's hands, who look whether the arm reaches before they try: what it can't reach is met, not waited for.
+
+An arm that is pulled too far hangs up, and the bench would take it for one that has lost its cable. A person may lean the stylus.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.emulated.emulation import EmulatedRig
+from bench.emulated.tables import Placed as ArmPlaced
+from detector.geometry import Motion
+from instruments.microscribe.kinematics import OutOfReachError, inverse
+from instruments.operators.operator import Arrangement, BoardAsked, OperatorAbort, OperatorSkip, Placed
+
+Floats = NDArray[np.float64]
+
+
+class ReachingHands:
+    """The operator of ``twin``, whose arm stands at ``placed``. ``met`` gets what is out of reach; ``leans`` where a person touches."""
+
+    def __init__(self, twin: EmulatedRig, placed: ArmPlaced, met: Callable[[str, str], None], *, leans: bool) -> None:
+        self._twin = twin
+        self._hands = twin.operator
+        self._arm_from_world = Motion.from_vectors(placed.om, placed.T).inverse()
+        self._met = met
+        self._leans = leans
+        self._reached: dict[bytes, Floats] = {}  # to within a millimetre, how the stylus was held: nobody solves the same pose twice
+
+    def heed(self, check: Callable[[], None]) -> None:
+        self._hands.heed(check)
+
+    def next_trial(self, number: int, of: int, left_s: float | None) -> None:
+        self._hands.next_trial(number, of, left_s)
+
+    def confirm_homing(self, instruction: str) -> None:
+        self._hands.confirm_homing(instruction)
+
+    def touch_check_point(self, touch: int, of: int) -> None:
+        """Raises OperatorAbort where the arm doesn't reach the check point."""
+        self._hands.touch_check_point(touch, of)
+        if why := self._out_of_reach("the check point"):
+            raise OperatorAbort(why)
+
+    def set_up(self, arrangement: Arrangement) -> Placed:
+        return self._hands.set_up(arrangement)
+
+    def touch(self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = "") -> None:
+        """Raises OperatorSkip where the arm doesn't reach the teat's end."""
+        self._hands.touch(teat, of, number=number, numbers=numbers, again=again)
+        if why := self._out_of_reach(f"the end of teat {self._twin.world.phantom().teats[teat - 1].name or teat}"):
+            raise OperatorSkip(why)
+
+    def hold_board(self, asked: BoardAsked) -> None:
+        self._hands.hold_board(asked)
+
+    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None:
+        self._hands.touch_board(corner, instruction, again=again)
+
+    def release(self) -> None:
+        self._hands.release()
+
+    def finish(self) -> None:
+        self._hands.finish()
+
+    def _out_of_reach(self, what: str) -> str:
+        """Empty where the arm gets there, leaning if need be; else the tip is let go of, and why is met and given back."""
+        world, held = self._twin.world, self._twin.world.arm_target()
+        if held is None:
+            return ""
+        point, axis = held
+        key = np.round(point).tobytes() + axis.tobytes()
+        if key not in self._reached:
+            way = self._way(point, axis)
+            if way is None:
+                world.hold(None)
+                why = f"the arm doesn't reach {what} at {np.round(point).astype(int).tolist()} mm"
+                self._met("reach", why)
+                return why
+            self._reached[key] = way
+        world.hold(point, self._reached[key])
+        return ""
+
+    def _way(self, point_mm: Floats, axis: Floats) -> Floats | None:
+        """The stylus's direction (3,), world frame, in which the tip gets to (3,): ``axis`` if it can be, else any for who leans."""
+        arm, there = self._twin.arm, self._arm_from_world.apply(point_mm)
+        try:
+            arm.check_reach(there, np.asarray(self._arm_from_world.R @ axis))
+        except OutOfReachError:
+            return self._leaning(there) if self._leans else None
+        return axis
+
+    def _leaning(self, there_mm: Floats) -> Floats | None:
+        """As the arm likes, at (3,) in its own frame."""
+        unit = self._twin.arm.unit
+        geometry = unit.geometry()
+        try:
+            counts = inverse(geometry, there_mm, None, start=unit.home)
+        except OutOfReachError:
+            return None
+        _, axes = geometry.forward(counts)
+        return np.asarray(self._arm_from_world.R.T @ axes[0])

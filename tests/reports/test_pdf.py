@@ -1,0 +1,126 @@
+"""The printed report: what the PDF says of itself, its pages and links; a browser that hangs or is not there."""
+
+import re
+import stat
+import sys
+import time
+import zlib
+from pathlib import Path
+
+import pytest
+
+from reports.page import PageError
+from reports.pdf import BROWSER, find_browser, print_pdf, travelling
+from reports.render import write_report
+from tests.chromium import browser_page, chromium
+from tests.reports.sample import sample_page
+
+A4_PT = (210 / 25.4 * 72, 297 / 25.4 * 72)
+LINK = b"/A <</S /URI\n/URI (file:///runs/2026%20one/report/trials.csv)>>"
+INFO = b"<</Title (Six)\n/Creator (Mozilla/5.0 \\(X11; Linux x86_64\\) HeadlessChrome/156.0.0.0)\n/Producer (Skia/PDF m156)>>"
+
+
+@pytest.fixture(scope="module")
+def printed(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    folder = tmp_path_factory.mktemp("printed")
+    return print_pdf(write_report(sample_page(folder), folder), folder / "report.pdf", chromium()).read_bytes()
+
+
+def strings(pdf: bytes, key: bytes) -> list[str]:
+    """The text strings of a key, ISO 32000-1, 7.9.2.2: letter for letter, or UTF-16 in hexadecimal digits."""
+    found = re.findall(rb"/" + key + rb" (?:\(((?:[^()\\]|\\.)*)\)|<([0-9A-F]+)>)", pdf)
+    return [
+        bytes.fromhex(coded.decode()).decode("utf-16") if coded else re.sub(rb"\\(.)", rb"\1", plain).decode() for plain, coded in found
+    ]
+
+
+@pytest.mark.browser
+def test_it_is_titled_by_the_verdict_signed_and_has_an_outline(printed: bytes) -> None:
+    titles = strings(printed, b"Title")
+    assert titles[0] == "Six situations: not met"
+    assert re.search("Verdict.*not met", titles[1], re.IGNORECASE)
+    assert [title for title in ("Requirements", "Accuracy", "Provenance", "Trial 6") if title not in titles[2:]] == []
+    assert strings(printed, b"Author") == ["teatbench"]
+    assert b"HeadlessChrome" not in printed
+
+
+@pytest.mark.browser
+def test_six_trials_take_a_few_sheets_of_a4(printed: bytes) -> None:
+    boxes = re.findall(rb"/MediaBox \[([^\]]+)\]", printed)
+    assert len(boxes) == len(re.findall(rb"/Type /Page\b", printed))
+    assert 5 <= len(boxes) <= 9
+    for box in boxes:
+        assert tuple(float(value) for value in box.split()) == pytest.approx((0, 0, *A4_PT), abs=1.5)
+
+
+@pytest.mark.browser
+def test_its_links_lead_from_where_it_stands(printed: bytes) -> None:
+    assert set(strings(printed, b"URI")) == {"trials.csv", "run.json"}
+    assert b"file:" not in printed + b"".join(_streams(printed))
+
+
+@pytest.mark.browser
+def test_nothing_is_cut_off_on_paper_and_a_trial_stays_whole(tmp_path: Path) -> None:
+    """At the width that A4 leaves between its margins, 184 mm, in CSS pixels."""
+    wide_px = round(184 / 25.4 * 96)
+    with browser_page(width=wide_px, scheme="dark") as seen:
+        page = seen.open(write_report(sample_page(tmp_path), tmp_path))
+        page.emulate_media(media="print")
+        sticking_out = page.evaluate(
+            """wide => [...document.querySelectorAll('main *')].filter((e) => e.getClientRects().length && !e.closest('svg')
+            && e.getBoundingClientRect().right > wide + 1 && !e.closest('.pane')).map((e) => e.outerHTML.slice(0, 80))""",
+            wide_px,
+        )
+        assert sticking_out == []
+        heads = page.evaluate("() => [...document.querySelectorAll('thead')].map((e) => getComputedStyle(e).display)")
+        assert set(heads) == {"table-header-group"}
+        assert page.locator(".trial").first.evaluate("e => getComputedStyle(e).breakInside") == "avoid"
+        assert page.evaluate("() => getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+        tall = page.locator(".trial").evaluate_all("found => Math.max(...found.map((e) => e.getBoundingClientRect().height))")
+        assert tall < (297 - 30) / 2 / 25.4 * 96  # two on a sheet
+        assert page.locator(".tools:visible, .filter:visible, #contents:visible").count() == 0
+
+
+def test_a_link_gets_its_path_and_the_author_his_place_without_a_byte_more() -> None:
+    before = b"%PDF-1.4\n" + INFO + LINK
+    after = travelling(before, Path("/runs/2026 one/report"))
+    assert len(after) == len(before)
+    assert strings(after, b"URI") == ["trials.csv"]
+    assert strings(travelling(before, Path("/runs/2026 one/report/pdf")), b"URI") == ["../trials.csv"]
+    assert (strings(after, b"Author"), strings(after, b"Creator")) == (["teatbench"], ["teatbench"])
+    assert after.replace(b" ", b"").endswith(b"/URI(trials.csv)>>")
+
+
+def test_what_has_no_room_stays_as_it_is() -> None:
+    short = b"/Creator (x) /URI (file:///a)"
+    assert travelling(short, Path("/somewhere/else/entirely/deep")) == short
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the browser that hangs is a shell script")
+def test_a_browser_that_hangs_is_ended(tmp_path: Path) -> None:
+    hanging = tmp_path / "browser"
+    hanging.write_text(f"#!/bin/sh\necho $$ > '{tmp_path}/pid'\nexec sleep 3600\n", encoding="utf-8")
+    hanging.chmod(hanging.stat().st_mode | stat.S_IXUSR)
+    (tmp_path / "index.html").write_text("<p>x", encoding="utf-8")
+    began = time.monotonic()
+    with pytest.raises(PageError, match=r"report\.pdf: .*browser could not print it: .* timed out after 2\.0 seconds"):
+        print_pdf(tmp_path / "index.html", tmp_path / "report.pdf", str(hanging), 2.0)
+    assert time.monotonic() - began < 600
+    assert not (tmp_path / "report.pdf").exists()
+    if (pid := tmp_path / "pid").exists() and Path("/proc").is_dir():
+        assert not (Path("/proc") / pid.read_text(encoding="utf-8").strip()).exists()
+
+
+def test_the_environment_may_name_the_browser_or_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(BROWSER, "")
+    assert find_browser() is None
+    monkeypatch.setenv(BROWSER, sys.executable)
+    assert find_browser() == sys.executable
+    monkeypatch.setenv(BROWSER, "/no/such/browser")
+    assert find_browser() is None
+
+
+def _streams(pdf: bytes) -> list[bytes]:
+    """What is packed in the PDF."""
+    packed = re.findall(rb"/FlateDecode[^>]*>>\s*stream\r?\n(.*?)\r?\nendstream", pdf, re.DOTALL)
+    return [zlib.decompressobj().decompress(data) for data in packed]
