@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from bench.rig import RIGS
 from bench.script import TRIALS
@@ -20,6 +21,8 @@ SHARED = ROOT.parent / "shared"
 
 def pytest_configure() -> None:
     """A CI that starts in the background (`&`, `nohup`) ignores signals, and its children too: tests that send them need them heard."""
+    settings.register_profile("teatbench", deadline=None)  # how fast the machine is says nothing of the code
+    settings.load_profile("teatbench")
     os.environ.setdefault("TEATBENCH_BROWSER", "")  # 'teatbench report' prints a PDF where a browser is: only where that is what is tested
     for name, default in (("SIGINT", signal.default_int_handler), ("SIGHUP", signal.SIG_DFL)):
         number = getattr(signal, name, None)

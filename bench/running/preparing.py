@@ -93,7 +93,7 @@ class Preparation:
             return
         self._attention.long("homing the stage", 600.0)
         stage.connect()
-        self._attention.check()
+        self._attention.look()  # not check: what was announced goes on
         stage.home()
         self._attention.check()
 

@@ -100,7 +100,7 @@ class Recovery:
             raise DeviceError("stage", "this rig has none")
         self._attention.long("homing the stage again", 600.0)
         stage.reconnect()
-        self._attention.check()  # that took its time, and a stage that a trip has braked meanwhile is not to move
+        self._attention.look()  # that took its time, and a stage that a trip has braked meanwhile is not to move
         stage.home()
 
     def _bath(self) -> None:

@@ -19,7 +19,7 @@ from bench.scoring.pool import Pool
 from bench.scoring.tolerance import distribution_free_n, normal_k, quantile_bounds
 from bench.summary.tables import situations
 from bench.summary.wording import NOT_MEASURED, number
-from bench.verdicts import scored
+from bench.verdicts import scored, truth_u_mm
 from reports.page import Cell, Column, Paragraph, Part, Table
 
 MM = ("bias", "sd", "rms", "mean |e|", "max |e|")
@@ -31,7 +31,7 @@ CONFIDENCE = 0.95
 def accuracy_tables(run: RunRecord, detector: str, limit_mm: float, camera_from_world: Floats) -> Iterator[Part]:
     """All of one detector; ``camera_from_world`` (3, 3) turns into the right camera's axes."""
     pool = scored(run, detector)
-    u_mm = max((score.u_mm for score in pool.scores), default=0.0)
+    u_mm = truth_u_mm([run], pool, detector)
     yield _axes(pool, detector, limit_mm, u_mm, camera_from_world)
     rows = error_rows(run, detector)
     if len(rows.teat_names) > 1:
@@ -40,8 +40,9 @@ def accuracy_tables(run: RunRecord, detector: str, limit_mm: float, camera_from_
     yield _tolerance(pool, detector)
 
 
-def _axes(pool: Pool, detector: str, limit_mm: float, u_mm: float, camera_from_world: Floats) -> Table:
-    accept, refuse = acceptance_limit_mm(limit_mm, u_mm, "axis"), refusal_limit_mm(limit_mm, u_mm)
+def _axes(pool: Pool, detector: str, limit_mm: float, u_mm: float | None, camera_from_world: Floats) -> Table:
+    accept = None if u_mm is None else acceptance_limit_mm(limit_mm, u_mm, "axis")
+    refuse = refusal_limit_mm(limit_mm, u_mm or 0.0)
     columns = (
         Column("axis"), Column("n", "right"), *(Column(name, "right", "mm") for name in MM),
         Column("max |e| is", hint="against the limit along this axis alone"),
@@ -51,9 +52,10 @@ def _axes(pool: Pool, detector: str, limit_mm: float, u_mm: float, camera_from_w
     for name, a in summaries:
         rows.append((name, str(a.n), *_figures(a), _against(a.max_abs_mm, accept, refuse)))
     upto = "nothing can be" if accept is None else f"up to {accept:.3f} mm is"
+    known = "u isn't stated" if u_mm is None else f"u = {u_mm:.3g} mm"
     note = (
         "bias² + sd² = rms²; camera axes are the right camera's. "
-        f"Along one axis alone {upto} accepted and {refuse:.3f} mm or more refused (T = {limit_mm:g} mm, u = {u_mm:.3g} mm); "
+        f"Along one axis alone {upto} accepted and {refuse:.3f} mm or more refused (T = {limit_mm:g} mm, {known}); "
         "the verdict is on the distance."
     )
     return Table(f"Errors along each axis, detector {detector}", columns, tuple(rows), note)
@@ -91,7 +93,7 @@ def _against(largest: float | None, accept: float | None, refuse: float) -> Cell
     return Cell("refused", "bad") if largest >= refuse else Cell("between", "warn")
 
 
-def _distances(run: RunRecord, rows: ErrorRows, pool: Pool, detector: str, u_mm: float) -> Table:
+def _distances(run: RunRecord, rows: ErrorRows, pool: Pool, detector: str, u_mm: float | None) -> Table:
     """Of the found teats, with GOSPA where whole scenes are meant, which charges for the others too."""
     columns = (
         Column("of"), Column("n", "right"), *(Column(title, "right", "mm") for title in DISTANCES),
@@ -108,10 +110,10 @@ def _distances(run: RunRecord, rows: ErrorRows, pool: Pool, detector: str, u_mm:
     return Table(f"Distance to the teat end, detector {detector}", columns, tuple(lines), note)
 
 
-def _without_noise(pool: Pool, u_mm: float) -> str:
+def _without_noise(pool: Pool, u_mm: float | None) -> str:
     """What the truth's own uncertainty adds to what is seen."""
     seen = pool.summary().radial.rms_mm
-    if seen is None or u_mm == 0.0:
+    if seen is None or not u_mm:
         return ""
     left = error_without_noise_mm(seen, u_mm)
     rest = "the noise explains all that was seen" if left is None else f"without it the rms is {left:.2f} mm"

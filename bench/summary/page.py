@@ -19,6 +19,7 @@ from bench.script import ErrorRequirement, Rules, Script, SuccessRequirement, Ti
 from bench.store import RULES, SCRIPT
 from bench.summary import tables
 from bench.summary.accuracy import accuracy_tables
+from bench.summary.anchors import id_of
 from bench.summary.arm import arm_parts
 from bench.summary.attribution import attribution_parts
 from bench.summary.bath import bath_parts
@@ -31,7 +32,7 @@ from bench.summary.thesis import published_counts, thesis_chapter
 from bench.summary.trials import first_looks, trial_id, trial_parts, trial_table, worst_trials
 from bench.summary.truth import deviation_parts, truth_parts
 from bench.summary.wording import headline, number
-from bench.verdicts import Judgement, judge, scored
+from bench.verdicts import Judgement, judge, scored, truth_u_mm
 from detector.calibration import Calibration
 from reports.figures import error_histogram, error_scatter, found_bars, latency_strip, per_axis_errors
 from reports.mail import write_single_file
@@ -174,7 +175,7 @@ def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     for detector in run.detectors:
         counts = [scored(run, detector, name).counts for name in names]
         theirs = [published[name][0] if name in published else None for name in names]
-        svg = found_bars(names, [c.matched for c in counts], [c.visible for c in counts], theirs, name=f"found-{detector}")
+        svg = found_bars(names, [c.matched for c in counts], [c.visible for c in counts], theirs, name=f"found-{id_of(detector)}")
         alt = "; ".join(f"{n}: {c.matched} of {c.visible}" for n, c in zip(names, counts, strict=True))
         yield Figure(svg, f"Teats found by {detector}, beside the thesis's own count", alt or "not measured")
         yield tables.found_by_situation(run, detector, published)
@@ -195,12 +196,12 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
         accept_mm = _accepted_mm(run, rules, detector)
         links = [f"#{trial_id(t)}" for t in run.counted if detector in t.scores for _ in t.scores[detector].errors_mm]
         lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
-        scatter = error_scatter(lateral, camera[:, 2], limit_mm, accept_mm=accept_mm, links=links, name=f"scatter-{detector}")
+        scatter = error_scatter(lateral, camera[:, 2], limit_mm, accept_mm=accept_mm, links=links, name=f"scatter-{id_of(detector)}")
         yield Figure(scatter, f"Depth error against lateral error, {detector}; each point opens its trial", f"{len(radial)} points")
-        histogram = error_histogram(radial, limit_mm, accept_mm=accept_mm, name=f"histogram-{detector}")
+        histogram = error_histogram(radial, limit_mm, accept_mm=accept_mm, name=f"histogram-{id_of(detector)}")
         within = f"{int((radial <= limit_mm).sum())} of {len(radial)} within the limit"
         yield Figure(histogram, f"Distance to the teat end, {detector}", within)
-        strips = per_axis_errors(names, [scored(run, detector, n).errors_mm for n in names], limit_mm, name=f"axes-{detector}")
+        strips = per_axis_errors(names, [scored(run, detector, n).errors_mm for n in names], limit_mm, name=f"axes-{id_of(detector)}")
         yield Figure(strips, f"Errors along the world's axes by situation, {detector}", "strips of signed errors", wide=True)
         yield from spread_parts(run, detector, limit_mm, anchors_of(run), camera_from_world)
     yield Paragraph(tables.depth_limit(run, calibration))
@@ -209,9 +210,11 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
 
 def _accepted_mm(run: RunRecord, rules: Rules, detector: str) -> float | None:
     """The acceptance limit of the error's requirement, where it has the limit that the figures show."""
-    u_mm = max((score.u_mm for score in scored(run, detector).scores), default=0.0)
+    u_mm = truth_u_mm([run], scored(run, detector), detector)
     limits = [rule.limit_mm for rule in rules.requirements if isinstance(rule, ErrorRequirement)]
-    return acceptance_limit_mm(rules.visible_within_mm, u_mm) if rules.visible_within_mm in limits else None
+    if u_mm is None or rules.visible_within_mm not in limits:
+        return None
+    return acceptance_limit_mm(rules.visible_within_mm, u_mm)
 
 
 def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
@@ -221,7 +224,7 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         times = latency_of(run, detector)
         seconds = times.seconds
         yield Figure(
-            latency_strip(seconds, limits, name=f"latency-{detector}"), f"Detection time, {detector}", f"{len(seconds)} detections"
+            latency_strip(seconds, limits, name=f"latency-{id_of(detector)}"), f"Detection time, {detector}", f"{len(seconds)} detections"
         )
         told = [times.median_s, times.p95_s, times.p99_s, max(seconds, default=None), max(times.cold_s, default=None), times.start_up_s]
         over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]

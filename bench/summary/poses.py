@@ -8,6 +8,7 @@ import numpy as np
 
 from bench.dependence import ErrorRows, PosePlace, error_rows, pose_places
 from bench.record import RunRecord
+from bench.summary.anchors import id_of
 from bench.summary.precision import precision_parts
 from reports.figures import TeatPlaces, error_map, error_maps
 from reports.page import Figure, Notes, Paragraph, Part
@@ -44,9 +45,9 @@ def _map(rows: ErrorRows, detector: str, limit_mm: float, anchors: Mapping[str, 
     more = " Of a pose's repeats the worst is drawn, and a triangle where any of them missed the teat." if repeated else ""
     caption = f"Error over the plane, {detector}; the area of a disc is the error, and each mark opens its trial. {alt}.{more}"
     if len(teats) == 1:
-        svg = error_map(teats[0], limit_mm, name=f"map-{detector}")
+        svg = error_map(teats[0], limit_mm, name=f"map-{id_of(detector)}")
     else:
-        svg = error_maps(teats, limit_mm, name=f"map-{detector}")
+        svg = error_maps(teats, limit_mm, name=f"map-{id_of(detector)}")
         caption += " Each teat has a panel of its own, all on one scale; y points away from the cameras, z up."
     yield Figure(svg, caption, alt, wide=True)
 

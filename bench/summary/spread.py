@@ -13,12 +13,14 @@ from bench.dependence import ErrorRows, TeatErrors, error_rows, run_bias, teat_e
 from bench.record import RunRecord
 from bench.scoring.ellipsoid import LEAST, BiasTest, Ellipsoid, consistency, prediction_ellipsoid
 from bench.scoring.points import Floats
+from bench.summary.anchors import id_of
 from bench.summary.covariances import claimed_mm2
 from bench.summary.trends import trend_parts
 from bench.summary.wording import NOT_MEASURED
 from reports.figures import MOST_GROUPS, ErrorGroup, error_drift, error_regions, teat_boxes
 from reports.page import Column, Figure, Paragraph, Part, Table
 
+CORNERS = 49  # of a drawn ellipse
 VIEWS = (("world x", "world y"), ("world x", "world z"), ("camera x, across", "camera z, depth"))
 
 
@@ -39,7 +41,7 @@ def _boxes(run: RunRecord, rows: ErrorRows, distances: Floats, limit_mm: float, 
     of = np.array(rows.of_found(rows.teats))
     each = [distances[of == name] if len(of) else distances for name in names]
     alt = "; ".join(f"{name}: {len(errors)} found" for name, errors in zip(names, each, strict=True)) or "none"
-    return Figure(teat_boxes(names, each, limit_mm, name=f"teats-{detector}"), f"Distance by teat, {detector}", alt)
+    return Figure(teat_boxes(names, each, limit_mm, name=f"teats-{id_of(detector)}"), f"Distance by teat, {detector}", alt)
 
 
 def _drift(rows: ErrorRows, distances: Floats, limit_mm: float, anchors: Mapping[str, str], detector: str) -> Iterator[Figure]:
@@ -48,7 +50,7 @@ def _drift(rows: ErrorRows, distances: Floats, limit_mm: float, anchors: Mapping
     if not timed.any():
         return
     links = [anchors[trial] for trial, known in zip(rows.of_found(rows.trials), timed, strict=True) if known]
-    svg = error_drift(minutes[timed], distances[timed], limit_mm, links=links, name=f"drift-{detector}")
+    svg = error_drift(minutes[timed], distances[timed], limit_mm, links=links, name=f"drift-{id_of(detector)}")
     caption = f"Drift: distance over the time of the run, {detector}; each point opens its trial"
     yield Figure(svg, caption, f"{int(timed.sum())} points")
 
@@ -61,7 +63,7 @@ def _drawn(teats: Sequence[TeatErrors], limit_mm: float, anchors: Mapping[str, s
         ErrorGroup(name, _flat(means, camera_from_world), _outlines(means, camera_from_world), tuple(anchors[t] for t in trials))
         for name, means, trials in clouds
     ]
-    svg = error_regions(groups, VIEWS, limit_mm, name=f"regions-{detector}")
+    svg = error_regions(groups, VIEWS, limit_mm, name=f"regions-{id_of(detector)}")
     counts = "; ".join(f"{name}: {len(means)} poses{'' if len(means) >= LEAST else ', too few'}" for name, means, _ in clouds) or "none"
     told = (
         f"Errors with their 95 % ellipsoids, {detector}: from above, from the front, and along the view. A point is a teat's mean error at "
@@ -83,7 +85,7 @@ def _outlines(means_mm: Floats, camera_from_world: Floats) -> tuple[Floats, ...]
     world, camera = prediction_ellipsoid(means_mm), prediction_ellipsoid(means_mm @ camera_from_world.T)
     if world is None or camera is None:
         return ()
-    return world.outline_mm(0, 1), world.outline_mm(0, 2), camera.outline_mm(0, 2)
+    return world.outline_mm(0, 1, CORNERS), world.outline_mm(0, 2, CORNERS), camera.outline_mm(0, 2, CORNERS)
 
 
 def _ellipsoids(run: RunRecord, rows: ErrorRows, teats: Sequence[TeatErrors], detector: str) -> Iterator[Part]:

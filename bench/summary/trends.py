@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 
 from bench.dependence import ErrorRows, run_trends
 from bench.scoring.trends import LEAST, Trend
+from bench.summary.anchors import id_of
 from bench.summary.wording import NOT_MEASURED
 from reports.figures import Slope, slope_intervals
 from reports.page import Cell, Column, Figure, Paragraph, Part, Table
@@ -41,7 +42,7 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
     shown = [f"{slope.response} with {slope.against}" for slope in slopes if slope.shown]
     told = f"Trend shown: {', '.join(shown)}." if shown else "No trend is shown."
     caption = f"What each trend makes of its quantity's whole range, {detector}. {told}"
-    yield Figure(slope_intervals(slopes, name=f"trends-{detector}"), caption, told, wide=True)
+    yield Figure(slope_intervals(slopes, name=f"trends-{id_of(detector)}"), caption, told, wide=True)
     measured = (_row(line) for line in lines if line.slope is not None)
     columns = (
         Column("error"), Column("against"), Column("n", "right"), Column("poses", "right", hint="independent units; within poses: trials"),

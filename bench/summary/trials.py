@@ -69,8 +69,10 @@ def trial_table(run: RunRecord) -> Table:
                     f"{counts.matched} of {counts.visible}" if counts else "not scored",
                     str(counts.missed) if counts else "",
                     str(counts.false) if counts else "",
-                    Cell(number(worst), sort=worst),
-                    Cell(f"{seconds:.3f}", sort=seconds),
+                    Cell(
+                        number(worst), sort=None if worst is None else round(worst, 4)
+                    ),  # more digits make the page heavy, not the order right
+                    Cell(f"{seconds:.3f}", sort=round(seconds, 4)),
                     Cell(*_told(trial, score)),
                 )
             )

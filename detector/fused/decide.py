@@ -167,15 +167,15 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
 
 
 def _one_sees_a_side(evidence: Evidence, i: int) -> bool:
-    """Whether the pictures disagree on how many sides there are, neither being sure of one, and the thermal picture hardly shows an end."""
-    side, both = evidence.side[i, :2], evidence.both[i, :2]
-    return bool(np.ptp(both) > 0.5 and side.min() < 0.8 and evidence.end[i, 2] < 0.7)
+    """Whether the pictures disagree on how many sides there are, and the thermal picture hardly shows an end: two things taken for one."""
+    return bool(np.ptp(evidence.both[i, :2]) > 0.5 and evidence.end[i, 2] < 0.7)
 
 
 def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     """What of teat ``i`` an optical picture shows too little of."""
     end = evidence.end[i, view]
-    followed = evidence.followed[i] and evidence.both[i, :2].min() > 0.9
+    warm_sides = np.isfinite(evidence.thermal_px[i, [SIDE_A, SIDE_B]])  # or it is the gap between two teats
+    followed = evidence.followed[i] and evidence.both[i, :2].min() > 0.9 and warm_sides.any()
     alone = evidence.end[i, 2] < 0.5 and evidence.end[i, :2].mean() < (p.least_end_followed if followed else p.least_end_alone)
     if end < (0.3 if followed else p.least_end) or alone:
         return "its end isn't seen"

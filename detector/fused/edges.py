@@ -152,7 +152,8 @@ def _alone_or_together(
         known = many.offset_px, np.sqrt(_NEIGHBOURS) * many.sd_px, np.minimum(_DOUBT * many.clarity, 0.9 * CLEAR)
         for value, of_many in zip(values, known, strict=True):
             value[some] = np.where(faint[some], of_many.reshape(len(some), -1), value[some])
-    return Edges(*values, np.zeros(outlines), np.zeros(outlines)), faint
+    none = np.zeros(outlines)
+    return Edges(values[0], values[1], values[2], none, none), faint
 
 
 def _summed(values: Field) -> Field:

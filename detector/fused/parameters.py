@@ -40,9 +40,9 @@ class Parameters:
     greatest_sd_mm: float = 5.5  # of an end, along the axis where it is the least sure
     least_warmth: float = 0.78  # of the way from the surroundings' temperature to the warmest teat's
     overlap: float = 0.85  # two teats' axes are never closer than this share of the sum of their radii
-    stretch_least_px: float = 0.015  # what a short stretch of an outline has in common (paint, shadow, sampling) at the least,
-    stretch_share: float = 0.3  # and as a share of how the stretches' means scatter about the fitted outline
-    limb_share: float = 0.7  # how wrong the correction for the fall of brightness towards the limb may be, as a share of it, a part
+    stretch_least_px: float = 0.012  # what a short stretch of an outline has in common (paint, shadow, sampling) at the least,
+    stretch_share: float = 0.22  # and as a share of how the stretches' means scatter about the fitted outline
+    limb_share: float = 0.66  # how wrong the correction for the fall of brightness towards the limb may be, as a share of it, a part
     limb_share_of_stretch: float = 0.25  # of the outline, and a stretch of it
-    end_shape_sd_mm: float = 0.06  # how far an end may be from that of half an ellipsoid that fits its outline
-    unseen_end_sd_mm: float = 1.0  # how much less sure an end is along its axis, of which nothing is seen
+    end_shape_sd_mm: float = 0.07  # how far an end may be from that of half an ellipsoid that fits its outline
+    unseen_end_sd_mm: float = 1.2  # how much less sure an end is along its axis, of which nothing is seen

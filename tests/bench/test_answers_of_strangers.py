@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from bench.cli import main
 from bench.config import ConfigError
@@ -22,9 +24,11 @@ from bench.detecting.choice import make_detectors
 from bench.detecting.examine import Answer, examine
 from bench.rig import RIGS, read_calibration
 from bench.rows import detection_rows, stage_pictures
+from bench.summary.anchors import id_of
 from detector.calibration import Calibration
 from detector.protocol import Detection, Frames, Outcome, Stage, Teat
 from instruments.camera.frame import FrameSet
+from reports.trust import checked_slug
 from tests.bench.small_recording import write_recording
 
 FRAMES = FrameSet(np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8))
@@ -176,9 +180,10 @@ for number, line in enumerate(sys.stdin, 1):
 """
 
 
-def test_no_words_of_a_program_stop_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_words_of_a_program_and_no_name_stop_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "speaker.py").write_text(SPEAKER, encoding="utf-8")
-    (tmp_path / "speaker.toml").write_text(f'command = [{json.dumps(sys.executable)}, "speaker.py"]\n', encoding="utf-8")
+    declared = f'name = "My.speaker_2"\ncommand = [{json.dumps(sys.executable)}, "speaker.py"]\n'
+    (tmp_path / "speaker.toml").write_text(declared, encoding="utf-8")
     recording = write_recording(tmp_path / "five")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -186,6 +191,7 @@ def test_no_words_of_a_program_stop_a_run(tmp_path: Path, capsys: pytest.Capture
     assert code == 1
     assert "2 failure" in capsys.readouterr().out
     (run,) = (tmp_path / "runs").iterdir()
+    assert "Teats found by My.speaker_2" in (run / "report" / "index.html").read_text(encoding="utf-8")
     with sqlite3.connect(run / "run.sqlite") as database:
         told = database.execute("select outcome, reason from detections order by trial").fetchall()
     database.close()
@@ -194,6 +200,13 @@ def test_no_words_of_a_program_stop_a_run(tmp_path: Path, capsys: pytest.Capture
     assert told[1][1] == "a\N{REPLACEMENT CHARACTER}b\N{REPLACEMENT CHARACTER}[31mred\N{REPLACEMENT CHARACTER}"
     assert "at most 1e+12 are taken" in told[2][1]
     assert "lead to no point in space" in told[3][1]
+
+
+@given(st.lists(st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}", fullmatch=True), unique=True, max_size=6))
+def test_every_name_has_an_id_of_its_own_on_a_page(names: list[str]) -> None:
+    ids = [checked_slug(f"histogram-{id_of(name)}", name) for name in names]
+    assert len(set(ids)) == len(ids)
+    assert (id_of("fused"), id_of("thesis-no-refinement")) == ("fused", "thesis-no-refinement"), "links to a report's figures stay"
 
 
 def test_detect_shows_the_last_words_of_a_program_that_gave_no_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

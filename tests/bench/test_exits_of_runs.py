@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from bench.record import RunRecord, read_run
-from tests.bench.real_rig import RealRig, real_rig, record_one
+from tests.bench.real_rig import RealRig, real_rig, record_one, touch_as_asked
 
 if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
@@ -54,10 +54,7 @@ def leave(way: str, folder: Path, recording: Path) -> Outcome:
 def to_the_end(rig: RealRig, running: MarkedBench) -> None:
     running.wait_for("Enter when it stands")
     running.enter()
-    for teat in range(1, 5):
-        running.wait_for("ouch the end of teat")
-        rig.twin.operator.touch(teat, 4)
-        running.enter()
+    touch_as_asked(rig, lambda: running.said, running.enter)
 
 
 def to_the_mistake(_: RealRig, running: MarkedBench) -> None:

@@ -19,7 +19,7 @@ import pytest
 from bench.cli import main
 from bench.record import read_run
 from instruments.clock import wall_time
-from tests.bench.real_rig import Bench, RealRig, bench, real_rig, record_one
+from tests.bench.real_rig import Bench, RealRig, bench, real_rig, record_one, touch_as_asked
 
 if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
@@ -141,10 +141,7 @@ def test_a_run_that_ends_well_leaves_no_guardian(recording: Path, tmp_path: Path
         heating(rig, running)
         running.wait_for("Enter when it stands")
         running.answer()
-        for teat in range(1, 5):
-            running.wait_for(f"Touch the end of teat {teat}")
-            rig.twin.operator.touch(teat, 4)
-            running.answer()
+        touch_as_asked(rig, lambda: running.said, running.answer)
         assert running.process.wait(60) == 0, running.said
         assert not rig.twin.world.plant.running
         folder = rig.run_folder()

@@ -184,6 +184,14 @@ def test_axes_distances_and_tolerance_limits(two_teats: RunRecord) -> None:
     assert farther[3] == "not measured: 299 poses are the least"
 
 
+def test_a_truth_without_a_stated_uncertainty_accepts_no_axis(two_teats: RunRecord) -> None:
+    unstated = tuple(replace(t, truth=tuple({**row, "u_mm": None} for row in t.truth)) for t in two_teats.trials)
+    parts = list(accuracy_tables(replace(two_teats, trials=unstated), "fused", 50.0, np.eye(3)))
+    assert {row[-1] for row in table(parts, "Errors along each axis, detector")} == {"between"}
+    assert "nothing can be accepted and 50.000 mm or more refused" in told(parts, Table, "Errors along each axis, detector").note
+    assert "noise" not in told(parts, Table, "Distance to the teat end").note
+
+
 def test_rates_stand_for_each_situation_with_their_intervals(two_teats: RunRecord) -> None:
     half = tuple(replace(t, head={**t.head, "situation": "far"}) if t.head["number"] > 12 else t for t in two_teats.trials)
     run = replace(two_teats, trials=half)

@@ -1,0 +1,91 @@
+"""Are the stated covariances honest? Normalised squared errors against chi-square, on two members of every family.
+
+The scenes are rendered by the bench's own renderer, which shares no code with the detector; the path-traced ones are next door.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from bench.rig import find_rig, load_rig
+from bench.scene_recording import rig_renderer, warm
+from bench.scoring.matching import gate_mm, match
+from detector.fused.detector import FusedDetector
+from detector.protocol import Detection
+from instruments.world.situations import SITUATIONS, situation
+
+Array = NDArray[np.float64]
+SEEDS = (100, 101)
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A frame set made of arrays."""
+
+    left: NDArray[Any]
+    right: NDArray[Any]
+    thermal: NDArray[Any] | None
+    thermal_k: NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was answered on a member of a family, its ends (n, 3) mm, and which of them every camera sees."""
+
+    family: str
+    answer: Detection
+    ends_mm: Array
+    visible: NDArray[np.bool_]
+
+
+def seen(families: tuple[str, ...], seeds: tuple[int, ...]) -> Iterator[Seen]:
+    rig = load_rig(find_rig(None))
+    renderer = rig_renderer(rig, 1)
+    for name in families:
+        for seed in seeds:
+            state = warm(situation(name, seed))
+            taken = renderer.render(state, np.random.default_rng([1, seed, *name.encode()]))
+            frames = Taken(taken.left, taken.right, None, taken.thermal_ck / 100.0)
+            visible = np.array([row.all() for row in renderer.visible_ends(state)])
+            yield Seen(name, FusedDetector().detect(frames, rig.calibration), state.phantom.ends_mm, visible)
+
+
+def normalised(one: Seen) -> list[float]:
+    """Normalised squared errors of the answers on visible ends: gross errors among them, none left out."""
+    found = np.array([teat.world_mm for teat in one.answer.teats]).reshape(-1, 3)
+    pairs = match(found, one.ends_mm, one.visible, gate_mm(one.ends_mm)).pairs
+    return [squared(found[i] - one.ends_mm[j], one.answer.teats[i].covariance_mm2) for i, j in pairs]
+
+
+def squared(error: Array, covariance: Array | None) -> float:
+    assert covariance is not None
+    return float(error @ np.linalg.solve(covariance, error))
+
+
+@pytest.fixture(scope="module")
+def members() -> list[Seen]:
+    return list(seen(tuple(SITUATIONS), SEEDS))
+
+
+def test_nothing_false_is_said_of_any_family(members: list[Seen]) -> None:
+    for one in members:
+        found = np.array([teat.world_mm for teat in one.answer.teats]).reshape(-1, 3)
+        counts = match(found, one.ends_mm, one.visible, gate_mm(one.ends_mm)).counts
+        assert counts.false == 0, one.family
+        assert counts.matched == counts.visible, one.family
+
+
+def test_normalised_squared_errors_are_within_the_bounds_of_chi_square(members: list[Seen]) -> None:
+    """Their mean over all families, both sides (Bar-Shalom, Li, Kirubarajan, "Estimation with applications", section 5.4.2)."""
+    sums = np.concatenate([normalised(one) for one in members])
+    n = len(sums)
+    assert n > 80
+    assert chi2.ppf(0.025, 3 * n) / n < np.mean(sums) < chi2.ppf(0.975, 3 * n) / n
+    assert np.max(sums) < chi2.ppf(1 - 0.001 / n, 3)  # no end far beyond what is stated of it
