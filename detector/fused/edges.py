@@ -165,7 +165,7 @@ def _summed(values: Field) -> Field:
 def _left_over(lines: Field, profile: Profile) -> tuple[Field, Field, Field]:
     """What is left over (sums of squares) of lines (n, s) by the best step at each place (n, g), without and with a limb, and by a
     straight line (n,)."""
-    y = np.nan_to_num(lines, nan=0.0)
+    y = np.where(np.isnan(lines), np.float32(0), lines)
     y -= y.mean(axis=1, keepdims=True)
     energy = np.einsum("ns,ns->n", y, y)
     g, s, c = profile.bases.shape

@@ -105,7 +105,7 @@ def _look_at(teats: Array, view: View, outline: Outline, profile: Profile, *, sl
 
 def weights(seen: Seen, scale: float) -> Array:
     """Weights (m, k) of the edges: by their own uncertainty, Cauchy beyond ``scale`` floors off, none where there is hardly an edge."""
-    usable = np.isfinite(seen.offset_px) & (seen.clarity > LEAST_CLEAR) & np.isfinite(seen.jacobian).all(axis=2)
+    usable = np.isfinite(seen.offset_px + seen.jacobian.sum(axis=2)) & (seen.clarity > LEAST_CLEAR)
     variance = seen.sd_px**2 + seen.floor_px**2
     off = np.where(usable, seen.offset_px, 0.0) / np.sqrt(variance + (scale * seen.floor_px) ** 2)
     return np.where(usable, 1.0 / (variance * (1 + off**2)), 0.0)
@@ -115,8 +115,8 @@ def normal_equations(teats: Array, seen: Seen, weight: Array, prior: Prior) -> t
     """Matrices (m, 8, 8) and right sides (m, 8) of the least-squares step, priors included."""
     j = np.where(weight[..., None] > 0, seen.jacobian, 0.0)
     r = np.where(weight > 0, seen.offset_px, 0.0)
-    H = np.einsum("mki,mk,mkj->mij", j, weight, j)
-    b = np.einsum("mki,mk,mk->mi", j, weight, r)
+    weighted = (j * weight[..., None]).transpose(0, 2, 1)
+    H, b = weighted @ j, (weighted @ r[..., None])[..., 0]
     mean = np.array([0, 0, 0, 0, 0, prior.radius_mm, 0, 1])
     sure = np.array(
         [1e-8, 1e-8, 1e-8, prior.lean_sd**-2, prior.lean_sd**-2, prior.radius_sd_mm**-2, prior.taper_sd**-2, prior.height_sd**-2]
