@@ -174,10 +174,12 @@ def _one_sees_a_side(evidence: Evidence, i: int) -> bool:
 def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     """What of teat ``i`` an optical picture shows too little of."""
     end = evidence.end[i, view]
-    warm_sides = np.isfinite(evidence.thermal_px[i, [SIDE_A, SIDE_B]])  # or it is the gap between two teats
-    followed = evidence.followed[i] and evidence.both[i, :2].min() > 0.9 and warm_sides.any()
-    alone = evidence.end[i, 2] < 0.5 and evidence.end[i, :2].mean() < (p.least_end_followed if followed else p.least_end_alone)
-    if end < (0.3 if followed else p.least_end) or alone:
+    warm = np.isfinite(evidence.thermal_px[i, [SIDE_A, SIDE_B]]).any()
+    followed = evidence.followed[i] and evidence.both[i, :2].min() > 0.9
+    partial = evidence.end[i, :2].mean() < (p.least_end_followed if followed else p.least_end_alone)
+    alone = partial and evidence.end[i, 2] < 0.5
+    between_two = evidence.followed[i] and not warm and evidence.end[i, :2].mean() < p.least_end_alone  # a gap has two sides too
+    if end < (0.3 if followed else p.least_end) or alone or between_two:
         return "its end isn't seen"
     one_sided = evidence.both[i, :2].max() < p.least_side
     good = evidence.misfit_px[i] < p.good_misfit_px
