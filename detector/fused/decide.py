@@ -20,6 +20,8 @@ from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion
 
 _CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
+_LEAST_FOLLOWED = 0.3  # of an end in one picture, where both sides were followed up to it
+_FARTHEST = 0.9  # merit of the farthest end that sides lead to: a nearer one shows up to 0.28 more of itself, in two pictures, twice
 _LEANS = "it leans more than a teat does"
 _SIZE = "it isn't of a teat's size"
 _OUTLINE, _UNSURE, _WORSE = "its outline isn't that of a teat", "its place is too unsure", "a better one is in the same place"
@@ -48,7 +50,7 @@ class Evidence:
     @property
     def merit(self) -> Array:
         """One number (m,) to tell the better of two."""
-        return np.asarray((2 * self.end + self.side + self.both)[:, :2].sum(axis=1) - 4 * self.misfit_px + 0.9 * self.followed)
+        return np.asarray((2 * self.end + self.side + self.both)[:, :2].sum(axis=1) - 4 * self.misfit_px + _FARTHEST * self.followed)
 
 
 def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
@@ -179,7 +181,7 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     partial = evidence.end[i, :2].mean() < (p.least_end_followed if followed else p.least_end_alone)
     alone = partial and evidence.end[i, 2] < 0.5
     between_two = evidence.followed[i] and not warm and evidence.end[i, :2].mean() < p.least_end_alone  # a gap has two sides too
-    if end < (0.3 if followed else p.least_end) or alone or between_two:
+    if end < (_LEAST_FOLLOWED if followed else p.least_end) or alone or between_two:
         return "its end isn't seen"
     one_sided = evidence.both[i, :2].max() < p.least_side
     good = evidence.misfit_px[i] < p.good_misfit_px
