@@ -60,9 +60,7 @@ class Loud:
 """
 
 
-def test_what_a_served_detector_prints_is_no_line_of_ours(
-    tmp_path: Path, rig: Calibration, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_served_detector_prints_is_no_line_of_ours(tmp_path: Path, rig: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "loud.py").write_text(PRINTS, encoding="utf-8")
     info = tmp_path / "loud-1.dist-info"
     info.mkdir()
