@@ -26,7 +26,7 @@ if sys.platform == "win32":
 
 from tests.bench.marked_bench import MARK, marked_bench, serve
 
-STANDBY_S = 3.0  # what docs/safety.md promises; it takes milliseconds
+STANDBY_S = 3.0  # as docs/safety.md says; it takes milliseconds
 HANG_S = 10.0
 SEEN_LATE_S = 5.0  # so much later than it was said a busy machine may show us that it hangs
 
