@@ -105,7 +105,7 @@ class BathEmulator:
         elif name in SETTING_FAULTS:
             setattr(self._controller, SETTING_FAULTS[name], on)
         else:
-            (self._server.faults.add if on else self._server.faults.discard)(name)
+            self._server.fault(name, on=on)
         if name == "low level":
             k = self.plant.constants
             self.plant.fill(k.volume_min_l - 0.5 if on else k.volume_l)

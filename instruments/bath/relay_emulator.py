@@ -99,7 +99,7 @@ class RelayEmulator:
         """Break something, or mend it. Raises ValueError as `check_fault` does."""
         self.check_fault(name)
         if name != POWER_CUT:
-            (self._server.faults.add if on else self._server.faults.discard)(name)
+            self._server.fault(name, on=on)
             return
         self._server.deaf_until_s = math.inf if on else -math.inf
         if on:

@@ -71,6 +71,10 @@ class Server:
         if name == "bad CRC" and self.framing == "tcp":
             raise ValueError(f"the {device} speaks Modbus TCP, which has no check sum: it can't have the fault 'bad CRC'")
 
+    def fault(self, name: str, *, on: bool) -> None:
+        """Have a fault of the wire from now on, or no longer."""
+        (self.faults.add if on else self.faults.discard)(name)
+
     @property
     def deaf(self) -> bool:
         """Whether it hears nothing just now, for want of power."""

@@ -1,6 +1,5 @@
 """axe-core finds nothing: in the page, in a trial's own file, light and dark, wide and narrow."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,7 +7,7 @@ from playwright.sync_api import Browser, expect
 
 from reports.render import write_report
 from tests.axe import violations
-from tests.chromium import Scheme, launched, window
+from tests.chromium import Scheme, window
 from tests.reports.sample import sample_page
 
 pytestmark = pytest.mark.browser
@@ -20,12 +19,6 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     write_report(sample_page(few), few)
     write_report(sample_page(many, 7), many)
     return {"page": few / "index.html", "list": many / "index.html", "trial": many / "trials" / "trial-004.html"}
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as running:
-        yield running
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

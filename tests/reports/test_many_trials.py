@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, expect
 
 from reports.page import Page, PageError, Section, Table
 from reports.render import IN_PAGE, render, write_report
-from tests.chromium import Seen, launched, window
+from tests.chromium import Seen, window
 from tests.reports.markup import Document, read
 from tests.reports.sample import sample_page
 
@@ -28,12 +28,6 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> tuple[Page, Path]:
 @pytest.fixture(scope="module")
 def document(page: tuple[Page, Path]) -> Document:
     return read((page[1] / "index.html").read_text(encoding="utf-8"))
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as running:
-        yield running
 
 
 @pytest.fixture

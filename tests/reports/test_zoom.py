@@ -7,9 +7,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, FloatRect, Locator, Page, expect
 
-from reports.render import write_report
-from tests.chromium import Seen, launched, window
-from tests.reports.sample import sample_page
+from tests.chromium import Seen, window
 
 pytestmark = pytest.mark.browser
 
@@ -18,18 +16,6 @@ PART: View = [139.5, 99.5, 400, 240]  # of the left and the right frame, at firs
 WHOLE: View = [-0.5, -0.5, 640, 480]
 BY_POINTER = 2.0  # screen pixels: a pointer tells whole ones, and what it is short of grows with the zoom
 TEAT_2 = (285, 215)  # its truth, in pixels of every camera of the sample
-
-
-@pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("zoomed")
-    return write_report(sample_page(folder), folder)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as running:
-        yield running
 
 
 @pytest.fixture
