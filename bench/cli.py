@@ -9,6 +9,7 @@ import argparse
 import os
 import sqlite3
 import sys
+import traceback
 from collections.abc import Sequence
 
 from bench import __version__
@@ -67,6 +68,9 @@ def _run(given: argparse.Namespace) -> int:
         return CODES.met
     except OSError as error:  # a disk that is full, a folder that may not be written, amid whatever the command did
         return complain(f"{error}. Is the disk full, or the folder read-only?", CODES.fault)
+    except Exception:  # must not look like a requirement that isn't met, which Python's own code for it would
+        traceback.print_exc()
+        return complain("a mistake of the bench, not yours: please report what stands above", CODES.fault)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -98,7 +98,9 @@ def not_measured(name: str, inches: tuple[float, float], why: str) -> str:
 
 
 def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
-    """Above the plot: for each (text, role, form) a line ("-", "--"), a marker or a "patch" in the role's colour."""
+    """Above the plot, in as many rows as it takes: for each (text, role, form) a line ("-", "--"), a marker or a "patch" in the
+    role's colour.
+    """
 
     def handle(text: str, role: str, form: LegendForm) -> Artist:
         if form == "patch":
@@ -108,7 +110,11 @@ def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
         return Line2D([], [], color=COLOURS[role], linestyle="none", marker=form, markersize=4.5, markeredgewidth=0, label=text)
 
     handles = [handle(*entry) for entry in entries]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(entries), frameon=False, handlelength=1.8)
+    for columns in range(len(entries), 0, -1):
+        made = figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False, handlelength=1.8)
+        if columns == 1 or made.get_window_extent().width <= figure.bbox.width:
+            return
+        made.remove()
 
 
 def plain(text: str, most: int = 30) -> str:

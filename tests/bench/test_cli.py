@@ -153,3 +153,16 @@ def test_nothing_is_left_running(capsys: pytest.CaptureFixture[str]) -> None:
     before = threading.active_count()
     main(["check"])
     assert threading.active_count() == before
+
+
+def test_a_mistake_of_the_bench_is_no_requirement_that_is_not_met(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def mistaken(*_: object) -> None:
+        raise ZeroDivisionError("a mistake")
+
+    monkeypatch.setattr("bench.rig.load_rig", mistaken)
+    assert main(["check"]) == 3
+    said = capsys.readouterr().err
+    assert "ZeroDivisionError: a mistake" in said
+    assert said.endswith("teatbench: a mistake of the bench, not yours: please report what stands above\n")

@@ -7,9 +7,10 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from reports import figures
-from reports.figures.drawing import COLOURS, plain
+from reports.figures.drawing import COLOURS, legend, plain
 from reports.trust import svg_facts
 
 Draw = Callable[[int], str]
@@ -205,3 +206,11 @@ def test_bad_arrays_are_explained() -> None:
 def test_long_and_unprintable_labels_are_made_to_fit() -> None:
     assert plain("a" * 40) == "a" * 29 + "…"
     assert plain("one\ntwo\x00\x1b[31m") == "one two [31m"
+
+
+@pytest.mark.parametrize("width_in", [2.4, 3.6, 7.2])
+def test_a_legend_stays_within_its_drawing(width_in: float) -> None:
+    figure = Figure(figsize=(width_in, 2.4), layout="constrained")
+    legend(figure, [("one teat end", "ours", "o"), ("line: +0.12 mm over the run", "ink", "-"), ("limit 5 mm", "limit", "-")])
+    (drawn,) = figure.legends
+    assert drawn.get_window_extent().width <= figure.bbox.width
