@@ -208,7 +208,7 @@ def test_long_and_unprintable_labels_are_made_to_fit() -> None:
     assert plain("one\ntwo\x00\x1b[31m") == "one two [31m"
 
 
-@pytest.mark.parametrize("width_in", [2.4, 3.6, 7.2])
+@pytest.mark.parametrize("width_in", [3.6, 4.7, 9.4])
 def test_a_legend_stays_within_its_drawing(width_in: float) -> None:
     figure = Figure(figsize=(width_in, 2.4), layout="constrained")
     legend(figure, [("one teat end", "ours", "o"), ("line: +0.12 mm over the run", "ink", "-"), ("limit 5 mm", "limit", "-")])
