@@ -56,7 +56,7 @@ def add_link(db: sqlite3.Connection, spans: Spans, facts: Collection[str]) -> No
         covers[table], wall_covers[table] = [first, last, plain], [first, last, whole]
     if facts:
         prints = {key: fact_fingerprint(db, key) for key in facts}
-        covers[LATER_WORD] = {key: plain for key, (plain, _) in prints.items()}
+        covers[LATER_WORD] = {key: plain for key, (plain, _) in prints.items() if plain is not None}
         wall_covers[LATER_WORD] = {key: whole for key, (_, whole) in prints.items()}
     link = linked(head_of(db), _text(covers), _text(wall_covers))
     values = (link.head.number, link.covers, link.head.digest, link.wall_covers, link.head.wall_digest)

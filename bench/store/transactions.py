@@ -63,20 +63,20 @@ class Transactions:
                 self._waiting = []
             raise
 
-    def _inserted(self, tables: Tables) -> tuple[Spans, set[str]]:
-        """Insert all rows; gives back which there are now by rowid, and the keys of the facts."""
+    def _inserted(self, tables: Tables) -> tuple[Spans, list[str]]:
+        """Insert all rows; gives back which there are now by rowid, and the keys of the facts as they came."""
         spans: dict[str, tuple[int, int]] = {}
-        facts: set[str] = set()
+        facts: dict[str, None] = {}  # in order, so that the same seed gives the same link
         for table, rows in tables:
             verb = "REPLACE" if table == LATER_WORD else "INSERT"
             for row in rows:
                 command = f"{verb} INTO {table} ({', '.join(row)}) VALUES ({', '.join('?' * len(row))})"
                 at = self._db.execute(command, tuple(row.values())).lastrowid or 0
                 if table == LATER_WORD:
-                    facts.add(row["key"])
+                    facts[row["key"]] = None
                 else:
                     spans[table] = (spans.get(table, (at, at))[0], at)
-        return spans, facts
+        return spans, list(facts)
 
 
 def _by_table(rows: Sequence[tuple[str, Row]]) -> list[tuple[str, list[Row]]]:

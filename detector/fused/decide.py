@@ -21,7 +21,9 @@ from detector.geometry import Array, Camera, Motion
 
 _CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
 _LEAST_FOLLOWED = 0.3  # of an end in one picture, where both sides were followed up to it
+_LEAST_BETWEEN = 0.65  # of the end, where no side is warm
 _FARTHEST = 0.9  # merit of the farthest end that sides lead to: a nearer one shows up to 0.28 more of itself, in two pictures, twice
+_WARM = 0.9  # of the thermal outline: what makes up for optical edges
 _LEANS = "it leans more than a teat does"
 _SIZE = "it isn't of a teat's size"
 _OUTLINE, _UNSURE, _WORSE = "its outline isn't that of a teat", "its place is too unsure", "a better one is in the same place"
@@ -177,10 +179,10 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     """What of teat ``i`` an optical picture shows too little of."""
     end = evidence.end[i, view]
     warm = np.isfinite(evidence.thermal_px[i, [SIDE_A, SIDE_B]]).any()
-    followed = evidence.followed[i] and evidence.both[i, :2].min() > 0.9
+    followed = evidence.followed[i] and evidence.both[i, :2].min() > 0.8
     partial = evidence.end[i, :2].mean() < (p.least_end_followed if followed else p.least_end_alone)
     alone = partial and evidence.end[i, 2] < 0.5
-    between_two = evidence.followed[i] and not warm and evidence.end[i, :2].mean() < p.least_end_alone  # a gap has two sides too
+    between_two = evidence.followed[i] and not warm and evidence.end[i, :2].mean() < _LEAST_BETWEEN  # a gap has two sides too
     if end < (_LEAST_FOLLOWED if followed else p.least_end) or alone or between_two:
         return "its end isn't seen"
     one_sided = evidence.both[i, :2].max() < p.least_side
@@ -188,6 +190,9 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     warm_end = np.isfinite(evidence.thermal_px[i, END]) or (good and end > p.least_end_alone and evidence.end[i, 2] >= 0.4)
     if one_sided and (end < p.least_end_one_sided * (1.0 if good else 1.4) or not warm_end):
         return "only a side of it and too little of its end are seen"
+    unsure = evidence.sd_mm[i] > p.sure_one_sided_mm and min(evidence.end[i, 2], evidence.side[i, 2]) < _WARM
+    if one_sided and unsure and evidence.end[i, :2].mean() < p.least_end_unsure:
+        return "only a side of it and not all of its end are seen"
     if evidence.side[i, view] < p.least_side and not _held_by_thermal(evidence, i):
         return "neither side is seen"
     return None

@@ -22,6 +22,7 @@ if sys.platform == "win32":
 
 from tests.bench.marked_bench import CLOSED_CODE, MARK, MarkedBench, marked_bench, serve
 
+AT_ONCE = 2  # an arm in real time that waits for a busy processor counts as lost
 BOUND_S = 15.0  # standby takes milliseconds; the rest is the arm's and the links' ending, on a machine that is busy
 
 
@@ -96,7 +97,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_way_out_of_a_run_leaves_standby_in_bounded_time(recording: Path, tmp_path: Path) -> None:
-    with ThreadPoolExecutor(len(BRING)) as pool:
+    with ThreadPoolExecutor(AT_ONCE) as pool:
         jobs = [pool.submit(leave, way, tmp_path / way, recording) for way in BRING]
         outcomes = [job.result() for job in jobs]
     for outcome in outcomes:

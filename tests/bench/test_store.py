@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -135,3 +137,14 @@ def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
     write_synced(path, b"two")
     assert path.read_bytes() == b"two"
     assert [p.name for p in path.parent.iterdir()] == ["b.bin"]
+
+
+def test_the_link_over_many_facts_repeats_in_another_process(tmp_path: Path) -> None:
+    """Facts are named as they were written, and none whose value doesn't repeat."""
+    keys = [f"fact {number}" for number in (7, 3, 9, 1, 5, 8, 2)]
+    with closing(Store.create(tmp_path / "run", {})) as store, store.step():
+        for key in ("command", *keys, "recorded to"):
+            store.fact(key, "said")
+    with closing(sqlite3.connect(tmp_path / "run" / DATABASE)) as db:
+        said = [json.loads(covers).get("facts", {}) for (covers,) in db.execute("SELECT covers FROM chain ORDER BY number")]
+    assert [key for link in said for key in link if key in keys or not key.startswith("fact")] == keys
