@@ -190,8 +190,8 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     warm_end = np.isfinite(evidence.thermal_px[i, END]) or (good and end > p.least_end_alone and evidence.end[i, 2] >= 0.4)
     if one_sided and (end < p.least_end_one_sided * (1.0 if good else 1.4) or not warm_end):
         return "only a side of it and too little of its end are seen"
-    unsure = evidence.sd_mm[i] > p.sure_one_sided_mm and min(evidence.end[i, 2], evidence.side[i, 2]) < _WARM
-    if one_sided and unsure and evidence.end[i, :2].mean() < p.least_end_unsure:
+    least = p.least_end_alone if min(evidence.end[i, 2], evidence.side[i, 2]) > _WARM else p.least_end_unsure
+    if one_sided and evidence.sd_mm[i] > p.sure_one_sided_mm and evidence.end[i, :2].mean() < least:
         return "only a side of it and not all of its end are seen"
     if evidence.side[i, view] < p.least_side and not _held_by_thermal(evidence, i):
         return "neither side is seen"

@@ -12,7 +12,7 @@ class Parameters:
     """What is known of teats and rigs before looking, and how much must speak for a teat.
 
     Sizes are those of teats. How much must be seen, and what moves an edge, was set by hand on the path-traced frames of another program
-    and on situations of seeds below 400; seeds from 400 on were kept apart to measure with.
+    and on situations of seeds below 400; seeds from 400 on were kept apart to measure with (but for one false teat: docs/detectors.md).
     """
 
     nearest_mm: float = 850.0  # working volume, along the right camera's axis
@@ -34,7 +34,7 @@ class Parameters:
     least_end_alone: float = 0.75  # where both sides were followed up to it,
     least_end_followed: float = 0.6  # and where only one side is seen,
     least_end_one_sided: float = 0.45
-    least_end_unsure: float = 0.87  # of one that is less sure than this, unless it is warm all round
+    least_end_unsure: float = 0.87  # of one that is less sure than this; least_end_alone where it is warm all round
     sure_one_sided_mm: float = 0.75
     greatest_thermal_px: float = 1.2  # how far the thermal outline may lie off, sensor pixels
     good_misfit_px: float = 0.15
