@@ -48,7 +48,8 @@ set_up = "Teats as in table 5.1."
 pose = {{ x_mm = 5.0 }}
 """
 
-TOUCH, READ = re.compile(r"ouch the end of teat (\d)"), "Readings taken"
+STANDS, READ = "Enter when it stands", "Readings taken"
+ASKED = re.compile(rf"ouch the end of teat (?P<teat>\d)|The arm was lost|{STANDS}")
 
 CHECK = "check_point_mm = [-190.0, 120.0, 15.0]\ncheck_touches = {}"
 
@@ -194,17 +195,26 @@ class Bench:
             time.sleep(0.005)
 
 
-def touch_as_asked(rig: RealRig, said: Callable[[], str], enter: Callable[[], None]) -> None:
-    """Touch whatever teat is asked for, also once more where a reading on a busy machine was not good enough, until none is."""
-    answered, deadline = 0, time.monotonic() + 60.0
-    while READ not in said():
-        assert time.monotonic() < deadline, f"never {READ!r}:\n{said()}"
-        asked = TOUCH.findall(said())
+def touch_as_asked(rig: RealRig, said: Callable[[], str], enter: Callable[[], None], over: Callable[[], bool]) -> float:
+    """Answer whatever is asked after the first set-up, until it is ``over``; gives back when the last readings were taken.
+
+    On a busy machine a reading may not be good enough, or the arm be lost for a moment: then more is asked than once.
+    """
+    answered, read, read_s, deadline = 0, 0, time.monotonic(), time.monotonic() + 120.0
+    while not over():
+        assert time.monotonic() < deadline, f"never over:\n{said()}"
+        _, _, text = said().partition(STANDS)
+        asked = list(ASKED.finditer(text))
         if len(asked) > answered:
-            rig.twin.operator.touch(int(asked[answered]), 4)
+            teat = asked[answered]["teat"]
+            if teat:
+                rig.twin.operator.touch(int(teat), 4)
             answered += 1
             enter()
-        time.sleep(0.005)
+        if text.count(READ) > read:
+            read, read_s = text.count(READ), time.monotonic()
+        time.sleep(0.002)
+    return read_s
 
 
 @contextmanager

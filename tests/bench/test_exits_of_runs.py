@@ -43,8 +43,7 @@ def leave(way: str, folder: Path, recording: Path) -> Outcome:
     with real_rig(folder, recording, window_s=2.0 if way in ("normal", "mistaken") else 60.0) as rig, marked_bench(rig, step) as running:
         running.wait_for("on its peg")
         running.enter()
-        BRING[way](rig, running)
-        plant, start = rig.twin.world.plant, time.monotonic()
+        plant, start = rig.twin.world.plant, BRING[way](rig, running) or time.monotonic()
         while plant.running and time.monotonic() - start < 60.0:
             time.sleep(0.002)
         standby_s = time.monotonic() - start
@@ -52,10 +51,11 @@ def leave(way: str, folder: Path, recording: Path) -> Outcome:
         return Outcome(way, standby_s, time.monotonic() - start, running.process.exitcode, read_run(rig.run_folder()), running.said)
 
 
-def to_the_end(rig: RealRig, running: MarkedBench) -> None:
+def to_the_end(rig: RealRig, running: MarkedBench) -> float:
+    """When the last readings were taken."""
     running.wait_for("Enter when it stands")
     running.enter()
-    touch_as_asked(rig, lambda: running.said, running.enter)
+    return touch_as_asked(rig, lambda: running.said, running.enter, lambda: not rig.twin.world.plant.running)
 
 
 def to_the_mistake(_: RealRig, running: MarkedBench) -> None:
@@ -79,7 +79,7 @@ def interrupt_twice(rig: RealRig, running: MarkedBench) -> None:
     running.signal("SIGINT")
 
 
-BRING: dict[str, Callable[[RealRig, MarkedBench], None]] = {
+BRING: dict[str, Callable[[RealRig, MarkedBench], float | None]] = {
     "normal": to_the_end,
     "mistaken": to_the_mistake,
     "Ctrl-C": interrupt,

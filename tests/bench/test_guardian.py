@@ -141,8 +141,8 @@ def test_a_run_that_ends_well_leaves_no_guardian(recording: Path, tmp_path: Path
         heating(rig, running)
         running.wait_for("Enter when it stands")
         running.answer()
-        touch_as_asked(rig, lambda: running.said, running.answer)
-        assert running.process.wait(60) == 0, running.said
+        touch_as_asked(rig, lambda: running.said, running.answer, lambda: running.process.poll() is not None)
+        assert running.process.returncode == 0, running.said
         assert not rig.twin.world.plant.running
         folder = rig.run_folder()
     run = read_run(folder)
