@@ -26,9 +26,11 @@ class Answers:
         self._number = 0
 
     def put(self, question: Question, now_s: float) -> bytes:
-        """The bytes that ask ``question``, which is owed from now on. Over TCP it keeps its number when it is asked again."""
-        if not question.request.transaction_id:
-            question.request.transaction_id = self._number = self._number % 0xFFFF + 1
+        """The bytes that ask ``question``, which is owed from now on, under a new number each time.
+
+        An answer to an earlier number may be cut, and what follows be taken for its rest: it no longer counts.
+        """
+        question.request.transaction_id = self._number = self._number % 0xFFFF + 1
         question.sent_s = now_s
         self.open = question
         self.owed.append(question)

@@ -13,6 +13,8 @@ from instruments.bath.registers import Order, decode
 from instruments.bath.rows import Row
 from instruments.errors import DeviceError, ProtocolError
 
+FAMILY = "Another family than the profile's, or a broken sensor?"
+FULL_PERCENT = 100.0
 TINY_C = 1e-3  # no controller resolves this; words in the wrong order often give less
 
 
@@ -77,7 +79,7 @@ class Poll:
             raw=raw,
             external_c=_number(values.get("external")),
             power_percent=_number(values.get("power")),
-            safety_c=_number(values.get("safety")),
+            safety_c=_number(values.get("safety")) or None,  # 0.0 stands where no sensor is fitted
             alarm=alarm,
             warning=int(values.get("warning", 0)),
             remote=values["remote"] == self._modbus if "remote" in values else None,
@@ -111,10 +113,16 @@ class Poll:
         if math.isnan(values["temperature"]):
             said = self._profile.alarm_text(alarm) if alarm else "no alarm"
             raise DeviceError(self._who, "it has no temperature", asked="temperature", seen=said, hint="Look at the sensor and its plug.")
-        for name in ("temperature", "safety", "set_point"):  # all: in another order of bytes, one number in 20 looks like a bath's
-            temp_c = values.get(name, math.nan)
-            if not (math.isnan(temp_c) or self._is_plausible(temp_c)):
-                self._refuse(name, temp_c, raw, alarm)
+        for row, *_ in self._places:  # all: in another order of bytes, one number in 20 is plausible
+            value = values[row.name]
+            if row.unit == "degC" and not (math.isnan(value) or self._is_plausible(value)):
+                self._refuse(row.name, value, raw, alarm)
+            if row.unit == "%" and abs(value) > FULL_PERCENT:
+                what = f"its {row.name} can't be: not within -100 to 100 %"
+                raise ProtocolError(self._who, what, asked=row.name, seen=f"{value:g} %", hint=FAMILY)
+            if row.values and not row.alarm and not row.is_known(value):
+                what = f"its {row.name} can't be: none of {', '.join((*row.values, *row.seen))}"
+                raise ProtocolError(self._who, what, asked=row.name, seen=f"{value:g}", hint=FAMILY)
 
     def _refuse(self, name: str, temp_c: float, raw: Sequence[int], alarm: int) -> None:
         if alarm and any(known.cause == "sensor" and known.code & alarm for known in self._profile.alarms):
@@ -122,7 +130,7 @@ class Poll:
             raise DeviceError(self._who, "it has no temperature", asked=name, seen=said, hint="Look at the sensor and its plug.")
         low, high = self._profile.plausible_c
         what = f"its {name} can't be: not within {low:g} to {high:g} degC"
-        hint = " ".join(self._guesses(self._profile.row("temperature"), raw)) or "Another family than the profile's, or a broken sensor?"
+        hint = " ".join(self._guesses(self._profile.row("temperature"), raw)) or FAMILY
         raise ProtocolError(self._who, what, asked=name, seen=f"{temp_c:g} degC", hint=hint)
 
     def _guesses(self, row: Row, raw: Sequence[int]) -> Iterator[str]:

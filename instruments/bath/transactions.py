@@ -17,7 +17,7 @@ from instruments.bath.answers import Answers
 from instruments.bath.line import Line
 from instruments.bath.questions import EXCEPTION, Question, read_question, values_in, write_question
 from instruments.bath.session import Session
-from instruments.bath.troubles import BrokenError, nonsense, owing, refused, silence, unreachable
+from instruments.bath.troubles import BrokenError, cut, nonsense, owing, refused, silence, unreachable
 from instruments.clock import Clock
 from instruments.errors import LinkError, ProtocolError
 from instruments.tap import NoTap, Tap
@@ -61,6 +61,7 @@ class Transactions:
         self._session: Session | None = None
         self._answers = Answers(rtu=line.is_rtu)
         self._strange_until_s = self._heard_s = 0.0
+        self._pending = b""  # what has come and is no whole answer yet
         if not logging.getLogger("pymodbus").handlers:  # or its complaints, which our errors carry, go to stderr
             logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
@@ -128,6 +129,7 @@ class Transactions:
             if session.connect():
                 self.close()  # an event of virtual time may have connected meanwhile
                 self._session = session
+                self._pending = b""
                 self._strange_until_s = self._clock.now() + self._quiet_s  # somebody else's answer may still be under way
                 return ""
             why = session.refusal or "no answer"
@@ -142,7 +144,7 @@ class Transactions:
     # ---- one question
 
     def _ask(self, question: Question, *, urgent: bool = False) -> bytes:
-        """The answer, which is to the right function. Over TCP an answer to the first attempt may come in the second."""
+        """The answer, which is to the right function; on RTU that to the first attempt may come in the second."""
         start = self._clock.now()
         for _ in range(ATTEMPTS):
             self._finish_open()
@@ -151,6 +153,9 @@ class Transactions:
                 self._come_clean(start)
             if question.answer is not None or self._put(question):  # the late one is as good
                 break
+            if self._pending and not self._line.is_rtu:
+                self.close()  # what follows would be taken for the rest
+                raise cut(self.who, question, self._pending)
         answer = question.answer
         if answer is None:
             raise self._silence(question, start)
@@ -196,7 +201,9 @@ class Transactions:
 
     def _hear(self, data: bytes) -> int:
         self._heard_s = self._clock.now()
-        return self._answers.hear(data)
+        used = self._answers.hear(data)
+        self._pending = data[used:]
+        return used
 
     # ---- what is owed
 

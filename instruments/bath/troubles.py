@@ -46,6 +46,13 @@ def silence(who: str, question: Question, took_s: float) -> LinkError:
     return LinkError(who, "no answer", asked=question.asked, seconds=took_s, hint=hint)
 
 
+def cut(who: str, question: Question, seen: bytes) -> BrokenError:
+    """Over TCP only a part of an answer has come in time, so the connection was closed."""
+    hint = "The connection is closed and opened anew. Check network and gateway if it happens often."
+    what = "only a part of an answer came"
+    return BrokenError(who, what, asked=question.asked, seen=seen, hint=hint)
+
+
 def owing(who: str, questions: int, took_s: float) -> LinkError:
     """So many questions are owed an answer that none is left which could not be confused with them."""
     hint = "It is asked again once none of its answers can come any more."

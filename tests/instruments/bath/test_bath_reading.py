@@ -66,6 +66,25 @@ def test_what_no_bath_has_is_not_believed(registers: str) -> None:
         read(registers)
 
 
+@pytest.mark.parametrize(
+    ("registers", "what"),
+    [
+        (HEAD + "4204 0000  4204 0000  0065 0000  7FC0 0000", "its power can't be: .* got 101 %"),
+        (HEAD + "4204 0000  4204 0000  FF9B 0000  7FC0 0000", "its power can't be: .* got -101 %"),
+        (HEAD + "4204 0000  4274 0000  0000 0000  7FC0 0000", "its external can't be: .* got 61 degC"),
+        ("0006" + HEAD[4:] + "4204 0000  4204 0000  0000 0000  7FC0 0000", "its remote can't be: .* got 6"),
+    ],
+)
+def test_every_value_has_to_be_one_that_a_bath_has(registers: str, what: str) -> None:
+    with pytest.raises(ProtocolError, match=what):
+        read(registers)
+
+
+def test_full_power_is_believed_and_a_safety_sensor_at_zero_is_none() -> None:
+    reading = read(HEAD + "4204 0000  4270 0000  0064 0000  0000 0000")
+    assert (reading.power_percent, reading.external_c, reading.safety_c) == (100.0, 60.0, None)
+
+
 def test_no_temperature_is_told_with_the_alarm() -> None:
     with pytest.raises(DeviceError, match=r"no temperature .*alarm 5, working sensor"):
         read("0004 0005 0000 0000 0000  7FC0 0000  4204 0000  0000 0000  4204 0000")

@@ -5,11 +5,16 @@ The far end holds 100 at register 0, 200 at 1 and so on: a value at the wrong ad
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from instruments.bath.driver import Bath
 from instruments.bath.line import parse_line
+from instruments.bath.profile import load_profile
 from instruments.bath.transactions import Transactions
 from instruments.bath.troubles import BrokenError
 from instruments.errors import InstrumentError, LinkError, ProtocolError
@@ -247,3 +252,41 @@ def test_p6_damage_that_stays_is_told_with_what_came() -> None:
         far_end.spoils = [lambda frame: frame[:-1] + bytes((frame[-1] ^ 1,))] * 3
         with pytest.raises(ProtocolError, match=r"what came is no answer to this .*got 01 04 02 00 64"):
             link.read(3, 3, 1)
+
+
+# ---- a cut answer over TCP
+
+
+PRESTO = {5: 4, 2: 0x4204, 12: 0x41F4, 14: 37, 16: 0x4205, 10: 0x4204, 11: 0x8000, 20: 0x4218}
+POLLED_BYTES = (17, 17, 35)  # the answers of a poll: holding 0 to 3 and 90 to 93, input 5 to 17
+
+
+@pytest.mark.parametrize("cut", ["alone", "late", "its rest later", "its rest amid the next"])
+def test_a_cut_answer_is_never_completed_by_the_next(cut: str) -> None:
+    """At every place: the right reading or an error, and the right one again soon after."""
+    with virtual("tcp") as (far_end, url):
+        far_end.memory = dict(PRESTO)
+        bath = Bath(url, load_profile("julabo-presto"), far_end.clock)
+        whole = replace(bath.read(), t_s=0.0)
+        assert (whole.temp_c, whole.external_c, whole.safety_c) == (33.125, 30.5, 33.25)
+        assert (whole.power_percent, whole.set_point_c) == (37.0, 33.0)
+        for block, length in enumerate(POLLED_BYTES):
+            for place in range(1, length):
+
+                def spoil(frame: bytes, place: int = place, length: int = length) -> bytes:
+                    assert len(frame) == length
+                    rest = frame[place:]
+                    if cut.startswith("its rest"):
+                        pause_s = 1.2 if cut == "its rest later" else 1.0
+                        later_s = far_end.clock.now() + pause_s
+                        far_end.clock.call_at(later_s, lambda: far_end.send_all(rest))
+                    return frame[:place]
+
+                far_end.spoils = [*[lambda frame: frame] * block, spoil]
+                far_end.delays_s = [0.0] * block + ([1.2] if cut == "late" else [])
+                for _ in range(2):
+                    with suppress(InstrumentError):
+                        assert replace(bath.read(), t_s=0.0) == whole, (block, place)
+                    far_end.clock.sleep(1.0)
+                assert replace(bath.read(), t_s=0.0) == whole, (block, place)
+        bath.close()
