@@ -21,16 +21,18 @@ class Answers:
     def __init__(self, *, rtu: bool) -> None:
         self.owed: list[Question] = []
         self.open: Question | None = None
+        self.left = 0  # bytes that have come since and are no whole answer
         self._rtu = rtu
         self._framer = (FramerRTU if rtu else FramerSocket)(DecodePDU(False))
         self._number = 0
 
     def put(self, question: Question, now_s: float) -> bytes:
-        """The bytes that ask ``question``, which is owed from now on, under a new number each time.
-
-        An answer to an earlier number may be cut, and what follows be taken for its rest: it no longer counts.
-        """
-        question.request.transaction_id = self._number = self._number % 0xFFFF + 1
+        """The bytes that ask ``question``, which is owed from now on, under a new number each time."""
+        self._number = self._number % 0xFFFF + 1
+        if question.request.transaction_id:
+            question.earlier += (question.request.transaction_id,)
+        question.request.transaction_id = self._number
+        self.left = 0
         question.sent_s = now_s
         self.open = question
         self.owed.append(question)
@@ -52,14 +54,18 @@ class Answers:
         return next((question for question in free if question.expects[:2] not in kinds), next(iter(free), None))
 
     def _hear_tcp(self, data: bytes) -> int:
-        used = 0
+        used, in_one_piece = 0, not self.left
         while True:
             size, unit_id, number, pdu = self._framer.decode(data[used:])
             if not size:
+                self.left = len(data) - used
                 return used
             used += size
+            # A late answer may be cut, and the next one's bytes taken for its rest: it has to come alone.
+            alone = in_one_piece and used == len(data)
             for question in self.owed if pdu else ():
-                if question.request.transaction_id == number and question.unit_id == unit_id:
+                asked = question.request.transaction_id
+                if question.unit_id == unit_id and (asked == number or (alone and number in question.earlier)):
                     question.answer = bytes((unit_id, *pdu))
 
     def _hear_rtu(self, data: bytes) -> int:

@@ -29,6 +29,7 @@ class Question:
     """One question, from when it is put until its answer has come.
 
     An answer is the unit and the PDU: ``expects`` is how the right one begins, ``length`` its size in bytes.
+    ``earlier`` are the numbers under which it was asked before, over TCP.
     """
 
     request: ModbusPDU
@@ -37,6 +38,7 @@ class Question:
     asked: str
     sent_s: float = 0.0
     answer: bytes | None = None
+    earlier: tuple[int, ...] = ()
 
     @property
     def function(self) -> int:

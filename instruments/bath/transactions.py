@@ -61,7 +61,6 @@ class Transactions:
         self._session: Session | None = None
         self._answers = Answers(rtu=line.is_rtu)
         self._strange_until_s = self._heard_s = 0.0
-        self._pending = b""  # what has come and is no whole answer yet
         if not logging.getLogger("pymodbus").handlers:  # or its complaints, which our errors carry, go to stderr
             logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
@@ -129,7 +128,6 @@ class Transactions:
             if session.connect():
                 self.close()  # an event of virtual time may have connected meanwhile
                 self._session = session
-                self._pending = b""
                 self._strange_until_s = self._clock.now() + self._quiet_s  # somebody else's answer may still be under way
                 return ""
             why = session.refusal or "no answer"
@@ -144,7 +142,7 @@ class Transactions:
     # ---- one question
 
     def _ask(self, question: Question, *, urgent: bool = False) -> bytes:
-        """The answer, which is to the right function; on RTU that to the first attempt may come in the second."""
+        """The answer, which is to the right function. That to the first attempt may come in the second."""
         start = self._clock.now()
         for _ in range(ATTEMPTS):
             self._finish_open()
@@ -153,9 +151,10 @@ class Transactions:
                 self._come_clean(start)
             if question.answer is not None or self._put(question):  # the late one is as good
                 break
-            if self._pending and not self._line.is_rtu:
-                self.close()  # what follows would be taken for the rest
-                raise cut(self.who, question, self._pending)
+            if self._answers.left and not self._line.is_rtu:
+                error = cut(self.who, question, self._up().seen, self._line)
+                self.close()  # or what follows would be taken for the rest
+                raise error
         answer = question.answer
         if answer is None:
             raise self._silence(question, start)
@@ -201,9 +200,7 @@ class Transactions:
 
     def _hear(self, data: bytes) -> int:
         self._heard_s = self._clock.now()
-        used = self._answers.hear(data)
-        self._pending = data[used:]
-        return used
+        return self._answers.hear(data)
 
     # ---- what is owed
 

@@ -46,11 +46,12 @@ def silence(who: str, question: Question, took_s: float) -> LinkError:
     return LinkError(who, "no answer", asked=question.asked, seconds=took_s, hint=hint)
 
 
-def cut(who: str, question: Question, seen: bytes) -> BrokenError:
-    """Over TCP only a part of an answer has come in time, so the connection was closed."""
-    hint = "The connection is closed and opened anew. Check network and gateway if it happens often."
-    what = "only a part of an answer came"
-    return BrokenError(who, what, asked=question.asked, seen=seen, hint=hint)
+def cut(who: str, question: Question, seen: bytes, line: Line) -> BrokenError | ProtocolError:
+    """Over TCP ``seen`` came and no whole answer: only a part of one, or no Modbus at all."""
+    if seen[2:4].strip(b"\0"):  # not the protocol's number
+        return nonsense(who, "what came is no answer to this", question, seen, line)
+    hint = "Check network and gateway if it happens often."
+    return BrokenError(who, "only a part of the answer came", asked=question.asked, seen=seen, hint=hint)
 
 
 def owing(who: str, questions: int, took_s: float) -> LinkError:

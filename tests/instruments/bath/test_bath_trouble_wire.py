@@ -196,10 +196,14 @@ def test_an_urgent_write_does_not_wait_for_what_is_owed() -> None:
 # ---- P4: other numbers over TCP
 
 
-@pytest.mark.parametrize("other", ["another number", "another unit"])
-def test_p4_over_tcp_only_the_right_number_and_unit_count(other: str) -> None:
+@pytest.mark.parametrize("number", ["FF FF 01", "00 00 01", "00 01 02", "00 02 02"])
+def test_p4_over_tcp_only_the_right_number_and_unit_count(number: str) -> None:
     with linked("tcp") as (far_end, link):
-        damaged = (lambda f: b"\xff\xff" + f[2:]) if other == "another number" else (lambda f: f[:6] + b"\x02" + f[7:])
+        other = bytes.fromhex(number)
+
+        def damaged(frame: bytes) -> bytes:
+            return other[:2] + frame[2:6] + other[2:] + frame[7:]
+
         far_end.spoils = [damaged, damaged]
         with pytest.raises(ProtocolError, match="what came is no answer to this"):
             link.read(3, 0, 1)
