@@ -26,6 +26,8 @@ TIMEOUT_S, QUIET_S = 1.0, 0.5
 CONNECT_TIMEOUT_S = 1.0
 ATTEMPTS = 2
 FORGET_S = 10.0  # no device answers later than this
+OWING_S = 3.0  # how long a call waits where every shape of an answer is owed
+SOON_S = 0.001
 CONNECT_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts; then we give up
 GAP_CHARACTERS, LEAST_GAP_S = 3.5, 0.00175  # of silence between frames (Modbus over serial line 1.02, section 2.5.1.1)
 
@@ -217,10 +219,20 @@ class Transactions:
         answers.owed.clear()
 
     def _prove(self, start_s: float) -> None:
-        """Ask what can't be confused with anything owed. Raises LinkError when that is not answered."""
-        marker = self._answers.unmistakable([read_question(*marker, self._unit_id) for marker in self._markers])
-        if marker is None:
-            raise owing(self.who, len(self._answers.owed), self._clock.now() - start_s)
+        """Ask what can't be confused with anything owed, once there is such a question.
+
+        Raises LinkError when there is none for OWING_S, or when it is not answered.
+        """
+        answers, until_s = self._answers, start_s + OWING_S
+        questions = [read_question(*marker, self._unit_id) for marker in self._markers]
+        while (marker := answers.unmistakable(questions)) is None:
+            now_s = self._clock.now()
+            if now_s >= until_s:
+                left_s = answers.owed[-1].sent_s + FORGET_S - now_s
+                raise owing(self.who, len(answers.owed), now_s - start_s, left_s)
+            freed_s = min(until_s, answers.owed[0].sent_s + FORGET_S) + SOON_S
+            self._up().wait(freed_s, lambda: answers.unmistakable(questions) is not None)
+            answers.forget(self._clock.now() - FORGET_S)
         if not self._put(marker):
             raise self._silence(marker, start_s)
 

@@ -54,9 +54,9 @@ def cut(who: str, question: Question, seen: bytes, line: Line) -> BrokenError | 
     return BrokenError(who, "only a part of the answer came", asked=question.asked, seen=seen, hint=hint)
 
 
-def owing(who: str, questions: int, took_s: float) -> LinkError:
+def owing(who: str, questions: int, took_s: float, left_s: float) -> LinkError:
     """So many questions are owed an answer that none is left which could not be confused with them."""
-    hint = "It is asked again once none of its answers can come any more."
+    hint = f"Nothing is asked for {left_s:.0f} s at most, until none of their answers can come any more."
     return LinkError(who, f"no answer to {questions} questions", seconds=took_s, hint=hint)
 
 

@@ -5,6 +5,7 @@ The far end holds 100 at register 0, 200 at 1 and so on: a value at the wrong ad
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from dataclasses import replace
 
@@ -15,11 +16,12 @@ from hypothesis import strategies as st
 from instruments.bath.driver import Bath
 from instruments.bath.line import parse_line
 from instruments.bath.profile import load_profile
-from instruments.bath.transactions import Transactions
+from instruments.bath.transactions import FORGET_S, Transactions
 from instruments.bath.troubles import BrokenError
 from instruments.errors import InstrumentError, LinkError, ProtocolError
 from tests.instruments.bath.far_end import rtu, virtual
 from tests.instruments.bath.linked import MARKERS, linked, right
+from tests.instruments.bath.stand import Stand
 
 LATE_S = [0.1, 0.9, 1.1, 1.4, 1.6, 2.4, 2.6, 3.6, 7.0, 9.5]  # about the ends of time-out, quiet and proof
 
@@ -294,3 +296,30 @@ def test_a_cut_answer_is_never_completed_by_the_next(cut: str) -> None:
                     far_end.clock.sleep(1.0)
                 assert replace(bath.read(), t_s=0.0) == whole, (block, place)
         bath.close()
+
+
+# ---- few shapes of answers over RTU
+
+
+def test_where_every_shape_of_an_answer_is_owed_a_call_waits_and_says_so() -> None:
+    stand = Stand(profile=load_profile("omega-cn7"))
+    try:
+        bath = stand.bath()
+        stand.emulator.fault("silence")
+        said = []
+        for _ in range(40):  # asked again at once, as nobody should
+            start = stand.clock.now()
+            with pytest.raises(LinkError, match="no answer") as raised:
+                bath.read()
+            assert 1.0 <= stand.clock.now() - start <= 7.0
+            said.append(str(raised.value))
+        assert any(re.search(r"no answer to 3 questions .* Nothing is asked for \d s at most", message) for message in said)
+        stand.emulator.fault("silence", on=False)
+        back_s = stand.clock.now()
+        while True:
+            with suppress(LinkError):
+                assert bath.read().temp_c == 20.0
+                break
+        assert stand.clock.now() - back_s <= FORGET_S
+    finally:
+        stand.close()
