@@ -31,6 +31,7 @@ from instruments.stage.protocol import (
 ANSWER_S = 2.0  # classic boards answer within milliseconds, but writing a setting takes longer
 START_S = 2.5  # a board's boot loader waits 1 to 2 s after the port has been opened
 QUIET_S = 0.25
+ASK_AGAIN_S = 0.25
 LOCKED = frozenset({"Alarm", "Sleep"})
 
 
@@ -70,13 +71,18 @@ class Dialogue:
             pushed.append(answer)
 
     def status(self, timeout_s: float = 1.0) -> Status:
-        """A fresh status report. Answers owed may come in meanwhile."""
+        """A fresh status report. Answers owed may come in meanwhile.
+
+        After an alarm it is asked for again: a board that restarts, as after a failed homing, loses the question.
+        """
         self._read_pending()
-        self._write(STATUS_QUERY)
-        start = self._clock.now()
-        while (answer := self._next(start + timeout_s)) is not None:
-            if isinstance(answer, Status):
-                return answer
+        end_s = self._clock.now() + timeout_s
+        while self._clock.now() < end_s:
+            self._write(STATUS_QUERY)
+            until_s = end_s if self.alarm is None else min(end_s, self._clock.now() + ASK_AGAIN_S)
+            while (answer := self._next(until_s)) is not None:
+                if isinstance(answer, Status):
+                    return answer
         raise LinkError(self.who, "no status report", asked="?", seconds=timeout_s, hint="Check power and cable.")
 
     def machine_mm(self, status: Status) -> Position:
@@ -169,7 +175,9 @@ class Dialogue:
         elif isinstance(answer, Welcome):
             self.upsets += 1
             self.owed = None
-            raise DeviceError(self.who, "the controller has restarted by itself: position lost", hint="Check its power, then home().")
+            if self.alarm is None:  # a failed homing ends in a restart
+                hint = "Check its power, then home()."
+                raise DeviceError(self.who, "the controller has restarted by itself: position lost", hint=hint)
         elif isinstance(answer, Status):
             self._offset = answer.wco_mm or self._offset
             if answer.state in LOCKED:  # whether or not we have seen why: its position is lost

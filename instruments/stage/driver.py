@@ -29,6 +29,9 @@ from instruments.stage.settings import DECLARABLE, AxisLimits, StageIdentity, St
 from instruments.stage.targets import Move, Target
 from instruments.stage.waiting import MOVING, stop_hard, until_over, until_still
 
+# The firmware sends a report before it goes on, where both are asked for in one pass of its loop.
+RESUME_PAUSES_S = (0.0, 0.1, 0.1, 0.1)
+
 
 class Stage:
     """The stage at the end of ``link``, of ``axes`` "XY", "XYZ", "XYA" or "XYZA". One owner: not for use by two threads.
@@ -185,9 +188,13 @@ class Stage:
         if move := self._under_way:
             self._move = move.again(self._clock.now())
         self._talk.realtime(RESUME)
-        status = self._talk.status()
-        if status.state == "Hold":
-            raise DeviceError(self._talk.who, "the controller did not resume", seen=status.name, hint="Call recover(), then home().")
+        for pause_s in RESUME_PAUSES_S:
+            self._talk.wait(pause_s)
+            status = self._talk.status()
+            if status.state != "Hold":
+                return
+        hint = "Call recover(), then home()."
+        raise DeviceError(self._talk.who, "the controller did not resume", seen=status.name, hint=hint)
 
     def stop(self) -> None:
         """Bring the stage to a stand from any state, and come back when it stands. Call it as often as you like.

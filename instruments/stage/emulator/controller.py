@@ -19,10 +19,14 @@ from instruments.stage.emulator.dialect import Dialect
 from instruments.stage.emulator.gcode import Modes
 from instruments.stage.emulator.homing import Switch
 from instruments.stage.emulator.lines import Task, execute
+from instruments.stage.emulator.phases import SOON_S
 from instruments.stage.emulator.receiver import Receiver, split
 from instruments.stage.emulator.report import SlowFields, status_report
 from instruments.stage.emulator.states import DEAF, STUBBORN, Mode
 from instruments.stage.emulator.store import Store
+
+PASS_S = 0.001  # one pass of the main loop: reports that are asked for in it are sent first
+RESTART_S = 0.02
 
 
 class Controller:
@@ -81,7 +85,9 @@ class Controller:
         self.out += text.encode("ascii") + b"\r\n"
 
     def take(self, data: bytes) -> None:
-        """Bytes from the host, cut anywhere."""
+        """Bytes from the host, cut anywhere. While the board restarts they are lost."""
+        if self._restart_s < math.inf:
+            return
         for realtime, part in split(data):
             if realtime:
                 self._realtime(part)
@@ -127,7 +133,8 @@ class Controller:
     @property
     def next_s(self) -> float:
         """When something happens by itself next."""
-        return min(self.due_s, self.carriage.switch_due_s(self.now)) if self._hard_limits else self.due_s
+        due_s = min(self.due_s, self._resume_s, self._restart_s)
+        return min(due_s, self.carriage.switch_due_s(self.now)) if self._hard_limits else due_s
 
     def heed_switches(self) -> None:
         """A limit switch that the carriage has run into is an alarm, where $21 says so."""
@@ -145,6 +152,7 @@ class Controller:
         self._receiver.clear()
         self._task: Task | None = None
         self.due_s = math.inf  # when the line in the works wants to be asked again
+        self._resume_s = self._restart_s = math.inf  # when it goes on after a hold, and when it has restarted
         self.modes = Modes(tuple(0.0 for _ in range(self.settings.axes)))
         self.slow = SlowFields()
         self.asked_while_homing = False
@@ -190,6 +198,7 @@ class Controller:
             self.asked_while_homing = True
 
     def _hold(self, door: bool) -> None:
+        self._resume_s = math.inf
         if door:
             self.say("[MSG:Check Door]")
         if self.jogging:
@@ -201,9 +210,7 @@ class Controller:
 
     def _resume(self) -> None:
         if self.mode in (Mode.HOLD, Mode.DOOR) and not self.moving:  # while it still brakes, the byte is lost
-            self.mode = Mode.READY
-            self.carriage.resume(self.now)
-            self.pump()
+            self._resume_s = self.now + PASS_S
 
     def _override(self, byte: bytes) -> None:
         feed, rapid = self.carriage.percent
@@ -219,8 +226,15 @@ class Controller:
 
     def pump(self) -> None:
         """Take lines until one has to wait, or there are none."""
+        if self.now >= self._restart_s - SOON_S:
+            self.restart()
+        if self.now >= self._resume_s - SOON_S:
+            self._resume_s = math.inf
+            if self.mode in (Mode.HOLD, Mode.DOOR):
+                self.mode = Mode.READY
+                self.carriage.resume(self.now)
         self.due_s = math.inf
-        while self.mode not in DEAF:
+        while self.mode not in DEAF and self._restart_s == math.inf:
             if self._task is None:
                 line = next(self._receiver.lines(), None)
                 if line is None:
@@ -234,10 +248,12 @@ class Controller:
 
     def _finish(self, code: int | None) -> None:
         if code is None:
-            self.restart()
+            self._restart_s = self.now + RESTART_S
             return
         self._task = None
         self._answer("ok" if code == 0 else f"error:{code}")
+        if self.mode is Mode.SLEEP:
+            self.say("[MSG:Sleeping]")
 
     # Reports
 

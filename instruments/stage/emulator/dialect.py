@@ -7,16 +7,21 @@ that firmware's source.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """A firmware: what it says after a reset, its buffers, what it adds to a status report, and what it can have."""
+    """A firmware: what it says after a reset, its buffers, what it adds to a status report, and what it can have.
+
+    ``options``: as `$I` prints them; grblHAL tells the size of its receive buffer, which holds one byte less.
+    """
 
     name: str
     welcome: str
     build: str
+    options: str
     planner_blocks: int
     receive_bytes: int
     more_fields: bool  # grblHAL's H: (homed) and TLR: (tool length reference)
@@ -24,11 +29,38 @@ class Dialect:
     most_axes: int
     homing_passes: bool  # whether settings say which axes are homed in which pass
     crooked_alarm: int  # two motors of one axis found their switches too far apart
+    most_line_number: float
 
     def identity(self) -> list[str]:
         """As ``$I`` prints it."""
-        return [f"[VER:{self.build}:]", f"[OPT:V,{self.planner_blocks},{self.receive_bytes}]"]
+        return [f"[VER:{self.build}:]", f"[OPT:{self.options}]"]
 
 
-CLASSIC = Dialect("Grbl", "Grbl 1.1h ['$' for help]", "1.1h.20190830", 15, 128, False, False, 3, False, 10)
-GRBL_HAL = Dialect("grblHAL", "GrblHAL 1.1f ['$' or '$HELP' for help]", "1.1f.20240101", 35, 1024, True, True, 4, True, 15)
+CLASSIC = Dialect(
+    name="Grbl",
+    welcome="Grbl 1.1h ['$' for help]",
+    build="1.1h.20190830",
+    options="V,15,128",
+    planner_blocks=15,
+    receive_bytes=128,
+    more_fields=False,
+    always_reports=False,
+    most_axes=3,
+    homing_passes=False,
+    crooked_alarm=10,
+    most_line_number=10_000_000,
+)
+GRBL_HAL = Dialect(
+    name="grblHAL",
+    welcome="GrblHAL 1.1f ['$' or '$HELP' for help]",
+    build="1.1f.20240101",
+    options="V,35,1024",
+    planner_blocks=35,
+    receive_bytes=1023,
+    more_fields=True,
+    always_reports=True,
+    most_axes=4,
+    homing_passes=True,
+    crooked_alarm=15,
+    most_line_number=math.inf,
+)

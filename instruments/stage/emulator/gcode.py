@@ -25,7 +25,8 @@ _GROUPS = {
     "path": {61.0},
     "arc distance": {91.1},
 }
-_IDLE_M = {0.0, 1.0, 2.0, 30.0, 3.0, 4.0, 5.0, 7.0, 8.0, 9.0}
+_M_GROUPS = {"program": {0.0, 1.0, 2.0, 30.0}, "spindle": {3.0, 4.0, 5.0}, "coolant": {7.0, 8.0, 9.0}}
+_JOG_GROUPS = {"units", "distance", "other"}
 _INCH_MM = 25.4
 _AXES = "XYZA"
 
@@ -82,13 +83,13 @@ class Dwell:
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """A line taken apart: G numbers by modal group, and the other letters' values."""
+    """A line taken apart: G and M numbers by modal group, and the other letters' values."""
 
     groups: dict[str, float]
     values: dict[str, float]
 
 
-def words(text: str, axes: int) -> Words:
+def words(text: str, axes: int, most_line_number: float) -> Words:
     """Take a line apart (capitals, no spaces) for a board of so many axes. Raises GcodeError."""
     groups: dict[str, float] = {}
     values: dict[str, float] = {}
@@ -102,20 +103,20 @@ def words(text: str, axes: int) -> Words:
             raise GcodeError(2)
         at = number.end()
         _place(letter, float(number[0]), _AXES[:axes], groups, values)
+    if int(values.get("N", 0)) > most_line_number:
+        raise GcodeError(27)
     return Words(groups, values)
 
 
 def _place(letter: str, value: float, axes: str, groups: dict[str, float], values: dict[str, float]) -> None:
-    if letter == "G":
-        group = next((name for name, members in _GROUPS.items() if value in members), None)
+    if letter in "GM":
+        known = _GROUPS if letter == "G" else _M_GROUPS
+        group = next((name for name, members in known.items() if value in members), None)
         if group is None:
             raise GcodeError(20)
         if group in groups:
             raise GcodeError(21)
         groups[group] = value
-    elif letter == "M":
-        if value not in _IDLE_M:
-            raise GcodeError(20)
     elif letter not in axes + "FPNST":
         raise GcodeError(20)
     elif letter in values:
@@ -126,9 +127,9 @@ def _place(letter: str, value: float, axes: str, groups: dict[str, float], value
         values[letter] = value
 
 
-def command(text: str, modes: Modes, at_mm: Vector) -> tuple[Modes, Move | Probe | Dwell | None]:
+def command(text: str, modes: Modes, at_mm: Vector, most_line_number: float) -> tuple[Modes, Move | Probe | Dwell | None]:
     """What ``text`` asks for, where the last planned move ends at ``at_mm``. Raises GcodeError; then nothing changes."""
-    line = words(text, len(at_mm))
+    line = words(text, len(at_mm), most_line_number)
     after = _new_modes(line, modes)
     axes = _axes(line, after.inches)
     other = line.groups.get("other")
@@ -157,18 +158,15 @@ def _probe(line: Words, move: Move | None, kind: float, at_mm: Vector) -> Probe 
     return Probe(move, away=kind in (38.4, 38.5), must=kind in (38.2, 38.4))
 
 
-def jog(text: str, modes: Modes, at_mm: Vector) -> Move:
-    """The move that ``$J=`` asks for; it leaves no mode behind. Raises GcodeError."""
-    line = words(text, len(at_mm))
-    if set(line.groups) - {"units", "distance", "other"} or line.groups.get("other", 53.0) != 53.0:
-        raise GcodeError(16)
-    if not line.values.get("F"):
+def jog(text: str, modes: Modes, at_mm: Vector, most_line_number: float) -> Move | None:
+    """The move that ``$J=`` asks for, if any; it leaves no mode behind. Raises GcodeError."""
+    line = words(text, len(at_mm), most_line_number)
+    if "F" not in line.values:
         raise GcodeError(22)
     after = replace(_new_modes(line, modes), motion=1.0)
-    axes = _axes(line, after.inches)
-    move = _move(line, after, axes, at_mm)
-    if move is None:
-        raise GcodeError(26)
+    move = _move(line, after, _axes(line, after.inches), at_mm)
+    if set(line.groups) - _JOG_GROUPS or line.groups.get("other", 53.0) != 53.0:
+        raise GcodeError(16)
     return move
 
 

@@ -65,7 +65,7 @@ def execute(board: Board, text: str) -> Task:
     if board.locked or board.jogging:
         return 9
     try:
-        modes, what = command(text, board.modes, board.carriage.target_mm)
+        modes, what = command(text, board.modes, board.carriage.target_mm, board.dialect.most_line_number)
     except GcodeError as error:
         return error.code
     if modes.offset_mm != board.modes.offset_mm:
@@ -132,9 +132,11 @@ def _jog(board: Board, text: str) -> Task:
     if board.locked or (board.moving and not board.jogged):
         return 8
     try:
-        move = jog(text, board.modes, board.carriage.target_mm)
+        move = jog(text, board.modes, board.carriage.target_mm, board.dialect.most_line_number)
     except GcodeError as error:
         return error.code
+    if move is None:
+        return 0
     if board.settings[20] and board.settings.beyond_travel(move.target_mm):
         return 15
     yield from _plan(board, move)
@@ -157,7 +159,6 @@ def _system(board: Board, text: str) -> Task:
         return (yield from _home(board))
     if text == "SLP":
         board.sleep()
-        board.say("[MSG:Sleeping]")
         return 0
     if text in ("$", "I"):
         for line in board.settings.lines() if text == "$" else board.dialect.identity():

@@ -70,6 +70,12 @@ def test_identity_and_settings(board: Board) -> None:
         (b"G80X1", b"error:31"),
         (b"$J=G91X1", b"error:22"),
         (b"$J=G1X1F100", b"error:16"),
+        (b"$J=G91M3X1F100", b"error:16"),
+        (b"$J=G1X1", b"error:22"),
+        (b"$J=F100", b"ok"),
+        (b"M3M4", b"error:21"),
+        (b"N10000000", b"ok"),
+        (b"N99999999", b"error:27"),
         (b"(" + b"x" * 300 + b")", b"ok"),
         (b"G1" + b" " * 200, b"ok"),
         (b"G1X" + b"0" * 76, b"error:22"),
@@ -106,7 +112,9 @@ def test_homing_answers_only_when_done_and_is_silent_until_then(board: Board) ->
 def test_a_hold_at_rest_waits_for_a_resume_and_keeps_lines_waiting(free: Board) -> None:
     assert free.say(b"!G21\n", 1.0) == b""
     assert free.state() == b"Hold:0"
-    assert free.say(b"~") == b"ok\r\n"
+    report, answer = free.say(b"~?", 0.01).split(b"\r\n")[:2]
+    assert report.startswith(b"<Hold:0|"), "a report that is asked for in the same pass comes first"
+    assert answer == b"ok"
     assert free.state() == b"Idle"
 
 

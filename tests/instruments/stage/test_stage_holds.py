@@ -25,10 +25,23 @@ def test_hold_resume_and_finish(bench: Bench) -> None:
     assert stage.position() == pytest.approx(held, abs=0.005)
     with pytest.raises(LimitError, match="still under way"):
         stage.move_to(-5, -5)
-    stage.resume()
+    stage.resume()  # the first report still says that it is held
+    assert stage.status().state == "Run"
     stage.finish_move()
     assert bench.emulator.position_mm() == pytest.approx([-200, -1, -1])
     assert stage.homed
+
+
+def test_a_resume_that_is_lost_is_told(bench: Bench) -> None:
+    stage = bench.homed()
+    stage.begin_move(-200, -1)
+    bench.clock.sleep(1.0)
+    stage.hold()
+    start_s = bench.clock.now()
+    bench.emulator._controller._resume = lambda: None  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match=r"the controller did not resume \(got Hold:0\)"):
+        stage.resume()
+    assert bench.clock.now() - start_s == pytest.approx(0.3)
 
 
 def test_resume_waits_until_the_stage_stands(bench: Bench) -> None:

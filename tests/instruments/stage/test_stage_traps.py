@@ -58,6 +58,22 @@ def test_grblhal_still_reports_in_that_alarm(make_board: Make) -> None:
     assert b"|H:" in report
 
 
+def test_grblhal_tells_of_a_buffer_that_holds_a_byte_less_and_knows_any_line_number(make_board: Make) -> None:
+    board = make_board({10: 3, 20: 0}, dialect=GRBL_HAL)
+    assert b"|Bf:35,1023|FS:" in board.say(b"?")
+    assert b"[OPT:V,35,1024]" in board.say(b"$I\n")
+    board.unlock()
+    assert board.say(b"N99999999\n") == b"ok\r\n"
+
+
+def test_a_board_that_restarts_after_a_failed_homing_loses_what_is_said_to_it(board: Board) -> None:
+    board.emulator.inject(Fault.NO_SWITCH)
+    board.links[-1].write(b"$H\n")
+    assert board.links[-1].read_until(b"ALARM:9\r\n", 60.0).endswith(b"ALARM:9\r\n")
+    assert board.say(b"?", 1.0) == b"ok\r\n" + WELCOME + LOCK
+    assert board.state() == b"Alarm"
+
+
 def test_a_reset_in_motion_is_alarm_3_and_one_at_rest_is_not(free: Board) -> None:
     assert free.say(b"\x18") == WELCOME
     free.say(b"G1X-50F3000\n", 0.5)
@@ -93,7 +109,7 @@ def test_settings_and_homing_are_refused_in_motion(free: Board) -> None:
 
 
 def test_sleep_is_left_only_by_a_reset_and_into_the_alarm(free: Board) -> None:
-    assert free.say(b"$SLP\n") == b"[MSG:Sleeping]\r\nok\r\n"
+    assert free.say(b"$SLP\n") == b"ok\r\n[MSG:Sleeping]\r\n"
     assert free.state() == b"Sleep"
     assert free.say(b"$X\nG1X1F100\n~", 1.0) == b""
     assert free.say(b"\x18") == WELCOME + LOCK
@@ -114,7 +130,7 @@ def test_blasting_blindly_mangles_lines_into_many_kinds_of_error(free: Board) ->
 def test_the_buffer_holds_exactly_128_bytes(free: Board) -> None:
     free.say(b"!")
     free.say(b"\n" * 127 + b"$I\n")  # of the last line only the first byte finds room
-    assert free.say(b"~") == b"ok\r\n" * 127
+    assert free.say(b"~", 0.01) == b"ok\r\n" * 127
     assert free.say(b"G\n").startswith(b"[GC:G0 ")
 
 

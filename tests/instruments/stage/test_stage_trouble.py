@@ -40,6 +40,7 @@ def test_failed_homing(bench: Bench, fault: Fault, alarm: int) -> None:
     bench.emulator.inject(fault)
     with pytest.raises(DeviceError, match=f"alarm {alarm}: "):
         bench.stage.home()
+    assert bench.stage.status().state == "Alarm"  # asked while the board restarts
     assert not bench.stage.homed
     bench.emulator.cure(fault)
     with pytest.raises(DeviceError, match=f"alarm {alarm}: "):
