@@ -200,7 +200,7 @@ class MicroScribe:
         """One position from ``n`` packets, ``interval_s`` apart.
 
         Raises NotHomedError before homing is confirmed, ArmMovesError while the arm moves: a tip further than
-        ``max_spread_mm`` from the mean. Raises as ``poll`` does, and ValueError for n below 1.
+        ``max_spread_mm`` from the median. Raises as ``poll`` does, and ValueError for n below 1.
         """
         if n < 1:
             raise ValueError(f"a reading needs one packet at least, not {n}")

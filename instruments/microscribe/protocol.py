@@ -187,13 +187,16 @@ def _fourteen(value: int) -> bytes:
 class PacketDecoder:
     """Finds packets in a stream cut anywhere; ``damaged`` counts those it had to drop.
 
-    A byte with bit 7 inside a packet is damage, and is where the search for a header goes on. ``command``
+    A byte with bit 7 inside a packet is damage, and is where the search for a header goes on. So is a byte without it
+    behind a packet: one byte came twice. Where that byte comes in a later piece, the packet before it is given
+    out already, and ``withdrawn`` counts it. ``command``
     names the only packet that is waited for; without it, any data header is one. Markers are looked for only with
     ``markers``: their value is 8-bit, and could be taken for a header.
     """
 
     def __init__(self, command: int | None = None, *, markers: bool = False) -> None:
-        self.damaged = 0
+        self.damaged = self.withdrawn = 0
+        self._behind_packet = False
         self._wanted = None if command is None else command | MARK
         self._markers = markers
         self._buffer = b""
@@ -207,6 +210,7 @@ class PacketDecoder:
         """Forget an unfinished packet; it counts as damaged."""
         self.damaged += bool(self._buffer)
         self._buffer = b""
+        self._behind_packet = False
 
     def feed(self, data: bytes) -> list[Packet]:
         """The packets that ``data`` completes, in order."""
@@ -214,7 +218,10 @@ class PacketDecoder:
 
     def feed_all(self, data: bytes) -> list[Packet | Marker]:
         """The packets and markers that ``data`` completes, in order."""
-        buffer, at = self._buffer + data, 0
+        buffer, at, given_to = self._buffer + data, 0, -1
+        if self._behind_packet and buffer and not buffer[0] & MARK:
+            self.damaged += 1
+            self.withdrawn += 1
         items: list[Packet | Marker] = []
         while at < len(buffer):
             header = buffer[at]
@@ -234,9 +241,13 @@ class PacketDecoder:
                 at = _next_marked(buffer, at)
             elif end > len(buffer):
                 break
+            elif end < len(buffer) and not buffer[end] & MARK:
+                self.damaged += 1
+                at = _next_marked(buffer, end)
             else:
                 items.append(_packet(header & 0x7F, payload))
-                at = end
+                at = given_to = end
+        self._behind_packet = given_to == len(buffer) if buffer else self._behind_packet
         self._buffer = buffer[at:]
         return items
 

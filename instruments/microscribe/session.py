@@ -94,8 +94,10 @@ class Session:
         while data := talk.link.receive(max(0.0, deadline - self._clock.now())):
             seen += data
             if packets := self._decoder.feed(data):
-                talk.untidy = len(packets) > 1 or self._decoder.pending > 0
-                return packets[-1], seen
+                withdrawn, behind = self._decoder.withdrawn, talk.link.receive(0.0)
+                self._decoder.feed(behind)
+                talk.untidy = len(packets) > 1 or bool(behind) or self._decoder.pending > 0
+                return None if self._decoder.withdrawn > withdrawn else packets[-1], seen + behind
         talk.untidy = True
         return None, seen
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
+from collections.abc import Callable
 
 import numpy as np
 
@@ -35,7 +36,10 @@ class Hand:
 
 
 class Ear:
-    """Notes what the emulator hears; ``late_s`` holds the next bytes up for so long, once."""
+    """Notes what the emulator hears; ``late_s`` holds the next bytes up for so long, once.
+
+    ``spoil`` makes of what the arm sends the pieces that the host gets.
+    """
 
     def __init__(self, arm: ArmEmulator) -> None:
         self.arm = arm
@@ -43,9 +47,17 @@ class Ear:
         self.late_s = 0.0
         self.lose: set[int] = set()  # which of the next bytes never arrive, counted from 0
         self.hosts: list[Connection] = []
+        self.spoil: Callable[[bytes], list[bytes]] = lambda data: [data]
 
     def connect(self, connection: Connection) -> None:
         self.hosts.append(connection)
+        send = connection.send
+
+        def send_spoilt(data: bytes) -> None:
+            for piece in self.spoil(data):
+                send(piece)
+
+        connection.send = send_spoilt  # type: ignore[method-assign]
         self.arm.connect(connection)
 
     def receive(self, connection: Connection, data: bytes) -> None:

@@ -36,6 +36,44 @@ def test_a_touch_is_right_within_the_stated_accuracy(rig: Rig) -> None:
     np.testing.assert_allclose(reading.axis, UP, atol=0.01)
 
 
+@pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.parametrize("place", range(1, 14))
+def test_a_byte_that_comes_twice_gives_no_wrong_packet(rig: Rig, place: int, apart: bool) -> None:
+    driver = rig.signed_on()
+    right = driver.poll().counts
+    left = 1
+
+    def spoil(data: bytes) -> list[bytes]:
+        nonlocal left
+        if not left or len(data) != 14:
+            return [data]
+        left -= 1
+        doubled = data[: place + 1] + data[place:]
+        return [doubled[:14], doubled[14:]] if apart else [doubled]
+
+    rig.ear.spoil = spoil
+    assert driver.poll().counts == right
+    assert (left, driver.damaged) == (0, 1)
+    assert driver.poll().counts == right
+
+
+def test_one_wrong_packet_among_eight_does_not_move_a_reading(rig: Rig) -> None:
+    driver = rig.signed_on()
+    right = driver.read()
+    answers = 0
+
+    def spoil(data: bytes) -> list[bytes]:
+        nonlocal answers
+        answers += 1
+        return [data[:5] + bytes([data[5] ^ 0x06]) + data[6:]] if answers == 3 else [data]
+
+    rig.ear.spoil = spoil
+    reading = driver.read()
+    assert 0.1 < reading.spread_mm < 1.0
+    np.testing.assert_allclose(reading.tip_mm, right.tip_mm, atol=1e-9)
+    np.testing.assert_allclose(reading.axis, right.axis, atol=1e-9)
+
+
 def test_the_same_seed_gives_the_same_readings(make: Callable[..., Rig]) -> None:
     readings = []
     for _ in range(2):
