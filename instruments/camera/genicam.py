@@ -43,13 +43,19 @@ class GenicamCamera:
         self._clock = clock
         self._settings = settings or Settings()
         self._patience_s = patience_s
-        self._time = DeviceTime()
+        self._device = device
+        self._lost_control = False
         self._aravis = load_aravis()
         self._failure = _failure()
         if device.startswith(FAKE):
             self._aravis.enable_interface("Fake")
-        self._camera = self._found(device)
         self._stream: Any = None
+        self._open()
+
+    def _open(self) -> None:
+        self._time = DeviceTime()
+        self._camera = self._found(self._device)
+        self._lost_control = False
         try:
             notes = set_all(self._who, self._camera, self._settings, self._failure)
             self._identity = "; ".join([self._described(), *notes])
@@ -67,7 +73,12 @@ class GenicamCamera:
         return self._identity
 
     def begin(self) -> None:
-        """Give back what came unasked, and trigger where the bench is the trigger. Raises LinkError."""
+        """Give back what came unasked, and trigger where the bench is the trigger. Raises LinkError.
+
+        A camera that this program no longer controls raises FrameError, and is opened once more the next time.
+        """
+        if self._lost_control:
+            self._open()
         if self._stream is None:
             raise LinkError(self._who, "is closed", asked="a frame")
         while (stale := self._stream.try_pop_buffer()) is not None:
@@ -76,6 +87,7 @@ class GenicamCamera:
             try:
                 self._camera.software_trigger()
             except self._failure as error:
+                self._check_control()
                 raise LinkError(self._who, f"did not take the trigger: {error}", asked="TriggerSoftware") from error
 
     def take(self) -> RawFrame:
@@ -83,6 +95,7 @@ class GenicamCamera:
         buffer = self._stream.timeout_pop_buffer(int(self._patience_s * 1e6))
         arrived_s = self._clock.now()
         if buffer is None:
+            self._check_control()
             hint = "Did its trigger come?" if self._settings.trigger == "hardware" else "Check cable, power and the network's packet size."
             raise FrameError(FrameFault.DROPPED, self._name, self._who, "no frame came", seconds=self._patience_s, hint=hint)
         try:
@@ -94,6 +107,7 @@ class GenicamCamera:
 
     def close(self) -> None:
         """Let it go; may be called again."""
+        self._lost_control = False
         if self._stream is not None:
             self._stream = None
             try:
@@ -105,11 +119,29 @@ class GenicamCamera:
 
     def _found(self, device: str) -> Any:
         try:
-            return self._by_loopback(self._aravis.Camera.new(device or None))
+            camera = self._by_loopback(self._aravis.Camera.new(device or None))
         except self._failure as error:
             there = ", ".join(found_cameras(self._aravis)) or "none"
             hint = f"Cameras that answer: {there}. On a network the bench and the camera must be in one subnet."
             raise LinkError(self._who, f"can't be opened: {error}", hint=hint) from error
+        if not self._controls(camera):  # the library opens it all the same, and then every setting times out
+            hint = "Is it twice in the rig file? Close the other program; after a crash its hold ends within seconds."
+            raise LinkError(self._who, "can't be opened: it is open already, here or in another program", hint=hint)
+        return camera
+
+    def _controls(self, camera: Any) -> bool:
+        """Whether this program may set and start the camera: on a network one alone may, while it gives signs of life."""
+        return not camera.is_gv_device() or bool(camera.get_device().is_controller())
+
+    def _check_control(self) -> None:
+        """Raise FrameError for a camera that this program no longer controls, and let it go."""
+        if self._controls(self._camera):
+            return
+        self._stream = self._camera = None
+        self._lost_control = True
+        what = "no frame came: the camera is no longer under this program's control"
+        hint = "Another program has taken it, or its power or cable was off. It is opened again for the next frame."
+        raise FrameError(FrameFault.DROPPED, self._name, self._who, what, hint=hint)
 
     def _by_loopback(self, camera: Any) -> Any:
         """The same camera; one of this machine that was found through a network's interface is opened by its address instead.

@@ -25,7 +25,16 @@ MANUAL, MANUAL_OF_OLD = 1.0, 0.25  # how backends call an exposure that isn't au
 
 def is_live(source: Source) -> bool:
     """Whether frames come whether or not anyone asks: a device or a stream, not a file."""
-    return isinstance(source, int) or "://" in source or source.startswith("/dev/")
+    return isinstance(source, int) or _is_url(source) or source.startswith("/dev/")
+
+
+def _is_url(source: Source) -> bool:
+    return isinstance(source, str) and "://" in source
+
+
+def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
+    """Width and height, 0 where the backend tells none."""
+    return round(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
 
 
 class OpenCvCamera:
@@ -73,8 +82,15 @@ class OpenCvCamera:
             good, decoded = self._file.retrieve() if self._file is not None else (False, None)
             image = np.asarray(decoded, dtype=np.uint8) if good and decoded is not None else None
             exposed_s = self._begun_s or 0.0
+        if image is not None and self._is_jpeg:
+            decoded = cv2.imdecode(image, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+            image = None if decoded is None else np.asarray(decoded, dtype=np.uint8)
         if image is None:
             raise self._fault(FrameFault.HALF, "a frame came that can't be decoded", None)
+        height, width = image.shape[:2]
+        if self._size[0] and (width, height) != self._size:
+            what = f"a frame of {width} x {height} came; it was opened with {self._size[0]} x {self._size[1]}"
+            raise self._fault(FrameFault.WRONG_SIZE, what, None)
         return RawFrame(image, exposed_s)
 
     def close(self) -> None:
@@ -101,8 +117,11 @@ class OpenCvCamera:
         except BaseException:
             capture.release()
             raise
-        width, height = (round(capture.get(prop)) for prop in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        width, height = self._size = _size(capture)
         self._identity = "; ".join([f"{self._source} ({capture.getBackendName()}, {width} x {height})", *notes])
+        # Decoded by the library, a frame of another size would be scaled to the first one's without a word.
+        is_mjpeg = _is_url(self._source) and fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)) == "MJPG"
+        self._is_jpeg = is_mjpeg and capture.set(cv2.CAP_PROP_FORMAT, -1)
         if is_live(self._source):
             self._live = LiveReader(capture, self._clock, self._name)
         else:
@@ -110,7 +129,7 @@ class OpenCvCamera:
 
 
 def _opened(who: str, source: Source) -> cv2.VideoCapture:
-    if isinstance(source, str) and "://" in source:
+    if _is_url(source):
         limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, int(SILENCE_MS), cv2.CAP_PROP_READ_TIMEOUT_MSEC, int(SILENCE_MS)]
         capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
     else:
@@ -146,8 +165,7 @@ def _read_back(capture: cv2.VideoCapture, settings: Settings, back: ReadBack) ->
     if settings.pixel_format is not None:
         back.compare("pixel_format", settings.pixel_format, fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)))
     if settings.resolution is not None:
-        seen = tuple(round(capture.get(prop)) for prop in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        back.compare("resolution", tuple(settings.resolution), seen)
+        back.compare("resolution", tuple(settings.resolution), _size(capture))
     for name, prop in (("fps", cv2.CAP_PROP_FPS), ("exposure", cv2.CAP_PROP_EXPOSURE), ("gain", cv2.CAP_PROP_GAIN)):
         asked = getattr(settings, name)
         if asked is not None:

@@ -14,7 +14,7 @@ from instruments.camera.aravis import load_aravis
 from instruments.camera.faults import FrameError, FrameFault
 from instruments.camera.genicam import GenicamCamera
 from instruments.camera.raw import RawFrame
-from instruments.camera.settings import Settings
+from instruments.camera.settings import Settings, Trigger
 from instruments.clock import RealClock
 from instruments.errors import DeviceError, LinkError
 from tests.instruments.camera.peers import ADDRESS, gige_camera, need_aravis
@@ -92,6 +92,37 @@ def test_lost_packets_are_told_and_the_next_frame_is_whole(clock: RealClock) -> 
             if min(seen["lost packets"], seen["whole"]) >= 3:
                 break
     assert min(seen["lost packets"], seen["whole"]) >= 3
+
+
+def test_one_that_is_open_already_is_told_as_such(clock: RealClock) -> None:
+    with gige_camera(), opened(ADDRESS, clock) as camera:
+        with pytest.raises(LinkError, match=r"right camera .*: it is open already, here or in another program\. Is it twice"):
+            GenicamCamera("right", ADDRESS, clock)
+        assert whole(camera).pixels.shape == (512, 512), "the first one goes on"
+
+
+@pytest.mark.parametrize("trigger", ["free", "software"])
+def test_one_that_lost_control_says_so_and_is_opened_again(clock: RealClock, trigger: Trigger) -> None:
+    with gige_camera():
+        camera = GenicamCamera("left", ADDRESS, clock, Settings(trigger=trigger), patience_s=0.5)
+        whole(camera)
+    with gige_camera():  # as after its power was off: it knows nobody any more
+        said = [refusal(camera)]
+        while "no longer under this program's control" not in said[-1]:
+            said.append(refusal(camera))
+        assert "opened again" in said[-1]
+        assert whole(camera).pixels.shape == (512, 512)
+        camera.close()
+
+
+def refusal(camera: GenicamCamera) -> str:
+    """Why the next frame does not come."""
+    try:
+        camera.begin()
+        camera.take()
+    except (FrameError, LinkError) as error:
+        return str(error)
+    return "it came"
 
 
 def outcome(camera: GenicamCamera) -> str:

@@ -32,12 +32,13 @@ class Counting:
     clock: RealClock
     taken: int = 0
     dropped: set[int] = field(default_factory=set)
+    sizes: dict[str, tuple[int, int]] = field(default_factory=lambda: dict(SIZES))
 
     def capture(self) -> FrameSet:
         self.taken += 1
         if self.taken in self.dropped:
             raise FrameError(FrameFault.DROPPED, "left", "left camera", "no frame came")
-        grey = {name: np.full(size, 40 + 10 * (self.taken % 20), np.uint8) for name, size in SIZES.items()}
+        grey = {name: np.full(size, 40 + 10 * (self.taken % 20), np.uint8) for name, size in self.sizes.items()}
         return FrameSet(grey["left"], grey["right"], grey["thermal"], None, dict.fromkeys(SIZES, self.clock.now()))
 
 
@@ -105,6 +106,32 @@ def test_a_camera_that_falls_silent_and_a_server_that_goes(clock: RealClock) -> 
     else:
         pytest.fail("the server has gone, and nobody noticed")
     camera.close()
+
+
+def test_a_size_that_changes_within_a_stream_is_told_until_it_is_the_old_one(clock: RealClock) -> None:
+    source = Counting(clock)
+
+    def outcomes_until(wanted: str) -> set[str]:
+        seen: list[str] = []
+        while wanted not in seen and len(seen) < 100:
+            camera.begin()
+            try:
+                seen.append(str(camera.take().pixels.shape))
+            except FrameError as error:
+                seen.append(f"{error.fault}: {error.what}")
+        assert wanted in seen, seen
+        return set(seen)
+
+    with (
+        closing(StreamServer(source, clock, fps=20.0)) as server,
+        closing(OpenCvCamera("left", server.urls["left"], clock, patience_s=60.0)) as camera,
+    ):
+        assert outcomes_until("(96, 128, 3)") == {"(96, 128, 3)"}
+        source.sizes["left"] = (60, 80)
+        told = "wrong size: a frame of 80 x 60 came; it was opened with 128 x 96"
+        assert outcomes_until(told) <= {"(96, 128, 3)", told}
+        source.sizes["left"] = SIZES["left"]
+        assert outcomes_until("(96, 128, 3)") <= {"(96, 128, 3)", told}
 
 
 def test_settings_of_a_stream_do_not_take(served: StreamServer, clock: RealClock) -> None:
