@@ -116,7 +116,8 @@ def test_a_byte_that_comes_twice_costs_its_packet_and_none_is_wrong(place: int) 
 
 def kept(stream: bytes, cuts: list[int]) -> tuple[list[Packet], int]:
     """The packets of a stream in pieces, without those that were withdrawn; and how many came damaged."""
-    decoder, got = PacketDecoder(), []
+    decoder = PacketDecoder()
+    got: list[Packet] = []
     for a, b in itertools.pairwise([0, *sorted(cuts), len(stream)]):
         withdrawn = decoder.withdrawn
         came = decoder.feed(stream[a:b])
