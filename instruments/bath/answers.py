@@ -27,7 +27,7 @@ class Answers:
         self._number = 0
 
     def put(self, question: Question, now_s: float) -> bytes:
-        """The bytes that ask ``question``, which is owed from now on, under a new number each time."""
+        """The bytes that ask ``question``, under a new number each time. It is owed from now on."""
         self._number = self._number % 0xFFFF + 1
         if question.request.transaction_id:
             question.earlier += (question.request.transaction_id,)
@@ -61,7 +61,7 @@ class Answers:
                 self.left = len(data) - used
                 return used
             used += size
-            # A late answer may be cut, and the next one's bytes taken for its rest: it has to come alone.
+            # A late answer has to come alone: the next one's bytes could complete a cut one.
             alone = in_one_piece and used == len(data)
             for question in self.owed if pdu else ():
                 asked = question.request.transaction_id

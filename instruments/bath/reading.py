@@ -113,7 +113,7 @@ class Poll:
         if math.isnan(values["temperature"]):
             said = self._profile.alarm_text(alarm) if alarm else "no alarm"
             raise DeviceError(self._who, "it has no temperature", asked="temperature", seen=said, hint="Look at the sensor and its plug.")
-        for row, *_ in self._places:  # all: in another order of bytes, one number in 20 is plausible
+        for row, *_ in self._places:  # all: in another order of bytes, one in 20 is plausible
             value = values[row.name]
             if row.unit == "degC" and not (math.isnan(value) or self._is_plausible(value)):
                 self._refuse(row.name, value, raw, alarm)

@@ -144,7 +144,7 @@ class Transactions:
     # ---- one question
 
     def _ask(self, question: Question, *, urgent: bool = False) -> bytes:
-        """The answer, which is to the right function. That to the first attempt may come in the second."""
+        """The answer to the right function; that to the first attempt may come in the second."""
         start = self._clock.now()
         for _ in range(ATTEMPTS):
             self._finish_open()

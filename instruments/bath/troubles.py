@@ -51,12 +51,13 @@ def cut(who: str, question: Question, seen: bytes, line: Line) -> BrokenError | 
     if seen[2:4].strip(b"\0"):  # not the protocol's number
         return nonsense(who, "what came is no answer to this", question, seen, line)
     hint = "Check network and gateway if it happens often."
-    return BrokenError(who, "only a part of the answer came", asked=question.asked, seen=seen, hint=hint)
+    what = "only a part of the answer came"
+    return BrokenError(who, what, asked=question.asked, seen=seen, hint=hint)
 
 
 def owing(who: str, questions: int, took_s: float, left_s: float) -> LinkError:
     """So many questions are owed an answer that none is left which could not be confused with them."""
-    hint = f"Nothing is asked for {left_s:.0f} s at most, until none of their answers can come any more."
+    hint = f"Nothing is asked for {left_s:.0f} s at most: until then an answer may still come."
     return LinkError(who, f"no answer to {questions} questions", seconds=took_s, hint=hint)
 
 

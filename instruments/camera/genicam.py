@@ -75,7 +75,7 @@ class GenicamCamera:
     def begin(self) -> None:
         """Give back what came unasked, and trigger where the bench is the trigger. Raises LinkError.
 
-        A camera that this program no longer controls raises FrameError, and is opened once more the next time.
+        Raises FrameError for a camera that this program no longer controls, and opens it next time.
         """
         if self._lost_control:
             self._open()
@@ -124,13 +124,14 @@ class GenicamCamera:
             there = ", ".join(found_cameras(self._aravis)) or "none"
             hint = f"Cameras that answer: {there}. On a network the bench and the camera must be in one subnet."
             raise LinkError(self._who, f"can't be opened: {error}", hint=hint) from error
-        if not self._controls(camera):  # the library opens it all the same, and then every setting times out
-            hint = "Is it twice in the rig file? Close the other program; after a crash its hold ends within seconds."
-            raise LinkError(self._who, "can't be opened: it is open already, here or in another program", hint=hint)
+        if not self._controls(camera):  # the library opens it, but every setting would time out
+            what = "can't be opened: it is open already, here or in another program"
+            hint = "Is it twice in the rig file? Close the other program; a crashed one's hold soon ends."
+            raise LinkError(self._who, what, hint=hint)
         return camera
 
     def _controls(self, camera: Any) -> bool:
-        """Whether this program may set and start the camera: on a network one alone may, while it gives signs of life."""
+        """Whether this program may set and start the camera: on a network only one may."""
         return not camera.is_gv_device() or bool(camera.get_device().is_controller())
 
     def _check_control(self) -> None:
@@ -140,7 +141,7 @@ class GenicamCamera:
         self._stream = self._camera = None
         self._lost_control = True
         what = "no frame came: the camera is no longer under this program's control"
-        hint = "Another program has taken it, or its power or cable was off. It is opened again for the next frame."
+        hint = "Another program took it, or its power was off. It is opened again for the next frame."
         raise FrameError(FrameFault.DROPPED, self._name, self._who, what, hint=hint)
 
     def _by_loopback(self, camera: Any) -> Any:

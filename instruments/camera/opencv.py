@@ -89,7 +89,8 @@ class OpenCvCamera:
             raise self._fault(FrameFault.HALF, "a frame came that can't be decoded", None)
         height, width = image.shape[:2]
         if self._size[0] and (width, height) != self._size:
-            what = f"a frame of {width} x {height} came; it was opened with {self._size[0]} x {self._size[1]}"
+            opened = f"{self._size[0]} x {self._size[1]}"
+            what = f"a frame of {width} x {height} came; it was opened with {opened}"
             raise self._fault(FrameFault.WRONG_SIZE, what, None)
         return RawFrame(image, exposed_s)
 
@@ -119,7 +120,7 @@ class OpenCvCamera:
             raise
         width, height = self._size = _size(capture)
         self._identity = "; ".join([f"{self._source} ({capture.getBackendName()}, {width} x {height})", *notes])
-        # Decoded by the library, a frame of another size would be scaled to the first one's without a word.
+        # The library scales a frame of another size to the first one's: so it doesn't decode here.
         is_mjpeg = _is_url(self._source) and fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)) == "MJPG"
         self._is_jpeg = is_mjpeg and capture.set(cv2.CAP_PROP_FORMAT, -1)
         if is_live(self._source):

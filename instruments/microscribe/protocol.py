@@ -187,9 +187,9 @@ def _fourteen(value: int) -> bytes:
 class PacketDecoder:
     """Finds packets in a stream cut anywhere; ``damaged`` counts those it had to drop.
 
-    A byte with bit 7 inside a packet is damage, and is where the search for a header goes on. So is a byte without it
-    behind a packet: one byte came twice. Where that byte comes in a later piece, the packet before it is given
-    out already, and ``withdrawn`` counts it. ``command``
+    A byte with bit 7 inside a packet is damage, and is where the search for a header goes on. So is
+    a byte without it behind a packet: one came twice. Where it comes in a later piece, the packet
+    before it is given out already, and ``withdrawn`` counts it. ``command``
     names the only packet that is waited for; without it, any data header is one. Markers are looked for only with
     ``markers``: their value is 8-bit, and could be taken for a header.
     """

@@ -18,8 +18,9 @@ from instruments.microscribe.kinematics import ArmGeometry
 class Reading:
     """One position in the arm's frame.
 
-    ``tip_mm`` (3,) is the median tip, ``spread_mm`` the largest distance of one packet's tip from it, ``axis`` (3,) the
-    unit median direction from the tip up the stylus, ``n`` the packets, ``counts`` the last packet's.
+    ``tip_mm`` (3,) is the median tip, ``spread_mm`` the largest distance of one packet's tip from it,
+    ``axis`` (3,) the unit median direction from the tip up the stylus, ``n`` the packets, ``counts``
+    the last packet's.
     """
 
     tip_mm: npt.NDArray[np.float64]
@@ -30,7 +31,7 @@ class Reading:
 
 
 def reading_of(geometry: ArmGeometry, counts: Sequence[tuple[int, ...]]) -> Reading:
-    """The reading that packets with ``counts`` (n, 6) make, n at least 1: a wrong one moves no median."""
+    """The reading of packets with ``counts`` (n, 6), n at least 1. One wrong packet moves no median."""
     tips, axes = geometry.forward(np.array(counts))
     tip, axis = np.median(tips, axis=0), np.median(axes, axis=0)
     spread_mm = float(np.linalg.norm(tips - tip, axis=1).max())

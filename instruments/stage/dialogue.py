@@ -73,7 +73,7 @@ class Dialogue:
     def status(self, timeout_s: float = 1.0) -> Status:
         """A fresh status report. Answers owed may come in meanwhile.
 
-        After an alarm it is asked for again: a board that restarts, as after a failed homing, loses the question.
+        After an alarm it is asked for again: a board that restarts, as after a failed homing, loses it.
         """
         self._read_pending()
         end_s = self._clock.now() + timeout_s
@@ -176,8 +176,8 @@ class Dialogue:
             self.upsets += 1
             self.owed = None
             if self.alarm is None:  # a failed homing ends in a restart
-                hint = "Check its power, then home()."
-                raise DeviceError(self.who, "the controller has restarted by itself: position lost", hint=hint)
+                what, hint = "the controller has restarted by itself: position lost", "Check its power, then home()."
+                raise DeviceError(self.who, what, hint=hint)
         elif isinstance(answer, Status):
             self._offset = answer.wco_mm or self._offset
             if answer.state in LOCKED:  # whether or not we have seen why: its position is lost

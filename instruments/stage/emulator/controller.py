@@ -152,7 +152,7 @@ class Controller:
         self._receiver.clear()
         self._task: Task | None = None
         self.due_s = math.inf  # when the line in the works wants to be asked again
-        self._resume_s = self._restart_s = math.inf  # when it goes on after a hold, and when it has restarted
+        self._resume_s = self._restart_s = math.inf  # when it goes on after a hold; has restarted
         self.modes = Modes(tuple(0.0 for _ in range(self.settings.axes)))
         self.slow = SlowFields()
         self.asked_while_homing = False

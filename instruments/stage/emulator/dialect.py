@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """A firmware: what it says after a reset, its buffers, what it adds to a status report, and what it can have.
+    """A firmware: what it says after a reset, its buffers, its additions to a report, what it can have.
 
-    ``options``: as `$I` prints them; grblHAL tells the size of its receive buffer, which holds one byte less.
+    ``options``: as `$I` prints them. grblHAL's receive buffer holds a byte less than it tells there.
     """
 
     name: str

@@ -96,7 +96,7 @@ def test_lost_packets_are_told_and_the_next_frame_is_whole(clock: RealClock) -> 
 
 def test_one_that_is_open_already_is_told_as_such(clock: RealClock) -> None:
     with gige_camera(), opened(ADDRESS, clock) as camera:
-        with pytest.raises(LinkError, match=r"right camera .*: it is open already, here or in another program\. Is it twice"):
+        with pytest.raises(LinkError, match=r"right camera .*: it is open already, here or .* Is it twice"):
             GenicamCamera("right", ADDRESS, clock)
         assert whole(camera).pixels.shape == (512, 512), "the first one goes on"
 
