@@ -36,7 +36,8 @@ from instruments.errors import InstrumentError, LinkError
 
 READY, ALIVE, HUNG, DONE, TAKE_OVER = "ready", "alive", "hung: ", "done", "take over"
 HANG_S = 10.0  # without a word from the bench
-PAUSE_S = 1.0  # between attempts
+LOOK_S = 0.25  # between looks at whether the bench is being ended
+PAUSE_S = 1.0  # between attempts, but for the first few
 GIVE_UP_S = 300.0  # then somebody has long been there, or never comes
 NICE = (-20, -10, -5)  # the first that the system grants
 MCL_CURRENT, MCL_ONFAULT = 1, 4  # mman.h of Linux
@@ -46,11 +47,12 @@ IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")  # they are meant for the 
 class Ear:
     """Hears the bench on a file descriptor, on a thread: not every system can wait for a pipe with a time limit.
 
-    Signs of life are echoed to ``echo`` by the thread that waits for trouble.
+    Signs of life are echoed to ``echo`` by the thread that waits for trouble. ``bench`` is the bench's process.
     """
 
-    def __init__(self, source: int, echo: int) -> None:
+    def __init__(self, source: int, echo: int, bench: int) -> None:
         self._echo = echo
+        self._bench = bench
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         threading.Thread(target=self._listen, args=(source,), daemon=True).start()
 
@@ -59,8 +61,12 @@ class Ear:
         last_s = stopwatch_s()
         while True:
             try:
-                line = self._lines.get(timeout=HANG_S)
+                line = self._lines.get(timeout=LOOK_S)
             except queue.Empty:
+                if _is_dying(self._bench):
+                    return "died", "the system is ending it", stopwatch_s()
+                if stopwatch_s() - last_s < HANG_S:
+                    continue
                 return "hung", f"no sign of life for {HANG_S:g} s", last_s
             if line == DONE:
                 return None
@@ -100,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     preferred = _preferred()
     sys.stdout.write(READY + "\n")
     sys.stdout.flush()
-    trouble = Ear(sys.stdin.fileno(), sys.stdout.fileno()).wait_for_trouble()
+    trouble = Ear(sys.stdin.fileno(), sys.stdout.fileno(), given.bench).wait_for_trouble()
     if trouble is None:
         return 0
     cause, why, last_sign_s = trouble
@@ -112,6 +118,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _run_pump_on(bath, clock, given.record, record, given.overrun_s)
     bath.close()
     return 0 if reached else 1
+
+
+def _is_dying(process: int) -> bool:
+    """Whether the system is ending ``process``, or has: on a busy Linux seconds before its pipe closes.
+
+    A process that it has forked may hold the pipe open for good. False where there is no /proc.
+    """
+    try:
+        status = Path(f"/proc/{process}/status").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return Path("/proc/self/status").exists()
+    told = dict(line.split(":", 1) for line in status.splitlines())
+    killed = 1 << (signal.SIGKILL - 1)
+    return "VmRSS" not in told or bool((int(told["SigPnd"], 16) | int(told["ShdPnd"], 16)) & killed)
 
 
 def _preferred() -> dict[str, Any]:
@@ -141,7 +161,7 @@ def _make_safe(bath: Bath, clock: RealClock, path: Path, record: dict[str, Any],
             if bench is not None and isinstance(error, LinkError):
                 record["killed"] = _kill(bench)
                 bench = None
-            clock.sleep(PAUSE_S)
+            clock.sleep(min(PAUSE_S, 0.1 * tries))
             continue
         record |= {"standby": True, "tries": tries, "seconds": round(stopwatch_s() - start_s, 3), "wall_safe": _told(wall_time())}
         _write(path, record)

@@ -203,17 +203,46 @@ def test_under_virtual_time_there_is_nothing_to_guard(tmp_path: Path) -> None:
         assert lifeline is None
 
 
-BENCH_THAT_HANGS = """
+STARTED = """
 import subprocess, sys, time
 command = [sys.executable, "-m", "bench.safety.guardian", "--url", sys.argv[1], "--profile", "julabo-presto", "--record", sys.argv[2]]
 import os
 child = subprocess.Popen(command + ["--bench", str(os.getpid())], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
 child.stdout.readline()
 print("ready", flush=True)
+"""
+BENCH_THAT_FORKS = (
+    STARTED
+    + """
+forked = os.fork()
+if forked:
+    print(forked, flush=True)
+time.sleep(100)
+"""
+)
+BENCH_THAT_HANGS = (
+    STARTED
+    + """
 child.stdin.write(b"hung: the main thread hangs" + bytes([10]))
 child.stdin.flush()
 time.sleep(100)
 """
+)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="sees the bench's end in /proc")
+def test_a_bench_that_dies_is_noticed_while_its_end_of_the_pipe_is_still_open(hot: HotBath) -> None:
+    """As a process that it has forked keeps it, or the system, which is slow to end a process when it has much to do."""
+    record = hot.folder / "guardian.json"
+    command = [sys.executable, "-c", BENCH_THAT_FORKS, hot.url, str(record)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == b"ready\n"
+        forked = int(child.stdout.readline())
+        child.kill()
+        within(PATIENCE_S, lambda: not hot.plant.running, "standby")
+        os.kill(forked, signal.SIGKILL)
+    assert (hot.record()["cause"], hot.record()["why"]) == ("died", "the system is ending it")
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
