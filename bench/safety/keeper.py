@@ -117,6 +117,7 @@ class Keeper:
         self._store.fact("interlocks asleep", interlocks.asleep)
         self._store.fact("pump", pump_told(self._devices.bath))
         self._store.fact("comms loss", rig.profile.comms_loss)
+        self._store.fact("cut-out tested", rig.rig.bath.cut_out_tested)
         self._store.fact("safe states", self._devices.safe_states())
         self._store.fact("guardian", WATCHING if self._lifeline else NO_GUARDIAN)
         room_c = rig.rig.emulation.ambient_c if rig.rig.emulated else rig.rig.bath.room_c

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import sys
 import time
@@ -150,6 +151,9 @@ def test_a_run_that_ends_well_leaves_no_guardian(recording: Path, tmp_path: Path
     assert run.ending == "finished"
     assert run.guardian is None
     assert run.facts["guardian"] == "beside the bench"
+    assert run.facts["cut-out tested"] == "2024-03-01"
+    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert re.search(r"independent cut-out tested on.{0,80}2024-03-01", page, re.DOTALL)
     assert not (folder / "guardian.log").exists()
     assert json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))["ending"] == "finished"
 
