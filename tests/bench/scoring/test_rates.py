@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -100,7 +102,7 @@ def test_impossible_counts_and_claims_are_refused() -> None:
         trials_needed(-1, 0.95)
 
 
-CLAIMS = {
+CLAIMS: dict[str, tuple[str, Callable[[float], object]]] = {
     "interval": ("confidence", lambda value: Rate(3, 4).interval(value)),
     "lower_bound": ("confidence", lambda value: Rate(3, 4).lower_bound(value)),
     "upper_bound": ("confidence", lambda value: Rate(3, 4).upper_bound(value)),
