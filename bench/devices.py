@@ -6,11 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
-from bench.safety.safing import heater_off, run_pump_on
+from bench.safety.safing import cause_of, heater_off, run_pump_on
 from instruments.bath.driver import Bath
 from instruments.camera.frame import FrameSet
 from instruments.clock import Clock
-from instruments.errors import InstrumentError
 from instruments.microscribe.driver import MicroScribe
 from instruments.operators.operator import Operator
 from instruments.stage.driver import Stage
@@ -52,9 +51,10 @@ class Devices:
         return {"bath": self.bath.safe_state, **stage, "arm": self.arm.safe_state, "cameras": "nothing to make safe"}
 
     def make_safe(self, tell: Callable[[str], None], cut_short: Callable[[], bool] = lambda: False) -> tuple[str, ...]:
-        """Bath to standby, stage still, arm's session ended: each tried whatever became of the others; who could not be made safe.
+        """Bath to standby, stage still, arm's session ended; returns who could not be made safe.
 
-        ``cut_short`` ends the wait for a pump that runs on.
+        Each step is tried whatever another one raised, an interrupt included. ``cut_short`` ends
+        the wait for a pump that runs on.
         """
         steps: dict[str, Callable[[], object]] = {"bath": lambda: heater_off(self.bath)}
         if self.stage:
@@ -68,9 +68,9 @@ class Devices:
                     tell(f"{name} is safe")
                 if said:
                     tell(str(said))
-            except InstrumentError as error:
+            except BaseException as error:
                 unsafe.append(name)
-                tell(f"{name} could not be made safe: {error}")
+                tell(f"{name} could not be made safe: {cause_of(error)}")
         return tuple(unsafe)
 
     def close(self) -> None:

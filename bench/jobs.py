@@ -23,7 +23,7 @@ from bench.running.resuming import ASKED, Left, RehearsedStore, files_of, open_s
 from bench.running.rig_lock import lock_path, locked, run_lock
 from bench.running.showing import Progress
 from bench.safety.exits import current, undisturbed
-from bench.safety.latch import refuse_latched
+from bench.safety.latch import refuse_latched, refuse_untested_cut_out
 from bench.safety.lifeline import Charge, guarded
 from bench.script import RECORDING_RULES, LoadedScript, Rules
 from bench.store import RULES, SCRIPT, FinishedTrial, Store, new_run_folder
@@ -69,6 +69,7 @@ def run_script(
     refuse_latched(rig)
     refuse_carry(rig, script)
     refuse_old_calibration(rig, script, wall_time().date())
+    refuse_untested_cut_out(rig, wall_time().date())
     how = HowToRun(detectors, record, realtime, capture, typed)
     under_test = make_detectors(detectors) if detectors else make_detectors(script.script.detectors, script.path.parent)
     used_seed = rig.rig.seed if seed is None else seed
@@ -90,6 +91,7 @@ def resume_run(folder: Path, progress: Progress, how: HowToRun | None = None) ->
         raise ConfigError.plain(f"{folder} can't be resumed: its cameras play a recording, which would begin anew. Start a new run.")
     refuse_latched(rig)
     refuse_old_calibration(rig, script, wall_time().date())
+    refuse_untested_cut_out(rig, wall_time().date())
     asked = run.facts[ASKED]
     names = tuple(asked["detectors"])
     under_test = make_detectors(names) if names else make_detectors(script.script.detectors, script.path.parent)

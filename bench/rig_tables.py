@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import date
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
@@ -42,6 +43,13 @@ def _relay_profile(name: str, info: ValidationInfo) -> str:
     return beside(name, info)
 
 
+def _day_or_none(text: str) -> str:
+    try:
+        return date.fromisoformat(text).isoformat() if text else ""
+    except ValueError:
+        raise ValueError('no such day; write it as "2026-11-20"') from None
+
+
 class Bath(Section):
     url: Annotated[str, AfterValidator(bath_url)]
     profile: str
@@ -51,6 +59,7 @@ class Bath(Section):
     accuracy_k: Positive = 0.1
     external_accuracy_k: Positive = 0.1
     room_c: Annotated[float, Field(ge=-10, le=40)] = 20.0
+    cut_out_tested: Annotated[str, AfterValidator(_day_or_none)] = ""
 
     @field_validator("profile")
     @classmethod

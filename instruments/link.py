@@ -58,6 +58,7 @@ class Link:
 
         Raises LinkError where the port can't do that rate; it keeps its own then.
         """
+        self._refuse_closed()
         try:
             self._port.set_baud(baud)
         except (OSError, ValueError) as error:
@@ -67,6 +68,7 @@ class Link:
     def _open(self) -> None:
         self._buffer = b""
         self._port, near_end = _open(self.url, self.baud, self.who)
+        self._is_open = True
         self._near_end = near_end or 0
         self._virtual: tuple[VirtualClock, Wire] | None = None
         self._tap.opened(self.url)
@@ -75,7 +77,8 @@ class Link:
             self._settle(self._virtual[1])
 
     def write(self, data: bytes) -> None:
-        """Send all of ``data``. Raises LinkError when the link is broken."""
+        """Send all of ``data``. Raises LinkError when the link is broken or closed."""
+        self._refuse_closed()
         self._tap.sent(data)
         try:
             self._port.write(data)
@@ -88,8 +91,9 @@ class Link:
     def receive(self, timeout_s: float) -> bytes:
         """Whatever has come, waiting ``timeout_s`` at most for the first byte; empty when nothing came.
 
-        Raises LinkError when the link is broken.
+        Raises LinkError when the link is broken or closed.
         """
+        self._refuse_closed()
         if self._buffer:
             data, self._buffer = self._buffer, b""
             return data
@@ -120,11 +124,17 @@ class Link:
         return got
 
     def close(self) -> None:
-        """Close the link; once more is no error."""
+        """Close the link; once more is no error. Until ``reopen`` all other calls raise LinkError."""
+        self._is_open = False
         self._tap.closed()
         if self._virtual:
             self._virtual[0].forget_wire(self._near_end)
         self._port.close()
+
+    def _refuse_closed(self) -> None:
+        if not self._is_open:
+            hint = "Check cable and power, then connect again."
+            raise LinkError(self.who, "the link is closed", hint=hint)
 
     def _collect(self, end: _End, timeout_s: float) -> bytes:
         data = b""

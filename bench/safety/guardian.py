@@ -4,16 +4,18 @@
 
 The bench starts it and writes lines to its standard input: ``alive`` once a second, ``hung: …`` when its main thread makes no
 progress, ``done`` once it has made the bath safe itself, ``take over`` when it could not. The end of the input without a last
-word is the bench's death: it comes at once, however the bench died, on every system. While the bench lives the guardian owns
-nothing: no link, no file. All that it needs is loaded before, because a dying machine may have no disk any more. A pump with a
-switch of its own runs on for a minute behind the heater, and then stops; the ports are free meanwhile. It is no safety
-function: it dies with the computer.
+word is the bench's death: it comes at once, however the bench died, on every system. Each ``alive`` is echoed on its standard
+output, so that the bench notices a guardian that is frozen. While the bench lives the guardian owns nothing: no link, no file.
+All that it needs is loaded before, and locked in memory where the system allows it, because a dying machine may have no disk
+any more. A pump with a switch of its own runs on for a minute behind the heater, and then stops; the ports are free meanwhile.
+It is no safety function: it dies with the computer.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import ctypes
 import json
 import os
 import queue
@@ -25,7 +27,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from bench.safety.safing import OFF, ON, OVERRUN_S, has_own_pump
+from bench.safety.safing import OFF, ON, OVERRUN_S, cause_of, has_own_pump
 from instruments.bath.driver import Bath
 from instruments.bath.profile import ProfileError, load_profile, load_relay
 from instruments.bath.relay import PUMP, PumpAt
@@ -34,15 +36,23 @@ from instruments.errors import InstrumentError, LinkError
 
 READY, ALIVE, HUNG, DONE, TAKE_OVER = "ready", "alive", "hung: ", "done", "take over"
 HANG_S = 10.0  # without a word from the bench
-PAUSE_S = 1.0  # between attempts
+LOOK_S = 0.25  # between looks at whether the bench is being ended
+PAUSE_S = 1.0  # between attempts, but for the first few
 GIVE_UP_S = 300.0  # then somebody has long been there, or never comes
+NICE = (-20, -10, -5)  # the first that the system grants
+MCL_CURRENT, MCL_ONFAULT = 1, 4  # mman.h of Linux
 IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")  # they are meant for the bench; the end of the input always ends us
 
 
 class Ear:
-    """Hears the bench on a file descriptor, on a thread: not every system can wait for a pipe with a time limit."""
+    """Hears the bench on a file descriptor, on a thread: not every system can wait for a pipe with a time limit.
 
-    def __init__(self, source: int) -> None:
+    Signs of life are echoed to ``echo`` by the thread that waits for trouble. ``bench`` is the bench's process.
+    """
+
+    def __init__(self, source: int, echo: int, bench: int) -> None:
+        self._echo = echo
+        self._bench = bench
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         threading.Thread(target=self._listen, args=(source,), daemon=True).start()
 
@@ -51,8 +61,12 @@ class Ear:
         last_s = stopwatch_s()
         while True:
             try:
-                line = self._lines.get(timeout=HANG_S)
+                line = self._lines.get(timeout=LOOK_S)
             except queue.Empty:
+                if _is_dying(self._bench):
+                    return "died", "the system is ending it", stopwatch_s()
+                if stopwatch_s() - last_s < HANG_S:
+                    continue
                 return "hung", f"no sign of life for {HANG_S:g} s", last_s
             if line == DONE:
                 return None
@@ -63,6 +77,8 @@ class Ear:
             if not line:
                 return "died", "its end of the pipe closed without a word", stopwatch_s()
             last_s = stopwatch_s()
+            with contextlib.suppress(OSError):  # a bench that died: the end of the input tells
+                os.write(self._echo, line.encode() + b"\n")
 
     def _listen(self, source: int) -> None:
         rest = b""
@@ -87,20 +103,50 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ProfileError, InstrumentError) as error:
         sys.stderr.write(f"guardian: {error}\n")
         return 2
+    preferred = _preferred()
     sys.stdout.write(READY + "\n")
     sys.stdout.flush()
-    trouble = Ear(sys.stdin.fileno()).wait_for_trouble()
+    trouble = Ear(sys.stdin.fileno(), sys.stdout.fileno(), given.bench).wait_for_trouble()
     if trouble is None:
         return 0
     cause, why, last_sign_s = trouble
     noticed, silent = wall_time(), timedelta(seconds=stopwatch_s() - last_sign_s)
-    record: dict[str, Any] = {"cause": cause, "why": why, "bath": given.url, "guardian": os.getpid()}
+    record: dict[str, Any] = {"cause": cause, "why": why, "bath": given.url, "guardian": os.getpid()} | preferred
     record |= {"wall_last_sign": _told(noticed - silent), "wall_noticed": _told(noticed)}
     reached = _make_safe(bath, clock, given.record, record, bench=given.bench if cause == "hung" else None)
     if reached and has_own_pump(bath):
         _run_pump_on(bath, clock, given.record, record, given.overrun_s)
     bath.close()
     return 0 if reached else 1
+
+
+def _is_dying(process: int) -> bool:
+    """Whether the system is ending ``process``, or has: on a busy Linux seconds before its pipe closes.
+
+    A process that it has forked may hold the pipe open for good. False where there is no /proc.
+    """
+    try:
+        status = Path(f"/proc/{process}/status").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return Path("/proc/self/status").exists()
+    told = dict(line.split(":", 1) for line in status.splitlines())
+    killed = 1 << (signal.SIGKILL - 1)
+    return "VmRSS" not in told or bool((int(told["SigPnd"], 16) | int(told["ShdPnd"], 16)) & killed)
+
+
+def _preferred() -> dict[str, Any]:
+    """Raises the priority and locks what is loaded in memory, as far as the system allows; what was got, for the record."""
+    got: dict[str, Any] = {"nice": None, "memory_locked": False}
+    if sys.platform == "win32":
+        return got  # the bench starts the process at high priority
+    for nice in NICE:
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, 0, nice)
+            break
+    got["nice"] = os.getpriority(os.PRIO_PROCESS, 0)
+    if sys.platform == "linux":
+        got["memory_locked"] = ctypes.CDLL(None).mlockall(MCL_CURRENT | MCL_ONFAULT) == 0
+    return got
 
 
 def _make_safe(bath: Bath, clock: RealClock, path: Path, record: dict[str, Any], *, bench: int | None) -> bool:
@@ -110,12 +156,12 @@ def _make_safe(bath: Bath, clock: RealClock, path: Path, record: dict[str, Any],
         tries += 1
         try:
             bath.safe()
-        except InstrumentError as error:
-            _write(path, record | {"standby": False, "tries": tries, "error": str(error)})
+        except Exception as error:  # whatever it is, the next try may succeed
+            _write(path, record | {"standby": False, "tries": tries, "error": cause_of(error)})
             if bench is not None and isinstance(error, LinkError):
                 record["killed"] = _kill(bench)
                 bench = None
-            clock.sleep(PAUSE_S)
+            clock.sleep(min(PAUSE_S, 0.1 * tries))
             continue
         record |= {"standby": True, "tries": tries, "seconds": round(stopwatch_s() - start_s, 3), "wall_safe": _told(wall_time())}
         _write(path, record)

@@ -150,7 +150,7 @@ RULES = (
     ),
     Rule(
         GUARDIAN,
-        "the guardian's process has ended, or has acted on a bench that hung",
+        "the guardian's process has ended, has not answered for 3 s, or has acted on a bench that hung",
         nothing,  # no reading shows it: the keeper trips this row
         "a reading",
         nothing_more,

@@ -19,11 +19,10 @@ from bench.safety.interlocks import Interlocks, InterlockTrip, bath_of, moving_o
 from bench.safety.latch import latch_path, set_latch
 from bench.safety.lifeline import Lifeline
 from bench.safety.pulse import Pulse
-from bench.safety.safing import heater_off, pump_on, pump_told
+from bench.safety.safing import cause_of, heater_off, pump_on, pump_told
 from bench.store import Row, Store
 from instruments.bath.reading import BathReading
 from instruments.clock import wall_time
-from instruments.errors import InstrumentError
 
 WATCH = "the watch"
 WATCHING = "beside the bench"
@@ -118,6 +117,7 @@ class Keeper:
         self._store.fact("interlocks asleep", interlocks.asleep)
         self._store.fact("pump", pump_told(self._devices.bath))
         self._store.fact("comms loss", rig.profile.comms_loss)
+        self._store.fact("cut-out tested", rig.rig.bath.cut_out_tested)
         self._store.fact("safe states", self._devices.safe_states())
         self._store.fact("guardian", WATCHING if self._lifeline else NO_GUARDIAN)
         room_c = rig.rig.emulation.ambient_c if rig.rig.emulated else rig.rig.bath.room_c
@@ -127,8 +127,8 @@ class Keeper:
 def _tried(name: str, step: Callable[[], str | None], said: list[str], done: str) -> bool:
     try:
         more = step()
-    except InstrumentError as error:
-        said.append(f"{name} could not be made safe: {error}")
+    except Exception as error:  # whatever it is, the next step is tried too
+        said.append(f"{name} could not be made safe: {cause_of(error)}")
         return False
     said += [f"{name} {done}", *([more] if more else [])]
     return True

@@ -1,7 +1,8 @@
-"""What an interlock leaves behind: a file beside the rig file that keeps the next run from starting until a person acknowledges.
+"""What keeps a run from starting: an interlock's latch, and a cut-out that nobody has tested.
 
-The latch belongs to the bath, not to a run: another output folder, another script or a restart of the computer doesn't get
-round it. An emulated rig has none, for its bath is a new one in each run. May not know what tripped or why.
+The latch is a file beside the rig file, until a person acknowledges it. It belongs to the bath, not to a run: another output
+folder, another script or a restart of the computer doesn't get round it. An emulated rig has none, for its bath is a new one in
+each run. May not know what tripped or why.
 """
 
 from __future__ import annotations
@@ -9,9 +10,11 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
+from bench.config import located
 from bench.rig import LoadedRig
 from bench.safety.interlock_rules import rule_named
 from bench.safety.interlocks import InterlockTrip
@@ -21,6 +24,7 @@ from instruments.clock import wall_time
 from instruments.errors import DeviceError
 
 ENDING = ".tripped.json"
+STAYS_HOT = ("hold", "unknown")  # kinds of comms_loss
 
 
 class LatchedError(DeviceError):
@@ -77,6 +81,22 @@ def refuse_latched(rig: LoadedRig) -> None:
         then = str(latch.told.get("then", ""))
         hint = f"{then} Then: teatbench bath acknowledge {rig.path}".strip()
         raise LatchedError("rig", f"not started: {latch}", hint=hint)
+
+
+def refuse_untested_cut_out(rig: LoadedRig, today: date) -> None:
+    """Raises ConfigError where the bath may stay hot without the bench, and the rig file has no day of a test of its cut-out."""
+    loss, tested = rig.profile.comms_loss, rig.rig.bath.cut_out_tested
+    why = ""
+    if not tested and loss in STAYS_HOT:
+        why = (
+            "missing: nothing is heated before the bath's independent cut-out was tested, because the "
+            f'bath may stay hot when the computer dies (its profile says comms_loss = "{loss}"). Test it '
+            f'as docs/safety.md says, then write the day: cut_out_tested = "{today.isoformat()}"'
+        )
+    elif tested and date.fromisoformat(tested) > today + timedelta(days=1):  # it may be tomorrow already elsewhere
+        why = "this day is still to come: is this machine's clock right?"
+    if why and not rig.rig.emulated:
+        raise located(rig.path, rig.text, [(("bath", "cut_out_tested"), why, False)])
 
 
 def acknowledge(rig: LoadedRig, latch: Latch, reading: BathReading) -> None:

@@ -1,4 +1,4 @@
-"""The bench's end of the guardian: starts it, gives it signs of life, and tells it when the bath is safe without it.
+"""The bench's end of the guardian: starts it, exchanges signs of life, and tells it when the bath is safe without it.
 
 May not know the bath's protocol, or how the guardian does what it does.
 """
@@ -25,6 +25,7 @@ from instruments.errors import LinkError
 
 LOG = "guardian.log"
 BEAT_S = 1.0
+UNANSWERED = 3  # beats; one more, and the oldest has had no echo for so many times BEAT_S
 END_S = 5.0
 START_S = 30.0  # a loaded machine reads Python's modules slowly
 
@@ -52,13 +53,17 @@ class Lifeline:
     def __init__(self, charge: Charge, folder: Path, pulse: Pulse) -> None:
         self._pulse = pulse
         self._ended = threading.Event()
+        self._said = threading.Event()  # its first line, or its end
+        self._ready = False
+        self._unanswered = 0
         self._log, self._acted = folder / LOG, folder / GUARDIAN
         command = [sys.executable, "-X", "utf8", "-m", "bench.safety.guardian", *charge.arguments]
         command += ["--record", str(folder.resolve() / GUARDIAN), "--bench", str(os.getpid())]
         with self._log.open("wb") as log:
             self._process = _spawn(command, log)
         self._pipe_in = cast(IO[bytes], self._process.stdin)
-        self._pipe_out = cast(IO[bytes], self._process.stdout)
+        self._reader = threading.Thread(target=self._listen, name="guardian", daemon=True)
+        self._reader.start()
         self._await_ready()
         self._beats = threading.Thread(target=self._beat, name="lifeline", daemon=True)
         self._beats.start()
@@ -72,8 +77,11 @@ class Lifeline:
     def lost(self) -> str | None:
         """Why nobody guards the bath any more; None while the guardian lives."""
         code = self._process.poll()
-        if self._ended.is_set() or (code is None and not self._acted.is_file()):
+        if self._ended.is_set():
             return None
+        if code is None and not self._acted.is_file():
+            silent = self._unanswered > UNANSWERED
+            return f"it has not answered for {UNANSWERED * BEAT_S:g} s" if silent else None
         if code:
             return f"it ended by itself (exit code {code})"
         return "it took the bench for dead and went about putting the bath into standby"
@@ -103,29 +111,34 @@ class Lifeline:
             self._pipe_in.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(END_S)
-        self._pipe_out.close()
+            self._reader.join(END_S)
         if self._log.is_file() and not self._log.stat().st_size:
             self._log.unlink()
 
     def _await_ready(self) -> None:
-        """Its first line, or why there is none."""
-        first: list[bytes] = []
-        reader = threading.Thread(target=lambda: first.append(self._pipe_out.readline()), daemon=True)
-        reader.start()
-        reader.join(START_S)
-        if first and first[0].decode().strip() == READY:
+        """Its first line. Raises LinkError with its last words where it says anything else."""
+        self._said.wait(START_S)
+        if self._ready:
             return
         self._process.kill()
         self._process.wait()
-        reader.join()
-        for pipe in (self._pipe_in, self._pipe_out):
-            pipe.close()
+        self._reader.join()
+        self._pipe_in.close()
         said = self._log.read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
         raise LinkError("guardian", "it did not start, so nothing is heated", seen=said or "nothing", hint=f"Its log is {self._log}.")
+
+    def _listen(self) -> None:
+        """That it is ready, then an echo of each beat; on a thread, to its end."""
+        with cast(IO[bytes], self._process.stdout) as pipe:
+            self._ready = pipe.readline().decode().strip() == READY
+            self._said.set()
+            for _ in pipe:
+                self._unanswered = 0
 
     def _beat(self) -> None:
         while not self._ended.wait(BEAT_S):
             overdue = self._pulse.overdue()
+            self._unanswered += 1  # before, so that each echo comes after it
             try:
                 self._say(HUNG + overdue if overdue else ALIVE)
             except OSError:
@@ -133,20 +146,20 @@ class Lifeline:
 
     def _say(self, word: str) -> None:
         self._pipe_in.write(word.encode() + b"\n")
-        self._pipe_in.flush()
 
 
 def _spawn(command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
     """In a session of its own, or it would hear the terminal's Ctrl-C and end with the terminal."""
-    detached = getattr(subprocess, "DETACHED_PROCESS", 0) | getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
+    flags = ("DETACHED_PROCESS", "CREATE_NEW_PROCESS_GROUP", "HIGH_PRIORITY_CLASS")  # of Windows
     return subprocess.Popen(  # noqa: S603 - our own module
         command,
+        bufsize=0,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=log,
         cwd=Path(__file__).resolve().parents[2],
         start_new_session=os.name != "nt",
-        creationflags=detached,
+        creationflags=sum(getattr(subprocess, flag, 0) for flag in flags),
     )
 
 

@@ -6,7 +6,9 @@ with the controller's run can't do that, and one that is not fitted isn't preten
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
+from pathlib import Path
 from typing import Literal, Protocol
 
 from instruments.bath.profile import Profile
@@ -34,6 +36,14 @@ class Bath(Protocol):
     def set(self, name: str, value: float | str) -> None: ...
     def start(self, set_point_c: float) -> None: ...
     def safe(self) -> None: ...
+
+
+def cause_of(error: BaseException) -> str:
+    """Why a step of going to safe failed; a mistake of the bench with its place in the code."""
+    if isinstance(error, InstrumentError):
+        return str(error)
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(at.filename).name}:{at.lineno})"
 
 
 def has_own_pump(bath: Bath) -> bool:

@@ -167,6 +167,8 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
         return  # a run of before, or one that never had the instruments
     entries: list[tuple[str, object]] = [(f"safe state, {name}", state) for name, state in facts["safe states"].items()]
     entries += [("pump", facts["pump"]), ("when the computer dies", COMMS_LOSS[facts["comms loss"]]), ("guardian", facts["guardian"])]
+    if tested := facts.get("cut-out tested"):
+        entries.append(("independent cut-out tested on", tested))
     yield tables.key_values("Care", entries)
     if run.guardian:
         yield Paragraph(guardian_told(run.guardian), tone="warn")

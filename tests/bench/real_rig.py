@@ -77,6 +77,7 @@ packets = 2
 [bath]
 url = "{bath}"
 profile = "{profile}"
+cut_out_tested = "2024-03-01"
 {pump_part}
 
 {stage_part}

@@ -5,6 +5,7 @@ SIGTERM and SIGHUP in each step are `test_guardian_kills`.
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from bench.record import RunRecord, read_run
+from instruments.listener import Listener
 from tests.bench.real_rig import RealRig, real_rig, record_one, touch_as_asked
 
 if sys.platform == "win32":
@@ -113,3 +115,46 @@ def test_every_way_out_of_a_run_leaves_standby_in_bounded_time(recording: Path, 
             assert any("a mistake of the bench: ZeroDivisionError" in text for text in texts)
         if outcome.way.startswith("Ctrl-C"):
             assert any("Ctrl-C" in text for text in texts)
+
+
+@pytest.mark.parametrize(("bath_too", "asked"), [(False, "SIGINT"), (True, "SIGTERM")], ids=["the stage", "stage and bath"])
+def test_instruments_that_are_gone_do_not_keep_the_others_from_safe(bath_too: bool, asked: str, recording: Path, tmp_path: Path) -> None:
+    """The run is ended while it waits for a stage whose connection is lost."""
+    with real_rig(tmp_path / "rig", recording, stage=True) as rig, marked_bench(rig, "settling") as running:
+        running.wait_for("on its peg")
+        running.enter()
+        running.wait_for(f"{MARK}settling")
+        rig.twin._listeners["stage"].close()
+        running.wait_for("The run is paused")
+        bath = rig.twin._listeners["bath"]
+        assert isinstance(bath, Listener)
+        if bath_too:
+            bath.close()
+        running.signal(asked)
+        running.wait_for("NOT SAFE")
+        running.process.join(120)
+        assert running.process.exitcode == 3, running.said
+        said = " ".join(running.said.split())
+        assert f"NOT SAFE: {'bath, ' * bath_too}stage. " in said
+        assert "SWITCH IT OFF BY HAND." in said
+        if bath_too:  # the guardian goes on trying until somebody has plugged the bath in again
+            assert rig.twin.world.plant.running
+            clock, lock = rig.twin._clock, rig.twin.world.lock
+            rig.twin._listeners["bath"] = Listener(rig.twin.bath, clock, lock=lock, name="bath", port=bath.port)
+            await_record(rig.run_folder() / "guardian.json", standby=True)
+        assert not rig.twin.world.plant.running
+        run = read_run(rig.run_folder())
+    texts = [event["text"] for event in run.events]
+    assert (run.ending, texts[-1]) == ("aborted", "aborted")
+    assert ("bath is safe" in texts) is not bath_too
+    assert any(text.startswith("bath could not be made safe: bath") for text in texts) is bath_too
+    assert any(text.startswith("stage could not be made safe: stage at socket:") for text in texts)
+    assert "arm is safe" in texts
+    assert (run.guardian is not None and run.guardian["cause"] == "gave up") is bath_too
+
+
+def await_record(path: Path, *, standby: bool) -> None:
+    deadline = time.monotonic() + 60.0
+    while not path.is_file() or json.loads(path.read_text(encoding="utf-8"))["standby"] is not standby:
+        assert time.monotonic() < deadline, "the guardian has not written its record"
+        time.sleep(0.02)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from bench.devices import Devices
 from bench.emulated.emulation import EmulatedRig
 from bench.hookup import driver_openers, open_rig
+from bench.record import read_run
 from bench.rig import find_rig, load_rig
 from bench.safety.safing import heater_off, pump_on, pump_told, run_pump_on, start_bath
 from instruments.bath.profile import Profile, load_profile
@@ -17,6 +19,9 @@ from instruments.bath.reading import BathReading
 from instruments.bath.rows import Row
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, LinkError
+from instruments.stage.driver import Stage
+from tests.bench.killed_runs import Silent, start
+from tests.bench.operated_runs import STAGE, files
 
 CALM = BathReading(t_s=0.0, temp_c=20.0, raw=(1, 2), external_c=None, power_percent=0.0, safety_c=None, alarm=0, warning=0, remote=True)
 
@@ -147,3 +152,41 @@ def test_going_to_safe_is_bounded_in_time_and_goes_on_to_the_others(fault: str) 
         assert unsafe == ("bath",), told
         assert any("bath could not be made safe" in text for text in told)
         devices.close()
+
+
+@pytest.mark.parametrize("raised", [ValueError("a bug"), MemoryError(), KeyboardInterrupt(), SystemExit(1)], ids=lambda e: type(e).__name__)
+def test_each_step_to_safe_is_tried_whatever_the_others_raise(raised: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One step after the other fails in a way that no driver should; what failed is told."""
+    with open_rig(load_rig(find_rig(None)), seed=1) as hookup:
+        devices = hookup.devices
+        for name, owner in {"bath": type(devices.bath), "stage": type(devices.stage), "arm": type(devices.arm)}.items():
+
+            def fails(_: object) -> None:
+                raise raised
+
+            devices.bath.start(33.0)
+            told: list[str] = []
+            with monkeypatch.context() as patched:
+                patched.setattr(owner, "safe", fails)
+                assert devices.make_safe(told.append) == (name,)
+            assert {f"{other} is safe" for other in ("bath", "stage", "arm") if other != name} <= set(told)
+            assert any(
+                text.startswith(f"{name} could not be made safe: {type(raised).__name__}") and Path(__file__).name in text for text in told
+            )
+            assert (devices.bath.read().running is False) is (name != "bath")
+
+
+def test_a_trip_switches_the_heater_off_whatever_braking_the_stage_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    low_level = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 45.0'
+    files(tmp_path, stage=STAGE, emulation=f"prompt_s = 5.0\n{low_level}")
+
+    def fails(_: Stage) -> None:
+        raise ValueError("a bug")
+
+    monkeypatch.setattr(Stage, "brake", fails)
+    progress = Silent()
+    record = read_run(start(tmp_path, progress=progress)[0])
+    assert (record.ending, record.facts["trip"]["rule"]) == ("faulted", "controller alarm")
+    assert record.facts["trip"]["done"][0].startswith("stage could not be made safe: ValueError: a bug (test_exits_safing.py:")
+    assert record.facts["trip"]["done"][1] == "heater is in standby"
+    assert any("stage could not be made safe" in text for text in progress.warned)

@@ -6,6 +6,8 @@ Kills in every step are `test_guardian_kills`; serial ports and pumps `test_guar
 from __future__ import annotations
 
 import json
+import os
+import re
 import signal
 import sys
 import time
@@ -149,5 +151,36 @@ def test_a_run_that_ends_well_leaves_no_guardian(recording: Path, tmp_path: Path
     assert run.ending == "finished"
     assert run.guardian is None
     assert run.facts["guardian"] == "beside the bench"
+    assert run.facts["cut-out tested"] == "2024-03-01"
+    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert re.search(r"independent cut-out tested on.{0,80}2024-03-01", page, re.DOTALL)
     assert not (folder / "guardian.log").exists()
     assert json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))["ending"] == "finished"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="finds the guardian in /proc")
+def test_a_frozen_guardian_ends_the_run_with_the_bath_in_standby(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """So that no death of the bench can follow that nobody would act on."""
+    with real_rig(tmp_path / "rig", recording, window_s=600.0) as rig, bench(rig) as running:
+        heating(rig, running)
+        pid = running.process.pid
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+        (guardian,) = [int(child) for child in children if "guardian" in command_line(child)]
+        os.kill(guardian, signal.SIGSTOP)
+        try:
+            standby_after(rig, 60.0)
+            assert running.process.wait(60) == 3
+        finally:
+            os.kill(guardian, signal.SIGCONT)
+        assert not rig.twin.world.plant.running
+        run = read_run(rig.run_folder())
+        assert (run.ending, run.facts["trip"]["rule"]) == ("faulted", "guardian lost")
+        assert run.facts["trip"]["why"] == "it has not answered for 3 s"
+        assert run.guardian is None, "it had nothing to do"
+        assert "interlock guardian lost: it has not answered for 3 s" in reported(rig, capsys)[1]
+
+
+def command_line(pid: str) -> str:
+    return Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8")

@@ -17,8 +17,9 @@ from typing import Any
 import pytest
 
 from bench.safety.guardian import main as guardian
-from bench.safety.lifeline import Charge, Lifeline, guarded
+from bench.safety.lifeline import BEAT_S, UNANSWERED, Charge, Lifeline, guarded
 from bench.safety.pulse import Pulse
+from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
 from instruments.clock import RealClock, VirtualClock
@@ -112,6 +113,68 @@ def test_a_guardian_that_dies_is_missed(hot: HotBath) -> None:
         line.done()
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system has no SIGSTOP")
+def test_a_guardian_that_is_frozen_is_missed_and_one_that_lives_is_not(hot: HotBath) -> None:
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
+        beats = BEAT_S * (UNANSWERED + 3)
+        start_s = time.monotonic()
+        while time.monotonic() - start_s < beats:
+            assert line.lost is None, "it echoes each beat"
+            time.sleep(0.05)
+        os.kill(line.pid, signal.SIGSTOP)
+        start_s = time.monotonic()
+        within(PATIENCE_S, lambda: line.lost is not None, "the silence was noticed")
+        assert time.monotonic() - start_s >= UNANSWERED * BEAT_S
+        assert line.lost == "it has not answered for 3 s"
+        os.kill(line.pid, signal.SIGCONT)
+        within(PATIENCE_S, lambda: line.lost is None, "it answers again")
+        line.done()
+    assert hot.plant.running
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the process's state from /proc")
+def test_the_guardian_has_the_priority_and_the_memory_that_the_system_grants(hot: HotBath) -> None:
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
+        status = Path(f"/proc/{line.pid}/status").read_text(encoding="utf-8")
+        resident, locked = (next(int(row.split()[1]) for row in status.split("\n") if row.startswith(name)) for name in ("VmRSS", "VmLck"))
+        nice = os.getpriority(os.PRIO_PROCESS, line.pid)
+        assert nice == granted("import os; os.setpriority(os.PRIO_PROCESS, 0, -20)", -20, 0)
+        lock = "import bench.safety.guardian, ctypes, sys; sys.exit(ctypes.CDLL(None).mlockall(5))"
+        assert (locked >= resident) is granted(lock, True, False)
+    assert {name: hot.record()[name] for name in ("nice", "memory_locked")} == {
+        "nice": nice,
+        "memory_locked": locked >= resident,
+    }
+
+
+def granted(code: str, yes: Any, no: Any) -> Any:
+    """Whether the system lets a process of ours do it."""
+    tried = subprocess.run([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.DEVNULL)
+    return no if tried.returncode else yes
+
+
+def test_a_mistake_in_one_try_does_not_end_the_guardian(hot: HotBath, monkeypatch: pytest.MonkeyPatch) -> None:
+    safe, tries = Bath.safe, list[int]()
+
+    def fails_once(bath: Bath) -> None:
+        tries.append(1)
+        if len(tries) == 1:
+            raise ValueError("a bug")
+        safe(bath)
+
+    monkeypatch.setattr(Bath, "safe", fails_once)
+    read, write = os.pipe()
+    os.close(write)
+    with os.fdopen(read, encoding="utf-8") as end, monkeypatch.context() as patched:
+        patched.setattr(sys, "stdin", end)
+        patched.setattr(signal, "signal", lambda *_: None)
+        patched.setattr("bench.safety.guardian._preferred", dict)
+        given = ["--url", hot.url, "--profile", "julabo-presto", "--bench", "1"]
+        assert guardian([*given, "--record", str(hot.folder / "guardian.json")]) == 0
+    assert not hot.plant.running
+    assert (hot.record()["standby"], hot.record()["tries"]) == (True, 2)
+
+
 def test_the_guardian_is_small_and_hears_no_signal_that_is_meant_for_the_bench(hot: HotBath) -> None:
     with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
         if sys.platform == "linux":
@@ -140,17 +203,46 @@ def test_under_virtual_time_there_is_nothing_to_guard(tmp_path: Path) -> None:
         assert lifeline is None
 
 
-BENCH_THAT_HANGS = """
+STARTED = """
 import subprocess, sys, time
 command = [sys.executable, "-m", "bench.safety.guardian", "--url", sys.argv[1], "--profile", "julabo-presto", "--record", sys.argv[2]]
 import os
 child = subprocess.Popen(command + ["--bench", str(os.getpid())], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
 child.stdout.readline()
 print("ready", flush=True)
+"""
+BENCH_THAT_FORKS = (
+    STARTED
+    + """
+forked = os.fork()
+if forked:
+    print(forked, flush=True)
+time.sleep(100)
+"""
+)
+BENCH_THAT_HANGS = (
+    STARTED
+    + """
 child.stdin.write(b"hung: the main thread hangs" + bytes([10]))
 child.stdin.flush()
 time.sleep(100)
 """
+)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="sees the bench's end in /proc")
+def test_a_bench_that_dies_is_noticed_while_its_end_of_the_pipe_is_still_open(hot: HotBath) -> None:
+    """As a process that it has forked keeps it, or the system, which is slow to end a process when it has much to do."""
+    record = hot.folder / "guardian.json"
+    command = [sys.executable, "-c", BENCH_THAT_FORKS, hot.url, str(record)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == b"ready\n"
+        forked = int(child.stdout.readline())
+        child.kill()
+        within(PATIENCE_S, lambda: not hot.plant.running, "standby")
+        os.kill(forked, signal.SIGKILL)
+    assert (hot.record()["cause"], hot.record()["why"]) == ("died", "the system is ending it")
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")

@@ -93,6 +93,14 @@ def wobbling(t: int) -> float:
         ("stopped by somebody else", lambda t: replace(CALM, running=t < 60), ("changed at the controller", 60.0)),
         ("another set point", lambda t: replace(CALM, set_point_c=33.0 if t < 60 else 33.1), ("changed at the controller", 60.0)),
         ("a set point in tenths", lambda t: replace(CALM, set_point_c=33.04, running=True), None),
+        ("0.06 K from the set point", lambda t: replace(CALM, set_point_c=33.0595), None),
+        ("just above", lambda t: replace(CALM, set_point_c=33.0605), ("changed at the controller", 0.0)),
+        ("frozen just above 20 %", lambda t: replace(CALM, temp_c=25.0, power_percent=20.01), ("frozen reading", 120.0)),
+        ("falling just above 90 %", lambda t: at_power(25.0 - t * 0.001, 90.01), ("loop break", 120.0)),
+        ("risen by 0.1 K after 100 s", lambda t: at_power(20.0 + 0.1015 * (t >= 100) + 0.001 * (t % 2), 95.0), ("loop break", 220.0)),
+        ("risen by less", lambda t: at_power(20.0 + 0.0985 * (t >= 100) + 0.001 * (t % 2), 95.0), ("loop break", 120.0)),
+        ("low level while cooling", lambda t: replace(CALM, alarm=1, power_percent=-5.0), ("controller alarm", 0.0)),
+        ("low level, no output told", lambda t: replace(CALM, alarm=1, power_percent=None), ("controller alarm", 0.0)),
         ("alarm 5", lambda t: replace(CALM, alarm=5 if t == 60 else 0), ("controller alarm", 60.0)),
         ("low level with the heater on", lambda t: replace(CALM, alarm=1 if t == 60 else 0), ("heat without pump or level", 60.0)),
         ("low level with the heater off", lambda t: replace(CALM, alarm=int(t == 60), power_percent=0.0), ("controller alarm", 60.0)),
@@ -187,3 +195,10 @@ def test_no_heat_above_the_limit_is_ever_missed(temp_c: float, after_s: int) -> 
     trip = first_trip(lambda t: replace(CALM, temp_c=temp_c if t == after_s else 33.0 + wobbling(t)), after_s + 2)
     assert trip is not None
     assert trip.values[-1]["t_s"] == float(after_s)
+
+
+def test_a_trip_says_how_long_it_lasted() -> None:
+    """The heater dies after five minutes, and the rule compares with the last reading that rose."""
+    trip = first_trip(lambda t: at_power(20.0 + min(t, 300) * 0.04 - max(0, t - 300) * 0.001, 100.0))
+    assert trip is not None
+    assert trip.why == "the bath went from 32.00 to 31.88 degC in 120 s at 100 % output"

@@ -12,6 +12,7 @@ import pytest
 from bench.cli import main
 from bench.record import RunRecord, read_run
 from bench.rig import RIGS
+from tests.bench.operated_runs import files, run_of
 from tests.bench.real_rig import bench, real_rig, record_one
 
 FAULT = """
@@ -67,6 +68,54 @@ def test_each_fault_of_the_bath_trips_its_rule_in_time(
     page = (run.folder / "report" / "index.html").read_text(encoding="utf-8")
     assert f"Readings that led to the trip: {rule}" in page
     assert not list(tmp_path.glob("*.tripped.json")), "an emulated bath is a new one in each run: nothing is latched"
+
+
+OWN_LIMITS = """
+[limits]
+set_point_c = [22.0, 33.2]
+bath_max_c = 33.5
+bath_silence_s = 20.0
+
+[emulation]
+bath_start_c = 33.0
+[[emulation.faults]]
+instrument = "bath"
+name = "{fault}"
+at_s = 30.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "rule"),
+    [("stuck heater", "over-temperature"), ("silence", "communications lost")],
+)
+def test_a_run_trips_at_the_limits_of_its_rig_file(fault: str, rule: str, short_script: Path, tmp_path: Path) -> None:
+    calibration, rig = ((RIGS / name).read_text(encoding="utf-8") for name in ("calibration.toml", "emulated.toml"))
+    (tmp_path / "calibration.toml").write_text(calibration, encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(rig + OWN_LIMITS.format(fault=fault), encoding="utf-8")
+    script = short_script.read_text(encoding="utf-8").replace("window_s = 60.0", "window_s = 3000.0")
+    (tmp_path / "script.toml").write_text(script, encoding="utf-8")
+    given = [str(tmp_path / name) for name in ("script.toml", "rig.toml", "runs")]
+    assert main(["run", given[0], "--rig", given[1], "--out", given[2]]) == 3
+    run = run_of(tmp_path)
+    assert run.facts["trip"]["rule"] == rule
+    before, last = run.bath[:-1], run.bath[-1]
+    if rule == "over-temperature":
+        seen = run.facts["trip"]["values"][-1]
+        assert before[:, 1].max() <= 33.5 < max(seen["temp_c"], seen["safety_c"])
+    else:
+        assert 20.0 <= run.facts["trip"]["t_s"] - last[0] <= 20.0 + SILENT_LOOK_S
+
+
+def test_a_detection_may_take_what_the_rig_file_allows(tmp_path: Path) -> None:
+    limit = "\n[limits]\ndetection_timeout_s = 1e-6"
+    assert main(files(tmp_path, emulation=limit)) == 0
+    answers = [row for trial in run_of(tmp_path).trials for row in trial.detections]
+    assert len(answers) == 3
+    assert {row["outcome"] for row in answers} == {"timeout"}
+
+
+SILENT_LOOK_S = 8.0  # a look at a bath that does not answer takes up to seven seconds
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a symbolic link")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 
+from bench.cli import main
+from bench.config import ConfigError
 from bench.rig import RIGS, LoadedRig, load_rig
 from bench.rig_tables import Limits
 from bench.running.stability import StabilityGate
@@ -15,6 +18,7 @@ from bench.running.watch import Watch
 from bench.safety.interlock_rules import RULES, rule_named
 from bench.safety.interlocks import Interlocks, InterlockTrip, bath_of, moving_of
 from bench.safety.latch import LatchedError, acknowledge, latch_path, read_latch, refuse_latched, set_latch
+from bench.script import load_script
 from instruments.bath.profile import load_profile
 from instruments.bath.reading import BathReading
 from instruments.clock import VirtualClock
@@ -144,3 +148,179 @@ def test_only_a_coarse_temperature_may_stand_while_the_output_moves(family: str,
         reading = replace(CALM, t_s=float(t), power_percent=float(t % 5))
         states.add(gate.add(reading.t_s, reading.temp_c, raw=moving(reading)).value)
     assert ("stable" in states) is alive
+
+
+LIMITS = {
+    "set_point_c": "[22.0, 33.0]",
+    "bath_max_c": "34.5",
+    "bath_plausible_c": "[12.0, 38.0]",
+    "bath_rate_k_per_min": "1.875",
+    "bath_silence_s": "9.0",
+    "sensors_differ_k": "0.75",
+}
+LOW_TOP = {"bath_plausible_c": "[12.0, 34.0]"}
+SET_C, TINY = 30.0, 2**-20  # exact in floating point, as all figures here: 1.875 K/min is 2**-5 K/s
+
+
+def with_limits(folder: Path, **changed: str) -> LoadedRig:
+    """A rig file in ``folder`` none of whose limits is the default."""
+    for name in ("lab.example.toml", "calibration.toml"):
+        (folder / name).write_text((RIGS / name).read_text(encoding="utf-8"), encoding="utf-8")
+    path = folder / "lab.example.toml"
+    text = path.read_text(encoding="utf-8")
+    keys = "\n".join(f"{key} = {value}" for key, value in (LIMITS | changed).items())
+    path.write_text(f"{text[: text.index('[limits]')]}[limits]\n{keys}\n", encoding="utf-8")
+    return load_rig(path)
+
+
+def first_trip(rig: LoadedRig, at: Callable[[int], BathReading]) -> tuple[str, int] | None:
+    """The rule and the second of the first trip of a bath that was started at SET_C."""
+    interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+    interlocks.heating(SET_C)
+    for t in range(400):
+        trip = interlocks.add(replace(at(t), t_s=float(t), raw=(t,)))
+        if trip:
+            return trip.rule, t
+    return None
+
+
+def always(temp_c: float = SET_C, **more: float) -> Callable[[int], BathReading]:
+    return lambda _: replace(CALM, temp_c=temp_c, **more)  # type: ignore[arg-type]
+
+
+def changing(from_c: float, k_per_s: float) -> Callable[[int], BathReading]:
+    return lambda t: replace(CALM, temp_c=from_c + k_per_s * t)
+
+
+@pytest.mark.parametrize(
+    ("at", "expected"),
+    [
+        (always(34.5), None),
+        (always(34.5 + TINY), ("over-temperature", 0)),
+        (always(safety_c=34.5), ("sensor disagreement", 129)),
+        (always(safety_c=34.5 + TINY), ("over-temperature", 0)),
+        (always(external_c=34.5), ("sensor disagreement", 129)),
+        (always(external_c=34.5 + TINY), ("over-temperature", 0)),
+        (always(12.0), None),
+        (always(12.0 - TINY), ("implausible reading", 0)),
+        (changing(20.0, 2**-5), None),
+        (changing(20.0, 2**-5 + TINY), ("rate", 30)),
+        (changing(32.0, -(2**-5)), None),
+        (changing(32.0, -(2**-5) - TINY), ("rate", 30)),
+        (always(external_c=SET_C - 0.75), None),
+        (always(external_c=SET_C - 0.75 - TINY), ("sensor disagreement", 129)),
+        (always(safety_c=SET_C + 0.75), None),
+        (always(safety_c=SET_C + 0.75 + TINY), ("sensor disagreement", 129)),
+    ],
+)
+def test_each_limit_of_a_rig_file_holds_on_both_sides(
+    at: Callable[[int], BathReading], expected: tuple[str, int] | None, tmp_path: Path
+) -> None:
+    assert first_trip(with_limits(tmp_path), at) == expected
+
+
+def test_the_highest_plausible_temperature_holds_on_both_sides(tmp_path: Path) -> None:
+    rig = with_limits(tmp_path, **LOW_TOP)
+    assert first_trip(rig, always(34.0)) is None
+    assert first_trip(rig, always(34.0 + TINY)) == ("implausible reading", 0)
+
+
+@pytest.mark.parametrize("answered", [False, True])
+def test_the_silence_of_a_rig_file_holds_on_both_sides(answered: bool, tmp_path: Path) -> None:
+    rig, gone = with_limits(tmp_path), LinkError("bath", "no answer")
+    interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+    assert interlocks.silent(9.0 - TINY, gone, answered=answered) is None
+    assert interlocks.silent(9.0, gone, answered=answered) is not None
+
+
+HOT, DISAGREE, BROKEN = "over-temperature", "sensor disagreement", "implausible reading"
+
+
+@pytest.mark.parametrize(
+    ("rule", "reading", "resets"),
+    [
+        (HOT, replace(COLD, temp_c=33.5 - TINY), True),
+        (HOT, replace(COLD, temp_c=33.5), False),
+        (HOT, replace(COLD, safety_c=33.5), False),
+        (HOT, replace(COLD, external_c=33.5), False),
+        (BROKEN, replace(COLD, temp_c=12.0), True),
+        (BROKEN, replace(COLD, temp_c=12.0 - TINY), False),
+        (BROKEN, replace(COLD, temp_c=38.0), True),
+        (BROKEN, replace(COLD, temp_c=38.0 + TINY), False),
+        ("rate", replace(COLD, temp_c=38.0 + TINY), False),
+        ("loop break", replace(COLD, temp_c=12.0 - TINY), False),
+        (DISAGREE, replace(COLD, temp_c=12.0 - TINY), False),
+        ("changed at the controller", replace(COLD, temp_c=38.0 + TINY), False),
+        ("frozen reading", replace(CALM, power_percent=20.0), True),
+        ("frozen reading", replace(CALM, power_percent=20.0 + TINY), False),
+        ("frozen reading", replace(CALM, power_percent=None), True),
+        ("heat without pump or level", COLD, True),
+        ("heat without pump or level", replace(CALM, power_percent=TINY), False),
+        ("rate", replace(CALM, power_percent=TINY), False),
+        ("rate", replace(CALM, power_percent=None), True),
+    ],
+)
+def test_what_a_rig_file_allows_to_reset(rule: str, reading: BathReading, resets: bool, tmp_path: Path) -> None:
+    rig = with_limits(tmp_path)
+    path = latch_path(rig)
+    assert path is not None
+    set_latch(path, InterlockTrip(rule, "", ""), "runs/one")
+    latch = read_latch(path)
+    assert latch is not None
+    if resets:
+        acknowledge(rig, latch, reading)
+    else:
+        with pytest.raises(LatchedError, match="not yet"):
+            acknowledge(rig, latch, reading)
+    assert path.exists() is not resets
+
+
+@pytest.mark.parametrize(
+    ("changed", "fault"),
+    [
+        ({"bath_max_c": "40.0"}, ""),
+        ({"bath_max_c": "40.000001"}, "less than or equal to 40"),
+        ({"set_point_c": "[22.0, 34.499999]"}, ""),
+        ({"set_point_c": "[22.0, 34.5]"}, "which bath_max_c = 34.5 would trip on"),
+        ({"bath_plausible_c": "[12.0, 12.000001]"}, ""),
+        ({"bath_plausible_c": "[12.0, 12.0]"}, "the first number must be the smaller one"),
+        ({"bath_rate_k_per_min": "0.0"}, "greater than 0"),
+        ({"bath_silence_s": "0.0"}, "greater than 0"),
+        ({"sensors_differ_k": "0.0"}, "greater than 0"),
+        ({"detection_timeout_s": "0.0"}, "greater than 0"),
+        ({"away_s": "0.0"}, ""),
+        ({"away_s": "-0.000001"}, "greater than or equal to 0"),
+        ({"away_s": "86400.0"}, ""),
+        ({"away_s": "86400.000001"}, "less than or equal to 86400"),
+    ],
+)
+def test_which_limits_a_rig_file_may_have(changed: dict[str, str], fault: str, tmp_path: Path) -> None:
+    if not fault:
+        with_limits(tmp_path, **changed)
+        return
+    with pytest.raises(ConfigError, match=re.escape(fault)):
+        with_limits(tmp_path, **changed)
+
+
+@pytest.mark.parametrize(("set_point_c", "allowed"), [(22.0, True), (21.999999, False), (33.0, True), (33.000001, False)])
+def test_a_script_may_ask_for_what_the_rig_file_allows(
+    set_point_c: float,
+    allowed: bool,
+    short_script: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    text = re.sub(
+        r"^set_point_c = .*$",
+        f"set_point_c = {set_point_c}",
+        short_script.read_text(encoding="utf-8"),
+        flags=re.MULTILINE,
+    )
+    script, rig = tmp_path / "script.toml", with_limits(tmp_path)
+    script.write_text(text, encoding="utf-8")
+    if allowed:
+        load_script(script, rig.rig.limits.set_point_c)
+    else:
+        out = str(tmp_path / "runs")
+        assert main(["run", str(script), "--rig", str(rig.path), "--out", out]) == 2
+        assert "outside what the rig allows (22 to 33 degC)" in capsys.readouterr().err

@@ -99,6 +99,29 @@ def test_a_device_that_hangs_up_breaks_the_link(clock: Clock) -> None:
         clock.close()
 
 
+@pytest.mark.parametrize("clock", [VirtualClock(), RealClock()], ids=["virtual", "real"])
+def test_a_closed_link_says_so_to_every_call_until_it_is_opened_again(clock: Clock) -> None:
+    listener = Listener(Echo(), clock, lock=threading.RLock(), name="echo")
+    link = Link(listener.url, clock, who="echo")
+    link.close()
+    for call in (
+        lambda: link.write(b"a"), lambda: link.receive(1.0), lambda: link.read(1, 1.0), lambda: link.read_until(b"\n", 1.0),
+        lambda: link.drain(0.0), lambda: link.set_baud(9600),
+    ):  # fmt: skip
+        with pytest.raises(LinkError, match="the link is closed"):
+            call()
+    link.reopen()
+    assert link.read_until(b"\n", 1.0) == b"hello\n"
+    link.close()
+    listener.close()
+    with pytest.raises(LinkError, match="nothing takes the connection"):
+        link.reopen()
+    with pytest.raises(LinkError, match="the link is closed"):
+        link.receive(1.0)
+    if isinstance(clock, RealClock):
+        clock.close()
+
+
 def test_real_time_waits_for_the_later_answer() -> None:
     clock = RealClock()
     listener = Listener(Echo(later_s=0.05), clock, lock=threading.RLock(), name="echo")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -98,11 +100,27 @@ def test_impossible_counts_and_claims_are_refused() -> None:
         Rate(5, 4)
     with pytest.raises(ValueError, match="negative"):
         trials_needed(-1, 0.95)
-    for rate in (0.0, 1.0):
-        with pytest.raises(ValueError, match="no number of trials shows 100 %"):
-            zero_failure_n(rate)
-    with pytest.raises(ValueError, match="confidence"):
-        Rate(1, 1).interval(1.0)
+
+
+CLAIMS: dict[str, tuple[str, Callable[[float], object]]] = {
+    "interval": ("confidence", lambda value: Rate(3, 4).interval(value)),
+    "lower_bound": ("confidence", lambda value: Rate(3, 4).lower_bound(value)),
+    "upper_bound": ("confidence", lambda value: Rate(3, 4).upper_bound(value)),
+    "zero_failure_n, rate": ("rate", zero_failure_n),
+    "zero_failure_n": ("confidence", lambda value: zero_failure_n(0.95, value)),
+    "trials_needed, rate": ("rate", lambda value: trials_needed(0, value)),
+    "trials_needed": ("confidence", lambda value: trials_needed(0, 0.95, value)),
+}
+
+
+@pytest.mark.parametrize("claim", CLAIMS)
+def test_rates_and_confidences_lie_between_0_and_1_both_excluded(claim: str) -> None:
+    name, call = CLAIMS[claim]
+    for outside in (-0.5, 0.0, 1.0, 1.5, float("nan")):
+        with pytest.raises(ValueError, match=rf"^{name}: {outside} must lie .* shows 100 %"):
+            call(outside)
+    for inside in (1e-9, 1.0 - 1e-9):
+        assert call(inside) is not None
 
 
 @pytest.mark.parametrize(
