@@ -160,7 +160,7 @@ def test_ends_5_mm_apart_are_two_teats(spacing_mm: float) -> None:
 
 @pytest.mark.parametrize("spacing_mm", [4.9, 4.9999])
 def test_ends_nearer_than_5_mm_are_one_end_touched_twice(spacing_mm: float) -> None:
-    with pytest.raises(ValueError, match="teats 1 and 2 are .* apart.*touched twice"):
+    with pytest.raises(ValueError, match=r"teats 1 and 2 are .* apart.*touched twice"):
         gate_mm([[0, 0, 0], [spacing_mm, 0, 0]])
 
 
