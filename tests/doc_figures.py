@@ -66,7 +66,7 @@ def _covariances() -> Iterator[Sequence[str]]:
 def _coverage() -> Iterator[Sequence[str]]:
     for row in read("coverage.csv"):
         covers, green = (f"{100 * float(row[key]):.1f} %" for key in ("covers", "green"))
-        yield row["changes"], f"{float(row['mean_mm']):.2f}", row["poses"], covers, f"{float(row['width_mm']):.2f}", green
+        yield row["changes"], f"{round(float(row['mean_mm']), 2) + 0.0:.2f}", row["poses"], covers, f"{float(row['width_mm']):.2f}", green
 
 
 # page, the table's first line, its rows

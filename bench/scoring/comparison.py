@@ -129,12 +129,12 @@ def gate(pairs: Sequence[ScenePair], pooled: Row, margin_mm: float, unpaired: in
         return Gate(Verdict.INCONCLUSIVE, tuple(open_questions), margin_mm)
     tail = (1.0 + pooled.radial.confidence) / 2.0
     failing = Rate(0, pooled.poses).upper_bound(tail) or 0.0
-    shown = (
+    bounds = (
         f"over all poses the mean distance grew by at most {high:.3f} mm (margin {margin_mm:g} mm) "
         f"and at most {percent(failing)} of poses are lost anew ({poses_told(pooled.poses)}, "
         f"{exact_percent(tail)} confidence each)"
     )
-    return Gate(Verdict.MET, ("no scene lost, no false or missed teat more", shown), margin_mm)
+    return Gate(Verdict.MET, ("no scene lost, no false or missed teat more", bounds), margin_mm)
 
 
 def _hidden(pairs: Sequence[ScenePair], found: PairedDifference, margin_mm: float) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from math import pi, sqrt
+from math import expm1, log, pi, sqrt
 from statistics import NormalDist
 
 import numpy as np
@@ -135,8 +135,8 @@ def upper_bound(values: Floats, limit: float, confidence: float) -> float:
     there is none isn't proven.
     """
     n, chance = len(values), 1.0 - confidence
-    ends = float(values.min()), float(values.max())
-    low, high = (end + (limit - end) * (1.0 - chance ** (1.0 / n)) for end in ends)  # if all were as this one
+    share = -expm1(log(chance) / n)
+    low, high = (end + (limit - end) * share for end in (float(values.min()), float(values.max())))  # if all were as this one
     if high - low <= 1e-6 * limit:
         return high
     return float(brentq(lambda mean: _chance_above(values, limit, mean, n) - chance, low, high, xtol=1e-9 * limit))

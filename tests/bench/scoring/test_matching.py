@@ -155,13 +155,13 @@ def test_of_two_findings_at_one_distance_the_first_is_taken(found: list[list[flo
 
 @pytest.mark.parametrize("spacing_mm", [5.0, 5.1])
 def test_ends_5_mm_apart_are_two_teats(spacing_mm: float) -> None:
-    assert gate_mm([[0, 0, 0], [spacing_mm, 0, 0]]) == spacing_mm / 2
+    assert gate_mm(np.array([[0.0, 0.0, 0.0], [spacing_mm, 0.0, 0.0]])) == spacing_mm / 2
 
 
 @pytest.mark.parametrize("spacing_mm", [4.9, 4.9999])
 def test_ends_nearer_than_5_mm_are_one_end_touched_twice(spacing_mm: float) -> None:
     with pytest.raises(ValueError, match=r"teats 1 and 2 are .* apart.*touched twice"):
-        gate_mm([[0, 0, 0], [spacing_mm, 0, 0]])
+        gate_mm(np.array([[0.0, 0.0, 0.0], [spacing_mm, 0.0, 0.0]]))
 
 
 def test_the_gate_is_half_the_least_spacing_and_at_most_25_mm() -> None:
