@@ -5,12 +5,12 @@ rounded by whoever knows their meaning. May not know: bench, instruments, detect
 """
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, get_args
 
 from reports.trust import PageError, SvgFacts, address, one_of, svg_facts
 
-Verdict = Literal["met", "not met", "inconclusive", "not measured", "aborted", "no verdict"]
-VERDICTS: tuple[Verdict, ...] = ("met", "not met", "inconclusive", "not measured", "aborted", "no verdict")
+Verdict = Literal["met", "not met", "inconclusive", "not measured", "aborted", "no verdict", "not worse", "worse"]
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 Tone = Literal["plain", "good", "bad", "warn", "info", "muted"]
 TONES: tuple[Tone, ...] = ("plain", "good", "bad", "warn", "info", "muted")
 Align = Literal["left", "right", "center"]

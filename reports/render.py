@@ -26,7 +26,10 @@ IN_PAGE = 40  # trials: more get a file each
 TRIALS = "trials"  # their folder
 _TEMPLATES = Path(__file__).parent / "templates"
 _NO_TEXT_IN_HTML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff]")
-_SIGNS: dict[Verdict, str] = {"met": "✓", "not met": "✕", "inconclusive": "?", "not measured": "–", "aborted": "!", "no verdict": "○"}
+_SIGNS: dict[Verdict, str] = {
+    "met": "✓", "not met": "✕", "inconclusive": "?", "not measured": "–", "aborted": "!", "no verdict": "○",
+    "not worse": "✓", "worse": "✕",
+}  # fmt: skip
 
 View = tuple[int, int, int, int, int, int]  # size of an image, and the part of it that is shown: all that a view's style rule needs
 _Row = tuple[str | Cell, ...]

@@ -58,7 +58,7 @@ def _sensitivity(given: argparse.Namespace) -> int:
             points = results[quantity.name] = []
             for point in measure(bench, quantity):
                 points.append(point)
-                found = ", ".join(f"{name} {len(tally.distances_mm)}{no_answers(tally)}" for name, tally in point.tallies.items())
+                found = ", ".join(f"{name} {len(tally.distances_mm)}{no_answers(tally.failures)}" for name, tally in point.tallies.items())
                 print(f"{quantity.name} {point.value:g}: found of {point.visible} visible: {found}", flush=True)
             print(write_figure(given.out, quantity, points), flush=True)
     finally:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from bench.comparing.runs import Comparison
-from bench.comparing.words import DISTANCE, LEGEND, SUCCESS, as_json, distance_rows, heading, notes, success_rows, verdict_told
+from bench.comparing.words import DISTANCE, LEGEND, SUCCESS, WORDS, as_json, distance_rows, heading, notes, success_rows, verdict_told
 from bench.config import ConfigError
 from bench.scoring.comparison import ScenePair, why_failed
 from bench.scoring.decisions import Verdict, overall
@@ -20,7 +20,7 @@ from reports.render import write_report
 NEXT = {
     Verdict.MET: "The new one may replace the old one as far as these scenes go.",
     Verdict.NOT_MET: "Look at the scenes below that changed, in the report of the new run, before the new one is used.",
-    Verdict.INCONCLUSIVE: "Compare on more poses; 'teatbench plan --trials N --sd-mm SD' says what a number of them can show.",
+    Verdict.INCONCLUSIVE: "Compare on more poses, as many as the reasons name.",
 }
 TONES: dict[Verdict, Tone] = {Verdict.MET: "good", Verdict.NOT_MET: "bad", Verdict.INCONCLUSIVE: "warn"}
 
@@ -42,7 +42,7 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
     first = found[0]
     banner = Banner(
         kind=_kind(found),
-        verdict=verdict.value,
+        verdict=WORDS[verdict],
         tested=f"{'; '.join(heading(one) for one in found)}.",
         sentence=f"{verdict_told(worst[0])} {_listed(worst[0].compared.gate.reasons)}",
         confidence=" ".join(notes(first)),

@@ -12,6 +12,7 @@ from bench.scoring.comparison import Row
 from bench.scoring.decisions import Verdict
 from bench.scoring.paired import PairedDifference
 from bench.summary.wording import NOT_MEASURED
+from reports.parts import Verdict as PageVerdict
 
 SUCCESS = (
     ("situation", ""),
@@ -25,13 +26,16 @@ SUCCESS = (
 )
 DISTANCE = (("situation", ""), ("teats", ""), ("change", "mm"), ("p", ""), ("|x|", "mm"), ("|y|", "mm"), ("|z|", "mm"))
 LEGEND = (
-    "All differences are new less old, with their intervals. Lost and won: poses that only the old or only the new one got right (exact "
-    "McNemar; the interval is Tango's). Distance: mean over poses of the distance to the end, of teats that both found (bootstrap over "
-    "poses, BCa, Student's for fewer than 10; p by sign flips); |x|, |y|, |z|: of the absolute error along the world's axes. The p-values "
-    "of situations are adjusted after Holm."
+    "All differences are new less old, with their intervals. Lost and won: poses that only the old "
+    "or only the new one got right (exact McNemar; the interval is Tango's). Distance: mean over "
+    "poses of the distance to the end, of teats that both found; a teat's change counts up to the "
+    "limit (the interval is Gaffke's, which allows for poses that were not run; p by sign flips). "
+    "|x|, |y|, |z|: of the absolute error along the world's axes. The p-values of situations are "
+    "adjusted after Holm."
 )
 DIFFER = {"kind": "kind", "rig": "rig", "script": "script", "seed": "seed", "calibration": "calibration_sha256"}
 NOT_KNOWN = "not known"
+WORDS: dict[Verdict, PageVerdict] = {Verdict.MET: "not worse", Verdict.NOT_MET: "worse", Verdict.INCONCLUSIVE: "inconclusive"}
 TOLD = {
     Verdict.MET: "The new one is not worse:",
     Verdict.NOT_MET: "THE NEW ONE IS WORSE:",
@@ -148,7 +152,7 @@ def _one(comparison: Comparison) -> dict[str, Any]:
         "only_new": comparison.only_new,
         "elsewhere": comparison.elsewhere,
         "confidence": found.confidence,
-        "gate": {"verdict": found.gate.verdict.value, "reasons": list(found.gate.reasons), "margin_mm": found.gate.margin_mm},
+        "gate": {"verdict": WORDS[found.gate.verdict], "reasons": list(found.gate.reasons), "margin_mm": found.gate.margin_mm},
         "rows": [_numbers(row, found.confidence) for row in (found.pooled, *found.situations)],
     }
 

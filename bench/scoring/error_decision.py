@@ -64,7 +64,7 @@ def decide_error(
         verdict, reason = _accepted(measured, accept, limit_mm, len(worst), zero_failure_n(rate, confidence), enough, exact_percent(rate))
     without = f" Of the found teats only: {missed} {'was' if missed == 1 else 'were'} missed." if missed else ""
     sentence = f"The {what} over {poses_told(len(worst))} is {measured:.2f} mm, {reason}.{without}"
-    band = refuse - limit_mm if accept is None else limit_mm - accept
+    band = refuse - limit_mm if accept is None or verdict is Verdict.NOT_MET else limit_mm - accept
     return Decision(name, rule, len(worst), measured, "mm", limit_mm, limit_mm - measured, band, verdict, sentence, accept)
 
 

@@ -94,7 +94,7 @@ def detectable_shift(poses: int, sd: float, power: float = 0.8, alpha: float = 0
     """The smallest mean difference of two detectors' errors, in the unit of `sd`, that so many poses show with `power`.
 
     `sd` is the standard deviation of the differences between poses. None for fewer than 2 poses. Paired t, two-sided: noncentral t (Cohen,
-    Statistical Power Analysis, 1988, section 2.4); the bootstrap of a comparison has nearly the same power.
+    Statistical Power Analysis, 1988, section 2.4); the sign-flip test of a comparison has nearly the same power.
     """
     _share("power", power)
     _positive_sd(sd)

@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from bench.config import ConfigError
-from bench.scoring.errors import RadialSummary, summarise_radial
+from bench.scoring.errors import summarise_radial
 from bench.sensitivity.measuring import DISPARITY_PX
-from bench.sensitivity.values import Measured, Quantity, Tally
+from bench.sensitivity.values import Measured, Quantity
 from reports.figures.drawing import COLOURS
 from reports.figures.sensitivity import MOST_CURVES, Bound, Curve, sensitivity
 
@@ -20,6 +20,8 @@ COLUMNS = (
 )  # fmt: skip
 POINTS, PAGE = "points.csv", "measured.md"
 Results = Mapping[str, Sequence[Measured]]
+Row = Mapping[str, str]
+NOT_MEASURED = "not measured"
 
 
 def check_curves(names: Sequence[str]) -> None:
@@ -28,9 +30,9 @@ def check_curves(names: Sequence[str]) -> None:
         raise ConfigError.plain(f"a figure shows {MOST_CURVES} detectors at most, {len(names)} are asked for: {', '.join(names)}")
 
 
-def no_answers(tally: Tally) -> str:
+def no_answers(frame_sets: int) -> str:
     """What stands behind a count of ends; empty where every frame set had an answer."""
-    return f" (without an answer on {tally.failures})" if tally.failures else ""
+    return f" (without an answer on {frame_sets})" if frame_sets else ""
 
 
 def write_figure(folder: Path, quantity: Quantity, points: Sequence[Measured]) -> Path:
@@ -42,13 +44,19 @@ def write_figure(folder: Path, quantity: Quantity, points: Sequence[Measured]) -
 
 def write_numbers(folder: Path, quantities: Sequence[Quantity], results: Results, made_with: str) -> None:
     """All numbers as CSV and as a page; ``made_with`` says in a sentence what they were measured with. Raises ConfigError."""
+    rows = [dict(zip(COLUMNS, row, strict=True)) for quantity in quantities for row in _rows(quantity, results[quantity.name])]
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(row for quantity in quantities for row in _rows(quantity, results[quantity.name]))
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
     _written(folder / POINTS, text.getvalue())
-    tables = [_table(quantity, results[quantity.name]) for quantity in quantities]
-    _written(folder / PAGE, "\n\n".join(["# Sensitivity as measured", made_with, *tables]) + "\n")
+    _written(folder / PAGE, numbers_page(quantities, rows, made_with))
+
+
+def numbers_page(quantities: Sequence[Quantity], rows: Sequence[Row], made_with: str) -> str:
+    """The page of ``rows``, as they stand in the CSV file."""
+    tables = [_table(quantity, [row for row in rows if row["quantity"] == quantity.name]) for quantity in quantities]
+    return "\n\n".join(["# Sensitivity as measured", made_with, *tables]) + "\n"
 
 
 def figure_of(quantity: Quantity, points: Sequence[Measured]) -> str:
@@ -82,40 +90,40 @@ def _curve(name: str, points: Sequence[Measured]) -> Curve:
     )
 
 
-def _rows(quantity: Quantity, points: Sequence[Measured]) -> Iterator[tuple[object, ...]]:
+def _rows(quantity: Quantity, points: Sequence[Measured]) -> Iterator[tuple[str, ...]]:
     for point in points:
         limit = point.limit
         allowed = (limit.median_mm, limit.p95_mm, limit.disparity_mm, limit.share) if limit else (None, None, None, None)
         for name, tally in point.tallies.items():
             errors = summarise_radial(tally.distances_mm)
-            counts = (point.visible, len(tally.distances_mm), tally.false, tally.failures)
+            counts = (str(count) for count in (point.visible, len(tally.distances_mm), tally.false, tally.failures))
             numbers = (errors.median_mm, errors.p95_mm, errors.max_mm, *allowed)
             yield (quantity.name, f"{point.value:g}", name, *counts, *("" if number is None else f"{number:.4f}" for number in numbers))
 
 
-def _table(quantity: Quantity, points: Sequence[Measured]) -> str:
+def _table(quantity: Quantity, rows: Sequence[Row]) -> str:
     """One quantity in Markdown: a row a value, three columns a detector."""
-    names = list(points[0].tallies)
+    names = list(dict.fromkeys(row["detector"] for row in rows))
     heads = [f"{name}: {what}" for name in names for what in ("found", "false", "median, p95 (mm)")]
     lines = [_line([quantity.label, *heads, "limit: median, p95 (mm)", *(["limit: found"] if quantity.thermal else [])])]
     lines.append("|" + "---|" * (lines[0].count("|") - 1))
-    for point in points:
-        cells = [cell for name in names for cell in _cells(point.tallies[name], point.visible)]
-        lines.append(_line([f"{point.value:g}", *cells, *_allowed(quantity, point)]))
+    for value in dict.fromkeys(row["value"] for row in rows):
+        of_value = [row for row in rows if row["value"] == value]
+        limit = [_pair(of_value[0], "limit_median_mm", "limit_p95_mm", 3)]
+        if quantity.thermal:
+            share = of_value[0]["limit_share"]
+            limit.append(f"{100 * float(share):.0f} %" if share else NOT_MEASURED)
+        lines.append(_line([value, *(cell for row in of_value for cell in _cells(row)), *limit]))
     return "\n".join([f"## {quantity.name}", "", quantity.about, "", *lines])
 
 
-def _cells(tally: Tally, visible: int) -> tuple[str, str, str]:
-    errors: RadialSummary = summarise_radial(tally.distances_mm)
-    text = "not measured" if errors.median_mm is None or errors.p95_mm is None else f"{errors.median_mm:.2f}, {errors.p95_mm:.2f}"
-    return f"{len(tally.distances_mm)} of {visible}{no_answers(tally)}", str(tally.false), text
+def _cells(row: Row) -> tuple[str, str, str]:
+    found = f"{row['found']} of {row['visible']}{no_answers(int(row['no_answer']))}"
+    return found, row["false"], _pair(row, "median_mm", "p95_mm", 2)
 
 
-def _allowed(quantity: Quantity, point: Measured) -> Iterator[str]:
-    limit = point.limit
-    yield "not measured" if limit is None else f"{limit.median_mm:.3f}, {limit.p95_mm:.3f}"
-    if quantity.thermal:
-        yield "not measured" if limit is None or limit.share is None else f"{100 * limit.share:.0f} %"
+def _pair(row: Row, first: str, second: str, digits: int) -> str:
+    return f"{float(row[first]):.{digits}f}, {float(row[second]):.{digits}f}" if row[first] else NOT_MEASURED
 
 
 def _line(cells: Sequence[str]) -> str:

@@ -23,16 +23,11 @@ def requirements(judgement: Judgement, rules: Rules) -> Requirements:
     """One row a requirement: rule, n, measured, limit, margin, verdict."""
     sources = {rule.name: rule.source for rule in rules.requirements}
     rows = tuple(
-        Requirement(d.name, d.rule, d.n, _whole(measured(d)), limit(d), margin(d), d.verdict.value, sources.get(d.name, ""))
+        Requirement(d.name, d.rule, d.n, measured(d), limit(d), margin(d), d.verdict.value, sources.get(d.name, ""))
         for d in judgement.decisions
     )
     note = " ".join(d.sentence for d in judgement.decisions)
     return Requirements(f"Requirements, detector {judgement.detector}: {judgement.verdict.value}", rows, note)
-
-
-def _whole(text: str) -> str:
-    """A figure and its uncertainty on one line."""
-    return text.replace("± ", "±\u00a0")
 
 
 def situations(run: RunRecord) -> list[str]:

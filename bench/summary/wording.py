@@ -7,6 +7,7 @@ from typing import Any
 
 from bench.record import RunRecord
 from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.rates import percent_apart
 from bench.verdicts import Judgement, run_verdict
 from reports.parts import Verdict as PageVerdict
 
@@ -22,11 +23,17 @@ def number(value: float | None, unit: str = "", digits: int = 2) -> str:
 
 
 def measured(decision: Decision) -> str:
-    """The decided figure with its unit and, where there is one, its uncertainty."""
-    text = number(decision.measured, decision.unit, _digits(decision))
-    if decision.measured is not None and decision.uncertainty is not None:
-        text += f" (± {decision.uncertainty:.{_digits(decision)}f})"
-    return text
+    """The decided figure with its unit and the one-sided bound that was decided on: ``100.0 % (at least 60.7 %)``."""
+    value, digits = decision.measured, _digits(decision)
+    text = number(value, decision.unit, digits)
+    if value is None or not decision.uncertainty:
+        return text
+    if (decision.verdict is Verdict.NOT_MET) == (decision.unit == "%"):
+        side, bound = "at most", value + decision.uncertainty
+    else:
+        side, bound = "at least", value - decision.uncertainty
+    told = percent_apart(bound / 100, decision.limit / 100) if decision.unit == "%" else number(bound, decision.unit, digits)
+    return f"{text} ({side} {told})"
 
 
 def limit(decision: Decision) -> str:

@@ -87,13 +87,21 @@ def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
     assert f"{SCENES} scenes, each in the very same frames." in told
     assert "the mean distance to the teat end grew by 1." in told
     assert main(["compare", str(baseline), str(new)]) == 0  # without --gate it only tells
-    assert main(["compare", str(new), str(baseline), "--gate"]) == 0  # the repair is not worse
+    assert main(["compare", str(new), str(baseline), "--gate"]) == 4  # nothing got worse, but three poses can't show that
 
 
-def test_the_same_detector_again_is_green(recording: Path, baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_of_too_few_poses_the_gate_says_how_many_it_takes(
+    recording: Path, baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     again = score(recording, tmp_path, "fused")
-    assert main(["compare", str(baseline), str(again), "--gate"]) == 0
-    assert "The new one is not worse:" in capsys.readouterr().out
+    capsys.readouterr()
+    assert main(["compare", str(baseline), str(again), "--gate"]) == 4
+    told = " ".join(capsys.readouterr().out.split())
+    assert "in 3 poses; poses that were not run may hide that it grew by 3.538 mm (margin 0.25 mm): 72 poses with such changes" in told
+    assert main(["compare", str(baseline), str(again), "--gate", "--margin-mm", "4"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "The new one is not worse: no scene lost, no false or missed teat more over all poses the mean distance grew by at most" in told
+    assert "at most 70.8 % of poses are lost anew (3 poses, 97.5 % confidence each)" in told
 
 
 def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -102,11 +110,12 @@ def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, 
     assert main(["compare", str(run), "--gate", "--json", "--out", str(tmp_path / "page")]) == 1
     (told,) = json.loads(capsys.readouterr().out)
     assert (told["old"]["detector"], told["new"]["detector"]) == ("fused", "thesis")
-    assert told["gate"]["verdict"] == "not met"
+    assert told["gate"]["verdict"] == "worse"
     assert told["rows"][0]["scenes"] == told["same_frames"] == SCENES
     assert told["rows"][0]["success"]["only_old"] == SCENES
     page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
     assert "THE NEW ONE IS WORSE" in page
+    assert '<span class="word-text">worse</span>' in page
     assert "passed and now fails" in page
     assert json.loads((tmp_path / "page" / "comparison.json").read_text(encoding="utf-8")) == [told]
 

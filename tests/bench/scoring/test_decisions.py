@@ -18,10 +18,30 @@ from bench.scoring.decisions import (
     decide_time,
     overall,
 )
+from bench.scoring.error_decision import decide_error
 from bench.scoring.rates import Rate
+from bench.summary.wording import measured
 
 MET, NOT_MET, INCONCLUSIVE, NOT_MEASURED = Verdict.MET, Verdict.NOT_MET, Verdict.INCONCLUSIVE, Verdict.NOT_MEASURED
 rate95 = partial(decide_rate, "success", required=0.95, confidence=0.95)
+error95 = partial(decide_error, "error", limit_mm=5.0, u_mm=0.23, rate=0.95, confidence=0.95)
+
+
+@pytest.mark.parametrize(
+    ("decision", "told"),
+    [
+        (rate95(Rate(6, 6)), "100.0 % (at least 60.7 %)"),
+        (rate95(Rate(58, 58)), "100.0 % (at least 94.97 %)"),
+        (rate95(Rate(9, 18)), "50.0 % (at most 70.9 %)"),
+        (rate95(Rate(0, 0)), "not measured"),
+        (error95([3.0] * 59), "3.00 mm (at most 3.39 mm)"),
+        (error95([6.0] * 59), "6.00 mm (at least 5.62 mm)"),
+        (error95([3.0] * 59, u_mm=0.0), "3.00 mm"),
+        (decide_count("false", 0, scenes=3), "0"),
+    ],
+)
+def test_a_bound_is_told_on_its_side(decision: Decision, told: str) -> None:
+    assert measured(decision) == told
 
 
 class TestRate:

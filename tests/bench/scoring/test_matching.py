@@ -144,6 +144,26 @@ def test_a_pair_beyond_the_gate_is_a_miss_and_a_false_finding() -> None:
     assert match([[0, 0, 25.0]], [[0, 0, 0]], [True], 25.0).counts == Counts(visible=1, matched=1)
 
 
+@pytest.mark.parametrize("found", [[[2.0, 0, 0], [-2.0, 0, 0]], [[-2.0, 0, 0], [2.0, 0, 0]]])
+def test_of_two_findings_at_one_distance_the_first_is_taken(found: list[list[float]]) -> None:
+    for truth in (SQUARE[:1], SQUARE[:2]):
+        m = match(found, truth, ALL[: len(truth)], 25.0)
+        assert (m.pairs, m.false) == (((0, 0),), (1,))
+    crowded = match(found, [[0.0, 0, 0], [0, 20.0, 0]], [True, True], 25.0)  # both are within the gate of both teats
+    assert (crowded.pairs, crowded.false) == (((0, 0), (1, 1)), ())
+
+
+@pytest.mark.parametrize("spacing_mm", [5.0, 5.1])
+def test_ends_5_mm_apart_are_two_teats(spacing_mm: float) -> None:
+    assert gate_mm(np.array([[0.0, 0.0, 0.0], [spacing_mm, 0.0, 0.0]])) == spacing_mm / 2
+
+
+@pytest.mark.parametrize("spacing_mm", [4.9, 4.9999])
+def test_ends_nearer_than_5_mm_are_one_end_touched_twice(spacing_mm: float) -> None:
+    with pytest.raises(ValueError, match=r"teats 1 and 2 are .* apart.*touched twice"):
+        gate_mm(np.array([[0.0, 0.0, 0.0], [spacing_mm, 0.0, 0.0]]))
+
+
 def test_the_gate_is_half_the_least_spacing_and_at_most_25_mm() -> None:
     assert gate_mm(SQUARE) == 25.0
     assert gate_mm(SQUARE / 2) == 15.0
