@@ -20,7 +20,7 @@ class Attempts:
     """Runs ``planned`` trials, one for each call of ``run``, by ``once``.
 
     ``through`` does a piece of work until no instrument has interrupted it; ``away_s`` tells the time that was no work at all.
-    ``poison`` are trials that aren't tried again, with the reason.
+    ``poison`` are trials that aren't tried again, with the reason; ``each_s`` is what a trial is expected to take, where that is known.
     """
 
     def __init__(
@@ -35,6 +35,7 @@ class Attempts:
         through: Callable[[str, Callable[[], None]], None] = lambda _, work: work(),
         away_s: Callable[[], float] = lambda: 0.0,
         poison: Mapping[str, str] | None = None,
+        each_s: float | None = None,
     ) -> None:
         self._once = once
         self._planned = planned
@@ -45,6 +46,7 @@ class Attempts:
         self._through = through
         self._away_s = away_s
         self._poison = dict(poison or {})
+        self._each_s = each_s
         self._done = 0
         self._taken_s: list[float] = []
 
@@ -71,9 +73,10 @@ class Attempts:
 
     @property
     def left_s(self) -> float | None:
-        """By the mean of the trials so far; the first says nothing, it waits for the bath to heat up."""
+        """By the mean of the trials so far, but for the first, and until then by what was expected."""
         seen = self._taken_s[1:]
-        return sum(seen) / len(seen) * (self._planned - self._done) if seen else None
+        each_s = sum(seen) / len(seen) if seen else self._each_s
+        return None if each_s is None else each_s * (self._planned - self._done)
 
     def _again(self, trial: PlannedTrial) -> bool:
         """Whether somebody wants what was just done once more."""
