@@ -48,11 +48,12 @@ class Attempts:
         self._poison = dict(poison or {})
         self._each_s = each_s
         self._done = 0
+        self._started_s: float | None = None  # of the trial under way
         self._taken_s: list[float] = []
 
     def run(self, trial: PlannedTrial) -> None:
         """Until the trial is in the store or has been skipped. Raises whatever else ``once`` raises."""
-        started_s = self._working_s()
+        started_s = self._started_s = self._working_s()
         self._operator.next_trial(trial.number, self._planned, self.left_s)
         try:
             if why := self._poison.get(trial.id):
@@ -65,6 +66,7 @@ class Attempts:
         except NoTruthError as none:
             self._skipped(trial, str(none), str(none))
         self._done += 1
+        self._started_s = None
         self._taken_s.append(self._working_s() - started_s)
 
     def passed(self) -> None:
@@ -76,7 +78,10 @@ class Attempts:
         """By the mean of the trials so far, but for the first, and until then by what was expected."""
         seen = self._taken_s[1:]
         each_s = sum(seen) / len(seen) if seen else self._each_s
-        return None if each_s is None else each_s * (self._planned - self._done)
+        if each_s is None:
+            return None
+        under_way_s = self._working_s() - self._started_s if self._started_s is not None else 0.0
+        return each_s * (self._planned - self._done) - min(each_s, under_way_s)
 
     def _again(self, trial: PlannedTrial) -> bool:
         """Whether somebody wants what was just done once more."""

@@ -122,7 +122,7 @@ class Console:
                 remind_s += self._remind_s
                 waited_s = self._clock.now() - asked_s
                 self._write(f"\nStill waiting for you, since {waited_s:.0f} s; nothing is lost by taking longer.\n{question}")
-        if not (line and self._terminal):  # nobody's Enter has ended the question's row
+        if not self._terminal:  # nobody's Enter has ended the question's row
             self._write("\n")
         check()  # an answer that came too late is none
         if not line:

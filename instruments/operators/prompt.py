@@ -67,10 +67,16 @@ class Prompt:
         """Why it is asked, and what each answer does."""
         lines = [EXPLAINED[self.kind]]
         if self.in_trial:
-            lines += ["Skip: the trial gets no result, and the report lists it with your reason.", "Repeat: its pictures and touches are dropped."]
+            lines += [
+                "Skip: the trial gets no result, and the report lists it with your reason.",
+                "Repeat: its pictures and touches are dropped.",
+            ]
         if self.enough:
             lines.append("Enough: it is calibrated from what was shown so far.")
-        lines += ["Abort: the bath goes to standby, the stage stops. What was finished is kept.", "There is no hurry; nothing is lost by taking long."]
+        lines += [
+            "Abort: the bath goes to standby, the stage stops. What was finished is kept.",
+            "There is no hurry; nothing is lost by taking long.",
+        ]
         return "\n".join(lines)
 
 
