@@ -76,7 +76,7 @@ class Watch:
         return "; ".join(self._gate.report.reasons)
 
     def stable_in_s(self, expected_s: float) -> float:
-        """How long until the gate opens, where it was ``expected_s`` from heating on; what the gate needs at the least, once that is over."""
+        """How long until the gate opens, expected ``expected_s`` after heating began; once that is over, what it needs at the least."""
         if self.state is State.STABLE:
             return 0.0
         heated_s = 0.0 if self._heating_s is None else self._clock.now() - self._heating_s

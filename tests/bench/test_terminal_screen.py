@@ -36,3 +36,12 @@ def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(columns: i
     assert seen.count(f"Enter to go on ({IN_TRIAL}{LAST_WORDS}") == 5
     assert seen.count(f"if teat ends are hidden from a camera, their numbers first (1 to 4) ({IN_TRIAL}{LAST_WORDS}") == 1
     assert sum(row.startswith("trials ") for row in terminal.screen.rows) == 1, "the bar is there once, at the end"
+
+
+def test_beside_a_refusal_there_is_no_bar(tmp_path: Path) -> None:
+    with at_terminal(["score", str(tmp_path / "nosuch")]) as terminal:
+        assert terminal.code() == 2
+    rows = [row.rstrip() for row in terminal.screen.rows if row.strip()]
+    assert rows
+    assert rows[0].startswith("teatbench: ")
+    assert not any("━" in row or row.startswith("trials") for row in rows)
