@@ -48,10 +48,10 @@ def test_what_is_waited_for_is_told_by_the_readings_near_the_set_point() -> None
     """The way there fills the window too, and has a slope and a range that say nothing of how steady the bath is now."""
     gate = StabilityGate(SP)
     feed(gate, [float(v) for v in np.linspace(20, 32.8, 1500)])
-    assert gate.report.reasons == ("32.80 degC, needs 33 ± 0.15",)
+    assert list(gate.report.reasons) == ["32.80 degC, needs 33 ± 0.15"]
     assert gate.at_least_s == gate.window_s
     feed(gate, [SP - 0.05 + 0.02 / 60 * k for k in range(261)], start_s=1500.0)
-    assert gate.report.reasons == ("stable for 4 of 10 min", "slope +0.020 K/min, needs 0.01")
+    assert list(gate.report.reasons) == ["stable for 4 of 10 min", "slope +0.020 K/min, needs 0.01"]
     assert gate.report.near_s == 260.0
     assert gate.at_least_s == 340.0
 

@@ -175,6 +175,13 @@ def test_without_a_terminal_nobody_asks_the_pedals() -> None:
         who.touch_check_point(1, 6)
 
 
+def test_an_answer_that_nobody_typed_ends_the_row_of_its_question() -> None:
+    """On a terminal Enter does that; what is shown next would stand, and be cleared, in the question's row."""
+    who, out = asked("\n")
+    who.touch(1, 4)
+    assert out.getvalue().endswith("a = abort the run): \n")
+
+
 def test_a_closed_output_is_a_terminal_that_has_gone() -> None:
     out = io.StringIO()
     out.close()
