@@ -34,9 +34,14 @@ from bench.commands import (
 )
 from bench.safety.exits import installed
 
+# OpenCV and its FFmpeg write to the terminal themselves; what they say there is told by us. Both read this when they are loaded.
+QUIET = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; gives back its exit code."""
+    for name, level in QUIET.items():
+        os.environ.setdefault(name, level)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(encoding="utf-8", errors="replace")  # a Windows console may be set to less

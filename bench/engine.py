@@ -30,8 +30,8 @@ from bench.running.reserve import Reserve
 from bench.running.resuming import Left, RehearsedStore
 from bench.running.run_state import EVENT, RunState, RunStates
 from bench.running.showing import Progress, Unfailing
-from bench.running.stability import StabilityGate
 from bench.running.trial_run import FrameSink, TrialRun
+from bench.running.trial_time import TimeEstimate, gate_of
 from bench.running.wishes import Wishes
 from bench.safety.exits import current, undisturbed
 from bench.safety.interlocks import InterlockTrip
@@ -62,7 +62,7 @@ class Engine:
     """One run. ``exact_ends`` gives the scene's exact truth where there is one; it is kept aside, never scored against.
 
     ``pulse`` gets signs of life, ``lifeline`` is the guardian that looks at them where there is one. ``left`` is what the run's last
-    session left, where it goes on; ``typed`` gives lines that somebody typed, None while there is none.
+    session left, where it goes on; ``typed`` gives lines that somebody typed, None while there is none; ``expected`` is how long it takes.
     """
 
     def __init__(
@@ -80,6 +80,7 @@ class Engine:
         lifeline: Lifeline | None = None,
         left: Left | None = None,
         typed: Callable[[], str | None] = lambda: None,
+        expected: TimeEstimate | None = None,
     ) -> None:
         pulse = pulse or Pulse()
         self._script = script.script
@@ -90,11 +91,8 @@ class Engine:
         self._store = store
         self._progress = Unfailing(progress, self._not_shown)
         tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
-        gate = self._script.bath
-        limits = gate.model_dump(
-            include={"set_point_c", "window_s", "mean_k", "half_range_k", "slope_k_per_min", "teat_slope_k_per_min", "leave_k"}
-        )
-        self._keeper = Keeper(rig, devices, StabilityGate(**limits), store, self._progress, pulse, lifeline)
+        self._expected = expected
+        self._keeper = Keeper(rig, devices, gate_of(script), store, self._progress, pulse, lifeline)
         self._watch = self._keeper.watch
         self._attention = Attention(devices, store, self._progress, pulse, self._watch)
         if isinstance(progress, WatchedProgress):
@@ -114,6 +112,7 @@ class Engine:
         self._attempts = Attempts(
             self._trials.run, len(self._planned), self._devices.operator, devices.clock, store, self._attention,
             through=self.recovery.run, away_s=lambda: self.states.away_s, poison=left.poison if left else {},
+            each_s=expected.each_s(len(self._planned)) if expected else None,
         )  # fmt: skip
         session = store.session if left and not self._rehearsed else 1
         self._preparation = Preparation(rig, script.script, self._devices, store, tip, self._attention, self.recovery, session)
@@ -191,6 +190,8 @@ class Engine:
     def _live(self) -> dict[str, str]:
         """What a line in the terminal says beside what is being done."""
         bath, left_s = self._watch.last, self._attempts.left_s
+        if left_s is not None:
+            left_s += self._watch.stable_in_s(self._expected.settling_s if self._expected else 0.0)
         told = {} if bath is None else {"bath": f"bath {bath.temp_c:.2f} degC, {self._watch.state.value}"}
         return told | ({} if left_s is None else {"left": time_left(left_s)})
 

@@ -18,6 +18,7 @@ from bench.planning.trials import pose_set
 from bench.record import read_run
 from bench.rig import LoadedRig, read_calibration
 from bench.rows import frame_rows, judged, truth_row
+from bench.running.learnt import needs, read_learnt
 from bench.running.recorder import RECORDED, Recorder, recorder_again
 from bench.running.resuming import ASKED, Left, RehearsedStore, files_of, open_store, what_is_left
 from bench.running.rig_lock import lock_path, locked, run_lock
@@ -33,6 +34,7 @@ from instruments.camera.recording import Recording
 from instruments.capture import NO_CAPTURE, Captures
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
+from instruments.operators.prompt import time_left
 
 BETWEEN_S = 1.0  # of the bench's time, between two sessions of a run
 SAME_POSE_MM = 1.5  # touches of one end scatter by less, and no bench sets a pose up again this well by chance
@@ -40,13 +42,17 @@ SAME_POSE_MM = 1.5  # touches of one end scatter by less, and no bench sets a po
 
 @dataclass(frozen=True, slots=True)
 class HowToRun:
-    """What a command line says of how a run is run. ``typed`` gives lines that somebody typed, None while there is none."""
+    """What a command line says of how a run is run. ``typed`` gives lines that somebody typed, None while there is none.
+
+    ``begun`` gets a line for the person at the terminal: where the run is kept, and how long it takes.
+    """
 
     detectors: Sequence[str] = ()
     record: Path | None = None
     realtime: bool = False
     capture: Captures = NO_CAPTURE
     typed: Callable[[], str | None] = lambda: None
+    begun: Callable[[str], None] = lambda _: None
 
 
 def run_script(
@@ -61,6 +67,7 @@ def run_script(
     realtime: bool = False,
     capture: Captures = NO_CAPTURE,
     typed: Callable[[], str | None] = lambda: None,
+    begun: Callable[[str], None] = lambda _: None,
 ) -> tuple[Path, Ending]:
     """Run ``script`` on ``rig``; gives back the run's folder and how it ended.
 
@@ -70,7 +77,7 @@ def run_script(
     refuse_carry(rig, script)
     refuse_old_calibration(rig, script, wall_time().date())
     refuse_untested_cut_out(rig, wall_time().date())
-    how = HowToRun(detectors, record, realtime, capture, typed)
+    how = HowToRun(detectors, record, realtime, capture, typed, begun)
     under_test = make_detectors(detectors) if detectors else make_detectors(script.script.detectors, script.path.parent)
     used_seed = rig.rig.seed if seed is None else seed
     with locked(lock_path(rig), str(out.resolve()), progress.warn):
@@ -144,6 +151,10 @@ def _run(
         try:
             current().heed()
             start_s = left.last_s + BETWEEN_S if left else 0.0
+            expected, trials = needs(rig, script, read_learnt(store.folder.parent, rig)).time, len(script.planned)
+            to_do = trials - len(left.done) if left else trials
+            left_s = expected.settling_s + to_do * expected.each_s(trials)
+            how.begun(f"{to_do} trials, {time_left(left_s)} of the bench's time. Run folder: {store.folder}")
             opened = open_rig(rig, seed=seed, realtime=how.realtime, capture=how.capture, screen=progress.aside, start_s=start_s)
             with opened as hookup:
                 refuse_other_cameras(rig.calibration.record, hookup.devices.cameras.identity)
@@ -153,6 +164,7 @@ def _run(
                     engine = Engine(
                         rig, script, hookup.devices, store, under_test, progress,
                         exact_ends=hookup.exact_ends, sink=recorder, pulse=pulse, lifeline=lifeline, left=left, typed=how.typed,
+                        expected=expected,
                     )  # fmt: skip
                     try:
                         return store.folder, engine.run()

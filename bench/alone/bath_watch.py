@@ -49,7 +49,7 @@ def seconds_to_stable(report: StabilityReport, window_s: float, leave_k: float, 
     if report.pv_c is None:
         return None
     if report.state is State.SETTLING:
-        return max(0.0, window_s - report.window_s) or PERIOD_S
+        return max(0.0, window_s - report.near_s) or PERIOD_S
     away_k = report.set_point_c - report.pv_c
     if not rate_k_per_s or away_k * rate_k_per_s <= 0.0:
         return None

@@ -89,6 +89,7 @@ def _run(given: argparse.Namespace) -> int:
             record=given.record,
             realtime=given.realtime,
             capture=given.capture,
+            begun=shown.say,
         )
         progress.state("writing the report")
         code, show = _reported(folder)
@@ -123,7 +124,7 @@ def _resume(given: argparse.Namespace) -> int:
     operator = files_of(read_run(given.run))[0].rig.operator.url
     with event_lines(given.events) as lines, TerminalProgress(console) as shown:
         progress = WatchedProgress(shown, lines)
-        resume_run(given.run, progress, HowToRun(capture=given.capture, typed=typed_lines(operator)))
+        resume_run(given.run, progress, HowToRun(capture=given.capture, typed=typed_lines(operator), begun=shown.say))
         progress.state("writing the report")
         code, show = _reported(given.run)
     show(console)

@@ -20,7 +20,7 @@ class Attempts:
     """Runs ``planned`` trials, one for each call of ``run``, by ``once``.
 
     ``through`` does a piece of work until no instrument has interrupted it; ``away_s`` tells the time that was no work at all.
-    ``poison`` are trials that aren't tried again, with the reason.
+    ``poison`` are trials that aren't tried again, with the reason; ``each_s`` is what a trial is expected to take, where that is known.
     """
 
     def __init__(
@@ -35,6 +35,7 @@ class Attempts:
         through: Callable[[str, Callable[[], None]], None] = lambda _, work: work(),
         away_s: Callable[[], float] = lambda: 0.0,
         poison: Mapping[str, str] | None = None,
+        each_s: float | None = None,
     ) -> None:
         self._once = once
         self._planned = planned
@@ -45,12 +46,14 @@ class Attempts:
         self._through = through
         self._away_s = away_s
         self._poison = dict(poison or {})
+        self._each_s = each_s
         self._done = 0
+        self._started_s: float | None = None  # of the trial under way
         self._taken_s: list[float] = []
 
     def run(self, trial: PlannedTrial) -> None:
         """Until the trial is in the store or has been skipped. Raises whatever else ``once`` raises."""
-        started_s = self._working_s()
+        started_s = self._started_s = self._working_s()
         self._operator.next_trial(trial.number, self._planned, self.left_s)
         try:
             if why := self._poison.get(trial.id):
@@ -63,6 +66,7 @@ class Attempts:
         except NoTruthError as none:
             self._skipped(trial, str(none), str(none))
         self._done += 1
+        self._started_s = None
         self._taken_s.append(self._working_s() - started_s)
 
     def passed(self) -> None:
@@ -71,9 +75,13 @@ class Attempts:
 
     @property
     def left_s(self) -> float | None:
-        """By the mean of the trials so far; the first says nothing, it waits for the bath to heat up."""
+        """By the mean of the trials so far, but for the first, and until then by what was expected."""
         seen = self._taken_s[1:]
-        return sum(seen) / len(seen) * (self._planned - self._done) if seen else None
+        each_s = sum(seen) / len(seen) if seen else self._each_s
+        if each_s is None:
+            return None
+        under_way_s = self._working_s() - self._started_s if self._started_s is not None else 0.0
+        return each_s * (self._planned - self._done) - min(each_s, under_way_s)
 
     def _again(self, trial: PlannedTrial) -> bool:
         """Whether somebody wants what was just done once more."""

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from bench.addresses import CONSOLE
 from bench.record import RunRecord
 from bench.rig import LoadedRig
-from bench.running.trial_time import ASSUMED, TimeEstimate, estimate, touched_trials
+from bench.running.trial_time import ASSUMED, TimeEstimate, estimate, settling_of, touched_trials
 from bench.script import LoadedScript
 from bench.store import write_synced
 
@@ -32,8 +33,17 @@ class Needs:
 
 
 def needs(rig: LoadedRig, script: LoadedScript, learnt: Mapping[str, float] | None = None) -> Needs:
-    """By what is ``learnt`` of the rig, and by what is assumed where nothing is."""
-    return Needs(estimate(rig, script, {**ASSUMED, **(learnt or {})}), _disk_mb(rig, script), _prompts(rig, script))
+    """By what is ``learnt`` of the rig, and by what is assumed where nothing is; of what is emulated nothing needs to be assumed."""
+    learnt, emulated = learnt or {}, bool(rig.rig.emulated)
+    figures = {**ASSUMED, **learnt}
+    if emulated:
+        figures |= {"homing": 0.0, "capture": 0.0}
+    if rig.rig.operator.url != CONSOLE:
+        figures |= dict.fromkeys(("set-up", "placing", "touch"), rig.rig.emulation.prompt_s if emulated else 0.0)
+    time = estimate(rig, script, figures)
+    if emulated or "heating" not in learnt:
+        time = replace(time, settling_s=settling_of(rig, script))
+    return Needs(time, _disk_mb(rig, script), _prompts(rig, script))
 
 
 def _disk_mb(rig: LoadedRig, script: LoadedScript) -> float:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 
-from rich.console import Console, RenderableType
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
@@ -20,38 +21,34 @@ from bench.verdicts import Judgement
 TONES = {"met": "green", "not met": "red", "inconclusive": "yellow", "not measured": "yellow", "aborted": "red", "no verdict": "yellow"}
 
 
-class _TwoLines(Progress):
-    """A bar, and under it a line that may be as long as the terminal is wide: trial, what is done, bath, time left, last error."""
-
-    doing = ""
-
-    def get_renderables(self) -> Iterable[RenderableType]:
-        yield from super().get_renderables()
-        yield Text(self.doing, no_wrap=True, overflow="ellipsis")
-
-
 class TerminalProgress:
-    """A progress bar on ``console``; to be used with ``with``. Without a terminal it prints a line a trial."""
+    """A progress bar on ``console``; to be used with ``with``. Without a terminal it prints a line a trial.
+
+    A display of rich's keeps the shape that it had when it was stopped, and would clear as many rows of what was written since: each
+    stretch between two questions has a new one. Only a bar that has trials to count is left on the screen.
+    """
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-        )
-        self._asking = False  # the cursor stands behind a question
-        self._bar = _TwoLines(*columns, console=console, transient=False)
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        self._bar = Progress(*columns, console=console)
         self._task = self._bar.add_task("trials", total=None)
+        self._doing = ""  # trial, what is done, bath, time left, last error
+        self._live: Live | None = None
+        self._asking = False  # the cursor stands behind a question
 
     def state(self, text: str) -> None:
-        self._bar.doing = text
+        self._doing = text
 
     def trial(self, done: int, total: int, name: str) -> None:
         self._bar.update(self._task, completed=done, total=total)
         if not self._console.is_terminal:
             self._console.print(f"trial {done + 1} of {total}: {name}" if done < total else f"{total} of {total} trials done")
+
+    def say(self, text: str) -> None:
+        """A line that stays, above what moves; whether anybody sees it changes nothing."""
+        with suppress(*FAILURES):
+            self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def warn(self, text: str) -> None:
         self._console.print(f"\n{text}" if self._asking else text, style="bold red", markup=False, soft_wrap=True)
@@ -59,26 +56,39 @@ class TerminalProgress:
     @contextmanager
     def aside(self) -> Iterator[None]:
         """Without a terminal nothing moves anyway."""
-        if not self._console.is_terminal or not self._bar.live.is_started:
+        if self._live is None:
             yield
             return
-        self._bar.live.transient = True  # or each question would leave a bar behind
-        self._bar.stop()
+        self._stop(leave=False)
         self._asking = True
         try:
             yield
         finally:
-            self._asking = self._bar.live.transient = False
-            self._bar.start()
+            self._asking = False
+            self._start()
 
     def __enter__(self) -> TerminalProgress:
         with suppress(*FAILURES):
-            self._bar.start()
+            self._start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         with suppress(*FAILURES):
-            self._bar.stop()
+            self._stop(leave=any(task.total is not None for task in self._bar.tasks))
+
+    def _start(self) -> None:
+        if self._console.is_terminal:
+            self._live = Live(console=self._console, get_renderable=self._shown)
+            self._live.start()
+
+    def _stop(self, *, leave: bool) -> None:
+        live, self._live = self._live, None
+        if live is not None:
+            live.transient = not leave
+            live.stop()
+
+    def _shown(self) -> RenderableType:
+        return Group(self._bar.get_renderable(), Text(self._doing))
 
 
 def show_result(console: Console, run: RunRecord, judgements: Sequence[Judgement], report: Path) -> None:

@@ -14,6 +14,8 @@ from math import isfinite
 
 from bench.running.stability_window import TIME_SLACK_S, Window
 
+FIGURES_FROM = 0.1  # of the window: figures of less are noise
+
 
 class State(StrEnum):
     """`heating`: further from the set point than `leave_k`; `settling`: near it, not shown to be stable; `stable`."""
@@ -25,8 +27,8 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class StabilityReport:
-    """The window as it stands. Figures are None before the first reading (the slope before the second); `reasons` says what is not
-    fulfilled."""
+    """The window as it stands. Figures are None before the first reading (the slope before the second); `near_s` is how long the bath
+    has been near its set point without a gap, at most the window; `reasons` says what is not fulfilled."""
 
     state: State
     set_point_c: float
@@ -39,6 +41,7 @@ class StabilityReport:
     slope_k_per_min: float | None
     distinct: int
     frozen: bool
+    near_s: float
     reasons: tuple[str, ...]
 
     def as_dict(self) -> dict[str, object]:
@@ -71,6 +74,7 @@ class StabilityGate:
     _raw_since_s: float = field(default=0.0, init=False, repr=False)
     _alarm: bool = field(default=False, init=False, repr=False)
     _window: Window = field(default_factory=Window, init=False, repr=False)
+    _near: Window = field(default_factory=Window, init=False, repr=False)  # of the window, what came after the last heating
     _teats: Window = field(default_factory=Window, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -96,7 +100,7 @@ class StabilityGate:
         self._state = State.HEATING
         self._last, self._raw, self._raw_since_s = None, None, 0.0
         self._alarm = False
-        self._window, self._teats = Window(), Window()
+        self._window, self._near, self._teats = Window(), Window(), Window()
 
     def change_set_point(self, set_point_c: float) -> None:
         """A new set point restarts the gate; the same one again doesn't."""
@@ -119,12 +123,16 @@ class StabilityGate:
             self._raw, self._raw_since_s = value, t_s
         self._last, self._alarm = (t_s, temp_c), alarm
         if gap or alarm or self.frozen:
-            self._window, self._teats = Window(), Window()
+            self._window, self._near, self._teats = Window(), Window(), Window()
             self._state = State.SETTLING
         if not alarm and not self.frozen:
             self._window.add(t_s, temp_c - self.set_point_c, value, self.window_s)
             self._add_teat(t_s, teat_c)
         self._state = self._next(abs(temp_c - self.set_point_c))
+        if self._state is State.HEATING:
+            self._near = Window()
+        elif not alarm and not self.frozen:
+            self._near.add(t_s, temp_c - self.set_point_c, value, self.window_s)
         return self._state
 
     @property
@@ -136,6 +144,11 @@ class StabilityGate:
     def frozen(self) -> bool:
         """Whether the raw reading has been the same for longer than `frozen_s`."""
         return self._last is not None and self._last[0] - self._raw_since_s > self.frozen_s
+
+    @property
+    def at_least_s(self) -> float:
+        """How long it takes at the least until it opens; 0 where it is open."""
+        return 0.0 if self._state is State.STABLE else max(self.max_gap_s, self.window_s - self._near.span_s)
 
     @property
     def report(self) -> StabilityReport:
@@ -153,6 +166,7 @@ class StabilityGate:
             slope_k_per_min=60.0 * w.slope if len(w) > 1 else None,
             distinct=w.distinct,
             frozen=self.frozen,
+            near_s=self._near.span_s,
             reasons=tuple(self._unfulfilled()),
         )
 
@@ -187,22 +201,31 @@ class StabilityGate:
         )
 
     def _unfulfilled(self) -> list[str]:
-        w = self._window
+        """By the readings near the set point: those of the way there say nothing of how steady it is."""
+        w, last = self._near, self._last
         if self._alarm:
             return ["the bath has an alarm"]
         if self.frozen:
             return [f"the reading has not changed for more than {self.frozen_s:g} s: is the controller alive?"]
+        if self._state is State.HEATING and last is not None:
+            return [f"{last[1]:.2f} degC, needs {self.set_point_c:g} ± {self.leave_k:g}"]
         if len(w) < 2:
             return ["too few readings"]
+        time = (w.span_s < self.window_s - TIME_SLACK_S, f"stable for {_of(w.span_s, self.window_s)}")
         rows = [
-            (w.span_s < self.window_s - TIME_SLACK_S, f"{w.span_s:.0f} s of readings without a gap, {self.window_s:g} s are asked"),
-            (w.distinct < self.min_distinct, f"{w.distinct} distinct readings, {self.min_distinct} are asked"),
-            (abs(w.mean) > self.mean_k, f"the mean is {w.mean:+.3f} K from the set point, limit {self.mean_k:g} K"),
-            (w.half_range > self.half_range_k, f"half the range is {w.half_range:.3f} K, limit {self.half_range_k:g} K"),
-            (60 * abs(w.slope) > self.slope_k_per_min, f"the slope is {60 * w.slope:+.4f} K/min, limit {self.slope_k_per_min:g} K/min"),
+            (w.distinct < self.min_distinct, f"{w.distinct} distinct readings, needs {self.min_distinct}"),
+            (abs(w.mean) > self.mean_k, f"mean {w.mean:+.3f} K from the set point, needs {self.mean_k:g}"),
+            (w.half_range > self.half_range_k, f"half the range {w.half_range:.3f} K, needs {self.half_range_k:g}"),
+            (60 * abs(w.slope) > self.slope_k_per_min, f"slope {60 * w.slope:+.3f} K/min, needs {self.slope_k_per_min:g}"),
             (
                 abs(self._teat_slope) > self.teat_slope_k_per_min,
-                f"the teats' slope is {self._teat_slope:+.4f} K/min, limit {self.teat_slope_k_per_min:g} K/min",
+                f"slope at the teats {self._teat_slope:+.3f} K/min, needs {self.teat_slope_k_per_min:g}",
             ),
         ]
-        return [text for failed, text in rows if failed]
+        told = w.span_s >= FIGURES_FROM * self.window_s
+        return [text for failed, text in [time, *(rows if told else [])] if failed]
+
+
+def _of(span_s: float, window_s: float) -> str:
+    """``4 of 10 min``."""
+    return f"{span_s:.0f} of {window_s:g} s" if window_s < 120.0 else f"{span_s // 60:.0f} of {window_s / 60:g} min"

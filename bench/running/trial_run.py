@@ -132,8 +132,8 @@ class TrialRun:
             self._states.to(RunState.SETTLING)
         while self._watch.state != State.STABLE:
             waited = True
+            self._progress.state(f"waiting for the bath: {self._watch.why_not_stable}")
             self._attention.wait(1.0)
-            self._progress.state("waiting for the bath")
             if self._devices.clock.now() - start > gate.timeout_s:
                 why = f"not stable within {gate.timeout_s:g} s: {self._watch.why_not_stable}"
                 raise DeviceError("bath", why, hint="Check level, lid and pump, or allow more time in the script.")

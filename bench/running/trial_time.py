@@ -15,7 +15,9 @@ from bench.planning.dry_run import carry_touches
 from bench.planning.trials import PlannedTrial, shared
 from bench.rig import LoadedRig
 from bench.rig_tables import Stage
+from bench.running.stability import StabilityGate, State
 from bench.script import LoadedScript
+from instruments.world.plant import Plant
 
 ASSUMED = {
     "heating": 0.5,  # K/min: a bath of 20 L, with 1 kW, and its losses
@@ -44,6 +46,10 @@ class TimeEstimate:
         """All of it."""
         return self.settling_s + self.moves_s + self.set_ups_s + self.captures_s + self.touches_s
 
+    def each_s(self, trials: int) -> float:
+        """One of so many trials, without the settling before the first."""
+        return (self.total_s - self.settling_s) / trials
+
 
 def estimate(rig: LoadedRig, script: LoadedScript, figures: Mapping[str, float] = ASSUMED) -> TimeEstimate:
     """How long ``script`` takes on ``rig``, at the bench's own time, by ``figures`` as those assumed."""
@@ -58,6 +64,25 @@ def estimate(rig: LoadedRig, script: LoadedScript, figures: Mapping[str, float] 
         captures_s=len(planned) * (r.cameras.settle_s + figures["capture"]),
         touches_s=touches * figures["touch"],
     )
+
+
+def gate_of(script: LoadedScript) -> StabilityGate:
+    """The stability gate that ``script`` asks for."""
+    return StabilityGate(**script.script.bath.model_dump(exclude={"timeout_s"}))
+
+
+def settling_of(rig: LoadedRig, script: LoadedScript) -> float:
+    """How long the emulated bath takes from its start until the gate opens, as a dry run finds it; at most what the script allows."""
+    emulation, bath, gate = rig.rig.emulation, script.script.bath, gate_of(script)
+    room_c, start_c = (emulation.ambient_c, emulation.bath_start_c) if rig.rig.emulated else (max(0.0, rig.rig.bath.room_c),) * 2
+    plant = Plant(rig.rig.seed, ambient_c=room_c, start_c=start_c)
+    plant.pump = "on"
+    plant.run(bath.set_point_c)
+    t_s = 0.0
+    while gate.add(t_s, plant.pv_c, raw=t_s) is not State.STABLE and t_s < bath.timeout_s:
+        t_s += 1.0
+        plant.advance_to(t_s)
+    return t_s
 
 
 def touched_trials(rig: LoadedRig, script: LoadedScript) -> list[int]:

@@ -62,6 +62,7 @@ class Watch:
         self._safe = False
         self._act_again_s = clock.now()
         self._heard_s = self._planned_s = clock.now()
+        self._heating_s: float | None = None
         self.last: BathReading | None = None
 
     @property
@@ -73,6 +74,13 @@ class Watch:
     def why_not_stable(self) -> str:
         """What the gate still waits for."""
         return "; ".join(self._gate.report.reasons)
+
+    def stable_in_s(self, expected_s: float) -> float:
+        """How long until the gate opens, expected ``expected_s`` after heating began; once that is over, what it needs at the least."""
+        if self.state is State.STABLE:
+            return 0.0
+        heated_s = 0.0 if self._heating_s is None else self._clock.now() - self._heating_s
+        return max(expected_s - heated_s, self._gate.at_least_s)
 
     @property
     def tripped(self) -> Exception | None:
@@ -89,6 +97,7 @@ class Watch:
         """The bath has been started: what was read before is no evidence of stability."""
         with self._lock:
             self._gate.restart()
+            self._heating_s = self._clock.now()
             self._interlocks.heating(self._gate.set_point_c)
 
     def end(self) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from instruments.camera.frame import FrameSet, grey8
 from instruments.errors import DeviceError
 
+PNG = b"\x89PNG\r\n\x1a\n"
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 COLUMNS = ("frame", "situation", "teat", "x_mm", "y_mm", "z_mm", "visible")
 OPTIONAL = ("u_mm",)
@@ -135,11 +137,29 @@ def _image(path: Path) -> NDArray[Any]:
         raise RecordingError(f"{path}: missing; every frame needs it") from None
     except OSError as fault:
         raise RecordingError(f"{path}: can't be read: {fault}") from fault
+    if damaged := _damaged_chunk(data):  # OpenCV takes some of these, and libpng writes about others to the terminal
+        raise RecordingError(f"{path}: is damaged: {damaged}. Copy it again from where it was taken.")
     # Through memory, for imread knows only the ASCII paths of Windows.
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if image is None:
         raise RecordingError(f"{path}: is not an image that can be read ({len(data)} bytes)")
     return image
+
+
+def _damaged_chunk(data: bytes) -> str:
+    """What is wrong with the chunks of a PNG, by their lengths and checksums; nothing where they are whole, or it is no PNG."""
+    at = len(PNG)
+    while data.startswith(PNG):
+        end = at + 8 + int.from_bytes(data[at : at + 4])
+        if end + 4 > len(data):
+            return "it is cut off"
+        kind = data[at + 4 : at + 8]
+        if zlib.crc32(data[at + 4 : end]) != int.from_bytes(data[end : end + 4]):
+            return f"the checksum of its chunk {kind!r} from byte {at} on is wrong"
+        if kind == b"IEND":
+            break
+        at = end + 4
+    return ""
 
 
 def read_grey(path: Path) -> NDArray[np.uint8]:

@@ -15,7 +15,7 @@ from typing import TextIO
 from instruments.clock import Clock
 from instruments.operators.keyboard import keyboard_of
 from instruments.operators.operator import OperatorAbort, OperatorEnough, OperatorRepeat, OperatorSkip
-from instruments.operators.prompt import ABORT, NotUnderstoodError, Prompt, understood
+from instruments.operators.prompt import ABORT, EXPLAIN, NotUnderstoodError, Prompt, understood
 
 TURN_S = 0.05  # how long the pedals are watched, or nothing is done, before keyboard and interlocks are looked at again
 REMIND_S = 120.0
@@ -93,6 +93,9 @@ class Console:
         """Ask until the answer is understood."""
         while True:
             line = self._line(prompt.keys(pedal=self._watch is not None), check, pedal=prompt.pedal)
+            if line.strip() == EXPLAIN:
+                self._write(f"{prompt.explained()}\n")
+                continue
             try:
                 return understood(line, prompt)
             except NotUnderstoodError as error:
@@ -119,6 +122,8 @@ class Console:
                 remind_s += self._remind_s
                 waited_s = self._clock.now() - asked_s
                 self._write(f"\nStill waiting for you, since {waited_s:.0f} s; nothing is lost by taking longer.\n{question}")
+        if not self._terminal:  # nobody's Enter has ended the question's row
+            self._write("\n")
         check()  # an answer that came too late is none
         if not line:
             raise OperatorAbort(GONE)

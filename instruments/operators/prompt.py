@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,7 +16,19 @@ ABORT = ("a", "abort", "q", "quit")
 SKIP = ("s", "skip")
 REPEAT = ("r", "repeat")
 ENOUGH = ("e", "enough")
-ABORT_KEY = "a = abort the run"
+EXPLAIN = "?"
+ABORT_KEY = "? = explain, a = abort the run"
+EXPLAINED: Mapping[Kind, str] = {
+    "homing": "The arm counts its joints' angles from where they are when it is switched on. Away from its peg every point would be wrong.",
+    "check point": "The check point's place is known: the readings there show whether the arm measures right.",
+    "set up": "The cameras take their pictures after your answer, so step out of their view. A teat end is hidden where at least one "
+    "camera can't see it; it doesn't count as missed.",
+    "touch": "Where the tip is when you go on is the truth that the detectors are scored against. A touch that doesn't fit is asked for "
+    "again, and the reason stands above the question.",
+    "board": "The cameras take a picture of the board after your answer. Hold it still, the whole pattern in each camera's view.",
+    "corner": "Where the tip is when you go on ties the board's corners to the arm's frame.",
+    "task": "The bench goes on when this is done.",
+}
 
 
 class NotUnderstoodError(ValueError):
@@ -49,6 +62,22 @@ class Prompt:
         trial = ["s REASON = skip this trial", "r = repeat it from its set-up"] if self.in_trial else []
         enough = ["e = enough, go on with what there is"] if self.enough else []
         return f"{go} ({', '.join([*trial, *enough, ABORT_KEY])}): "
+
+    def explained(self) -> str:
+        """Why it is asked, and what each answer does."""
+        lines = [EXPLAINED[self.kind]]
+        if self.in_trial:
+            lines += [
+                "Skip: the trial gets no result, and the report lists it with your reason.",
+                "Repeat: its pictures and touches are dropped.",
+            ]
+        if self.enough:
+            lines.append("Enough: it is calibrated from what was shown so far.")
+        lines += [
+            "Abort: the bath goes to standby, the stage stops. What was finished is kept.",
+            "There is no hurry; nothing is lost by taking long.",
+        ]
+        return "\n".join(lines)
 
 
 def understood(answer: str, prompt: Prompt) -> frozenset[int]:

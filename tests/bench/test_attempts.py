@@ -53,6 +53,17 @@ def test_the_time_left_is_told_from_the_third_trial_on(tmp_path: Path) -> None:
     assert told.trials == [(1, 5, None), (2, 5, None), (3, 5, 180.0), (4, 5, 180.0), (5, 5, 80.0)]
 
 
+def test_until_then_by_what_was_expected(tmp_path: Path) -> None:
+    clock, told, operator = VirtualClock(), Told(), hands(world())
+    operator.next_trial = told.next_trial  # type: ignore[method-assign]
+    store = Store.create(tmp_path / "run", {})
+    all_of = Attempts(lambda _: clock.sleep(60.0), len(PLANNED), operator, clock, store, cast(Attention, told), each_s=100.0)
+    for trial in PLANNED:
+        all_of.run(trial)
+    store.close()
+    assert [left_s for _, _, left_s in told.trials] == [500.0, 400.0, 180.0, 120.0, 60.0]
+
+
 def test_time_that_was_no_work_is_kept_out_of_the_time_left(tmp_path: Path) -> None:
     """A pause, or a suspension: it says nothing of the trials to come."""
     clock, away_s = VirtualClock(), 0.0

@@ -203,6 +203,7 @@ def test_a_steady_bath_does_not_fill_the_plot_with_its_noise() -> None:
         ({float(t): 24.0 for t in range(3)}, None),
         ({float(t): 33.0 + 0.01 * (t % 3) for t in range(101)}, 500.0),
         ({float(t): 33.0 + 0.01 * (t % 3) for t in range(701)}, 0.0),
+        ({float(t): min(33.0, 20.0 + t * 0.02) + 0.01 * (t % 3) for t in range(801)}, 600.0 - (800 - 643)),
     ],
 )
 def test_the_time_to_stable_is_way_and_window(temps: dict[float, float], expected: float | None) -> None:

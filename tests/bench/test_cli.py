@@ -10,9 +10,12 @@ import sys
 import threading
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from bench.cli import main
+from bench.rig import RIGS
 from instruments.bath.driver import Bath
 from instruments.bath.profile import load_profile
 from instruments.clock import RealClock
@@ -43,7 +46,38 @@ def test_wrong_use_gives_2_and_a_sentence(
     captured = capsys.readouterr()
     assert message in captured.err
     assert "Traceback" not in captured.err
+    assert captured.out == "", "no empty bar beside a refusal"
     assert list(tmp_path.iterdir()) == [], "wrong use leaves nothing behind"
+
+
+def damaged_recording(folder: Path) -> None:
+    """One frame set, a byte of whose left picture is another."""
+    (folder / "frames" / "0000").mkdir(parents=True)
+    (folder / "calibration.toml").write_bytes((RIGS / "calibration.toml").read_bytes())
+    whole = cv2.imencode(".png", np.tile(np.arange(256, dtype=np.uint8), (200, 1)))[1].tobytes()
+    for name in ("left", "right", "thermal"):
+        (folder / "frames" / "0000" / f"{name}.png").write_bytes(whole)
+    at = len(whole) // 2
+    (folder / "frames" / "0000" / "left.png").write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["detect", "recording"], "the checksum of its chunk b'IDAT' from byte "),
+        (["camera", "show", "opencv:97"], "camera at 97: can't be opened"),
+        (["camera", "show", "opencv:http://127.0.0.1:9/video"], "camera at http://127.0.0.1:9/video: can't be opened"),
+    ],
+    ids=["libpng", "OpenCV", "FFmpeg"],
+)
+def test_what_a_library_would_write_to_the_terminal_is_told_in_our_words(arguments: list[str], message: str, tmp_path: Path) -> None:
+    """In a process of its own, for they are told to be quiet before they are loaded."""
+    damaged_recording(tmp_path / "recording")
+    command = [sys.executable, "-m", "bench.cli", *arguments]
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("OPENCV_")}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env={**environment, "PYTHONPATH": str(ROOT)}, check=False)
+    assert message in done.stdout + done.stderr
+    assert [line for line in done.stderr.splitlines() if not line.startswith(("teatbench: ", "  "))] == []
 
 
 @pytest.mark.parametrize("arguments", [[], ["fly"], ["run", "--seed", "x"], ["run", "--seed", "-1"]])

@@ -27,16 +27,17 @@ def answer(terminal: Terminal, words: str, line: str = ENTER) -> str:
 def test_a_new_user_gets_through_a_run(tmp_path: Path) -> None:
     with at_terminal(files(tmp_path, operator="console:", touches=2, check_point=CHECK_POINT, script=TWO)) as terminal:
         answer(terminal, "Put the arm's stylus on its peg", "what?")
-        answer(terminal, "Not understood: 'what?'.")
+        answer(terminal, "Not understood: 'what?'.", "?")
+        answer(terminal, "from where they are when it is switched on")
         for touch in (1, 2):
             answer(terminal, f"[touch {touch} of 2] Arm check")
         said = answer(terminal, "Move the plate to x +12 mm", "2, 4")
-        assert "[trial 1 of 2] Situation ideal, layout table-5-1:\nTeats as in table 5.1." in said
+        assert "[trial 1 of 2; about 4 min left] Situation ideal, layout table-5-1:\nTeats as in table 5.1." in said
         assert "s REASON = skip this trial" in said
         for teat in (1, 2, 3, 4):
             for touch in (1, 2):
-                answer(terminal, f"[trial 1 of 2, teat {teat} of 4, touch {touch} of 2] Touch the end of teat {teat} (")
-        answer(terminal, "[trial 2 of 2]", "s")
+                answer(terminal, f"[trial 1 of 2, teat {teat} of 4, touch {touch} of 2; about 4 min left] Touch the end of teat {teat} (")
+        answer(terminal, "[trial 2 of 2; ", "s")
         terminal.expect("Why?")
         terminal.type("the hose came off")
         for touch in (1, 2):
@@ -70,7 +71,7 @@ def test_an_abort_ends_the_run_in_safe(key: str, told: str, tmp_path: Path) -> N
 def test_ctrl_c_at_a_prompt_amid_a_trial_ends_the_run_in_safe(tmp_path: Path) -> None:
     with at_terminal(files(tmp_path, operator="console:", script=TWO)) as terminal:
         answer(terminal, "on its peg")
-        terminal.expect("[trial 1 of 2]")
+        terminal.expect("[trial 1 of 2; ")
         terminal.expect(ABORT_KEY)
         terminal.press("\x03")
         assert terminal.code() == 3

@@ -44,12 +44,24 @@ def test_a_bath_that_heats_up_goes_through_all_three_states() -> None:
     assert states.index(STABLE) >= 400 + 590  # the ramp has to leave the window first
 
 
+def test_what_is_waited_for_is_told_by_the_readings_near_the_set_point() -> None:
+    """The way there fills the window too, and has a slope and a range that say nothing of how steady the bath is now."""
+    gate = StabilityGate(SP)
+    feed(gate, [float(v) for v in np.linspace(20, 32.8, 1500)])
+    assert list(gate.report.reasons) == ["32.80 degC, needs 33 ± 0.15"]
+    assert gate.at_least_s == gate.window_s
+    feed(gate, [SP - 0.05 + 0.02 / 60 * k for k in range(261)], start_s=1500.0)
+    assert list(gate.report.reasons) == ["stable for 4 of 10 min", "slope +0.020 K/min, needs 0.01"]
+    assert gate.report.near_s == 260.0
+    assert gate.at_least_s == 340.0
+
+
 @pytest.mark.parametrize(
     ("temps", "reason"),
     [
-        (quiet(2000, offset_k=0.12), "the mean is"),
-        ([SP + 0.06 * (-1) ** (k // 30) for k in range(2000)], "half the range is 0.060 K"),
-        ([SP - 0.04 + 0.011 / 60 * k for k in range(700)], "the slope is"),
+        (quiet(2000, offset_k=0.12), "mean +0.1"),
+        ([SP + 0.06 * (-1) ** (k // 30) for k in range(2000)], "half the range 0.060 K, needs 0.05"),
+        ([SP - 0.04 + 0.011 / 60 * k for k in range(700)], "slope +0.011 K/min, needs 0.01"),
     ],
 )
 def test_each_criterion_alone_keeps_the_gate_shut(temps: list[float], reason: str) -> None:
@@ -120,7 +132,7 @@ class TestFrozenReading:
     def test_too_few_distinct_readings(self) -> None:
         gate = StabilityGate(SP, window_s=60, min_distinct=4)
         assert STABLE not in feed(gate, quiet(200))  # three values: -1, 0, +1 steps
-        assert "3 distinct readings, 4 are asked" in gate.report.reasons[0]
+        assert "3 distinct readings, needs 4" in gate.report.reasons[0]
 
     def test_a_moving_heartbeat_in_the_raw_reading_keeps_a_steady_bath_alive(self) -> None:
         gate = StabilityGate(SP)
@@ -142,7 +154,7 @@ class TestTeats:
         assert gate.state is state
         assert (gate.report.reasons == ()) is (state is STABLE)
         if state is SETTLING:
-            assert gate.report.reasons == (f"the teats' slope is {k_per_min:+.4f} K/min, limit 0.02 K/min",)
+            assert gate.report.reasons == (f"slope at the teats {k_per_min:+.3f} K/min, needs 0.02",)
 
     def test_what_the_teats_do_later_is_no_reason_to_leave(self) -> None:
         gate = StabilityGate(SP)

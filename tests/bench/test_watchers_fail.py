@@ -153,7 +153,7 @@ def test_a_reader_of_the_output_that_has_gone_ends_no_run(tmp_path: Path) -> Non
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment) as bench:
         assert bench.stdout is not None
         assert bench.stderr is not None
-        assert bench.stdout.readline().startswith("trial 1 of 3")
+        assert bench.stdout.readline().startswith("3 trials, ")
         bench.stdout.close()
         complaints = bench.stderr.read()
         assert bench.wait() == 0, complaints

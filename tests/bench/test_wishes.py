@@ -152,7 +152,7 @@ def test_a_run_that_waits_at_a_prompt_hears_what_another_terminal_says(tmp_path:
         terminal.expect("on its peg")
         terminal.expect("abort the run): ")
         terminal.type("")
-        terminal.expect("[trial 1 of 3]")
+        terminal.expect("[trial 1 of 3")
         terminal.expect("abort the run): ")
         run = str(only_run(tmp_path, "runs"))
         assert main(["tell", run, "skip", "the", "hose", "leaks"]) == 0

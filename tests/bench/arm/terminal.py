@@ -10,23 +10,49 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+import pyte
 import pytest
 
 from tests.conftest import ROOT
 
 PATIENCE_S = 60.0
 ENTER = "Enter"
+COLUMNS, ROWS = 200, 24
 OWN_TERMINAL = "import fcntl, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); from bench.cli import main; sys.exit(main())"
 
 
-class Terminal:
-    """The person's side of a running command. ``text`` is all that it has said."""
+class Rendered:
+    """What a terminal of ``columns`` by ``ROWS`` shows after all that was written to it."""
 
-    def __init__(self, child: subprocess.Popen[bytes], fd: int) -> None:
+    def __init__(self, columns: int) -> None:
+        self._screen = pyte.HistoryScreen(columns, ROWS, history=10_000)
+        self._stream = pyte.ByteStream(self._screen)
+
+    def feed(self, data: bytes) -> None:
+        """The terminal gets ``data``."""
+        self._stream.feed(data)
+
+    @property
+    def rows(self) -> list[str]:
+        """All rows from the first, with what has scrolled away, each as wide as the terminal."""
+        across = range(self._screen.columns)
+        return ["".join(row[x].data for x in across) for row in self._screen.history.top] + self._screen.display
+
+    @property
+    def text(self) -> str:
+        """The rows without their ends: what wrapped at the edge stands there in one piece."""
+        return "".join(self.rows)
+
+
+class Terminal:
+    """The person's side of a running command. ``text`` is all that it has said, ``screen`` what is to be seen of it."""
+
+    def __init__(self, child: subprocess.Popen[bytes], fd: int, columns: int) -> None:
         self._child = child
         self._fd = fd
         self._at = 0
         self.text = ""
+        self.screen = Rendered(columns)
 
     def expect(self, words: str) -> str:
         """Wait until it says ``words``, after what was expected before; gives back what came up to their end."""
@@ -70,23 +96,28 @@ class Terminal:
             data = os.read(self._fd, 65536)
         except OSError:  # Linux says so when the other side has closed
             return False
+        self.screen.feed(data)
         self.text += data.decode("utf-8", errors="replace").replace("\r\n", "\n")
         return bool(data)
 
 
 @contextmanager
-def at_terminal(arguments: Sequence[str]) -> Iterator[Terminal]:
+def at_terminal(arguments: Sequence[str], columns: int = COLUMNS) -> Iterator[Terminal]:
     """``teatbench`` with ``arguments`` at a terminal of its own, which Ctrl-C and hanging up work on; skipped where there are none."""
     if sys.platform == "win32":
         pytest.skip("needs a pseudo-terminal, which Windows has not")
     import pty
+    import termios
 
     near, far = pty.openpty()
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200", "NO_COLOR": "1"}
+    termios.tcsetwinsize(far, (ROWS, columns))
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "NO_COLOR": "1"}
+    for of_another in ("COLUMNS", "LINES"):
+        environment.pop(of_another, None)
     command = [sys.executable, "-c", OWN_TERMINAL, *arguments]
     child = subprocess.Popen(command, stdin=far, stdout=far, stderr=far, env=environment, cwd=ROOT, start_new_session=True)
     os.close(far)
-    terminal = Terminal(child, near)
+    terminal = Terminal(child, near, columns)
     try:
         yield terminal
     finally:
@@ -99,5 +130,5 @@ def at_terminal(arguments: Sequence[str]) -> Iterator[Terminal]:
 def answer(terminal: Terminal, words: str, line: str = "") -> None:
     """Wait for a prompt that says ``words``, then type ``line``."""
     terminal.expect(words)
-    terminal.expect("(a = abort")
+    terminal.expect("a = abort")
     terminal.type(line)

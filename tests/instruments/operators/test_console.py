@@ -107,6 +107,18 @@ def test_every_prompt_can_abort_and_says_how(prompt: str, answer: str) -> None:
 
 
 @pytest.mark.parametrize("prompt", PROMPTS)
+def test_a_question_mark_explains_the_prompt_and_it_is_asked_again(prompt: str) -> None:
+    who, out = asked("?\n\n")
+    PROMPTS[prompt](who)
+    first, explained, again = out.getvalue().split("\n", 3)[1], *out.getvalue().rsplit(": \n", 2)[1:]
+    assert first
+    assert ("Skip: " in explained) is (prompt in IN_TRIALS)
+    assert "Abort: " in explained
+    assert again == ""
+    assert out.getvalue().count("? = explain") == 2
+
+
+@pytest.mark.parametrize("prompt", PROMPTS)
 def test_only_a_trial_can_be_skipped_or_repeated(prompt: str) -> None:
     who, out = asked("s the teat came off\na\n")
     with pytest.raises(OperatorSkip if prompt in IN_TRIALS else OperatorAbort) as wish:
@@ -161,6 +173,13 @@ def test_without_a_terminal_nobody_asks_the_pedals() -> None:
     assert leans[5] == leans[0]
     with pytest.raises(OperatorAbort):
         who.touch_check_point(1, 6)
+
+
+def test_an_answer_that_nobody_typed_ends_the_row_of_its_question() -> None:
+    """On a terminal Enter does that; what is shown next would stand, and be cleared, in the question's row."""
+    who, out = asked("\n")
+    who.touch(1, 4)
+    assert out.getvalue().endswith("a = abort the run): \n")
 
 
 def test_a_closed_output_is_a_terminal_that_has_gone() -> None:

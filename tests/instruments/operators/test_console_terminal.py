@@ -23,7 +23,7 @@ if sys.platform == "win32":
 import pty
 
 PATIENCE_S = 60.0
-KEYS = "(s REASON = skip this trial, r = repeat it from its set-up, a = abort the run): "
+KEYS = "(s REASON = skip this trial, r = repeat it from its set-up, ? = explain, a = abort the run): "
 
 
 class SteeredClock:
@@ -230,7 +230,7 @@ def test_no_pedal_confirms_what_is_no_touch() -> None:
     foot.down = True
     with desk(watch=foot.watch) as here:
         done = here.asked(lambda who: who.confirm_homing("On its peg."))
-        assert "pedal" not in here.expect("(a = abort the run): ")
+        assert "pedal" not in here.expect("(? = explain, a = abort the run): ")
         time.sleep(0.1)
         assert not done.done()
         assert foot.prompts == 0
