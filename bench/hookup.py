@@ -197,5 +197,5 @@ def driver_openers(rig: LoadedRig, clock: Clock, urls: dict[str, str], capture: 
         baud, axes = r.stage.baud, r.stage.axes
         openers["stage"] = lambda: Stage(link("stage", baud), clock, axes)
     if r.cameras.url != EMULATED:
-        openers["cameras"] = lambda: open_cameras(r.cameras, rig.calibration, rig.path.parent, clock)
+        openers["cameras"] = lambda: open_cameras(r.cameras, rig.made_calibration, rig.path.parent, clock)
     return openers

@@ -25,18 +25,33 @@ CALIBRATIONS = ("calibration", "thesis-calibration")  # what lies there and is n
 
 @dataclass(frozen=True, slots=True)
 class LoadedRig:
-    """A rig file as read: where it is, its text, what it says, and the calibration that it names."""
+    """A rig file as read: where it is, its text, what it says, and the calibration that it names.
+
+    ``made_calibration`` is None on a new rig, whose calibration has still to be made.
+    """
 
     path: Path
     text: str
     rig: Rig
     profile: Profile
     calibration_path: Path
-    calibration: Calibration
+    made_calibration: Calibration | None
     frame: TableFrame | None = None
     verification: Verification | None = None
     arm_unit: ArmIdentity | None = None
     relay: RelayProfile | None = None
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration. Raises ConfigError where none has been made yet."""
+        if self.made_calibration is None:
+            how = "make it with 'teatbench calibrate' (docs/calibration.md)"
+            if self.rig.emulated:
+                shipped_one = RIGS / "calibration.toml"
+                how = f"the emulated cameras are made from it: copy the shipped one, {shipped_one}"
+            message = f"no such file beside the rig file ({self.calibration_path}); {how}"
+            raise located(self.path, self.text, [(("calibration",), message, False)])
+        return self.made_calibration
 
     @property
     def profile_source(self) -> str:
@@ -86,7 +101,10 @@ def shipped(folder: Path) -> list[str]:
 
 
 def load_rig(path: Path) -> LoadedRig:
-    """The rig file at ``path`` with its calibration. Raises ConfigError with all faults of the first wrong file."""
+    """The rig file at ``path`` with its calibration, where there is one. An emulated rig needs one.
+
+    Raises ConfigError with all faults of the first wrong file.
+    """
     rig = read_config(path, Rig)
     text = read_text(path)
     profile = _profile(path, text, rig)
@@ -108,8 +126,13 @@ def load_rig(path: Path) -> LoadedRig:
     relay = _relay(path, text, rig, profile)
     if rig.operator.url.startswith(SCRIPT):
         load_answers(path.parent / rig.operator.url.removeprefix(SCRIPT))  # its faults are told before anything is opened
-    calibration = read_calibration(calibration_path)
-    return LoadedRig(path, text, rig, profile, calibration_path, calibration, frame, verification, unit, relay)
+    calibration = read_calibration(calibration_path) if calibration_path.is_file() else None
+    loaded = LoadedRig(
+        path, text, rig, profile, calibration_path, calibration, frame, verification, unit, relay
+    )
+    if rig.emulated:
+        _ = loaded.calibration  # the emulated cameras are made from it
+    return loaded
 
 
 def read_calibration(path: Path) -> Calibration:

@@ -113,7 +113,7 @@ class Limits(Section):
 class Rig(Section):
     name: str
     seed: Annotated[int, Field(ge=0)] = 1
-    calibration: Annotated[str, AfterValidator(beside)]
+    calibration: Annotated[str, Field(min_length=1)]  # the file may still have to be made
     operator: Operator
     arm: Arm
     bath: Bath

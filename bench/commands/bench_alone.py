@@ -23,8 +23,11 @@ def _check(given: argparse.Namespace) -> int:
     from bench.checks import check_rig
     from bench.rig import find_rig, load_rig
 
+    rig = load_rig(find_rig(given.rig))
+    if rig.made_calibration is None:
+        print(f"calibration: not made yet ({rig.calibration_path}); a run needs it, see docs/calibration.md")
     failed = False
-    for name, fault, lines in check_rig(load_rig(find_rig(given.rig)), given.capture):
+    for name, fault, lines in check_rig(rig, given.capture):
         failed |= fault
         print(f"{name}: {'FAULT' if fault else 'ok'}")
         for line in lines:
