@@ -20,7 +20,8 @@ from instruments.bath.profile import Profile, ProfileError, RelayProfile, load_p
 from instruments.microscribe.unit import ArmIdentity, UnitError, load_unit
 
 RIGS = Path(__file__).parent / "rigs"
-CALIBRATIONS = ("calibration", "thesis-calibration")  # what lies there and is no rig
+NO_RIGS = ("calibration", "thesis-calibration", "lab.example")  # what lies there and can't be run
+TO_COPY = RIGS / "lab.example.toml"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +83,9 @@ class LoadedRig:
 
 def find_rig(name: str | None) -> Path:
     """The file of a shipped rig by name, or of any rig by path; the emulated one for None. Raises ConfigError."""
-    return find_shipped(name or "emulated", RIGS, "rig", exclude=CALIBRATIONS)
+    if name == TO_COPY.stem:
+        return TO_COPY
+    return find_shipped(name or "emulated", RIGS, "rig", exclude=NO_RIGS)
 
 
 def find_shipped(name: str, folder: Path, kind: str, exclude: tuple[str, ...] = ()) -> Path:
@@ -92,7 +95,8 @@ def find_shipped(name: str, folder: Path, kind: str, exclude: tuple[str, ...] = 
     known = [stem for stem in shipped(folder) if stem not in exclude]
     if name in known:
         return folder / f"{name}.toml"
-    raise ConfigError.plain(f'no {kind} "{name}"{did_you_mean(name, known)} Shipped: {", ".join(known)}; or give the path of a .toml file.')
+    near, there = did_you_mean(name, known) or ".", ", ".join(known)
+    raise ConfigError.plain(f'no {kind} "{name}"{near} Shipped: {there}; or give the path of a .toml file.')
 
 
 def shipped(folder: Path) -> list[str]:
@@ -127,9 +131,7 @@ def load_rig(path: Path) -> LoadedRig:
     if rig.operator.url.startswith(SCRIPT):
         load_answers(path.parent / rig.operator.url.removeprefix(SCRIPT))  # its faults are told before anything is opened
     calibration = read_calibration(calibration_path) if calibration_path.is_file() else None
-    loaded = LoadedRig(
-        path, text, rig, profile, calibration_path, calibration, frame, verification, unit, relay
-    )
+    loaded = LoadedRig(path, text, rig, profile, calibration_path, calibration, frame, verification, unit, relay)
     if rig.emulated:
         _ = loaded.calibration  # the emulated cameras are made from it
     return loaded

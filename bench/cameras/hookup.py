@@ -35,9 +35,7 @@ def conversion_of(table: OneCamera, calibration: Calibration | None) -> Conversi
     if not isinstance(table, ThermalTable):
         return table.conversion()
     if calibration is None:
-        return table.calibrated(
-            mirrored=bool(table.mirrored), hot_is_black=table.polarity == "hot_is_black"
-        )
+        return table.calibrated(mirrored=bool(table.mirrored), hot_is_black=table.polarity == "hot_is_black")
     thermal = calibration.thermal
     return table.calibrated(mirrored=thermal.mirrored, hot_is_black=thermal.polarity == "hot_is_black")
 

@@ -12,9 +12,7 @@ from tests.bench.real_rig import real_rig, record_one
 Capture = pytest.CaptureFixture[str]
 
 
-def test_a_rig_without_a_calibration_is_checked_and_not_run(
-    tmp_path: Path, capsys: Capture
-) -> None:
+def test_a_rig_without_a_calibration_is_checked_and_not_run(tmp_path: Path, capsys: Capture) -> None:
     with real_rig(tmp_path / "lab", record_one(tmp_path / "recording", 1)) as rig:
         calibration = rig.folder / "calibration.toml"
         calibration.unlink()
