@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from datetime import date
 from typing import TYPE_CHECKING, Any
 
-from bench.addresses import EMULATED
 from bench.config import ConfigError
 from bench.rig import LoadedRig
 from bench.scoring.decisions import Decision, decide_condition
@@ -27,7 +26,7 @@ def refuse_old_calibration(rig: LoadedRig, script: LoadedScript, today: date) ->
     """Raises ConfigError for a calibration that is older than the script allows, that doesn't say how old it is, or that isn't there."""
     record = rig.calibration.record
     most = script.script.calibration.max_age_days
-    if most is None or rig.rig.cameras.url == EMULATED:
+    if most is None or rig.rig.all_emulated:
         return
     allowed = f"{script.path} allows {most:g} days ([calibration] max_age_days)"
     if record is None:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
-from bench.addresses import EMULATED, bath_url, beside, beside_if_named, operator_url, relay_url, serial_url
+from bench.addresses import ELSEWHERE, EMULATED, bath_url, beside, beside_if_named, operator_url, relay_url, serial_url
 from bench.cameras.tables import Cameras
 from bench.config import Section, did_you_mean
 from bench.emulated.tables import Emulation
@@ -130,5 +130,10 @@ class Rig(Section):
 
     @property
     def emulated(self) -> tuple[str, ...]:
-        """Names of the instruments that are emulated."""
+        """Names of the instruments that are emulated in this process."""
         return tuple(name for name, url in self.urls.items() if url == EMULATED)
+
+    @property
+    def all_emulated(self) -> bool:
+        """Whether no instrument is real: their emulators are of this process, or of another."""
+        return bool(self.emulated) or self.operator.url.startswith(ELSEWHERE)
