@@ -52,7 +52,7 @@ class OperatorPort:
             return {"done": validate_call(getattr(self._operator, asked["do"]))(**asked["with"])}
         except OperatorEnough as enough:
             return {"enough": str(enough)}
-        except (ValueError, TypeError, LookupError) as error:
+        except (ValueError, TypeError, LookupError, ArithmeticError) as error:
             return {"refused": f"{type(error).__name__}: {error}"}
 
 
