@@ -36,10 +36,7 @@ def script(tmp_path: Path) -> LoadedScript:
 
 @pytest.fixture
 def real() -> LoadedRig:
-    """The emulated rig as if its cameras were real."""
-    rig = load_rig(find_rig(None))
-    cameras = rig.rig.cameras.model_copy(update={"url": "opencv:0,1,2"})
-    return replace(rig, rig=rig.rig.model_copy(update={"cameras": cameras}))
+    return load_rig(find_rig("lab.example"))
 
 
 class TestBeforeARun:

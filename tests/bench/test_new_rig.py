@@ -52,7 +52,7 @@ def written_rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with started(["emulate", str(small), "--write-rig", str(path)]) as child:
         try:
             assert child.stdout is not None
-            said = []
+            said: list[str] = []
             while not (said and said[-1].startswith("written: ")):
                 said.append(child.stdout.readline())
                 assert said[-1], f"ended: {said}"
