@@ -12,6 +12,7 @@ from bench.config import did_you_mean
 from instruments.bath.line import ALLOWED, LineError, parse_line
 
 EMULATED, CONSOLE, SCRIPT = "emulator:", "console:", "script:"
+ELSEWHERE = "emulator://"  # the operator of another process, which emulates the whole rig
 
 
 def serial_url(url: str) -> str:
@@ -44,9 +45,11 @@ def relay_url(url: str) -> str:
 def operator_url(url: str, info: ValidationInfo) -> str:
     if url.startswith(SCRIPT):
         beside(url.removeprefix(SCRIPT), info)
-    elif url not in (EMULATED, CONSOLE):
+    elif url not in (EMULATED, CONSOLE) and not re.match(rf"{ELSEWHERE}[^/:]+:\d+$", url):
         near = did_you_mean(url, (EMULATED, CONSOLE, SCRIPT))
-        raise ValueError(f'not an operator{near} (allowed: "{CONSOLE}", "{EMULATED}", "{SCRIPT}ANSWERS.toml", "{SCRIPT}ANSWERS.txt")')
+        allowed = (CONSOLE, EMULATED, f"{SCRIPT}ANSWERS.toml", f"{SCRIPT}ANSWERS.txt")
+        there = ", ".join(f'"{one}"' for one in (*allowed, f"{ELSEWHERE}host:port"))
+        raise ValueError(f"not an operator{near} (allowed: {there})")
     return url
 
 

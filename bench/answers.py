@@ -16,7 +16,7 @@ from typing import Annotated
 
 from pydantic import Field, field_validator, model_validator
 
-from bench.config import ConfigError, Section, did_you_mean, read_config, read_text
+from bench.config import ConfigError, Fault, Section, did_you_mean, read_config, read_text
 from instruments.operators.prompt import Kind
 from instruments.operators.script import KINDS, ScriptedAnswer, ScriptedAnswers, check_answer
 
@@ -58,13 +58,15 @@ def load_answers(path: Path, show: Callable[[str], None] = lambda _: None) -> Sc
         return ScriptedAnswers(listed, read.otherwise, path.name, show=show)
     answers: list[ScriptedAnswer] = []
     otherwise: dict[Kind, str] = {}
-    for number, line in enumerate(read_text(path).splitlines(), 1):
+    text = read_text(path)
+    for number, line in enumerate(text.split("\n"), 1):
         words = line.strip()
         if words and not words.startswith("#"):
             try:
                 _take(words, f"line {number}", answers, otherwise)
             except ValueError as error:
-                raise ConfigError.plain(f"{path}, line {number}: {error}\n  {words}") from error
+                fault = Fault(number, line.index(words), len(words), str(error))
+                raise ConfigError(path, [fault], text) from error
     return ScriptedAnswers(answers, otherwise, path.name, show=show)
 
 
@@ -75,7 +77,7 @@ def _take(words: str, where: str, answers: list[ScriptedAnswer], otherwise: dict
         raise ValueError(f"not understood: {FORM}")
     kind = next((kind for kind in KINDS if kind == parts["to"]), None)
     if kind is None:
-        raise ValueError(f'no prompt is of the kind "{parts["to"]}"{did_you_mean(parts["to"], KINDS)} There are: {", ".join(KINDS)}')
+        raise ValueError(f'no prompt is of the kind "{parts["to"]}"{did_you_mean(parts["to"], KINDS) or "."} There are: {", ".join(KINDS)}')
     if not parts["otherwise"]:
         answers.append(ScriptedAnswer(kind, parts["answer"], parts["says"] or "", int(parts["times"] or 1), where))
         return

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from datetime import date
 from typing import TYPE_CHECKING, Any
 
-from bench.addresses import EMULATED
 from bench.config import ConfigError
 from bench.rig import LoadedRig
 from bench.scoring.decisions import Decision, decide_condition
@@ -24,12 +23,12 @@ AGAIN = "Calibrate again (docs/calibration.md: teatbench calibrate cameras, ther
 
 
 def refuse_old_calibration(rig: LoadedRig, script: LoadedScript, today: date) -> None:
-    """Raises ConfigError for a calibration that is older than the script allows, or that doesn't say how old it is."""
+    """Raises ConfigError for a calibration that is older than the script allows, that doesn't say how old it is, or that isn't there."""
+    record = rig.calibration.record
     most = script.script.calibration.max_age_days
-    if most is None or rig.rig.cameras.url == EMULATED:
+    if most is None or rig.rig.all_emulated:
         return
     allowed = f"{script.path} allows {most:g} days ([calibration] max_age_days)"
-    record = rig.calibration.record
     if record is None:
         raise ConfigError.plain(f"{rig.calibration_path} has no [record] that says when it was made; {allowed}. {AGAIN}.")
     age = _age_days(record.made, today)

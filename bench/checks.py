@@ -86,4 +86,10 @@ def _cameras(cameras: Any) -> Iterator[tuple[str, str]]:
             yield name, f"{image.shape[1]} x {image.shape[0]}, mean level {image.mean():.1f}"
 
 
-_READ: dict[str, Callable[[Any], Iterator[tuple[str, str]]]] = {"arm": _arm, "bath": _bath, "stage": _stage, "cameras": _cameras}
+_READ: dict[str, Callable[[Any], Iterator[tuple[str, str]]]] = {
+    "arm": _arm,
+    "bath": _bath,
+    "stage": _stage,
+    "cameras": _cameras,
+    "operator": lambda _: iter(()),
+}

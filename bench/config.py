@@ -7,6 +7,7 @@ the place, what is allowed and what may have been meant. It may not know what th
 from __future__ import annotations
 
 import difflib
+import json
 import re
 import tomllib
 import typing
@@ -22,12 +23,13 @@ from bench.toml_places import KeyPath, find_places, nearest
 
 
 class Section(BaseModel):
-    """A table of a file that a person writes: unknown keys are faults, values don't change."""
+    """A table of a file that a person writes: unknown keys are faults, numbers are finite, values don't change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
 
 
 Model = TypeVar("Model", bound=BaseModel)
+SHOWN, TOLD = 120, 2000  # characters of a line of the file, and of a message
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +62,18 @@ def read_config(path: Path, model: type[Model], *, stored: bool = False) -> Mode
 
 
 def parse_config(path: Path, text: str, model: type[Model], *, stored: bool = False) -> Model:
-    """``text`` as ``model``, as if it stood at ``path``. Raises ConfigError with all its faults."""
+    """``text`` as ``model``, as if it stood at ``path``; text isn't taken for a number, nor 1 for true.
+
+    Raises ConfigError with all its faults.
+    """
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(path, [_syntax_fault(str(error), text)], text) from error
     try:
-        return model.model_validate(table, context={"folder": path.parent, "stored": stored})
+        whole = json.dumps(table, default=lambda date: date.isoformat())  # its strict mode has lists
+        context = {"folder": path.parent, "stored": stored}
+        return model.model_validate_json(whole, strict=not stored, context=context)
     except ValidationError as error:
         found = [
             (_without_tags(detail["loc"], table), _message(detail, model), detail["type"] == "extra_forbidden")
@@ -108,16 +115,30 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f'; did you mean "{near[0]}"?' if near else ""
 
 
+def short(text: str) -> str:
+    """``text`` as far as it has room in a message."""
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
 def _rendered(path: Path | None, faults: Sequence[Fault], lines: Sequence[str]) -> list[str]:
     if path is None:
         return [fault.message for fault in faults]
     out = [f"{path}: {len(faults)} fault{'s' if len(faults) > 1 else ''}"]
     for fault in faults:
-        out.append(f"{path}:{fault.line}: {fault.message}")
+        told = fault.message
+        out.append(f"{path}:{fault.line}: {told if len(told) <= TOLD else told[:TOLD] + '...'}")
         if 0 < fault.line <= len(lines):
-            out.append(f"  {fault.line:4} | {lines[fault.line - 1]}")
-            out.append(f"       | {' ' * fault.column}{'^' * fault.width}")
+            shown, column = _around(lines[fault.line - 1], fault.column)
+            out.append(f"  {fault.line:4} | {shown}")
+            out.append(f"       | {' ' * column}{'^' * min(fault.width, max(1, len(shown) - column))}")
     return out
+
+
+def _around(line: str, column: int) -> tuple[str, int]:
+    """What is shown of ``line``, all of it where it is short, and where ``column`` is in that."""
+    start = max(0, column - SHOWN // 2) if len(line) > SHOWN else 0
+    before, after = "..." if start else "", "..." if len(line) > start + SHOWN else ""
+    return f"{before}{line[start : start + SHOWN]}{after}", column - start + len(before)
 
 
 def _syntax_fault(message: str, text: str) -> Fault:
@@ -131,7 +152,7 @@ def _syntax_fault(message: str, text: str) -> Fault:
 def _dotted(path: KeyPath) -> str:
     text = ""
     for part in path:
-        text += f"[{part + 1}]" if isinstance(part, int) else f".{part}" if text else part
+        text += f"[{part + 1}]" if isinstance(part, int) else f"{'.' if text else ''}{short(part)}"
     return text or "the file"
 
 
@@ -145,9 +166,9 @@ def _message(detail: ErrorDetails, model: type[BaseModel]) -> str:
     if kind in ("literal_error", "enum"):
         allowed = str(context["expected"])
         words = re.findall(r"'([^']*)'", allowed)
-        return f"{detail['input']!r} is not allowed{did_you_mean(str(detail['input']), words)} (allowed: {', '.join(words)})"
+        return f"{short(repr(detail['input']))} is not allowed{did_you_mean(str(detail['input']), words)} (allowed: {', '.join(words)})"
     message = detail["msg"].removeprefix("Value error, ")
-    return f"{message[0].lower()}{message[1:]} (found {_short(detail['input'])})"
+    return f"{message[0].lower()}{message[1:]} (found {short(repr(detail['input']))})"
 
 
 def _echo(detail: ErrorDetails) -> bool:
@@ -166,11 +187,6 @@ def _without_tags(path: KeyPath, table: Any) -> KeyPath:
         if inside or index == len(path) - 1:
             kept.append(part)
     return tuple(kept)
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _fields_at(model: type[BaseModel], path: Sequence[str | int]) -> set[str]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.addresses import CONSOLE, EMULATED, SCRIPT
+from bench.addresses import CONSOLE, ELSEWHERE, EMULATED, SCRIPT
 from bench.answers import load_answers
 from bench.arm.pedals import pedal_watch
 from bench.cameras.hookup import open_cameras
@@ -29,6 +29,7 @@ from instruments.microscribe.driver import MicroScribe
 from instruments.operators.console import Console
 from instruments.operators.operator import Operator
 from instruments.operators.prompted import Answerer, PromptedOperator
+from instruments.operators.remote import RemoteOperator
 from instruments.stage.driver import Stage
 
 Screen = Callable[[], AbstractContextManager[None]]
@@ -77,7 +78,8 @@ def open_parts(rig: LoadedRig, *, seed: int, arm: bool = False, capture: Capture
                 if isinstance(answerer, Console) and found is not None:
                     pedals = found
                     answerer.watch_pedals(lambda: pedal_watch(pedals, clock))
-                yield Parts(clock, opened["cameras"], _operator(rig, answerer), found)
+                hands = opened.get("operator")
+                yield Parts(clock, opened["cameras"], _operator(rig, answerer, hands), found)
     finally:
         if isinstance(clock, RealClock):
             clock.close()
@@ -85,7 +87,7 @@ def open_parts(rig: LoadedRig, *, seed: int, arm: bool = False, capture: Capture
 
 def _wanted(rig: LoadedRig, clock: Clock, urls: dict[str, str], arm: bool, capture: Captures) -> dict[str, Callable[[], Any]]:
     openers = driver_openers(rig, clock, urls, capture)
-    return {name: opener for name, opener in openers.items() if name == "cameras" or (arm and name == "arm")}
+    return {name: opener for name, opener in openers.items() if name in ("cameras", "operator") or (arm and name == "arm")}
 
 
 @contextmanager
@@ -109,11 +111,11 @@ def open_rig(
         if emulated:
             with (
                 EmulatedRig(rig, clock, seed) as twin,
-                _connected(rig, clock, twin.urls, twin.cameras, _operator(rig, answerer, twin.operator), capture) as devices,
+                _connected(rig, clock, twin, answerer, capture) as devices,
             ):
                 yield Hookup(devices, twin.world.ends_mm)
         else:
-            with _connected(rig, clock, rig.rig.urls, None, _operator(rig, answerer), capture) as devices:
+            with _connected(rig, clock, None, answerer, capture) as devices:
                 if isinstance(answerer, Console):
                     answerer.watch_pedals(lambda: pedal_watch(devices.arm, clock))
                 yield Hookup(devices, None)
@@ -129,12 +131,17 @@ def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
 
 @contextmanager
 def _connected(
-    rig: LoadedRig, clock: Clock, urls: dict[str, str], cameras: Cameras | None, operator: Operator, capture: Captures
+    rig: LoadedRig,
+    clock: Clock,
+    twin: EmulatedRig | None,
+    answerer: Answerer | None,
+    capture: Captures,
 ) -> Iterator[Devices]:
-    openers = driver_openers(rig, clock, urls, capture)
-    if cameras is not None:
-        openers["cameras"] = lambda: cameras
+    openers = driver_openers(rig, clock, twin.urls if twin else rig.rig.urls, capture)
+    if twin:
+        openers["cameras"] = lambda: twin.cameras
     with _opened(openers) as opened:
+        operator = _operator(rig, answerer, twin.operator if twin else opened.get("operator"))
         yield Devices(clock, opened["arm"], opened["bath"], opened.get("stage"), opened["cameras"], operator)
 
 
@@ -157,12 +164,12 @@ def _opened(openers: dict[str, Callable[[], Any]]) -> Iterator[dict[str, Any]]:
 
 
 def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> Answerer | None:
-    """Who answers prompts; None where the emulated operator acts without being asked. Raises ConfigError."""
+    """Who answers prompts; None where an emulated operator acts without being asked. Raises ConfigError."""
     url = rig.rig.operator.url
     out = getattr(sys.stdout, "rich_proxied_file", sys.stdout)  # a progress bar's stand-in ends each question with a line
     if url == CONSOLE:
         return Console(sys.stdin, out, clock, screen=screen, remind_s=rig.rig.operator.remind_s)
-    if url == EMULATED:
+    if url.startswith(EMULATED):
         return None
 
     def show(text: str) -> None:
@@ -196,6 +203,9 @@ def driver_openers(rig: LoadedRig, clock: Clock, urls: dict[str, str], capture: 
     if r.stage:
         baud, axes = r.stage.baud, r.stage.axes
         openers["stage"] = lambda: Stage(link("stage", baud), clock, axes)
+    if r.operator.url.startswith(ELSEWHERE):
+        port = r.operator.url.replace(ELSEWHERE, "socket://")
+        openers["operator"] = lambda: RemoteOperator(port, clock)
     if r.cameras.url != EMULATED:
-        openers["cameras"] = lambda: open_cameras(r.cameras, rig.calibration, rig.path.parent, clock)
+        openers["cameras"] = lambda: open_cameras(r.cameras, rig.made_calibration, rig.path.parent, clock)
     return openers

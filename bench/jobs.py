@@ -115,8 +115,7 @@ def _begun(rig: LoadedRig, script: LoadedScript, out: Path, under_test: Sequence
     """A new run folder that says what the run is."""
     files = {**rig.arm_files, **rig.answer_files, **script.layout_files, **script.truth_files, **script.source_files}
     files |= {"rig.toml": rig.text, SCRIPT: script.text}
-    emulated = set(rig.rig.emulated)
-    kind = "emulated" if emulated else "recorded" if rig.rig.cameras.url.startswith("recording:") else "real"
+    kind = "emulated" if rig.rig.all_emulated else "recorded" if rig.rig.cameras.url.startswith("recording:") else "real"
     facts = {"kind": kind, "title": script.script.title, "about": script.script.about, "seed": seed, "rig": rig.rig.name}
     facts |= {"script": script.name, "set_point_c": script.script.bath.set_point_c, "planned": len(script.planned)}
     facts[CALIBRATION_FACT] = calibration_fact(rig.calibration, wall_time().date(), emulated=kind == "emulated")

@@ -20,23 +20,39 @@ from instruments.bath.profile import Profile, ProfileError, RelayProfile, load_p
 from instruments.microscribe.unit import ArmIdentity, UnitError, load_unit
 
 RIGS = Path(__file__).parent / "rigs"
-CALIBRATIONS = ("calibration", "thesis-calibration")  # what lies there and is no rig
+NO_RIGS = ("calibration", "thesis-calibration", "lab.example")  # what lies there and can't be run
+TO_COPY = RIGS / "lab.example.toml"
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedRig:
-    """A rig file as read: where it is, its text, what it says, and the calibration that it names."""
+    """A rig file as read: where it is, its text, what it says, and the calibration that it names.
+
+    ``made_calibration`` is None on a new rig, whose calibration has still to be made.
+    """
 
     path: Path
     text: str
     rig: Rig
     profile: Profile
     calibration_path: Path
-    calibration: Calibration
+    made_calibration: Calibration | None
     frame: TableFrame | None = None
     verification: Verification | None = None
     arm_unit: ArmIdentity | None = None
     relay: RelayProfile | None = None
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration. Raises ConfigError where none has been made yet."""
+        if self.made_calibration is None:
+            how = "make it with 'teatbench calibrate' (docs/calibration.md)"
+            if self.rig.emulated:
+                shipped_one = RIGS / "calibration.toml"
+                how = f"the emulated cameras are made from it: copy the shipped one, {shipped_one}"
+            message = f"no such file beside the rig file ({self.calibration_path}); {how}"
+            raise located(self.path, self.text, [(("calibration",), message, False)])
+        return self.made_calibration
 
     @property
     def profile_source(self) -> str:
@@ -67,7 +83,9 @@ class LoadedRig:
 
 def find_rig(name: str | None) -> Path:
     """The file of a shipped rig by name, or of any rig by path; the emulated one for None. Raises ConfigError."""
-    return find_shipped(name or "emulated", RIGS, "rig", exclude=CALIBRATIONS)
+    if name == TO_COPY.stem:
+        return TO_COPY
+    return find_shipped(name or "emulated", RIGS, "rig", exclude=NO_RIGS)
 
 
 def find_shipped(name: str, folder: Path, kind: str, exclude: tuple[str, ...] = ()) -> Path:
@@ -77,7 +95,8 @@ def find_shipped(name: str, folder: Path, kind: str, exclude: tuple[str, ...] = 
     known = [stem for stem in shipped(folder) if stem not in exclude]
     if name in known:
         return folder / f"{name}.toml"
-    raise ConfigError.plain(f'no {kind} "{name}"{did_you_mean(name, known)} Shipped: {", ".join(known)}; or give the path of a .toml file.')
+    near, there = did_you_mean(name, known) or ".", ", ".join(known)
+    raise ConfigError.plain(f'no {kind} "{name}"{near} Shipped: {there}; or give the path of a .toml file.')
 
 
 def shipped(folder: Path) -> list[str]:
@@ -86,7 +105,10 @@ def shipped(folder: Path) -> list[str]:
 
 
 def load_rig(path: Path) -> LoadedRig:
-    """The rig file at ``path`` with its calibration. Raises ConfigError with all faults of the first wrong file."""
+    """The rig file at ``path`` with its calibration, where there is one. An emulated rig needs one.
+
+    Raises ConfigError with all faults of the first wrong file.
+    """
     rig = read_config(path, Rig)
     text = read_text(path)
     profile = _profile(path, text, rig)
@@ -108,8 +130,11 @@ def load_rig(path: Path) -> LoadedRig:
     relay = _relay(path, text, rig, profile)
     if rig.operator.url.startswith(SCRIPT):
         load_answers(path.parent / rig.operator.url.removeprefix(SCRIPT))  # its faults are told before anything is opened
-    calibration = read_calibration(calibration_path)
-    return LoadedRig(path, text, rig, profile, calibration_path, calibration, frame, verification, unit, relay)
+    calibration = read_calibration(calibration_path) if calibration_path.is_file() else None
+    loaded = LoadedRig(path, text, rig, profile, calibration_path, calibration, frame, verification, unit, relay)
+    if rig.emulated:
+        _ = loaded.calibration  # the emulated cameras are made from it
+    return loaded
 
 
 def read_calibration(path: Path) -> Calibration:

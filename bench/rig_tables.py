@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
-from bench.addresses import EMULATED, bath_url, beside, beside_if_named, operator_url, relay_url, serial_url
+from bench.addresses import ELSEWHERE, EMULATED, bath_url, beside, beside_if_named, operator_url, relay_url, serial_url
 from bench.cameras.tables import Cameras
 from bench.config import Section, did_you_mean
 from bench.emulated.tables import Emulation
@@ -122,7 +122,7 @@ class Limits(Section):
 class Rig(Section):
     name: str
     seed: Annotated[int, Field(ge=0)] = 1
-    calibration: Annotated[str, AfterValidator(beside)]
+    calibration: Annotated[str, Field(min_length=1)]  # the file may still have to be made
     operator: Operator
     arm: Arm
     bath: Bath
@@ -139,5 +139,10 @@ class Rig(Section):
 
     @property
     def emulated(self) -> tuple[str, ...]:
-        """Names of the instruments that are emulated."""
+        """Names of the instruments that are emulated in this process."""
         return tuple(name for name, url in self.urls.items() if url == EMULATED)
+
+    @property
+    def all_emulated(self) -> bool:
+        """Whether no instrument is real: their emulators are of this process, or of another."""
+        return bool(self.emulated) or self.operator.url.startswith(ELSEWHERE)

@@ -18,6 +18,7 @@ from bench.calibrating.board_file import BoardFile, load_board
 from bench.config import ConfigError, read_text
 from bench.emulated.optics import make_renderer
 from bench.rig import LoadedRig
+from bench.store import write_synced
 from detector.calibration.boards import DICTIONARIES
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import RecordingError, RecordingWriter, TruthRow
@@ -64,8 +65,7 @@ def write_sheet(rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], path
     if not good:
         raise ConfigError.plain(f"{path}: the sheet is too large for a PNG: ask for fewer seeds")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data.tobytes())
+        write_synced(path, data.tobytes())
     except OSError as error:
         raise ConfigError.plain(f"{path}: can't be written: {error}") from error
 

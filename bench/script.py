@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from bench.config import ConfigError, Section, parse_config, read_text
+from bench.config import Section, located, parse_config, read_text
 from bench.detecting.choice import check_named
 from bench.planning.phantom_file import Layout, find_layout, load_layout
 from bench.planning.python_script import ENDING, script_text
@@ -230,9 +230,9 @@ def load_script(path: Path, rig_limits_c: tuple[float, float] | None = None) -> 
     script = parse_config(path, text, Script)
     wanted = script.bath.set_point_c
     if rig_limits_c and not rig_limits_c[0] <= wanted <= rig_limits_c[1]:
-        raise ConfigError.plain(
-            f"{path}: bath.set_point_c = {wanted:g} degC is outside what the rig allows ({rig_limits_c[0]:g} to {rig_limits_c[1]:g} degC)"
-        )
+        low, high = rig_limits_c
+        message = f"{wanted:g} degC is outside what the rig allows ({low:g} to {high:g} degC)"
+        raise located(path, text, [(("bath", "set_point_c"), message, False)])
     layouts = layouts_of(script, path.parent)
     registration = load_registration(path.parent / script.truth.file) if script.truth.file else None
     return LoadedScript(path, text, script, planned_of(script, layouts), layouts, registration)

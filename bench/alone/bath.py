@@ -18,7 +18,8 @@ def profile_of(name: str) -> Profile:
     """A shipped profile by its name, or one of the user's own by its path. Raises ConfigError."""
     known = profile_names()
     if not name.endswith(".toml") and name not in known:
-        raise ConfigError.plain(f'no profile "{name}"{did_you_mean(name, known)} Shipped: {", ".join(known)}; or the path of a .toml file.')
+        near, there = did_you_mean(name, known) or ".", ", ".join(known)
+        raise ConfigError.plain(f'no profile "{name}"{near} Shipped: {there}; or the path of a .toml file.')
     try:
         return load_profile(Path(name) if name.endswith(".toml") else name)
     except ProfileError as error:

@@ -52,7 +52,7 @@ class Alone:
     @property
     def checks(self) -> FrameChecks:
         """The rig's looks; a phantom that is still cold is no fault here."""
-        return FrameChecks(self.table.checks, self.table.max_skew_s, self.rig.calibration if self.rig else None, flat=False)
+        return FrameChecks(self.table.checks, self.table.max_skew_s, self.rig.made_calibration if self.rig else None, flat=False)
 
 
 @contextmanager
@@ -77,7 +77,7 @@ def _of_rig(rig: LoadedRig) -> Iterator[tuple[Cameras, Clock]]:
             yield twin.cameras, virtual
         return
     with _real_time() as clock:
-        cameras = open_cameras(rig.rig.cameras, rig.calibration, rig.path.parent, clock)
+        cameras = open_cameras(rig.rig.cameras, rig.made_calibration, rig.path.parent, clock)
         try:
             yield cameras, clock
         finally:
@@ -173,8 +173,9 @@ def figures(picture: Grey) -> dict[str, object]:
 
 
 def calibration_text(alone: Alone) -> str | None:
-    """The rig's calibration file; None for cameras by URL."""
-    return read_text(alone.rig.calibration_path) if alone.rig else None
+    """The rig's calibration file; None for cameras by URL, and where it has not been made."""
+    there = alone.rig is not None and alone.rig.made_calibration is not None
+    return read_text(alone.rig.calibration_path) if alone.rig and there else None
 
 
 def attached() -> Iterator[tuple[str, str]]:
@@ -199,4 +200,4 @@ def of_rig(name: str) -> Iterator[tuple[str, str]]:
     if cameras.url:
         yield "all", cameras.url
     for camera, table in cameras.tables.items():
-        yield camera, f"{table.url} {conversion_of(table, rig.calibration)}"
+        yield camera, f"{table.url} {conversion_of(table, rig.made_calibration)}"

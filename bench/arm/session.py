@@ -114,9 +114,10 @@ def limits_of(script: str | None) -> Limits:
     raise ConfigError.plain(f"{loaded.path} has no requirement of the kind arm_verified, so it has no limits for an arm. Name another one.")
 
 
-def refuse_existing(out: Path, *, replace: bool) -> None:
+def refuse_existing(out: Path, *, replace: bool, option: str = "--out") -> None:
     """Raises ConfigError before anybody has worked for a file that can't be written."""
     if out.is_dir() or not out.resolve().parent.is_dir():
-        raise ConfigError.plain(f"--out {out}: name a file in a folder that is there.")
+        why = f"there is no folder {out.parent}" if not out.is_dir() else "this is a folder"
+        raise ConfigError.plain(f"{option} {out}: {why}; name a file in a folder that is there.")
     if out.exists() and not replace:
-        raise ConfigError.plain(f"--out {out} is there already. Name another file, or give --replace.")
+        raise ConfigError.plain(f"{option} {out} is there already. Name another file, or give --replace.")

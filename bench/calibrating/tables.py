@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.config import ConfigError
+from bench.config import ConfigError, short
 from detector.geometry import Array
 
 
@@ -32,7 +32,7 @@ def _number(where: str, name: str, text: str | None) -> float:
     try:
         value = float(text or "")
     except ValueError:
-        raise ConfigError.plain(f"{where}: {name} must be a number, is {text!r}") from None
+        raise ConfigError.plain(f"{where}: {name} must be a number, is {short(repr(text))}") from None
     if not np.isfinite(value):
         raise ConfigError.plain(f"{where}: {name} must be finite, is {text!r}")
     return value

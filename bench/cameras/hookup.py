@@ -18,7 +18,7 @@ from instruments.clock import Clock
 from instruments.errors import DeviceError
 
 
-def open_cameras(tables: Tables, calibration: Calibration, folder: Path, clock: Clock) -> Cameras:
+def open_cameras(tables: Tables, calibration: Calibration | None, folder: Path, clock: Clock) -> Cameras:
     """The cameras of a rig file in ``folder``; paths are taken from there. Raises InstrumentError, RecordingError."""
     kind, _, rest = tables.url.partition(":")
     if kind == "recording":
@@ -30,10 +30,12 @@ def open_cameras(tables: Tables, calibration: Calibration, folder: Path, clock: 
     return CameraSet({name: opener_of(name, table, folder, clock) for name, table in tables.tables.items()}, conversions)
 
 
-def conversion_of(table: OneCamera, calibration: Calibration) -> Conversion:
-    """What becomes of a camera's frames so that they are as the calibration has them."""
+def conversion_of(table: OneCamera, calibration: Calibration | None) -> Conversion:
+    """What becomes of a camera's frames so that they are as the calibration has them; as delivered without one."""
     if not isinstance(table, ThermalTable):
         return table.conversion()
+    if calibration is None:
+        return table.calibrated(mirrored=bool(table.mirrored), hot_is_black=table.polarity == "hot_is_black")
     thermal = calibration.thermal
     return table.calibrated(mirrored=thermal.mirrored, hot_is_black=thermal.polarity == "hot_is_black")
 

@@ -175,15 +175,25 @@ def one_source(given: argparse.Namespace, files: object, what: str) -> None:
 
 
 def _delivered(given: argparse.Namespace) -> Delivered:
-    """How the thermal pictures come: as told, or as the rig's calibration has it."""
+    """How the thermal pictures come: as told, as the rig's calibration has it, or as its file says."""
     from bench.calibrating.thermal_job import Delivered
     from bench.rig import find_rig, load_rig
 
     if not given.rig:
         return Delivered(given.sensor_size or (160, 120), given.mirrored, given.polarity or "hot_is_white", given.model)
-    known = load_rig(find_rig(given.rig)).calibration.thermal
-    size, mirrored, polarity = given.sensor_size or known.sensor_size, given.mirrored or known.mirrored, given.polarity or known.polarity
-    return Delivered(size, mirrored, polarity, given.model)
+    rig = load_rig(find_rig(given.rig))
+    known, table = rig.made_calibration, rig.rig.cameras.thermal
+    if known is not None:
+        size, mirrored, polarity = known.thermal.sensor_size, known.thermal.mirrored, known.thermal.polarity
+    else:
+        size, mirrored = (160, 120), bool(table and table.mirrored)
+        polarity = (table and table.polarity) or "hot_is_white"
+    return Delivered(
+        given.sensor_size or size,
+        given.mirrored or mirrored,
+        given.polarity or polarity,
+        given.model,
+    )
 
 
 def views_of(given: argparse.Namespace, *cameras: str, mirrored: bool = False) -> tuple[BoardViews, tuple[Path, ...]]:

@@ -103,7 +103,7 @@ def _board(given: argparse.Namespace) -> int:
     from bench.calibrating.board_print import board_pdf
     from bench.store import write_synced
 
-    refuse_existing(given.pdf, replace=True)
+    refuse_existing(given.pdf, replace=True, option="--pdf")
     write_synced(given.pdf, board_pdf(load_board(find_board_file(given.board)).board, given.paper))
     print(f"written: {given.pdf}; print it at 100 % and measure the line at its foot")
     return CODES.met

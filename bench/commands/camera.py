@@ -144,7 +144,7 @@ def _grab(given: argparse.Namespace) -> int:
             if number + 1 < given.count:
                 alone.clock.sleep(alone.table.settle_s)
     if calibration is None:
-        print("without a rig there is no calibration: put calibration.toml into the folder before it is scored", file=sys.stderr)
+        print("there is no calibration: put calibration.toml into the folder before it is scored", file=sys.stderr)
     return CODES.met
 
 

@@ -57,9 +57,11 @@ def _members(given: argparse.Namespace) -> range:
 
 
 def _sheet(given: argparse.Namespace) -> int:
+    from bench.arm.session import refuse_existing
     from bench.rig import find_rig, load_rig
     from bench.scene_recording import write_sheet
 
+    refuse_existing(given.out, replace=True)
     write_sheet(load_rig(find_rig(given.rig)), given.situation, _members(given), given.out, given.seed)
     print(given.out)
     return CODES.met

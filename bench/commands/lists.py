@@ -9,15 +9,16 @@ from bench.commands import CODES, Commands
 
 def add_to(commands: Commands) -> None:
     """The family's commands."""
-    commands.add("rigs", "the rig files that ship", _rigs, opens_links=False)
+    commands.add("rigs", "the rig files that ship, and the one to copy for a real rig", _rigs, opens_links=False)
     what = "the detectors that ship, that other packages bring, and that files in ./detectors declare"
     commands.add("detectors", what, _detectors, opens_links=False)
 
 
 def _rigs(_: argparse.Namespace) -> int:
-    from bench.rig import CALIBRATIONS, RIGS, shipped
+    from bench.rig import NO_RIGS, RIGS, TO_COPY, shipped
 
-    return _list({name: "" for name in shipped(RIGS) if name not in CALIBRATIONS})
+    rigs = {name: "" for name in shipped(RIGS) if name not in NO_RIGS}
+    return _list(rigs | {"for a real rig": f"copy {TO_COPY}, where every key is explained"})
 
 
 def _detectors(_: argparse.Namespace) -> int:

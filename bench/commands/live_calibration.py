@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from bench.alone.cameras import Look
     from bench.calibrating.live import Wanted
     from bench.hookup import Parts
     from bench.rig import LoadedRig
     from detector.calibration import Part
+    from instruments.camera.frame import Grey
 
 PEG = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
 
@@ -37,15 +39,13 @@ def gather_views(given: argparse.Namespace, wanted: Wanted, known: Part | None =
 
     Raises ConfigError, InstrumentError, OperatorAbort.
     """
-    from bench.alone.cameras import patient, pictures
     from bench.calibrating.board_file import find_board_file, load_board
     from bench.calibrating.live import free_folder, gather
 
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)
-    with _opened(given, known, arm=False) as (parts, _):
-        look = patient(lambda: pictures(parts.cameras.capture()))
-        kept = gather(look, parts.operator, board, wanted, folder, _tell)
+    with _opened(given, known, arm=False) as (parts, rig):
+        kept = gather(_look(parts, rig), parts.operator, board, wanted, folder, _tell)
         parts.operator.finish()
         identity = {camera: str(who) for camera, who in parts.cameras.identity.items() if camera in wanted.cameras}
     _tell(f"{kept} views in {folder}")
@@ -54,7 +54,6 @@ def gather_views(given: argparse.Namespace, wanted: Wanted, known: Part | None =
 
 def gather_world(given: argparse.Namespace, known: Part) -> Gathered:
     """Points of ``given.board`` that the arm of ``given.rig`` touched and its cameras, those of ``known``, saw: a table in the folder."""
-    from bench.alone.cameras import patient, pictures
     from bench.arm.tip import TipReader
     from bench.calibrating.board_file import find_board_file, load_board
     from bench.calibrating.live import free_folder
@@ -72,8 +71,8 @@ def gather_world(given: argparse.Namespace, known: Part) -> Gathered:
             tip.refuse_other_arm()
             parts.operator.confirm_homing(PEG)
             arm.confirm_homed()
-            look = patient(lambda: pictures(parts.cameras.capture()))
-            gather_points(Asking(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, _tell), board, folder)
+            asking = Asking(_look(parts, rig), parts.operator, tip, rig.rig.arm.tip_radius_mm, _tell)
+            gather_points(asking, board, folder)
             parts.operator.finish()
         finally:
             arm.safe()
@@ -92,6 +91,19 @@ def _opened(given: argparse.Namespace, known: Part | None, *, arm: bool) -> Iter
     with open_parts(rig, seed=seed, arm=arm, capture=given.capture) as parts:
         refuse_other_cameras(known.record if known else None, parts.cameras.identity)
         yield parts, rig
+
+
+def _look(parts: Parts, rig: LoadedRig) -> Look:
+    """Takes each camera's picture, once whatever the operator moved has come to rest."""
+    from bench.alone.cameras import patient, pictures
+
+    taken = patient(lambda: pictures(parts.cameras.capture()))
+
+    def look() -> Mapping[str, Grey]:
+        parts.clock.sleep(rig.rig.cameras.settle_s)
+        return taken()
+
+    return look
 
 
 def _tell(text: str) -> None:

@@ -13,35 +13,28 @@ if TYPE_CHECKING:
     from bench.running.trial_time import TimeEstimate
     from bench.script import LoadedScript
 
-SHOW = "show"
-
 
 def add_to(commands: Commands) -> None:
     """The family's commands."""
-    trials = commands.add("trials", "the trial scripts that ship; 'trials show SCRIPT' lists a script's poses", _trials, opens_links=False)
-    trials.add_argument("what", nargs="?", choices=[SHOW], help="list the poses of a script, and estimate the time")
-    trials.add_argument("script", nargs="?", help="a shipped script by name, or a .toml file")
-    trials.add_argument("--rig", help="a shipped rig by name, or a .toml file (default: emulated)")
-    trials.add_argument("--json", action="store_true", help="one JSON object instead of a table")
+    what = "the trial scripts that ship; 'trials show SCRIPT' lists a script's poses"
+    trials = commands.add("trials", what, _list, opens_links=False)
+    trials.add_argument("--json", action="store_true", help="one JSON object instead of lines")
+    shown = Commands(trials.add_subparsers(title="commands", metavar="COMMAND"))
+    what = "list the poses of a script, and estimate the time"
+    show = shown.add("show", what, _show, opens_links=False)
+    what = "a shipped script by name ('teatbench trials' lists them), or a .toml file"
+    show.add_argument("script", metavar="SCRIPT", help=what)
+    what = "a shipped rig by name, or a .toml file (default: emulated)"
+    show.add_argument("--rig", metavar="RIG", help=what)
+    show.add_argument("--json", action="store_true", help="one JSON object instead of a table")
 
 
-def _trials(given: argparse.Namespace) -> int:
-    from bench.config import ConfigError
-    from bench.script import find_script
-
-    if given.what is None:
-        return _list(given.json)
-    if given.script is None:
-        raise ConfigError.plain("trials show needs a script: a shipped one's name, or a .toml file. 'teatbench trials' lists what ships.")
-    return _show(find_script(given.script), given.rig, as_json=given.json)
-
-
-def _list(as_json: bool) -> int:
+def _list(given: argparse.Namespace) -> int:
     from bench.rig import shipped
     from bench.script import TRIALS
 
     rows = {name: _about(TRIALS / f"{name}.toml") for name in shipped(TRIALS)}
-    if as_json:
+    if given.json:
         print(json.dumps(rows, ensure_ascii=False))
     else:
         for name, what in rows.items():
@@ -56,18 +49,19 @@ def _about(path: Path) -> str:
     return load_offsets(path).script.about if is_offset_script(path) else load_script(path).script.about
 
 
-def _show(path: Path, rig_name: str | None, *, as_json: bool) -> int:
+def _show(given: argparse.Namespace) -> int:
     from bench.planning.offsets import is_offset_script
     from bench.rig import find_rig, load_rig
     from bench.running.trial_time import estimate
-    from bench.script import load_script
+    from bench.script import find_script, load_script
 
+    path = find_script(given.script)
     if is_offset_script(path):
-        return _show_offsets(path, as_json=as_json)
-    rig = load_rig(find_rig(rig_name))
+        return _show_offsets(path, as_json=given.json)
+    rig = load_rig(find_rig(given.rig))
     script = load_script(path, rig.rig.limits.set_point_c)
     time = estimate(rig, script)
-    if as_json:
+    if given.json:
         print(json.dumps(_as_json(script, time, rig.rig.name), ensure_ascii=False))
     else:
         _print(script, time)

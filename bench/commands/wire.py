@@ -56,7 +56,7 @@ def _links(capture: Capture, wanted: list[str]) -> list[str]:
     for name in wanted:
         if name not in capture.links:
             there = ", ".join(capture.links)
-            raise ConfigError.plain(f'{capture.path}: no link "{name}"{did_you_mean(name, capture.links)} It has: {there}.')
+            raise ConfigError.plain(f'{capture.path}: no link "{name}"{did_you_mean(name, capture.links) or "."} It has: {there}.')
     return wanted or list(capture.links)
 
 

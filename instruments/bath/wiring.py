@@ -5,6 +5,7 @@ Every fault of a file is told at once, each with the key that it stands under. P
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -139,7 +140,7 @@ def load(path: Path, kind: type[Made], *, hint: str = "") -> Made:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ProfileError(path, [("", f"is no TOML: {error}")]) from error
     try:
-        return kind.model_validate(content)
+        return kind.model_validate_json(json.dumps(content, default=str), strict=True)
     except ValidationError as error:
         raise ProfileError(path, list(_told(error))) from error
 

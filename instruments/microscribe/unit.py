@@ -5,6 +5,7 @@ One arm is one TOML file, in the arm's own numbers; ``units`` has those that shi
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
@@ -61,7 +62,8 @@ class ArmIdentity:
 def load_unit(path: Path) -> ArmIdentity:
     """The arm that the file at ``path`` describes. Raises UnitError with all its faults, OSError when it can't be read."""
     try:
-        return _File.model_validate(tomllib.loads(path.read_text(encoding="utf-8"))).arm()
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        return _File.model_validate_json(json.dumps(table, default=str), strict=True).arm()
     except UnicodeDecodeError as error:
         raise UnitError(path, [((), f"not UTF-8 text: {error}")]) from error
     except tomllib.TOMLDecodeError as error:

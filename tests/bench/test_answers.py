@@ -66,11 +66,11 @@ def test_both_forms_say_the_same(name: str, text: str, tmp_path: Path) -> None:
         ("a.toml", '[[answers]]\nto = "touch"\nansver = "go"\n', ["a.toml:3", 'did you mean "answer"']),
         ("a.toml", '[otherwise]\nhoming = "skip it"\n', ["a.toml:", 'there are "go", "abort"']),
         ("a.toml", '[[answers]]\nto = "touch"\nanswer = "go"\ntimes = 0\n', ["a.toml:4", "greater than or equal to 1"]),
-        ("a.txt", "homing: go\n\ntuch: go\n", ["a.txt, line 3", 'no prompt is of the kind "tuch"', 'did you mean "touch"']),
-        ("a.txt", "touch\n", ["line 1", 'a line is "KIND: ANSWER"']),
-        ("a.txt", "touch: skip\n", ["line 1", '"skip" needs a reason']),
-        ("a.txt", "otherwise touch: go x4\n", ["line 1", "leave the words in brackets and the times out"]),
-        ("a.txt", "otherwise homing: 3\n", ["line 1", "Not understood: '3'"]),
+        ("a.txt", "homing: go\n\ntuch: go\n", ["a.txt:3: ", 'no prompt is of the kind "tuch"', 'did you mean "touch"']),
+        ("a.txt", "touch\n", ["a.txt:1: ", 'a line is "KIND: ANSWER"']),
+        ("a.txt", "touch: skip\n", ["a.txt:1: ", '"skip" needs a reason']),
+        ("a.txt", "otherwise touch: go x4\n", ["a.txt:1: ", "leave the words in brackets and the times out"]),
+        ("a.txt", "otherwise homing: 3\n", ["a.txt:1: ", "Not understood: '3'"]),
     ],
 )
 def test_a_wrong_file_is_told_with_its_place(name: str, text: str, words: list[str], tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_a_rig_with_emulated_instruments_takes_each_operator(tmp_path: Path) -> 
     [
         ("script:nowhere.toml", "no such file beside the rig file"),
         ("person:", 'allowed: "console:", "emulator:", "script:ANSWERS.toml", "script:ANSWERS.txt"'),
-        ("script:wrong.txt", "wrong.txt, line 1"),
+        ("script:wrong.txt", "wrong.txt:1: "),
     ],
 )
 def test_a_rig_s_operator_is_checked_when_it_is_read(url: str, words: str, tmp_path: Path) -> None:

@@ -36,19 +36,16 @@ def script(tmp_path: Path) -> LoadedScript:
 
 @pytest.fixture
 def real() -> LoadedRig:
-    """The emulated rig as if its cameras were real."""
-    rig = load_rig(find_rig(None))
-    cameras = rig.rig.cameras.model_copy(update={"url": "opencv:0,1,2"})
-    return replace(rig, rig=rig.rig.model_copy(update={"cameras": cameras}))
+    return load_rig(find_rig("lab.example"))
 
 
 class TestBeforeARun:
     def test_one_of_last_month_is_refused(self, real: LoadedRig, script: LoadedScript) -> None:
         with pytest.raises(ConfigError, match=r"made on 2026-10-20, 31 days ago; .*fresh.toml allows 30 days .*Calibrate again"):
-            refuse_old_calibration(replace(real, calibration=made("2026-10-20")), script, TODAY)
+            refuse_old_calibration(replace(real, made_calibration=made("2026-10-20")), script, TODAY)
 
     def test_one_of_this_month_is_taken(self, real: LoadedRig, script: LoadedScript) -> None:
-        refuse_old_calibration(replace(real, calibration=made("2026-10-21")), script, TODAY)
+        refuse_old_calibration(replace(real, made_calibration=made("2026-10-21")), script, TODAY)
 
     def test_one_without_a_date_is_refused(self, real: LoadedRig, script: LoadedScript) -> None:
         with pytest.raises(ConfigError, match=r"no \[record\] that says when it was made"):
@@ -56,7 +53,7 @@ class TestBeforeARun:
 
     def test_one_of_next_week_is_refused(self, real: LoadedRig, script: LoadedScript) -> None:
         with pytest.raises(ConfigError, match="is this machine's clock right"):
-            refuse_old_calibration(replace(real, calibration=made("2026-11-27")), script, TODAY)
+            refuse_old_calibration(replace(real, made_calibration=made("2026-11-27")), script, TODAY)
 
     def test_a_script_that_asks_for_nothing_gets_any(self, real: LoadedRig) -> None:
         refuse_old_calibration(real, load_script(TRIALS / "six-situations.toml"), TODAY)

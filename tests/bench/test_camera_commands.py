@@ -72,7 +72,7 @@ def test_emulate_serves_its_cameras_too(capsys: Capture) -> None:
         assert child.stdout is not None
         urls = dict(child.stdout.readline().split() for _ in range(6))
         assert list(urls)[3:] == ["left", "right", "thermal"]
-        assert main(["camera", "show", f"opencv:{urls['left']}", "--json"]) == 0
+        assert main(["camera", "show", urls["left"], "--json"]) == 0
         told = json.loads(capsys.readouterr().out)["cameras"]["single"]
         assert told["size_px"] == "1360 x 1024"
         assert told["brightest_dn"] > 100

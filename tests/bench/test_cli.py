@@ -183,6 +183,16 @@ def test_a_closed_pipe_is_no_fault(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+def test_rigs_lists_what_can_be_run_and_says_what_to_copy(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["rigs"]) == 0
+    runs, copy = capsys.readouterr().out.splitlines()
+    assert runs == "emulated"
+    assert copy.startswith("for a real rig: copy ")
+    assert Path(copy.removeprefix("for a real rig: copy ").partition(",")[0]).is_file()
+
+
 def test_nothing_is_left_running(capsys: pytest.CaptureFixture[str]) -> None:
     before = threading.active_count()
     main(["check"])

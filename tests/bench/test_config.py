@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.answers import load_answers
 from bench.config import ConfigError, read_config
 from bench.rig import RIGS, find_rig, load_rig
 from bench.script import TRIALS, Script, find_script, load_script
@@ -90,6 +91,9 @@ def test_the_caret_stands_under_the_value(tmp_path: Path) -> None:
         ({"[cameras]": "[limits]\nset_point_c = [36, 20]\n[cameras]"}, "smaller one"),
         ({"[cameras]": "[cameras"}, "not TOML"),
         ({"[cameras]": "[cameras]\nsettle_s = inf"}, "cameras.settle_s"),
+        ({"[cameras]": '[cameras]\nsettle_s = "33"'}, "cameras.settle_s: input should be a valid number (found '33')"),
+        ({"seed = 1": "seed = true"}, "seed: input should be a valid integer (found True)"),
+        ({"[cameras]": "[limits]\nbath_plausible_c = [nan, 60]\n[cameras]"}, "limits.bath_plausible_c[1]: input should be a finite number"),
     ],
 )
 def test_each_wrong_value_says_what_is_allowed(tmp_path: Path, change: dict[str, str], message: str) -> None:
@@ -143,14 +147,66 @@ def test_a_wrong_script_says_where(tmp_path: Path, old: str, new: str, message: 
     assert any(abs(fault.line - line) <= 2 for fault in caught.value.faults)
 
 
-def test_a_set_point_that_the_rig_forbids_is_refused() -> None:
-    with pytest.raises(ConfigError, match="outside what the rig allows"):
-        load_script(find_script(None), (20.0, 30.0))
+@pytest.mark.parametrize(
+    ("value", "why"),
+    [
+        ("90", "90 degC is outside what the rig allows (20 to 36 degC)"),
+        ("nan", "input should be a finite number"),
+        ('"33"', "input should be a valid number (found '33')"),
+    ],
+)
+def test_a_set_point_that_is_refused_is_shown_in_its_place(tmp_path: Path, value: str, why: str) -> None:
+    lines = find_script(None).read_text(encoding="utf-8").split("\n")
+    at = next(i for i, line in enumerate(lines) if line.startswith("set_point_c"))
+    lines[at] = f"set_point_c = {value}"
+    path = tmp_path / "script.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_script(path, (20.0, 36.0))
+    fault, shown, caret = str(caught.value).split("\n")[1:]
+    assert fault.startswith(f"{path}:{at + 1}: bath.set_point_c: {why}")
+    assert shown[caret.index("^") : caret.rindex("^") + 1] == value
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        'seed = "{}"',
+        'profile = "{}"',
+        "{} = 1",
+        '{} = "{}',
+        "seed = [{}1]",
+        'baud = "{}"',
+    ],
+)
+@pytest.mark.parametrize("name", ["rig.toml", "answers.txt"])
+def test_a_line_of_megabytes_is_not_printed_whole(tmp_path: Path, line: str, name: str) -> None:
+    path = tmp_path / name
+    long = ("1, " if "[" in line else "abc") * 1_000_000
+    path.write_text(f"[arm]\n{line.format(long, long)}", encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_rig(path) if name == "rig.toml" else load_answers(path)
+    assert len(str(caught.value)) < 5000
+    assert f"{path}:2: " in str(caught.value) or name != "rig.toml"
+
+
+def test_a_fault_far_to_the_right_is_shown_with_what_is_around_it(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(f'bath = {{ url = "{"x" * 5000}", ? }}', encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_rig(path)
+    shown, caret = str(caught.value).split("\n")[-2:]
+    assert shown[caret.index("^")] == "?"
+    assert len(shown) < 200
 
 
 def test_names_that_are_not_there_list_what_is(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="six-situations"):
+    with pytest.raises(ConfigError, match=r'"six-situations"\? Shipped: '):
         find_script("six-situation")
+    with pytest.raises(ConfigError, match=r'no trial script "nosuch"\. Shipped: '):
+        find_script("nosuch")
+    with pytest.raises(ConfigError, match=r'no rig "nosuch"\. Shipped: emulated; or'):
+        find_rig("nosuch")
     with pytest.raises(ConfigError, match="can't be read"):
         load_rig(tmp_path / "none.toml")
 

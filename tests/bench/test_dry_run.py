@@ -89,7 +89,7 @@ def test_teats_that_stand_in_each_other_are_found_even_where_no_file_says_so(rig
 
 
 def test_what_cannot_be_checked_is_said(rig: LoadedRig) -> None:
-    blind = replace(rig, calibration=replace(rig.calibration, thermal_from_left=None))
+    blind = replace(rig, made_calibration=replace(rig.calibration, thermal_from_left=None))
     result = dry_run(blind, script(pose={"x_mm": -160.0, "y_mm": 0.0}), None)
     assert [text.split(":")[0] for text in result.unchecked] == ["the stage's travel", "the thermal picture"]
     assert "limits" not in {finding.kind for finding in result.findings}

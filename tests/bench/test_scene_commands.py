@@ -50,7 +50,7 @@ def test_a_frame_is_the_same_whatever_else_is_recorded(tmp_path: Path) -> None:
 
 
 def test_a_sheet_has_a_row_for_each_member(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "new" / "sheet.png"
+    out = tmp_path / "sheet.png"
     assert main(["scene", "sheet", "--situation", "ideal", "--seeds", "2", "--out", str(out)]) == 0
     assert str(out) in capsys.readouterr().out
     picture = cv2.imread(str(out), cv2.IMREAD_UNCHANGED)
@@ -74,9 +74,13 @@ def test_wrong_use_is_explained(arguments: list[str], said: str, tmp_path: Path,
 
 def test_a_place_that_cannot_be_written_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
-    for command in ("record", "sheet"):
+    for command, why in (("record", "can't be written"), ("sheet", "there is no folder")):
         assert main(["scene", command, "--situation", "ideal", "--seeds", "1", "--out", str(tmp_path / "file" / "x")]) == 2
-        assert "can't be written" in capsys.readouterr().err
+        assert why in capsys.readouterr().err
+    assert main(["scene", "sheet", "--out", str(tmp_path / "typo" / "sheet.png")]) == 2
+    refused = capsys.readouterr().err
+    assert f"there is no folder {tmp_path / 'typo'}; name a file in a folder" in refused
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_all_families_are_chosen_by_naming_none() -> None:

@@ -50,9 +50,21 @@ def test_show_of_a_script_without_trials(capsys: pytest.CaptureFixture[str]) -> 
     assert len(json.loads(capsys.readouterr().out)["offsets"]) == 4
 
 
+def test_show_has_a_help_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["trials", "show", "--help"])
+    assert ended.value.code == 0
+    said = capsys.readouterr().out
+    assert said.startswith("usage: teatbench trials show [-h]")
+    assert "list the poses of a script, and estimate the time" in said
+    assert "--rig RIG" in said
+
+
 def test_show_of_nothing_says_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["trials", "show"]) == 2
-    assert "needs a script" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as ended:
+        main(["trials", "show"])
+    assert ended.value.code == 2
+    assert "arguments are required: SCRIPT" in capsys.readouterr().err
     assert main(["trials", "show", "plain-map"]) == 2
     assert 'did you mean "plane-map"' in capsys.readouterr().err
 

@@ -28,6 +28,11 @@ def test_every_key_is_there(model: type[BaseModel]) -> None:
     assert missing == []
 
 
+def test_no_key_is_there_twice() -> None:
+    keys = re.findall(r"^\| (`.+?`) \|", PAGE, re.MULTILINE)
+    assert sorted(set(keys)) == sorted(keys)
+
+
 def test_every_layout_that_ships_is_there() -> None:
     assert [name for name in layout_names() if f"`{name}`" not in PAGE] == []
 

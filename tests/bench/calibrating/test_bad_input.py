@@ -135,6 +135,10 @@ class TestPrint:
         assert "more than A4 has; it fits A2" in capsys.readouterr().err
         assert main(["calibrate", "board", "chessboard-9x6-40", "--pdf", str(tmp_path / "b.pdf")]) == 0
         assert (tmp_path / "b.pdf").read_bytes().startswith(b"%PDF")
+        nowhere = tmp_path / "typo" / "b.pdf"
+        assert main(["calibrate", "board", "chessboard-9x6-40", "--pdf", str(nowhere)]) == 2
+        assert f"--pdf {nowhere}: there is no folder" in capsys.readouterr().err
+        assert not nowhere.parent.exists()
 
 
 class TestExchange:

@@ -118,6 +118,7 @@ def test_the_small_profile_is_whole(tmp_path: Path) -> None:
         ("values = { standby = 0, started = 1 }", "values = { standby = 0, started = 70000 }", "rows.2", "does not fit into u16"),
         ("range = [5.0, 36.0]\n", "", "rows.1", "needs 'values' or 'range'"),
         ("range = [5.0, 36.0]", "range = [36.0, 5.0]", "rows.1", "is empty"),
+        ("range = [5.0, 36.0]", 'range = ["5.0", 36.0]', "rows.1.range.0", "valid number"),
         ('table = "holding"\naddress = 2', 'table = "input"\naddress = 2', "rows.1", "can't be written"),
         ('type = "u16"', 'type = "bit"', "rows.2", "type bit does not go into table holding"),
         ('type = "u16"', 'type = "u8"', "rows.2.type", "Input should be 'u16'"),
