@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from bench.script import (
     SuccessRequirement,
     TimeRequirement,
 )
+from bench.store.check import NOT_AS_WRITTEN
 
 DetectorRequirement = ErrorRequirement | TimeRequirement | SuccessRequirement | FalseRequirement
 
@@ -51,9 +52,16 @@ def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
     bench = ArmRequirement | BathRequirement | CalibrationRequirement
     of_bench = frozenset(rule.name for rule in rules.requirements if isinstance(rule, bench))
     return tuple(
-        Judgement(name, tuple(_decide(rule, run, scored(run, name), name) for rule in rules.requirements), of_bench)
+        Judgement(name, held_back((_decide(rule, run, scored(run, name), name) for rule in rules.requirements), run.damage), of_bench)
         for name in run.detectors
     )
+
+
+def held_back(decisions: Iterable[Decision], damage: Sequence[str]) -> tuple[Decision, ...]:
+    """The decisions; where the record is damaged, all of them inconclusive."""
+    if not damage:
+        return tuple(decisions)
+    return tuple(replace(d, verdict=Verdict.INCONCLUSIVE, sentence=f"{NOT_AS_WRITTEN}. {d.sentence}") for d in decisions)
 
 
 def run_verdict(judgements: Sequence[Judgement]) -> Verdict:

@@ -15,9 +15,11 @@ from bench.cli import main
 from tests.bench import operated_runs
 
 SMALLER = 4
-SCRIPT = operated_runs.SCRIPT.replace("thesis", "fused").replace(
-    "poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0, yaw_deg = 4.0 }, {}]", "poses = [{ x_mm = 12.0 }]"
-) + """
+SCRIPT = (
+    operated_runs.SCRIPT.replace("thesis", "fused").replace(
+        "poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0, yaw_deg = 4.0 }, {}]", "poses = [{ x_mm = 12.0 }]"
+    )
+    + """
 [[trials]]
 name = "again"
 situation = "ideal"
@@ -37,11 +39,12 @@ name = "time"
 limit_s = 60.0
 statistic = "max"
 """
+)
 
 
 def write_small_run(folder: Path) -> Path:
     """Run it, with all its files in ``folder``; gives back the run's folder."""
-    arguments = operated_runs.files(folder, script=SCRIPT, emulation='faults = []', stage=operated_runs.STAGE)
+    arguments = operated_runs.files(folder, script=SCRIPT, emulation="faults = []", stage=operated_runs.STAGE)
     calibration = folder / "calibration.toml"
     calibration.write_text(smaller(calibration.read_text(encoding="utf-8")), encoding="utf-8", newline="\n")
     main(arguments)
