@@ -105,15 +105,16 @@ def decide_detector(rule: DetectorRequirement, scores: Pool, timed: Latency, u_m
         case SuccessRequirement():
             rate, sure = rule.rate, rule.confidence
             shown, possible = scores.surely_succeeded(rate, sure), scores.perhaps_succeeded
-            return decide_rate(rule.name, scores.success, required=rate, confidence=sure, shown=shown, possible=possible)
+            decision = decide_rate(rule.name, scores.success, required=rate, confidence=sure, shown=shown, possible=possible)
         case FalseRequirement():
             of, false = len(scores.scores), scores.counts.false
             return decide_count(rule.name, false, scenes=of, confidence=rule.confidence, per_pose=scores.worst_false)
         case TimeRequirement():
             how, rate_of, sure = rule.statistic, rule.rate, rule.confidence
-            return decide_time(
+            decision = decide_time(
                 rule.name, timed.seconds, limit_s=rule.limit_s, statistic=how, rate=rate_of, confidence=sure, poses=timed.poses
             )
+    return replace(decision, sentence=f"{decision.sentence} {timed.starved}".strip())
 
 
 def truth_u_mm(runs: Sequence[RunRecord], scores: Pool, detector: str) -> float | None:

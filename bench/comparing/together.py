@@ -48,7 +48,9 @@ def timed_together(runs: Sequence[RunRecord], detector: str) -> Latency:
     """The times of one detector over several runs, each with its pose."""
     times = [(poses_of(run), latency_of(run, detector)) for run in runs]
     seconds = tuple(second for _, one in times for second in one.seconds)
-    return Latency(seconds, poses=tuple((poses, pose) for poses, one in times for pose in one.poses))
+    cpu_s = tuple(value for _, one in times for value in one.cpu_s)
+    loads = tuple(value for _, one in times for value in one.loads)
+    return Latency(seconds, poses=tuple((poses, pose) for poses, one in times for pose in one.poses), cpu_s=cpu_s, loads=loads)
 
 
 def told(judgement: Judgement) -> Iterator[str]:

