@@ -7,11 +7,17 @@ from __future__ import annotations
 
 import re
 import shutil
+import sqlite3
 import sys
 import tempfile
+from contextlib import closing
 from pathlib import Path
 
 from bench.cli import main
+from bench.store import DATABASE
+from bench.store.chain import add_link
+from bench.store.files import sha256_of
+from bench.store.schema import LATER_WORD, tables_of
 from tests.bench import operated_runs
 
 SMALLER = 4
@@ -60,6 +66,21 @@ def smaller(calibration: str) -> str:
         return f"{found[1]} = {[int(v) for v in values] if found[1].endswith('size') else values}"
 
     return re.sub(r"^(image_size|fc|cc|sensor_size) = \[(.*)\]", scaled, calibration, flags=re.MULTILINE)
+
+
+def written_anew(run: Path) -> Path:
+    """Make a record that was edited one that some bench could have written: digests of files and the chain as they would be then."""
+    shutil.rmtree(run / "report", ignore_errors=True)
+    with closing(sqlite3.connect(run / DATABASE)) as db:
+        for table, name in (("frames", "path"), ("files", "name")):
+            for rowid, file in db.execute(f"SELECT rowid, {name} FROM {table}").fetchall():
+                db.execute(f"UPDATE {table} SET sha256 = ? WHERE rowid = ?", (sha256_of(run / file), rowid))
+        db.execute("DELETE FROM chain")
+        tables = [table for table in tables_of(db) if table not in ("chain", LATER_WORD)]
+        last = {table: db.execute(f"SELECT max(rowid) FROM {table}").fetchone()[0] for table in tables}
+        add_link(db, {table: (1, end) for table, end in last.items() if end}, [row[0] for row in db.execute("SELECT key FROM facts")])
+        db.commit()
+    return run
 
 
 if __name__ == "__main__":
