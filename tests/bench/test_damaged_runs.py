@@ -14,8 +14,12 @@ import pytest
 
 from bench.cli import main
 from bench.commands.store import DAMAGED
+from bench.engine import Ending
+from bench.record import read_run
 from bench.store import DATABASE, SCHEMA_VERSION
 from bench.store.check import NOT_AS_WRITTEN, PRINTED
+from tests.bench.killed_runs import Silent, start
+from tests.bench.operated_runs import files
 from tests.conftest import ROOT
 
 KEPT = ROOT / "tests" / "bench" / "kept" / f"schema-{SCHEMA_VERSION}"
@@ -222,7 +226,45 @@ def assert_told(out: Path, *reports: Path) -> None:
             assert made["damage"]
             assert made["verdict"] == "inconclusive"
             assert "<failure" not in (report / "junit.xml").read_text(encoding="utf-8")
-            assert NOT_AS_WRITTEN in (report / "trials.csv").read_text(encoding="utf-8")
+            rows = (report / "trials.csv").read_text(encoding="utf-8").splitlines()[1:]
+            assert all(NOT_AS_WRITTEN in row for row in rows)
+
+
+def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    class Stopping(Silent):
+        def trial(self, done: int, total: int, name: str) -> None:
+            if done == 1:
+                raise KeyboardInterrupt
+
+    files(tmp_path)
+    run, ending = start(tmp_path, progress=Stopping())
+    assert ending is Ending.ABORTED
+    sql("UPDATE detections SET wall_seconds = 0.001")(run)
+    assert main(["resume", str(run)]) == 2
+    assert f"{NOT_AS_WRITTEN}, and is refused. {run.name}: table detections, row 1" in capsys.readouterr().err
+    assert len(read_run(run).trials) == 1
+    assert main(["resume", str(run), "--despite-damage"]) == 4
+    told = capsys.readouterr()
+    assert told.err.count(f"{NOT_AS_WRITTEN}. ") == 2, "before and after all else"
+    assert "Verdict: no verdict" in told.out
+    assert (read_run(run).ending, len(read_run(run).trials)) == ("finished", 3)
+    assert_told(tmp_path, run / "report")
+    assert main(["store", "check", str(run)]) == 1
+
+
+def test_a_report_of_a_record_that_was_cut_off_does_not_make_it_whole(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The new report may not name the chain as it is now: the next check would find nothing."""
+    assert main(["report", str(run), "--no-pdf"]) == 0
+    printed = json.loads((run / PRINTED).read_text(encoding="utf-8"))["chain"]
+    facts = "'ending', 'retries', 'wall_ended'"
+    cut = "(SELECT number FROM chain WHERE wall_covers LIKE '%wall_ended%')"
+    sql(f"DELETE FROM facts WHERE key IN ({facts})", f"DELETE FROM chain WHERE number >= {cut} - 2")(run)
+    sql("DELETE FROM events WHERE kind = 'end'")(run)
+    for _ in range(2):
+        assert main(["report", str(run), "--no-pdf"]) == 2
+        assert main(["report", str(run), "--no-pdf", "--despite-damage"]) in (3, 4)
+        assert json.loads((run / PRINTED).read_text(encoding="utf-8"))["chain"] == printed
+    assert f"the chain doesn't pass through the digest of {PRINTED.as_posix()}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("seed", range(4))
