@@ -9,6 +9,7 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -55,6 +56,21 @@ def version(number: int) -> Damage:
             db.execute(f"PRAGMA user_version = {number}")
 
     return edit
+
+
+def printed(text: str) -> Damage:
+    """The last report's run.json."""
+
+    def write(run: Path) -> None:
+        (run / PRINTED).parent.mkdir()
+        (run / PRINTED).write_text(text, encoding="utf-8")
+
+    return write
+
+
+def a_folder_for_a_picture(run: Path) -> None:
+    (run / FRAME / "right.png").unlink()
+    (run / FRAME / "right.png").mkdir()
 
 
 DAMAGES: dict[str, Damage] = {
@@ -123,7 +139,7 @@ DAMAGES: dict[str, Damage] = {
     },
     "a lost picture": lambda run: (run / FRAME / "right.png").unlink(),
     "all pictures lost": lambda run: shutil.rmtree(run / "frames"),
-    "a folder for a picture": lambda run: ((run / FRAME / "right.png").unlink(), (run / FRAME / "right.png").mkdir()),
+    "a folder for a picture": a_folder_for_a_picture,
     **{
         f"{name}, {what}": written(name, change)
         for name in ("script.toml", "calibration.toml", "rig.toml")
@@ -135,9 +151,7 @@ DAMAGES: dict[str, Damage] = {
         )
     },
     **{
-        f"the last report's run.json is {text}": lambda run, text=text: (
-            (run / PRINTED).parent.mkdir(), (run / PRINTED).write_text(text, encoding="utf-8"),
-        )
+        f"the last report's run.json is {text}": printed(text)
         for text in ("", "{", "[]", '{"chain": 1}', '{"chain": {"links": 1}}', '{"chain": {"links": 1, "wall_digest": []}}')
     },
 }  # fmt: skip
@@ -203,11 +217,18 @@ def test_a_damaged_run_is_refused_or_told_to_be_damaged(
     assert_told(out, run / "report", whole / "report")
 
 
-def no_traceback(capsys: pytest.CaptureFixture[str]) -> pytest.CaptureResult[str]:
+class Told(NamedTuple):
+    """What a command wrote."""
+
+    out: str
+    err: str
+
+
+def no_traceback(capsys: pytest.CaptureFixture[str]) -> Told:
     told = capsys.readouterr()
     assert "Traceback" not in told.err
     assert "a mistake of the bench" not in told.err
-    return told
+    return Told(*told)
 
 
 def assert_told(out: Path, *reports: Path) -> None:
@@ -258,7 +279,7 @@ def test_a_report_of_a_record_that_was_cut_off_does_not_make_it_whole(run: Path,
     printed = json.loads((run / PRINTED).read_text(encoding="utf-8"))["chain"]
     facts = "'ending', 'retries', 'wall_ended'"
     cut = "(SELECT number FROM chain WHERE wall_covers LIKE '%wall_ended%')"
-    sql(f"DELETE FROM facts WHERE key IN ({facts})", f"DELETE FROM chain WHERE number >= {cut} - 2")(run)
+    sql(f"DELETE FROM facts WHERE key IN ({facts})", f"DELETE FROM chain WHERE number >= {cut} - 3")(run)
     sql("DELETE FROM events WHERE kind = 'end'")(run)
     for _ in range(2):
         assert main(["report", str(run), "--no-pdf"]) == 2
