@@ -72,7 +72,7 @@ def _run(given: argparse.Namespace) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CODES.met
     except OSError as error:  # a disk that is full, a folder that may not be written, amid whatever the command did
-        return complain(f"{error}. Is the disk full, or the folder read-only?", CODES.fault)
+        return complain(f"{error}. Is the disk full, or the folder read-only?" if error.errno else str(error), CODES.fault)
     except Exception:  # must not look like a requirement that isn't met, which Python's own code for it would
         traceback.print_exc()
         return complain("a mistake of the bench, not yours: please report what stands above", CODES.fault)

@@ -39,7 +39,7 @@ from bench.safety.keeper import Keeper
 from bench.safety.lifeline import Lifeline
 from bench.safety.pulse import AwaitedOperator, Pulse
 from bench.script import LoadedScript
-from bench.store import Store
+from bench.store import FolderGoneError, Store
 from bench.truth.choosing import choose_truth
 from detector.protocol import Detector
 from instruments.clock import wall_time
@@ -211,6 +211,9 @@ class Engine:
             self._write_down("aborted", str(why) or "the run was interrupted (Ctrl-C)")
             return Ending.ABORTED
         cause = self._watch.tripped or why  # a braked stage or an impatient operator may have come first
+        if isinstance(cause, FolderGoneError):  # there is nothing that a report could be made of
+            self._write_down("fault", str(cause))
+            raise cause
         if isinstance(cause, RECORD_FAULTS):
             then = f"Make room or make the folder writable, then: teatbench resume {self._store.folder}"
             self._write_down("fault", f"the record could not be written: {type(cause).__name__}: {cause}. {then}", aloud=True)

@@ -7,11 +7,14 @@ import io
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from bench.record import RunRecord
 from bench.scoring.decisions import Decision, Verdict
 from bench.store import write_synced
+from bench.store.check import NOT_AS_WRITTEN, printed_chain
 from bench.verdicts import Judgement, run_verdict
 
 COLUMNS = (
@@ -54,7 +57,7 @@ def trials_csv(run: RunRecord) -> str:
                     detection["reason"] or "",
                     trial.head["bath_c"],
                     trial.how or "",
-                    trial.invalid or "",
+                    NOT_AS_WRITTEN if run.damage else trial.invalid or "",
                 ]
             )
     return text.getvalue()
@@ -65,7 +68,8 @@ def run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
     table = {
         "facts": dict(run.facts),
         "ending": run.ending,
-        "chain": {"links": run.head.number, "digest": run.head.digest, "wall_digest": run.head.wall_digest} if run.head else None,
+        "chain": _chain(run),
+        **({"damage": list(run.damage)} if run.damage else {}),
         "verdict": run_verdict(judgements).value,
         "judgements": [
             {"detector": j.detector, "verdict": j.verdict.value, "requirements": [d.as_dict() for d in j.decisions]} for j in judgements
@@ -82,6 +86,15 @@ def run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
         ],
     }
     return json.dumps(table, indent=1, ensure_ascii=False) + "\n"
+
+
+def _chain(run: RunRecord) -> Any:
+    """Its last link. That of a damaged record isn't named: what the last report named stays, so that its damage is found again."""
+    if run.damage:
+        with suppress(OSError, ValueError, AttributeError, RecursionError):
+            return printed_chain(run.folder)
+        return None
+    return {"links": run.head.number, "digest": run.head.digest, "wall_digest": run.head.wall_digest} if run.head else None
 
 
 def junit_xml(run: RunRecord, judgements: Sequence[Judgement]) -> str:

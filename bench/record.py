@@ -64,7 +64,8 @@ class RunRecord:
     """A run as it stands on disk. ``facts`` hold for the whole run; ``bath`` has columns t_s, temp_c, power_percent (n, 3).
 
     ``external_c`` (n,) is not-a-number where there is no such sensor. ``guardian`` is what the guardian wrote when it acted.
-    ``head`` is the last link of the hash chain over all that was written; number 0 where an older bench made none.
+    ``head`` is the last link of the hash chain over all that was written; number 0 where an older bench made none. ``damage`` says what
+    isn't as it was written, where that was looked at: no verdict holds then.
     """
 
     folder: Path
@@ -78,6 +79,7 @@ class RunRecord:
     external_c: NDArray[np.float64]
     guardian: Mapping[str, Any] | None
     head: Head | None = None
+    damage: tuple[str, ...] = ()
 
     @property
     def ending(self) -> str:
@@ -95,18 +97,22 @@ class RunRecord:
         return tuple(self.facts["detectors"])
 
 
-def read_run(folder: Path) -> RunRecord:
-    """The run in ``folder``, of this bench or an older one. Raises ConfigError where it is none."""
-    with opened(folder) as db:
-        db.row_factory = sqlite3.Row
-        record = _read(folder, db)
+def read_run(folder: Path, damage: tuple[str, ...] = ()) -> RunRecord:
+    """The run in ``folder``, of this bench or an older one. Raises ConfigError where it is none, or can't be read."""
+    try:
+        with opened(folder) as db:
+            db.row_factory = sqlite3.Row
+            record = _read(folder, db, damage)
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+        why = f"{type(error).__name__}: {error}. 'teatbench store check {folder}' says what is damaged."
+        raise ConfigError.plain(f"the record in {folder} can't be read: {why}") from error
     if "detectors" not in record.facts:
         why = "the bench died before it wrote down what is under test. Delete the folder."
         raise ConfigError.plain(f"{folder} is a run that never began: {why}")
     return record
 
 
-def _read(folder: Path, db: sqlite3.Connection) -> RunRecord:
+def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunRecord:
     facts = {row["key"]: json.loads(row["value"]) for row in db.execute("SELECT key, value FROM facts")}
     bath = list(db.execute("SELECT t_s, temp_c, power_percent, external_c, state FROM bath ORDER BY session, t_s"))
     columns = [[np.nan if row[k] is None else row[k] for k in range(4)] for row in bath]
@@ -123,6 +129,7 @@ def _read(folder: Path, db: sqlite3.Connection) -> RunRecord:
         external_c=table[:, 3],
         guardian=_guardian(folder / GUARDIAN),
         head=head_of(db),
+        damage=damage,
     )
 
 

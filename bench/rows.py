@@ -69,6 +69,8 @@ def detection_rows(trial: str, answer: Answer) -> tuple[Row, list[Row]]:
         "wall_seconds": answer.seconds,
         "wall_start_up_s": answer.start_up_s,
         "wall_stderr": answer.stderr or None,
+        "wall_cpu_s": answer.cpu_s,
+        "wall_load": answer.load,
     }
     found: list[Row] = []
     for number, teat in enumerate(detection.teats, 1):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from bench.script import (
     SuccessRequirement,
     TimeRequirement,
 )
+from bench.store.check import NOT_AS_WRITTEN
 
 DetectorRequirement = ErrorRequirement | TimeRequirement | SuccessRequirement | FalseRequirement
 
@@ -51,9 +52,16 @@ def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
     bench = ArmRequirement | BathRequirement | CalibrationRequirement
     of_bench = frozenset(rule.name for rule in rules.requirements if isinstance(rule, bench))
     return tuple(
-        Judgement(name, tuple(_decide(rule, run, scored(run, name), name) for rule in rules.requirements), of_bench)
+        Judgement(name, held_back((_decide(rule, run, scored(run, name), name) for rule in rules.requirements), run.damage), of_bench)
         for name in run.detectors
     )
+
+
+def held_back(decisions: Iterable[Decision], damage: Sequence[str]) -> tuple[Decision, ...]:
+    """The decisions; where the record is damaged, all of them inconclusive."""
+    if not damage:
+        return tuple(decisions)
+    return tuple(replace(d, verdict=Verdict.INCONCLUSIVE, sentence=f"{NOT_AS_WRITTEN}. {d.sentence}") for d in decisions)
 
 
 def run_verdict(judgements: Sequence[Judgement]) -> Verdict:
@@ -97,15 +105,16 @@ def decide_detector(rule: DetectorRequirement, scores: Pool, timed: Latency, u_m
         case SuccessRequirement():
             rate, sure = rule.rate, rule.confidence
             shown, possible = scores.surely_succeeded(rate, sure), scores.perhaps_succeeded
-            return decide_rate(rule.name, scores.success, required=rate, confidence=sure, shown=shown, possible=possible)
+            decision = decide_rate(rule.name, scores.success, required=rate, confidence=sure, shown=shown, possible=possible)
         case FalseRequirement():
             of, false = len(scores.scores), scores.counts.false
             return decide_count(rule.name, false, scenes=of, confidence=rule.confidence, per_pose=scores.worst_false)
         case TimeRequirement():
             how, rate_of, sure = rule.statistic, rule.rate, rule.confidence
-            return decide_time(
+            decision = decide_time(
                 rule.name, timed.seconds, limit_s=rule.limit_s, statistic=how, rate=rate_of, confidence=sure, poses=timed.poses
             )
+    return replace(decision, sentence=f"{decision.sentence} {timed.starved}".strip())
 
 
 def truth_u_mm(runs: Sequence[RunRecord], scores: Pool, detector: str) -> float | None:

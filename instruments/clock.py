@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import heapq
 import itertools
+import os
 import queue
 import threading
 import time
@@ -42,6 +43,16 @@ def wall_time() -> datetime:
 def stopwatch_s() -> float:
     """Real seconds from an arbitrary start, to measure what software takes (a detector's latency), never to wait."""
     return time.perf_counter()
+
+
+def processor_s() -> float:
+    """Seconds of processors that this process has used so far, all its threads together."""
+    return time.process_time()
+
+
+def load_per_processor() -> float | None:
+    """How many processes want a processor, over the last minute, for each that there is; None where the system doesn't count (Windows)."""
+    return os.getloadavg()[0] / (os.cpu_count() or 1) if hasattr(os, "getloadavg") else None
 
 
 PATIENCE_S = 10.0  # real time that an emulator's thread gets to take bytes before it is called hung

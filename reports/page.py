@@ -134,6 +134,7 @@ class TrialPart:
 class Page:
     """A whole report; `worst` names the trials to look at first, by their ids: they come first where not all find room.
 
+    `alarm` stays at the top of each file, however far one scrolls.
     Raises PageError where two parts share an id, a link leads nowhere, or the banner claims more than its rows.
     """
 
@@ -145,6 +146,7 @@ class Page:
     trials_title: str = "Trial by trial"
     trials_note: str = ""
     footer: tuple[str, ...] = ()
+    alarm: str = ""
     worst: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

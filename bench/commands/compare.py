@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from bench.commands import CODES, Commands
 from bench.commands.arguments import number
+from bench.commands.store import add_despite_damage, undamaged
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -28,6 +29,7 @@ def add_to(commands: Commands) -> None:
     compare.add_argument("--gate", action="store_true", help="exit code 1 when the new one is worse, 4 when that can't be told")
     compare.add_argument("--together", action="store_true", help="judge all runs as one, by their counts and errors, instead of comparing")
     compare.add_argument("--out", type=Path, metavar="DIR", help="also write a page and comparison.json there")
+    add_despite_damage(compare)
     compare.add_argument("--json", action="store_true", help="print JSON instead of tables")
 
 
@@ -46,13 +48,19 @@ def _share(text: str) -> float:
 
 
 def _compare(given: argparse.Namespace) -> int:
-    from bench.comparing.page import write_comparison
     from bench.comparing.runs import compare_folders
+
+    with undamaged(given.run, given) as damage:
+        if given.together:
+            return _together(given, damage)
+        found = compare_folders(given.run, given.detector, margin_mm=given.margin_mm, confidence=given.confidence, damage=damage)
+        return _told(given, found)
+
+
+def _told(given: argparse.Namespace, found: tuple[Comparison, ...]) -> int:
+    from bench.comparing.page import write_comparison
     from bench.comparing.words import as_json
 
-    if given.together:
-        return _together(given)
-    found = compare_folders(given.run, given.detector, margin_mm=given.margin_mm, confidence=given.confidence)
     if given.json:
         print(json.dumps(as_json(found), indent=1, ensure_ascii=False))
     else:
@@ -64,11 +72,11 @@ def _compare(given: argparse.Namespace) -> int:
     return _code(found) if given.gate else CODES.met
 
 
-def _together(given: argparse.Namespace) -> int:
+def _together(given: argparse.Namespace, damage: tuple[str, ...]) -> int:
     from bench.comparing.together import judge_folders, told
     from bench.verdicts import run_verdict
 
-    judgements = judge_folders(given.run, given.detector)
+    judgements = judge_folders(given.run, given.detector, damage)
     if given.json:
         lines = [
             {"detector": one.detector, "verdict": one.verdict, "decisions": [d.as_dict() for d in one.decisions]} for one in judgements

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.commands import CODES, Commands, add_detectors, add_out
+from bench.commands.store import add_despite_damage, undamaged
 
 if TYPE_CHECKING:
     from bench.rig import LoadedRig
@@ -34,6 +35,7 @@ def add_to(commands: Commands) -> None:
     resume = commands.add("resume", "go on with a run that stopped, at its first trial without a result", _resume)
     resume.add_argument("run", type=Path, help="the run's folder")
     add_events(resume)
+    add_despite_damage(resume)
     tell = commands.add("tell", "tell a run that goes on: pause, go on, skip REASON, repeat REASON, abort", _tell, opens_links=False)
     tell.add_argument("run", type=Path, help="the run's folder")
     tell.add_argument("words", nargs="+", help="pause, go on, skip REASON, repeat REASON or abort")
@@ -41,6 +43,7 @@ def add_to(commands: Commands) -> None:
     report.add_argument("run", type=Path, help="the run's folder")
     report.add_argument("--baseline", type=Path, metavar="RUN", help="also hold it against this older run of the same scenes")
     report.add_argument("--single-file", action="store_true", help="also write single-file.html for mail: pictures in it, at most 20 MB")
+    add_despite_damage(report)
     printed = report.add_mutually_exclusive_group()
     printed.add_argument("--pdf", action="store_true", help="fail where report.pdf can't be printed (by a Chromium, Chrome or Edge)")
     printed.add_argument("--no-pdf", action="store_true", help="print no report.pdf, though a browser is installed")
@@ -121,13 +124,14 @@ def _resume(given: argparse.Namespace) -> int:
     from bench.running.resuming import files_of
 
     console = Console()
-    operator = files_of(read_run(given.run))[0].rig.operator.url
-    with event_lines(given.events) as lines, TerminalProgress(console) as shown:
-        progress = WatchedProgress(shown, lines)
-        resume_run(given.run, progress, HowToRun(capture=given.capture, typed=typed_lines(operator), begun=shown.say))
-        progress.state("writing the report")
-        code, show = _reported(given.run)
-    show(console)
+    with undamaged([given.run], given) as damage:
+        operator = files_of(read_run(given.run))[0].rig.operator.url
+        with event_lines(given.events) as lines, TerminalProgress(console) as shown:
+            progress = WatchedProgress(shown, lines)
+            resume_run(given.run, progress, HowToRun(capture=given.capture, typed=typed_lines(operator), begun=shown.say))
+            progress.state("writing the report")
+            code, show = _reported(given.run, damage=damage)
+        show(console)
     return code
 
 
@@ -231,8 +235,9 @@ def _report(given: argparse.Namespace) -> int:
     if is_offset_run(given.run):
         code = _offsets_reported(given.run)
     else:
-        code, show = _reported(given.run, _extras(given))
-        show(Console())
+        with undamaged([given.run, *filter(None, [given.baseline])], given) as damage:
+            code, show = _reported(given.run, _extras(given, damage), damage)
+            show(Console())
     if browser:
         _print(given.run, browser, needed=given.pdf)
     return code
@@ -253,22 +258,22 @@ def _print(folder: Path, browser: str, *, needed: bool) -> None:
         print(f"no PDF: {error}", file=sys.stderr)
 
 
-def _extras(given: argparse.Namespace) -> Extras:
+def _extras(given: argparse.Namespace, damage: tuple[str, ...]) -> Extras:
     """What was asked for besides the page. Raises ConfigError before anything is written."""
     from bench.summary import Extras
     from bench.summary.baseline import baseline_section
 
-    chapters = (baseline_section(given.baseline, given.run),) if given.baseline else ()
+    chapters = (baseline_section(given.baseline, given.run, damage),) if given.baseline else ()
     return Extras(chapters, given.single_file)
 
 
-def _reported(folder: Path, extras: Extras | None = None) -> tuple[int, Callable[..., None]]:
+def _reported(folder: Path, extras: Extras | None = None, damage: tuple[str, ...] = ()) -> tuple[int, Callable[..., None]]:
     """Write the report of a run; gives back the exit code that it deserves, and what shows it on a console."""
     from bench.running.progress import show_result
     from bench.summary import PLAIN, write_run_report
     from bench.verdicts import run_verdict
 
-    path, run, judgements = write_run_report(folder, extras or PLAIN)
+    path, run, judgements = write_run_report(folder, extras or PLAIN, damage)
     codes = {"met": CODES.met, "not met": CODES.not_met}
     code = CODES.fault if run.ending != "finished" else codes.get(run_verdict(judgements).value, CODES.inconclusive)
     return code, lambda console: show_result(console, run, judgements, path)

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from bench.commands import CODES, Commands
 
+DAMAGED = "NOT-AS-WRITTEN.txt"  # beside what was exported of a damaged record
 FORMATS = ("csv", "parquet", "mcap")
 
 
@@ -21,11 +25,31 @@ def add_to(commands: Commands) -> None:
     export.add_argument(
         "--format", required=True, choices=FORMATS, help="csv and parquet: a file a table; mcap: one file for Foxglove and its kin"
     )
+    add_despite_damage(export)
     export.add_argument("--out", required=True, type=Path, metavar="DIR", help="where to; files of the same names are replaced")
 
 
+def add_despite_damage(parser: argparse.ArgumentParser) -> None:
+    """For a command that reads the records of runs."""
+    what = "go on though the record is not as it was written: nothing is decided by it then"
+    parser.add_argument("--despite-damage", action="store_true", help=what)
+
+
+@contextmanager
+def undamaged(runs: Sequence[Path], given: argparse.Namespace) -> Iterator[tuple[str, ...]]:
+    """Checks the runs' records first; gives what is damaged, where that was allowed, and says it before and after all else."""
+    from bench.store.check import NOT_AS_WRITTEN, checked_first, shortened
+
+    with checked_first(runs, despite_damage=given.despite_damage) as damage:
+        alarm = f"{'!' * 40}\n{NOT_AS_WRITTEN}. {shortened(damage)}\n{'!' * 40}\n" if damage else ""
+        sys.stderr.write(alarm)
+        yield damage
+        sys.stdout.flush()
+        sys.stderr.write(alarm)
+
+
 def _check(given: argparse.Namespace) -> int:
-    from bench.store.check import check_run
+    from bench.store.check import NOT_AS_WRITTEN, check_run
 
     done = check_run(given.run, given.digest)
     for finding in done.findings:
@@ -33,7 +57,7 @@ def _check(given: argparse.Namespace) -> int:
     print("looked at " + ", ".join(f"{count} {name}" for name, count in done.counts.items()))
     if done.head.number:
         print(f"digest: {done.head.wall_digest}\ndigest without real time: {done.head.digest}")
-    print("The record is as it was written." if done.whole else "The record is NOT as it was written.")
+    print("The record is as it was written." if done.whole else f"{NOT_AS_WRITTEN}.")
     return CODES.met if done.whole else CODES.not_met
 
 
@@ -41,11 +65,18 @@ def _export(given: argparse.Namespace) -> int:
     from bench.config import ConfigError
     from bench.exporting.mcap_file import export_mcap
     from bench.exporting.tables import export_csv, export_parquet
+    from bench.store import write_synced
+    from bench.store.check import NOT_AS_WRITTEN
 
     write = {"csv": export_csv, "parquet": export_parquet, "mcap": export_mcap}[given.format]
     try:
-        for path in write(given.run, given.out):
-            print(path)
+        with undamaged([given.run], given) as damage:
+            (given.out / DAMAGED).unlink(missing_ok=True)
+            for path in write(given.run, given.out):
+                print(path)
+            if damage:
+                text = "\n".join((f"{NOT_AS_WRITTEN}: the files beside this one are made of what is left of it.", *damage, ""))
+                write_synced(given.out / DAMAGED, text.encode())
     except OSError as error:
         raise ConfigError.plain(f"the export can't be written to {given.out}: {error.strerror or error}") from error
     return CODES.met

@@ -13,6 +13,7 @@ from bench.scoring.comparison import ScenePair, why_failed
 from bench.scoring.decisions import Verdict, overall
 from bench.scoring.scene import SceneScore
 from bench.store import write_synced
+from bench.store.check import NOT_AS_WRITTEN
 from bench.summary.tables import key_values
 from reports.page import Banner, Cell, Column, Kind, Notes, Page, Paragraph, Part, Section, Table, Tone
 from reports.render import write_report
@@ -52,7 +53,8 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
         Section(f"comparison-{number}", heading(one) if len(found) > 1 else "Differences", tuple(comparison_parts(one)))
         for number, one in enumerate(found, 1)
     )
-    return Page("Comparison of detectors", "Paired differences on the same scenes", banner, sections)
+    alarm = f"{NOT_AS_WRITTEN}: no figure below holds." if any(one.old.run.damage or one.new.run.damage for one in found) else ""
+    return Page("Comparison of detectors", "Paired differences on the same scenes", banner, sections, alarm=alarm)
 
 
 def comparison_parts(comparison: Comparison) -> Iterator[Part]:

@@ -11,15 +11,17 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bench.config import ConfigError, did_you_mean, read_config
 from bench.record import RunRecord, TrialRecord, read_run
-from bench.scoring.comparison import Compared, ScenePair, compare
+from bench.scoring.comparison import Compared, Gate, ScenePair, compare
+from bench.scoring.decisions import Verdict
 from bench.scoring.pool import Pool
 from bench.script import Rules, Script
 from bench.store import RULES, SCRIPT
+from bench.store.check import NOT_AS_WRITTEN, shortened
 
 SAME_PLACE_MM = 10.0  # a hand sets a phantom up within a few mm; scripts move it by 25 mm
 CAMERAS = frozenset({"left", "right", "thermal", "thermal_radiometric"})  # other pictures are a detector's own
@@ -79,12 +81,13 @@ def compare_folders(
     margin_mm: float | None = None,
     confidence: float = 0.95,
     seed: int = 0,
+    damage: tuple[str, ...] = (),
 ) -> tuple[Comparison, ...]:
-    """Compare each later run with the first, or the detectors of one run with its first.
+    """Compare each later run with the first, or the detectors of one run with its first; ``damage`` is that of their records.
 
     Raises ConfigError where nothing can be compared.
     """
-    runs = [read_run(folder) for folder in folders]
+    runs = [read_run(folder, damage) for folder in folders]
     return tuple(compare_sides(old, new, margin_mm=margin_mm, confidence=confidence, seed=seed) for old, new in sides(runs, detectors))
 
 
@@ -99,6 +102,8 @@ def compare_sides(old: Side, new: Side, *, margin_mm: float | None = None, confi
     pairs = tuple(ScenePair(a.id, a.pose, str(a.head["situation"]), a.scores[old.detector], b.scores[new.detector]) for a, b, _ in matched)
     only_old, only_new = len(old.trials) - len(matched), len(new.trials) - len(matched)
     found = compare(pairs, margin_mm=margin_mm, confidence=confidence, seed=seed, unpaired=only_old)
+    if damage := new.run.damage or old.run.damage:
+        found = replace(found, gate=Gate(Verdict.INCONCLUSIVE, (f"{NOT_AS_WRITTEN}: {shortened(damage)}",), found.gate.margin_mm))
     return Comparison(old, new, pairs, sum(same for _, _, same in matched), only_old, only_new, found, elsewhere)
 
 

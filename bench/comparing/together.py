@@ -15,15 +15,15 @@ from bench.detecting.latency import Latency, latency_of
 from bench.record import RunRecord, read_run
 from bench.script import Rules, Script
 from bench.store import RULES, SCRIPT
-from bench.verdicts import DetectorRequirement, Judgement, decide_detector, truth_u_mm
+from bench.verdicts import DetectorRequirement, Judgement, decide_detector, held_back, truth_u_mm
 
 
-def judge_folders(folders: Sequence[Path], detectors: Sequence[str] = ()) -> tuple[Judgement, ...]:
+def judge_folders(folders: Sequence[Path], detectors: Sequence[str] = (), damage: tuple[str, ...] = ()) -> tuple[Judgement, ...]:
     """Each detector that all runs have (of those named, if any), judged by the first run's requirements.
 
-    Raises ConfigError where there is none, or where the runs were held against other limits.
+    ``damage`` is that of their records. Raises ConfigError where there is none, or where the runs were held against other limits.
     """
-    runs = [read_run(folder) for folder in folders]
+    runs = [read_run(folder, damage) for folder in folders]
     names = [name for name in runs[0].detectors if all(name in run.detectors for run in runs) and (not detectors or name in detectors)]
     if not names:
         there = "; ".join(f"{run.folder} has {', '.join(run.detectors)}" for run in runs)
@@ -41,14 +41,16 @@ def _judged(runs: Sequence[RunRecord], rules: Rules, detector: str) -> Judgement
     scores, timed = scored_together(runs, detector), timed_together(runs, detector)
     u_mm = truth_u_mm(runs, scores, detector)
     held = [rule for rule in rules.requirements if isinstance(rule, DetectorRequirement)]
-    return Judgement(detector, tuple(decide_detector(rule, scores, timed, u_mm) for rule in held))
+    return Judgement(detector, held_back((decide_detector(rule, scores, timed, u_mm) for rule in held), first.run.damage))
 
 
 def timed_together(runs: Sequence[RunRecord], detector: str) -> Latency:
     """The times of one detector over several runs, each with its pose."""
     times = [(poses_of(run), latency_of(run, detector)) for run in runs]
     seconds = tuple(second for _, one in times for second in one.seconds)
-    return Latency(seconds, poses=tuple((poses, pose) for poses, one in times for pose in one.poses))
+    cpu_s = tuple(value for _, one in times for value in one.cpu_s)
+    loads = tuple(value for _, one in times for value in one.loads)
+    return Latency(seconds, poses=tuple((poses, pose) for poses, one in times for pose in one.poses), cpu_s=cpu_s, loads=loads)
 
 
 def told(judgement: Judgement) -> Iterator[str]:

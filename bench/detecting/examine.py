@@ -19,7 +19,7 @@ from bench.detecting.answer_checks import LONGEST_REASON, checked, one_line
 from bench.scoring.scene import SceneScore, score_scene
 from detector.calibration import Calibration
 from detector.protocol import Detection, DetectionFailure, Detector, Frames, Outcome, Served
-from instruments.clock import stopwatch_s
+from instruments.clock import load_per_processor, processor_s, stopwatch_s
 
 TIMEOUT_S = 30.0  # a slower answer counts as none; a rig says its own (limits.detection_timeout_s)
 
@@ -29,7 +29,8 @@ class Answer:
     """What a detector said of one frame set, and how long it took (real seconds).
 
     cold: the detector's first call since it was made, or since its process was started; no latency is taken from it. start_up_s: what a
-    process took to start before this call, not part of ``seconds``. stderr: what it wrote to its standard error.
+    process took to start before this call, not part of ``seconds``. stderr: what it wrote to its standard error. cpu_s: seconds of
+    processors that the bench's process used meanwhile, None where the detector isn't in it; load: of the machine, a processor.
     """
 
     detector: str
@@ -39,6 +40,8 @@ class Answer:
     cold: bool = False
     start_up_s: float | None = None
     stderr: str = ""
+    cpu_s: float | None = None
+    load: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,16 +72,16 @@ def examine(detector: Detector, frames: Frames, calibration: Calibration, *, fir
     """Detect, timed. Whatever the detector does but answer well becomes an answer without teats that gives it as the reason."""
     served = detector if isinstance(detector, Served) else None
     shown = _Shown(frames)
-    seconds, outcome = 0.0, Outcome.ANSWERED
+    seconds, used_s, outcome = 0.0, 0.0, Outcome.ANSWERED
     try:
         if served:
             served.prepare(shown, calibration)
-        start_s = stopwatch_s()
+        start_s, used_before_s = stopwatch_s(), processor_s()
         try:
             with redirect_stdout(sys.stderr):  # the bench's own output may be read by a program
                 given = detector.detect(shown, calibration)
         finally:
-            seconds = stopwatch_s() - start_s
+            seconds, used_s = stopwatch_s() - start_s, processor_s() - used_before_s
         if seconds > timeout_s:
             raise DetectionFailure(f"it answered after {timeout_s:g} s, which counts as no answer", Outcome.TIMEOUT)
         detection = checked(given)
@@ -91,7 +94,8 @@ def examine(detector: Detector, frames: Frames, calibration: Calibration, *, fir
     except BaseException as error:  # anyone's code: it may fail in any way, and not every library's errors are Exceptions
         outcome, detection = Outcome.FAILED, _nothing(_named(error))
     start_up_s, stderr = (served.start_up_s, served.said()) if served else (None, "")
-    return Answer(detector.name, detection, seconds, outcome, first or start_up_s is not None, start_up_s, stderr)
+    cpu_s, load = None if served else used_s, load_per_processor()
+    return Answer(detector.name, detection, seconds, outcome, first or start_up_s is not None, start_up_s, stderr, cpu_s, load)
 
 
 def close_detectors(detectors: Iterable[Detector]) -> None:

@@ -54,5 +54,5 @@ def _notes(run: RunRecord) -> Iterator[str]:
         times = latency_of(run, detector)
         cold = ", ".join(f"{1e3 * seconds:.0f}" for seconds in times.cold_s) or "not measured"
         start = f", start-up {1e3 * times.start_up_s:.0f} ms at most" if times.start_up_s is not None else ""
-        yield f"{detector}: first call {cold} ms{start}."
+        yield f"{detector}: first call {cold} ms{start}. {times.starved}".strip()
     yield f"Errors are of found teats only. {LATENCY_RULE}"

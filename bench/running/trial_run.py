@@ -80,6 +80,7 @@ class TrialRun:
 
     def run(self, trial: PlannedTrial) -> None:
         """From settling to the trial's rows. Raises what an instrument, an interlock or the operator raises; nothing is stored then."""
+        self._store.refuse_gone()
         started_s = self._devices.clock.now()
         trial_id = trial.id
         there = shown(trial, self._axes)

@@ -7,7 +7,7 @@ all is as it was written.
 """
 
 from bench.store.files import Picture, png_bytes, write_synced
-from bench.store.folder import FinishedTrial, Store, new_run_folder
+from bench.store.folder import FinishedTrial, FolderGoneError, Store, new_run_folder
 from bench.store.schema import DATABASE, GUARDIAN, RULES, SCHEMA_VERSION, SCRIPT
 from bench.store.transactions import Row
 
@@ -18,6 +18,7 @@ __all__ = [
     "SCHEMA_VERSION",
     "SCRIPT",
     "FinishedTrial",
+    "FolderGoneError",
     "Picture",
     "Row",
     "Store",

@@ -7,20 +7,25 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from bench.config import ConfigError
 from bench.store.chain import Head, fact_fingerprint, fingerprint, linked
 from bench.store.files import sha256_of
 from bench.store.reading import as_written, known_version
 from bench.store.schema import DATABASE, LATER_WORD, tables_of
+from instruments.errors import InstrumentError
 
+NOT_AS_WRITTEN = "The record is NOT as it was written"
 PRINTED = Path("report") / "run.json"
 COUNTED = ("trials", "frames", "events", "bath")
 CHAINED_SINCE = 3  # schema; what was written before has no chain
+SHOWN = 5  # damages of a run, in one message
 
 
 class Weight(StrEnum):
@@ -55,26 +60,69 @@ class Checked:
 def check_run(folder: Path, digest: str | None = None) -> Checked:
     """Look at everything; ``digest`` is one that a report names, of either kind. Raises ConfigError where it is no run."""
     with as_written(folder) as db:
+        db.execute("BEGIN")  # all of one moment: the run may be under way
         version = known_version(db, folder)
         findings: list[Finding] = []
-        head, counts = Head(), dict.fromkeys(COUNTED, 0)
+        links: list[tuple[Any, ...]] = []
+        counts = dict.fromkeys(COUNTED, 0)
         try:
-            findings += [*_database(db), *_frames(db, folder)]
-            head = _provenance(db, folder, version, digest, findings)
+            for part in (  # what was found before something fails is kept
+                _database(db), _frames(db, folder), _provenance(db, folder, version, digest, links),
+            ):  # fmt: skip
+                for finding in part:
+                    findings.append(finding)
             counts |= {name: int(db.execute(f"SELECT count(*) FROM {name}").fetchone()[0]) for name in COUNTED}  # noqa: S608 - our names
-        except sqlite3.DatabaseError as error:
+        except (sqlite3.Error, ValueError, TypeError, RecursionError) as error:
             findings.append(_damage(f"{DATABASE} can't be read to its end: {error}"))
+    head = Head(links[-1][0], links[-1][2], links[-1][4]) if links else Head()
     return Checked({**counts, "links": head.number}, tuple(findings), head)
 
 
-def _provenance(db: sqlite3.Connection, folder: Path, version: int, digest: str | None, findings: list[Finding]) -> Head:
-    """What the chain and the copied files say, into ``findings``; gives back the chain's last link."""
+@contextmanager
+def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[tuple[str, ...]]:
+    """Checks these runs, then gives what is damaged, in sentences, to what is done with them.
+
+    Raises ConfigError where something is and ``despite_damage`` isn't set; where it is, for what fails since the record is damaged.
+    """
+    checked = {folder: check_run(folder) for folder in dict.fromkeys(folders)}
+    damage = tuple(
+        f"{folder.resolve().name}: {finding.text}"
+        for folder, one in checked.items()
+        for finding in one.findings
+        if finding.weight is Weight.DAMAGE
+    )
+    if damage and not despite_damage:
+        hint = "'teatbench store check RUN' lists all of it; --despite-damage goes on all the same, and says so in what it writes."
+        raise ConfigError.plain(f"{NOT_AS_WRITTEN}, and is refused. {shortened(damage)}\n{hint}")
+    try:
+        yield damage
+    except (ConfigError, InstrumentError, OSError):
+        raise
+    except Exception as error:  # whatever a damaged record makes of the code that reads it
+        if all(one.whole and one.head.number for one in checked.values()):
+            raise
+        why = shortened(damage) if damage else "It has no chain, so that nothing tells whether it is as it was written."
+        told = f"this can't be made of a record that is damaged so ({type(error).__name__}: {error})"
+        raise ConfigError.plain(f"{told}. {why}") from error
+
+
+def shortened(damage: Sequence[str]) -> str:
+    """The first few."""
+    return "; ".join(damage[:SHOWN]) + (f"; and {len(damage) - SHOWN} more" if len(damage) > SHOWN else "") + "."
+
+
+def _provenance(db: sqlite3.Connection, folder: Path, version: int, digest: str | None, links: list[tuple[Any, ...]]) -> Iterator[Finding]:
+    """What the chain and the copied files say; ``links`` gets the chain's."""
     if version < CHAINED_SINCE:
-        findings.append(_note(f"the run is of an older bench (schema {version}): it has no chain, so that later edits can't be told"))
-        return Head()
-    links = list(db.execute("SELECT number, covers, digest, wall_covers, wall_digest FROM chain ORDER BY number"))
-    findings += [*_chain(db, links), *_files(db, folder), *_printed(folder, links, digest)]
-    return Head(links[-1][0], links[-1][2], links[-1][4]) if links else Head()
+        if "chain" in tables_of(db):
+            yield _damage(f"{DATABASE} says that it has schema {version}, which has no chain, and it has one")
+        else:
+            yield _note(f"the run is of an older bench (schema {version}): it has no chain, so that later edits can't be told")
+        return
+    links += db.execute("SELECT number, covers, digest, wall_covers, wall_digest FROM chain ORDER BY number")
+    yield from _chain(db, links)
+    yield from _files(db, folder)
+    yield from _printed(folder, links, digest)
 
 
 def _database(db: sqlite3.Connection) -> Iterator[Finding]:
@@ -105,11 +153,14 @@ def _files(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
         yield from _file(folder, name, sha256)
 
 
-def _file(folder: Path, name: str, sha256: str) -> Iterator[Finding]:
+def _file(folder: Path, name: Any, sha256: Any) -> Iterator[Finding]:
+    if not isinstance(name, str):
+        yield _damage(f"a file of the record has no name, but {name!r} in its place")
+        return
     try:
         found = sha256_of(folder / name)
-    except OSError as error:
-        yield _damage(f"{name} can't be read: {error.strerror or error}")
+    except (OSError, ValueError) as error:  # a name may hold what no file's name can
+        yield _damage(f"{name} can't be read: {getattr(error, 'strerror', None) or error}")
         return
     if found != sha256:
         yield _damage(f"{name} is not as it was written: its SHA-256 is {found}, the record says {sha256}")
@@ -128,7 +179,7 @@ def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[Fin
             plain.pop(LATER_WORD, None)
             facts |= whole.pop(LATER_WORD, {})
             yield from _rows(db, number, plain, whole, ends)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
             yield _damage(f"link {number} of the chain can't be read: {error!r}")
     yield from _facts(db, facts)
     for table, end in ends.items():
@@ -149,7 +200,7 @@ def _rows(db: sqlite3.Connection, number: int, covers: dict[str, Any], wall: dic
 
 def _facts(db: sqlite3.Connection, said: Mapping[str, str]) -> Iterator[Finding]:
     there = {row[0] for row in db.execute("SELECT key FROM facts")}
-    for key in sorted(there - said.keys()):
+    for key in sorted(there - said.keys(), key=repr):
         yield _damage(f"fact {key!r} is in no link of the chain: it was added later")
     for key, whole in said.items():
         if key not in there:
@@ -163,16 +214,19 @@ def _printed(folder: Path, links: list[tuple[Any, ...]], digest: str | None) -> 
     known = {value: row[0] for row in links for value in (row[2], row[4])}
     if digest is not None and digest.lower() not in known:
         yield _damage(f"the chain doesn't pass through {digest}: the record was cut off or made anew since that was printed")
-    path = folder / PRINTED
-    if not path.is_file():
-        return
     try:
-        printed = json.loads(path.read_text(encoding="utf-8")).get("chain")
-    except ValueError as error:
-        yield _damage(f"{PRINTED.as_posix()} can't be read: {error}")
-        return
-    if printed and known.get(printed["wall_digest"]) != printed["links"]:
-        yield _damage(f"the chain doesn't pass through the digest of {PRINTED.as_posix()}: the record was cut off or made anew since")
+        printed = printed_chain(folder)
+        if printed and known.get(printed["wall_digest"]) != printed["links"]:
+            why = "the record was cut off or made anew since"
+            yield _damage(f"the chain doesn't pass through the digest of {PRINTED.as_posix()}: {why}")
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        yield _damage(f"{PRINTED.as_posix()} can't be read: {error!r}. Without the folder report, 'teatbench report' makes it anew")
+
+
+def printed_chain(folder: Path) -> Any:
+    """The chain's last link as the run's last report names it; None where there is none."""
+    path = folder / PRINTED
+    return json.loads(path.read_text(encoding="utf-8")).get("chain") if path.is_file() else None
 
 
 def _whose(db: sqlite3.Connection, table: str, rowid: int) -> str:

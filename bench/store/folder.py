@@ -48,6 +48,10 @@ class FinishedTrial:
     scores: Sequence[Row]
 
 
+class FolderGoneError(OSError):
+    """The run's folder, or its database, was deleted, moved or replaced while the run goes on."""
+
+
 class Store:
     """An open run folder. Opening one that is there begins a further session, and clears away frames of trials that never finished.
 
@@ -64,6 +68,7 @@ class Store:
         self._db = sqlite3.connect(folder / DATABASE, isolation_level=None, check_same_thread=False)
         try:
             _refuse_other(self._db, folder)
+            self._place = _place(folder)
             self._transactions = Transactions(self._db)
             self.session = self._begun() if session is None else session
         except BaseException:
@@ -140,6 +145,16 @@ class Store:
             if self._transactions.waiting:
                 self._write([])
 
+    def refuse_gone(self) -> None:
+        """Raise FolderGoneError where the folder or its database isn't the one that was opened: SQLite would go on writing unseen."""
+        try:
+            gone = _place(self.folder) != self._place
+        except OSError:
+            gone = True
+        if gone:
+            then = "what was recorded since the last finished trial may be lost. Put the folder back, then: teatbench resume"
+            raise FolderGoneError(f"the run's folder {self.folder} was deleted, moved or replaced: {then} {self.folder}")
+
     def finished(self, done: FinishedTrial) -> None:
         """Write a whole trial in one transaction, durable on return."""
         head = {**done.trial, "session": self.session}
@@ -160,7 +175,11 @@ class Store:
         return self.frames(trial, {camera: image}, {camera: exposed_s})[0]
 
     def frames(self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]) -> list[Row]:
-        """Write pictures as PNG by camera, all synced and renamed on return; gives back their rows for the trial."""
+        """Write pictures as PNG by camera, all synced and renamed on return; gives back their rows for the trial.
+
+        Raises FolderGoneError before it would make the folder anew.
+        """
+        self.refuse_gone()
         paths = {camera: self.folder / "frames" / trial / f"{camera}.png" for camera in images}
         digests = write_pictures({paths[camera]: image for camera, image in images.items()})
         now = self._now()
@@ -220,6 +239,11 @@ def new_run_folder(out: Path, name: str, wall_time: datetime) -> Path:
         number += 1
         folder = out / f"{stem}-{number}"
     return folder
+
+
+def _place(folder: Path) -> tuple[tuple[int, int], ...]:
+    """What the system knows the folder and its database by (inodes; file indices on Windows)."""
+    return tuple((found.st_dev, found.st_ino) for found in (folder.stat(), (folder / DATABASE).stat()))
 
 
 def _told(moment: datetime) -> str:

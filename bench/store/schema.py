@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sqlite3
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 DATABASE, SCRIPT, RULES = "run.sqlite", "script.toml", "rules.toml"
 GUARDIAN = "guardian.json"  # written by the guardian, when it had to act
 
@@ -44,7 +44,7 @@ CREATE TABLE checks (number INTEGER NOT NULL, teat TEXT NOT NULL, after_trial TE
   PRIMARY KEY (number, teat));
 CREATE TABLE detections (trial TEXT NOT NULL REFERENCES trials, detector TEXT NOT NULL, hidden INTEGER NOT NULL, reason TEXT,
   outcome TEXT NOT NULL DEFAULT 'answered', cold INTEGER NOT NULL DEFAULT 0, trace TEXT NOT NULL,
-  wall_seconds REAL NOT NULL, wall_start_up_s REAL, wall_stderr TEXT, PRIMARY KEY (trial, detector));
+  wall_seconds REAL NOT NULL, wall_start_up_s REAL, wall_stderr TEXT, wall_cpu_s REAL, wall_load REAL, PRIMARY KEY (trial, detector));
 CREATE TABLE found (trial TEXT NOT NULL, detector TEXT NOT NULL, number INTEGER NOT NULL, x_mm REAL NOT NULL, y_mm REAL NOT NULL,
   z_mm REAL NOT NULL, covariance_mm2 TEXT, left_px TEXT, right_px TEXT, PRIMARY KEY (trial, detector, number),
   FOREIGN KEY (trial, detector) REFERENCES detections);
@@ -93,7 +93,12 @@ CREATE TABLE chain (number INTEGER PRIMARY KEY, covers TEXT NOT NULL, digest TEX
   wall_digest TEXT NOT NULL);
 """
 
-STEPS = {2: TO_2, 3: TO_3}  # the version that a step leads to
+TO_4 = """
+ALTER TABLE detections ADD COLUMN wall_cpu_s REAL;
+ALTER TABLE detections ADD COLUMN wall_load REAL;
+"""
+
+STEPS = {2: TO_2, 3: TO_3, 4: TO_4}  # the version that a step leads to
 
 
 def version_of(db: sqlite3.Connection) -> int:

@@ -13,9 +13,9 @@ from reports.figures import change_scatter
 from reports.page import Figure, KeyValues, Paragraph, Part, Section, Table
 
 
-def baseline_section(baseline: Path, folder: Path) -> Section:
+def baseline_section(baseline: Path, folder: Path, damage: tuple[str, ...] = ()) -> Section:
     """The run in ``folder`` (new) against that in ``baseline`` (old). Raises ConfigError where they have nothing in common."""
-    found = compare_folders([baseline, folder])
+    found = compare_folders([baseline, folder], damage=damage)
     parts = tuple(part for number, one in enumerate(found, 1) for part in (*_figure(one, number), *comparison_parts(one)))
     return Section("baseline", "Against the baseline", parts)
 

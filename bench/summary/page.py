@@ -17,6 +17,7 @@ from bench.scoring.limits import acceptance_limit_mm
 from bench.scoring.rates import zero_failure_n
 from bench.script import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement
 from bench.store import RULES, SCRIPT
+from bench.store.check import NOT_AS_WRITTEN, shortened
 from bench.summary import tables
 from bench.summary.accuracy import accuracy_tables
 from bench.summary.anchors import id_of
@@ -53,9 +54,9 @@ class Extras:
 PLAIN = Extras()
 
 
-def write_run_report(folder: Path, extras: Extras = PLAIN) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
+def write_run_report(folder: Path, extras: Extras = PLAIN, damage: tuple[str, ...] = ()) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
     """(Re)write the report and the exports of the run in ``folder``; gives back the page's path. Raises ConfigError for no run."""
-    run = read_run(folder)
+    run = read_run(folder, damage)
     rules = stored_rules(folder)
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
     calibration = read_calibration(folder / "calibration.toml")
@@ -124,6 +125,7 @@ def build_page(
         sections=sections,
         trials=trial_parts(run, calibration, folder),
         worst=worst_trials(run),
+        alarm=f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}" if run.damage else "",
         footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),
     )
 
@@ -226,6 +228,8 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         yield Figure(
             latency_strip(seconds, limits, name=f"latency-{id_of(detector)}"), f"Detection time, {detector}", f"{len(seconds)} detections"
         )
+        if times.starved:
+            yield Paragraph(f"{detector}: {times.starved}", tone="warn")
         told = [times.median_s, times.p95_s, times.p99_s, max(seconds, default=None), max(times.cold_s, default=None), times.start_up_s]
         over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]
         rows.append((detector, str(len(seconds)), *(number(value, digits=3) for value in told), *over, failures_told(times)))

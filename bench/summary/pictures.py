@@ -86,10 +86,11 @@ def round_teats(points: Points | None, width: int, height: int) -> tuple[int, in
 
 
 def grey(path: Path) -> NDArray[np.uint8] | None:
-    """A frame as 8-bit grey; None where it is gone. Read through memory: OpenCV opens only ASCII paths on Windows."""
+    """A frame as 8-bit grey; None where it is gone, or is none. Read through memory: OpenCV opens only ASCII paths on Windows."""
     if not path.is_file():
         return None
-    image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    data = np.frombuffer(path.read_bytes(), np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
     return None if image is None else np.asarray(image, dtype=np.uint8)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from bench.record import RunRecord
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import percent_apart
+from bench.store.check import NOT_AS_WRITTEN, shortened
 from bench.verdicts import Judgement, run_verdict
 from reports.parts import Verdict as PageVerdict
 
@@ -52,6 +53,9 @@ def _digits(decision: Decision) -> int:
 
 def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdict, str, str]:
     """The verdict on the run, why, and what to do next."""
+    if run.damage:
+        why = f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {shortened(run.damage)}"
+        return "no verdict", why, "Put back the run's folder from a copy; 'teatbench store check' lists all that is damaged."
     if run.ending != "finished":
         return "aborted", _why_ended(run), _after_ending(run)
     if not judgements and run.skipped:

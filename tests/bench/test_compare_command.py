@@ -25,6 +25,7 @@ from bench.scoring.decisions import Verdict
 from detector import registry
 from detector.calibration import Calibration
 from detector.protocol import Detection, Detector, Frames
+from tests.bench.small_run import written_anew
 
 SCENES = 3
 
@@ -121,11 +122,7 @@ def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, 
 
 
 def test_trials_without_a_counterpart_leave_the_gate_open(baseline: Path, tmp_path: Path) -> None:
-    fewer = tmp_path / "fewer"
-    shutil.copytree(baseline, fewer)
-    with closing(sqlite3.connect(fewer / "run.sqlite")) as db:
-        db.execute("DELETE FROM scores WHERE trial LIKE '001-%'")
-        db.commit()
+    fewer = changed(baseline, tmp_path / "fewer", "DELETE FROM scores WHERE trial LIKE '001-%'")
     (found,) = compare_folders([baseline, fewer])
     assert (found.only_old, found.only_new, len(found.pairs)) == (1, 0, SCENES - 1)
     assert found.compared.gate.verdict is Verdict.INCONCLUSIVE
@@ -133,35 +130,32 @@ def test_trials_without_a_counterpart_leave_the_gate_open(baseline: Path, tmp_pa
 
 
 def test_frames_that_differ_are_paired_by_name_and_told(baseline: Path, tmp_path: Path) -> None:
-    other = tmp_path / "other"
-    shutil.copytree(baseline, other)
-    with closing(sqlite3.connect(other / "run.sqlite")) as db:
-        db.execute("UPDATE frames SET sha256 = 'x' || sha256")
-        db.commit()
+    other = changed(baseline, tmp_path / "other", other_frames=True)
     (found,) = compare_folders([baseline, other])
     assert (len(found.pairs), found.same_frames) == (SCENES, 0)
 
 
-def changed(run: Path, to: Path, *statements: str) -> Path:
-    """A copy of a run with its record changed."""
+def changed(run: Path, to: Path, *statements: str, other_frames: bool = False) -> Path:
+    """A copy of a run whose record says something else, as a bench would have written it."""
     shutil.copytree(run, to)
+    for picture in to.rglob("frames/*/*.png") if other_frames else ():
+        picture.write_bytes(picture.read_bytes() + b"other")
     with closing(sqlite3.connect(to / "run.sqlite")) as db:
         for statement in statements:
             db.execute(statement)
         db.commit()
-    return to
+    return written_anew(to)
 
 
 def test_a_namesake_at_another_place_is_not_the_same_scene(baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    other = "UPDATE frames SET sha256 = 'x' || sha256"
-    near = changed(baseline, tmp_path / "near", other, "UPDATE truth SET x_mm = x_mm + 5")
+    near = changed(baseline, tmp_path / "near", "UPDATE truth SET x_mm = x_mm + 5", other_frames=True)
     assert len(compare_folders([baseline, near])[0].pairs) == SCENES
-    far = changed(baseline, tmp_path / "far", other, "UPDATE truth SET x_mm = x_mm + 25 WHERE trial LIKE '001-%'")
+    far = changed(baseline, tmp_path / "far", "UPDATE truth SET x_mm = x_mm + 25 WHERE trial LIKE '001-%'", other_frames=True)
     (found,) = compare_folders([baseline, far])
     assert (len(found.pairs), found.only_old, found.elsewhere) == (SCENES - 1, 1, 1)
     assert main(["compare", str(baseline), str(far), "--gate"]) == 4
     assert "1 trials of the old run have a namesake" in " ".join(capsys.readouterr().out.split())
-    nowhere = changed(baseline, tmp_path / "nowhere", other, "UPDATE truth SET x_mm = x_mm + 25")
+    nowhere = changed(baseline, tmp_path / "nowhere", "UPDATE truth SET x_mm = x_mm + 25", other_frames=True)
     assert main(["compare", str(baseline), str(nowhere)]) == 2
     assert f"{SCENES} have the same name, but their teats stood at other places" in capsys.readouterr().err
 

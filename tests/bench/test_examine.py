@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -240,3 +243,25 @@ def test_its_failures_are_what_they_are(calibration: Calibration, where: str, ou
     assert (answer.outcome, answer.detection.teats) == (outcome, ())
     assert answer.detection.reason == "the detector failed: no cheese"
     assert answer.stderr == "cheese is low"
+
+
+def test_what_the_processor_gave_is_measured_beside_the_time(calibration: Calibration) -> None:
+    def wait() -> Detection:
+        threading.Event().wait(0.5)
+        return Detection(())
+
+    def work() -> Detection:
+        end_s = time.thread_time() + 0.1
+        while time.thread_time() < end_s:
+            pass
+        return Detection(())
+
+    waited, worked = (examine(Scripted(does), FRAMES, calibration) for does in (wait, work))
+    assert waited.cpu_s is not None
+    assert waited.cpu_s < 0.25
+    assert waited.seconds >= 0.4
+    assert worked.cpu_s is not None
+    assert worked.cpu_s >= 0.09
+    row = detection_rows("t", waited)[0]
+    assert (row["wall_cpu_s"], row["wall_load"]) == (waited.cpu_s, waited.load)
+    assert (waited.load is not None) is hasattr(os, "getloadavg")

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import errno
 import json
+import shutil
 import sqlite3
+import sys
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -15,8 +18,10 @@ from bench.cli import main
 from bench.engine import Ending
 from bench.record import read_run
 from bench.running.event_lines import EventLines, WatchedProgress, event_lines
-from bench.store import Store
+from bench.store import DATABASE, FolderGoneError, Store
 from instruments.clock import stopwatch_s
+from instruments.operators.emulated import EmulatedOperator
+from instruments.operators.operator import Arrangement, Placed
 from tests.bench.killed_runs import Silent, only_run, resume, start
 from tests.bench.operated_runs import files
 
@@ -70,6 +75,82 @@ def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     whole = read_run(only_run(tmp_path, "runs"))
     assert [trial.id for trial in whole.trials][: len(kept)] == kept
     assert len(whole.trials) == 3
+
+
+def moved(run: Path) -> None:
+    run.rename(run.with_name("elsewhere"))
+
+
+def replaced(run: Path) -> None:
+    moved(run)
+    shutil.copytree(run.with_name("elsewhere"), run)
+
+
+def another_database(run: Path) -> None:
+    (run / DATABASE).rename(run / "old.sqlite")
+    shutil.copy(run / "old.sqlite", run / DATABASE)
+
+
+class Tampering(Silent):
+    """Somebody does ``what`` with the run's folder as its second trial begins, or while its pictures are taken."""
+
+    def __init__(self, what: Callable[[Path], object], folder: Path, at: str) -> None:
+        super().__init__()
+        self._what, self._folder, self._at, self._second = what, folder, at, False
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        self._second = self._second or done == 1
+        self._now("trial")
+
+    def state(self, text: str) -> None:
+        self._now(text)
+
+    def _now(self, text: str) -> None:
+        if self._second and text == self._at:
+            self._at = ""
+            self._what(only_run(self._folder, "runs"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows neither deletes nor moves what is open")
+@pytest.mark.parametrize("what", [shutil.rmtree, moved, replaced, another_database], ids=lambda what: what.__name__)
+@pytest.mark.parametrize(("at", "touched"), [("trial", 1), ("capturing", 2)])
+def test_a_folder_that_is_gone_is_noticed_in_the_trial_in_which_it_went(
+    what: Callable[[Path], object], at: str, touched: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not at the end: SQLite goes on writing into a file that has no name any more."""
+    files(tmp_path)
+    asked, set_up = [], EmulatedOperator.set_up
+
+    def counted(operator: EmulatedOperator, arrangement: Arrangement) -> Placed:
+        asked.append(arrangement)
+        return set_up(operator, arrangement)
+
+    monkeypatch.setattr(EmulatedOperator, "set_up", counted)
+    progress = Tampering(what, tmp_path, at)
+    with pytest.raises(FolderGoneError, match=r"was deleted, moved or replaced: .* teatbench resume"):
+        start(tmp_path, progress=progress)
+    assert len(asked) == touched, "nobody sets up a trial that can't be kept"
+    if what is shutil.rmtree:
+        assert not list((tmp_path / "runs").glob("*/frames")), "the folder isn't made anew"
+
+
+def test_a_folder_that_is_gone_is_told_by_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments, own = files(tmp_path), Store.frames
+
+    def gone(store: Store, *given: Any, **more: Any) -> Any:
+        store._place = ()  # as if it were another one
+        return own(store, *given, **more)
+
+    monkeypatch.setattr(Store, "frames", gone)
+    assert main(arguments) == 3
+    told = capsys.readouterr().err
+    assert "was deleted, moved or replaced" in told
+    assert "disk full" not in told
+    run = read_run(only_run(tmp_path, "runs"))
+    assert run.ending == "faulted"
+    assert any(event["kind"] == "safe" or "standby" in event["text"] for event in run.events)
 
 
 def test_a_folder_that_may_not_be_written_is_told_before_anything_is_opened(

@@ -16,12 +16,14 @@ import pytest
 from bench.cli import main
 from bench.record import read_run
 from bench.running.recorder import RECORDED
-from bench.store import DATABASE, Store
-from bench.store.check import PRINTED, Weight, check_run
+from bench.store import DATABASE, SCHEMA_VERSION, Store
+from bench.store.chain import Head
+from bench.store.check import CHAINED_SINCE, PRINTED, Weight, check_run
 from bench.store.schema import tables_of
 from instruments.clock import wall_time
 from tests.bench.test_store import facts, trial
 
+KEPT = Path(__file__).parent / "kept"
 CHECK = {"number": 1, "teat": "1", "after_trial": "002-x-1", "t_s": 2.5, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0} | {
     "carried_x_mm": 1.0, "carried_y_mm": 2.0, "carried_z_mm": 9.0, "off_mm": 6.0, "limit_mm": 1.0, "held": 0,
 }  # fmt: skip
@@ -118,6 +120,9 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
         "right.png is in no row of the record",
     ),
     "another script": (lambda run: (run / "script.toml").write_text("x = 2", encoding="utf-8"), "script.toml is not as it was written"),
+    "a file without a name": (sql("UPDATE files SET name = NULL WHERE rowid = 1"), "has no name, but None in its place"),
+    "a fact without a key": (sql("INSERT INTO facts VALUES (NULL, '1', NULL)"), "fact None is in no link"),
+    "a version that had no chain": (sql("PRAGMA user_version = 2"), "says that it has schema 2, which has no chain"),
     "a rotten database": (lambda run: flipped(run / DATABASE, 3 * 4096 + 5), r"run\.sqlite"),
 }
 
@@ -204,6 +209,34 @@ def test_the_digest_without_real_time_repeats_and_the_other_does_not(tmp_path: P
         store.close()
     assert heads[0].digest == heads[1].digest
     assert heads[0].wall_digest != heads[1].wall_digest
+
+
+@pytest.mark.parametrize(
+    ("kept", "digest", "wall_digest"),
+    [
+        (
+            "schema-3",
+            "b0619e145ecb5256acec6dd58d20aa6b61b65aa021903f3ce91b3158a8dc0cce",
+            "2d76e3e63a4c873944b916221595ba524812fc900ec08755190eebb6508d54eb",
+        ),
+        (
+            "schema-4",
+            "eab0c76624a32a3f3eba605452cbcbb13927cb1db587bb6677eb7761f23d1eeb",
+            "f449c54a3d36d0a7849a2e87a793d0eb64d89da9a13b5d3c2c8175a52d0a4a5b",
+        ),
+    ],
+)
+def test_runs_that_were_kept_still_check(kept: str, digest: str, wall_digest: str, tmp_path: Path) -> None:
+    """The chain's format: whoever changes it would call every record that was ever written an altered one."""
+    run = Path(shutil.copytree(KEPT / kept, tmp_path / kept))
+    checked = check_run(run)
+    assert checked.whole
+    assert checked.head == Head(28, digest, wall_digest)
+    assert checked.counts == {"trials": 2, "frames": 8, "events": 12, "bath": 24, "links": 28}
+
+
+def test_every_schema_that_has_a_chain_has_a_kept_run() -> None:
+    assert {path.name for path in KEPT.iterdir()} == {f"schema-{version}" for version in range(CHAINED_SINCE, SCHEMA_VERSION + 1)}
 
 
 def test_a_folder_that_is_no_run_is_wrong_use(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

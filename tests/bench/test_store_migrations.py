@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -25,6 +26,11 @@ def old_run(folder: Path, version: int, text: str) -> Path:
     with closing(sqlite3.connect(folder / DATABASE)) as db:
         db.executescript(f"{text} PRAGMA user_version = {version};")
     return folder
+
+
+def kept(folder: Path) -> Path:
+    """A run as the bench of schema 3 wrote it."""
+    return Path(shutil.copytree(Path(__file__).parent / "kept" / "schema-3", folder / "schema-3"))
 
 
 @pytest.fixture(params=OLD)
@@ -64,15 +70,14 @@ def test_what_version_2_knew_is_kept(tmp_path: Path) -> None:
     assert record.checks[0]["off_mm"] == 6.0
 
 
-def test_every_migration_ends_in_the_tables_of_today() -> None:
+def test_every_migration_ends_in_the_tables_of_today(tmp_path: Path) -> None:
     def columns(db: sqlite3.Connection) -> dict[str, set[str]]:
         return {name: {row[1] for row in db.execute(f"PRAGMA table_info({name})")} for name in tables_of(db)}
 
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as today:
         make_tables(today)
-        for version, text in OLD.items():
-            with closing(sqlite3.connect(":memory:", isolation_level=None)) as old:
-                old.executescript(f"{text} PRAGMA user_version = {version};")
+        for folder in (*(old_run(tmp_path / str(version), version, text) for version, text in OLD.items()), kept(tmp_path)):
+            with closing(sqlite3.connect(folder / DATABASE, isolation_level=None)) as old:
                 migrate(old)
                 assert columns(old) == columns(today)
                 assert old.execute("PRAGMA foreign_key_check").fetchall() == []
@@ -80,9 +85,23 @@ def test_every_migration_ends_in_the_tables_of_today() -> None:
 
 def test_an_old_run_is_checked_and_exported_but_not_gone_on_with(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert any("it has no chain" in finding.text for finding in check_run(run).findings)
-    assert main(["store", "export", str(run), "--format", "csv", "--out", str(tmp_path / "csv")]) == 0
+    export = ["store", "export", str(run), "--format", "csv", "--out", str(tmp_path / "csv")]
+    assert main(export) == 2, "its pictures aren't there"
+    assert main([*export, "--despite-damage"]) == 0
     assert "001-x-1" in (tmp_path / "csv" / "trials.csv").read_text(encoding="utf-8")
     with pytest.raises(ConfigError, match=r"of an older bench: it can be read and reported, but not gone on with"):
+        Store(run)
+    capsys.readouterr()
+
+
+def test_a_run_of_schema_3_is_whole_reported_and_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = kept(tmp_path)
+    assert [row["wall_cpu_s"] for trial in read_run(run).trials for row in trial.detections] == [None, None]
+    assert main(["store", "check", str(run)]) == 0
+    assert main(["report", str(run), "--no-pdf"]) == 4
+    assert main(["store", "export", str(run), "--format", "parquet", "--out", str(tmp_path / "parquet")]) == 0
+    assert main(["store", "check", str(run)]) == 0, "the report names the chain as it is"
+    with pytest.raises(ConfigError, match="of an older bench"):
         Store(run)
     capsys.readouterr()
 

@@ -10,10 +10,14 @@ import numpy as np
 import pytest
 
 from bench.config import read_config
+from bench.detecting.latency import latency_of
 from bench.record import Row, RunRecord, TrialRecord
 from bench.scoring.decisions import Decision, Verdict
-from bench.script import RECORDING_RULES, Rules
+from bench.script import RECORDING_RULES, Rules, SuccessRequirement, TimeRequirement
+from bench.summary.page import _latency_parts
+from bench.summary.wording import headline
 from bench.verdicts import judge, run_verdict
+from reports.page import Paragraph
 from tests.bench.test_dependence import ENDS, record, trial
 
 MET, NOT_MET, OPEN, NOTHING = Verdict.MET, Verdict.NOT_MET, Verdict.INCONCLUSIVE, Verdict.NOT_MEASURED
@@ -25,7 +29,7 @@ def decided(run: RunRecord) -> dict[str, Decision]:
     return {decision.name: decision for decision in judgement.decisions}
 
 
-def timed(one: TrialRecord, seconds: float, *, cold: bool = False) -> TrialRecord:
+def timed(one: TrialRecord, seconds: float, *, cold: bool = False, cpu_s: float | None = 0.2, load: float = 0.5) -> TrialRecord:
     row: Row = {
         "trial": one.id,
         "detector": "fused",
@@ -33,6 +37,8 @@ def timed(one: TrialRecord, seconds: float, *, cold: bool = False) -> TrialRecor
         "cold": int(cold),
         "wall_seconds": seconds,
         "wall_start_up_s": None,
+        "wall_cpu_s": cpu_s,
+        "wall_load": load,
     }
     return replace(one, detections=(row,))
 
@@ -120,3 +126,39 @@ def test_a_rate_of_times_counts_poses(tmp_path: Path) -> None:
     for repeats, verdict in ((3, OPEN), (1, MET)):
         (judgement,) = judge(record(tmp_path, off_by([1.0] * 59, repeats=repeats)), rules)
         assert {d.verdict for d in judgement.decisions if d.unit == "s"} == {verdict}
+
+
+@pytest.mark.parametrize(
+    ("cpu_s", "load", "why"),
+    [
+        (0.05, 0.5, "in 11.8 s of detection it had a processor for 2.9 s; it waited for one, or for something else"),
+        (None, 6.0, "half of the time 6.0 or more processes wanted each processor"),
+        (None, 1.4, ""),
+        (0.15, 6.0, ""),
+        (0.8, 0.5, ""),
+    ],
+)
+def test_a_machine_that_was_too_busy_is_told_where_times_count(tmp_path: Path, cpu_s: float | None, load: float, why: str) -> None:
+    """In the bench's process by what the processor gave; of another process by the machine's load."""
+    run = record(tmp_path, [timed(one, 0.2, cpu_s=cpu_s, load=load) for one in off_by([1.0] * 59)])
+    told = {rule.name for rule in RULES.requirements if "THE MACHINE WAS TOO BUSY" in decided(run)[rule.name].sentence}
+    of_time = {rule.name for rule in RULES.requirements if isinstance(rule, TimeRequirement | SuccessRequirement)}
+    assert told == (of_time if why else set())
+    assert all(why in decided(run)[name].sentence for name in of_time)
+    page = [part.text for part in _latency_parts(run, RULES) if isinstance(part, Paragraph)]
+    assert [why in text for text in page] == ([True] if why else [])
+
+
+def test_first_calls_and_short_times_say_nothing_of_the_machine(tmp_path: Path) -> None:
+    cold = [timed(one, 9.0, cold=True, cpu_s=0.1) for one in off_by([1.0])]
+    short = [timed(one, 0.01, cpu_s=0.0) for one in off_by([1.0] * 9)]
+    assert latency_of(record(tmp_path, [*cold, *short]), "fused").starved == ""
+
+
+def test_no_verdict_holds_on_a_damaged_record(tmp_path: Path) -> None:
+    run = replace(record(tmp_path, off_by([1.0] * 59)), damage=("run: a row is gone",))
+    assert {d.verdict for d in decided(run).values()} == {OPEN}
+    assert all(d.sentence.startswith("The record is NOT as it was written. ") for d in decided(run).values())
+    verdict, why, _ = headline(run, judge(run, RULES))
+    assert verdict == "no verdict"
+    assert "run: a row is gone" in why
