@@ -19,9 +19,10 @@ ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """A CI that starts in the background (`&`, `nohup`) ignores signals, and its children too: tests that send them need them heard."""
-    settings.register_profile("teatbench", deadline=None)  # how fast the machine is says nothing of the code
+    fixed = settings.default.derandomize and config.getoption("hypothesis_seed") is None  # hypothesis: the same examples in a CI
+    settings.register_profile("teatbench", deadline=None, derandomize=fixed)  # how fast the machine is says nothing of the code
     settings.load_profile("teatbench")
     os.environ.setdefault("TEATBENCH_BROWSER", "")  # 'teatbench report' prints a PDF where a browser is: only where that is what is tested
     for name, default in (("SIGINT", signal.default_int_handler), ("SIGHUP", signal.SIG_DFL)):
