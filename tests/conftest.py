@@ -17,6 +17,7 @@ from bench.script import TRIALS
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
+MOST_MIB = 1024.0
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -49,6 +50,16 @@ def no_leaked_threads() -> Iterator[None]:
     while (leaked := set(threading.enumerate()) - before) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not leaked, f"leaked threads: {[thread.name for thread in leaked]}"
+
+
+@pytest.fixture(autouse=True)
+def bounded_memory() -> Iterator[None]:
+    """A worker that has grown beyond `MOST_MIB` fails the test after which it was so: 1 GiB a worker runs on small machines."""
+    yield
+    status = Path("/proc/self/statm")
+    if status.exists():  # resident pages, on Linux only
+        mib = int(status.read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+        assert mib < MOST_MIB, f"this worker holds {mib:.0f} MiB"
 
 
 @pytest.fixture(scope="session")

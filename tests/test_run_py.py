@@ -121,7 +121,7 @@ def test_pip_gets_the_versions_that_uv_locked() -> None:
     exported = [re.match(r"([\w.-]+)==([\w.]+)", line) for line in lines if not line.startswith("#")]
     assert locked == {(found[1], found[2]) for found in exported if found}
     ours = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    wanted = [*ours["dependencies"], *sum(ours["optional-dependencies"].values(), [])]
+    wanted = [*ours["dependencies"], *(text for extra in ours["optional-dependencies"].values() for text in extra)]
     (metadata,) = (one["metadata"] for one in lock if one["name"] == "teatbench")
     told = {f"{one['name']}{one.get('specifier', '')}" for one in metadata["requires-dist"]}
     assert {text.lower() for text in wanted} == told, "pyproject.toml has changed: run `uv lock`"
