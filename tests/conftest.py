@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
+from functools import _lru_cache_wrapper
 from pathlib import Path
 
 import pytest
@@ -50,6 +52,17 @@ def no_leaked_threads() -> Iterator[None]:
     while (leaked := set(threading.enumerate()) - before) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not leaked, f"leaked threads: {[thread.name for thread in leaked]}"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def caches_end_with_their_module() -> Iterator[None]:
+    """What tests draw once and keep (`functools.cache`) is some 100 MB a renderer: a worker would hold that of every module."""
+    yield
+    for name, module in list(sys.modules.items()):
+        if name.startswith("tests."):
+            for thing in list(vars(module).values()):
+                if isinstance(thing, _lru_cache_wrapper):
+                    thing.cache_clear()
 
 
 @pytest.fixture(autouse=True)
