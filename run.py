@@ -2,9 +2,11 @@
 
     python3 run.py demo [arguments of "teatbench run"]
     python3 run.py test [arguments of pytest]
+    python3 run.py install    only installs what the tests need
 
-Standard library only, so that it starts with nothing but Python 3.11 and pip. A second call finds the
-installation by its stamp and starts at once. It works on Linux, macOS and Windows.
+Standard library only, so that it starts with nothing but Python 3.11 and pip. The versions are those of
+constraints.txt. A second call finds the installation by its stamp and starts at once. It works on Linux,
+macOS and Windows.
 """
 
 from __future__ import annotations
@@ -19,12 +21,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
+CONSTRAINTS = ROOT / "constraints.txt"
 NEEDED = (3, 11)
 DID_ITS_WORK = (0, 1, 4)  # met, not met, inconclusive: a verdict on the detector, not a fault of the bench
 
 HINT_NETWORK = """The package index can't be reached. Check the network, or the proxy (set HTTPS_PROXY, or call
-'pip config set global.proxy URL'). Without a network: on another machine with the same Python run 'pip download -d wheels .[test]
-hatchling', copy the folder here, and set PIP_NO_INDEX=1 and PIP_FIND_LINKS=wheels before calling run.py again."""
+'pip config set global.proxy URL'). Without a network: on another machine with the same Python run 'pip download -d wheels -c
+constraints.txt .[test] hatchling', copy the folder here, and set PIP_NO_INDEX=1 and PIP_FIND_LINKS=wheels before calling run.py again."""
 HINT_VENV = """Python can't make a virtual environment here. On Debian or Ubuntu: 'sudo apt install python3-venv'. Elsewhere install
 Python from python.org with pip included. If the folder can't be written, copy the project to a place of your own."""
 HINT_PIP = """pip could not install the packages; its last lines are above. Often an old pip, or a Python without ready-made packages, is
@@ -41,16 +44,16 @@ NETWORK_SIGNS = (
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run one of the two jobs; gives back the exit code."""
+    """Run one of the jobs; gives back the exit code."""
     if sys.version_info < NEEDED:
         needed = ".".join(str(part) for part in NEEDED)
         return complain(f"Python {needed} or newer is needed; this is {sys.version.split()[0]}.", "Call run.py with a newer python.")
-    if not arguments or arguments[0] not in ("demo", "test"):
+    if not arguments or arguments[0] not in ("demo", "test", "install"):
         print((__doc__ or "").strip())
         return 0 if arguments[:1] in (["-h"], ["--help"]) else 2
     job, rest = arguments[0], arguments[1:]
-    fault = install("test" if job == "test" else "")
-    if fault:
+    fault = install("" if job == "demo" else "test")
+    if fault or job == "install":
         return fault
     if job == "test":
         return call([str(python()), "-m", "pytest", "--numprocesses", "auto", "--dist", "loadfile", *rest], ROOT)
@@ -68,8 +71,9 @@ def install(extra: str) -> int:
     if fault:
         return fault
     what = f"{ROOT}[{extra}]" if extra else str(ROOT)
+    pip = [str(python()), "-m", "pip", "install", "--disable-pip-version-check", "--quiet"]
     done = subprocess.run(
-        [str(python()), "-m", "pip", "install", "--disable-pip-version-check", "--quiet", "--editable", what],
+        [*pip, "--constraint", str(CONSTRAINTS), "--editable", what],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -111,8 +115,8 @@ def works(arguments: Sequence[str]) -> bool:
 
 
 def fingerprint() -> str:
-    """Changes when the dependencies, the place or the Python change."""
-    text = (ROOT / "pyproject.toml").read_bytes() + str(ROOT).encode() + sys.version.encode()
+    """Changes when the dependencies, their versions, the place or the Python change."""
+    text = (ROOT / "pyproject.toml").read_bytes() + CONSTRAINTS.read_bytes() + str(ROOT).encode() + sys.version.encode()
     return hashlib.sha256(text).hexdigest()
 
 

@@ -195,7 +195,7 @@ def driver_openers(rig: LoadedRig, clock: Clock, urls: dict[str, str], capture: 
 
     pump = PumpAt(urls.get("pump", r.bath.pump_url), rig.relay, capture.tap("pump", clock)) if rig.relay else None
     openers: dict[str, Callable[[], Any]] = {
-        "arm": lambda: MicroScribe(link("arm", r.arm.baud), clock),
+        "arm": lambda: MicroScribe(link("arm", r.arm.baud), clock, answer_s=r.arm.answer_s),
         "bath": lambda: Bath(
             urls["bath"], rig.profile, clock, allow_inferred=r.bath.allow_inferred, tap=capture.tap("bath", clock), pump=pump
         ),

@@ -20,6 +20,7 @@ from instruments.world.phantom import PlatePose
 class Arm(Section):
     url: Annotated[str, AfterValidator(serial_url)]
     baud: Literal[9600, 14400, 19200, 28800, 38400, 57600, 115200] = 115200
+    answer_s: Annotated[float, Field(ge=0.05, le=60)] = 0.12
     accuracy_mm: Positive = 0.23
     packets: Annotated[int, Field(ge=2, le=1000)] = 8
     max_spread_mm: Positive = 1.0

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
+from functools import _lru_cache_wrapper
 from pathlib import Path
 
 import pytest
@@ -17,11 +19,13 @@ from bench.script import TRIALS
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
+MOST_MIB = 1024.0
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """A CI that starts in the background (`&`, `nohup`) ignores signals, and its children too: tests that send them need them heard."""
-    settings.register_profile("teatbench", deadline=None)  # how fast the machine is says nothing of the code
+    fixed = settings.default.derandomize and config.getoption("hypothesis_seed") is None  # hypothesis: the same examples in a CI
+    settings.register_profile("teatbench", deadline=None, derandomize=fixed)  # how fast the machine is says nothing of the code
     settings.load_profile("teatbench")
     os.environ.setdefault("TEATBENCH_BROWSER", "")  # 'teatbench report' prints a PDF where a browser is: only where that is what is tested
     for name, default in (("SIGINT", signal.default_int_handler), ("SIGHUP", signal.SIG_DFL)):
@@ -48,6 +52,27 @@ def no_leaked_threads() -> Iterator[None]:
     while (leaked := set(threading.enumerate()) - before) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not leaked, f"leaked threads: {[thread.name for thread in leaked]}"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def caches_end_with_their_module() -> Iterator[None]:
+    """What tests draw once and keep (`functools.cache`) is some 100 MB a renderer: a worker would hold that of every module."""
+    yield
+    for name, module in list(sys.modules.items()):
+        if name.startswith("tests."):
+            for thing in list(vars(module).values()):
+                if isinstance(thing, _lru_cache_wrapper):
+                    thing.cache_clear()
+
+
+@pytest.fixture(autouse=True)
+def bounded_memory() -> Iterator[None]:
+    """A worker that has grown beyond `MOST_MIB` fails the test after which it was so: 1 GiB a worker runs on small machines."""
+    yield
+    status = Path("/proc/self/statm")
+    if status.exists():  # resident pages, on Linux only
+        mib = int(status.read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+        assert mib < MOST_MIB, f"this worker holds {mib:.0f} MiB"
 
 
 @pytest.fixture(scope="session")

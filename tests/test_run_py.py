@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
+import shutil
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 from types import ModuleType
 
@@ -18,8 +21,8 @@ from tests.conftest import ROOT
 @pytest.fixture
 def run_py(tmp_path: Path) -> ModuleType:
     """The script as a module, in a copy of the project's folder that has no .venv."""
-    (tmp_path / "run.py").write_text((ROOT / "run.py").read_text(encoding="utf-8"), encoding="utf-8")
-    (tmp_path / "pyproject.toml").write_text((ROOT / "pyproject.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    for name in ("run.py", "pyproject.toml", "constraints.txt"):
+        shutil.copy(ROOT / name, tmp_path)
     spec = importlib.util.spec_from_file_location("run_py", tmp_path / "run.py")
     assert spec is not None
     assert spec.loader is not None
@@ -97,11 +100,28 @@ def test_a_second_call_installs_nothing(run_py: ModuleType, tmp_path: Path) -> N
 
 
 @pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
-def test_other_dependencies_are_installed_anew(run_py: ModuleType, tmp_path: Path) -> None:
+@pytest.mark.parametrize("changed", ["pyproject.toml", "constraints.txt"])
+def test_other_dependencies_are_installed_anew(run_py: ModuleType, tmp_path: Path, changed: str) -> None:
     log = tmp_path / "calls"
     fake_python(run_py, f'echo "$*" >> "{log}"')
-    run_py.main(["demo"])
+    run_py.main(["install"])
     log.unlink()
-    (tmp_path / "pyproject.toml").write_text("# other\n", encoding="utf-8")
-    run_py.main(["demo"])
-    assert "pip install" in log.read_text(encoding="utf-8")
+    (tmp_path / changed).write_text("# other\n", encoding="utf-8")
+    run_py.main(["install"])
+    said = log.read_text(encoding="utf-8")
+    assert f"--constraint {tmp_path / 'constraints.txt'} --editable {tmp_path}[test]" in said
+    assert "-m pytest" not in said
+
+
+def test_pip_gets_the_versions_that_uv_locked() -> None:
+    """`uv lock`, then the command at the top of constraints.txt, bring both up to date."""
+    lock = tomllib.loads((ROOT / "uv.lock").read_text(encoding="utf-8"))["package"]
+    locked = {(one["name"], one["version"]) for one in lock if "registry" in one["source"]}
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    exported = [re.match(r"([\w.-]+)==([\w.]+)", line) for line in lines if not line.startswith("#")]
+    assert locked == {(found[1], found[2]) for found in exported if found}
+    ours = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = [*ours["dependencies"], *(text for extra in ours["optional-dependencies"].values() for text in extra)]
+    (metadata,) = (one["metadata"] for one in lock if one["name"] == "teatbench")
+    told = {f"{one['name']}{one.get('specifier', '')}" for one in metadata["requires-dist"]}
+    assert {text.lower() for text in wanted} == told, "pyproject.toml has changed: run `uv lock`"

@@ -77,7 +77,7 @@ class ArmSession:
 
 
 @contextmanager
-def open_arm(port: str, baud: int, capture: Captures, *, length_mm: float | None = None) -> Iterator[ArmSession]:
+def open_arm(port: str, baud: int, answer_s: float, capture: Captures, *, length_mm: float | None = None) -> Iterator[ArmSession]:
     """The arm at ``port``, signed on; ``length_mm`` is that of an emulated arm's bar. Raises ConfigError and as the driver does."""
     try:
         serial_url(port)
@@ -87,7 +87,7 @@ def open_arm(port: str, baud: int, capture: Captures, *, length_mm: float | None
     trying = TryingArm(clock, length_mm=length_mm or 300.0) if port == EMULATED else None
     try:
         link = Link(trying.url if trying else port, clock, who="arm", baud=baud, tap=capture.tap("arm", clock))
-        arm = MicroScribe(link, clock)
+        arm = MicroScribe(link, clock, answer_s=answer_s)
         try:
             arm.sign_on()
             console = Console(sys.stdin, sys.stdout, clock, watch=lambda: pedal_watch(arm, clock))

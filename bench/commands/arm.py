@@ -62,6 +62,7 @@ def _add(
     parser = group.add(name, what, _abortable(command))
     parser.add_argument("--port", required=True, metavar="URL", help=PORT)
     parser.add_argument("--baud", type=int, choices=BAUDS, default=115200, metavar="RATE", help="of a serial port (default: 115200)")
+    parser.add_argument("--answer-s", type=_positive, default=0.12, metavar="S", help="how long an answer is waited for (default: 0.12)")
     if homed:
         parser.add_argument("--homed", action="store_true", help="the stylus was on its peg when the arm was last switched on: don't ask")
     return parser
@@ -93,7 +94,7 @@ def _read(given: argparse.Namespace) -> int:
     if not given.homed and not sys.stdin.isatty():
         raise ConfigError.plain(NO_TERMINAL)
     frame = load_frame(given.frame) if given.frame else None
-    with open_arm(given.port, given.baud, given.capture) as session:
+    with open_arm(given.port, given.baud, given.answer_s, given.capture) as session:
         serial_number = session.arm.identity.serial_number
         if frame:
             frame = load_frame(given.frame, serial_number=serial_number)
@@ -121,7 +122,7 @@ def _watch(given: argparse.Namespace) -> int:
     if not given.homed and not sys.stdin.isatty():
         raise ConfigError.plain(NO_TERMINAL)
     live = sys.stdout.isatty()
-    with open_arm(given.port, given.baud, given.capture) as session:
+    with open_arm(given.port, given.baud, given.answer_s, given.capture) as session:
         session.confirm_homing(homed=given.homed)
         try:
             for line in watch(session.arm, session.clock, given.seconds):
@@ -140,7 +141,7 @@ def _home(given: argparse.Namespace) -> int:
 
     if not given.on_peg and not sys.stdin.isatty():
         raise ConfigError.plain("homing with the stylus off its peg ruins every position. Put it there, and give --on-peg to say so.")
-    with open_arm(given.port, given.baud, given.capture) as session:
+    with open_arm(given.port, given.baud, given.answer_s, given.capture) as session:
         if not given.on_peg:
             session.console.ask(f"{PEG} and let go of it. Anywhere else, homing makes every position wrong.")
         session.arm.home()
@@ -154,7 +155,7 @@ def _frame(given: argparse.Namespace) -> int:
     from bench.arm.session import open_arm, refuse_existing
 
     refuse_existing(given.out, replace=given.replace)
-    with open_arm(given.port, given.baud, given.capture) as session:
+    with open_arm(given.port, given.baud, given.answer_s, given.capture) as session:
         session.confirm_homing(homed=given.homed)
         frame = session.frame([*given.check, *[None] * given.plane_checks])
     for name, residual in frame.residuals_mm.items():
@@ -183,7 +184,7 @@ def _verify(given: argparse.Namespace) -> int:
     if given.length_mm is None and limits.length_mm is not None:
         print("Without --length-mm no length is measured, and the arm can't be verified whole.")
     plan = Plan(given.distances, given.touches, given.length_mm, given.directions)
-    with open_arm(given.port, given.baud, given.capture, length_mm=given.length_mm) as session:
+    with open_arm(given.port, given.baud, given.answer_s, given.capture, length_mm=given.length_mm) as session:
         session.confirm_homing(homed=given.homed)
         found = session.verification(plan)
     write_file(given.out, verification_text(found, limits))

@@ -103,9 +103,10 @@ class EmulatedRig:
         return {name: listener.url.replace("socket://", scheme.get(name, "socket://")) for name, listener in self._listeners.items()}
 
     def close(self) -> None:
-        """Close all listeners."""
+        """Close all listeners, and the world behind them."""
         for listener in self._listeners.values():
             listener.close()
+        self.world.close()
 
     def __enter__(self) -> EmulatedRig:
         return self

@@ -32,11 +32,11 @@ _DOUBT = "the arm was in a session at another baud rate, and what was sent at th
 class Attachment:
     """One arm on one link. ``rates``: what sign-on tries, the first one for longest."""
 
-    def __init__(self, link: Link, clock: Clock, rates: Sequence[int] | None) -> None:
+    def __init__(self, link: Link, clock: Clock, rates: Sequence[int] | None, answer_s: float) -> None:
         self.who = link.who
         self.link = link
         self.rates = (link.baud, *_other_rates(link)) if rates is None else tuple(rates)
-        self.session = Session(link, clock)
+        self.session = Session(link, clock, answer_s)
         self.homing = Homing(link.who)
         self.arm_time = ArmTime()
         self.portrait: Portrait | None = None

@@ -27,12 +27,13 @@ _T = TypeVar("_T")
 
 
 class Conversation:
-    """One link and the state of the session on it, as far as this end knows."""
+    """One link and the state of the session on it, as far as this end knows; ``answer_s`` is how long an answer is waited for."""
 
-    def __init__(self, link: Link, clock: Clock) -> None:
+    def __init__(self, link: Link, clock: Clock, answer_s: float = ANSWER_S) -> None:
         self.who = link.who
         self.link = link
         self.clock = clock
+        self.answer_s = answer_s
         self.state = State.FINDING_BAUD
         self.untidy = False
 
@@ -44,7 +45,7 @@ class Conversation:
     def tidy(self) -> None:
         """Let late bytes of a damaged answer pass, so that none is taken for the next answer."""
         if self.untidy:
-            self.link.drain(SILENCE_S)
+            self.link.drain(SILENCE_S * self.answer_s / ANSWER_S)
             self.untidy = False
 
     def send(self, data: bytes, event: Event) -> None:
@@ -64,8 +65,8 @@ class Conversation:
         self.link.write(data)
         self.state = state
 
-    def ask(self, asked: bytes, decode: Callable[[bytes], _T], *, timeout_s: float = ANSWER_S, event: Event = Event.CONFIGURE) -> _T:
-        """Send a configuration command and decode its reply, which the sheet gives ``timeout_s``.
+    def ask(self, asked: bytes, decode: Callable[[bytes], _T], *, timeout_s: float = 0.0, event: Event = Event.CONFIGURE) -> _T:
+        """Send a configuration command and decode its reply, which has ``timeout_s``, and ``answer_s`` at least.
 
         Raises SilentArmError when nothing comes, ParameterLengthError for a block of an unknown length, ProtocolError for a
         damaged reply, NoSessionError, and LinkError when the link is broken.
@@ -73,7 +74,7 @@ class Conversation:
         self.tidy()
         start = self.clock.now()
         self.send(asked, event)
-        reply, surplus = self._reply(asked[0], start + timeout_s)
+        reply, surplus = self._reply(asked[0], start + max(timeout_s, self.answer_s))
         seconds = self.clock.now() - start
         self.untidy = bool(surplus)
         if not reply:

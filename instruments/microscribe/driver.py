@@ -19,6 +19,7 @@ from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.microscribe.attachment import Attachment
 from instruments.microscribe.configuration import Identity, Maxima, Parameters, angle_rad
+from instruments.microscribe.conversation import ANSWER_S
 from instruments.microscribe.kinematics import ArmGeometry
 from instruments.microscribe.latency import SYSFS, latency_warning
 from instruments.microscribe.pedals import DEBOUNCE_S, PedalEvent
@@ -42,21 +43,29 @@ class MicroScribe:
     """One arm on one link, which it owns. It has no motor: only a hand moves it.
 
     ``rates``: what sign-on tries, by default the link's own rate and then, on a serial port, all others. ``tip_longer_mm``:
-    how much longer than the standard tip the fitted one is. ``sysfs``: where Linux shows its adapters.
+    how much longer than the standard tip the fitted one is. ``answer_s``: how long an answer is waited for, three times, before the
+    arm is lost. ``sysfs``: where Linux shows its adapters.
     """
 
     moves: ClassVar[bool] = False
     safe_state: ClassVar[str] = "session ended; it has no motor"
 
     def __init__(
-        self, link: Link, clock: Clock, *, rates: Sequence[int] | None = None, tip_longer_mm: float = 0.0, sysfs: Path = SYSFS
+        self,
+        link: Link,
+        clock: Clock,
+        *,
+        rates: Sequence[int] | None = None,
+        tip_longer_mm: float = 0.0,
+        answer_s: float = ANSWER_S,
+        sysfs: Path = SYSFS,
     ) -> None:
         self.who = link.who
         self._link = link
         self._clock = clock
         self._tip_longer_mm = tip_longer_mm
         self._sysfs = sysfs
-        self._arm = Attachment(link, clock, rates)
+        self._arm = Attachment(link, clock, rates, answer_s)
         self._geometry: tuple[Portrait, ArmGeometry] | None = None
 
     # Who it is

@@ -27,8 +27,9 @@ _NOTHING = 0x00  # asks for a packet of buttons alone: how a stream is ended
 class Session:
     """The conversation on one link. ``live`` while it can be asked for packets."""
 
-    def __init__(self, link: Link, clock: Clock) -> None:
-        self._talk = Conversation(link, clock)
+    def __init__(self, link: Link, clock: Clock, answer_s: float = ANSWER_S) -> None:
+        self._talk = Conversation(link, clock, answer_s)
+        self.answer_s = answer_s
         self._clock = clock
         self._decoder = PacketDecoder(wire.POLL)
         self._decoder_of = wire.POLL
@@ -71,7 +72,7 @@ class Session:
             return
         try:
             self._talk.send(bytes([Code.END]), Event.END)
-            self._talk.link.read_until(bytes([Code.END]), ANSWER_S)  # silence is as good: an arm without power has no session
+            self._talk.link.read_until(bytes([Code.END]), self.answer_s)  # silence is as good: an arm without power has no session
             self._clock.sleep(signon.PAUSE_S)
         finally:
             self.lose()
@@ -90,7 +91,7 @@ class Session:
         self._tidy(command)
         talk.send(bytes([command]), Event.POLL)
         seen = b""
-        deadline = self._clock.now() + ANSWER_S
+        deadline = self._clock.now() + self.answer_s
         while data := talk.link.receive(max(0.0, deadline - self._clock.now())):
             seen += data
             if packets := self._decoder.feed(data):
@@ -123,7 +124,7 @@ class Session:
         self._tidy(request.command)
         talk.send(conf.encode_stream(request), Event.STREAM)
         echo = bytes([Code.STREAM])
-        seen = talk.link.read_until(echo, ANSWER_S)
+        seen = talk.link.read_until(echo, self.answer_s)
         if seen.endswith(echo):
             return None
         self.stop_stream()

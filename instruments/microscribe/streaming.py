@@ -12,7 +12,6 @@ from instruments.clock import Clock
 from instruments.errors import ProtocolError
 from instruments.microscribe.attachment import Attachment
 from instruments.microscribe.configuration import StreamRequest
-from instruments.microscribe.conversation import ANSWER_S
 from instruments.microscribe.protocol import POLL, Code, Packet
 from instruments.microscribe.refusals import NoSessionError, SilentArmError
 from instruments.microscribe.session import ATTEMPTS
@@ -29,7 +28,7 @@ class Streaming:
         self._clock = clock
         self._request = request
         self._sampler = sampler
-        self._patience_s = 2 * request.delay_ms / 1000 + ANSWER_S
+        self._patience_s = 2 * request.delay_ms / 1000 + arm.session.answer_s
 
     def start(self) -> None:
         """Raises ProtocolError or SilentArmError when the arm doesn't stream, LinkError when the link is broken."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import cv2
@@ -93,8 +93,8 @@ class ThermalReadout:
         self.sensor = sensor
         rows, columns = sensor.row_k * rng.standard_normal((shape[0], 1)), sensor.column_k * rng.standard_normal((1, shape[1]))
         self._pattern_k: Floats = sensor.fixed_k * rng.standard_normal(shape) + rows + columns
-        self._seed = int(rng.integers(2**63))
-        self._astray = lru_cache(maxsize=2)(self._drawn_astray)
+        seed_of_drift = int(rng.integers(2**63))
+        self._astray = lru_cache(maxsize=2)(partial(_drawn_astray, sensor, seed_of_drift))  # no reference to self: no cycle
 
     def gathered(self, radiance: Floats) -> Floats:
         """Radiance on the fine grid (oversample x) through lens and pixels: (height, width)."""
@@ -139,12 +139,12 @@ class ThermalReadout:
         event = int(max(time_s, 0.0) // self.sensor.drift.every_s)
         return max(time_s, 0.0) - event * self.sensor.drift.every_s, event
 
-    def _drawn_astray(self, event: int) -> Floats:
-        """Drift after an event, K a minute, (height, width)."""
-        rng = np.random.Generator(np.random.SFC64([self._seed, event]))
-        drift = self.sensor.drift
-        pattern = drift.pattern_k_per_min * rng.standard_normal((self.sensor.height_px, self.sensor.width_px))
-        return np.asarray(pattern + drift.level_k_per_min * rng.standard_normal())
+
+def _drawn_astray(sensor: ThermalSensor, seed: int, event: int) -> Floats:
+    """Drift after an event, K a minute, (height, width)."""
+    rng = np.random.Generator(np.random.SFC64([seed, event]))
+    pattern = sensor.drift.pattern_k_per_min * rng.standard_normal((sensor.height_px, sensor.width_px))
+    return np.asarray(pattern + sensor.drift.level_k_per_min * rng.standard_normal())
 
 
 def celsius(centikelvin: NDArray[np.uint16]) -> Floats:

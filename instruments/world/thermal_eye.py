@@ -6,7 +6,7 @@ What moves trails behind itself, for a pixel's temperature follows the scene's w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ class ThermalCamera:
         self.view = View(camera.resized(sensor.width_px * sensor.oversample, sensor.height_px * sensor.oversample))
         self.readout = ThermalReadout(sensor, seed)
         self._layers = KeptLayers()
-        self._warmer = lru_cache(maxsize=3)(self._drawn_warmer)
+        self._warmer = lru_cache(maxsize=3)(partial(_drawn_warmer, self.view.camera))  # no reference to self: no cycle
 
     def expected_k(self, state: SceneState) -> Floats:
         """Apparent temperature of each sensor pixel before noise, kelvin, un-mirrored, (height, width)."""
@@ -66,9 +66,6 @@ class ThermalCamera:
         lay_over(radiance, seen, [room + layer.value * (black - room) for layer, black in zip(seen, own, strict=True)])
         return radiance
 
-    def _drawn_warmer(self, backdrop: Backdrop) -> Floats:
-        return warmer(backdrop, self.view.camera).astype(np.float64)
-
     def _things(self, things: Sequence[SceneObject]) -> list[Layer]:
         stage = Stage.of_things(things)
         seen = self.view.surfaces(stage)
@@ -82,6 +79,10 @@ class ThermalCamera:
         facing = np.abs(board.normal @ away) / np.sqrt(dot(away, away))
         value = directional_emissivity(np.full(len(facing), board.emissivity), facing)
         return Layer(seen.cover.row, seen.cover.column, seen.cover.share, seen.depth_mm, value, seen.dark)
+
+
+def _drawn_warmer(camera: CameraModel, backdrop: Backdrop) -> Floats:
+    return warmer(backdrop, camera).astype(np.float64)
 
 
 def _own(state: SceneState, number: int, thing: SceneObject, layer: Layer) -> Floats:

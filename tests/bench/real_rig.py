@@ -72,6 +72,7 @@ url = "console:"
 url = "{arm}"
 touches = 1
 packets = 2
+answer_s = 60.0
 {check_part}
 
 [bath]

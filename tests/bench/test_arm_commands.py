@@ -30,6 +30,9 @@ from tests.conftest import ROOT
 HOMING = "Was the stylus on its peg"
 
 
+PATIENT = ["--answer-s", "60"]  # the emulated arm of a test waits for a processor, never for the arm
+
+
 @contextmanager
 def arm_in_hand(accuracy_mm: float = 0.23) -> Iterator[TryingArm]:
     """An emulated arm of this process in real time; the test is the hand."""
@@ -113,7 +116,10 @@ def test_what_is_not_understood_is_asked_again(tmp_path: Path) -> None:
 def test_a_pedal_is_as_good_as_enter(tmp_path: Path) -> None:
     """Both hands are on the arm: nothing is typed but the answer on homing, which asks for Enter alone."""
     out = tmp_path / "frame.toml"
-    with arm_in_hand() as trying, at_terminal(["arm", "frame", "--port", trying.url, "--out", str(out), "--plane-checks", "0"]) as terminal:
+    with (
+        arm_in_hand() as trying,
+        at_terminal(["arm", "frame", *PATIENT, "--port", trying.url, "--out", str(out), "--plane-checks", "0"]) as terminal,
+    ):
         answer(terminal, HOMING)
         for what in ("origin", "x axis", "plane"):
             terminal.expect("Enter or a pedal to go on")
@@ -129,7 +135,7 @@ def test_a_pedal_is_as_good_as_enter(tmp_path: Path) -> None:
 def test_a_bad_arm_is_not_verified(tmp_path: Path) -> None:
     out = tmp_path / "verification.toml"
     command = ["arm", "verify", "--out", str(out), "--homed", "--distances", "1", "--touches", "5"]
-    with arm_in_hand(accuracy_mm=3.0) as trying, at_terminal([*command, "--port", trying.url]) as terminal:
+    with arm_in_hand(accuracy_mm=3.0) as trying, at_terminal([*command, *PATIENT, "--port", trying.url]) as terminal:
         answer(terminal, "Fix the divot")
         for touch in range(5):
             terminal.expect("tip in the divot")
@@ -143,7 +149,7 @@ def test_a_bad_arm_is_not_verified(tmp_path: Path) -> None:
 
 def test_a_frame_whose_check_point_is_off_is_not_written(tmp_path: Path) -> None:
     out = tmp_path / "frame.toml"
-    with arm_in_hand() as trying, at_terminal(["arm", "frame", "--port", trying.url, "--out", str(out), "--homed"]) as terminal:
+    with arm_in_hand() as trying, at_terminal(["arm", "frame", *PATIENT, "--port", trying.url, "--out", str(out), "--homed"]) as terminal:
         for step in (Step("origin", 0, ""), Step("x axis", 0, ""), Step("plane", 0, ""), Step("check", 0, "", (120.0, 90.0, 6.0))):
             terminal.expect("Touch" if step.what != "check" else "Check point")
             trying.go(step)
@@ -155,7 +161,10 @@ def test_a_frame_whose_check_point_is_off_is_not_written(tmp_path: Path) -> None
 
 def test_touches_that_are_all_at_one_place_are_asked_for_again() -> None:
     """Nobody moves the arm: it says why that is no frame, and an abort ends it."""
-    with arm_in_hand() as trying, at_terminal(["arm", "frame", "--port", trying.url, "--out", "none.toml", "--homed"]) as terminal:
+    with (
+        arm_in_hand() as trying,
+        at_terminal(["arm", "frame", *PATIENT, "--port", trying.url, "--out", "none.toml", "--homed"]) as terminal,
+    ):
         for _ in range(3):
             answer(terminal, ENTER)
         terminal.expect("the touch on the x axis is 0.0 mm from the origin; 100 mm are needed")
@@ -164,7 +173,7 @@ def test_touches_that_are_all_at_one_place_are_asked_for_again() -> None:
 
 
 def test_watch_shows_tip_pedals_and_rate_live() -> None:
-    with arm_in_hand() as trying, at_terminal(["arm", "watch", "--port", trying.url, "--homed", "--seconds", "3"]) as terminal:
+    with arm_in_hand() as trying, at_terminal(["arm", "watch", *PATIENT, "--port", trying.url, "--homed", "--seconds", "3"]) as terminal:
         terminal.expect("left up, right up")
         trying.emulator.buttons = 1
         terminal.expect("left up, right DOWN")
@@ -192,7 +201,7 @@ def test_ctrl_c_is_how_watching_ends() -> None:
 
 
 def test_home_asks_for_the_peg_first() -> None:
-    with arm_in_hand() as trying, at_terminal(["arm", "home", "--port", trying.url]) as terminal:
+    with arm_in_hand() as trying, at_terminal(["arm", "home", *PATIENT, "--port", trying.url]) as terminal:
         answer(terminal, "Put the arm's stylus on its peg and let go of it.")
         assert terminal.code() == 0, terminal.text
     assert "Homed. The tip stands at 54.20, -51.84, 212.20 mm" in terminal.text

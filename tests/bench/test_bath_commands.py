@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -80,23 +81,35 @@ def test_watch_prints_a_line_a_second_without_a_terminal(bath: Served, capsys: p
     bath.plant.run(33.0)
     assert main(["bath", "watch", *bath.at, "--seconds", "2.5"]) == 0
     lines = capsys.readouterr().out.strip().split("\n")
-    assert len(lines) == 3
+    assert 1 <= len(lines) <= 3, "a busy machine gets round to fewer"
     assert all("set point 33.00 degC" in line and "heating" in line for line in lines)
     assert bath.plant.running, "watching changes nothing"
 
 
+class Shown(io.StringIO):
+    """A terminal at which somebody presses Ctrl-C when it has been drawn anew after each of three readings."""
+
+    pressed = False
+
+    def write(self, text: str) -> int:
+        count = super().write(text)
+        if not self.pressed and self.getvalue().count("last ") >= 3:
+            self.pressed = True
+            raise KeyboardInterrupt
+        return count
+
+
 def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
     bath.plant.run(33.0)
-    shown = io.StringIO()
+    shown = Shown()
     console = Console(file=shown, force_terminal=True, width=120, height=40, color_system=None)
-    with open_bath(bath.at[1], profile_of("julabo-presto")) as (driver, clock):
-        watch_bath(driver, clock, console, 2.2)
+    with open_bath(bath.at[1], profile_of("julabo-presto")) as (driver, clock), pytest.raises(KeyboardInterrupt):
+        watch_bath(driver, clock, console)
     frames = shown.getvalue().split("last ")
-    assert len(frames) >= 4, "drawn anew after each of three readings"
     last = frames[-2] + frames[-1]
     assert "33.00 ─" in last, "the set point is a line"
     assert "•" in last, "the bath is points"
-    assert "output █" in last, "a cold bath is heated at full power"
+    assert re.search("output [ ▁▂▃▄▅▆▇]*█", last), "a cold bath is heated at full power"
     for words in ("set point 33.00 degC", "output 100 %", "heating", "not getting nearer"):
         assert words in last
     assert bath.plant.running, "watching changes nothing"

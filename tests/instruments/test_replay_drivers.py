@@ -20,6 +20,7 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError, LinkError
 from instruments.link import Link
 from instruments.listener import Connection, Device, Listener
+from instruments.microscribe.conversation import ANSWER_S
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.faults import Fault
@@ -46,7 +47,7 @@ class Hand:
 
 
 def arm_session(url: str, clock: Clock, tap: Tap | None) -> Found:
-    arm = MicroScribe(Link(url, clock, who="arm", tap=tap), clock)
+    arm = MicroScribe(Link(url, clock, who="arm", tap=tap), clock, answer_s=ANSWER_S if isinstance(clock, VirtualClock) else 30.0)
     try:
         found: Found = [asdict(arm.sign_on()), asdict(arm.parameters), arm.beta_rad]
         arm.confirm_homed()
@@ -117,7 +118,7 @@ def replayed(capture: Capture, name: str, session: Session, clock: Clock, *, fas
     with Replay(capture, clock, fast=fast) as replay:
         found = session(replay.urls[name], clock, None)
         real = RealClock()
-        while not replay.finished and real.now() < 5.0:
+        while not replay.finished and real.now() < 60.0:
             real.sleep(0.005)
         return found, [*map(str, replay.mismatches), *replay.unplayed]
 

@@ -34,8 +34,8 @@ ANY_TCP = 255  # the unit that libmodbus addresses over TCP
 REGISTERS, INPUT = 0x160, 0x108
 BUSY, OTHER, LATE, BYTEWISE = 0x170, 0x171, 0x172, 0x173
 VALUES = [0x0101, 0x0202, 0x0303]
-TIMEOUT_S = 0.2  # the late register naps for 0.5 s, so that its answer comes after both attempts
-AS_KNOWN_S, SLOWER_S = 0.4, 0.05  # how late an answer may come: as late as it does, or sooner, so that it takes us by surprise
+TIMEOUT_S = 2.0  # the late register naps for 5 s, so that its answer comes after both attempts
+AS_KNOWN_S, SLOWER_S = 4.0, 0.5  # how late an answer may come: as late as it does, or sooner, so that it takes us by surprise
 
 
 @pytest.fixture
@@ -118,7 +118,6 @@ def rtu_server(server: Path) -> Iterator[str]:
     listener = Listener(bridge, clock, lock=threading.RLock(), name="bridge")
     try:
         with running(server, "rtu", PEER_DEVICE=bridge.path):
-            time.sleep(0.2)  # it has no way to say that its port is open, and drops what came before
             yield f"rtu+tcp://127.0.0.1:{listener.port}"
     finally:
         listener.close()
@@ -133,7 +132,7 @@ def link(request: pytest.FixtureRequest, server: Path, clock: RealClock) -> Iter
         line, markers = parse_line(f"{url}?unit={UNIT}"), [(4, INPUT, 1), (3, REGISTERS, 3)]
         link = Transactions(line, clock, who="peer", markers=markers, timeout_s=TIMEOUT_S, quiet_s=quiet_s)
         link.connect()
-        link.write(16, REGISTERS, VALUES)
+        until_it_answers(link)  # it has no way to say that its port is open, and drops what came before
         yield link
         link.close()
 
@@ -189,6 +188,17 @@ def test_whatever_is_asked_no_wrong_value_gets_through(link: Transactions) -> No
         assert values == [known.get(address + at, 0) for at in range(count)]
         right += 1
     assert right >= 5
+
+
+def until_it_answers(link: Transactions) -> None:
+    deadline = time.monotonic() + 60.0
+    while True:
+        try:
+            return link.write(16, REGISTERS, VALUES)
+        except InstrumentError:
+            assert time.monotonic() < deadline, "the server never answered"
+            if not link.connected:
+                link.connect()
 
 
 def after_trouble(link: Transactions) -> list[int]:

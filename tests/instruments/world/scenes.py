@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ def calibration_table() -> dict[str, Any]:
     return tomllib.loads((ROOT / "bench/rigs/calibration.toml").read_text(encoding="utf-8"))
 
 
-@cache
+@lru_cache(maxsize=2)  # some 100 MB each
 def renderer(**changes: Any) -> Renderer:
     """Its cameras, the sensors with these changes."""
     return Renderer.from_calibration(calibration_table(), camera_seed=7, optical=replace(OpticalSensor(), **changes))
