@@ -95,7 +95,7 @@ def refuse_untested_cut_out(rig: LoadedRig, today: date) -> None:
         )
     elif tested and date.fromisoformat(tested) > today + timedelta(days=1):  # it may be tomorrow already elsewhere
         why = "this day is still to come: is this machine's clock right?"
-    if why and not rig.rig.emulated:
+    if why and not rig.rig.all_emulated:
         raise located(rig.path, rig.text, [(("bath", "cut_out_tested"), why, False)])
 
 
