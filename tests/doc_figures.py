@@ -2,7 +2,7 @@
 
 python -m tests.doc_figures                         write the pages' tables from the CSV files
 python -m tests.doc_figures families SET RUN        write the rows of SET in families.csv from a run of `teatbench score`
-python -m tests.doc_figures coverage RUNS           simulate coverage.csv again; 4000 take half an hour
+python -m tests.doc_figures coverage RUNS           simulate coverage.csv again; 4000 take ten minutes
 """
 
 from __future__ import annotations
