@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -13,6 +11,7 @@ from bench.sensitivity.measuring import DISPARITY_PX
 from bench.sensitivity.values import Measured, Quantity, Tally
 from reports.figures.drawing import COLOURS
 from reports.figures.sensitivity import MOST_CURVES, Bound, Curve, sensitivity
+from reports.sanitize import csv_text
 
 COLUMNS = (
     "quantity", "value", "detector", "visible", "found", "false", "no_answer", "median_mm", "p95_mm", "max_mm",
@@ -42,11 +41,8 @@ def write_figure(folder: Path, quantity: Quantity, points: Sequence[Measured]) -
 
 def write_numbers(folder: Path, quantities: Sequence[Quantity], results: Results, made_with: str) -> None:
     """All numbers as CSV and as a page; ``made_with`` says in a sentence what they were measured with. Raises ConfigError."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(row for quantity in quantities for row in _rows(quantity, results[quantity.name]))
-    _written(folder / POINTS, text.getvalue())
+    rows = (row for quantity in quantities for row in _rows(quantity, results[quantity.name]))
+    _written(folder / POINTS, csv_text([COLUMNS, *rows]))
     tables = [_table(quantity, results[quantity.name]) for quantity in quantities]
     _written(folder / PAGE, "\n\n".join(["# Sensitivity as measured", made_with, *tables]) + "\n")
 
