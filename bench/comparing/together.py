@@ -6,6 +6,7 @@ for a run, and stands in that run's report.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -48,7 +49,9 @@ def timed_together(runs: Sequence[RunRecord], detector: str) -> Latency:
     """The times of one detector over several runs, each with its pose."""
     times = [(poses_of(run), latency_of(run, detector)) for run in runs]
     seconds = tuple(second for _, one in times for second in one.seconds)
-    return Latency(seconds, poses=tuple((poses, pose) for poses, one in times for pose in one.poses))
+    silent: Counter[str] = sum((Counter(one.unanswered) for _, one in times), Counter())
+    poses = tuple((names, pose) for names, one in times for pose in one.poses)
+    return Latency(seconds, unanswered=silent, poses=poses, asked=sum(one.asked for _, one in times))
 
 
 def told(judgement: Judgement) -> Iterator[str]:

@@ -22,7 +22,7 @@ class Latency:
     """seconds: what counts, in the order of the trials, and ``poses`` the pose of each. cold_s: first calls. start_up_s: the longest start
     of a process, None for none.
 
-    unanswered: how often each outcome but an answer came about.
+    unanswered: how often each outcome but an answer came about, of ``asked`` calls.
     """
 
     seconds: tuple[float, ...] = ()
@@ -30,6 +30,17 @@ class Latency:
     start_up_s: float | None = None
     unanswered: Mapping[str, int] = field(default_factory=dict)
     poses: tuple[Hashable, ...] = ()
+    asked: int = 0
+
+    @property
+    def silent(self) -> int:
+        """Calls without an answer, whatever came of them."""
+        return sum(self.unanswered.values())
+
+    @property
+    def failed(self) -> int:
+        """Calls that have no time either: crashes, answers that can't be used, and what followed when it was switched off."""
+        return self.silent - self.unanswered.get(Outcome.TIMEOUT.value, 0)
 
     @property
     def median_s(self) -> float | None:
@@ -60,6 +71,7 @@ def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> L
         max(starts, default=None),
         Counter(row["outcome"] for row in rows if row["outcome"] != Outcome.ANSWERED.value),
         tuple(pose for pose, row in zip(poses, timed, strict=True) if not row["cold"]),
+        len(rows),
     )
 
 

@@ -135,8 +135,10 @@ def _image(path: Path) -> NDArray[Any]:
         raise RecordingError(f"{path}: missing; every frame needs it") from None
     except OSError as fault:
         raise RecordingError(f"{path}: can't be read: {fault}") from fault
-    # Through memory, for imread knows only the ASCII paths of Windows.
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    try:  # through memory, for imread knows only the ASCII paths of Windows
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except cv2.error as fault:  # its header claims a size that no memory holds
+        raise RecordingError(f"{path}: is not an image that can be read: OpenCV refuses it ({fault.err})") from fault
     if image is None:
         raise RecordingError(f"{path}: is not an image that can be read ({len(data)} bytes)")
     return image
