@@ -6,6 +6,7 @@ Everything heavy is imported by the command that needs it, so that ``teatbench -
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import sqlite3
 import sys
@@ -33,6 +34,9 @@ from bench.commands import (
     wire,
 )
 from bench.safety.exits import installed
+from reports.sanitize import sanitizing
+
+FILENAME_EXCED_RANGE = 206  # of Windows, which gives it the errno of a file that is not there
 
 # OpenCV and its FFmpeg write to the terminal themselves; what they say there is told by us. Both read this when they are loaded.
 QUIET = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
@@ -42,11 +46,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; gives back its exit code."""
     for name, level in QUIET.items():
         os.environ.setdefault(name, level)
-    for stream in (sys.stdout, sys.stderr):
+    streams = sys.stdout, sys.stderr
+    for stream in streams:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(encoding="utf-8", errors="replace")  # a Windows console may be set to less
-    with installed():
-        return _run(parser().parse_args(arguments))
+    try:
+        sys.stdout, sys.stderr = map(sanitizing, streams)
+        with installed():
+            return _run(parser().parse_args(arguments))
+    finally:
+        sys.stdout, sys.stderr = streams
 
 
 def _run(given: argparse.Namespace) -> int:
@@ -72,6 +81,8 @@ def _run(given: argparse.Namespace) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CODES.met
     except OSError as error:  # a disk that is full, a folder that may not be written, amid whatever the command did
+        if error.errno == errno.ENAMETOOLONG or getattr(error, "winerror", 0) == FILENAME_EXCED_RANGE:
+            return complain(f"{error}: give it a shorter name", CODES.wrong_use)
         return complain(f"{error}. Is the disk full, or the folder read-only?" if error.errno else str(error), CODES.fault)
     except Exception:  # must not look like a requirement that isn't met, which Python's own code for it would
         traceback.print_exc()

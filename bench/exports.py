@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
@@ -16,6 +14,7 @@ from bench.scoring.decisions import Decision, Verdict
 from bench.store import write_synced
 from bench.store.check import NOT_AS_WRITTEN, printed_chain
 from bench.verdicts import Judgement, run_verdict
+from reports.sanitize import csv_text, sanitized
 
 COLUMNS = (
     "trial", "situation", "repeat", "detector", "teats", "visible", "found", "missed", "false", "hidden_claimed", "hidden",
@@ -32,9 +31,7 @@ def write_exports(run: RunRecord, judgements: Sequence[Judgement], folder: Path)
 
 def trials_csv(run: RunRecord) -> str:
     """One line a trial and detector. What was not measured is an empty field."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    rows: list[Sequence[object]] = [COLUMNS]
     for trial in run.trials:
         for detection in trial.detections:
             score = trial.scores.get(detection["detector"])
@@ -44,7 +41,7 @@ def trials_csv(run: RunRecord) -> str:
             hidden = [detection["hidden"], score.match.hidden if score else ""]
             errors = [max(radial), sum(radial) / len(radial)] if radial else ["", ""]
             tail = [score.gospa_mm if score else "", int(score.success) if score else ""]
-            writer.writerow(
+            rows.append(
                 [
                     *head,
                     *counts,
@@ -60,7 +57,7 @@ def trials_csv(run: RunRecord) -> str:
                     NOT_AS_WRITTEN if run.damage else trial.invalid or "",
                 ]
             )
-    return text.getvalue()
+    return csv_text(rows)
 
 
 def run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
@@ -109,7 +106,7 @@ def junit_xml(run: RunRecord, judgements: Sequence[Judgement]) -> str:
         for decision in decisions:
             _case(suite, judgement.detector, decision)
     ET.indent(root)
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + sanitized(ET.tostring(root, encoding="unicode")) + "\n"
 
 
 def _case(suite: ET.Element, detector: str, decision: Decision) -> None:

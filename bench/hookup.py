@@ -31,6 +31,7 @@ from instruments.operators.operator import Operator
 from instruments.operators.prompted import Answerer, PromptedOperator
 from instruments.operators.remote import RemoteOperator
 from instruments.stage.driver import Stage
+from reports.sanitize import sanitized
 
 Screen = Callable[[], AbstractContextManager[None]]
 
@@ -173,7 +174,7 @@ def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> Answerer | None:
         return None
 
     def show(text: str) -> None:
-        sys.stdout.write(f"{text}\n")
+        sys.stdout.write(f"{sanitized(text)}\n")  # rich reads colours out of what is written under its bar
 
     return load_answers(rig.path.parent / url.removeprefix(SCRIPT), show)
 

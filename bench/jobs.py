@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -190,7 +191,7 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
         "about": str(path.resolve()),
         "planned": len(recording.frames),
     }
-    poses, examiner = pose_names(recording), Examiner(calibration)
+    poses, examiner, ended = pose_names(recording), Examiner(calibration), False
     try:
         write_facts(store, facts, under_test, recording.calibration_path)
         for number, frame in enumerate(recording.frames, 1):
@@ -207,12 +208,18 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
             store.finished(FinishedTrial(head, frame_rows(store, trial, frames, answers), [], rows, *scored))
         progress.trial(len(recording.frames), len(recording.frames), "")
         _end(store, Ending.FINISHED)
+        ended = True
     except KeyboardInterrupt:
         store.event(None, "aborted", "interrupted (Ctrl-C)", wall_time())
         _end(store, Ending.ABORTED)
+        ended = True
     finally:
         close_detectors(under_test)
-        store.close()
+        try:
+            store.close()
+        finally:
+            if not ended:  # as by a frame that can't be read: the recording is still there, and half a run is of no use
+                shutil.rmtree(store.folder, ignore_errors=True)
     return store.folder
 
 

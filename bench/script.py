@@ -34,12 +34,23 @@ class BathGate(Section):
 
     set_point_c: float
     window_s: Annotated[float, Field(ge=2, le=7200)] = 600.0  # far less than 600 s shows nothing: for trying a rig out
-    mean_k: Positive = 0.10
+    leave_k: Positive = 0.15
+    mean_k: Annotated[Positive, Field(validate_default=True)] = 0.10
     half_range_k: Positive = 0.05
     slope_k_per_min: Positive = 0.01
     teat_slope_k_per_min: Positive = 0.02  # of the sensor at the teats, where the bath has one
-    leave_k: Positive = 0.15
     timeout_s: Positive = 7200.0
+
+    @field_validator("mean_k")
+    @classmethod
+    def _at_most_leave_k(cls, mean_k: float, info: ValidationInfo) -> float:
+        leave_k = info.data.get("leave_k", mean_k)
+        if mean_k > leave_k:
+            raise ValueError(
+                f"{mean_k:g} K is above leave_k = {leave_k:g} K, so that a stable bath would count as "
+                "one that has left its set point: lower mean_k or raise leave_k"
+            )
+        return mean_k
 
 
 class ErrorRequirement(Section):

@@ -88,7 +88,23 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
 
 
 def decide_detector(rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None) -> Decision:
-    """What a detector has to meet, held against its scores and times, of one run or of several; ``u_mm`` as ``truth_u_mm`` gives it."""
+    """What a detector has to meet, held against its scores and times, of one run or of several; ``u_mm`` as ``truth_u_mm`` gives it.
+
+    Nothing is met by silence: a frame set without an answer shows no error, no false teat and no time.
+    """
+    decision = _decided(rule, scores, timed, u_mm)
+    silent = timed.silent if isinstance(rule, ErrorRequirement | FalseRequirement) else timed.failed
+    told = f"It did not answer on {silent} of {timed.asked} frame sets"
+    if silent and silent == timed.asked:
+        nothing = replace(decision, n=0, measured=None, margin=None, uncertainty=None)
+        return replace(nothing, verdict=Verdict.NOT_MEASURED, sentence=f"{told}.")
+    if silent and decision.verdict is Verdict.MET:
+        sentence = f"{decision.sentence} {told}, which shows nothing for them."
+        return replace(decision, verdict=Verdict.INCONCLUSIVE, sentence=sentence)
+    return decision
+
+
+def _decided(rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None) -> Decision:
     match rule:
         case ErrorRequirement():
             return decide_error(

@@ -7,7 +7,7 @@ capture. It may not know what the bytes mean.
 from __future__ import annotations
 
 import json
-import math
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -192,8 +192,8 @@ class _Reader:
             draft.closed(t_s, _text(told, "why") if "why" in told else "")
 
     def _time(self, t_s: object) -> float:
-        if isinstance(t_s, bool) or not isinstance(t_s, int | float) or not 0 <= t_s < math.inf:
-            raise _WrongError(f"t_s is no time: {t_s!r}")
+        if isinstance(t_s, bool) or not isinstance(t_s, int | float) or not 0 <= t_s <= sys.float_info.max:
+            raise _WrongError(f"t_s is no time: {t_s!r:.60}")
         if t_s < self._last_s:
             raise _WrongError(f"t_s goes back, from {self._last_s:g} to {t_s:g}")
         self._last_s = float(t_s)

@@ -9,7 +9,6 @@ without a script too. Same page, same bytes: no time, no chance, no machine in i
 import base64
 import hashlib
 import os
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,12 +19,12 @@ from markupsafe import Markup
 
 from reports.frames import ImageView, layers
 from reports.page import Cell, Figure, Page, PageError, Part, Table, TrialPart, Verdict
+from reports.sanitize import sanitized
 from reports.trust import address
 
 IN_PAGE = 40  # trials: more get a file each
 TRIALS = "trials"  # their folder
 _TEMPLATES = Path(__file__).parent / "templates"
-_NO_TEXT_IN_HTML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff]")
 _SIGNS: dict[Verdict, str] = {
     "met": "✓", "not met": "✕", "inconclusive": "?", "not measured": "–", "aborted": "!", "no verdict": "○",
     "not worse": "✓", "worse": "✕",
@@ -217,8 +216,7 @@ def _policy(style: str, script: str) -> str:
 
 
 def _printable(value: Any) -> Any:
-    """Text without the characters that HTML can't hold: each becomes U+FFFD, so that one sees that something stood there."""
-    return value if isinstance(value, Markup) or not isinstance(value, str) else _NO_TEXT_IN_HTML.sub("\ufffd", value)
+    return value if isinstance(value, Markup) or not isinstance(value, str) else sanitized(value)
 
 
 def _drawing(figure: Figure) -> Markup:

@@ -126,7 +126,7 @@ def _watch(given: argparse.Namespace) -> int:
         session.confirm_homing(homed=given.homed)
         try:
             for line in watch(session.arm, session.clock, given.seconds):
-                print(f"\r{line}" if live else line, end="" if live else "\n", flush=True)
+                print("\r" if live else "", line, sep="", end="" if live else "\n", flush=True)
         except KeyboardInterrupt:
             return CODES.met
         finally:

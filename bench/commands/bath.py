@@ -71,14 +71,13 @@ def _set(given: argparse.Namespace) -> int:
 
 
 def _watch(given: argparse.Namespace) -> int:
-    from rich.console import Console
-
     from bench.alone.bath import open_bath, profile_of
     from bench.alone.bath_watch import watch_bath
+    from bench.terminal import Terminal
 
     with open_bath(given.port, profile_of(given.profile), capture=given.capture) as (bath, clock):
         try:
-            watch_bath(bath, clock, Console(), given.seconds)
+            watch_bath(bath, clock, Terminal(), given.seconds)
         except KeyboardInterrupt:
             print("left as it is; 'teatbench bath standby' switches the heater off")
     return CODES.met

@@ -88,19 +88,18 @@ def _together(given: argparse.Namespace, damage: tuple[str, ...]) -> int:
 
 
 def _show(found: tuple[Comparison, ...]) -> None:
-    from rich.console import Console
-
     from bench.comparing.words import DISTANCE, SUCCESS, distance_rows, heading, notes, success_rows, verdict_told
+    from bench.terminal import Terminal
 
-    console = Console()
+    console = Terminal()
     for comparison in found:
-        console.print(heading(comparison), markup=False, soft_wrap=True)
+        console.print(heading(comparison), soft_wrap=True)
         console.print(_table("success", SUCCESS, success_rows(comparison)))
         console.print(_table("distance to the teat end", DISTANCE, distance_rows(comparison)))
         for line in (*notes(comparison), verdict_told(comparison)):
-            console.print(line, markup=False)
+            console.print(line)
         for reason in comparison.compared.gate.reasons:
-            console.print(f"  {reason}", markup=False)
+            console.print(f"  {reason}")
 
 
 def _table(title: str, columns: Sequence[tuple[str, str]], rows: Iterable[tuple[str, ...]]) -> Table:

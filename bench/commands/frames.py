@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -98,6 +99,10 @@ def _record(given: argparse.Namespace) -> int:
 def _detect(given: argparse.Namespace) -> int:
     from bench.detecting.detections import detect_lines
 
+    answered = False
     for line, text in detect_lines(given.recording, given.detector or ["thesis"]):
         print(json.dumps(line) if given.json else text, flush=True)
-    return CODES.met
+        answered = answered or "outcome" not in line
+    if not answered:
+        print("teatbench: no frame had an answer: nothing was detected", file=sys.stderr)
+    return CODES.met if answered else CODES.fault

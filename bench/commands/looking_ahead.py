@@ -93,10 +93,10 @@ def _rehearsed(
 @contextmanager
 def _status() -> Iterator[Callable[[int, int], None]]:
     """A line in a terminal that tells how far the rehearsal is, and is gone at its end; nothing elsewhere."""
-    from rich.console import Console
+    from bench.terminal import Terminal
 
     told = "going through the script on emulators"
-    with Console().status(told) as status:
+    with Terminal().status(told) as status:
         yield lambda done, of: status.update(f"{told}: trial {min(done + 1, of)} of {of}")
 
 

@@ -60,14 +60,13 @@ def _seed(text: str) -> int:
 
 
 def _run(given: argparse.Namespace) -> int:
-    from rich.console import Console
-
     from bench.commands.looking_ahead import look_ahead
     from bench.planning.offsets import is_offset_script
     from bench.rig import find_rig, load_rig
     from bench.running.event_lines import WatchedProgress, event_lines
     from bench.running.progress import TerminalProgress
     from bench.script import find_script, load_script
+    from bench.terminal import Terminal
 
     rig = load_rig(find_rig(given.rig))
     path = find_script(given.script)
@@ -78,7 +77,7 @@ def _run(given: argparse.Namespace) -> int:
         return look_ahead(rig, script, given.out, given.detector, given.seed)
     from bench.jobs import run_script
 
-    console = Console()
+    console = Terminal()
     with event_lines(given.events) as lines, TerminalProgress(console) as shown:
         progress = WatchedProgress(shown, lines)
         folder, _ = run_script(
@@ -115,15 +114,14 @@ def _compare_times(folder: Path, out: Path, rig: LoadedRig, script: LoadedScript
 
 
 def _resume(given: argparse.Namespace) -> int:
-    from rich.console import Console
-
     from bench.jobs import HowToRun, resume_run
     from bench.record import read_run
     from bench.running.event_lines import WatchedProgress, event_lines
     from bench.running.progress import TerminalProgress
     from bench.running.resuming import files_of
+    from bench.terminal import Terminal
 
-    console = Console()
+    console = Terminal()
     with undamaged([given.run], given) as damage:
         operator = files_of(read_run(given.run))[0].rig.operator.url
         with event_lines(given.events) as lines, TerminalProgress(console) as shown:
@@ -179,15 +177,14 @@ def _is_ours(terminal: int) -> bool:
 
 
 def _score(given: argparse.Namespace) -> int:
-    from rich.console import Console
-
     from bench.detecting.score_table import score_table
     from bench.jobs import score_recording
     from bench.record import read_run
     from bench.running.progress import TerminalProgress
     from bench.running.showing import Unfailing
+    from bench.terminal import Terminal
 
-    console = Console()
+    console = Terminal()
     with TerminalProgress(console) as shown:
         progress = Unfailing(shown)
         folder = score_recording(given.recording, given.out, progress, given.detector or ["thesis"])
@@ -223,10 +220,9 @@ def _offsets_reported(folder: Path) -> int:
 
 
 def _report(given: argparse.Namespace) -> int:
-    from rich.console import Console
-
     from bench.config import ConfigError
     from bench.planning.offset_run import is_offset_run
+    from bench.terminal import Terminal
     from reports.pdf import find_browser
 
     browser = None if given.no_pdf else find_browser()
@@ -237,7 +233,7 @@ def _report(given: argparse.Namespace) -> int:
     else:
         with undamaged([given.run, *filter(None, [given.baseline])], given) as damage:
             code, show = _reported(given.run, _extras(given, damage), damage)
-            show(Console())
+            show(Terminal())
     if browser:
         _print(given.run, browser, needed=given.pdf)
     return code

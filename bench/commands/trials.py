@@ -97,13 +97,13 @@ def _as_json(script: LoadedScript, time: TimeEstimate, rig: str) -> dict[str, An
 
 
 def _print(script: LoadedScript, time: TimeEstimate) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     from bench.planning.trials import chosen
     from bench.running.trial_time import assumed_told
+    from bench.terminal import Terminal
 
-    console = Console()
+    console = Terminal()
     table = Table(title=f"{script.script.title}: {len(script.planned)} trials, {len({one.name for one in script.planned})} poses")
     for column in ("trial", "situation", "layout", "x", "y", "z", "yaw", "from"):
         table.add_column(column, justify="right" if len(column) <= 3 else "left")
@@ -112,9 +112,9 @@ def _print(script: LoadedScript, time: TimeEstimate) -> None:
         table.add_row(one.id, one.situation, one.phantom.name, *(f"{value:+.1f}" for value in pose), one.side or "")
     console.print(table)
     for trial in script.script.trials:
-        console.print(chosen(trial), markup=False, highlight=False)
+        console.print(chosen(trial), highlight=False)
     parts = {"settling": time.settling_s, "moves": time.moves_s, "set-ups": time.set_ups_s}
     parts |= {"captures": time.captures_s, "touches": time.touches_s}
     spent = ", ".join(f"{what} {seconds / 60:.0f} min" for what, seconds in parts.items())
-    console.print(f"About {time.total_s / 3600:.1f} h with a person at the arm: {spent}.", markup=False, highlight=False)
-    console.print(assumed_told(), markup=False, highlight=False)
+    console.print(f"About {time.total_s / 3600:.1f} h with a person at the arm: {spent}.", highlight=False)
+    console.print(assumed_told(), highlight=False)

@@ -6,6 +6,7 @@ for a run, and stands in that run's report.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -50,7 +51,10 @@ def timed_together(runs: Sequence[RunRecord], detector: str) -> Latency:
     seconds = tuple(second for _, one in times for second in one.seconds)
     cpu_s = tuple(value for _, one in times for value in one.cpu_s)
     loads = tuple(value for _, one in times for value in one.loads)
-    return Latency(seconds, poses=tuple((poses, pose) for poses, one in times for pose in one.poses), cpu_s=cpu_s, loads=loads)
+    silent: Counter[str] = sum((Counter(one.unanswered) for _, one in times), Counter())
+    poses = tuple((names, pose) for names, one in times for pose in one.poses)
+    asked = sum(one.asked for _, one in times)
+    return Latency(seconds, unanswered=silent, poses=poses, asked=asked, cpu_s=cpu_s, loads=loads)
 
 
 def told(judgement: Judgement) -> Iterator[str]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from detector.protocol import Detection, DetectionFailure, Stage, Teat
+from reports.sanitize import sanitized
 
 WORKING_VOLUME_MM = 2000.0  # no teat of any rig is further from the table's origin along an axis
 MOST_TEATS = 16  # four, and what else a detector may take for one; each costs the scorer time
@@ -40,8 +41,8 @@ def checked(detection: Any) -> Detection:
 
 
 def one_line(text: str) -> str:
-    """Another's words as a file, a page and a terminal take them: on one line, without what can't be printed."""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in " ".join(text.split()))
+    """Another's words on one line."""
+    return sanitized(" ".join(text.split()))
 
 
 def _teat(number: int, teat: Any) -> Teat:

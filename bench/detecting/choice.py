@@ -35,6 +35,7 @@ class DetectorFile(Section):
     about: str = ""
     version: str = ""
     command: Annotated[tuple[str, ...], Field(min_length=1)]
+    environment: tuple[Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_()]*$")], ...] = ()
     start_limit_s: Positive = _DEFAULT.start_s
     time_limit_s: Positive = _DEFAULT.answer_s
     memory_limit_mib: Positive = _DEFAULT.memory_mib or 1024.0
@@ -120,7 +121,10 @@ def _of_file(path: Path) -> Detector:
     name = given.name or re.sub(r"[^A-Za-z0-9_-]", "-", path.stem)
     if name in registry.available():
         raise ConfigError.plain(f'{path}: "{name}" is the name of a detector that ships. Give yours another: name = "…".')
-    return ExternalDetector(name, given.command, stopwatch_s, folder=folder, limits=given.limits, version=given.version or None)
+    version = given.version or None
+    return ExternalDetector(
+        name, given.command, stopwatch_s, folder=folder, limits=given.limits, version=version, environment=given.environment
+    )
 
 
 def _find_program(program: str, folder: Path) -> None:

@@ -24,7 +24,8 @@ class Latency:
     """seconds: what counts, in the order of the trials, and ``poses`` the pose of each. cold_s: first calls. start_up_s: the longest start
     of a process, None for none.
 
-    unanswered: how often each outcome but an answer came about. cpu_s and loads: as in `Answer`, for each of ``seconds``.
+    unanswered: how often each outcome but an answer came about, of ``asked`` calls. cpu_s and loads: as in `Answer`,
+    for each of ``seconds``.
     """
 
     seconds: tuple[float, ...] = ()
@@ -34,6 +35,17 @@ class Latency:
     poses: tuple[Hashable, ...] = ()
     cpu_s: tuple[float | None, ...] = ()
     loads: tuple[float | None, ...] = ()
+    asked: int = 0
+
+    @property
+    def silent(self) -> int:
+        """Calls without an answer, whatever came of them."""
+        return sum(self.unanswered.values())
+
+    @property
+    def failed(self) -> int:
+        """Calls that have no time either: crashes, answers that can't be used, and what followed when it was switched off."""
+        return self.silent - self.unanswered.get(Outcome.TIMEOUT.value, 0)
 
     @property
     def median_s(self) -> float | None:
@@ -84,6 +96,7 @@ def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> L
         tuple(pose for pose, row in zip(poses, timed, strict=True) if not row["cold"]),
         tuple(row["wall_cpu_s"] for row in warm),
         tuple(row["wall_load"] for row in warm),
+        len(rows),
     )
 
 

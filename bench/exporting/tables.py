@@ -5,7 +5,6 @@ An empty field of a CSV, and a null of Parquet, is what was not measured. Figure
 
 from __future__ import annotations
 
-import csv
 import io
 import sqlite3
 from collections.abc import Iterator, Sequence
@@ -18,6 +17,7 @@ from bench.store.chain import head_of
 from bench.store.files import write_synced
 from bench.store.reading import opened
 from bench.store.schema import tables_of
+from reports.sanitize import csv_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +35,8 @@ def export_csv(run: Path, out: Path) -> list[Path]:
     written = []
     with opened(run) as db:
         for table in _tables(db):
-            text = io.StringIO()
-            writer = csv.writer(text, lineterminator="\n")
-            writer.writerow(table.columns)
-            writer.writerows(table.rows)
             written.append(out / f"{table.name}.csv")
-            write_synced(written[-1], text.getvalue().encode())
+            write_synced(written[-1], csv_text([table.columns, *table.rows]).encode())
     return written
 
 

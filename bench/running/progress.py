@@ -104,10 +104,10 @@ def _show_result(console: Console, run: RunRecord, judgements: Sequence[Judgemen
             table.add_column(title)
         for decision in judgement.decisions:
             word = decision.verdict.value
-            table.add_row(decision.name, measured(decision), limit(decision), f"[{TONES[word]}]{word}[/]")
+            table.add_row(decision.name, measured(decision), limit(decision), Text(word, TONES[word]))
         console.print(table)
     verdict, why, then = headline(run, judgements)
-    console.print(f"Verdict: [bold {TONES[verdict]}]{verdict}[/]")
+    console.print(Text.assemble("Verdict: ", (verdict, f"bold {TONES[verdict]}")))
     console.print(why, markup=False)
     console.print(f"Next: {then}", markup=False)
     console.print(f"Report: {report}", markup=False, soft_wrap=True)

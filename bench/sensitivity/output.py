@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -13,6 +11,7 @@ from bench.sensitivity.measuring import DISPARITY_PX
 from bench.sensitivity.values import Measured, Quantity
 from reports.figures.drawing import COLOURS
 from reports.figures.sensitivity import MOST_CURVES, Bound, Curve, sensitivity
+from reports.sanitize import csv_text
 
 COLUMNS = (
     "quantity", "value", "detector", "visible", "found", "false", "no_answer", "median_mm", "p95_mm", "max_mm",
@@ -45,11 +44,7 @@ def write_figure(folder: Path, quantity: Quantity, points: Sequence[Measured]) -
 def write_numbers(folder: Path, quantities: Sequence[Quantity], results: Results, made_with: str) -> None:
     """All numbers as CSV and as a page; ``made_with`` says in a sentence what they were measured with. Raises ConfigError."""
     rows = [dict(zip(COLUMNS, row, strict=True)) for quantity in quantities for row in _rows(quantity, results[quantity.name])]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    _written(folder / POINTS, text.getvalue())
+    _written(folder / POINTS, csv_text([COLUMNS, *([*row.values()] for row in rows)]))
     _written(folder / PAGE, numbers_page(quantities, rows, made_with))
 
 

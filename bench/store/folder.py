@@ -32,6 +32,7 @@ from bench.store.transactions import Row, Tables, Transactions
 from instruments.clock import wall_time as time_of_day
 
 FLUSH_EVERY = 60  # rows that may wait: one sync a minute of run time for the bath's readings
+LONGEST_NAME = 60  # bytes of the name of a script or recording in that of a run's folder
 URGENT = frozenset({"trip", "fault", "aborted", "safe", "end"})
 
 
@@ -232,8 +233,11 @@ class Store:
 
 
 def new_run_folder(out: Path, name: str, wall_time: datetime) -> Path:
-    """A name for a run that nothing has yet: ``<out>/<time>-<name>``, with a number where two fall on one second."""
-    stem = f"{wall_time:%Y%m%d-%H%M%S}-{name}"
+    """A name for a run that nothing has yet: ``<out>/<time>-<name>``, with a number where two fall on one second.
+
+    A long name is cut: a file system takes 255 bytes, and the folder is made under a longer name.
+    """
+    stem = f"{wall_time:%Y%m%d-%H%M%S}-{name.encode()[:LONGEST_NAME].decode(errors='ignore')}"
     folder, number = out / stem, 1
     while folder.exists():
         number += 1

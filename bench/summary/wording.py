@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from bench.record import RunRecord
@@ -10,9 +10,11 @@ from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import percent_apart
 from bench.store.check import NOT_AS_WRITTEN, shortened
 from bench.verdicts import Judgement, run_verdict
+from detector.protocol import Outcome
 from reports.parts import Verdict as PageVerdict
 
 NOT_MEASURED = "not measured"
+LONGEST_WORDS = 200
 
 
 def number(value: float | None, unit: str = "", digits: int = 2) -> str:
@@ -52,12 +54,32 @@ def _digits(decision: Decision) -> int:
 
 
 def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdict, str, str]:
-    """The verdict on the run, why, and what to do next."""
+    """The verdict on the run, why, and what to do next. A detector that did not answer is told before all else."""
     if run.damage:
         why = f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {shortened(run.damage)}"
         return "no verdict", why, "Put back the run's folder from a copy; 'teatbench store check' lists all that is damaged."
     if run.ending != "finished":
         return "aborted", _why_ended(run), _after_ending(run)
+    verdict, why, then = _finished(run, judgements)
+    silent = [told for name in run.detectors for told in _silence(run, name)]
+    if not silent:
+        return verdict, why, then
+    first = "First find out why the detector did not answer: its reasons stand with the trials below."
+    return verdict, "\n".join([*silent, why]), f"{first} {then}" if verdict == "not met" else f"{first} Then run it again."
+
+
+def _silence(run: RunRecord, detector: str) -> Iterator[str]:
+    """That it gave no answer, how often, the last reason, and the last words that it wrote; nothing where it always answered."""
+    rows = [row for trial in run.counted for row in trial.detections if row["detector"] == detector]
+    silent = [row for row in rows if row["outcome"] != Outcome.ANSWERED.value]
+    if silent:
+        reasons = [row["reason"] for row in silent if row["outcome"] != Outcome.OFF.value and row["reason"]]
+        words = [line.strip() for row in silent for line in (row["wall_stderr"] or "").splitlines() if line.strip()]
+        last = f' Its last words: "{words[-1][:LONGEST_WORDS]}".' if words else ""
+        yield f"{detector} did not answer on {len(silent)} of {len(rows)} frame sets{': ' if reasons else ''}{''.join(reasons[-1:])}.{last}"
+
+
+def _finished(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdict, str, str]:
     if not judgements and run.skipped:
         nothing = f"All {len(run.skipped)} trials were left out, so nothing was scored."
         return "no verdict", nothing, "Remove the reasons, which are listed under the deviations, then run the script again."

@@ -41,7 +41,10 @@ class Limits:
 
 
 class ExternalDetector:
-    """``command`` run in ``folder`` (None: the bench's own). ``stopwatch`` gives real seconds from an arbitrary start."""
+    """``command`` run in ``folder`` (None: the bench's own). ``stopwatch`` gives real seconds from an arbitrary start.
+
+    ``environment`` names variables that it sees beside those that every program needs.
+    """
 
     def __init__(
         self,
@@ -52,8 +55,10 @@ class ExternalDetector:
         folder: Path | None = None,
         limits: Limits | None = None,
         version: str | None = None,
+        environment: Sequence[str] = (),
     ) -> None:
         self._name, self._command, self._folder = name, tuple(command), folder
+        self._environment = tuple(environment)
         self._stopwatch, self._limits = stopwatch, limits or Limits()
         self._files = {part: digest for part in self._command if (digest := _digest(part, folder))}
         self._version = version or hashlib.sha256("".join(self._files.values()).encode()).hexdigest()[:12]
@@ -77,8 +82,9 @@ class ExternalDetector:
 
     @property
     def parameters(self) -> Mapping[str, Any]:
-        """The command, the limits, and the SHA-256 of each file that the command names."""
-        return {"command": list(self._command), "limits": asdict(self._limits), "files_sha256": dict(self._files)}
+        """The command, the limits, the SHA-256 of each file that the command names, and which variables it was given (no values)."""
+        passed = {"environment": list(self._environment)} if self._environment else {}
+        return {"command": list(self._command), "limits": asdict(self._limits), "files_sha256": dict(self._files), **passed}
 
     @property
     def patience_s(self) -> float:
@@ -129,7 +135,7 @@ class ExternalDetector:
         """Look at its memory between calls. Raises DetectionFailure where it takes too much; it is started again then."""
         try:
             if self._child is not None:
-                self._child.check_memory()
+                self._child.check_limits()
         except ChildFault as fault:
             raise self._fault(f"it {fault}") from None
 
@@ -150,7 +156,7 @@ class ExternalDetector:
         start_s, limit_s = self._stopwatch(), self._limits.start_s
         self._starts += 1
         try:
-            self._child = Child(self._command, self._folder, self._limits.memory_mib, self._stopwatch)
+            self._child = Child(self._command, self._folder, self._limits.memory_mib, self._stopwatch, self._environment)
             check_ready(self._child.line(limit_s))
         except OSError as error:
             raise self._fault(f"it can't be started: {error.strerror or error}") from None

@@ -1,9 +1,10 @@
 """Holds a program on a leash (Linux, macOS): when whoever holds the other end lets go, or dies, the program and all that it started end.
 
-Run by its path with the number of an open pipe and a command. It lets the command have its own standard streams, waits, and ends as the
-command ended (128 + the number of the signal that killed it). The command gets a process group of its own, which is ended as a whole; on
-Linux every orphan below is adopted too, so that a process in a session of its own is found. Standard library only, and nothing imported
-that is slow: it stands between the bench and each start of a detector.
+Run by its path with the number of an open pipe, a limit in MiB (0: none) and a command. It lets the command have its own standard
+streams, waits, and ends as the command ended (128 + the number of the signal that killed it). The command gets a process group of its
+own, which is ended as a whole; on Linux every orphan below is adopted too, so that a process in a session of its own is found, and what
+a process may allocate is limited (RLIMIT_DATA). Standard library only, and nothing imported that is slow: it stands between the bench
+and each start of a detector.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ _PR_SET_CHILD_SUBREAPER = 36  # prctl(2)
 
 
 def main(arguments: list[str]) -> int:
-    """Run ``arguments[1:]`` until it ends, or until the pipe ``arguments[0]`` is closed at its other end."""
-    pipe, command = int(arguments[0]), arguments[1:]
+    """Run ``arguments[2:]`` until it ends, or until the pipe ``arguments[0]`` is closed at its other end."""
+    pipe, limit_mib, command = int(arguments[0]), int(arguments[1]), arguments[2:]
     os.set_inheritable(pipe, False)
     _adopt_orphans()
+    _limit_memory(limit_mib)
     try:
         child = os.posix_spawnp(command[0], command, os.environ, setpgroup=0)
     except OSError as error:
@@ -35,28 +37,43 @@ def main(arguments: list[str]) -> int:
     return 128 + signal.SIGKILL if code is None else code if code >= 0 else 128 - code
 
 
-def descendants(process: int) -> list[int]:
-    """All processes below this one, as /proc tells; none where there is no /proc."""
-    parents = _parents()
-    found, level = [], {process}
-    while level := {pid for pid, parent in parents.items() if parent in level}:
+def descendants(process: int, mark: bytes = b"") -> list[int]:
+    """All processes below this one, as /proc tells; none where there is no /proc.
+
+    With ``mark`` also those of its session, and those with that mark in their environment, though it may have died before them.
+    """
+    living = _living()
+    found: list[int] = []
+    level = {process}
+    if mark:
+        level |= {pid for pid, (_, session) in living.items() if session == process or mark in _environment(pid)}
+        found += sorted(level & living.keys())
+    while level := {pid for pid, (parent, _) in living.items() if parent in level} - set(found):
         found += sorted(level)
     return found
 
 
-def _parents() -> dict[int, int]:
-    """Process -> its parent, of all that live."""
-    found: dict[int, int] = {}
+def _environment(process: int) -> bytes:
+    try:
+        with open(f"/proc/{process}/environ", "rb") as file:  # noqa: PTH123 - as below
+            return file.read()
+    except OSError:  # it has just ended, or is another user's
+        return b""
+
+
+def _living() -> dict[int, tuple[int, int]]:
+    """Process -> its parent and its session, of all that live."""
+    found: dict[int, tuple[int, int]] = {}
     for name in os.listdir("/proc") if os.path.isdir("/proc") else ():  # noqa: PTH112, PTH208 - pathlib takes 20 ms to import
         if name.isdecimal():
             try:
                 with open(f"/proc/{name}/stat", "rb") as file:  # noqa: PTH123 - the same
-                    # after the name in brackets, which may hold anything: state, parent
-                    state, parent = file.read().rpartition(b")")[2].split()[:2]
+                    # after the name in brackets, which may hold anything: state, parent, group, session
+                    state, parent, _, session = file.read().rpartition(b")")[2].split()[:4]
             except OSError:  # it has just ended
                 continue
             if state != b"Z":
-                found[int(name)] = int(parent)
+                found[int(name)] = int(parent), int(session)
     return found
 
 
@@ -65,6 +82,16 @@ def _adopt_orphans() -> None:
         import ctypes
 
         ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def _limit_memory(mib: int) -> None:
+    """What one process may allocate. Not of addresses: numpy's threads, and languages with a collector, reserve far more than they use."""
+    if mib and sys.platform == "linux":
+        import resource
+
+        most = resource.getrlimit(resource.RLIMIT_DATA)[1]
+        limit = mib << 20 if most == resource.RLIM_INFINITY else min(mib << 20, most)
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
 
 
 def _let_go_of_streams() -> None:

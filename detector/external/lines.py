@@ -73,9 +73,8 @@ def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection
 
 
 def shown(line: bytes) -> str:
-    """A line for a sentence: its beginning, without control characters."""
+    """A line for a sentence: its beginning."""
     text = line.decode("utf-8", errors="replace").strip()
-    text = "".join(c if c.isprintable() else "�" for c in text)
     return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
 
 

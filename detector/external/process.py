@@ -7,19 +7,29 @@ Waiting is on the queue between that thread and the caller. What the lines mean 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import queue
+import secrets
+import select
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, cast
 
 from detector.external import leash
 from detector.external.lines import shown
 
+ENVIRONMENT = (
+    "PATH", "HOME", "USER", "LOGNAME", "LANG", "LANGUAGE", "LC_ALL", "LC_CTYPE", "LC_NUMERIC", "LC_MESSAGES", "TZ", "TMPDIR", "TEMP", "TMP",
+    "SYSTEMROOT", "SYSTEMDRIVE", "WINDIR", "COMSPEC", "PATHEXT", "USERPROFILE", "APPDATA", "LOCALAPPDATA", "PROGRAMDATA", "PROGRAMFILES",
+    "NUMBER_OF_PROCESSORS", "PROCESSOR_ARCHITECTURE",
+)  # fmt: skip
+MARK = "TEATBENCH_DETECTOR"  # by which it and all that it started are known, whatever became of the processes between
+HARD_LIMIT = 4.0  # times the memory allowed, a process: numpy's threads alone allocate 40 MiB each and never touch most of it
 LONGEST_LINE = 1 << 20
 KEPT_STDERR = 1 << 14
 _LOOK_S = 0.25
@@ -37,11 +47,23 @@ class ChildSilent(ChildFault):
 
 
 class Child:
-    """A command, started. Raises OSError where that can't be done. ``stopwatch`` gives seconds from an arbitrary start."""
+    """A command, started. Raises OSError where that can't be done. ``stopwatch`` gives seconds from an arbitrary start.
 
-    def __init__(self, command: Sequence[str], folder: Path | None, memory_mib: float | None, stopwatch: Callable[[], float]) -> None:
+    ``passed`` names variables of the bench's environment that it sees beside those of `ENVIRONMENT`.
+    """
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        folder: Path | None,
+        memory_mib: float | None,
+        stopwatch: Callable[[], float],
+        passed: Sequence[str] = (),
+    ) -> None:
         self._memory_mib, self._stopwatch = memory_mib, stopwatch
-        self._process, self._hold = _spawn(command, folder)
+        self._mark = secrets.token_hex(16)
+        hard_mib = 0 if memory_mib is None else math.ceil(HARD_LIMIT * memory_mib)
+        self._process, self._hold = _spawn(command, folder, {**environment(passed), MARK: self._mark}, hard_mib)
         self._in = cast(IO[bytes], self._process.stdin)
         self._heard = _Heard()
         self._complaints = _Complaints()
@@ -71,14 +93,17 @@ class Child:
             try:
                 line = self._heard.lines.get(timeout=min(left_s, _LOOK_S))
             except queue.Empty:
-                self.check_memory()
+                self.check_limits()
                 continue
             if line is None:
                 raise ChildFault(self._heard.trouble or self._ending())
             return line
 
-    def check_memory(self) -> None:
-        """Raises ChildFault where the child and what it started hold more memory than they may, as far as this system tells."""
+    def check_limits(self) -> None:
+        """Raises ChildFault where the child and what it started hold more memory than they may, or nobody supervises it any more."""
+        code = self._process.poll()
+        if code is not None and code < 0:  # it ends as its command does, and that is no signal's number
+            raise ChildFault(f"has lost its supervisor, which was ended by signal {-code}")
         used_mib = resident_mib(self._process.pid)
         if self._memory_mib is not None and used_mib is not None and used_mib > self._memory_mib:
             raise ChildFault(f"took {used_mib:.0f} MiB of memory, {self._memory_mib:g} MiB are allowed")
@@ -102,8 +127,7 @@ class Child:
             self._hold = None
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(_END_S)
-        if self._process.poll() is None:
-            self._kill()
+        self._kill()
         self._process.wait()
         with contextlib.suppress(OSError):  # what was never sent can't be sent now
             self._in.close()
@@ -113,11 +137,18 @@ class Child:
                 cast(IO[bytes], pipe).close()
 
     def _kill(self) -> None:
-        """Where the leash didn't do it, or there is none."""
-        for pid in leash.descendants(self._process.pid):
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGTERM if sys.platform == "win32" else signal.SIGKILL)
-        self._process.kill()
+        """What is left where the leash didn't do it, was ended itself, or there is none."""
+        until_s = self._stopwatch() + _END_S
+        while sys.platform == "linux" and self._stopwatch() < until_s:
+            left = leash.descendants(self._process.pid, self._mark.encode())
+            if not left:
+                break
+            for pid in left:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.kill(pid, signal.SIGKILL)
+            select.select([], [], [], 0.005)
+        if self._process.poll() is None:
+            self._process.kill()
 
     def _ending(self) -> str:
         """How it ended; it has closed its output."""
@@ -202,19 +233,29 @@ def _read(pipe: IO[bytes], take: Callable[[bytes], bool]) -> None:
             return
 
 
-def _spawn(command: Sequence[str], folder: Path | None) -> tuple[subprocess.Popen[bytes], int | None]:
+def environment(passed: Sequence[str] = ()) -> dict[str, str]:
+    """What a child sees of the bench's environment: what programs need to start at all, and what ``passed`` names.
+
+    Tokens and passwords of whoever runs the bench are none of its business.
+    """
+    return {name: os.environ[name] for name in (*ENVIRONMENT, *passed) if name in os.environ}
+
+
+def _spawn(
+    command: Sequence[str], folder: Path | None, env: Mapping[str, str], hard_mib: int
+) -> tuple[subprocess.Popen[bytes], int | None]:
     """The process, and the end of the leash to hold where the system has one. In a session of its own: Ctrl-C is the bench's."""
     pipe = subprocess.PIPE
     if os.name != "posix":
         detached = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0) | getattr(subprocess, "CREATE_NO_WINDOW", 0)
-        return subprocess.Popen(command, cwd=folder, creationflags=detached, stdin=pipe, stdout=pipe, stderr=pipe), None  # noqa: S603
+        return subprocess.Popen(command, cwd=folder, env=env, creationflags=detached, stdin=pipe, stdout=pipe, stderr=pipe), None  # noqa: S603
     far, near = os.pipe()
-    held = [sys.executable, "-I", "-S", str(Path(leash.__file__)), str(far), *command]
+    held = [sys.executable, "-I", "-S", str(Path(leash.__file__)), str(far), str(hard_mib), *command]
     try:
-        return (
-            subprocess.Popen(held, cwd=folder, pass_fds=(far,), start_new_session=True, stdin=pipe, stdout=pipe, stderr=pipe),  # noqa: S603
-            near,
+        process = subprocess.Popen(  # noqa: S603
+            held, cwd=folder, env=env, pass_fds=(far,), start_new_session=True, stdin=pipe, stdout=pipe, stderr=pipe
         )
+        return process, near
     except OSError:
         os.close(near)
         raise

@@ -139,8 +139,10 @@ def _image(path: Path) -> NDArray[Any]:
         raise RecordingError(f"{path}: can't be read: {fault}") from fault
     if damaged := _damaged_chunk(data):  # OpenCV takes some of these, and libpng writes about others to the terminal
         raise RecordingError(f"{path}: is damaged: {damaged}. Copy it again from where it was taken.")
-    # Through memory, for imread knows only the ASCII paths of Windows.
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    try:  # through memory, for imread knows only the ASCII paths of Windows
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except cv2.error as fault:  # its header claims a size that no memory holds
+        raise RecordingError(f"{path}: is not an image that can be read: OpenCV refuses it ({fault.err})") from fault
     if image is None:
         raise RecordingError(f"{path}: is not an image that can be read ({len(data)} bytes)")
     return image

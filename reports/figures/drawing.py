@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from reports.sanitize import sanitized
 from reports.trust import checked_slug
 
 # One colour a role. The hex value is the light scheme's and stands in the file; the style sheet overrides it by class.
@@ -68,7 +69,6 @@ _LINKS = re.compile(
     _LINK.format('([^"]*)', _MARK.format('([^"]*)', '([^"]*)', '((?: [a-z-]+="[^"]*")*)'))
     + "(?:" + _LINK.format(r"\1", _MARK.format(r"\2", r"\3", r"\4")) + f"){{{_FEWEST_ALIKE - 1},}}"
 )  # fmt: skip
-_NO_TEXT_IN_XML = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]+")
 
 
 def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None]) -> str:
@@ -119,7 +119,7 @@ def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
 
 def plain(text: str, most: int = 30) -> str:
     """`text` on one line that XML can hold, cut with an ellipsis at `most` letters."""
-    line = " ".join(_NO_TEXT_IN_XML.sub(" ", text).split())
+    line = " ".join(sanitized(text).split())
     return line if len(line) <= most else line[: most - 1].rstrip() + "…"
 
 

@@ -211,11 +211,11 @@ def test_every_name_has_an_id_of_its_own_on_a_page(names: list[str]) -> None:
 
 def test_detect_shows_the_last_words_of_a_program_that_gave_no_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording, command = write_recording(tmp_path / "five"), f"exec:{sys.executable} {tmp_path / 'lost.py'}"
-    assert main(["detect", str(recording), "--detector", command]) == 0
+    assert main(["detect", str(recording), "--detector", command]) == 3
     first, second, *_ = capsys.readouterr().out.splitlines()
     assert first.endswith("the detector failed: it ended with exit code 2 before it was ready")
     assert "can't open file" in second
-    assert main(["detect", str(recording), "--json", "--detector", command]) == 0
+    assert main(["detect", str(recording), "--json", "--detector", command]) == 3
     assert "can't open file" in json.loads(capsys.readouterr().out.splitlines()[0])["stderr"]
 
 

@@ -16,6 +16,7 @@ import pytest
 
 from bench.cli import main
 from bench.rig import RIGS
+from bench.script import TRIALS
 from instruments.bath.driver import Bath
 from instruments.bath.profile import load_profile
 from instruments.clock import RealClock
@@ -92,6 +93,23 @@ def test_runs_that_cannot_be_kept_are_told(tmp_path: Path, capsys: pytest.Captur
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     assert main(["run", "--out", str(tmp_path / "file")]) == 2
     assert "--out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("gate", ["mean_k = 0.30", "mean_k = 0.10\nleave_k = 0.05", "leave_k = 0.05"])
+def test_a_gate_that_cannot_be_leaves_no_folder(gate: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
+    (tmp_path / "script.toml").write_text(text.replace("mean_k = 0.10", gate), encoding="utf-8")
+    assert main(["run", str(tmp_path / "script.toml"), "--out", str(tmp_path / "runs")]) == 2
+    assert "bath.mean_k: 0." in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("arguments", [["run"], ["run", "--rig"], ["score"], ["detect"], ["report"], ["emulate"]])
+def test_a_name_that_is_too_long_is_told_as_that(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*arguments, str(tmp_path / ("long" * 80))]) == 2
+    said = capsys.readouterr().err
+    assert "disk full" not in said
+    assert "Traceback" not in said
 
 
 def test_a_recording_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

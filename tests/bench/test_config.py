@@ -133,6 +133,8 @@ def test_shipped_scripts_load() -> None:
         ('name = "overlapping"', 'name = "non-vertical"', "two have the name"),
         ("rate = 0.95", "rate = 1.0", "rate"),
         ("window_s = 600.0", "window_s = 600.0\nwindov_s = 1", 'did you mean "window_s"'),
+        ("mean_k = 0.10", "mean_k = 0.30", "bath.mean_k: 0.3 K is above leave_k = 0.15 K"),
+        ("mean_k = 0.10", "mean_k = 0.10\nleave_k = 0.05", "bath.mean_k: 0.1 K is above leave_k = 0.05 K"),
     ],
 )
 def test_a_wrong_script_says_where(tmp_path: Path, old: str, new: str, message: str) -> None:

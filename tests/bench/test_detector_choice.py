@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -11,8 +12,11 @@ import pytest
 from bench.cli import main
 from bench.config import ConfigError
 from bench.detecting.choice import check_named, declared, make_detectors, taken_apart
+from bench.rig import find_rig, load_rig
 from bench.script import TRIALS, load_script
 from detector.external import ExternalDetector
+from detector.external.process import ENVIRONMENT, MARK
+from tests.detector.children import answering, ask
 
 COMMAND = f"command = [{json.dumps(sys.executable)}, 'x.py']\n"
 
@@ -105,3 +109,29 @@ def test_the_list_tells_a_faulty_file_and_goes_on(
     said = capsys.readouterr().out
     assert "bad: BROKEN: " in said
     assert "thesis: " in said
+
+
+def test_a_program_sees_the_variables_of_the_list_and_those_that_its_file_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LAB_TOKEN", "secret")
+    monkeypatch.setenv("LAB_MODEL", "heavy")
+    monkeypatch.setenv("LANG", "C.UTF-8")
+    says = 'say({"frame": asked["frame"], "teats": [], "reason": json.dumps(dict(os.environ))})'
+    (tmp_path / "mine.py").write_text(answering(says), encoding="utf-8")
+    command = f"command = [{sys.executable!r}, 'mine.py']\n"
+    (tmp_path / "plain.toml").write_text(command, encoding="utf-8")
+    (tmp_path / "more.toml").write_text(f"{command}environment = ['LAB_MODEL', 'NOT_THERE']\n", encoding="utf-8")
+    seen = {}
+    for detector in make_detectors(["plain.toml", "more.toml"], tmp_path):
+        assert isinstance(detector, ExternalDetector)
+        try:
+            seen[detector.name] = json.loads(str(ask(detector, load_rig(find_rig(None)).calibration).reason))
+        finally:
+            detector.close()
+    assert seen["plain"]["LANG"] == "C.UTF-8"
+    assert seen["plain"]["PATH"] == os.environ["PATH"]
+    assert set(seen["plain"]) <= {*ENVIRONMENT, MARK}
+    assert seen["more"].keys() - seen["plain"].keys() == {"LAB_MODEL"}
+    assert seen["more"]["LAB_MODEL"] == "heavy"
+    (tmp_path / "wrong.toml").write_text(f"{command}environment = ['A=B']\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"environment\[1\]"):
+        make_detectors(["wrong.toml"], tmp_path)

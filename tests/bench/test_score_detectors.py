@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import csv
+import html
 import json
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import time
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +21,7 @@ from bench.cli import main
 from bench.detecting.latency import Latency, failures_told, latency_of
 from bench.detecting.score_table import score_table
 from bench.record import RunRecord, read_run
+from bench.scoring.decisions import Verdict
 from bench.summary.page import stored_rules
 from bench.verdicts import judge
 from tests.bench.small_recording import ENDS_MM, write_recording
@@ -153,6 +157,57 @@ def test_detect_tells_outcomes_and_first_calls(recording: Path, tmp_path: Path, 
     assert [line["detector"] for line in lines] == ["exec-program"] * 5
     assert [line.get("outcome") for line in lines] == [None, None, "failure", None, None]
     assert [line.get("cold", False) for line in lines] == [True, False, False, True, False]
+
+
+def test_a_detector_that_crashes_is_no_bad_detector(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "crasher.py").write_text("import sys\nsys.exit('cannot find model.bin')", encoding="utf-8")
+    command = f"exec:{sys.executable} {tmp_path / 'crasher.py'}"
+    assert main(["score", str(recording), "--detector", command, "--out", str(tmp_path / "runs")]) == 4
+    said = " ".join(capsys.readouterr().out.split())
+    assert "exec-crasher did not answer on 5 of 5 frame sets: the detector failed: it ended with exit code 1 before it was ready." in said
+    assert 'it is switched off for the rest of the run. Its last words: "cannot find model.bin".' in said
+    assert "First find out why the detector did not answer" in said
+    assert "has to become better" not in said
+    (run,) = (tmp_path / "runs").iterdir()
+    (judgement,) = judge(read_run(run), stored_rules(run))
+    assert {decision.verdict for decision in judgement.decisions} == {Verdict.NOT_MEASURED}
+    page = html.unescape((run / "report" / "index.html").read_text(encoding="utf-8"))
+    assert page.index("did not answer on 5 of 5 frame sets") < page.index('id="results"')
+
+
+def test_nothing_is_met_by_silence(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    silent_once = PROGRAM.replace("if number == 2:", "if False:")
+    command = f"command = [{json.dumps(sys.executable)}, 'mine.py']\n"
+    (tmp_path / "mine.toml").write_text(command, encoding="utf-8")
+    (tmp_path / "mine.py").write_text(silent_once, encoding="utf-8")
+    main(["score", str(recording), "--detector", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "runs")])
+    said = " ".join(capsys.readouterr().out.split())
+    assert 'mine did not answer on 1 of 5 frame sets: the detector failed: it ended with exit code 9. Its last words: "no cheese".' in said
+    (run,) = (tmp_path / "runs").iterdir()
+    (judgement,) = judge(read_run(run), stored_rules(run))
+    (false,) = (decision for decision in judgement.decisions if "false" in decision.name)
+    assert (false.measured, false.verdict) == (0.0, Verdict.INCONCLUSIVE)
+    assert "did not answer on 1 of 5 frame sets" in false.sentence
+    assert Verdict.MET not in {decision.verdict for decision in judgement.decisions}
+
+
+def test_a_score_that_fails_leaves_no_half_a_run(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    odd = tmp_path / "odd"
+    shutil.copytree(recording, odd)
+    last = sorted((odd / "frames").iterdir())[-1] / "right.png"
+    header = struct.pack(">IIBBBBB", 60000, 60000, 8, 0, 0, 0, 0)
+    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(bytes(9))), (b"IEND", b"")]
+    last.write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + b"".join(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks)
+    )
+    assert main(["score", str(odd), "--out", str(tmp_path / "runs")]) == 2
+    said = capsys.readouterr().err
+    assert f"{last}: is not an image that can be read" in said
+    assert "Traceback" not in said
+    assert list((tmp_path / "runs").iterdir()) == []
+    assert main(["detect", str(odd)]) == 0
+    assert f"{last}: is not an image that can be read" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="sends a POSIX signal, and looks for processes in /proc")

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from contextlib import closing
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -148,3 +149,11 @@ def test_the_link_over_many_facts_repeats_in_another_process(tmp_path: Path) -> 
     with closing(sqlite3.connect(tmp_path / "run" / DATABASE)) as db:
         said = [json.loads(covers).get("facts", {}) for (covers,) in db.execute("SELECT covers FROM chain ORDER BY number")]
     assert [key for link in said for key in link if key in keys or not key.startswith("fact")] == keys
+
+
+@pytest.mark.parametrize("name", ["n" * 250, "ü" * 125])
+def test_a_run_of_a_script_with_a_long_name_can_be_kept(tmp_path: Path, name: str) -> None:
+    folder = new_run_folder(tmp_path, name, datetime(2026, 1, 2, tzinfo=UTC))
+    Store.create(folder, {}).close()
+    assert folder.is_dir()
+    assert name.startswith(folder.name.removeprefix("20260102-000000-"))

@@ -73,6 +73,56 @@ def test_a_grandchild_in_a_session_of_its_own_ends_too(start: Start, rig: Calibr
     assert not any(alive(pid) for pid in pids)
 
 
+ESCAPE = """
+import signal
+spec = dict(start_new_session=True, stdin=subprocess.DEVNULL)
+sleeper = [sys.executable, "-c", "import time; time.sleep(600)"]
+of_own_session = subprocess.Popen(sleeper, **spec)
+without_a_mark = subprocess.Popen(sleeper, env={}, stdin=subprocess.DEVNULL)
+orphaned = subprocess.run(
+    [sys.executable, "-c", f"import subprocess; print(subprocess.Popen({sleeper!r}, **{spec!r}, stdout=subprocess.DEVNULL).pid)"],
+    stdout=subprocess.PIPE, check=True,
+).stdout
+with open(%r, "w") as file: file.write(f"{os.getpid()} {of_own_session.pid} {without_a_mark.pid} {int(orphaned)}")
+os.kill(os.getppid(), signal.SIGKILL)
+"""
+
+
+@linux
+@pytest.mark.parametrize("goes_on", [True, False], ids=["answers on", "falls silent"])
+def test_one_that_kills_its_supervisor_leaves_nothing_behind(start: Start, rig: Calibration, tmp_path: Path, goes_on: bool) -> None:
+    then = 'say({"frame": asked["frame"], "teats": []})' if goes_on else "time.sleep(600)"
+    detector = start(answering(f"{ESCAPE % str(tmp_path / 'pids')}{then}"), answer_s=600.0)
+    told = "has lost its supervisor, which was ended by signal 9"
+    if goes_on:
+        ask(detector, rig)
+        with pytest.raises(DetectionFailure, match=told):
+            look_for_a_minute(detector)
+    else:
+        assert told in str(failure(detector, rig))
+    pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
+    deadline = time.monotonic() + 60
+    while any(alive(pid) for pid in pids) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert len(pids) == 4
+    assert [pid for pid in pids if alive(pid)] == []
+
+
+@linux
+def test_the_system_refuses_a_process_far_more_memory_than_allowed(start: Start, rig: Calibration) -> None:
+    """Memory that was never touched is not resident, so that only the hard limit can see it."""
+    what = """import mmap
+try:
+    kept = mmap.mmap(-1, %d, flags=mmap.MAP_PRIVATE)
+    said = "given"
+except OSError:
+    said = "refused"
+say({"frame": asked["frame"], "teats": [], "reason": said})"""
+    below, above = (answering(what % (times * 100 << 20)) for times in (3, 5))
+    assert ask(start(below, memory_mib=100.0), rig).reason == "given"
+    assert ask(start(above, memory_mib=100.0), rig).reason == "refused"
+
+
 @linux
 def test_nothing_outlives_a_bench_that_is_killed(tmp_path: Path) -> None:
     (tmp_path / "program.py").write_text(

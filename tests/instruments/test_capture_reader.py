@@ -238,3 +238,9 @@ def test_kill_9_leaves_all_that_was_captured(tmp_path: Path, after_s: float) -> 
     assert [int.from_bytes(one.asked, "big") for one in exchanges] == list(range(len(exchanges)))
     assert all(len(one.came) == 1 for one in exchanges[:-1])
     assert conversation.closed_s is None
+
+
+@pytest.mark.parametrize("t_s", ["1" + 400 * "0", "1e400", "-1", "true"])
+def test_a_time_that_no_clock_shows_is_told_with_its_line(tmp_path: Path, t_s: str) -> None:
+    with pytest.raises(CaptureError, match=r"c\.jsonl:3: t_s is no time: .{1,60}$"):
+        read_capture(written(tmp_path, HEAD + OPENED + SENT.replace("1.0", t_s)))
