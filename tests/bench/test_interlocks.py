@@ -102,6 +102,7 @@ def wobbling(t: int) -> float:
         ("falling just above 90 %", lambda t: at_power(25.0 - t * 0.001, 90.01), ("loop break", 120.0)),
         ("risen by 0.1 K after 100 s", lambda t: at_power(20.0 + 0.1015 * (t >= 100) + 0.001 * (t % 2), 95.0), ("loop break", 220.0)),
         ("risen by less", lambda t: at_power(20.0 + 0.0985 * (t >= 100) + 0.001 * (t % 2), 95.0), ("loop break", 120.0)),
+        ("low level, hardly heated", lambda t: replace(CALM, alarm=1, power_percent=0.0005), ("heat without pump or level", 0.0)),
         ("low level while cooling", lambda t: replace(CALM, alarm=1, power_percent=-5.0), ("controller alarm", 0.0)),
         ("low level, no output told", lambda t: replace(CALM, alarm=1, power_percent=None), ("controller alarm", 0.0)),
         ("alarm 5", lambda t: replace(CALM, alarm=5 if t == 60 else 0), ("controller alarm", 60.0)),
