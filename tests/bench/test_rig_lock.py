@@ -89,6 +89,7 @@ def test_a_run_is_refused_before_anything_is_opened(tmp_path: Path, capsys: pyte
     arguments, rig = files(tmp_path, operator="console:"), tmp_path / "rig.toml"
     urls = iter(["socket://127.0.0.1:9", "tcp://127.0.0.1:9", "recording:frames"])  # nobody is there, and nobody is asked
     text = re.sub('"emulator:"', lambda _: f'"{next(urls)}"', rig.read_text(encoding="utf-8"))
+    text = text.replace("[bath]", '[bath]\ncut_out_tested = "2024-03-01"')
     rig.write_text(text.replace("bath_start_c = 33.0", "").replace("[emulation]", ""), encoding="utf-8")
     first = holder(rig.with_name("rig.lock.json"))
     assert main(arguments) == 3
