@@ -289,7 +289,7 @@ def test_a_cut_answer_is_never_completed_by_the_next(cut: str) -> None:
                     return frame[:place]
 
                 far_end.spoils = [*[lambda frame: frame] * block, spoil]
-                far_end.delays_s = [0.0] * block + ([1.2] if cut == "late" else [])
+                far_end.delays_s = [*[0.0] * block, *([1.2] if cut == "late" else [])]
                 for _ in range(2):
                     with suppress(InstrumentError):
                         assert replace(bath.read(), t_s=0.0) == whole, (block, place)
