@@ -20,8 +20,8 @@ LAST_WORDS = "? = explain, a = abort the run): "
 @pytest.mark.parametrize("columns", [37, 80, 200])
 def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(columns: int, tmp_path: Path) -> None:
     """The sentences wrap at 37 and 80 columns, and their last row may be as good as full."""
-    asked = ["on its peg", "Situation ideal", *(f"teat {teat} of 4] Touch" for teat in (1, 2)), "Once more"]
-    asked += [f"teat {teat} of 4] Touch" for teat in (3, 4)]
+    asked = ["on its peg", "Situation ideal", *(f"teat {teat} of 4; " for teat in (1, 2)), "Once more"]
+    asked += [f"teat {teat} of 4; " for teat in (3, 4)]
     mistake = 'mistakes = ["wrong teat"]'
     with at_terminal(files(tmp_path, operator="console:", script=ONE, emulation=mistake), columns) as terminal:
         for words in asked:
