@@ -88,6 +88,7 @@ def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
     assert "the mean distance to the teat end grew by 1." in told
     assert main(["compare", str(baseline), str(new)]) == 0  # without --gate it only tells
     assert main(["compare", str(new), str(baseline), "--gate"]) == 0  # the repair is not worse
+    assert main(["compare", str(baseline), str(new), "--gate", "--margin-mm", "5"]) != 1  # who allows so much is told nothing red
 
 
 def test_the_same_detector_again_is_green(recording: Path, baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
