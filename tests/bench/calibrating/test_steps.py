@@ -95,7 +95,8 @@ def test_all_steps_make_one_calibration(lab: Path, capsys: pytest.CaptureFixture
 
 
 def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path) -> None:
-    points, sds = write_touched(lab / "points3.csv"), []
+    points = write_touched(lab / "points3.csv")
+    sds: list[float] = []
     for noise in ((), ("--touch-sd", "2.5"), ("--pixel-sd", "2.5")):
         given = ["calibrate", "world", str(points), "--cameras", str(lab / "cameras.toml"), "--out", str(lab / "w3.toml"), *noise]
         assert main([*given, *(("--replace",) if sds else ())]) in (0, 1)
