@@ -24,7 +24,7 @@ MOST_MIB = 1024.0
 
 def pytest_configure(config: pytest.Config) -> None:
     """A CI that starts in the background (`&`, `nohup`) ignores signals, and its children too: tests that send them need them heard."""
-    fixed = settings.default.derandomize and config.getoption("hypothesis_seed") is None  # hypothesis: the same examples in a CI
+    fixed = settings().derandomize and config.getoption("hypothesis_seed") is None  # hypothesis: the same examples in a CI
     settings.register_profile("teatbench", deadline=None, derandomize=fixed)  # how fast the machine is says nothing of the code
     settings.load_profile("teatbench")
     os.environ.setdefault("TEATBENCH_BROWSER", "")  # 'teatbench report' prints a PDF where a browser is: only where that is what is tested

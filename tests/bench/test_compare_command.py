@@ -89,6 +89,7 @@ def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
     assert "the mean distance to the teat end grew by 1." in told
     assert main(["compare", str(baseline), str(new)]) == 0  # without --gate it only tells
     assert main(["compare", str(new), str(baseline), "--gate"]) == 4  # nothing got worse, but three poses can't show that
+    assert main(["compare", str(baseline), str(new), "--gate", "--margin-mm", "5"]) != 1  # who allows so much is told nothing red
 
 
 def test_of_too_few_poses_the_gate_says_how_many_it_takes(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -65,6 +66,16 @@ def test_an_answer_may_abort_the_run(tmp_path: Path) -> None:
     code, record = run(files(tmp_path, operator="script:answers.txt", answers=answers), tmp_path)
     assert (code, record.ending, len(record.trials)) == (3, "aborted", 1)
     assert texts(record, "aborted") == ["the operator aborted the run"]
+
+
+def test_in_real_time_the_clock_of_the_bench_is_that_of_the_wall(tmp_path: Path) -> None:
+    """Under virtual time the wall's passes by a second or two."""
+    code, record = run([*files(tmp_path, emulation="prompt_s = 1.0"), "--realtime"], tmp_path)
+    assert code in (0, 1, 4)
+    first, last = record.events[0], record.events[-1]
+    wall_s = (datetime.fromisoformat(last["wall_time"]) - datetime.fromisoformat(first["wall_time"])).total_seconds()
+    assert last["t_s"] - first["t_s"] > 10.0
+    assert wall_s == pytest.approx(last["t_s"] - first["t_s"], abs=2.0)
 
 
 def test_an_interlock_ends_a_prompt_of_the_emulated_operator(tmp_path: Path) -> None:

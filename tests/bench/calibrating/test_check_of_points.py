@@ -79,6 +79,11 @@ def test_by_command_with_its_page(lab: Path, capsys: pytest.CaptureFixture[str])
     page = (lab / "points.page" / "index.html").read_text(encoding="utf-8")
     assert "It still holds." in page
     assert "Measured less touched" in page
+    expected = []
+    for noise in ((), ("--touch-sd", "2.5"), ("--pixel-sd", "2.5")):
+        assert main([*given, *noise]) == 0
+        expected.append(float(capsys.readouterr().out.partition("rms, ")[2].split()[0]))
+    assert expected[0] + 1.0 < min(expected[1:]), "who touches or sees worse may expect worse"
     lines = points.read_text(encoding="utf-8").splitlines()
     pushed = [lines[0], *(",".join([*line.split(",")[:-1], str(float(line.split(",")[-1]) + 40.0)]) for line in lines[1:])]
     points.write_text("\n".join(pushed), encoding="utf-8")

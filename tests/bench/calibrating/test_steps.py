@@ -94,6 +94,28 @@ def test_all_steps_make_one_calibration(lab: Path, capsys: pytest.CaptureFixture
     capsys.readouterr()
 
 
+def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path) -> None:
+    points = write_touched(lab / "points3.csv")
+    sds: list[float] = []
+    for noise in ((), ("--touch-sd", "2.5"), ("--pixel-sd", "2.5")):
+        given = ["calibrate", "world", str(points), "--cameras", str(lab / "cameras.toml"), "--out", str(lab / "w3.toml"), *noise]
+        assert main([*given, *(("--replace",) if sds else ())]) in (0, 1)
+        covariance = load_part(lab / "w3.toml").covariance
+        assert covariance is not None
+        sds.append(covariance.sd("world", "T3") or 0.0)
+    assert 0.0 < sds[0] * 1.5 < min(sds[1:])
+
+
+def test_whose_cameras_they_are_is_on_record(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert calibrate_cameras(lab, lab / "named.toml", "--identity", "left=L-17", "--identity", "right=R-18") in (0, 1)
+    assert load_part(lab / "named.toml").record is not None
+    text = (lab / "named.toml").read_text(encoding="utf-8")
+    assert "L-17" in text
+    assert "R-18" in text
+    assert calibrate_cameras(lab, lab / "nobody.toml", "--identity", "middle=1") == 2
+    assert "say left=SERIAL" in capsys.readouterr().err
+
+
 def test_parts_that_do_not_belong_together_are_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     points = write_touched(lab / "points2.csv")
     assert main(["calibrate", "world", str(points), "--cameras", str(lab / "cameras.toml"), "--out", str(lab / "w.toml")]) == 0
