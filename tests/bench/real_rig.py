@@ -185,11 +185,11 @@ class Bench:
         self.process.stdin.write("\n" * times)
         self.process.stdin.flush()
 
-    def wait_for(self, words: str, within_s: float = 30.0) -> None:
+    def wait_for(self, words: str, within_s: float = 240.0) -> None:
         """Until the terminal shows ``words``."""
         self.wait_until(lambda: words in self.said, f"said {words!r}", within_s)
 
-    def wait_until(self, there: Callable[[], bool], what: str, within_s: float = 30.0) -> None:
+    def wait_until(self, there: Callable[[], bool], what: str, within_s: float = 240.0) -> None:
         deadline = time.monotonic() + within_s
         while not there():
             assert time.monotonic() < deadline, f"never {what}:\n{self.said}"
