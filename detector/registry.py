@@ -44,17 +44,17 @@ _SHIPPED = {
     ),
     "thesis-published-homography": _Entry(
         "the same with the homographies that the thesis printed, not the calibration's at the teats' plane",
-        "detector.thesis.ablation",
+        "detector.thesis.detector",
         "published_homography",
     ),
     "thesis-no-refinement": _Entry(
         "the same without the optical step: the ends stay where the homography puts them",
-        "detector.thesis.ablation",
+        "detector.thesis.detector",
         "no_refinement",
     ),
     "thesis-published-homography-no-refinement": _Entry(
         "the same with the printed homographies and without the optical step",
-        "detector.thesis.ablation",
+        "detector.thesis.detector",
         "published_homography_no_refinement",
     ),
 }

@@ -9,8 +9,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from reports.page import Page, PageError, TrialPart
+from reports.page import Page, TrialPart
 from reports.render import Place, Press, refuse_missing, write_whole
+from reports.trust import PageError
 
 MOST_BYTES = 20_000_000  # what most mail servers take
 MOST_TRIALS = 40

@@ -18,9 +18,10 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from reports.frames import ImageView, layers
-from reports.page import Cell, Figure, Page, PageError, Part, Table, TrialPart, Verdict
+from reports.page import Page, TrialPart
+from reports.parts import Cell, Figure, Part, Table, Verdict
 from reports.sanitize import sanitized
-from reports.trust import address
+from reports.trust import PageError, address
 
 IN_PAGE = 40  # trials: more get a file each
 TRIALS = "trials"  # their folder

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from bench.rig import RIGS
-from bench.script import TRIALS
+from bench.rig.loading import RIGS
+from bench.script.model import TRIALS
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"

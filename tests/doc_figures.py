@@ -13,10 +13,9 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from bench.detecting.score_table import ALL
-from bench.record import read_run
-from bench.summary.tables import situations
-from bench.verdicts import scored
+from bench.record.reader import read_run
+from bench.report.tables import ALL, situations
+from bench.results.verdicts import scored
 from tests.bench.scoring.coverage import DRAWS, coverage
 from tests.conftest import ROOT
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from bench.config import read_config
-from bench.planning.phantom_file import shipped_phantom
-from bench.planning.trial_table import Trial
-from bench.script import TRIALS, Script
+from bench.script.model import TRIALS, Script
+from bench.script.phantom import shipped_phantom
+from bench.script.trial_table import Trial
 from instruments.world.objects import make_object
-from instruments.world.scene import SceneState
+from instruments.world.state import SceneState
 
 SITUATIONS: dict[str, Trial] = {trial.situation: trial for trial in read_config(TRIALS / "six-situations.toml", Script).trials}
 

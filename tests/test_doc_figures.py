@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli import main
-from bench.detecting.score_table import ALL
-from bench.sensitivity.output import PAGE, POINTS, numbers_page
-from bench.sensitivity.quantities import QUANTITIES
+from bench.cli.main import main
+from bench.report.sensitivity import PAGE, POINTS, numbers_page
+from bench.report.tables import ALL
+from bench.results.sensitivity import QUANTITIES
 from tests.conftest import ROOT
 from tests.doc_figures import OWN, PATH_TRACED, TABLES, families, family_rows, read, rendered, standing
 

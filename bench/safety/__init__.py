@@ -1,1 +1,1 @@
-"""What must never happen while the bath is hot, who sees it, and who acts when the bench itself dies."""
+"""Bath monitor, stability, interlocks, latch, guardian, signals."""

@@ -27,10 +27,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from bench.safety.safing import OFF, ON, OVERRUN_S, cause_of, has_own_pump
 from instruments.bath.driver import Bath
 from instruments.bath.profile import ProfileError, load_profile, load_relay
 from instruments.bath.relay import PUMP, PumpAt
+from instruments.bath.sequence import OFF, ON, OVERRUN_S, cause_of, has_own_pump
 from instruments.clock import RealClock, stopwatch_s, wall_time
 from instruments.errors import InstrumentError, LinkError
 

@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from bench.config import located
-from bench.rig import LoadedRig
-from bench.safety.interlock_rules import rule_named
-from bench.safety.interlocks import InterlockTrip
-from bench.store import write_synced
+from bench.files import write_synced
+from bench.rig.loading import LoadedRig
+from bench.safety.interlocks import InterlockTrip, rule_named
 from instruments.bath.reading import BathReading
 from instruments.clock import wall_time
 from instruments.errors import DeviceError

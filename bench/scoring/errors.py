@@ -1,18 +1,63 @@
-"""Errors of matched teats: bias, spread and distance, per axis and radial. Knows neither teats nor poses: only difference vectors.
+"""The checks that every array passes on its way into a score, and names as numbers. Knows nothing but shapes.
+
+Errors of matched teats: bias, spread and distance, per axis and radial. Knows neither teats nor poses: only difference vectors.
 
 No signed mean is ever called "the error": bias and spread stand side by side, rms^2 = bias^2 + sd^2 holds exactly (sd divides by n), and
 the distance has figures of its own. Percentiles are observed values (the smallest with at least that share at or below it), not
 interpolated.
+
+Tolerance limits: what covers a share of all errors with a stated confidence (ISO 16269-6). Knows only sorted numbers.
+
+`rate` is the share that is covered, `confidence` how sure that is; "99/95" is a rate of 0.99 with a confidence of 0.95.
 """
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from dataclasses import asdict, dataclass
+from math import isfinite
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import bdtr, nctdtrit, ndtri
 
-from bench.scoring.points import Floats, as_points, as_values
+from bench.scoring.rates import zero_failure_n
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+
+def as_points(value: npt.ArrayLike, name: str) -> Floats:
+    """`value` as float64 (n, 3); anything empty becomes (0, 3). Raises ValueError on another shape or on a value that is not finite."""
+    points = np.asarray(value, dtype=np.float64)
+    if points.size == 0:
+        return np.zeros((0, 3))
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"{name}: expected points of shape (n, 3) in mm, got shape {points.shape}; a single point is [[x, y, z]]")
+    if not isfinite(np.add.reduce(points, axis=None)) and not np.isfinite(points).all():  # the sum first: one look where all is well
+        row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
+        raise ValueError(f"{name}: point {row} is {points[row].tolist()}, which is not finite; leave out a teat that was not found")
+    return points
+
+
+def as_values(value: npt.ArrayLike, name: str) -> Floats:
+    """`value` as float64 (n,). Raises ValueError on another shape or on a value that is not finite."""
+    values = np.asarray(value, dtype=np.float64)
+    if values.size == 0:
+        return np.zeros(0)
+    if values.ndim != 1:
+        raise ValueError(f"{name}: expected a list of numbers, got shape {values.shape}")
+    if not np.isfinite(values).all():
+        place = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise ValueError(f"{name}: value {place} is {values[place]}, which is not finite; leave out what was not measured")
+    return values
+
+
+def numbered(names: Sequence[Hashable]) -> npt.NDArray[np.intp]:
+    """Names (n,) as numbers from 0, in order of their first appearance."""
+    numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
+    return np.fromiter(map(numbers.__getitem__, names), dtype=np.intp, count=len(names))
+
 
 AXES = ("x", "y", "z")
 
@@ -128,3 +173,32 @@ def _as_rotation(matrix: npt.ArrayLike) -> Floats:
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
         raise ValueError("camera_from_world: the matrix is no proper rotation, so it would change lengths; use a rigid fit")
     return rotation
+
+
+def normal_k(n: int, rate: float, confidence: float = 0.95) -> float:
+    """One-sided factor: mean + k sd (sd divides by n - 1) covers `rate` of a normal population. k(30; 95/95) = 2.220."""
+    if n < 2:
+        raise ValueError(f"tolerance factor: n = {n}; a spread needs at least 2 values")
+    zero_failure_n(rate, confidence)  # refuses a rate or a confidence outside 0 to 1
+    root = float(np.sqrt(n))
+    return float(nctdtrit(n - 1, ndtri(rate) * root, confidence)) / root
+
+
+def distribution_free_n(rate: float, confidence: float = 0.95) -> int:
+    """The n at which the largest of n values covers `rate` whatever the distribution: 59 for 95/95, 299 for 99/95."""
+    return zero_failure_n(rate, confidence)
+
+
+def quantile_bounds(values: npt.ArrayLike, rate: float, confidence: float = 0.95) -> tuple[float | None, float | None]:
+    """One-sided lower and upper bound, each with `confidence`, of the population's quantile `rate`: two of the values, or None where n is
+    too small.
+
+    Any distribution (David and Nagaraja, Order Statistics, section 7.1). The upper bound is the distribution-free tolerance limit.
+    """
+    ordered = np.sort(as_values(values, "values"))
+    n = len(ordered)
+    zero_failure_n(rate, confidence)
+    at_most = bdtr(np.arange(n + 1), n, rate)  # P(at most k of n values lie below the quantile), k = 0 to n
+    upper = int(np.searchsorted(at_most, confidence))  # 0-based: P(at most `upper` values lie below the quantile) >= confidence
+    lower = int(np.searchsorted(at_most, 1.0 - confidence)) - 1  # P(at least `lower` + 1 values lie below it) >= confidence
+    return (float(ordered[lower]) if lower >= 0 else None, float(ordered[upper]) if upper < n else None)

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
 
-from bench.scoring.points import as_points
+from bench.scoring.errors import as_points
 from bench.scoring.rates import Rate
 
 GATE_CEILING_MM = 25.0

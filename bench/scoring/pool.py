@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.scoring.errors import ErrorSummary, summarise
+from bench.scoring.errors import ErrorSummary, Floats, summarise
 from bench.scoring.matching import Counts, added
-from bench.scoring.points import Floats
-from bench.scoring.power import failures_allowed, shown_error_mm
 from bench.scoring.rates import Rate, pose_successes
+from bench.scoring.sample_size import failures_allowed, shown_error_mm
 from bench.scoring.scene import SceneScore
 
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from bench.scoring.limits import acceptance_limit_mm, refusal_limit_mm
+from bench.scoring.errors import Floats, as_points
+from bench.scoring.guard_band import acceptance_limit_mm, refusal_limit_mm
 from bench.scoring.matching import Counts, Match, as_flags, assign, gate_between
-from bench.scoring.points import Floats, as_points
 
 
 @dataclass(frozen=True, slots=True, eq=False)

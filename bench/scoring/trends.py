@@ -17,11 +17,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import stdtr, stdtrit
 
-from bench.scoring.paired import holm
-from bench.scoring.points import Floats, as_points, as_values, numbered
+from bench.scoring.comparison import holm
+from bench.scoring.errors import Floats, as_points, as_values, numbered
 
 RESPONSES = ("x", "y", "z", "distance")
-LEAST = 5  # groups: fewer leave the spread of the slope itself unknown
+LEAST_TREND_POSES = 5  # groups: fewer leave the spread of the slope itself unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ def trend(
     group, stratum = numbered(groups), numbered(within if within is not None else [0] * len(x))
     count = int(group.max()) + 1 if len(x) else 0
     empty = Trend("", "", len(x), count, float(np.ptp(x)) if len(x) else 0.0)
-    if count < LEAST:
+    if count < LEAST_TREND_POSES:
         return empty
     sxx, sxy, less_xx, less_xy = _sums(x - x.mean(), y - y.mean(), group, stratum, count)
     if sxx <= 1e-12 * max(1.0, float(np.square(x).max())) * len(x) or np.any(sxx - less_xx <= 1e-9 * sxx):

@@ -1,1 +1,1 @@
-"""Ground truth: teat ends touched with the arm, or touched once and carried by the stage, each with its uncertainty budget."""
+"""Teat ends touched or carried by the stage, with their uncertainty."""

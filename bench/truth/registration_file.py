@@ -12,11 +12,10 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AwareDatetime, Field
 
-from bench.arm.files import FOLLOWS_MM, write_file
-from bench.arm.toml_text import toml_text
 from bench.config import Section, located, read_config, read_text
-from bench.truth.axes import StageAccuracy
-from bench.truth.registration import Registration, RegistrationError, Station
+from bench.rig.arm_files import FOLLOWS_MM, write_file
+from bench.toml import toml_text
+from bench.truth.registration import Registration, RegistrationError, StageAccuracy, Station
 from detector.geometry import Motion
 
 REGISTRATION_FACT, MADE_FACT = "stage registration", "wall_registered"

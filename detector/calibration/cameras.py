@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from detector.calibration.bundle import Adjusted, BundleError, adjust
-from detector.calibration.parameters import LENS, Freedom, Rig, Sighting
+from detector.calibration.bundle import LENS, Adjusted, BundleError, Freedom, Rig, Sighting, adjust
 from detector.geometry import Array, Camera, Motion
 
 LEAST_VIEWS = 3  # two leave a family of lenses; three are the least that a planar board needs in practice (Zhang 2000, section 3.3)

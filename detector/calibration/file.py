@@ -1,4 +1,11 @@
-"""The calibration file of a recording or a rig: TOML in, `Calibration` out.
+"""The text of a calibration file: what `file.load_calibration` reads back. The module may not know where it will be kept.
+
+What can be wrong with a calibration file, and the checks of single values.
+
+Strategy: a check takes what TOML gave and returns the value or raises `Wrong` with a sentence; it knows neither the key nor the file. The
+reader gathers every fault before it complains, keyed by where it is, so that whoever has the text can point at the line.
+
+The calibration file of a recording or a rig: TOML in, `Calibration` out.
 
 Strategy: one table says which keys a block has and how each is checked; the reader walks it, gathers every fault there is, and builds the
 value only from a file without any. What the file may leave out (a skew, a homography, a thermal lens) is decided in one place each.
@@ -8,41 +15,290 @@ The module may not know who reads a fault to whom: it gives dotted keys, not lin
 from __future__ import annotations
 
 import hashlib
+import json
+import math
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import date
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from detector.calibration import faults as check
-from detector.calibration.faults import CalibrationError, Fault, Key, Wrong
-from detector.calibration.plane import DEFAULT_PLANE_DEPTH_MM, derive_homographies
+from detector.calibration.homographies import DEFAULT_PLANE_DEPTH_MM, derive_homographies
 from detector.calibration.uncertainty import ParameterCovariance
 from detector.calibration.values import POLARITIES, Calibration, Homographies, Part, Polarity, Record, ThermalCamera
 from detector.geometry import Array, Camera, Motion
 
+MEANING = {"stereo": "X_right = R(om) X_left + T", "thermal": "X_thermal = R(om) X_left + T", "world": "X_world = R(om) X_right + T"}
+
+
+def dump_calibration(calibration: Calibration | Part, heading: str = "") -> str:
+    """The file's text; `load_calibration` reads a whole one back, `load_part` a part. Each line of `heading` becomes a comment at the top.
+
+    Numbers are rounded to 10 significant digits, far beyond what any calibration holds; a covariance to 12, or it might lose its sign.
+    """
+    part = calibration if isinstance(calibration, Part) else calibration.part
+    lines = [f"# {line}".rstrip() for line in heading.splitlines()] + [""]
+    for name, camera in (("left", part.left), ("right", part.right)):
+        lines += [f"[cameras.{name}]", *_lens_lines(camera.image_size, camera), ""] if camera else []
+    lines += _thermal_lines(part.thermal) if part.thermal else []
+    poses = {"stereo": part.right_from_left, "thermal": part.thermal_from_left, "world": part.world_from_right}
+    for name, pose in poses.items():
+        lines += [f"[{name}]    # {MEANING[name]}", f"om = {_text(pose.om)}", f"T = {_text(pose.T)}", ""] if pose else []
+    lines += _homography_lines(part.homographies) if part.homographies else []
+    lines += _covariance_lines(part.covariance) + _record_lines(part.record)
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _thermal_lines(thermal: ThermalCamera) -> list[str]:
+    return [
+        "[cameras.thermal]",
+        *_lens_lines(thermal.image_size, thermal.lens),
+        f"sensor_size = {list(thermal.sensor_size)}",
+        f"mirrored = {str(thermal.mirrored).lower()}",
+        f'polarity = "{thermal.polarity}"',
+        "",
+    ]
+
+
+def _homography_lines(maps: Homographies) -> list[str]:
+    depth = [] if maps.plane_depth_mm is None else [f"plane_depth_mm = {_text(maps.plane_depth_mm)}"]
+    heading = "[homography]    # un-mirrored thermal pixel -> optical pixel, right on one plane only"
+    return [heading, f"left = {_text(maps.left)}", f"right = {_text(maps.right)}", *depth]
+
+
+def _covariance_lines(covariance: ParameterCovariance | None) -> list[str]:
+    """The lower triangle, a row a line: px, rad and mm."""
+    if covariance is None:
+        return []
+    names = ", ".join(f'"{owner} {name}"' for owner, name in covariance.names)
+    rows = [f"  [{', '.join(_text(v, 12) for v in row[: at + 1])}]," for at, row in enumerate(covariance.matrix)]
+    return [
+        "",
+        "[uncertainty]    # covariance of the fitted parameters, lower triangle",
+        f"parameters = [{names}]",
+        "covariance = [",
+        *rows,
+        "]",
+    ]
+
+
+def _record_lines(record: Record | None) -> list[str]:
+    if record is None:
+        return []
+    tables = {"cameras": record.cameras, "inputs": record.inputs}
+    texts = {"made": record.made, "by": record.by, "with_what": record.with_what}
+    lines = ["", "[record]", *(f"{key} = {_quoted(value)}" for key, value in texts.items())]
+    for key, table in tables.items():
+        lines += ["", f"[record.{key}]", *(f"{_quoted(name)} = {_quoted(value)}" for name, value in table.items())]
+    return lines
+
+
+def _quoted(text: str) -> str:
+    """A basic string of TOML: JSON's escapes are among TOML's, all but the delete character's, which JSON leaves as it is."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _lens_lines(image_size: tuple[int, int], lens: Camera | None) -> list[str]:
+    given = [] if lens is None else [f"{name} = {_text(getattr(lens, name))}" for name in ("fc", "cc", "alpha_c", "kc")]
+    return [f"image_size = {list(image_size)}", *given]
+
+
+def _text(value: Any, digits: int = 10) -> str:
+    array = np.asarray(value, dtype=np.float64)
+    return repr(float(f"{array:.{digits}g}")) if array.ndim == 0 else f"[{', '.join(_text(v, digits) for v in array)}]"
+
+
+Key = tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing wrong: the dotted key as a tuple, empty for the file as a whole, and a sentence."""
+
+    key: Key
+    message: str
+
+    def __str__(self) -> str:
+        return f"{'.'.join(self.key)}: {self.message}" if self.key else self.message
+
+
+class CalibrationError(ValueError):
+    """A calibration file that can't be used, with every fault in it. Raised by `load_calibration` and by nothing else."""
+
+    def __init__(self, path: Path, faults: Sequence[Fault]) -> None:
+        self.path = path
+        self.faults = tuple(faults)
+        count = f"{len(faults)} fault{'' if len(faults) == 1 else 's'}"
+        super().__init__("\n".join([f"calibration {path}: {count}", *(f"  {fault}" for fault in faults)]))
+
+
+class Wrong(Exception):  # noqa: N818 (a check's verdict, caught by the reader; never seen by a caller)
+    """A value that fails its check."""
+
+
+def numbers(length: int, what: str) -> Callable[[Any], tuple[float, ...]]:
+    """A check for an array of exactly `length` finite numbers."""
+
+    def check(value: Any) -> tuple[float, ...]:
+        if not isinstance(value, list):
+            raise Wrong(f"must be an array of {length} numbers ({what}), not {_kind(value)}")
+        if len(value) != length:
+            raise Wrong(f"must have {length} numbers ({what}), has {len(value)}")
+        return tuple(number(v) for v in value)
+
+    return check
+
+
+def positive_numbers(length: int, what: str) -> Callable[[Any], tuple[float, ...]]:
+    """A check for an array of exactly `length` numbers above zero."""
+    plain = numbers(length, what)
+
+    def check(value: Any) -> tuple[float, ...]:
+        found = plain(value)
+        if min(found) <= 0:
+            raise Wrong(f"must be above zero ({what}), got {value}")
+        return found
+
+    return check
+
+
+def number(value: Any) -> float:
+    """A check for one finite number; true and false are not numbers."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise Wrong(f"must be a number, not {_kind(value)}")
+    try:
+        found = float(value)
+    except OverflowError:
+        raise Wrong("must be a finite number, this integer is too large for one") from None
+    if not math.isfinite(found):
+        raise Wrong(f"must be a finite number, not {value}")
+    return found
+
+
+def positive(value: Any) -> float:
+    """A check for one number above zero."""
+    if (found := number(value)) <= 0:
+        raise Wrong(f"must be above zero, got {value}")
+    return found
+
+
+def size(value: Any) -> tuple[int, int]:
+    """A check for [columns, rows]: two whole numbers from 1 to 65535."""
+    if not isinstance(value, list) or len(value) != 2 or any(isinstance(v, bool) or not isinstance(v, int) for v in value):
+        raise Wrong("must be [columns, rows], two whole numbers of pixels")
+    if not all(1 <= v <= 65535 for v in value):
+        raise Wrong(f"must be [columns, rows] of 1 to 65535 pixels, got {value}")
+    return value[0], value[1]
+
+
+def flag(value: Any) -> bool:
+    """A check for true or false."""
+    if not isinstance(value, bool):
+        raise Wrong(f"must be true or false, not {_kind(value)}")
+    return value
+
+
+def one_of(allowed: Sequence[str]) -> Callable[[Any], str]:
+    """A check for one of a few words."""
+
+    def check(value: Any) -> str:
+        if value in allowed and isinstance(value, str):
+            return value
+        near = get_close_matches(str(value), allowed, n=1)
+        raise Wrong(f"must be one of {', '.join(map(repr, allowed))}, got {value!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
+
+    return check
+
+
+def matrix(value: Any) -> tuple[tuple[float, ...], ...]:
+    """A check for an invertible (3, 3) homography, as three rows of three numbers."""
+    if not isinstance(value, list) or len(value) != 3:
+        raise Wrong("must be three rows of three numbers")
+    row = numbers(3, "a row of a homography")
+    (a, b, c), (d, e, f), (g, h, i) = rows = tuple(row(r) for r in value)
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    if not (i > 0 and math.isfinite(determinant) and determinant > 0):
+        raise Wrong(
+            "must be a homography that neither mirrors nor flattens, its last entry above zero: "
+            f"determinant {determinant:g}, last entry {i:g}"
+        )
+    return rows
+
+
+def word(value: Any) -> str:
+    """A check for a text."""
+    if not isinstance(value, str):
+        raise Wrong(f'must be a text in "quotes", not {_kind(value)}')
+    return value
+
+
+def day(value: Any) -> str:
+    """A check for a date, year-month-day, as a text."""
+    text = word(value)
+    try:
+        return date.fromisoformat(text).isoformat()
+    except ValueError:
+        raise Wrong(f'must be a day such as "2026-11-20", not {text!r}') from None
+
+
+def words(value: Any) -> dict[str, str]:
+    """A check for a table of texts."""
+    if not isinstance(value, dict):
+        raise Wrong(f'must be a table of texts, {{ name = "..." }}, not {_kind(value)}')
+    return {name: word(text) for name, text in value.items()}
+
+
+def parameters(value: Any) -> tuple[tuple[str, str], ...]:
+    """A check for names of parameters: an array of "owner name"; a thermal pose's owner has two words."""
+    if not isinstance(value, list) or not all(isinstance(v, str) and " " in v for v in value):
+        raise Wrong('must be an array of names such as "left fx" or "stereo T1"')
+    return tuple((v.rpartition(" ")[0], v.rpartition(" ")[2]) for v in value)
+
+
+def triangle(value: Any) -> tuple[tuple[float, ...], ...]:
+    """A check for the lower triangle of a symmetric matrix: rows of 1, 2, 3 ... numbers."""
+    if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
+        raise Wrong(f"must be an array of rows, not {_kind(value)}")
+    if any(len(row) != n for n, row in enumerate(value, 1)):
+        raise Wrong("must be a lower triangle: rows of 1, 2, 3 ... numbers")
+    return tuple(tuple(number(v) for v in row) for row in value)
+
+
+def unknown(key: str, allowed: Sequence[str], what: str) -> str:
+    """What to say about a key that nothing knows, with the nearest one that exists."""
+    near = get_close_matches(key, allowed, n=1)
+    return f"unknown {what}; did you mean {near[0]!r}?" if near else f"unknown {what}; there are: {', '.join(allowed)}"
+
+
+def _kind(value: Any) -> str:
+    names = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "an array", dict: "a table"}
+    return names.get(type(value), type(value).__name__)
+
+
 Check = Callable[[Any], Any]
 
 _LENS: dict[str, Check] = {
-    "fc": check.positive_numbers(2, "horizontal and vertical focal length in px"),
-    "cc": check.numbers(2, "column and row of the principal point in px"),
-    "alpha_c": check.number,
-    "kc": check.numbers(5, "k1, k2, p1, p2, k3"),
+    "fc": positive_numbers(2, "horizontal and vertical focal length in px"),
+    "cc": numbers(2, "column and row of the principal point in px"),
+    "alpha_c": number,
+    "kc": numbers(5, "k1, k2, p1, p2, k3"),
 }
-_CAMERA: dict[str, Check] = {"image_size": check.size, **_LENS}
-_POSE: dict[str, Check] = {"om": check.numbers(3, "a rotation vector in rad"), "T": check.numbers(3, "a translation in mm")}
+_CAMERA: dict[str, Check] = {"image_size": size, **_LENS}
+_POSE: dict[str, Check] = {"om": numbers(3, "a rotation vector in rad"), "T": numbers(3, "a translation in mm")}
 _BLOCKS: dict[Key, dict[str, Check]] = {
     ("cameras", "left"): _CAMERA,
     ("cameras", "right"): _CAMERA,
-    ("cameras", "thermal"): {**_CAMERA, "sensor_size": check.size, "mirrored": check.flag, "polarity": check.one_of(POLARITIES)},
+    ("cameras", "thermal"): {**_CAMERA, "sensor_size": size, "mirrored": flag, "polarity": one_of(POLARITIES)},
     ("stereo",): _POSE,
     ("thermal",): _POSE,
     ("world",): _POSE,
-    ("homography",): {"left": check.matrix, "right": check.matrix, "plane_depth_mm": check.positive},
-    ("uncertainty",): {"parameters": check.parameters, "covariance": check.triangle},
-    ("record",): {"made": check.day, "by": check.word, "with_what": check.word, "cameras": check.words, "inputs": check.words},
+    ("homography",): {"left": matrix, "right": matrix, "plane_depth_mm": positive},
+    ("uncertainty",): {"parameters": parameters, "covariance": triangle},
+    ("record",): {"made": day, "by": word, "with_what": word, "cameras": words, "inputs": words},
 }
 _OPTIONAL_BLOCKS = {("thermal",), ("homography",), ("uncertainty",), ("record",)}
 _NEVER_REQUIRED = {"alpha_c", "plane_depth_mm"}
@@ -115,7 +371,7 @@ class _Blocks:
         self._check_covariance()
 
     def _check_names(self, at: Key, table: Mapping[str, Any], allowed: list[str], what: str) -> None:
-        self.faults += [Fault((*at, name), check.unknown(name, allowed, what)) for name in table if name not in allowed]
+        self.faults += [Fault((*at, name), unknown(name, allowed, what)) for name in table if name not in allowed]
 
     def _check_block(self, key: Key) -> None:
         table: Any = self.document

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from detector.calibration.parameters import POSE
-from detector.calibration.plane import derive_homographies, thermal_grid, through_plane
+from detector.calibration.bundle import POSE
+from detector.calibration.homographies import derive_homographies, thermal_grid, through_plane
 from detector.calibration.uncertainty import ParameterCovariance
 from detector.calibration.values import Calibration, Homographies, ThermalCamera
 from detector.geometry import Array, Camera, Motion, apply_homography, rigid_fit

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from detector.calibration.parameters import LENS, POSE
+from detector.calibration.bundle import LENS, POSE
 from detector.geometry import Array, Camera, Motion, triangulate
 
 STEP = 0.1  # of a parameter's standard deviation: far above rounding, far below where the geometry bends

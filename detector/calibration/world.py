@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from detector.calibration.parameters import POSE
+from detector.calibration.bundle import POSE
 from detector.calibration.rigid import Comparison, compare, fle_from_fre_mm, target_error_mm
 from detector.calibration.uncertainty import STEP, Pair, ParameterCovariance
 from detector.geometry import Array, Camera, Motion, rigid_fit, triangulate

@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, cast
 
-from detector.external import leash
+from detector.external import process_supervisor
 from detector.external.lines import shown
 
 ENVIRONMENT = (
@@ -140,7 +140,7 @@ class Child:
         """What is left where the leash didn't do it, was ended itself, or there is none."""
         until_s = self._stopwatch() + _END_S
         while sys.platform == "linux" and self._stopwatch() < until_s:
-            left = leash.descendants(self._process.pid, self._mark.encode())
+            left = process_supervisor.descendants(self._process.pid, self._mark.encode())
             if not left:
                 break
             for pid in left:
@@ -167,7 +167,7 @@ def resident_mib(process: int) -> float | None:
     if not Path("/proc/self/statm").is_file():
         return None
     pages = 0
-    for pid in leash.descendants(process):
+    for pid in process_supervisor.descendants(process):
         with contextlib.suppress(OSError):  # it has just ended
             pages += int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / _MIB
@@ -250,7 +250,7 @@ def _spawn(
         detached = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0) | getattr(subprocess, "CREATE_NO_WINDOW", 0)
         return subprocess.Popen(command, cwd=folder, env=env, creationflags=detached, stdin=pipe, stdout=pipe, stderr=pipe), None  # noqa: S603
     far, near = os.pipe()
-    held = [sys.executable, "-I", "-S", str(Path(leash.__file__)), str(far), str(hard_mib), *command]
+    held = [sys.executable, "-I", "-S", str(Path(process_supervisor.__file__)), str(far), str(hard_mib), *command]
     try:
         process = subprocess.Popen(  # noqa: S603
             held, cwd=folder, env=env, pass_fds=(far,), start_new_session=True, stdin=pipe, stdout=pipe, stderr=pipe

@@ -15,13 +15,26 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.fused import pictures
-from detector.fused.again import hidden_points, one_sided, refine_again, refine_more, refine_slid, slide_ends
 from detector.fused.decide import Evidence, doubts, maybe_hidden, objections, warmth_inside, weigh
+from detector.fused.depth_search import Map, best_starts, depths_mm, hypotheses, sweep_bars, sweep_ends
 from detector.fused.fit import View
 from detector.fused.model import apexes, axes
 from detector.fused.parameters import Parameters
-from detector.fused.refine import OPTICAL_FINE, OPTICAL_FLOOR_PX, OPTICAL_ROUGH, THERMAL, THERMAL_FLOOR_PX, Fitted, refine
-from detector.fused.sweep import Map, best_starts, depths_mm, hypotheses, sweep_bars, sweep_ends
+from detector.fused.refine import (
+    OPTICAL_FINE,
+    OPTICAL_FLOOR_PX,
+    OPTICAL_ROUGH,
+    THERMAL,
+    THERMAL_FLOOR_PX,
+    Fitted,
+    hidden_points,
+    one_sided,
+    refine,
+    refine_again,
+    refine_more,
+    refine_slid,
+    slide_ends,
+)
 from detector.fused.thermal import Nominations, bars, nominate, unexplained
 from detector.fused.uncertainty import end_covariances, world_covariances
 from detector.geometry import Array, Camera, Motion

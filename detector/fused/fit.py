@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.fused.edges import LEAST_CLEAR, Field, Profile, find_edges, sample
-from detector.fused.limb import own_share, shared_limb
+from detector.fused.edges import LEAST_CLEAR, Field, Profile, find_edges, own_share, sample, shared_limb
 from detector.fused.model import COUNT, HEIGHT, LEAN_X, LEAN_Z, RADIUS, TAPER, Outline, axes, contours, normals_of, pixels_of, slopes
 from detector.geometry import Array, Camera, Motion
 

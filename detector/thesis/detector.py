@@ -3,6 +3,10 @@
 Strategy: the stages are pure functions next door; here they are only joined, and whatever would have stopped the original with an error
 becomes an answer without teats and a reason. The world is reached by the calibration's rigid motion; the thesis's own matrix wasn't rigid.
 The module may not know the scene, the truth, nor what the answer is for.
+
+The published algorithm with one thing changed, each under a name of its own, so that what that thing is worth can be measured.
+
+Published homographies (section 3.2.2) or the calibration's at the teats' plane; with and without optical refinement (sections 4.2, 4.3).
 """
 
 from __future__ import annotations
@@ -18,11 +22,10 @@ from detector.calibration import Calibration, Homographies
 from detector.calibration.thesis_rig import HOMOGRAPHY_LEFT, HOMOGRAPHY_RIGHT, IMAGE_SIZE, THERMAL_IMAGE_SIZE
 from detector.geometry import Array, triangulate
 from detector.protocol import Detection, Frames, Stage, Teat
-from detector.thesis.horizontals import horizontal_middles, teat_ends, window_fits
+from detector.thesis.lines import horizontal_middles, teat_ends, vertical_ends, window_centre, window_fits
 from detector.thesis.optical import Refined, keep, nominate, refine
 from detector.thesis.parameters import Parameters
 from detector.thesis.thermal import Grey, eight_bit, find_edges, order_filter, picture_from_kelvin, unmirror
-from detector.thesis.verticals import vertical_ends, window_centre
 
 PUBLISHED_HOMOGRAPHIES = Homographies(np.array(HOMOGRAPHY_LEFT), np.array(HOMOGRAPHY_RIGHT), None)
 
@@ -170,3 +173,18 @@ def _inside(points_px: Array, picture: Grey) -> NDArray[np.bool_]:
 
 def _seen(camera: str, refined: list[Refined]) -> dict[str, NDArray[Any]]:
     return {camera: np.array([r.region for r in refined]), f"{camera}_bright": np.array([r.bright for r in refined])}
+
+
+def published_homography() -> ThesisDetector:
+    """With the printed homographies: right at 1168 mm from the cameras, some 6 px off at the teats."""
+    return ThesisDetector(Parameters(homographies="published"), "thesis-published-homography")
+
+
+def no_refinement() -> ThesisDetector:
+    """Without looking into the optical pictures: what the thermal picture and a homography give alone."""
+    return ThesisDetector(Parameters(refinement=False), "thesis-no-refinement")
+
+
+def published_homography_no_refinement() -> ThesisDetector:
+    """Both: the printed homographies and nothing after them."""
+    return ThesisDetector(Parameters(homographies="published", refinement=False), "thesis-published-homography-no-refinement")

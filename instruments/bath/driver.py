@@ -11,13 +11,12 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import ClassVar, Literal, TypeVar
 
-from instruments.bath.acquaintance import identity_of, look
+from instruments.bath.errors import BrokenError
 from instruments.bath.profile import Profile
 from instruments.bath.reading import BathReading, OrderError, Poll
+from instruments.bath.register_access import WiredRows, identity_of, line_to, look, wire_to
+from instruments.bath.registers import Row
 from instruments.bath.relay import PUMP, PumpAt, Relay, with_pump
-from instruments.bath.rows import Row
-from instruments.bath.troubles import BrokenError
-from instruments.bath.wired import WiredRows, line_to, wire_to
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.tap import Tap

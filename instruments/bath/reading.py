@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
-from instruments.bath.polling import Block, blocks
 from instruments.bath.profile import Profile
-from instruments.bath.registers import Order, decode
-from instruments.bath.rows import Row
+from instruments.bath.registers import Order, Row, decode
+from instruments.bath.requests import Block, blocks
 from instruments.errors import DeviceError, ProtocolError
 
 FAMILY = "Another family than the profile's, or a broken sensor?"

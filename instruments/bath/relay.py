@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
+from instruments.bath.errors import BrokenError
 from instruments.bath.profile import Profile, RelayProfile
+from instruments.bath.register_access import WiredRows, line_to, wire_to
 from instruments.bath.transactions import Transactions
-from instruments.bath.troubles import BrokenError
-from instruments.bath.wired import WiredRows, line_to, wire_to
 from instruments.clock import Clock
 from instruments.errors import LimitError
 from instruments.tap import Tap

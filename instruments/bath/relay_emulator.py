@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import math
 
-from instruments.bath.cells import Cells
-from instruments.bath.families import Manners
+from instruments.bath.address_space import Cells
+from instruments.bath.controller_behaviour import Manners
+from instruments.bath.emulator import WIRE_FAULTS, Framing, Server, framing_of
 from instruments.bath.profile import RelayProfile
-from instruments.bath.registers import Order
-from instruments.bath.rows import Row
-from instruments.bath.server import WIRE_FAULTS, Framing, Server, framing_of
+from instruments.bath.registers import Order, Row
 from instruments.clock import Clock
 from instruments.listener import Connection
 from instruments.world.plant import Plant

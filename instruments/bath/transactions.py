@@ -13,11 +13,11 @@ import socket
 from collections.abc import Sequence
 from dataclasses import replace
 
-from instruments.bath.answers import Answers
-from instruments.bath.line import Line
-from instruments.bath.questions import EXCEPTION, Question, read_question, values_in, write_question
+from instruments.bath.connection import Line
+from instruments.bath.errors import BrokenError, cut, nonsense, owing, refused, silence, unreachable
+from instruments.bath.requests import EXCEPTION, Question, read_question, values_in, write_question
+from instruments.bath.response_matching import Answers
 from instruments.bath.session import Session
-from instruments.bath.troubles import BrokenError, cut, nonsense, owing, refused, silence, unreachable
 from instruments.clock import Clock
 from instruments.errors import LinkError, ProtocolError
 from instruments.tap import NoTap, Tap

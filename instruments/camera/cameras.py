@@ -9,8 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from instruments.camera.conversion import Conversion
-from instruments.camera.frame import FrameSet
-from instruments.camera.raw import RawFrame
+from instruments.camera.frame import FrameSet, RawFrame
 from instruments.errors import InstrumentError, ProtocolError
 
 REQUIRED = ("left", "right")

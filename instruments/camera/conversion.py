@@ -13,8 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.camera.frame import CentiKelvin, Grey, grey8
-from instruments.camera.raw import RawFrame
+from instruments.camera.frame import CentiKelvin, Grey, RawFrame, grey8
 
 Channel = Literal["luma", "red", "green", "blue"]
 Flip = Literal["none", "horizontal", "vertical", "both"]

@@ -1,6 +1,8 @@
 """A frame set: what the cameras saw at one moment, and the one place where raw images become 8-bit grey.
 
 May not know where the images came from: camera, folder or scene.
+
+A frame as one camera gave it, before anything was turned, scaled or called a temperature.
 """
 
 from __future__ import annotations
@@ -71,3 +73,16 @@ def grey8(image: NDArray[Any], full_scale: int = 65535) -> Grey:
     if image.dtype == np.uint16:
         return np.clip(np.rint(image * (255.0 / full_scale)), 0.0, 255.0).astype(np.uint8)
     return np.ascontiguousarray(image, dtype=np.uint8)
+
+
+Pixels = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawFrame:
+    """``pixels`` uint8 or uint16, (h, w) or (h, w, 3) blue-green-red; ``bits`` of a pixel that carry signal, in the low end of its word;
+    ``exposed_s`` on the bench's clock."""
+
+    pixels: Pixels
+    exposed_s: float
+    bits: int = 8

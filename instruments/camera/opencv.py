@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from instruments.camera.faults import FrameError, FrameFault
+from instruments.camera.frame import RawFrame
 from instruments.camera.live import Clock, LiveReader
-from instruments.camera.raw import RawFrame
 from instruments.camera.settings import ReadBack, Settings
 from instruments.errors import LinkError
 

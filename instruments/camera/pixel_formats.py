@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.camera.raw import Pixels
+from instruments.camera.frame import Pixels
 
 Bytes = NDArray[np.uint8]
 Decoder = Callable[[Bytes, int], NDArray[Any]]

@@ -3,6 +3,8 @@
 Facts: ../shared/instruments/microscribe.md, from the maker's SDK manual, chapter 4. Every reply is the command's
 code, then 8-bit data, most significant byte first. Values are kept as the arm gives them, so that a value turns
 back into the same bytes. Pure: it may not know of time, links or threads, nor who speaks.
+
+What is known of one arm once it has signed on, as values, as a shape and for the record. Pure.
 """
 
 from __future__ import annotations
@@ -10,8 +12,9 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import asdict, astuple, dataclass
 
+from instruments.microscribe.kinematics import COUNT_MODULUS, ArmGeometry
 from instruments.microscribe.protocol import Code, WireError, encoder_count
 
 NAMES = (Code.PRODUCT_NAME, Code.PRODUCT_ID, Code.MODEL, Code.SERIAL_NUMBER, Code.COMMENT, Code.FORMAT, Code.VERSION)
@@ -235,3 +238,29 @@ def _block(code: int, reply: bytes, length: int) -> bytes:
     if len(body) != length + 1:
         raise WireError(f"the block behind {code:02X} has {len(body) - 1} bytes, not the {length} it says")
     return body[1:]
+
+
+@dataclass(frozen=True, slots=True)
+class Portrait:
+    """All that an arm says of itself at sign-on; beta is 0 where it has none."""
+
+    identity: Identity
+    maxima: Maxima
+    parameters: Parameters
+    beta: int
+
+    def geometry(self, tip_longer_mm: float) -> ArmGeometry:
+        """Its shape, with a tip that is so much longer than the standard one."""
+        return ArmGeometry.from_block(self.parameters, angle_rad(self.beta), self.maxima.turns).with_tip(tip_longer_mm)
+
+    def record(self) -> dict[str, object]:
+        """The names, and all numbers as the arm gave them: enough to compute every position anew from its counts."""
+        return {**asdict(self.identity), "maxima": asdict(self.maxima), "parameters": asdict(self.parameters), "beta": self.beta}
+
+    def warnings(self) -> list[str]:
+        """A sentence for each joint whose counts, modulo 2^14, lose its angle after a few turns."""
+        return [
+            f"joint {joint} has {turn} counts a turn, and {COUNT_MODULUS} is no multiple of that: its angle is lost after so many counts"
+            for joint, turn in enumerate(self.maxima.turns)
+            if turn and COUNT_MODULUS % turn
+        ]

@@ -17,18 +17,23 @@ from typing import ClassVar
 from instruments.clock import Clock
 from instruments.errors import LinkError
 from instruments.link import Link
-from instruments.microscribe.attachment import Attachment
-from instruments.microscribe.configuration import Identity, Maxima, Parameters, angle_rad
-from instruments.microscribe.conversation import ANSWER_S
+from instruments.microscribe.configuration import Identity, Maxima, Parameters, Portrait, angle_rad
+from instruments.microscribe.connection import SYSFS, Attachment, latency_warning
+from instruments.microscribe.errors import ArmMovesError, NoSessionError
 from instruments.microscribe.kinematics import ArmGeometry
-from instruments.microscribe.latency import SYSFS, latency_warning
-from instruments.microscribe.pedals import DEBOUNCE_S, PedalEvent
-from instruments.microscribe.portrait import Portrait
 from instruments.microscribe.protocol import Packet
-from instruments.microscribe.reading import Reading, reading_of
-from instruments.microscribe.refusals import ArmMovesError, NoSessionError
-from instruments.microscribe.stream import Sample, Sampler, poll_command, stream_request
-from instruments.microscribe.streaming import Streaming
+from instruments.microscribe.session import ANSWER_S
+from instruments.microscribe.stream import (
+    DEBOUNCE_S,
+    PedalEvent,
+    Reading,
+    Sample,
+    Sampler,
+    Streaming,
+    poll_command,
+    reading_of,
+    stream_request,
+)
 
 __all__ = ["INTERVAL_S", "MAX_SPREAD_MM", "MicroScribe", "PedalEvent", "Reading", "Sample"]
 

@@ -11,12 +11,10 @@ from collections.abc import Callable
 from instruments.clock import Clock
 from instruments.listener import Connection
 from instruments.microscribe import protocol as wire
-from instruments.microscribe.contacts import Contacts
 from instruments.microscribe.faults import Fault, Faults
-from instruments.microscribe.firmware import Firmware, Stream
-from instruments.microscribe.habits import Habits, Look
+from instruments.microscribe.firmware import Firmware, Habits, Look, Stream
 from instruments.microscribe.kinematics import COUNT_MODULUS, Floats, OutOfReachError
-from instruments.microscribe.mechanics import Hand, Mechanics
+from instruments.microscribe.mechanics import Contacts, Hand, Mechanics
 from instruments.microscribe.protocol import Event, State
 from instruments.microscribe.unit import ArmIdentity, shipped_unit
 

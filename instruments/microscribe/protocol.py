@@ -4,6 +4,16 @@ Facts: ../shared/instruments/microscribe.md, from the maker's SDK manual, chapte
 packets (a header with bit 7 set, then 7-bit bytes, no length, no checksum), which are here, and configuration
 replies (the code, then 8-bit bytes), in ``configuration``. Pure: it may not know of time, links or threads, nor
 who speaks.
+
+The commands that carry a byte or two: another rate, a marker; and which stream delays do no harm.
+
+Facts: ../shared/instruments/microscribe.md, from the maker's SDK manual, chapter 4. Pure: it may not know of time,
+links or threads, nor who speaks.
+
+The arm's own clock: 14-bit ticks of 1.111 ms that wrap after some 18 s, as seconds that go on.
+
+The host's clock is the coarse hand: it only says how many wraps went by between two packets, so that a pause of minutes
+loses nothing and the host's delays don't show. Pure: it may not know where packets come from.
 """
 
 from __future__ import annotations
@@ -269,3 +279,66 @@ def _packet(command: int, payload: bytes) -> Packet:
         at += channels + 1
     high, low = payload[at::2], payload[at + 1 :: 2]
     return Packet(command, payload[0], tuple([h << 7 | v for h, v in zip(high, low, strict=True)]), ticks, analogs)
+
+
+LONGEST_DELAY_MS = 0x3FBF  # the longest that is harmless
+
+
+def harmless_delay_ms(period_s: float) -> int:
+    """The longest delay up to ``period_s`` whose bytes would configure nothing if the stream's first byte were lost.
+
+    Bit 6 of either byte makes a command of it: 66 ms (42) would re-home the arm. So 64 to 127 ms become 63. At least 1.
+    """
+    delay = min(max(1, int(period_s * 1000 + 1e-6)), LONGEST_DELAY_MS)
+    while delay & (CONFIGURE << 8 | CONFIGURE):
+        delay -= 1
+    return delay
+
+
+def encode_set_baud(baud: int) -> bytes:
+    """The command that changes the rate; its echo comes at the old one. Raises WireError for a rate that no arm has."""
+    if baud not in BAUD_CODES:
+        raise WireError(f"an arm has no rate {baud}; it has {', '.join(map(str, sorted(BAUD_CODES)))}")
+    return bytes([Code.SET_BAUD, BAUD_CODES[baud]])
+
+
+def decode_set_baud(data: bytes) -> int:
+    """The rate that a whole command asks for. Raises WireError for another length, command or rate."""
+    rates = [baud for baud, code in BAUD_CODES.items() if data == bytes([Code.SET_BAUD, code])]
+    if not rates:
+        raise WireError(f"a rate is C4 and one of {bytes(BAUD_CODES.values()).hex(' ').upper()}")
+    return rates[0]
+
+
+def encode_marker(marker: Marker) -> bytes:
+    """A marker, as the host sends it and as the arm sends it back. Raises WireError when it is no byte."""
+    if marker.value not in range(256):
+        raise WireError(f"a marker is one byte, not {marker.value}")
+    return bytes([Code.MARKER, marker.value])
+
+
+def decode_marker(reply: bytes) -> Marker:
+    """The marker in a reply of two bytes. Raises WireError for anything else."""
+    if len(reply) != 2 or reply[0] != Code.MARKER:
+        raise WireError("a marker is D2 and one byte")
+    return Marker(reply[1])
+
+
+class ArmTime:
+    """Seconds since the first stamp, by the arm's clock.
+
+    Right as long as the host sees two stamps in a row with delays that differ by less than half a wrap, 9 s.
+    """
+
+    def __init__(self) -> None:
+        self._ticks = 0
+        self._last: tuple[int, float] | None = None
+
+    def seconds(self, ticks: int, host_s: float) -> float:
+        """When a packet was made whose stamp is ``ticks`` (0 to 16383) and that the host got at ``host_s``."""
+        if self._last is not None:
+            step = (ticks - self._last[0]) % TICK_MODULUS
+            wraps = max(0, round(((host_s - self._last[1]) / TICK_S - step) / TICK_MODULUS))
+            self._ticks += step + wraps * TICK_MODULUS
+        self._last = ticks, host_s
+        return self._ticks * TICK_S

@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from instruments.operators.operator import BoardAsked, OperatorEnough
-from instruments.world.board_poses import poses
-from instruments.world.boards import Board
+from instruments.world.boards import Board, poses
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.solids import Point
 from instruments.world.world import World

@@ -10,8 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
-from instruments.operators.operator import Arrangement, BoardAsked, Operator, OperatorRepeat, OperatorSkip, Placed
-from instruments.operators.prompt import Prompt, time_left
+from instruments.operators.operator import Arrangement, BoardAsked, Operator, OperatorRepeat, OperatorSkip, Placed, Prompt, time_left
 
 LEANS = ("upright", "leaning to the left", "leaning to the right", "leaning towards you", "leaning away from you")
 

@@ -12,8 +12,16 @@ from dataclasses import dataclass
 from typing import get_args
 
 from instruments.errors import ProtocolError
-from instruments.operators.operator import OperatorAbort, OperatorEnough, OperatorRepeat, OperatorSkip
-from instruments.operators.prompt import Kind, NotUnderstoodError, Prompt, understood
+from instruments.operators.operator import (
+    Kind,
+    NotUnderstoodError,
+    OperatorAbort,
+    OperatorEnough,
+    OperatorRepeat,
+    OperatorSkip,
+    Prompt,
+    understood,
+)
 
 MOST_TEATS = 99  # in an answer that names hidden ends; how many there are is known only when it is given
 KINDS: tuple[Kind, ...] = tuple(kind for kind in get_args(Kind) if kind != "task")

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.world.noise import normal_noise
 from instruments.world.optics import Floats
+from instruments.world.sensor import normal_noise
 
 KELVIN_AT_0_C = 273.15
 

@@ -12,8 +12,7 @@ import numpy as np
 from instruments.world.boards import Board
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.phantom import Phantom
-from instruments.world.raycast import meet
-from instruments.world.solids import Bools, Solids
+from instruments.world.solids import Bools, Solids, meet
 
 RINGS_DEG = (30.0, 60.0, 85.0)
 ROUND = 16

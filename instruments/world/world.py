@@ -19,10 +19,10 @@ from instruments.world.boards import Board
 from instruments.world.objects import TEAT_PAINT, SceneObject, make_object
 from instruments.world.phantom import TABLE_5_1_MM, Phantom, PlatePose, upright
 from instruments.world.plant import Plant
-from instruments.world.scene import Renderer, SceneState
+from instruments.world.scene import Renderer
 from instruments.world.situations import Situation
 from instruments.world.solids import Point
-from instruments.world.state import STILL
+from instruments.world.state import STILL, SceneState
 
 HOSE_DROP_K = 0.02  # the hoses' skin against the water (bath sheet, section 4.3, foamed hose at 6 L/min)
 

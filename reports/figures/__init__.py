@@ -6,14 +6,11 @@ refused, since a plot that drops them in silence shows something that was not me
 """
 
 from reports.figures.calibration import precision_by_distance, residual_field
-from reports.figures.change import change_scatter
 from reports.figures.course import bath_curve, latency_strip
-from reports.figures.errors import error_histogram, error_scatter, per_axis_errors
+from reports.figures.errors import change_scatter, error_drift, error_histogram, error_scatter, per_axis_errors, teat_boxes
 from reports.figures.plane import TeatPlaces, error_map, error_maps
-from reports.figures.rates import found_bars
+from reports.figures.rates import Slope, found_bars, slope_intervals
 from reports.figures.regions import MOST_GROUPS, ErrorGroup, error_regions
-from reports.figures.slopes import Slope, slope_intervals
-from reports.figures.teats import error_drift, teat_boxes
 
 __all__ = [
     "MOST_GROUPS",

@@ -8,9 +8,20 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from reports.figures.arrays import Floats, finite, together
-from reports.figures.drawing import COLOURS, HALF_INCHES, WIDE_INCHES, LegendEntry, draw, legend, not_measured
-from reports.figures.thinning import envelope, telling
+from reports.figures.drawing import (
+    COLOURS,
+    HALF_INCHES,
+    WIDE_INCHES,
+    Floats,
+    LegendEntry,
+    draw,
+    envelope,
+    finite,
+    legend,
+    not_measured,
+    telling,
+    together,
+)
 
 _MOST_CAPTURES = 250  # more marks than that stand on each other
 

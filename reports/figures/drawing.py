@@ -1,25 +1,54 @@
-"""From a matplotlib figure to SVG that stands inside a page: the same bytes for the same input, the page's own colours and letters.
+"""What every plot asks of its arrays: finite numbers, lengths that agree. Draws nothing.
+
+From a matplotlib figure to SVG that stands inside a page: the same bytes for the same input, the page's own colours and letters.
 
 Strategy: matplotlib lays out and writes; then every tag is rewritten. Styles become attributes and classes, so that a style sheet can
 recolour them (dark, print) under a strict content security policy; ids nobody refers to go, the others get the figure's name in front;
 what a run of marks shares is said once.
 Knows nothing of what is plotted.
+
+Which of many points a plot draws, so that a page stays light: the most telling ones, and an even choice of the rest. Draws nothing.
 """
+
+from __future__ import annotations
 
 import io
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from typing import Literal
 
+import numpy as np
 from matplotlib import style
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from numpy.typing import ArrayLike, NDArray
 
 from reports.sanitize import sanitized
 from reports.trust import checked_slug
+
+Floats = NDArray[np.float64]
+
+
+def finite(function: str, argument: str, values: ArrayLike) -> Floats:
+    """`values` as float64. Raises ValueError that counts the values that are not finite."""
+    array = np.asarray(values, dtype=np.float64)
+    bad = int(array.size - np.isfinite(array).sum())
+    if bad:
+        raise ValueError(f"{function}: {argument} holds {bad} of {array.size} values that are not finite; leave out what was not measured")
+    return array
+
+
+def together(function: str, **named: ArrayLike) -> list[Floats]:
+    """The named arrays, each (n,), flat and of one length. Raises ValueError where they differ or are not finite."""
+    arrays = {key: finite(function, key, values).ravel() for key, values in named.items()}
+    if len({array.size for array in arrays.values()}) > 1:
+        raise ValueError(f"{function}: lengths differ: {', '.join(f'{key} {array.size}' for key, array in arrays.items())}")
+    return list(arrays.values())
+
 
 # One colour a role. The hex value is the light scheme's and stands in the file; the style sheet overrides it by class.
 COLOURS = {
@@ -187,3 +216,31 @@ def _value(key: str, value: str, defined: Mapping[str, str]) -> str:
         target = value.removeprefix("url(").removesuffix(")").removeprefix("#")
         return value.replace(f"#{target}", f"#{defined[target]}") if target in defined else value
     return _LONG_NUMBER.sub(lambda number: f"{float(number.group(0)):.2f}", " ".join(value.split()))
+
+
+MOST_POINTS = 400  # in one plot
+MOST_STEPS = 400  # of a curve
+
+
+def telling(weight: Floats, most: int = MOST_POINTS) -> NDArray[np.intp]:
+    """Indices, in order, of at most `most` of n points: the half with the greatest `weight` (n,), and every so-manieth of the others."""
+    if weight.size <= most:
+        return np.arange(weight.size)
+    order = np.argsort(-weight, kind="stable")
+    heavy, rest = order[: most // 2], np.sort(order[most // 2 :])
+    others = rest[np.linspace(0, rest.size - 1, most - heavy.size).round().astype(np.intp)]
+    return np.union1d(heavy, others)
+
+
+def told(drawn: int, of: int) -> str:
+    """What a legend says of the choice; nothing where all are drawn."""
+    return "" if drawn == of else f" ({drawn} of {of} drawn, the worst among them)"
+
+
+def envelope(values: Floats, most: int = MOST_STEPS) -> NDArray[np.intp]:
+    """Indices, in order, of the least and the greatest of each stretch of a curve (n,), its ends among them: no peak is lost."""
+    if values.size <= 2 * most:
+        return np.arange(values.size)
+    edges = np.linspace(0, values.size, most + 1).round().astype(np.intp)
+    parts = [(start + int(values[start:end].argmin()), start + int(values[start:end].argmax())) for start, end in pairwise(edges)]
+    return np.unique([0, *(index for pair in parts for index in pair), values.size - 1])

@@ -1,17 +1,65 @@
-"""Errors as plots: the cloud with its limit circle, the histogram, the strips of each axis. Knows nothing but millimetres."""
+"""Two runs of the same scenes, drawn against each other. Knows only millimetres.
+
+Errors as plots: the cloud with its limit circle, the histogram, the strips of each axis. Knows nothing but millimetres.
+
+Errors teat by teat, as boxes, and in the order of time. Knows only millimetres, minutes and names.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib import cbook
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import ArrayLike
 
-from reports.figures.arrays import Floats, finite, together
-from reports.figures.drawing import COLOURS, HALF_INCHES, WIDE_INCHES, LegendEntry, draw, legend, not_measured, plain
-from reports.figures.thinning import MOST_POINTS, MOST_STEPS, telling, told
+from reports.figures.drawing import (
+    COLOURS,
+    HALF_INCHES,
+    MOST_POINTS,
+    MOST_STEPS,
+    WIDE_INCHES,
+    Floats,
+    LegendEntry,
+    draw,
+    finite,
+    legend,
+    not_measured,
+    plain,
+    telling,
+    together,
+    told,
+)
+
+_CHANGE_SQUARE = (HALF_INCHES, 4.2)
+
+
+def change_scatter(old_mm: ArrayLike, new_mm: ArrayLike, limit_mm: float, *, name: str = "change-scatter") -> str:
+    """Errors of the same scenes before (n,) and now (n,): above the diagonal it grew worse; the limit on both axes."""
+    old, new = together("change_scatter", old_mm=old_mm, new_mm=new_mm)
+    if not old.size:
+        return not_measured(name, _CHANGE_SQUARE, "no scene was found in both")
+
+    def plot(figure: Figure) -> None:
+        axes = figure.add_subplot(aspect="equal")
+        reach = 1.08 * max(limit_mm, float(old.max()), float(new.max()))
+        axes.set(xlim=(0, reach), ylim=(0, reach), xlabel="baseline (mm)", ylabel="this run (mm)")
+        axes.plot([0, reach], [0, reach], color=COLOURS["muted"], linewidth=0.8)
+        axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1)
+        axes.axvline(limit_mm, color=COLOURS["limit"], linewidth=1)
+        drawn = telling(np.abs(new - old))
+        for grown, role in ((new > old, "limit"), (new <= old, "good")):
+            shown = drawn[grown[drawn]]
+            axes.scatter(old[shown], new[shown], s=18, color=COLOURS[role], alpha=0.75, linewidths=0)
+        entries: list[LegendEntry] = [("grew", "limit", "o"), ("not grown", "good", "o"), ("no change", "muted", "-")]
+        legend(figure, entries)
+
+    return draw(name, _CHANGE_SQUARE, plot)
+
 
 _SQUARE = (HALF_INCHES, 4.2)
 
@@ -148,3 +196,67 @@ def _strip(axes: Axes, row: int, values: Floats, most: int) -> None:
     )
     mean = float(values.mean())
     axes.plot([mean, mean], [row - 0.36, row + 0.36], color=COLOURS["ink"], linewidth=1.6)
+
+
+_HIGH = 3.6
+_MOST_BEYOND = 60  # points beyond the whiskers of a box
+
+
+def teat_boxes(teats: Sequence[str], errors_mm: Sequence[ArrayLike], limit_mm: float, *, name: str = "teat-boxes") -> str:
+    """Radial errors of each teat, (n_k,): quartiles and median as a box, whiskers to 1.5 quartile ranges, points beyond; counts below."""
+    if len(teats) != len(errors_mm):
+        raise ValueError(f"teat_boxes: {len(teats)} teats for {len(errors_mm)} arrays; give one array a teat")
+    arrays = [finite("teat_boxes", f"errors_mm[{k}]", errors).ravel() for k, errors in enumerate(errors_mm)]
+    if not any(array.size for array in arrays):
+        return not_measured(name, (HALF_INCHES, _HIGH), "no teat end was paired with a truth")
+
+    def plot(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        places = [k for k, array in enumerate(arrays) if array.size]
+        line = {"color": COLOURS["ours"], "linewidth": 1.1}
+        boxes = [cbook.boxplot_stats(arrays[k])[0] for k in places]
+        for box in boxes:
+            box["fliers"] = box["fliers"][telling(box["fliers"], _MOST_BEYOND)]
+        axes.bxp(
+            boxes, positions=places, widths=0.5, patch_artist=True,
+            boxprops={"facecolor": COLOURS["span"], "edgecolor": COLOURS["ours"], "linewidth": 1.1}, whiskerprops=line, capprops=line,
+            medianprops={"color": COLOURS["ink"], "linewidth": 1.6},
+            flierprops={"marker": "o", "markersize": 3, "markerfacecolor": COLOURS["ours"], "markeredgewidth": 0},
+        )  # fmt: skip
+        axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
+        axes.set(xlim=(-0.6, len(teats) - 0.4), ylim=(0, None), ylabel="distance to the teat end (mm)")
+        axes.set_xticks(range(len(teats)), [f"{plain(teat, 12)}\nn = {array.size}" for teat, array in zip(teats, arrays, strict=True)])
+        axes.grid(visible=False, axis="x")
+        entries: list[LegendEntry] = [("middle half", "span", "patch"), ("median", "ink", "-"), (f"limit {limit_mm:g} mm", "limit", "-")]
+        legend(figure, entries)
+
+    return draw(name, (HALF_INCHES, _HIGH), plot)
+
+
+def error_drift(
+    time_min: ArrayLike, error_mm: ArrayLike, limit_mm: float, *, links: Sequence[str] | None = None, name: str = "error-drift"
+) -> str:
+    """Radial errors (n,) over the time of their capture (n,), with the line of least squares; `links` as of the scatter."""
+    time, errors = together("error_drift", time_min=time_min, error_mm=error_mm)
+    if links is not None and len(links) != time.size:
+        raise ValueError(f"error_drift: {len(links)} links for {time.size} points; give one a point")
+    if not time.size:
+        return not_measured(name, (HALF_INCHES, _HIGH), "no teat end was paired with a truth")
+
+    def plot(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        drawn = telling(errors)
+        points = axes.scatter(time[drawn], errors[drawn], s=16, color=COLOURS["ours"], alpha=0.7, linewidths=0)
+        if links is not None:
+            points.set_urls([links[index] for index in drawn])
+        entries: list[LegendEntry] = [("one teat end", "ours", "o")]
+        if np.ptp(time) > 0:
+            slope, level = np.polyfit(time - time.mean(), errors, 1)
+            ends = np.array([time.min(), time.max()])
+            axes.plot(ends, level + slope * (ends - time.mean()), color=COLOURS["ink"], linewidth=1.4)
+            entries.append((f"line: {slope * np.ptp(time):+.2f} mm over the run", "ink", "-"))
+        axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
+        axes.set(ylim=(0, 1.1 * max(limit_mm, float(errors.max()))), xlabel="time of the capture (min)", ylabel="distance (mm)")
+        legend(figure, [*entries, (f"limit {limit_mm:g} mm", "limit", "-")])
+
+    return draw(name, (HALF_INCHES, _HIGH), plot)

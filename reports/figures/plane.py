@@ -14,9 +14,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from reports.figures.arrays import Floats, finite
-from reports.figures.drawing import COLOURS, WIDE_INCHES, LegendEntry, draw, legend, not_measured, plain
-from reports.figures.thinning import MOST_POINTS, telling
+from reports.figures.drawing import (
+    COLOURS,
+    MOST_POINTS,
+    WIDE_INCHES,
+    Floats,
+    LegendEntry,
+    draw,
+    finite,
+    legend,
+    not_measured,
+    plain,
+    telling,
+)
 
 _INCHES = (WIDE_INCHES, 5.6)
 _MARK = 90.0  # points squared, of an error at the limit; the area grows with the error

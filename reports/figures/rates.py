@@ -1,12 +1,20 @@
-"""Shares as plots, with the counts that they come from. A share of nothing is "not measured"."""
+"""Shares as plots, with the counts that they come from. A share of nothing is "not measured".
+
+What each of many straight lines makes of its quantity's whole range, with intervals: a row a question. Knows only numbers and names.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from reports.figures.drawing import COLOURS, HALF_INCHES, draw, legend, not_measured, plain
+from reports.figures.drawing import COLOURS, HALF_INCHES, WIDE_INCHES, draw, legend, not_measured, plain
 
 
 def found_bars(
@@ -48,3 +56,43 @@ def _share_bar(axes: Axes, y: float, found: int, of: int, role: str) -> None:
         axes.barh(y, found / of, height=0.36, color=COLOURS[role])
     text = f"{found} of {of}" if of else "not measured"
     axes.text((found / of if of else 0) + 0.02, y, text, va="center", color=COLOURS[role])
+
+
+@dataclass(frozen=True, slots=True)
+class Slope:
+    """One line: its question, the response that it asks of, and what it makes over the range with its interval; ``shown`` is whether it is
+    told from nothing."""
+
+    against: str
+    response: str
+    value: float
+    low: float
+    high: float
+    shown: bool
+
+
+def slope_intervals(slopes: Sequence[Slope], unit: str = "mm", *, name: str = "slope-intervals") -> str:
+    """A panel a response, a row a question: the value with its interval and a line at nothing. Raises ValueError for what isn't finite."""
+    bad = [slope.against for slope in slopes if not all(map(isfinite, (slope.value, slope.low, slope.high)))]
+    if bad:
+        raise ValueError(f"slope_intervals: {bad[0]} is not finite; leave out what was not measured")
+    rows = list(dict.fromkeys(slope.against for slope in slopes))
+    panels = list(dict.fromkeys(slope.response for slope in slopes))
+    if not rows:
+        return not_measured(name, (WIDE_INCHES, 2.0), "no line was drawn through the errors")
+
+    def plot(figure: Figure) -> None:
+        reach = 1.1 * max(1e-6, *(max(abs(slope.low), abs(slope.high)) for slope in slopes))
+        for axes, panel in zip(figure.subplots(1, len(panels), sharey=True, squeeze=False)[0], panels, strict=True):
+            axes.axvline(0, color=COLOURS["muted"], linewidth=0.8)
+            for slope in (one for one in slopes if one.response == panel):
+                y, colour = rows.index(slope.against), COLOURS["limit" if slope.shown else "ours"]
+                axes.plot([slope.low, slope.high], [y, y], color=colour, linewidth=1.4)
+                axes.plot([slope.value], [y], color=colour, marker="D" if slope.shown else "o", markersize=4.5, markeredgewidth=0)
+            axes.set(xlim=(-reach, reach), ylim=(len(rows) - 0.5, -0.5), xlabel=f"{plain(panel)} ({unit})")
+            axes.set_yticks(np.arange(len(rows)), [plain(row) for row in rows])
+            axes.tick_params(axis="y", length=0)
+            axes.grid(visible=False, axis="y")
+        legend(figure, [("no trend shown, 95 % interval", "ours", "o"), ("trend shown", "limit", "D")])
+
+    return draw(name, (WIDE_INCHES, 0.9 + 0.28 * max(len(rows), 3)), plot)

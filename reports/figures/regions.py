@@ -13,9 +13,20 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import ArrayLike, NDArray
 
-from reports.figures.arrays import Floats, finite
-from reports.figures.drawing import COLOURS, WIDE_INCHES, LegendEntry, Marker, draw, legend, not_measured, plain
-from reports.figures.thinning import telling, told
+from reports.figures.drawing import (
+    COLOURS,
+    WIDE_INCHES,
+    Floats,
+    LegendEntry,
+    Marker,
+    draw,
+    finite,
+    legend,
+    not_measured,
+    plain,
+    telling,
+    told,
+)
 
 _HIGH = 3.5
 _MOST_MARKS = 240  # in all views together

@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator, PercentFormatter
 from numpy.typing import ArrayLike
 
-from reports.figures.arrays import Floats, together
-from reports.figures.drawing import COLOURS, WIDE_INCHES, LegendEntry, draw, legend, not_measured, plain
+from reports.figures.drawing import COLOURS, WIDE_INCHES, Floats, LegendEntry, draw, legend, not_measured, plain, together
 
 _INCHES = (WIDE_INCHES, 5.0)
 _ROLES = ("ours", "theirs", "accept", "muted")  # of methods, in their order

@@ -14,16 +14,16 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from unittest.mock import patch
 
-from bench.devices import Devices
-from bench.emulated.emulation import EmulatedRig
-from bench.emulated.faults import fault_names
-from bench.emulated.tables import EmulatedFault
-from bench.jobs import run_script
-from bench.record import RunRecord, read_run
-from bench.rig import load_rig
-from bench.running.event_lines import WatchedProgress
-from bench.running.run_state import EVENT
-from bench.script import load_script
+from bench.record.reader import RunRecord, read_run
+from bench.rig.devices import Devices
+from bench.rig.emulated_faults import fault_names
+from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.emulation_model import EmulatedFault
+from bench.rig.loading import load_rig
+from bench.run.progress import WatchedProgress
+from bench.run.start import run_script
+from bench.run.states import EVENT
+from bench.script.model import load_script
 from tests.bench.killed_runs import Silent
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files
 from tests.conftest import ROOT

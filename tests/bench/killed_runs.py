@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from bench.engine import Ending
-from bench.jobs import resume_run, run_script
-from bench.rig import load_rig
-from bench.script import load_script
-from bench.store import DATABASE
+from bench.record.schema import DATABASE
+from bench.rig.loading import load_rig
+from bench.run.engine import Ending
+from bench.run.start import resume_run, run_script
+from bench.script.model import load_script
 from instruments.clock import VirtualClock
 
 TABLES = ("trials", "skipped", "frames", "touches", "truth", "checks", "detections", "found", "scores", "bath", "invalidated")

@@ -20,17 +20,16 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.detecting.examine import Examiner
-from bench.devices import Devices
-from bench.engine import Ending
-from bench.jobs import run_script
-from bench.rig import load_rig
-from bench.running.progress import TerminalProgress
-from bench.running.trial_run import TrialRun
-from bench.safety.console_window import CTRL_CLOSE_EVENT, Handler
-from bench.safety.exits import installed
-from bench.script import load_script
-from bench.store import Row, Store
+from bench.cli.terminal import TerminalProgress
+from bench.record.writer import Row, Store
+from bench.results.answers import Examiner
+from bench.rig.devices import Devices
+from bench.rig.loading import load_rig
+from bench.run.engine import Ending
+from bench.run.start import run_script
+from bench.run.trial import TrialRun
+from bench.safety.signals import CTRL_CLOSE_EVENT, Handler, installed
+from bench.script.model import load_script
 from instruments.camera.recording import RecordingCameras
 from instruments.stage.driver import Stage
 from tests.bench.real_rig import RealRig

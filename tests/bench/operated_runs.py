@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench.cli import main
-from bench.record import RunRecord, read_run
-from bench.rig import RIGS
+from bench.cli.main import main
+from bench.record.reader import RunRecord, read_run
+from bench.rig.loading import RIGS
 
 SCRIPT = """
 title = "Short"

@@ -16,9 +16,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bench.emulated.emulation import EmulatedRig
-from bench.planning.phantom_file import shipped_phantom
-from bench.rig import RIGS, LoadedRig, find_rig, load_rig
+from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.loading import RIGS, LoadedRig, find_rig, load_rig
+from bench.script.phantom import shipped_phantom
 from instruments.camera.recording import RecordingWriter
 from instruments.clock import RealClock
 from instruments.operators.operator import Arrangement

@@ -13,11 +13,10 @@ import tempfile
 from contextlib import closing
 from pathlib import Path
 
-from bench.cli import main
-from bench.store import DATABASE
-from bench.store.chain import add_link
-from bench.store.files import sha256_of
-from bench.store.schema import LATER_WORD, tables_of
+from bench.cli.main import main
+from bench.files import sha256_of
+from bench.record.chain import add_link
+from bench.record.schema import DATABASE, LATER_WORD, tables_of
 from tests.bench import operated_runs
 
 SMALLER = 4

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from bench.answers import load_answers
-from bench.config import ConfigError, read_config
-from bench.rig import RIGS, find_rig, load_rig
-from bench.script import TRIALS, Script, find_script, load_script
-from bench.toml_places import find_places, nearest
+from bench.config import ConfigError, find_places, nearest, read_config
+from bench.rig.loading import RIGS, find_rig, load_rig
+from bench.rig.scripted_answers import load_answers
+from bench.script.model import TRIALS, Script, find_script, load_script
 
 
 def rig_with(tmp_path: Path, change: dict[str, str]) -> Path:

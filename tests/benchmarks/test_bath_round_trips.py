@@ -26,9 +26,9 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.polling import Block, blocks, reader
 from instruments.bath.profile import Profile, load_profile
-from instruments.bath.rows import Row
+from instruments.bath.registers import Row
+from instruments.bath.requests import Block, blocks, reader
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.pty_listener import PtyListener

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from bench.calibrating.cameras_job import Lens, calibrate_pair
-from bench.calibrating.live import pattern_of, write_picture
-from bench.calibrating.picture_sets import find_pictures
-from bench.calibrating.views import find_views
-from bench.rig import RIGS
+from bench.calibrate.capture import pattern_of, write_picture
+from bench.calibrate.stereo import Lens, calibrate_pair
+from bench.calibrate.views import find_pictures, find_views
+from bench.rig.loading import RIGS
 from detector.calibration import Calibration, load_calibration
 from detector.calibration.boards import Board
 from detector.geometry import Array, Camera, triangulate
-from instruments.world.board_poses import poses
+from instruments.world.boards import poses
 from instruments.world.phantom import Phantom
-from instruments.world.scene import Renderer, SceneState
+from instruments.world.scene import Renderer
+from instruments.world.state import SceneState
 from tests.benchmarks.figures import figure
 
 PAIRS, POINTS = 24, 1_000_000

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from instruments.capture import NO_CAPTURE, CaptureFile, Captures
-from instruments.capture_reader import read_capture
+from instruments.captures.capture import NO_CAPTURE, CaptureFile, Captures
+from instruments.captures.reader import read_capture
+from instruments.captures.replay import Replay
 from instruments.clock import RealClock
 from instruments.link import Link
 from instruments.listener import Connection, Listener
-from instruments.replay import Replay
 
 FACTS = {"teatbench": "0", "command": "c", "machine": "m"}
 PACKET = bytes.fromhex("83 00 6C 4F 30 5E 35 54 20 02 18 79 41 60")

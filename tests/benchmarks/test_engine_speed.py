@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from bench.jobs import run_script
-from bench.planning.trials import PlannedTrial
-from bench.rig import load_rig
-from bench.script import load_script
-from bench.store import FinishedTrial
+from bench.record.writer import FinishedTrial
+from bench.rig.loading import load_rig
+from bench.run.start import run_script
+from bench.script.model import load_script
+from bench.script.planned_trials import PlannedTrial
 from tests.bench.operated_runs import SCRIPT, files
 from tests.benchmarks.figures import figure
 
@@ -44,7 +44,7 @@ def empty_trials(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         head = {"id": trial.id, "number": trial.number, "name": trial.name, "situation": trial.situation, "repeat": trial.repeat}
         trials._store.finished(FinishedTrial({**head, "wall_time": ""}, [], [], [], [], [], []))
 
-    monkeypatch.setattr("bench.running.trial_run.TrialRun.run", run)
+    monkeypatch.setattr("bench.run.trial.TrialRun.run", run)
     return began
 
 

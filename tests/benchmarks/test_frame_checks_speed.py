@@ -6,8 +6,8 @@ from itertools import cycle
 
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from bench.cameras.frame_checks import FrameChecks
-from bench.rig import find_rig, load_rig
+from bench.rig.frame_checks import FrameChecks
+from bench.rig.loading import find_rig, load_rig
 from instruments.camera.emulator import EmulatedCameras
 from tests.benchmarks.figures import figure
 from tests.instruments.camera.small_world import GalleryWorld

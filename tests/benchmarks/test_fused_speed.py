@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from bench.rig import find_rig, load_rig
-from bench.scene_recording import record
+from bench.rig.loading import find_rig, load_rig
+from bench.rig.scenes import record
 from detector import registry
 from detector.calibration import Calibration
 from instruments.camera.frame import FrameSet

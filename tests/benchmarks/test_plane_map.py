@@ -11,12 +11,12 @@ from types import CodeType
 from pytest_benchmark.fixture import BenchmarkFixture
 from rich.console import Console
 
-from bench.jobs import run_script
-from bench.record import read_run
-from bench.rig import find_rig, load_rig
-from bench.running.progress import TerminalProgress
-from bench.script import find_script, load_script
-from bench.summary import write_run_report
+from bench.cli.terminal import TerminalProgress
+from bench.record.reader import read_run
+from bench.report.page import write_run_report
+from bench.rig.loading import find_rig, load_rig
+from bench.run.start import run_script
+from bench.script.model import find_script, load_script
 from tests.benchmarks.figures import figure
 
 SPENT = {

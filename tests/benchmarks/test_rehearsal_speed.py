@@ -6,9 +6,9 @@ from pathlib import Path
 
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from bench.rehearsing.rehearsal import rehearse
-from bench.rig import find_rig, load_rig
-from bench.script import load_script
+from bench.dry_run.rehearsal import rehearse
+from bench.rig.loading import find_rig, load_rig
+from bench.script.model import load_script
 from tests.benchmarks.figures import figure
 
 SCRIPT = """

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from bench.scene_recording import warm
+from bench.rig.scenes import warm
 from instruments.world.phantom import PlatePose
 from instruments.world.scene import Renderer
 from instruments.world.situations import SITUATIONS as FAMILIES

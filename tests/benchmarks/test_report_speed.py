@@ -12,12 +12,11 @@ from pathlib import Path
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from bench.cli import main
-from bench.record import RunRecord, read_run
-from bench.rig import read_calibration
-from bench.summary import build_page
-from bench.summary.page import stored_rules
-from bench.verdicts import judge
+from bench.cli.main import main
+from bench.config import read_calibration
+from bench.record.reader import RunRecord, read_run
+from bench.report.page import build_page, stored_rules
+from bench.results.verdicts import judge
 from reports.render import write_report
 from tests.benchmarks.figures import figure
 from tests.chromium import browser_page

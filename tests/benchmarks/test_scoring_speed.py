@@ -11,13 +11,10 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from bench.scoring.comparison import ScenePair, compare
-from bench.scoring.decisions import Decision, decide_count, decide_rate, decide_time
-from bench.scoring.ellipsoid import pose_means, prediction_ellipsoid
-from bench.scoring.error_decision import decide_error
-from bench.scoring.errors import ErrorSummary
-from bench.scoring.plane import error_map
-from bench.scoring.points import Floats
+from bench.scoring.decisions import Decision, decide_count, decide_error, decide_rate, decide_time
+from bench.scoring.errors import ErrorSummary, Floats
 from bench.scoring.pool import pool
+from bench.scoring.regions import error_map, pose_means, prediction_ellipsoid
 from bench.scoring.scene import SceneScore, score_scene
 from bench.scoring.trends import Trend, trend
 from tests.benchmarks.figures import figure

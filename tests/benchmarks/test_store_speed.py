@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from bench.store import FinishedTrial, Store
+from bench.record.writer import FinishedTrial, Store
 from instruments.clock import stopwatch_s, wall_time
-from tests.bench.test_store import facts
+from tests.bench.record.test_record import facts
 from tests.benchmarks.figures import figure
 
 EVENTS, A_STEP = 3000, 50

@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from bench.rig import RIGS
+from bench.rig.loading import RIGS
 from detector.calibration import Calibration, load_calibration
 from detector.calibration.boards import Board
 from detector.calibration.cameras import View

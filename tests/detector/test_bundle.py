@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from detector.calibration.boards import Board
-from detector.calibration.bundle import BundleError, adjust
+from detector.calibration.bundle import LENS, POSE, BundleError, Freedom, Rig, Sighting, adjust
 from detector.calibration.cameras import Calibrated, TooFewViewsError, View, calibrate_camera, join_cameras
 from detector.calibration.corners import SubPixel, find_board
-from detector.calibration.halves import pair_of, split_half
-from detector.calibration.parameters import LENS, POSE, Freedom, Rig, Sighting
 from detector.calibration.remeasure import PairView, remeasure
+from detector.calibration.split_half import pair_of, split_half
 from detector.geometry import Array, Camera, Motion
 from tests.detector.boards_seen import BOARD, seen, thesis_rig
 

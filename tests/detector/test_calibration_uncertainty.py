@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from detector.calibration import Calibration, ParameterCovariance, Record, dump_calibration, load_calibration
+from detector.calibration.bundle import POSE
 from detector.calibration.cameras import calibrate_camera, join_cameras
-from detector.calibration.pairs import fit_homography
-from detector.calibration.parameters import POSE
+from detector.calibration.homographies import fit_homography
 from detector.calibration.uncertainty import Pair
 from detector.calibration.world import fit_world
 from detector.geometry import Array, Motion, apply_homography

@@ -11,8 +11,8 @@ import pytest
 from detector.calibration.cameras import View, calibrate_camera, join_cameras
 from detector.calibration.coverage import coverage
 from detector.calibration.diagnosis import Finding, against_the_arm, measured_again, outlier_views, swapped
-from detector.calibration.halves import pair_of
 from detector.calibration.remeasure import remeasure
+from detector.calibration.split_half import pair_of
 from detector.calibration.uncertainty import Pair
 from detector.calibration.world import WorldFit, fit_world
 from detector.geometry import Array, Motion

@@ -15,15 +15,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration
-from detector.geometry import (
-    Camera,
-    Motion,
-    apply_homography,
-    rigid_fit,
-    rotation_from_vector,
-    triangulate,
-    vector_from_rotation,
-)
+from detector.geometry import Camera, Motion, apply_homography, rigid_fit, rotation_from_vector, triangulate, vector_from_rotation
 
 Array = NDArray[np.float64]
 

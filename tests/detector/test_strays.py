@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from detector.calibration.boards import Board
-from detector.calibration.strays import between_neighbours, strays
+from detector.calibration.corners import between_neighbours, strays
 from detector.geometry import Array, Camera, Motion
 
 BOARD = Board("chessboard", 9, 6, 40.0)

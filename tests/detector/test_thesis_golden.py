@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.calibration.thesis_rig import thesis_published
 from detector.protocol import Detection
-from detector.thesis.ablation import no_refinement, published_homography, published_homography_no_refinement
-from detector.thesis.detector import ThesisDetector
+from detector.thesis.detector import ThesisDetector, no_refinement, published_homography, published_homography_no_refinement
 from tests.detector import thesis_tables as tables
 
 # Canny's edges at sigma 12 lie where the outline's corners are smoothed away, not on the outline

@@ -9,10 +9,19 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from detector.thesis.horizontals import horizontal_middles, merge_rows, segment_middles, teat_ends, window_fits
+from detector.thesis.lines import (
+    half_up,
+    horizontal_middles,
+    merge_columns,
+    merge_rows,
+    segment_middles,
+    teat_ends,
+    vertical_ends,
+    window_centre,
+    window_fits,
+)
 from detector.thesis.parameters import Domain, Parameters
 from detector.thesis.thermal import order_filter
-from detector.thesis.verticals import half_up, merge_columns, vertical_ends, window_centre
 
 P = Parameters()
 TABLE_4_1 = np.array([[104, 126], [148, 116], [182, 140], [222, 145], [272, 129], [316, 134], [359, 110], [407, 121]], dtype=np.float64)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration.thesis_rig import thesis_published
-from detector.thesis.ablation import published_homography
+from detector.thesis.detector import published_homography
 from tests.detector.conftest import Pictures, teats_picture
 
 GOLDEN = Path(__file__).parent / "golden"

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from instruments.capture import NO_CAPTURE, CaptureError, CaptureFile
-from instruments.capture_reader import read_capture
+from instruments.captures.capture import NO_CAPTURE, CaptureError, CaptureFile
+from instruments.captures.reader import read_capture
 from instruments.clock import RealClock, VirtualClock
 from instruments.link import Link
 from instruments.listener import Connection, Listener

@@ -15,8 +15,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from instruments.capture import CaptureError, CaptureFile
-from instruments.capture_reader import read_capture
+from instruments.captures.capture import CaptureError, CaptureFile
+from instruments.captures.reader import read_capture
 from instruments.clock import VirtualClock
 from tests.conftest import ROOT
 

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from instruments.capture_reader import Capture, read_capture
+from instruments.captures.reader import Capture, read_capture
+from instruments.captures.replay import Replay
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.link import Link
-from instruments.replay import Replay
 
 HEAD = '{"format": "teatbench capture", "version": 1, "wall_time": "w", "teatbench": "0", "command": "c", "machine": "m"}\n'
 SERIAL = "/dev/ttyUSB0"

@@ -14,18 +14,18 @@ import pytest
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
-from instruments.capture import CaptureFile
-from instruments.capture_reader import Capture, read_capture
+from instruments.captures.capture import CaptureFile
+from instruments.captures.reader import Capture, read_capture
+from instruments.captures.replay import Replay
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError, LinkError
 from instruments.link import Link
 from instruments.listener import Connection, Device, Listener
-from instruments.microscribe.conversation import ANSWER_S
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.faults import Fault
 from instruments.microscribe.kinematics import Floats
-from instruments.replay import Replay
+from instruments.microscribe.session import ANSWER_S
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import StageEmulator
 from instruments.tap import Tap

@@ -8,29 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reports import figures
-from reports.page import (
-    Banner,
-    Cell,
-    Circle,
-    Code,
-    Column,
-    Cross,
-    Figure,
-    ImageView,
-    KeyValues,
-    Label,
-    Notes,
-    Overlay,
-    Page,
-    Paragraph,
-    Polyline,
-    Rect,
-    Requirement,
-    Requirements,
-    Section,
-    Table,
-    TrialPart,
-)
+from reports.frames import Circle, Cross, ImageView, Label, Overlay, Polyline, Rect
+from reports.page import Banner, Page, Section, TrialPart
+from reports.parts import Cell, Code, Column, Figure, KeyValues, Notes, Paragraph, Requirement, Requirements, Table
 
 SITUATIONS = ("Not vertical", "Overlapping", "Spurious teat", "Hot body at the base", "Hot body at the ends", "Cooler bodies")
 THESIS_FOUND = (4, 3, 4, 4, 0, 3)

@@ -8,28 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reports import figures
-from reports.page import (
-    Banner,
-    Cell,
-    Circle,
-    Code,
-    Column,
-    Figure,
-    ImageView,
-    KeyValues,
-    Label,
-    Notes,
-    Overlay,
-    Page,
-    PageError,
-    Paragraph,
-    Requirement,
-    Requirements,
-    Section,
-    Table,
-    TrialPart,
-)
+from reports.frames import Circle, ImageView, Label, Overlay
+from reports.page import Banner, Page, Section, TrialPart
+from reports.parts import Cell, Code, Column, Figure, KeyValues, Notes, Paragraph, Requirement, Requirements, Table
 from reports.render import render
+from reports.trust import PageError
 from tests.reports.markup import read
 
 HOSTILE = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>&amp;{{ 7*7 }}{% raw %}]]>--></style></svg>\x00\u202e"

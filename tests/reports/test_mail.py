@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from reports.mail import write_single_file
-from reports.page import Page, PageError
+from reports.page import Page
 from reports.pdf import find_browser, print_pdf
 from reports.render import write_report
+from reports.trust import PageError
 from tests.chromium import NAMES, browser_page, chromium
 from tests.reports.markup import read
 from tests.reports.sample import sample_page

@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, expect
 
-from reports.page import Page, PageError, Section, Table
+from reports.page import Page, Section
+from reports.parts import Table
 from reports.render import IN_PAGE, render, write_report
+from reports.trust import PageError
 from tests.chromium import Seen, window
 from tests.reports.markup import Document, read
 from tests.reports.sample import sample_page

@@ -7,24 +7,10 @@ import re
 import pytest
 
 from reports import figures
-from reports.page import (
-    Banner,
-    Cell,
-    Circle,
-    Column,
-    Figure,
-    ImageView,
-    KeyValues,
-    Overlay,
-    Page,
-    PageError,
-    Polyline,
-    Requirement,
-    Requirements,
-    Section,
-    Table,
-    TrialPart,
-)
+from reports.frames import Circle, ImageView, Overlay, Polyline
+from reports.page import Banner, Page, Section, TrialPart
+from reports.parts import Cell, Column, Figure, KeyValues, Requirement, Requirements, Table
+from reports.trust import PageError
 
 BANNER = Banner("recorded", "met", "t", "s", "c", "n")
 

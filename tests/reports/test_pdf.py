@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from reports.page import PageError
 from reports.pdf import BROWSER, find_browser, print_pdf, travelling
 from reports.render import write_report
+from reports.trust import PageError
 from tests.chromium import browser_page, chromium
 from tests.reports.sample import sample_page
 

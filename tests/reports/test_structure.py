@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from reports.page import VERDICTS, Banner, Page, PageError
+from reports.page import Banner, Page
+from reports.parts import VERDICTS
 from reports.render import render, write_report
+from reports.trust import PageError
 from tests.reports.markup import Document, read
 from tests.reports.sample import sample_page
 

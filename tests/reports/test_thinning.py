@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from reports import figures
-from reports.figures.arrays import Floats
-from reports.figures.thinning import MOST_POINTS, envelope, telling
+from reports.figures.drawing import MOST_POINTS, Floats, envelope, telling
 
 
 @given(st.lists(st.floats(0, 100), max_size=300), st.integers(2, 50))

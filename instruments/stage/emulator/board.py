@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from instruments.clock import Clock
 from instruments.listener import Connection
-from instruments.stage.emulator.carriage import Carriage
+from instruments.stage.emulator.carriage import Carriage, Drive
 from instruments.stage.emulator.controller import Controller
 from instruments.stage.emulator.dialect import CLASSIC, Dialect
-from instruments.stage.emulator.drive import Drive
 from instruments.stage.emulator.faults import BROKEN_SWITCHES, IN_MOTION, LOST_MM, NOISE, NOT_WHILE_HOMING, Fault
-from instruments.stage.emulator.phases import Vector
+from instruments.stage.emulator.motion import Vector
 from instruments.stage.emulator.store import Store
 
 GLANCE_S = 1e-3  # over which a velocity is told

@@ -15,14 +15,13 @@ from collections.abc import Callable
 from instruments.clock import Clock
 from instruments.stage import protocol
 from instruments.stage.emulator.carriage import Carriage
-from instruments.stage.emulator.dialect import Dialect
+from instruments.stage.emulator.dialect import DEAF, STUBBORN, Dialect, Mode
 from instruments.stage.emulator.gcode import Modes
 from instruments.stage.emulator.homing import Switch
 from instruments.stage.emulator.lines import Task, execute
-from instruments.stage.emulator.phases import SOON_S
+from instruments.stage.emulator.motion import SOON_S
 from instruments.stage.emulator.receiver import Receiver, split
 from instruments.stage.emulator.report import SlowFields, status_report
-from instruments.stage.emulator.states import DEAF, STUBBORN, Mode
 from instruments.stage.emulator.store import Store
 
 PASS_S = 0.001  # one pass of the main loop: reports that are asked for in it are sent first

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 
-from instruments.stage.emulator.phases import Vector
+from instruments.stage.emulator.motion import Vector
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)")
 _GROUPS = {

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from instruments.stage.emulator.phases import Phase, Vector, lay, profile
+from instruments.stage.emulator.motion import Phase, Vector, lay, profile
 
 SEARCH = 1.5  # times the longest travel of the pass, before a switch counts as missing
 LOCATE = 5.0  # times the pull-off

@@ -14,7 +14,7 @@ from instruments.stage.emulator.carriage import Carriage
 from instruments.stage.emulator.dialect import Dialect
 from instruments.stage.emulator.gcode import Dwell, GcodeError, Modes, Move, Probe, command, jog
 from instruments.stage.emulator.homing import Switch
-from instruments.stage.emulator.phases import SOON_S, Vector
+from instruments.stage.emulator.motion import SOON_S, Vector
 from instruments.stage.emulator.receiver import OVERFLOW
 from instruments.stage.emulator.report import SlowFields, numbers
 from instruments.stage.emulator.store import Store

@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import Protocol
 
 from instruments.stage.emulator.carriage import Carriage
-from instruments.stage.emulator.dialect import Dialect
+from instruments.stage.emulator.dialect import Dialect, Mode, state_name
 from instruments.stage.emulator.gcode import Modes
-from instruments.stage.emulator.phases import Vector
-from instruments.stage.emulator.states import Mode, state_name
+from instruments.stage.emulator.motion import Vector
 from instruments.stage.emulator.store import Store
 
 _IDLE_EVERY = 10

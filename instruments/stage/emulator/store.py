@@ -11,8 +11,7 @@ from collections.abc import Mapping
 
 from instruments.stage.emulator.dialect import CLASSIC, Dialect
 from instruments.stage.emulator.homing import HomingRates
-from instruments.stage.emulator.phases import Vector
-from instruments.stage.emulator.planner import AxisRates
+from instruments.stage.emulator.motion import AxisRates, Vector
 
 DEFAULTS: dict[int, float] = {
     0: 10, 1: 25, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0,

@@ -5,7 +5,6 @@ anywhere. Whether a camera sees an end is no part of a situation: `Renderer.visi
 """
 
 from instruments.world.situations.families import SITUATIONS, situation
-from instruments.world.situations.validity import collisions, faults, hidden_ways
-from instruments.world.situations.values import Situation
+from instruments.world.situations.situation import Situation, collisions, faults, hidden_ways
 
 __all__ = ["SITUATIONS", "Situation", "collisions", "faults", "hidden_ways", "situation"]

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from instruments.world.backdrop import Backdrop, Poster
+from instruments.world.boards import Weave
 from instruments.world.objects import SceneObject, make_object
 from instruments.world.phantom import Phantom, Teat, TeatShape
 from instruments.world.shading import Lamp, Lighting, Paint
-from instruments.world.texture import Weave
 
 PLACES = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))  # near left, near right, far left, far right
 

@@ -16,19 +16,8 @@ from instruments.world.objects import SceneObject, make_object
 from instruments.world.phantom import Phantom, Teat, TeatShape
 from instruments.world.sensor import Exposure
 from instruments.world.shading import Lighting, Paint
-from instruments.world.situations.draws import (
-    Draw,
-    apart,
-    backdrop,
-    cooler_bodies,
-    dark_paint,
-    light_paint,
-    lighting,
-    posters,
-    udder,
-)
-from instruments.world.situations.validity import EYES_MM, faults, hidden_ways
-from instruments.world.situations.values import Situation
+from instruments.world.situations.draws import Draw, apart, backdrop, cooler_bodies, dark_paint, light_paint, lighting, posters, udder
+from instruments.world.situations.situation import EYES_MM, Situation, faults, hidden_ways
 
 ATTEMPTS = 1000
 CLEAR_MM = 4.0  # between teats that don't overlap, as seen

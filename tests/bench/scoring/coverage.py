@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bench.scoring.paired import upper_bound
-from bench.scoring.points import Floats
+from bench.scoring.comparison import upper_bound
+from bench.scoring.errors import Floats
 
 LIMIT_MM, MARGIN_MM = 5.0, 0.25
 Draw = Callable[[np.random.Generator, int], Floats]

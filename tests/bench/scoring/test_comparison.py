@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.scoring.comparison import Compared, ScenePair, common_errors, compare, why_failed
+from bench.scoring.comparison import Compared, Discordance, ScenePair, common_errors, compare, why_failed
 from bench.scoring.decisions import Verdict
-from bench.scoring.paired import Discordance
-from bench.scoring.points import Floats
+from bench.scoring.errors import Floats
 from bench.scoring.scene import SceneScore, score_scene
 
 TRUTH = np.array([[-260.0, 267.0, 136.0], [-110.0, 284.0, 136.0], [-205.0, 200.0, 137.0], [-140.0, 205.0, 136.0]])

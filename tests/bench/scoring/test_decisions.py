@@ -9,18 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.scoring.decisions import (
-    Decision,
-    Verdict,
-    decide_condition,
-    decide_count,
-    decide_rate,
-    decide_time,
-    overall,
-)
-from bench.scoring.error_decision import decide_error
+from bench.report.wording import measured
+from bench.scoring.decisions import Decision, Verdict, decide_condition, decide_count, decide_error, decide_rate, decide_time, overall
 from bench.scoring.rates import Rate
-from bench.summary.wording import measured
 
 MET, NOT_MET, INCONCLUSIVE, NOT_MEASURED = Verdict.MET, Verdict.NOT_MET, Verdict.INCONCLUSIVE, Verdict.NOT_MEASURED
 rate95 = partial(decide_rate, "success", required=0.95, confidence=0.95)

@@ -10,13 +10,12 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import ncx2  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
 
-from bench.rig_tables import Arm
-from bench.scoring.decisions import Verdict
-from bench.scoring.error_decision import decide_error, worst_per_pose
-from bench.scoring.limits import acceptance_limit_mm, leak
-from bench.scoring.points import Floats
+from bench.rig.model import Arm
+from bench.scoring.decisions import Verdict, decide_error, worst_per_pose
+from bench.scoring.errors import Floats
+from bench.scoring.guard_band import acceptance_limit_mm, leak
 from bench.scoring.rates import guarded_n, shown_falsely
-from bench.truth.point import end_u_mm, reading_u_mm
+from bench.truth.uncertainty import end_u_mm, reading_u_mm
 from instruments.microscribe.mechanics import KinematicError, workspace
 from instruments.microscribe.unit import UNIT_40937
 

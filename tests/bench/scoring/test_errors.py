@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from bench.scoring.errors import AxisSummary, RadialSummary, percentile, summarise, summarise_radial
+from bench.scoring.errors import AxisSummary, Floats, RadialSummary, percentile, summarise, summarise_radial
 from bench.scoring.matching import gate_mm, match
-from bench.scoring.points import Floats
 
 TABLE_5_1 = [[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]]
 TABLE_5_2 = [[-109.8, 285.7, 135.5], [-161.3, 191.7, 137.8], [-224.2, 197.4, 137.4], [-260.5, 269.9, 137.4]]

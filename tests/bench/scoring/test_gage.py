@@ -8,7 +8,7 @@ import pytest
 import statsmodels.formula.api as smf  # type: ignore[import-untyped]
 from statsmodels.stats.anova import anova_lm  # type: ignore[import-untyped]
 
-from bench.scoring.gage import gage_study
+from bench.scoring.precision import gage_study
 
 # AIAG, Measurement Systems Analysis, 4th edition, table III-B 6a: 3 appraisers, 3 trials, 10 parts
 AIAG = np.array(

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, unused-ignore]
 
+from bench.scoring.errors import Floats
 from bench.scoring.matching import Counts, Match, gate_mm, gospa_mm, match
-from bench.scoring.points import Floats
 from bench.scoring.rates import Rate
 
 SQUARE = np.array([[0.0, 0, 0], [60, 0, 0], [0, 60, 0], [60, 60, 0]])

@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binom, binomtest  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
+from scipy.stats import (
+    binom,
+    binomtest,  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
+)
 
 from bench.scoring.rates import Rate, guarded_n, percent, percent_apart, pose_successes, shown_falsely, trials_needed, zero_failure_n
 

@@ -10,18 +10,19 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 from statsmodels.stats.multivariate import test_mvmean as hotelling  # type: ignore[import-untyped]
 
-from bench.scoring.ellipsoid import (
-    LEAST,
+from bench.scoring.errors import Floats
+from bench.scoring.regions import (
+    LEAST_POSES,
+    Cell,
     Ellipsoid,
     bias_ellipsoid,
     bias_test,
     consistency,
+    error_map,
     pose_means,
     prediction_ellipsoid,
     share_within,
 )
-from bench.scoring.plane import Cell, error_map
-from bench.scoring.points import Floats
 
 SPREAD = np.array([0.4, 2.0, 0.8])
 
@@ -81,7 +82,7 @@ def test_no_bias_is_shown_exactly_where_the_region_holds_zero() -> None:
 
 
 def test_too_few_say_nothing() -> None:
-    few = np.ones((LEAST - 1, 3))
+    few = np.ones((LEAST_POSES - 1, 3))
     assert (prediction_ellipsoid(few), bias_ellipsoid(few), bias_test(few).p_value, consistency([], []).ratio) == (None, None, None, None)
     assert bias_test(np.column_stack([np.arange(9.0), np.arange(9.0), np.ones(9)])).t_squared is None  # flat: no volume to judge by
 

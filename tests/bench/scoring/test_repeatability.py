@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.scoring.repeatability import distance_accuracy, drift_mm, pose_accuracy, precision
-from bench.scoring.uncertainty import Component, TruthUncertainty
+from bench.scoring.precision import distance_accuracy, drift_mm, pose_accuracy, precision
+from bench.truth.uncertainty import Component, TruthUncertainty
 
 LINE = [[9.0, 0, 0], [11.0, 0, 0], [10.0, 1, 0], [10.0, -1, 0]]  # four repeats, each 1 mm from their mean (10, 0, 0)
 

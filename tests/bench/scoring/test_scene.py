@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from bench.scoring.decisions import decide_rate
 from bench.scoring.matching import Counts
 from bench.scoring.pool import Pool, pool
-from bench.scoring.power import failures_allowed, shown_error_mm
 from bench.scoring.rates import Rate
+from bench.scoring.sample_size import failures_allowed, shown_error_mm
 from bench.scoring.scene import SceneScore, scene_from_dict, score_scene
 
 TRUTH = np.array([[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]])  # table 5.1

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import t
 
-from bench.scoring.points import Floats
-from bench.scoring.trends import LEAST, Trend, trend, trends
+from bench.scoring.errors import Floats
+from bench.scoring.trends import LEAST_TREND_POSES, Trend, trend, trends
 
 
 def line(x: Floats, y: Floats, strata: npt.NDArray[np.int64]) -> float:
@@ -21,7 +21,7 @@ def line(x: Floats, y: Floats, strata: npt.NDArray[np.int64]) -> float:
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(LEAST, 9), st.integers(1, 3))
+@given(st.integers(0, 2**32 - 1), st.integers(LEAST_TREND_POSES, 9), st.integers(1, 3))
 def test_the_slope_and_its_jackknife_by_leaving_out_each_group(seed: int, groups: int, strata: int) -> None:
     rng = np.random.default_rng(seed)
     group = np.repeat(np.arange(groups), 3 * strata)

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from bench.truth.carry import Reference, carried, check_touches, fixed_key, reference_from_dict
-from bench.truth.point import CARRY, ROUNDING_MM, TruthPoint, touched, triple
+from bench.truth.carrying import Reference, carried, check_touches, fixed_key, reference_from_dict
+from bench.truth.uncertainty import CARRY, ROUNDING_MM, TruthPoint, touched, triple
 from instruments.world.phantom import PlatePose
 from tests.bench.truth.touches import ACCURACY, CORNERS_MM, ENDS_MM, TrueStage, arm_settings, layout, registered, stage_of
 

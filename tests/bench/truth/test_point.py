@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from bench.scoring.uncertainty import Component
-from bench.truth.point import CARRY, CHI2_95, ROUNDING_MM, How, end_u_mm, moved, reading_u_mm, tip_radius_u_mm, touched
+from bench.truth.uncertainty import CARRY, CHI2_95, ROUNDING_MM, Component, How, end_u_mm, moved, reading_u_mm, tip_radius_u_mm, touched
 from instruments.teat_end import DEFINITION, apex_mm, ball_centre_mm, end_under_ball_mm
 from tests.bench.truth.touches import arm_settings, layout
 

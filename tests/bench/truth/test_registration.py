@@ -11,9 +11,9 @@ import pytest
 from scipy.stats import binom
 
 from bench.config import ConfigError
-from bench.truth.registering import around
 from bench.truth.registration import Registration, RegistrationError, Station
 from bench.truth.registration_file import as_facts, load_registration, registration_from_facts, registration_text, write_registration
+from bench.truth.stage_registration import around
 from detector.geometry import Motion
 from instruments.world.phantom import PlatePose
 from tests.bench.truth.touches import CORNERS_MM, MADE, U_MM, TrueStage, registered, stage_of

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.truth.point import reading_u_mm
-from bench.truth.rules import FAR, MEDIAN_LENGTH, mistaken, outliers
+from bench.truth.touch_checks import FAR, MEDIAN_LENGTH, mistaken, outliers
+from bench.truth.uncertainty import reading_u_mm
 from tests.bench.truth.touches import ENDS_MM, arm_settings
 
 S0 = reading_u_mm(arm_settings())

@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.record import RunRecord, TrialRecord
-from bench.store import Row
+from bench.record.reader import RunRecord, TrialRecord
+from bench.record.writer import Row
 from bench.truth.carrying import REFERENCE_FACT, UNCONFIRMED_FACT, CarriedTruth, CarryState, CheckRule, resumed
-from bench.truth.point import How, Triple, triple
 from bench.truth.registration import Registration
-from bench.truth.source import Shown, TouchedTruth, TrialTruth
-from bench.truth.touching import NoTruthError, Toucher
+from bench.truth.touching import NoTruthError, Shown, TouchedTruth, Toucher, TrialTruth
+from bench.truth.uncertainty import How, Triple, triple
 from tests.bench.truth.touches import ENDS_MM, Hand, registered, stage_of, table_5_1, toucher
 
 HOME = np.array([-150.0, -137.5, -1.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.truth.touching import SPARE, Ends, NoTruthError
-from instruments.microscribe.refusals import ArmMovesError
+from instruments.microscribe.errors import ArmMovesError
 from instruments.teat_end import ball_centre_mm
 from tests.bench.truth.touches import ENDS_MM, UP, Hand, arm_settings, layout, table_5_1, toucher
 

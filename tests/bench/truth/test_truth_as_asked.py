@@ -11,20 +11,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.cli import main
+from bench.cli.main import main
 from bench.config import ConfigError
-from bench.planning.trials import PlannedTrial
-from bench.record import RunRecord
-from bench.rig import load_rig
-from bench.script import load_script
-from bench.store import DATABASE
-from bench.summary.truth import deviation_parts
-from bench.truth.choosing import refuse_carry
+from bench.record.reader import RunRecord
+from bench.record.schema import DATABASE
+from bench.report.truth import deviation_parts
+from bench.rig.loading import load_rig
+from bench.run.truth_source import refuse_carry
+from bench.script.model import load_script
+from bench.script.planned_trials import PlannedTrial
 from bench.truth.registration_file import load_registration, write_registration
 from bench.truth.touching import NoTruthError
 from instruments.clock import VirtualClock
-from reports.page import Notes
-from tests.bench.test_attempts import PLANNED, attempts
+from reports.parts import Notes
+from tests.bench.run.test_attempts import PLANNED, attempts
 from tests.bench.truth.touches import registered, stage_of
 from tests.bench.truth.truth_runs import CARRY, done, rig_in, script_in
 

@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from bench.truth.choosing import REGISTRATION_FILE
-from bench.truth.point import CHI2_95
+from bench.results.verdicts import scored
+from bench.run.truth_source import REGISTRATION_FILE
 from bench.truth.registration_file import load_registration, registration_from_facts
-from bench.verdicts import scored
+from bench.truth.uncertainty import CHI2_95
 from tests.bench.truth.truth_runs import CARRY, Done, done, rig_in, script_in
 
 

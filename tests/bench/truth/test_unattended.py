@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from instruments.operators.operator import Arrangement
-from instruments.operators.prompt import Prompt
+from instruments.operators.operator import Arrangement, Prompt
 from instruments.operators.prompted import PromptedOperator
 from tests.bench.truth.touches import layout
 

@@ -9,17 +9,16 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.arm.tip import TipReader
-from bench.planning.phantom_file import find_layout, load_layout
-from bench.rig_tables import Arm
-from bench.truth.axes import StageAccuracy
-from bench.truth.registration import Registration, stations_of
+from bench.rig.model import Arm
+from bench.script.phantom import find_layout, load_layout
+from bench.truth.arm_tip import TipReader
+from bench.truth.registration import Registration, StageAccuracy, stations_of
 from bench.truth.touching import Ends, Toucher
 from detector.geometry import Motion
 from instruments.clock import VirtualClock
 from instruments.microscribe.configuration import Identity
-from instruments.microscribe.reading import Reading
-from instruments.microscribe.refusals import ArmMovesError
+from instruments.microscribe.errors import ArmMovesError
+from instruments.microscribe.stream import Reading
 from instruments.operators.operator import OperatorSkip
 from instruments.world.phantom import Phantom
 

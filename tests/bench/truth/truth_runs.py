@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.cli import main
-from bench.record import RunRecord, read_run
-from bench.rig import RIGS
+from bench.cli.main import main
+from bench.record.reader import RunRecord, read_run
+from bench.rig.loading import RIGS
 
 HEAD = """title = "Carry"
 detectors = ["thesis"]

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from detector.calibration import Calibration
-from detector.fused.again import _inside
 from detector.fused.detector import FusedDetector
+from detector.fused.refine import _inside
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -14,8 +14,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from bench.rig import find_rig, load_rig
-from bench.scene_recording import rig_renderer, warm
+from bench.rig.loading import find_rig, load_rig
+from bench.rig.scenes import rig_renderer, warm
 from bench.scoring.matching import gate_mm, match
 from detector.fused.detector import FusedDetector
 from detector.protocol import Detection

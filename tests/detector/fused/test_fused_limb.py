@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from detector.fused.limb import own_share, shared_limb
+from detector.fused.edges import own_share, shared_limb
 
 
 def test_what_outlines_share_is_the_mean_over_views_and_neighbours() -> None:

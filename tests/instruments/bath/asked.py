@@ -6,7 +6,7 @@ import struct
 
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
-from instruments.bath.rtu import framed
+from instruments.bath.protocol import framed
 from instruments.clock import VirtualClock
 from instruments.listener import Connection
 from instruments.world.plant import Plant, PlantConstants

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from instruments.bath.line import parse_line
+from instruments.bath.connection import parse_line
 from instruments.bath.transactions import Transactions
 from tests.instruments.bath.far_end import FarEnd, virtual
 

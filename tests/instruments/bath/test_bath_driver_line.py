@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.bath.line import Line, LineError, parse_line
+from instruments.bath.connection import Line, LineError, parse_line
 
 
 @pytest.mark.parametrize(

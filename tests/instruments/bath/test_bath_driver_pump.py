@@ -8,14 +8,17 @@ from pathlib import Path
 import pytest
 
 from bench.config import ConfigError
-from bench.rig import load_rig
+from bench.rig.loading import load_rig
 from instruments.bath.driver import Bath
 from instruments.bath.profile import ProfileError, RelayProfile, load_profile, load_relay
 from instruments.bath.relay import PumpAt
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LimitError
 from tests.instruments.bath.far_end import FarEnd, served
-from tests.instruments.bath.test_bath_profile_rig import change, rig  # noqa: F401 - a fixture
+from tests.instruments.bath.test_bath_profile_rig import (
+    change,
+    rig,  # noqa: F401 - a fixture
+)
 
 RELAY = """
 family = "Relay box"

@@ -12,7 +12,7 @@ from pymodbus.framer import FramerRTU
 
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
-from instruments.bath.rtu import RtuFrame, RtuReader, crc, framed
+from instruments.bath.protocol import RtuFrame, RtuReader, crc, framed
 from instruments.clock import VirtualClock
 from instruments.errors import LinkError
 from instruments.link import Link

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.bath.polling import blocks
 from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
 from instruments.bath.registers import WORDS, Kind, Order, decode, encode
+from instruments.bath.requests import blocks
 
 ORDERS: list[Order] = ["ABCD", "CDAB", "BADC", "DCBA"]
 

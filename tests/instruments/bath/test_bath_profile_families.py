@@ -7,9 +7,9 @@ import re
 import pytest
 
 from instruments.bath.driver import Bath
-from instruments.bath.polling import blocks, markers
 from instruments.bath.profile import Profile, load_profile, profile_names
-from instruments.bath.wired import WiredRows, line_to, wire_to
+from instruments.bath.register_access import WiredRows, line_to, wire_to
+from instruments.bath.requests import blocks, markers
 from instruments.clock import VirtualClock
 from tests.instruments.bath.far_end import FarEnd, rtu, served
 

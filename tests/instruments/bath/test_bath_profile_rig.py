@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bench.config import ConfigError
-from bench.rig import RIGS, load_rig
+from bench.rig.loading import RIGS, load_rig
 from instruments.bath.profile import SHIPPED
 
 

@@ -11,8 +11,8 @@ from contextlib import suppress
 import pytest
 
 from instruments.bath.driver import Bath
+from instruments.bath.errors import BrokenError
 from instruments.bath.profile import load_profile
-from instruments.bath.troubles import BrokenError
 from instruments.clock import VirtualClock
 from instruments.errors import InstrumentError
 from tests.instruments.bath.stand import Stand

@@ -9,9 +9,9 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 
-from instruments.bath.line import parse_line
+from instruments.bath.connection import parse_line
+from instruments.bath.errors import BrokenError
 from instruments.bath.transactions import Transactions
-from instruments.bath.troubles import BrokenError
 from instruments.clock import Clock, RealClock
 from instruments.errors import LinkError
 from instruments.listener import Listener

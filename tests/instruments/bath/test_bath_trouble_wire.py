@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from instruments.bath.connection import parse_line
 from instruments.bath.driver import Bath
-from instruments.bath.line import parse_line
+from instruments.bath.errors import BrokenError
 from instruments.bath.profile import load_profile
 from instruments.bath.transactions import FORGET_S, Transactions
-from instruments.bath.troubles import BrokenError
 from instruments.errors import InstrumentError, LinkError, ProtocolError
 from tests.instruments.bath.far_end import rtu, virtual
 from tests.instruments.bath.linked import MARKERS, linked, right

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import pytest
 
+from instruments.bath.connection import parse_line
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.line import parse_line
+from instruments.bath.errors import RefusedError
 from instruments.bath.transactions import Transactions
-from instruments.bath.troubles import RefusedError
 from instruments.clock import RealClock
 from instruments.errors import InstrumentError, LinkError, ProtocolError
 from instruments.listener import Listener

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from instruments.camera.aravis import load_aravis
+from instruments.camera.genicam import load_aravis
 from instruments.errors import DeviceError
 from tests.instruments.bath.peers import absent, program
 

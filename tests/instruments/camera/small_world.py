@@ -11,7 +11,8 @@ import numpy as np
 
 from instruments.camera.emulator import Clock
 from instruments.clock import VirtualClock
-from instruments.world.scene import RenderedSet, Renderer, SceneState
+from instruments.world.scene import RenderedSet, Renderer
+from instruments.world.state import SceneState
 from tests.conftest import ROOT
 from tests.situations import situation
 

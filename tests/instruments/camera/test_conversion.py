@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from instruments.camera.conversion import Conversion, Radiometry
-from instruments.camera.raw import RawFrame
+from instruments.camera.frame import RawFrame
 
 CORNERS = np.array([[10, 20, 30], [40, 50, 60]], dtype=np.uint8)
 

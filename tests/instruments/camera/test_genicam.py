@@ -10,10 +10,9 @@ from typing import Any
 
 import pytest
 
-from instruments.camera.aravis import load_aravis
 from instruments.camera.faults import FrameError, FrameFault
-from instruments.camera.genicam import GenicamCamera
-from instruments.camera.raw import RawFrame
+from instruments.camera.frame import RawFrame
+from instruments.camera.genicam import GenicamCamera, load_aravis
 from instruments.camera.settings import Settings, Trigger
 from instruments.clock import RealClock
 from instruments.errors import DeviceError, LinkError

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from instruments.camera.cameras import CameraSet
-from instruments.camera.emulator_faults import CameraFaults
+from instruments.camera.emulator import CameraFaults
 from instruments.camera.faults import FrameError, FrameFault
 from instruments.camera.frame import FrameSet
 from instruments.camera.opencv import OpenCvCamera

@@ -11,7 +11,7 @@ from instruments.clock import VirtualClock
 from instruments.link import Link
 from instruments.listener import Listener
 from instruments.microscribe.emulator import ArmEmulator
-from instruments.microscribe.habits import Habits
+from instruments.microscribe.firmware import Habits
 from instruments.microscribe.kinematics import Floats
 from instruments.microscribe.protocol import Packet, PacketDecoder
 from instruments.microscribe.unit import ArmIdentity

@@ -7,8 +7,8 @@ import pytest
 
 from instruments.errors import LinkError
 from instruments.microscribe.emulator import ArmEmulator
+from instruments.microscribe.errors import AnotherArmError, InterfaceBoxError, NoSessionError, NotHomedError, SilentArmError
 from instruments.microscribe.protocol import State
-from instruments.microscribe.refusals import AnotherArmError, InterfaceBoxError, NoSessionError, NotHomedError, SilentArmError
 from instruments.microscribe.unit import UNIT_40937
 from tests.instruments.microscribe.driver_rig import POINT, Rig, renamed
 

@@ -10,8 +10,8 @@ from instruments.errors import LimitError
 from instruments.link import Link
 from instruments.listener import Connection, Listener
 from instruments.microscribe.driver import MicroScribe
+from instruments.microscribe.errors import NoMicroScribeError, NotHomedError
 from instruments.microscribe.faults import Fault
-from instruments.microscribe.refusals import NoMicroScribeError, NotHomedError
 from instruments.microscribe.unit import UNIT_40937
 from tests.instruments.microscribe.driver_rig import Rig
 from tests.instruments.microscribe.impostors import Parrot, sign_on_to

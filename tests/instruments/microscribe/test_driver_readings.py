@@ -10,8 +10,8 @@ import pytest
 from instruments.errors import LimitError, LinkError, ProtocolError
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
+from instruments.microscribe.errors import ArmMovesError, NotHomedError
 from instruments.microscribe.faults import Fault
-from instruments.microscribe.refusals import ArmMovesError, NotHomedError
 from instruments.microscribe.unit import UNIT_40937
 from tests.instruments.microscribe.driver_rig import POINT, UP, Rig
 

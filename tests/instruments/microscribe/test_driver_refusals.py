@@ -7,8 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from instruments.errors import LimitError, LinkError, ProtocolError
-from instruments.microscribe.protocol import State
-from instruments.microscribe.refusals import (
+from instruments.microscribe.errors import (
     InterfaceBoxError,
     NoMicroScribeError,
     ParameterLengthError,
@@ -16,6 +15,7 @@ from instruments.microscribe.refusals import (
     UnknownFormatError,
     UnstableUnitError,
 )
+from instruments.microscribe.protocol import State
 from instruments.microscribe.unit import UNIT_40937
 from tests.instruments.microscribe.driver_rig import Rig, renamed
 from tests.instruments.microscribe.impostors import Ghost, Parrot, sign_on_to

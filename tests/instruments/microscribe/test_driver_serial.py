@@ -15,8 +15,8 @@ from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
+from instruments.microscribe.errors import NotHomedError
 from instruments.microscribe.faults import Fault
-from instruments.microscribe.refusals import NotHomedError
 from instruments.microscribe.unit import shipped_unit
 
 if sys.platform == "win32":

@@ -13,7 +13,7 @@ from instruments.link import Link
 from instruments.listener import Listener
 from instruments.microscribe.configuration import StreamRequest
 from instruments.microscribe.emulator import ArmEmulator
-from instruments.microscribe.habits import Habits, Look, Trigger
+from instruments.microscribe.firmware import Habits, Look, Trigger
 from instruments.microscribe.protocol import PacketDecoder, State
 from tests.instruments.microscribe.bare_host import AT_REST, POINT, Hand, Host
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from instruments.errors import LinkError
-from instruments.microscribe.contacts import Contacts
 from instruments.microscribe.faults import AMOUNTS, Fault, Faults
-from instruments.microscribe.habits import Habits
+from instruments.microscribe.firmware import Habits
+from instruments.microscribe.mechanics import Contacts
 from instruments.microscribe.protocol import State
 from instruments.microscribe.unit import UNIT_40937
 from tests.instruments.microscribe.bare_host import AT_REST, POINT, Host

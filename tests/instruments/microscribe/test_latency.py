@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from instruments.link import Link
+from instruments.microscribe.connection import latency_warning
 from instruments.microscribe.driver import MicroScribe
-from instruments.microscribe.latency import latency_warning
 from tests.instruments.microscribe.driver_rig import Rig
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.microscribe.pedals import Debouncer, Pedal, PedalEvent
+from instruments.microscribe.stream import Debouncer, Pedal, PedalEvent
 from tests.instruments.microscribe.driver_rig import Rig
 
 

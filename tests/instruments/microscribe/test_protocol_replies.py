@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.microscribe import commands, strangers
 from instruments.microscribe import configuration as conf
+from instruments.microscribe import errors, protocol
 from instruments.microscribe import protocol as wire
 from instruments.microscribe.configuration import BlockLengthError
 from instruments.microscribe.protocol import Code, Marker, Packet, PacketDecoder, State, WireError
@@ -61,16 +61,16 @@ def test_another_length_of_a_block_is_told_from_a_short_one() -> None:
     ("baud", "code"), [(115200, 0x00), (57600, 0x01), (28800, 0x02), (14400, 0x03), (38400, 0x10), (19200, 0x11), (9600, 0x12)]
 )
 def test_the_rates_of_the_sheet(baud: int, code: int) -> None:
-    assert commands.encode_set_baud(baud) == bytes([0xC4, code])
-    assert commands.decode_set_baud(bytes([0xC4, code])) == baud
+    assert protocol.encode_set_baud(baud) == bytes([0xC4, code])
+    assert protocol.decode_set_baud(bytes([0xC4, code])) == baud
 
 
 @pytest.mark.parametrize("data", [b"", b"\xc4", b"\xc4\x04", b"\xc4\x00\x00", b"\xc5\x00"])
 def test_a_rate_that_is_none_is_refused(data: bytes) -> None:
     with pytest.raises(WireError, match="a rate is"):
-        commands.decode_set_baud(data)
+        protocol.decode_set_baud(data)
     with pytest.raises(WireError, match="no rate 300"):
-        commands.encode_set_baud(300)
+        protocol.encode_set_baud(300)
 
 
 # Markers
@@ -85,7 +85,7 @@ def test_markers_keep_their_place_among_packets() -> None:
 
 @given(st.lists(st.one_of(st.just(REST), st.builds(Marker, st.integers(0, 255))), max_size=10), st.lists(st.integers(0, 150), max_size=8))
 def test_markers_and_packets_cut_anywhere_come_back(items: list[Packet | Marker], cuts: list[int]) -> None:
-    stream = b"".join(AT_REST if isinstance(item, Packet) else commands.encode_marker(item) for item in items)
+    stream = b"".join(AT_REST if isinstance(item, Packet) else protocol.encode_marker(item) for item in items)
     places = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
     decoder = PacketDecoder(0x03, markers=True)
     assert [item for a, b in itertools.pairwise(places) for item in decoder.feed_all(stream[a:b])] == items
@@ -99,12 +99,12 @@ def test_who_waits_for_no_marker_takes_none(cut: Callable[[bytes], Iterable[byte
 
 
 def test_a_marker_is_a_byte() -> None:
-    assert commands.decode_marker(b"\xd2\xff") == Marker(255)
+    assert protocol.decode_marker(b"\xd2\xff") == Marker(255)
     for data in (b"\xd2", b"\xd2\x00\x00", b"\xc2\x00", b""):
         with pytest.raises(WireError, match="a marker is"):
-            commands.decode_marker(data)
+            protocol.decode_marker(data)
     with pytest.raises(WireError, match="not 256"):
-        commands.encode_marker(Marker(256))
+        protocol.encode_marker(Marker(256))
 
 
 # What would be a command by accident
@@ -112,14 +112,14 @@ def test_a_marker_is_a_byte() -> None:
 
 @given(st.floats(0.0, 100.0))
 def test_no_delay_configures_anything_and_none_is_longer_than_asked(period_s: float) -> None:
-    delay = commands.harmless_delay_ms(period_s)
+    delay = protocol.harmless_delay_ms(period_s)
     assert 1 <= delay <= max(1.0, period_s * 1000 + 1e-5)
     assert all(wire.event_of(byte) is not wire.Event.CONFIGURE and not byte & wire.CONFIGURE for byte in delay.to_bytes(2, "big"))
 
 
 @pytest.mark.parametrize(("period_s", "delay_ms"), [(0.01, 10), (0.001, 1), (0.0001, 1), (0.063, 63), (0.066, 63), (0.1, 63), (0.13, 130)])
 def test_delays(period_s: float, delay_ms: int) -> None:
-    assert commands.harmless_delay_ms(period_s) == delay_ms
+    assert protocol.harmless_delay_ms(period_s) == delay_ms
 
 
 @pytest.mark.parametrize("data", [bytes.fromhex("CF 0042 03") + bytes(21), b"\xd2\x45", b"\xcf\x00\x0a\x03\x00\xc2" + bytes(19)])
@@ -147,5 +147,5 @@ def test_what_follows_a_command_in_a_session_may_not_configure(data: bytes) -> N
     ],
 )
 def test_a_guess_at_who_answers(seen: bytes, hint: str) -> None:
-    assert hint in strangers.what_to_try(seen)
-    assert strangers.known(seen) is (hint != "baud rate")
+    assert hint in errors.what_to_try(seen)
+    assert errors.known(seen) is (hint != "baud rate")

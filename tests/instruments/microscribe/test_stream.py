@@ -7,9 +7,9 @@ import itertools
 import pytest
 
 from instruments.errors import LinkError, ProtocolError
-from instruments.microscribe.pedals import Pedal
+from instruments.microscribe.errors import NoSessionError, SilentArmError, StreamingError
 from instruments.microscribe.protocol import State
-from instruments.microscribe.refusals import NoSessionError, SilentArmError, StreamingError
+from instruments.microscribe.stream import Pedal
 from instruments.microscribe.unit import UNIT_40937
 from tests.instruments.microscribe.driver_rig import POINT, Rig
 

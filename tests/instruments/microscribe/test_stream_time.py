@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.microscribe.ticks import ArmTime
+from instruments.microscribe.protocol import ArmTime
 
 TICK_S, WRAP = 0.001111, 16384  # of the sheet
 

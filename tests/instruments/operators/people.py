@@ -5,9 +5,9 @@ from __future__ import annotations
 import io
 import tomllib
 
-from bench.planning.phantom_file import shipped_phantom
-from bench.rig import RIGS
-from bench.safety.pulse import AwaitedOperator, Pulse
+from bench.rig.loading import RIGS
+from bench.safety.heartbeat import AwaitedOperator, Pulse
+from bench.script.phantom import shipped_phantom
 from instruments.clock import VirtualClock
 from instruments.operators.console import Console
 from instruments.operators.emulated import EmulatedOperator, Mistake

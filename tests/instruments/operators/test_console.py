@@ -12,8 +12,7 @@ import pytest
 
 from instruments.clock import VirtualClock
 from instruments.operators.console import Console
-from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
-from instruments.operators.prompt import Prompt, time_left
+from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip, Prompt, time_left
 from instruments.operators.prompted import PromptedOperator
 from instruments.world.phantom import Teat
 from tests.instruments.operators.people import arrangement, person

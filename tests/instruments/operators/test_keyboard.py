@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.operators.keyboard import Descriptor, Keyboard, Keys, Reader, keyboard_of
+from instruments.operators.console import Descriptor, Keyboard, Keys, Reader, keyboard_of
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="pipes and terminals of a POSIX system")
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from instruments.errors import ProtocolError
-from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
-from instruments.operators.prompt import Kind
+from instruments.operators.operator import Kind, OperatorAbort, OperatorRepeat, OperatorSkip
 from instruments.operators.prompted import PromptedOperator
 from instruments.operators.script import ScriptedAnswer, ScriptedAnswers
 from tests.instruments.operators.people import arrangement

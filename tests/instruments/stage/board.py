@@ -9,7 +9,7 @@ from instruments.clock import VirtualClock
 from instruments.link import Link
 from instruments.listener import Listener
 from instruments.stage.emulator import CLASSIC, Dialect, StageEmulator
-from instruments.stage.emulator.phases import Vector
+from instruments.stage.emulator.motion import Vector
 
 WELCOME = b"\r\nGrbl 1.1h ['$' for help]\r\n"
 LOCK = b"[MSG:'$H'|'$X' to unlock]\r\n"

@@ -10,7 +10,7 @@ from instruments.link import Link
 from instruments.listener import Connection, Device, Listener
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import CLASSIC, Dialect, StageEmulator
-from instruments.stage.emulator.phases import Vector
+from instruments.stage.emulator.motion import Vector
 
 GREETING = b"\r\nGrbl 1.1h ['$' for help]\r\n"
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
+from instruments.stage.alarm_texts import ALARMS, ERRORS
 from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, Fault
-from instruments.stage.meanings import ALARMS, ERRORS
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 
 Make = Callable[..., Board]

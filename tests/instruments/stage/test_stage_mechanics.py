@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from instruments.errors import LinkError
 from instruments.stage.emulator import Fault
-from instruments.stage.emulator.drive import AxisDrive
+from instruments.stage.emulator.carriage import AxisDrive
 from tests.instruments.stage.board import LOCK, WELCOME, Board
 
 Make = Callable[..., Board]

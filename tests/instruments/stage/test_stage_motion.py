@@ -10,9 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.stage.emulator.homing import Switch, homing
-from instruments.stage.emulator.motion import Motion
-from instruments.stage.emulator.phases import Vector, lay, profile
-from instruments.stage.emulator.planner import AxisRates, junction_speed
+from instruments.stage.emulator.motion import AxisRates, Motion, Vector, junction_speed, lay, profile
 from instruments.stage.emulator.store import Store
 
 RATES = AxisRates((50.0, 50.0, 50.0), (200.0, 200.0, 200.0), 0.01)

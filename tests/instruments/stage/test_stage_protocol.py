@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from instruments.errors import LimitError
 from instruments.stage import protocol
-from instruments.stage.meanings import ALARMS, ERRORS, alarm_meaning, error_meaning
+from instruments.stage.alarm_texts import ALARMS, ERRORS, alarm_meaning, error_meaning
 from instruments.stage.protocol import Alarm, Decoder, ErrorReply, Message, Nonsense, Ok, Response, Setting, Status, Welcome
 
 VECTORS: list[tuple[bytes, Response]] = [

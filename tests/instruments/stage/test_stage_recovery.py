@@ -11,9 +11,9 @@ import pytest
 from instruments.clock import RealClock
 from instruments.errors import DeviceError, LimitError
 from instruments.link import Link
+from instruments.stage.alarm_texts import ALARMS, HAL_ALARMS
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, Fault, StageEmulator
-from instruments.stage.meanings import ALARMS, HAL_ALARMS
 from tests.instruments.stage.stage_bench import Bench
 
 FAST = {24: 6000, 25: 60000, 26: 1} | {110 + axis: 60000 for axis in range(3)} | {120 + axis: 20000 for axis in range(3)}

@@ -14,8 +14,9 @@ import numpy as np
 from instruments.world.backdrop import Backdrop
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.phantom import Phantom
-from instruments.world.scene import Renderer, SceneState
+from instruments.world.scene import Renderer
 from instruments.world.sensor import OpticalSensor
+from instruments.world.state import SceneState
 
 ROOT = Path(__file__).resolve().parents[3]
 PLAIN = Backdrop(board_texture=0.0, table_texture=0.0)

@@ -8,12 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from instruments.world.board_poses import poses
-from instruments.world.boards import Board, Pattern, dark_parts_mm
-from instruments.world.noise import Image
+from instruments.world.boards import Board, Pattern, dark_parts_mm, poses
 from instruments.world.optics import Floats
-from instruments.world.scene import SceneState
-from instruments.world.sensor import Exposure
+from instruments.world.sensor import Exposure, Image
+from instruments.world.state import SceneState
 from tests.instruments.world.scenes import NOBODY, by_opencv, renderer
 
 CHESS = Pattern("chessboard", 10, 7, 25.0, 20.0)

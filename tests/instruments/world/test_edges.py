@@ -8,12 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from instruments.world.blur import Focus, blurred, blurred_by_depth, kernel, transfer
 from instruments.world.boards import Board, Pattern
-from instruments.world.eyes import OpticalCamera
-from instruments.world.noise import Image
 from instruments.world.objects import SceneObject
+from instruments.world.optical_camera import OpticalCamera
 from instruments.world.optics import CameraModel, Floats
+from instruments.world.sensor import Focus, Image, blurred, blurred_by_depth, kernel, transfer
 from instruments.world.shading import Lighting, Paint
 from instruments.world.solids import Hull, ball
 from tests.instruments.world.scenes import NOBODY, by_opencv, renderer

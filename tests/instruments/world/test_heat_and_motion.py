@@ -9,13 +9,13 @@ import pytest
 from scipy.integrate import quad
 
 from instruments.world.backdrop import Backdrop, Poster
-from instruments.world.noise import Image
 from instruments.world.objects import make_object
 from instruments.world.optics import Floats
 from instruments.world.phantom import Phantom, PlatePose, Teat, TeatShape
-from instruments.world.scene import Renderer, SceneState
-from instruments.world.sensor import Exposure, OpticalSensor
+from instruments.world.scene import Renderer
+from instruments.world.sensor import Exposure, Image, OpticalSensor
 from instruments.world.shading import Lighting, Paint, directional_emissivity, kelvin_from_radiance, radiance_from_c
+from instruments.world.state import SceneState
 from tests.instruments.world.scenes import NOBODY, PLAIN, by_opencv, renderer
 
 UPRIGHT = Phantom((Teat((-150.0, 240.0), TeatShape(150.0, 13.0)),))

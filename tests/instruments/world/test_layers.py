@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.world.composite import Layer, lay_over, merged
-from instruments.world.layers import KEPT_PIXELS, KeptLayers
+from instruments.world.compositing import Layer, lay_over, merged
 from instruments.world.objects import make_object
+from instruments.world.optical_camera import KEPT_PIXELS, KeptLayers
 from instruments.world.optics import Floats
 from instruments.world.phantom import Phantom, PlatePose, Teat
-from instruments.world.scene import Renderer, SceneState
+from instruments.world.scene import Renderer
+from instruments.world.state import SceneState
 from tests.instruments.world.scenes import PLAIN, renderer
 
 SHAPE = (6, 7)

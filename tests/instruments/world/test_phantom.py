@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.planning.phantom_file import layout_names, shipped_phantom
+from bench.script.phantom import layout_names, shipped_phantom
 from instruments.world.phantom import PIVOT_MM, Phantom, PlatePose, Teat, TeatShape, upright
 
 LAYOUTS = [name for name in layout_names() if name != "random-udder"]

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.planning.phantom_file import shipped_phantom
-from instruments.world.eyes import OpticalCamera
-from instruments.world.noise import Image
+from bench.script.phantom import shipped_phantom
 from instruments.world.objects import SceneObject, make_object
+from instruments.world.optical_camera import OpticalCamera
 from instruments.world.optics import Floats
 from instruments.world.phantom import Phantom, PlatePose, Teat, TeatShape
-from instruments.world.scene import Renderer, SceneState
+from instruments.world.scene import Renderer, contact_sheet
+from instruments.world.sensor import Image
 from instruments.world.shading import Lighting, Paint
-from instruments.world.sheet import contact_sheet
 from instruments.world.solids import ball
+from instruments.world.state import SceneState
 from tests.instruments.world.scenes import NOBODY, calibration_table, renderer
 from tests.situations import SITUATIONS, situation
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from instruments.world.noise import Image, normal_noise
-from instruments.world.sensor import OpticalReadout, OpticalSensor
+from instruments.world.sensor import Image, OpticalReadout, OpticalSensor, normal_noise
 
 FLAT = OpticalSensor(prnu=0.0, dsnu_e=0.0, vignetting=0.0)
 SHAPE = (240, 320)

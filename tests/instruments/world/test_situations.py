@@ -13,9 +13,9 @@ import pytest
 from instruments.world.objects import SceneObject, make_object
 from instruments.world.optics import CameraModel
 from instruments.world.phantom import Phantom, Teat
-from instruments.world.scene import SceneState
 from instruments.world.situations import SITUATIONS, Situation, collisions, faults, hidden_ways, situation
 from instruments.world.solids import Solids
+from instruments.world.state import SceneState
 from instruments.world.visibility import seen_share
 from tests.instruments.world.scenes import renderer
 

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from instruments.world.solids import Hull, ball, cylinder
-from instruments.world.spacing import clearance_mm, segments_apart_mm
+from instruments.world.solids import Hull, ball, clearance_mm, cylinder, segments_apart_mm
 
 coordinate = st.floats(-100, 100).map(lambda value: round(value, 3))
 point = st.tuples(coordinate, coordinate, coordinate).map(np.array)

@@ -1,1 +1,0 @@
-"""One instrument without a run: looked at, tried, set."""

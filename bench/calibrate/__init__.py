@@ -1,0 +1,1 @@
+"""Guided procedures that each write a dated file: cameras, thermal camera, world, stage, arm."""

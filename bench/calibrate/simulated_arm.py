@@ -1,0 +1,114 @@
+"""An emulated arm of this process for trying the arm's commands (`--port emulator:`), and the hand that holds it.
+
+The hand goes where each step of a dialogue asks, while the person at the terminal presses Enter. The table it works on has its origin
+elsewhere than the arm (`PLACED`), a block with a divot at three distances, and a bar of the calibrated length.
+"""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.calibrate.arm_dialogues import DISTANCES, Step
+from bench.config import ConfigError
+from detector.geometry import Motion
+from instruments.clock import Clock
+from instruments.listener import Listener
+from instruments.microscribe.emulator import ArmEmulator
+from instruments.microscribe.kinematics import OutOfReachError
+
+Floats = NDArray[np.float64]
+
+PLACED = Motion.from_vectors((0.01, -0.02, 0.5), (150.0, -150.0, 12.0))  # world_from_arm
+FRAME_MM = {"origin": (0.0, 0.0, 0.0), "x axis": (300.0, 0.0, 0.0), "plane": (60.0, 200.0, 0.0)}
+CHECK_MM = (180.0, 160.0, 0.0)
+DIVOTS_MM = {"near": (200.0, 0.0, 20.0), "middle": (330.0, 0.0, 20.0), "far": (450.0, 0.0, 20.0)}  # in the arm's frame
+BAR_MM = (330.0, 0.0, 170.0)
+BARS = ((1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1))  # as guided.DIRECTIONS
+LEAN_RAD = np.radians(38.0)
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+class TryingHand:
+    """Holds the tip where it was last told to; on the peg before that."""
+
+    def __init__(self) -> None:
+        self._held: tuple[Floats, Floats | None] | None = None
+
+    def arm_target(self) -> tuple[Floats, Floats | None] | None:
+        """For the emulated arm."""
+        return self._held
+
+    def hold(self, point_mm: Floats, axis: Floats | None) -> None:
+        """Bring the tip to ``point_mm`` (3,) in the arm's frame."""
+        self._held = point_mm, axis
+
+
+class TryingArm:
+    """An emulated arm on a loopback port, at ``url``. To be closed, or used with ``with``."""
+
+    def __init__(
+        self, clock: Clock, *, seed: int = 0, accuracy_mm: float = 0.23, placed: Motion = PLACED, length_mm: float = 300.0
+    ) -> None:
+        self.clock = clock
+        self._hand = TryingHand()
+        self.emulator = ArmEmulator(self._hand, clock, seed=seed, accuracy_mm=accuracy_mm)
+        self._lock = threading.RLock()
+        self._listener = Listener(self.emulator, clock, lock=self._lock, name="arm")
+        self._placed = placed
+        self._within: dict[tuple[float, ...], list[Floats]] = {}
+        self._half_mm = 0.5 * length_mm
+        self.url = self._listener.url
+
+    def go(self, step: Step) -> None:
+        """Bring the tip where ``step`` asks. Raises ConfigError where this arm doesn't get there."""
+        with self._lock:
+            try:
+                self._hand.hold(*self._target(step))
+            except OutOfReachError as error:
+                raise ConfigError.plain(f"the emulated arm can't do this: {error}") from error
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._listener.close()
+
+    def __enter__(self) -> TryingArm:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _target(self, step: Step) -> tuple[Floats, Floats | None]:
+        if step.what in DISTANCES:
+            return self._swung(np.array(DIVOTS_MM[step.what]), step.number)
+        if step.what.startswith("length"):
+            along = np.array(BARS[step.number % len(BARS)], dtype=np.float64)
+            side = -1.0 if step.what == "length a" else 1.0
+            point = np.array(BAR_MM) + side * self._half_mm * along / np.linalg.norm(along)
+        else:
+            world = step.world_mm or FRAME_MM.get(step.what, CHECK_MM)
+            point = self._placed.inverse().apply(world)
+        self.emulator.check_reach(point, None)
+        return point, None
+
+    def _swung(self, point: Floats, number: int) -> tuple[Floats, Floats]:
+        """Upright, then leaning another way each time, as far as the arm's joints allow."""
+        key = tuple(point.tolist())
+        if key not in self._within:
+            axes = [_UP] + [_leaning(turn) for turn in 2.4 * np.arange(8)]
+            self._within[key] = [axis for axis in axes if self._reaches(point, axis)]
+        within = self._within[key]
+        return point, within[number % len(within)]
+
+    def _reaches(self, point: Floats, axis: Floats) -> bool:
+        try:
+            self.emulator.check_reach(point, axis)
+        except OutOfReachError:
+            return False
+        return True
+
+
+def _leaning(turn_rad: float) -> Floats:
+    return np.array([np.sin(LEAN_RAD) * np.cos(turn_rad), np.sin(LEAN_RAD) * np.sin(turn_rad), np.cos(LEAN_RAD)])

@@ -1,1 +1,0 @@
-"""From a rig file's cameras to frame sets that may be measured with."""

@@ -1,0 +1,1 @@
+"""The commands: arguments, calls, exit codes; the only room that prints."""

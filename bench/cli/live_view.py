@@ -1,0 +1,283 @@
+"""One bath without a rig file: opened by its port and the name of its family, read, set, and put into standby.
+
+A bath to look at: its last minutes as a plot of characters, its state, and how long until it is stable.
+
+Pure but for `watch_bath`, which reads and shows. It changes nothing at the bath.
+
+What `arm watch` shows: tip, pedals and rate out of a stream, a line some times a second. It may not print, nor know a terminal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.text import Text
+
+from bench.config import ConfigError, did_you_mean
+from bench.safety.interlocks import moving_of
+from bench.safety.stability import StabilityGate, StabilityReport, State
+from instruments.bath.driver import Bath
+from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
+from instruments.bath.reading import BathReading
+from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.clock import Clock, RealClock
+from instruments.errors import InstrumentError
+from instruments.microscribe.driver import MicroScribe
+from instruments.microscribe.stream import Pedal, Sample
+
+
+def profile_of(name: str) -> Profile:
+    """A shipped profile by its name, or one of the user's own by its path. Raises ConfigError."""
+    known = profile_names()
+    if not name.endswith(".toml") and name not in known:
+        near, there = did_you_mean(name, known) or ".", ", ".join(known)
+        raise ConfigError.plain(f'no profile "{name}"{near} Shipped: {there}; or the path of a .toml file.')
+    try:
+        return load_profile(Path(name) if name.endswith(".toml") else name)
+    except ProfileError as error:
+        raise ConfigError.plain(str(error)) from error
+
+
+@contextmanager
+def open_bath(
+    url: str, profile: Profile, *, allow_inferred: bool = False, identify: bool = True, capture: Captures = NO_CAPTURE
+) -> Iterator[tuple[Bath, RealClock]]:
+    """The bath at ``url`` in real time, and its clock. Raises InstrumentError."""
+    clock = RealClock()
+    try:
+        tap = capture.tap("bath", clock)
+        bath = Bath(url, profile, clock, allow_inferred=allow_inferred, identify=identify, tap=tap)
+        try:
+            yield bath, clock
+        finally:
+            bath.close()
+    finally:
+        clock.close()
+
+
+def described(bath: Bath) -> dict[str, object]:
+    """Everything that one look tells: plain text, numbers and None; units are in the names."""
+    reading = bath.read()
+    run = bath.profile.row("run")
+    return {
+        **bath.identity,
+        "temp_c": reading.temp_c,
+        "set_point_c": bath.get("set_point"),
+        "run": run.label(bath.get("run")),
+        "output_percent": reading.power_percent,
+        "external_c": reading.external_c,
+        "safety_c": reading.safety_c,
+        "alarm": reading.alarm,
+        "alarm_text": bath.profile.alarm_text(reading.alarm) if reading.alarm else "none",
+        "warning": reading.warning,
+        "remote": reading.remote,
+        "pump": bath.pump,
+        "comms_loss": bath.profile.comms_loss,
+    }
+
+
+def is_started(bath: Bath) -> bool:
+    """Whether the controller is told to work, as it tells itself."""
+    return bath.get("run") == bath.profile.row("run").values["started"]
+
+
+def set_point(bath: Bath, wanted_c: float) -> str:
+    """Change the set point and nothing else; what the bath says after it. Raises LimitError outside the profile's range."""
+    bath.set_point(wanted_c)
+    state = "it is heating or cooling to it now" if is_started(bath) else "the bath is in standby"
+    return f"set point {bath.get('set_point'):.2f} degC; {state}"
+
+
+def standby(bath: Bath) -> str:
+    """Heater off, whatever the controller is; what the bath says after it. Raises InstrumentError where it can't be reached."""
+    bath.safe()
+    try:
+        return f"in standby at {bath.read().temp_c:.2f} degC"
+    except InstrumentError as error:  # what matters is done; an alarm or a broken sensor doesn't undo it
+        return f"in standby; no temperature: {error}"
+
+
+PERIOD_S = 1.0
+WIDTH, HEIGHT = 72, 14
+RATE_S = 60.0  # the rate that a forecast is made from
+LEAST_SPAN_K = 0.2  # or noise would fill the plot
+POINT, LINE = "•", "─"
+BARS = "▁▂▃▄▅▆▇█"  # 0 to 100 %
+
+
+@dataclass(frozen=True, slots=True)
+class BathSample:
+    """One reading as the plot takes it."""
+
+    t_s: float
+    temp_c: float
+    output_percent: float | None = None
+
+
+def seconds_to_stable(report: StabilityReport, window_s: float, leave_k: float, rate_k_per_s: float | None) -> float | None:
+    """How long at the least until the gate opens; None where the bath doesn't come nearer to its set point.
+
+    While heating that is the way at the present rate, and a window behind it; while settling what is missing of the window.
+    """
+    if report.state is State.STABLE:
+        return 0.0
+    if report.pv_c is None:
+        return None
+    if report.state is State.SETTLING:
+        return max(0.0, window_s - report.near_s) or PERIOD_S
+    away_k = report.set_point_c - report.pv_c
+    if not rate_k_per_s or away_k * rate_k_per_s <= 0.0:
+        return None
+    return (abs(away_k) - leave_k) / abs(rate_k_per_s) + window_s
+
+
+def rate_k_per_s(samples: Sequence[BathSample]) -> float | None:
+    """Over the last minute; None before there are ten seconds of readings."""
+    last = samples[-1]
+    first = next(sample for sample in samples if last.t_s - sample.t_s <= RATE_S)
+    span_s = last.t_s - first.t_s
+    return (last.temp_c - first.temp_c) / span_s if span_s >= 10.0 else None
+
+
+def plot(samples: Sequence[BathSample], set_point_c: float, *, width: int = WIDTH, height: int = HEIGHT) -> list[str]:
+    """Temperature over time, the set point as a line; ``height`` rows of text, and one that says the time."""
+    temps = [sample.temp_c for sample in samples]
+    low, high = min(*temps, set_point_c), max(*temps, set_point_c)
+    middle, half = (low + high) / 2, max(high - low, LEAST_SPAN_K) * 0.55
+    rows = [[" "] * width for _ in range(height)]
+
+    def row(temp_c: float) -> int:
+        return min(height - 1, max(0, round((middle + half - temp_c) / (2 * half) * (height - 1))))
+
+    rows[row(set_point_c)] = [LINE] * width
+    span_s = _span_s(samples, width)
+    for sample in samples:
+        rows[row(sample.temp_c)][_column(sample, samples, width)] = POINT
+    labels = {0: middle + half, height - 1: middle - half, row(set_point_c): set_point_c}
+    lines = [f"{f'{labels[i]:.2f}' if i in labels else '':>7} {''.join(cells)}" for i, cells in enumerate(rows)]
+    return [*lines, f"{'degC':>7} last {span_s / 60:.1f} min; {LINE * 2} set point, {POINT} bath"]
+
+
+def output_strip(samples: Sequence[BathSample], *, width: int = WIDTH) -> str:
+    """The heater's output over the same time, a bar a column; empty where the controller doesn't tell it."""
+    bars = [" "] * width
+    for sample in samples:
+        if sample.output_percent is not None:
+            bars[_column(sample, samples, width)] = BARS[round(min(100.0, max(0.0, sample.output_percent)) / 100.0 * (len(BARS) - 1))]
+    return f"{'output':>7} {''.join(bars)}" if any(bar != " " for bar in bars) else ""
+
+
+def _span_s(samples: Sequence[BathSample], width: int) -> float:
+    return max(samples[-1].t_s - samples[0].t_s, width * PERIOD_S)
+
+
+def _column(sample: BathSample, samples: Sequence[BathSample], width: int) -> int:
+    return min(width - 1, int((sample.t_s - samples[0].t_s) / _span_s(samples, width) * (width - 1)))
+
+
+class BathView:
+    """What is shown after each reading."""
+
+    def __init__(
+        self, gate: StabilityGate, kept_s: float = 3600.0, *, moving: Callable[[BathReading], Hashable] = lambda reading: reading.raw
+    ) -> None:
+        self._gate = gate
+        self._moving = moving
+        self._kept_s = kept_s
+        self._samples: deque[BathSample] = deque()
+        self._reading: BathReading | None = None
+        self._started = True
+        self.trouble = ""
+
+    def add(self, reading: BathReading, set_point_c: float, *, started: bool) -> None:
+        """Take a reading in."""
+        self._started = started
+        self._gate.change_set_point(set_point_c)
+        raw, teat_c = self._moving(reading), reading.external_c
+        self._gate.add(reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c)
+        self._samples.append(BathSample(reading.t_s, reading.temp_c, reading.power_percent))
+        while reading.t_s - self._samples[0].t_s > self._kept_s:
+            self._samples.popleft()
+        self._reading, self.trouble = reading, ""
+
+    def line(self) -> str:
+        """The state in one line."""
+        reading = self._reading
+        if reading is None:
+            return self.trouble or "no reading yet"
+        report, gate = self._gate.report, self._gate
+        left_s = seconds_to_stable(report, gate.window_s, gate.leave_k, rate_k_per_s(self._samples))
+        output = "not told" if reading.power_percent is None else f"{reading.power_percent:.0f} %"
+        parts = [f"{reading.temp_c:.2f} degC", f"set point {gate.set_point_c:.2f} degC", f"output {output}"]
+        if self._started:
+            parts.append(report.state.value)
+            parts.append({None: "not getting nearer", 0.0: "stable now"}.get(left_s, f"stable in {_minutes(left_s)} at the earliest"))
+        else:
+            parts.append("in standby")
+        parts += [f"alarm {reading.alarm}"] if reading.alarm else []
+        return ", ".join([*parts, *([self.trouble] if self.trouble else [])])
+
+    def lines(self) -> Iterator[str]:
+        """Plot, state, and what the gate still waits for."""
+        if self._samples:
+            yield from plot(self._samples, self._gate.set_point_c)
+            yield from filter(None, [output_strip(self._samples)])
+        yield self.line()
+        yield from (f"  {reason}" for reason in self._gate.report.reasons if self._gate.state is not State.HEATING)
+
+
+def watch_bath(bath: Bath, clock: Clock, console: Console, seconds: float = math.inf) -> None:
+    """Read and show once a second until ``seconds`` are over, or somebody interrupts. Without a terminal, a line a reading."""
+    view = BathView(StabilityGate(bath.get("set_point")), moving=moving_of(bath.profile))
+    end_s = clock.now() + seconds
+    with Live(console=console, auto_refresh=False, transient=False) as live:
+        while clock.now() < end_s:
+            _look(view, bath)
+            if console.is_terminal:
+                live.update(Group(*(Text(line) for line in view.lines())), refresh=True)
+            else:
+                console.print(view.line(), markup=False, highlight=False, soft_wrap=True)
+            clock.sleep(min(PERIOD_S, max(0.0, end_s - clock.now())))
+
+
+def _look(view: BathView, bath: Bath) -> None:
+    try:
+        view.add(bath.read(), bath.get("set_point"), started=is_started(bath))
+    except InstrumentError as error:  # it may come back: somebody looks on
+        view.trouble = f"NO READING: {error}"
+
+
+def _minutes(seconds: float | None) -> str:
+    return f"{int(seconds or 0) // 60}:{int(seconds or 0) % 60:02d} min"
+
+
+SHOW_S = 0.2
+
+
+def watch(arm: MicroScribe, clock: Clock, seconds: float | None) -> Iterator[str]:
+    """A line every `SHOW_S` until ``seconds`` have passed (None: without end). Raises as the driver does."""
+    start = shown = clock.now()
+    samples: list[Sample] = []
+    with arm.stream() as stream:
+        for sample in stream:
+            samples.append(sample)
+            now = clock.now()
+            if now - shown >= SHOW_S:
+                yield line(arm, samples, now - shown)
+                samples, shown = [], now
+            if seconds is not None and now - start >= seconds:
+                return
+
+
+def line(arm: MicroScribe, samples: list[Sample], over_s: float) -> str:
+    """One line for the samples of ``over_s`` seconds."""
+    x, y, z = arm.position(samples).tip_mm
+    pedals = ", ".join(f"{pedal.name.lower()} {'DOWN' if samples[-1].buttons & pedal.value else 'up'}" for pedal in reversed(Pedal))
+    return f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm   pedals: {pedals:<22} {len(samples) / over_s:6.1f} packets/s   damaged: {arm.damaged}"

@@ -1,0 +1,103 @@
+"""The commands. Reads arguments, calls a command, knows the exit codes; with `bench.commands` the only place that prints.
+
+Everything heavy is imported by the command that needs it, so that ``teatbench --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import os
+import sqlite3
+import sys
+import traceback
+from collections.abc import Sequence
+
+from bench import __version__
+from bench.cli import arm, bath, calibrate, camera, compare, record, rig, run, scene, stage, trials
+from bench.cli.arguments import CODES, EXIT_CODES, Commands
+from bench.safety.signals import installed
+from reports.sanitize import sanitizing
+
+FILENAME_EXCED_RANGE = 206  # of Windows, which gives it the errno of a file that is not there
+
+# OpenCV and its FFmpeg write to the terminal themselves; what they say there is told by us. Both read this when they are loaded.
+QUIET = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; gives back its exit code."""
+    for name, level in QUIET.items():
+        os.environ.setdefault(name, level)
+    streams = sys.stdout, sys.stderr
+    for stream in streams:
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(encoding="utf-8", errors="replace")  # a Windows console may be set to less
+    try:
+        sys.stdout, sys.stderr = map(sanitizing, streams)
+        with installed():
+            return _run(parser().parse_args(arguments))
+    finally:
+        sys.stdout, sys.stderr = streams
+
+
+def _run(given: argparse.Namespace) -> int:
+    """The command, and what each kind of failure means for the exit code."""
+    from bench.config import ConfigError
+    from instruments.camera.recording import RecordingError
+    from instruments.captures.capture import CaptureError
+    from instruments.errors import InstrumentError
+
+    try:
+        code: int = given.command(given)
+        sys.stdout.flush()
+        return code
+    except (ConfigError, RecordingError, CaptureError) as error:
+        return complain(str(error), CODES.wrong_use)
+    except InstrumentError as error:
+        return complain(str(error), CODES.fault)
+    except KeyboardInterrupt:
+        return complain("interrupted", CODES.fault)
+    except sqlite3.Error as error:
+        return complain(f"the run's record can't be written or read: {error}. Is the disk full, or the folder read-only?", CODES.fault)
+    except BrokenPipeError:  # the reader of our output has gone (`| head`)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return CODES.met
+    except OSError as error:  # a disk that is full, a folder that may not be written, amid whatever the command did
+        if error.errno == errno.ENAMETOOLONG or getattr(error, "winerror", 0) == FILENAME_EXCED_RANGE:
+            return complain(f"{error}: give it a shorter name", CODES.wrong_use)
+        return complain(f"{error}. Is the disk full, or the folder read-only?" if error.errno else str(error), CODES.fault)
+    except Exception:  # must not look like a requirement that isn't met, which Python's own code for it would
+        traceback.print_exc()
+        return complain("a mistake of the bench, not yours: please report what stands above", CODES.fault)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    top = argparse.ArgumentParser(prog="teatbench", description="A hardware-in-the-loop test bench for teat detectors.", epilog=EXIT_CODES)
+    top.add_argument("--version", action="version", version=f"teatbench {__version__}")
+    commands = Commands(top.add_subparsers(title="commands", metavar="COMMAND", required=True))
+    for add in (
+        run.add_to,
+        compare.add_to,
+        compare.add_plan_to,
+        record.add_to,
+        scene.add_to,
+        rig.add_rig_commands,
+        arm.add_to,
+        bath.add_to,
+        stage.add_to,
+        camera.add_to,
+        calibrate.add_to,
+        rig.add_wire,
+        trials.add_to,
+        rig.add_lists,
+    ):
+        add(commands)
+    return top
+
+
+def complain(text: str, code: int) -> int:
+    """Say on standard error what is wrong; gives back ``code``."""
+    print(f"teatbench: {text}", file=sys.stderr)
+    return code

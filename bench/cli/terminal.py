@@ -1,0 +1,131 @@
+"""What a person at the terminal sees while a run goes on: a bar, what is being done, and the verdict table at the end.
+
+Rich's console as the bench uses it: what others wrote moves no cursor, changes no colour and is no markup.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+
+from rich.console import Console, ConsoleOptions, Group, RenderableType
+from rich.live import Live
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
+
+from bench.record.reader import RunRecord
+from bench.report.wording import headline, limit, measured
+from bench.results.verdicts import Judgement
+from bench.run.progress import FAILURES
+from reports.sanitize import sanitized, unfiltered
+
+TONES = {"met": "green", "not met": "red", "inconclusive": "yellow", "not measured": "yellow", "aborted": "red", "no verdict": "yellow"}
+
+
+class TerminalProgress:
+    """A progress bar on ``console``; to be used with ``with``. Without a terminal it prints a line a trial.
+
+    A display of rich's keeps the shape that it had when it was stopped, and would clear as many rows of what was written since: each
+    stretch between two questions has a new one. Only a bar that has trials to count is left on the screen.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        self._bar = Progress(*columns, console=console)
+        self._task = self._bar.add_task("trials", total=None)
+        self._doing = ""  # trial, what is done, bath, time left, last error
+        self._live: Live | None = None
+        self._asking = False  # the cursor stands behind a question
+
+    def state(self, text: str) -> None:
+        self._doing = text
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        self._bar.update(self._task, completed=done, total=total)
+        if not self._console.is_terminal:
+            self._console.print(f"trial {done + 1} of {total}: {name}" if done < total else f"{total} of {total} trials done")
+
+    def say(self, text: str) -> None:
+        """A line that stays, above what moves; whether anybody sees it changes nothing."""
+        with suppress(*FAILURES):
+            self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def warn(self, text: str) -> None:
+        self._console.print(f"\n{text}" if self._asking else text, style="bold red", markup=False, soft_wrap=True)
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Without a terminal nothing moves anyway."""
+        if self._live is None:
+            yield
+            return
+        self._stop(leave=False)
+        self._asking = True
+        try:
+            yield
+        finally:
+            self._asking = False
+            self._start()
+
+    def __enter__(self) -> TerminalProgress:
+        with suppress(*FAILURES):
+            self._start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        with suppress(*FAILURES):
+            self._stop(leave=any(task.total is not None for task in self._bar.tasks))
+
+    def _start(self) -> None:
+        if self._console.is_terminal:
+            self._live = Live(console=self._console, get_renderable=self._shown)
+            self._live.start()
+
+    def _stop(self, *, leave: bool) -> None:
+        live, self._live = self._live, None
+        if live is not None:
+            live.transient = not leave
+            live.stop()
+
+    def _shown(self) -> RenderableType:
+        return Group(self._bar.get_renderable(), Text(self._doing))
+
+
+def show_result(console: Console, run: RunRecord, judgements: Sequence[Judgement], report: Path) -> None:
+    """The verdict table, the sentence and where the report is; whether anybody sees them changes no verdict."""
+    with suppress(*FAILURES):
+        _show_result(console, run, judgements, report)
+
+
+def _show_result(console: Console, run: RunRecord, judgements: Sequence[Judgement], report: Path) -> None:
+    for judgement in judgements:
+        table = Table(title=f"{run.facts['title']}: detector {judgement.detector}")
+        for title in ("requirement", "measured", "limit", "verdict"):
+            table.add_column(title)
+        for decision in judgement.decisions:
+            word = decision.verdict.value
+            table.add_row(decision.name, measured(decision), limit(decision), Text(word, TONES[word]))
+        console.print(table)
+    verdict, why, then = headline(run, judgements)
+    console.print(Text.assemble("Verdict: ", (verdict, f"bold {TONES[verdict]}")))
+    console.print(why, markup=False)
+    console.print(f"Next: {then}", markup=False)
+    console.print(f"Report: {report}", markup=False, soft_wrap=True)
+
+
+class Terminal(Console):
+    """The program's standard output. Only control segments, which rich makes itself, are written as they are."""
+
+    def __init__(self) -> None:
+        super().__init__(file=unfiltered(sys.stdout), markup=False, emoji=False)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """As rich does, with each text sanitized before lines are measured and cut."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(sanitized(segment.text), segment.style)

@@ -1,1 +1,0 @@
-"""Runs held against each other: by trial, in words, and as a page."""

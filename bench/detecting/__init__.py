@@ -1,1 +1,0 @@
-"""Detectors chosen by name, their answers checked, timed and scored on one frame set."""

@@ -1,0 +1,1 @@
+"""The run folder: schema, writer, reader, hash chain, check, export."""

@@ -1,0 +1,251 @@
+"""Looks whether a run is as it was written: database, foreign keys, chain, files. Reads only; says all that is wrong, in sentences.
+
+What a run that died leaves behind, the frames of a trial that never finished, is told but is no damage.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from bench.config import ConfigError
+from bench.files import sha256_of
+from bench.record.chain import Head, fact_fingerprint, fingerprint, linked
+from bench.record.reader import as_written, known_version
+from bench.record.schema import DATABASE, LATER_WORD, tables_of
+from instruments.errors import InstrumentError
+
+NOT_AS_WRITTEN = "The record is NOT as it was written"
+PRINTED = Path("report") / "run.json"
+COUNTED = ("trials", "frames", "events", "bath")
+CHAINED_SINCE = 3  # schema; what was written before has no chain
+SHOWN = 5  # damages of a run, in one message
+
+
+class Weight(StrEnum):
+    """``damage``: not as it was written. ``note``: worth knowing."""
+
+    DAMAGE = "damage"
+    NOTE = "note"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One sentence on the run."""
+
+    weight: Weight
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """What was looked at (counts by name), what was found, and the chain's last link as it is."""
+
+    counts: Mapping[str, int]
+    findings: tuple[Finding, ...]
+    head: Head
+
+    @property
+    def whole(self) -> bool:
+        """Nothing is damaged."""
+        return not any(finding.weight is Weight.DAMAGE for finding in self.findings)
+
+
+def check_run(folder: Path, digest: str | None = None) -> Checked:
+    """Look at everything; ``digest`` is one that a report names, of either kind. Raises ConfigError where it is no run."""
+    with as_written(folder) as db:
+        db.execute("BEGIN")  # all of one moment: the run may be under way
+        version = known_version(db, folder)
+        findings: list[Finding] = []
+        links: list[tuple[Any, ...]] = []
+        counts = dict.fromkeys(COUNTED, 0)
+        try:
+            for part in (  # what was found before something fails is kept
+                _database(db), _frames(db, folder), _provenance(db, folder, version, digest, links),
+            ):  # fmt: skip
+                for finding in part:
+                    findings.append(finding)
+            counts |= {name: int(db.execute(f"SELECT count(*) FROM {name}").fetchone()[0]) for name in COUNTED}  # noqa: S608 - our names
+        except (sqlite3.Error, ValueError, TypeError, RecursionError) as error:
+            findings.append(_damage(f"{DATABASE} can't be read to its end: {error}"))
+    head = Head(links[-1][0], links[-1][2], links[-1][4]) if links else Head()
+    return Checked({**counts, "links": head.number}, tuple(findings), head)
+
+
+@contextmanager
+def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[tuple[str, ...]]:
+    """Checks these runs, then gives what is damaged, in sentences, to what is done with them.
+
+    Raises ConfigError where something is and ``despite_damage`` isn't set; where it is, for what fails since the record is damaged.
+    """
+    checked = {folder: check_run(folder) for folder in dict.fromkeys(folders)}
+    damage = tuple(
+        f"{folder.resolve().name}: {finding.text}"
+        for folder, one in checked.items()
+        for finding in one.findings
+        if finding.weight is Weight.DAMAGE
+    )
+    if damage and not despite_damage:
+        hint = "'teatbench store check RUN' lists all of it; --despite-damage goes on all the same, and says so in what it writes."
+        raise ConfigError.plain(f"{NOT_AS_WRITTEN}, and is refused. {shortened(damage)}\n{hint}")
+    try:
+        yield damage
+    except (ConfigError, InstrumentError, OSError):
+        raise
+    except Exception as error:  # whatever a damaged record makes of the code that reads it
+        if all(one.whole and one.head.number for one in checked.values()):
+            raise
+        why = shortened(damage) if damage else "It has no chain, so that nothing tells whether it is as it was written."
+        told = f"this can't be made of a record that is damaged so ({type(error).__name__}: {error})"
+        raise ConfigError.plain(f"{told}. {why}") from error
+
+
+def shortened(damage: Sequence[str]) -> str:
+    """The first few."""
+    return "; ".join(damage[:SHOWN]) + (f"; and {len(damage) - SHOWN} more" if len(damage) > SHOWN else "") + "."
+
+
+def _provenance(db: sqlite3.Connection, folder: Path, version: int, digest: str | None, links: list[tuple[Any, ...]]) -> Iterator[Finding]:
+    """What the chain and the copied files say; ``links`` gets the chain's."""
+    if version < CHAINED_SINCE:
+        if "chain" in tables_of(db):
+            yield _damage(f"{DATABASE} says that it has schema {version}, which has no chain, and it has one")
+        else:
+            yield _note(f"the run is of an older bench (schema {version}): it has no chain, so that later edits can't be told")
+        return
+    links += db.execute("SELECT number, covers, digest, wall_covers, wall_digest FROM chain ORDER BY number")
+    yield from _chain(db, links)
+    yield from _files(db, folder)
+    yield from _printed(folder, links, digest)
+
+
+def _database(db: sqlite3.Connection) -> Iterator[Finding]:
+    for (text,) in db.execute("PRAGMA integrity_check"):
+        if text != "ok":
+            yield _damage(f"{DATABASE}: {text}")
+    for table, rowid, parent, _ in db.execute("PRAGMA foreign_key_check"):
+        yield _damage(f"table {table}, row {rowid}: what it refers to in {parent} is not there")
+
+
+def _frames(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
+    kept = dict(db.execute("SELECT path, sha256 FROM frames"))
+    for path, sha256 in kept.items():
+        yield from _file(folder, path, sha256)
+    trials = {row[0] for row in db.execute("SELECT id FROM trials")}
+    for file in sorted((folder / "frames").rglob("*")):
+        path = file.relative_to(folder)
+        if file.is_dir() or path.as_posix() in kept:
+            continue
+        if path.parts[1] in trials and file.suffix != ".part":
+            yield _damage(f"{path.as_posix()} is in no row of the record: it came later, or its row was removed")
+        else:
+            yield _note(f"{path.as_posix()} belongs to no finished trial: the bench died or gave the trial up while it was written")
+
+
+def _files(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
+    for name, sha256 in db.execute("SELECT name, sha256 FROM files"):
+        yield from _file(folder, name, sha256)
+
+
+def _file(folder: Path, name: Any, sha256: Any) -> Iterator[Finding]:
+    if not isinstance(name, str):
+        yield _damage(f"a file of the record has no name, but {name!r} in its place")
+        return
+    try:
+        found = sha256_of(folder / name)
+    except (OSError, ValueError) as error:  # a name may hold what no file's name can
+        yield _damage(f"{name} can't be read: {getattr(error, 'strerror', None) or error}")
+        return
+    if found != sha256:
+        yield _damage(f"{name} is not as it was written: its SHA-256 is {found}, the record says {sha256}")
+
+
+def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[Finding]:
+    """Each link follows from the one before, covers the rows that follow those before, and they are as it says."""
+    before, ends, facts = Head(), dict.fromkeys(_chained(db), 0), dict[str, str]()
+    for number, covers, digest, wall_covers, wall_digest in links:
+        given = Head(number, digest, wall_digest)
+        if linked(before, covers, wall_covers).head != given:
+            yield _damage(f"link {number} of the chain doesn't follow from the one before: links were changed, added or removed")
+        before = given
+        try:
+            plain, whole = json.loads(covers), json.loads(wall_covers)
+            plain.pop(LATER_WORD, None)
+            facts |= whole.pop(LATER_WORD, {})
+            yield from _rows(db, number, plain, whole, ends)
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+            yield _damage(f"link {number} of the chain can't be read: {error!r}")
+    yield from _facts(db, facts)
+    for table, end in ends.items():
+        (last,) = db.execute(f"SELECT coalesce(max(rowid), 0) FROM {table}").fetchone()  # noqa: S608 - our names
+        if last > end:
+            yield _damage(f"table {table}, rows {end + 1} to {last} are in no link of the chain: they were added later")
+
+
+def _rows(db: sqlite3.Connection, number: int, covers: dict[str, Any], wall: dict[str, Any], ends: dict[str, int]) -> Iterator[Finding]:
+    for table, (first, last, plain) in covers.items():
+        if first != ends[table] + 1:
+            yield _damage(f"link {number} of the chain begins with row {first} of {table}; {ends[table] + 1} was to come")
+        ends[table] = last
+        if fingerprint(db, table, first, last) != (plain, wall[table][2]):
+            rows = f"row {first} is" if first == last else f"rows {first} to {last} are"
+            yield _damage(f"table {table}, {rows} not as written (link {number}{_whose(db, table, first)}): changed, added or removed")
+
+
+def _facts(db: sqlite3.Connection, said: Mapping[str, str]) -> Iterator[Finding]:
+    there = {row[0] for row in db.execute("SELECT key FROM facts")}
+    for key in sorted(there - said.keys(), key=repr):
+        yield _damage(f"fact {key!r} is in no link of the chain: it was added later")
+    for key, whole in said.items():
+        if key not in there:
+            yield _damage(f"fact {key!r} is missing")
+        elif fact_fingerprint(db, key)[1] != whole:
+            yield _damage(f"fact {key!r} is not as written")
+
+
+def _printed(folder: Path, links: list[tuple[Any, ...]], digest: str | None) -> Iterator[Finding]:
+    """The chain has to pass through what a report named: nothing else tells that its end was cut off, or all of it made anew."""
+    known = {value: row[0] for row in links for value in (row[2], row[4])}
+    if digest is not None and digest.lower() not in known:
+        yield _damage(f"the chain doesn't pass through {digest}: the record was cut off or made anew since that was printed")
+    try:
+        printed = printed_chain(folder)
+        if printed and known.get(printed["wall_digest"]) != printed["links"]:
+            why = "the record was cut off or made anew since"
+            yield _damage(f"the chain doesn't pass through the digest of {PRINTED.as_posix()}: {why}")
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        yield _damage(f"{PRINTED.as_posix()} can't be read: {error!r}. Without the folder report, 'teatbench report' makes it anew")
+
+
+def printed_chain(folder: Path) -> Any:
+    """The chain's last link as the run's last report names it; None where there is none."""
+    path = folder / PRINTED
+    return json.loads(path.read_text(encoding="utf-8")).get("chain") if path.is_file() else None
+
+
+def _whose(db: sqlite3.Connection, table: str, rowid: int) -> str:
+    """Which trial a row belongs to, where that is known."""
+    column = {"trials": "id", "checks": "after_trial"}.get(table, "trial")
+    names = {row[1] for row in db.execute(f"PRAGMA table_info({table})")}
+    if column not in names:
+        return ""
+    row = db.execute(f"SELECT {column} FROM {table} WHERE rowid = ?", (rowid,)).fetchone()  # noqa: S608 - our names
+    return f", trial {row[0]}" if row else ""
+
+
+def _chained(db: sqlite3.Connection) -> list[str]:
+    return [table for table in tables_of(db) if table not in ("chain", LATER_WORD)]
+
+
+def _damage(text: str) -> Finding:
+    return Finding(Weight.DAMAGE, text)
+
+
+def _note(text: str) -> Finding:
+    return Finding(Weight.NOTE, text)

@@ -1,0 +1,228 @@
+"""Opens a run's database for reading only, whatever bench wrote it, and never changes it.
+
+A run of an older bench is copied into memory and brought to today's tables there: what lies on the disk stays as it was written.
+
+A run folder read back: everything that the verdicts, the report and the exports are made of.
+
+Opens a run of any state, also one whose bench was killed. It may not judge: scores are as they were stored.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.config import ConfigError
+from bench.record.chain import Head, head_of
+from bench.record.schema import DATABASE, GUARDIAN, OF_A_TRIAL, SCHEMA_VERSION, migrate, version_of
+from bench.scoring.scene import SceneScore, scene_from_dict
+
+
+@contextmanager
+def opened(folder: Path) -> Iterator[sqlite3.Connection]:
+    """The database in ``folder`` with today's tables, all reads from one moment. Raises ConfigError, where it is none of this bench's."""
+    with as_written(folder) as db:
+        version = known_version(db, folder)
+        if version == SCHEMA_VERSION:
+            db.execute("BEGIN")
+            yield db
+            return
+        with closing(sqlite3.connect(":memory:", isolation_level=None)) as copy:
+            db.backup(copy)
+            migrate(copy)
+            yield copy
+
+
+@contextmanager
+def as_written(folder: Path) -> Iterator[sqlite3.Connection]:
+    """The database in ``folder`` with the tables that it was written with. Raises ConfigError where there is none, or it can't be read."""
+    path = folder / DATABASE
+    if not path.is_file():
+        raise ConfigError.plain(f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/.")
+    try:
+        with closing(_connected(path)) as db:
+            yield db
+    except sqlite3.DatabaseError as error:
+        raise ConfigError.plain(f"{path} can't be read: {error}. Is it a copy without its -wal file?") from error
+
+
+def known_version(db: sqlite3.Connection, folder: Path) -> int:
+    """The version of the tables. Raises ConfigError where this bench doesn't know them."""
+    version = version_of(db)
+    if 1 <= version <= SCHEMA_VERSION:
+        return version
+    found = f"{folder / DATABASE} has schema {version}; this bench reads 1 to {SCHEMA_VERSION}"
+    if version > SCHEMA_VERSION:
+        raise ConfigError.plain(f"{found}. A newer bench wrote it: update this one, or use that one.")
+    raise ConfigError.plain(f"{found}. No bench has finished making it: there is nothing in it to read.")
+
+
+def _connected(path: Path) -> sqlite3.Connection:
+    """A write-ahead log needs a folder that can be written to; without a log that matters, a write-protected copy opens as well."""
+    address = f"{path.resolve().as_uri()}?mode=ro"
+    try:
+        return _asked(address)
+    except sqlite3.OperationalError:
+        log = path.with_name(path.name + "-wal")
+        if log.is_file() and log.stat().st_size:
+            raise
+        return _asked(f"{address}&immutable=1")
+
+
+def _asked(address: str) -> sqlite3.Connection:
+    """SQLite says only when it is asked something whether it could open the file."""
+    db = sqlite3.connect(address, uri=True, isolation_level=None)
+    try:
+        version_of(db)
+    except BaseException:
+        db.close()
+        raise
+    return db
+
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class TrialRecord:
+    """One finished trial: its rows by table; ``scores`` by detector."""
+
+    head: Row
+    frames: tuple[Row, ...]
+    touches: tuple[Row, ...]
+    truth: tuple[Row, ...]
+    detections: tuple[Row, ...]
+    found: tuple[Row, ...]
+    scores: Mapping[str, SceneScore]
+
+    @property
+    def id(self) -> str:
+        """Unique in the run: number, name and repeat."""
+        return str(self.head["id"])
+
+    @property
+    def pose(self) -> str:
+        """Repeats of one pose share this name."""
+        return str(self.head["name"])
+
+    @property
+    def invalid(self) -> str | None:
+        """Why its truth doesn't hold; the trial then is in no count. None where nothing speaks against it."""
+        reason = self.head["invalid"]
+        return None if reason is None else str(reason)
+
+    @property
+    def how(self) -> str | None:
+        """``touched`` or ``carried``; None where the truth came without that word, as in a recording."""
+        how = self.truth[0]["how"] if self.truth else None
+        return None if how is None else str(how)
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """A run as it stands on disk. ``facts`` hold for the whole run; ``bath`` has columns t_s, temp_c, power_percent (n, 3).
+
+    ``external_c`` (n,) is not-a-number where there is no such sensor. ``guardian`` is what the guardian wrote when it acted.
+    ``head`` is the last link of the hash chain over all that was written; number 0 where an older bench made none. ``damage`` says what
+    isn't as it was written, where that was looked at: no verdict holds then.
+    """
+
+    folder: Path
+    facts: Mapping[str, Any]
+    trials: tuple[TrialRecord, ...]
+    skipped: tuple[Row, ...]
+    checks: tuple[Row, ...]
+    events: tuple[Row, ...]
+    bath: NDArray[np.float64]
+    bath_states: tuple[str, ...]
+    external_c: NDArray[np.float64]
+    guardian: Mapping[str, Any] | None
+    head: Head | None = None
+    damage: tuple[str, ...] = ()
+
+    @property
+    def ending(self) -> str:
+        """``finished``, ``aborted`` or ``faulted``; ``interrupted`` where the bench died before it could say."""
+        return str(self.facts.get("ending", "interrupted"))
+
+    @property
+    def counted(self) -> tuple[TrialRecord, ...]:
+        """The trials that the verdicts are made of: all but those whose truth was invalidated."""
+        return tuple(trial for trial in self.trials if trial.invalid is None)
+
+    @property
+    def detectors(self) -> tuple[str, ...]:
+        """Names of the detectors under test."""
+        return tuple(self.facts["detectors"])
+
+
+def read_run(folder: Path, damage: tuple[str, ...] = ()) -> RunRecord:
+    """The run in ``folder``, of this bench or an older one. Raises ConfigError where it is none, or can't be read."""
+    try:
+        with opened(folder) as db:
+            db.row_factory = sqlite3.Row
+            record = _read(folder, db, damage)
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+        why = f"{type(error).__name__}: {error}. 'teatbench store check {folder}' says what is damaged."
+        raise ConfigError.plain(f"the record in {folder} can't be read: {why}") from error
+    if "detectors" not in record.facts:
+        why = "the bench died before it wrote down what is under test. Delete the folder."
+        raise ConfigError.plain(f"{folder} is a run that never began: {why}")
+    return record
+
+
+def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunRecord:
+    facts = {row["key"]: json.loads(row["value"]) for row in db.execute("SELECT key, value FROM facts")}
+    bath = list(db.execute("SELECT t_s, temp_c, power_percent, external_c, state FROM bath ORDER BY session, t_s"))
+    columns = [[np.nan if row[k] is None else row[k] for k in range(4)] for row in bath]
+    table = np.array(columns, dtype=np.float64).reshape(-1, 4)
+    return RunRecord(
+        folder=folder,
+        facts=facts,
+        trials=tuple(_trials(db)),
+        skipped=tuple(dict(row) for row in db.execute("SELECT * FROM skipped ORDER BY number")),
+        checks=tuple(dict(row) for row in db.execute("SELECT * FROM checks ORDER BY number, teat")),
+        events=tuple(dict(row) for row in db.execute("SELECT * FROM events ORDER BY number")),
+        bath=table[:, :3],
+        bath_states=tuple(row["state"] for row in bath),
+        external_c=table[:, 3],
+        guardian=_guardian(folder / GUARDIAN),
+        head=head_of(db),
+        damage=damage,
+    )
+
+
+def _guardian(path: Path) -> Mapping[str, Any] | None:
+    """What the guardian wrote; it writes whole files only, so one that can't be read was not written by it."""
+    if not path.is_file():
+        return None
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except ValueError as error:
+        raise ConfigError.plain(f"{path} can't be read: {error}. Delete it to see the rest of the run.") from error
+
+
+def _trials(db: sqlite3.Connection) -> Iterator[TrialRecord]:
+    by_table = {table: _grouped(db, table) for table in OF_A_TRIAL}
+    heads = "SELECT trials.*, invalidated.reason AS invalid FROM trials LEFT JOIN invalidated ON invalidated.trial = trials.id"
+    for head in db.execute(f"{heads} ORDER BY trials.number"):
+        rows = {table: tuple(grouped.get(head["id"], ())) for table, grouped in by_table.items()}
+        scores = {
+            row["detector"]: scene_from_dict({**json.loads(row["score"]), **json.loads(row["wall_score"])}) for row in rows.pop("scores")
+        }
+        yield TrialRecord(dict(head), scores=scores, **rows)
+
+
+def _grouped(db: sqlite3.Connection, table: str) -> dict[str, list[Row]]:
+    grouped: dict[str, list[Row]] = {}
+    for row in db.execute(f"SELECT * FROM {table} ORDER BY rowid"):  # noqa: S608 - our own names
+        grouped.setdefault(row["trial"], []).append(dict(row))
+    return grouped

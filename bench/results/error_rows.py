@@ -1,0 +1,272 @@
+"""What the error of a run depends on: each found teat with its place, time, bath temperature and tilt, for `bench.scoring` to look through.
+
+Time and temperature are asked within each teat at each pose where the script repeats its poses, for then the pose's own error falls out;
+without repeats they are asked over the poses, where they can't be told from place. May not judge, and may not word.
+
+Gage R&R of the ground truth from the record: each teat end touched several times, and set up again, in one run or in several.
+
+A part is a teat at a pose. With several runs of one script each run is an appraiser, with one run each repeat of the pose. The analysis
+wants every cell full, so what was touched less often than the rest is left out, and told. May not judge, and may not word.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.config import read_config
+from bench.record.reader import RunRecord
+from bench.record.schema import SCRIPT
+from bench.scoring.errors import Bools, Floats
+from bench.scoring.precision import GageStudy, Precision, gage_study, precision
+from bench.scoring.regions import BiasTest, Cell, Ellipsoid, bias_ellipsoid, bias_test, error_map, pose_means, prediction_ellipsoid
+from bench.scoring.trends import Trend, trends
+from bench.script.model import Script, layouts_of, planned_of
+
+WITHIN = ("time_s", "bath_c")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorRows:
+    """One row a visible teat and trial of one detector, in order of time.
+
+    ``places_mm`` (n, 3) is the true end; ``found`` (n,); ``errors_mm`` (k, 3) belong to the found rows. The rest is (n,), not-a-number
+    where it isn't known.
+    """
+
+    places_mm: Floats
+    found: Bools
+    errors_mm: Floats
+    time_s: Floats
+    bath_c: Floats
+    tilt_deg: Floats
+    poses: tuple[str, ...]
+    trials: tuple[str, ...]
+    teats: tuple[str, ...]
+
+    @property
+    def teat_names(self) -> tuple[str, ...]:
+        """Each teat once, in order."""
+        return tuple(sorted(set(self.teats)))
+
+    def of_teat(self, teat: str) -> ErrorRows:
+        """The rows of one teat."""
+        return self._kept(np.array([name == teat for name in self.teats], dtype=np.bool_))
+
+    def _kept(self, rows: Bools) -> ErrorRows:
+        names = ([n for n, kept in zip(column, rows, strict=True) if kept] for column in (self.poses, self.trials, self.teats))
+        poses, trials, teats = (tuple(column) for column in names)
+        columns = (self.time_s[rows], self.bath_c[rows], self.tilt_deg[rows])
+        return ErrorRows(self.places_mm[rows], self.found[rows], self.errors_mm[rows[self.found]], *columns, poses, trials, teats)
+
+    @property
+    def quantities(self) -> dict[str, Floats]:
+        """What the errors may depend on, for the found rows."""
+        columns = {"x_mm": self.places_mm[:, 0], "y_mm": self.places_mm[:, 1], "z_mm": self.places_mm[:, 2]}
+        columns |= {"time_s": self.time_s, "bath_c": self.bath_c, "tilt_deg": self.tilt_deg}
+        return {name: column[self.found] for name, column in columns.items()}
+
+    def of_found(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """The names of the found rows."""
+        return tuple(name for name, found in zip(names, self.found, strict=True) if found)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TeatErrors:
+    """One teat over its poses (p of them), each counted once: the mean error (p, 3) of the repeats that found it, the trial with the worst
+    of them, and the ellipsoids of those means.
+    """
+
+    teat: str
+    means_mm: Floats
+    worst_trials: tuple[str, ...]
+    bias: Bias
+
+
+@dataclass(frozen=True, slots=True)
+class PosePlace:
+    """One teat at one pose: where its end was (mean of the repeats), how often it was to be found and was, and its worst distance.
+
+    ``worst_trial`` is the trial of that distance, ``missed_trial`` the first that missed it; None where there is no such trial.
+    """
+
+    teat: str
+    pose: str
+    place_mm: tuple[float, float, float]
+    repeats: int
+    found: int
+    worst_mm: float | None
+    worst_trial: str | None
+    missed_trial: str | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bias:
+    """Over the means of poses: where the next error will be, where the bias is (95 % both), and whether it is one."""
+
+    next_error: Ellipsoid | None
+    bias: Ellipsoid | None
+    test: BiasTest
+
+
+def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> ErrorRows:
+    """The rows of one detector, of trials that count; of one situation where named."""
+    tilts = teat_tilts_deg(run)
+    rows: list[tuple[float, ...]] = []
+    names: list[tuple[str, str, str]] = []
+    errors: list[Floats] = []
+    for trial in run.counted:
+        score = trial.scores.get(detector)
+        if score is None or situation not in (None, trial.head["situation"]):
+            continue
+        at = {teat: row for row, (_, teat) in enumerate(score.match.pairs)}
+        for index, truth in enumerate(trial.truth):
+            if not truth["visible"]:
+                continue
+            place = (truth["x_mm"], truth["y_mm"], truth["z_mm"])
+            tilt = tilts.get((trial.id, str(truth["teat"])))
+            rows.append((*place, _known(trial.head["captured_s"]), _known(trial.head["bath_c"]), _known(tilt), float(index in at)))
+            names.append((trial.pose, trial.id, str(truth["teat"])))
+            if index in at:
+                errors.append(score.errors_mm[at[index]])
+    table = np.array(rows, dtype=np.float64).reshape(-1, 7)
+    poses, trials, teats = zip(*names, strict=True) if names else ((), (), ())
+    found = np.array(errors, dtype=np.float64).reshape(-1, 3)
+    return ErrorRows(table[:, :3], table[:, 6] > 0.5, found, table[:, 3], table[:, 4], table[:, 5], poses, trials, teats)
+
+
+def run_trends(rows: ErrorRows) -> tuple[Trend, ...]:
+    """Errors against x, y, z, time, bath temperature and tilt, adjusted together after Holm."""
+    poses, teats, trials = (rows.of_found(names) for names in (rows.poses, rows.teats, rows.trials))
+    strata: tuple[Hashable, ...] = tuple(zip(poses, teats, strict=True))
+    repeated = any(count > 1 for count in Counter(strata).values())
+    within: Mapping[str, tuple[Hashable, ...]] = dict.fromkeys(WITHIN, strata) if repeated else {}
+    return trends(rows.quantities, rows.errors_mm, poses, within=within, within_groups=trials)
+
+
+def plane_cells(rows: ErrorRows, step_mm: float | None = None) -> tuple[Cell, ...]:
+    """The error map of the plane; without a step a cell is a place."""
+    return error_map(rows.places_mm[:, :2], rows.errors_mm, rows.found, step_mm=step_mm)
+
+
+def run_bias(rows: ErrorRows) -> Bias:
+    """Ellipsoids of the poses' mean errors, and Hotelling's test of their mean."""
+    return _bias(pose_means(rows.errors_mm, rows.of_found(rows.poses)))
+
+
+def _bias(means_mm: Floats) -> Bias:
+    return Bias(prediction_ellipsoid(means_mm), bias_ellipsoid(means_mm), bias_test(means_mm))
+
+
+def teat_errors(rows: ErrorRows) -> tuple[TeatErrors, ...]:
+    """Each teat's errors pose by pose, in the order of its poses; a teat that was never found has none."""
+    return tuple(_teat_errors(teat, rows.of_teat(teat)) for teat in rows.teat_names)
+
+
+def _teat_errors(teat: str, rows: ErrorRows) -> TeatErrors:
+    worst: dict[str, tuple[float, str]] = {}
+    distances = np.linalg.norm(rows.errors_mm, axis=1).tolist()
+    for pose, trial, distance in zip(rows.of_found(rows.poses), rows.of_found(rows.trials), distances, strict=True):
+        worst[pose] = max(worst.get(pose, (-1.0, "")), (distance, trial))
+    means = pose_means(rows.errors_mm, rows.of_found(rows.poses))
+    return TeatErrors(teat, means, tuple(trial for _, trial in worst.values()), _bias(means))
+
+
+def pose_places(rows: ErrorRows) -> tuple[PosePlace, ...]:
+    """Each teat at each pose, in order of teat, then of time."""
+    at: dict[tuple[str, str], list[int]] = {}
+    for row, key in enumerate(zip(rows.teats, rows.poses, strict=True)):
+        at.setdefault(key, []).append(row)
+    distances = np.full(len(rows.found), np.nan)
+    distances[rows.found] = np.linalg.norm(rows.errors_mm, axis=1)
+    return tuple(_pose_place(rows, key, at[key], distances) for key in sorted(at, key=lambda key: (key[0], at[key][0])))
+
+
+def _pose_place(rows: ErrorRows, key: tuple[str, str], at: list[int], distances: Floats) -> PosePlace:
+    found, missed = [row for row in at if rows.found[row]], [row for row in at if not rows.found[row]]
+    worst = max(found, key=lambda row: float(distances[row]), default=None)
+    worst_mm, worst_trial = (None, None) if worst is None else (float(distances[worst]), rows.trials[worst])
+    x, y, z = rows.places_mm[at].mean(axis=0).tolist()
+    return PosePlace(*key, (x, y, z), len(at), len(found), worst_mm, worst_trial, rows.trials[missed[0]] if missed else None)
+
+
+def run_precision(rows: ErrorRows) -> tuple[Precision, Precision, Precision]:
+    """ISO 5725 along x, y and z: s_r of the repeats of a teat at a pose, s_R over all teats and poses."""
+    groups: dict[tuple[str, str], list[Floats]] = {}
+    for pose, teat, error in zip(rows.of_found(rows.poses), rows.of_found(rows.teats), rows.errors_mm, strict=True):
+        groups.setdefault((pose, teat), []).append(error)
+    x, y, z = (precision([[error[axis] for error in group] for group in groups.values()]) for axis in range(3))
+    return x, y, z
+
+
+def teat_tilts_deg(run: RunRecord) -> dict[tuple[str, str], float]:
+    """How far each teat leans from the vertical, by trial and teat (its number or its name); nothing for a recording: it has no phantom."""
+    path = run.folder / SCRIPT
+    if not path.is_file():
+        return {}
+    script = read_config(path, Script, stored=True)  # a detector that isn't at hand any more is no hindrance
+    tilts: dict[tuple[str, str], float] = {}
+    for planned in planned_of(script, layouts_of(script, run.folder)):
+        for number, teat in enumerate(planned.phantom.teats, 1):
+            lean = np.hypot(*np.tan(teat.tilt_rad))
+            for name in (str(number), teat.name):
+                tilts[planned.id, name] = float(np.degrees(np.arctan(lean)))
+    return tilts
+
+
+def _known(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
+
+
+Part = tuple[str, str]
+Touches = dict[Part, dict[str, list[tuple[float, float, float]]]]
+
+
+@dataclass(frozen=True, slots=True)
+class TruthGage:
+    """The studies along the world's x, y and z, mm; None where the record doesn't hold one, and ``why`` then says why not.
+
+    ``left_out`` parts had too few touches or set-ups.
+    """
+
+    studies: tuple[GageStudy, GageStudy, GageStudy] | None
+    left_out: int = 0
+    why: str = ""
+
+
+def truth_gage(runs: Sequence[RunRecord]) -> TruthGage:
+    """The study over all touches that were not refused, of trials that count."""
+    touches = _touches(runs)
+    if not touches:
+        return TruthGage(None, why="no teat end was touched")
+    cells = {part: [points for points in by.values() if len(points) > 1] for part, by in touches.items()}
+    sizes = Counter(len(full) for full in cells.values() if len(full) > 1)
+    if not sizes:
+        return TruthGage(None, len(cells), "no end was touched twice in each of two set-ups; repeat the poses, or give a second run")
+    appraisers = max(sizes, key=lambda size: (sizes[size] * size, size))  # as many set-ups as keep the most of what was measured
+    parts = [full[:appraisers] for full in cells.values() if len(full) >= appraisers]
+    if len(parts) < 2:
+        return TruthGage(None, len(cells), "only one end was touched in several set-ups")
+    repeats = min(len(points) for part in parts for points in part)
+    table: Floats = np.array([[points[:repeats] for points in part] for part in parts])
+    x, y, z = (gage_study(table[..., axis]) for axis in range(3))
+    return TruthGage((x, y, z), len(cells) - len(parts))
+
+
+def _touches(runs: Sequence[RunRecord]) -> Touches:
+    found: Touches = {}
+    for number, run in enumerate(runs):
+        for trial in run.counted:
+            for row in trial.touches:
+                if row["refused"] is None:
+                    appraiser = f"run {number}" if len(runs) > 1 else trial.id
+                    part = found.setdefault((trial.pose, str(row["teat"])), {})
+                    part.setdefault(appraiser, []).append(_point(row))
+    return found
+
+
+def _point(row: Mapping[str, float]) -> tuple[float, float, float]:
+    return row["x_mm"], row["y_mm"], row["z_mm"]

@@ -1,0 +1,169 @@
+"""The thesis's published figures as values: read from the file beside this one, with what can be worked out from them.
+
+Facts of somebody else's, defects included, each with its section. May not know any run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from bench.config import Section, read_config
+from bench.scoring.errors import ErrorSummary, Floats, summarise
+
+FIGURES = Path(__file__).parent / "thesis_figures.toml"
+Kind = Literal["situations", "plane", "offsets"]
+Point = tuple[float, float, float]
+Matrix = tuple[Point, Point, Point]
+Four = tuple[Point, Point, Point, Point]
+
+
+class Asked(Section):
+    section: str
+    error_mm: float
+    time_s: tuple[float, float]
+    reliability: float
+    wrong_error: str
+    wrong_reliability: str
+    wrong_time: str
+
+
+class EarlierSystem(Section):
+    section: str
+    plane_mm: tuple[float, float]
+    average_mm: float
+    largest_mm: float
+    smallest_mm: float
+    within_mm: float
+    area_within_mm: tuple[float, float]
+    wrong: str
+
+
+class FirstTest(Section):
+    section: str
+    measured_mm: Four
+    triangulated_mm: Four
+    average_mm: float
+    largest_mm: float
+    wrong: str
+
+
+class SecondTest(Section):
+    section: str
+    triangulated_mm: Four
+    errors_mm: Four
+    average_mm: float
+    largest_mm: float
+    wrong: str
+
+
+class OnePixel(Section):
+    section: str
+    error_mm: float
+    wrong: str
+
+
+class Homography(Section):
+    section: str
+    left: Matrix
+    right: Matrix
+    largest_px: float
+    largest_mm: float
+    at_mm: float
+    wrong: str
+
+
+class StandOff(Section):
+    section: str
+    stated_mm: float
+    implied_mm: tuple[float, float]
+    wrong: str
+
+
+class World(Section):
+    section: str
+    matrix: Matrix
+    wrong: str
+
+
+class Arm(Section):
+    section: str
+    accuracy_mm: tuple[float, float]
+    wrong: str
+
+
+class Bath(Section):
+    section: str
+    range_c: tuple[float, float]
+    wrong: str
+
+
+class Situation(Section):
+    name: str
+    section: str
+    found: int
+    present: int
+    seen: str
+
+
+class Elsewhere(Section):
+    section: str
+    what: str
+    printed: str
+    shown: tuple[Kind, ...]
+    where: str
+
+
+class Thesis(Section):
+    """All of it, as printed."""
+
+    asked: Asked
+    earlier_system: EarlierSystem
+    test_1: FirstTest
+    test_2: SecondTest
+    one_pixel: OnePixel
+    homography: Homography
+    stand_off: StandOff
+    world: World
+    arm: Arm
+    bath: Bath
+    situations: tuple[Situation, ...]
+    elsewhere: tuple[Elsewhere, ...]
+
+    @property
+    def by_situation(self) -> dict[str, Situation]:
+        """The situations by name."""
+        return {one.name: one for one in self.situations}
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """Of the same errors what the thesis calls an average error, and what it hides. Lengths in mm; None where nothing was measured."""
+
+    n: int
+    signed_mean: float | None
+    mean_absolute: float | None
+    largest_absolute: float | None
+    mean_distance: float | None
+    largest_distance: float | None
+
+
+def thesis() -> Thesis:
+    """The figures."""
+    return read_config(FIGURES, Thesis)
+
+
+def statistics(errors_mm: Floats) -> Statistics:
+    """Of errors (n, 3): over the 3 n components as the thesis averages them, and over the n distances."""
+    found: ErrorSummary = summarise(errors_mm)
+    pooled, radial = found.components, found.radial
+    return Statistics(found.n, pooled.bias_mm, pooled.mean_abs_mm, pooled.max_abs_mm, radial.mean_mm, radial.max_mm)
+
+
+def errors_of_test_mm(figures: Thesis, number: Literal[1, 2]) -> Floats:
+    """Errors (4, 3) of the first or the second test, from its tables: triangulated less touched."""
+    found = (figures.test_1 if number == 1 else figures.test_2).triangulated_mm
+    return np.asarray(np.subtract(found, figures.test_1.measured_mm), dtype=np.float64)

@@ -1,0 +1,1 @@
+"""The rig file and its open instruments, real or emulated."""

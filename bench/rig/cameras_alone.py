@@ -1,0 +1,203 @@
+"""Cameras without a run: those of a rig, or one to three by their URLs; looked at, focused, and grabbed into a recording.
+
+A rig's cameras come as frame sets through its own declarations; cameras by URL are taken as they are. May not know how anything is printed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.config import ConfigError, read_text
+from bench.rig.camera_model import Cameras as CamerasTable
+from bench.rig.camera_model import OneCamera, camera_url
+from bench.rig.devices import Cameras
+from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.frame_checks import FrameChecks
+from bench.rig.loading import LoadedRig, find_rig, load_rig
+from bench.rig.opening import conversion_of, open_cameras, opener_of
+from bench.rig.urls import EMULATED
+from instruments.camera.cameras import KNOWN, Camera, CameraSet
+from instruments.camera.conversion import Conversion
+from instruments.camera.faults import FrameError
+from instruments.camera.frame import FrameSet, Grey
+from instruments.camera.genicam import load_aravis
+from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
+from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.errors import DeviceError
+
+Seen = TypeVar("Seen")
+Look = Callable[[], Mapping[str, Grey]]
+TRIES = 4
+ONE = "single"  # what one camera without a place in a rig is called
+
+
+@dataclass(frozen=True, slots=True)
+class Alone:
+    """Open cameras. ``look`` gives each camera's picture; ``frame_set`` is None for one camera alone, which makes no set."""
+
+    clock: Clock
+    identity: Callable[[], Mapping[str, str]]
+    look: Look
+    frame_set: Cameras | None
+    table: CamerasTable
+    rig: LoadedRig | None
+
+    @property
+    def checks(self) -> FrameChecks:
+        """The rig's looks; a phantom that is still cold is no fault here."""
+        return FrameChecks(self.table.checks, self.table.max_skew_s, self.rig.made_calibration if self.rig else None, flat=False)
+
+
+@contextmanager
+def open_alone(sources: Sequence[str]) -> Iterator[Alone]:
+    """A rig's cameras by its name or file (the emulated one for none), or cameras by URL. Raises ConfigError, InstrumentError."""
+    if any(source.partition(":")[0] in ("opencv", "genicam") for source in sources):
+        with _by_url(sources) as alone:
+            yield alone
+        return
+    if len(sources) > 1:
+        raise ConfigError.plain(f"one rig, or one to three cameras by URL (opencv:…, genicam:…); got {' '.join(sources)}")
+    rig = load_rig(find_rig(sources[0] if sources else None))
+    with _of_rig(rig) as (cameras, clock):
+        yield Alone(clock, lambda: cameras.identity, patient(lambda: pictures(cameras.capture())), cameras, rig.rig.cameras, rig)
+
+
+@contextmanager
+def _of_rig(rig: LoadedRig) -> Iterator[tuple[Cameras, Clock]]:
+    if rig.rig.cameras.url == EMULATED:
+        virtual = VirtualClock()
+        with EmulatedRig(rig, virtual, rig.rig.seed) as twin:
+            yield twin.cameras, virtual
+        return
+    with _real_time() as clock:
+        cameras = open_cameras(rig.rig.cameras, rig.made_calibration, rig.path.parent, clock)
+        try:
+            yield cameras, clock
+        finally:
+            cameras.close()
+
+
+@contextmanager
+def _by_url(sources: Sequence[str]) -> Iterator[Alone]:
+    if len(sources) > len(KNOWN):
+        raise ConfigError.plain(f"at most {len(KNOWN)} cameras: {', '.join(KNOWN)}; got {len(sources)}")
+    names = (ONE,) if len(sources) == 1 else KNOWN
+    tables = {name: _table(source) for name, source in zip(names, sources, strict=False)}
+    with _real_time() as clock:
+        openers = {name: opener_of(name, table, Path(), clock) for name, table in tables.items()}
+        if len(sources) == 1:
+            with _opened(openers[ONE]) as camera:
+                rules = CamerasTable(url="emulator:")
+                yield Alone(clock, lambda: {ONE: camera.identity}, patient(lambda: {ONE: _picture(camera)}), None, rules, None)
+            return
+        cameras = CameraSet(openers, {})
+        try:
+            rules = CamerasTable.model_validate({name: {"url": table.url} for name, table in tables.items()})
+            yield Alone(clock, lambda: cameras.identity, patient(lambda: pictures(cameras.capture())), cameras, rules, None)
+        finally:
+            cameras.close()
+
+
+@contextmanager
+def _real_time() -> Iterator[RealClock]:
+    clock = RealClock()
+    try:
+        yield clock
+    finally:
+        clock.close()
+
+
+@contextmanager
+def _opened(opener: Callable[[], Camera]) -> Iterator[Camera]:
+    camera = opener()
+    try:
+        yield camera
+    finally:
+        camera.close()
+
+
+def _table(source: str) -> OneCamera:
+    try:
+        return OneCamera(url=camera_url(source))
+    except ValueError as error:
+        raise ConfigError.plain(f"{source}: {error}") from error
+
+
+def patient(look: Callable[[], Seen]) -> Callable[[], Seen]:
+    """``look`` again where a frame did not come whole, three times. Raises FrameError then."""
+
+    def again() -> Seen:
+        for _ in range(TRIES - 1):
+            with suppress(FrameError):
+                return look()
+        return look()
+
+    return again
+
+
+def _picture(camera: Camera) -> Grey:
+    camera.begin()
+    return Conversion().picture(camera.take())
+
+
+def pictures(frames: FrameSet) -> dict[str, Grey]:
+    """Each camera's picture in 8-bit grey; temperatures are stretched over the range where the camera delivers nothing else."""
+    thermal = frames.thermal
+    if thermal is None and frames.thermal_ck is not None:
+        thermal = _stretched(frames.thermal_ck)
+    return {"left": frames.left, "right": frames.right, **({} if thermal is None else {"thermal": thermal})}
+
+
+def _stretched(counts: NDArray[np.uint16]) -> Grey:
+    low, high = np.percentile(counts, [0.5, 99.5])
+    stretched: Grey = np.clip(np.rint((counts - low) * (255.0 / max(1.0, high - low))), 0.0, 255.0).astype(np.uint8)
+    return stretched
+
+
+def figures(picture: Grey) -> dict[str, object]:
+    """What one picture says of its camera; units are in the names."""
+    return {
+        "size_px": f"{picture.shape[1]} x {picture.shape[0]}",
+        "mean_dn": round(float(picture.mean()), 1),
+        "brightest_dn": level_dn(picture, 0.995),
+        "white_percent": round(100.0 * saturated_share(picture), 2),
+        "edge_blur_px": None if (blur_px := edge_blur_px(picture)) is None else round(blur_px, 2),
+    }
+
+
+def calibration_text(alone: Alone) -> str | None:
+    """The rig's calibration file; None for cameras by URL, and where it has not been made."""
+    there = alone.rig is not None and alone.rig.made_calibration is not None
+    return read_text(alone.rig.calibration_path) if alone.rig and there else None
+
+
+def attached() -> Iterator[tuple[str, str]]:
+    """URL and name of each camera that this machine can see. Devices of OpenCV are told by the system's list, and not opened."""
+    for device in sorted(Path("/sys/class/video4linux").glob("video*")):
+        yield f"opencv:{device.name.removeprefix('video')}", (device / "name").read_text(encoding="utf-8").strip()
+    try:
+        aravis = load_aravis()
+    except DeviceError as error:
+        yield "genicam:", f"not looked for: {error}"
+        return
+    aravis.update_device_list()
+    for i in range(aravis.get_n_devices()):
+        told = (aravis.get_device_vendor(i), aravis.get_device_model(i), aravis.get_device_serial_nbr(i), aravis.get_device_protocol(i))
+        yield f"genicam:{aravis.get_device_id(i)}", f"{' '.join(str(part) for part in told)} at {aravis.get_device_address(i)}"
+
+
+def of_rig(name: str) -> Iterator[tuple[str, str]]:
+    """Each camera of a rig with its URL and what becomes of its frames; nothing is opened."""
+    rig = load_rig(find_rig(name))
+    cameras = rig.rig.cameras
+    if cameras.url:
+        yield "all", cameras.url
+    for camera, table in cameras.tables.items():
+        yield camera, f"{table.url} {conversion_of(table, rig.made_calibration)}"

@@ -1,0 +1,80 @@
+"""The instruments of an open rig, and the two things that concern all of them: who they are, and going to safe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Protocol
+
+from instruments.bath.driver import Bath
+from instruments.bath.sequence import cause_of, heater_off, run_pump_on
+from instruments.camera.frame import FrameSet
+from instruments.clock import Clock
+from instruments.microscribe.driver import MicroScribe
+from instruments.operators.operator import Operator
+from instruments.stage.driver import Stage
+
+
+class Cameras(Protocol):
+    """Whatever gives frame sets: real cameras, a recording, the scene."""
+
+    @property
+    def identity(self) -> Mapping[str, str]: ...
+    def capture(self) -> FrameSet: ...
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """All that is open. ``stage`` is None on a rig without one; an operator then moves the phantom."""
+
+    clock: Clock
+    arm: MicroScribe
+    bath: Bath
+    stage: Stage | None
+    cameras: Cameras
+    operator: Operator
+
+    def identities(self) -> dict[str, dict[str, str]]:
+        """What each instrument says of itself; where it was reached stands in the rig file."""
+        stage = {"stage": asdict(self.stage.identity)} if self.stage else {}
+        return {
+            "arm": asdict(self.arm.identity),
+            "bath": {key: value for key, value in self.bath.identity.items() if key != "url"},
+            **stage,
+            "cameras": dict(self.cameras.identity),
+        }
+
+    def safe_states(self) -> dict[str, str]:
+        """What safe is, as each driver declares it."""
+        stage = {"stage": self.stage.safe_state} if self.stage else {}
+        return {"bath": self.bath.safe_state, **stage, "arm": self.arm.safe_state, "cameras": "nothing to make safe"}
+
+    def make_safe(self, tell: Callable[[str], None], cut_short: Callable[[], bool] = lambda: False) -> tuple[str, ...]:
+        """Bath to standby, stage still, arm's session ended; returns who could not be made safe.
+
+        Each step is tried whatever another one raised, an interrupt included. ``cut_short`` ends
+        the wait for a pump that runs on.
+        """
+        steps: dict[str, Callable[[], object]] = {"bath": lambda: heater_off(self.bath)}
+        if self.stage:
+            steps["stage"] = self.stage.safe
+        steps |= {"arm": self.arm.safe, "pump": lambda: run_pump_on(self.bath, self.clock.sleep, cut_short)}
+        unsafe: list[str] = []
+        for name, step in steps.items():
+            try:
+                said = step()
+                if name != "pump":
+                    tell(f"{name} is safe")
+                if said:
+                    tell(str(said))
+            except BaseException as error:
+                unsafe.append(name)
+                tell(f"{name} could not be made safe: {cause_of(error)}")
+        return tuple(unsafe)
+
+    def close(self) -> None:
+        """Close all links."""
+        for device in (self.cameras, self.arm, self.stage, self.bath):
+            if device is not None:
+                device.close()

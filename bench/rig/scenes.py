@@ -1,0 +1,135 @@
+"""Scenes without instruments: members of the situation families drawn by the emulated cameras, as a contact sheet or as a recording.
+
+A recording's truth is exact: where each end is, and whether every camera can see it. May not know a detector.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from bench.config import ConfigError, read_text
+from bench.files import write_synced
+from bench.rig.board import BoardFile, load_board
+from bench.rig.emulation_model import make_renderer
+from bench.rig.loading import LoadedRig
+from detector.calibration.boards import DICTIONARIES
+from instruments.camera.frame import FrameSet
+from instruments.camera.recording import RecordingError, RecordingWriter, TruthRow
+from instruments.world import boards
+from instruments.world.boards import Pattern
+from instruments.world.phantom import Phantom
+from instruments.world.plant import PlantConstants
+from instruments.world.scene import Renderer, contact_sheet
+from instruments.world.situations import SITUATIONS, Situation, situation
+from instruments.world.state import SceneState
+
+BOARD_DEPTHS_MM = (450.0, 1300.0)
+
+
+def chosen(names: Sequence[str]) -> tuple[str, ...]:
+    """The families of these names, all for none. Raises ConfigError for one that isn't known."""
+    for name in names:
+        if name not in SITUATIONS:
+            close = difflib.get_close_matches(name, SITUATIONS, n=1)
+            hint = f"; did you mean {close[0]!r}?" if close else ""
+            raise ConfigError.plain(f"there is no situation {name!r}{hint} (known: {', '.join(SITUATIONS)})")
+    return tuple(dict.fromkeys(names)) or tuple(SITUATIONS)
+
+
+def rig_renderer(rig: LoadedRig, seed: int) -> Renderer:
+    """The cameras of a rig file as emulated; ``seed`` is theirs."""
+    return make_renderer(tomllib.loads(read_text(rig.calibration_path)), seed, rig.rig.emulation.optical, rig.rig.emulation.thermal)
+
+
+def warm(found: Situation) -> SceneState:
+    """A situation with its bath settled, at temperatures that vary from member to member as from day to day."""
+    rng = np.random.Generator(np.random.PCG64([found.seed, *found.name.encode(), *b"warmth"]))
+    constants = PlantConstants()
+    water_c, ambient_c = float(rng.uniform(32.5, 33.5)), float(rng.uniform(17.0, 24.0))
+    share = constants.teat_in_w_per_k / (constants.teat_in_w_per_k + constants.teat_out_w_per_k)
+    teats_c = ambient_c + share * (water_c - ambient_c) + rng.normal(0.0, 0.15, len(found.phantom.teats))
+    return found.state(tuple(float(v) for v in teats_c), water_c - 0.02, ambient_c, time_s=float(rng.uniform(0.0, 3600.0)))
+
+
+def write_sheet(rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], path: Path, seed: int) -> None:
+    """One PNG with a row for each family and each of ``seeds``. Raises ConfigError where it can't be written."""
+    states = {f"{name} {one}": warm(situation(name, one)) for name in chosen(names) for one in seeds}
+    good, data = cv2.imencode(".png", contact_sheet(states, rig_renderer(rig, seed), seed))
+    if not good:
+        raise ConfigError.plain(f"{path}: the sheet is too large for a PNG: ask for fewer seeds")
+    try:
+        write_synced(path, data.tobytes())
+    except OSError as error:
+        raise ConfigError.plain(f"{path}: can't be written: {error}") from error
+
+
+def record(rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], folder: Path, seed: int) -> Iterator[str]:
+    """Add a frame for each family and seed to a recording; yields each frame's name once it is written.
+
+    Raises ConfigError where the folder can't be written, RecordingError for a frame that is there already.
+    """
+    families = chosen(names)
+    renderer = rig_renderer(rig, seed)
+    try:
+        writer = RecordingWriter(folder)
+        writer.add_calibration(read_text(rig.calibration_path))
+        for name in families:
+            for one in seeds:
+                frame = f"{name}-{one:04d}"
+                _add(writer, frame, renderer, warm(situation(name, one)), name, np.random.default_rng([seed, one, *name.encode()]))
+                yield frame
+    except OSError as error:
+        raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
+
+
+def _add(writer: RecordingWriter, frame: str, renderer: Renderer, state: SceneState, name: str, rng: np.random.Generator) -> None:
+    taken = renderer.render(state, rng)
+    visible = [bool(row.all()) for row in renderer.visible_ends(state)]
+    writer.add(frame, FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck))
+    rows = [
+        TruthRow(name, str(i + 1), (float(end[0]), float(end[1]), float(end[2])), seen, 0.0)
+        for i, (end, seen) in enumerate(zip(state.phantom.ends_mm, visible, strict=True))
+    ]
+    writer.add_truth(frame, rows)
+
+
+def record_boards(
+    rig: LoadedRig, board: Path, cameras: Sequence[str], poses: int, folder: Path, seed: int, *, warmer_k: float = 0.0
+) -> Iterator[str]:
+    """Pictures of a calibration board in ``poses`` poses that ``cameras`` see whole: a recording without truth, for `teatbench calibrate`.
+
+    What is dark on the board is ``warmer_k`` warmer than the room. Yields each frame's name once it is written. Raises ConfigError for
+    a board that is wrong or too large, or a folder that can't be written.
+    """
+    pattern = printed(load_board(board))
+    renderer = rig_renderer(rig, seed)
+    ambient_c = rig.rig.emulation.ambient_c
+    watching = [camera for camera in renderer.cameras if camera.name in cameras]
+    try:
+        held = boards.poses(pattern, watching, BOARD_DEPTHS_MM, seed, poses)
+        writer = RecordingWriter(folder)
+        writer.add_calibration(read_text(rig.calibration_path))
+        for number, one in enumerate(held):
+            state = SceneState(Phantom(()), (), ambient_c, ambient_c, boards=(replace(one, light=ambient_c, dark=ambient_c + warmer_k),))
+            taken = renderer.render(state, np.random.default_rng([seed, number, *b"boards"]))
+            writer.add(f"pose-{number:02d}", FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck))
+            yield f"pose-{number:02d}"
+    except ValueError as error:
+        raise error if isinstance(error, RecordingError) else ConfigError.plain(f"{board}: {error}") from error
+    except OSError as error:
+        raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
+
+
+def printed(said: BoardFile) -> Pattern:
+    """What the scene draws for a board's description, which counts points: a chessboard has a square more than corners each way."""
+    more = 0 if said.kind == "circles" else 1
+    feature_mm = said.marker_mm or said.circle_mm or 0.0
+    dictionary = DICTIONARIES[said.dictionary] if said.dictionary else Pattern().dictionary
+    return Pattern(said.kind, said.columns + more, said.rows + more, said.pitch_mm, 0.3 * said.pitch_mm, dictionary, feature_mm)

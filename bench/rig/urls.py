@@ -1,0 +1,64 @@
+"""Where instruments are, as a rig file says it: links, baths, operators, and files beside the rig file. Checks words; opens nothing."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationInfo
+
+from bench.config import did_you_mean
+from instruments.bath.connection import ALLOWED, LineError, parse_line
+
+EMULATED, CONSOLE, SCRIPT = "emulator:", "console:", "script:"
+ELSEWHERE = "emulator://"  # the operator of another process, which emulates the whole rig
+
+
+def serial_url(url: str) -> str:
+    """``url`` where it is a serial link's. Raises ValueError that says what is allowed."""
+    if url == EMULATED or re.match(r"(socket|rfc2217)://[^/:]+:\d+$", url) or re.match(r"(/dev/\S+|COM\d+)$", url):
+        return url
+    raise ValueError('not a link; allowed: "emulator:", "/dev/ttyUSB0", "COM5", "socket://host:port", "rfc2217://host:port"')
+
+
+def bath_url(url: str) -> str:
+    """``url`` where it is a bath's. Raises ValueError that says what is allowed."""
+    if url == EMULATED:
+        return url
+    try:
+        parse_line(url)
+    except LineError as error:
+        raise ValueError(str(error).replace(ALLOWED, f'"{EMULATED}", {ALLOWED}')) from error
+    return url
+
+
+def relay_url(url: str) -> str:
+    try:
+        if url not in ("", EMULATED):
+            parse_line(url)
+    except LineError as error:
+        raise ValueError(str(error).replace(ALLOWED, f'"{EMULATED}", {ALLOWED}')) from error
+    return url
+
+
+def operator_url(url: str, info: ValidationInfo) -> str:
+    if url.startswith(SCRIPT):
+        beside(url.removeprefix(SCRIPT), info)
+    elif url not in (EMULATED, CONSOLE) and not re.match(rf"{ELSEWHERE}[^/:]+:\d+$", url):
+        near = did_you_mean(url, (EMULATED, CONSOLE, SCRIPT))
+        allowed = (CONSOLE, EMULATED, f"{SCRIPT}ANSWERS.toml", f"{SCRIPT}ANSWERS.txt")
+        there = ", ".join(f'"{one}"' for one in (*allowed, f"{ELSEWHERE}host:port"))
+        raise ValueError(f"not an operator{near} (allowed: {there})")
+    return url
+
+
+def beside(name: str, info: ValidationInfo) -> str:
+    folder: Any = (info.context or {}).get("folder")
+    if folder is not None and not (Path(folder) / name).is_file():
+        raise ValueError(f"no such file beside the rig file ({Path(folder) / name})")
+    return name
+
+
+def beside_if_named(name: str, info: ValidationInfo) -> str:
+    return beside(name, info) if name else name

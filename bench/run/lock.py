@@ -1,0 +1,184 @@
+"""Room on the disk that a run keeps for its last words: given back when the disk is full, so that the record can say how it ended.
+
+May not know what the last words are.
+
+Keeps two benches off one rig: a file beside the rig file that a running bench holds, and that tells who it is.
+
+The system's own lock on the open file is what counts: it goes with the process, however that died, so a lock is never stale on its own
+machine. What is written in it is for people, and for a folder shared with another machine, where the system's lock may not reach. An
+emulated rig has none: each bench has emulators of its own. Two rig files for one rig have two locks. May not know what is locked.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import platform
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from io import FileIO
+from pathlib import Path
+from typing import Any, Protocol
+
+from bench.config import ConfigError
+from bench.rig.loading import LoadedRig
+from instruments.clock import wall_time
+from instruments.errors import LimitError
+
+FILE = "reserve.bin"
+BYTES = 1 << 19
+
+
+class Reserve:
+    """A file of BYTES in ``folder``, while a run lasts."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / FILE
+
+    def keep(self) -> None:
+        """Take the room; where there is none left, there is none to keep."""
+        with suppress(OSError):
+            self._path.write_bytes(b"\1" * BYTES)
+
+    def give_back(self) -> None:
+        """Let it go, once more is no error."""
+        with suppress(OSError):
+            self._path.unlink(missing_ok=True)
+
+
+ENDING, RUN_LOCK = ".lock.json", "bench.lock.json"
+TEXT_BYTES = 4096
+AT = 1 << 30  # the locked byte, far behind the text and whatever a reader reads at once: Windows keeps others from reading it
+TAKEN = (errno.EACCES, errno.EAGAIN)  # the system's words for "somebody has it"; any other means that it can't lock there
+
+
+class RigInUseError(LimitError):
+    """Another bench has the rig."""
+
+
+def run_lock(folder: Path) -> Path:
+    """Where the lock of a run is, whatever its rig: nobody may go on with a run that is under way."""
+    return folder / RUN_LOCK
+
+
+def lock_path(rig: LoadedRig) -> Path | None:
+    """Where the rig's lock is; None for an emulated rig."""
+    return None if rig.rig.emulated else rig.path.with_name(rig.path.stem + ENDING)
+
+
+class Msvcrt(Protocol):
+    """What of Windows's C library is used (Microsoft's `_locking`): it locks from where the file's own pointer stands."""
+
+    LK_NBLCK: int
+    LK_UNLCK: int
+
+    def locking(self, fd: int, mode: int, nbytes: int, /) -> None:
+        """Lock or unlock; raises OSError, EACCES where somebody has it."""
+
+
+class SystemLock(Protocol):
+    """The system's lock on one byte of an open file."""
+
+    def take(self, file: FileIO) -> None:
+        """Raises OSError, with one of `TAKEN` where somebody has it."""
+
+    def give_back(self, file: FileIO) -> None:
+        """Let go of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class WindowsLock:
+    """By handle: a second one in the same process is refused too. What is unlocked has to be what was locked."""
+
+    library: Msvcrt
+
+    def take(self, file: FileIO) -> None:
+        file.seek(AT)
+        self.library.locking(file.fileno(), self.library.LK_NBLCK, 1)
+
+    def give_back(self, file: FileIO) -> None:
+        file.seek(AT)
+        self.library.locking(file.fileno(), self.library.LK_UNLCK, 1)
+
+
+@contextmanager
+def locked(path: Path | None, what: str, tell: Callable[[str], None], who: str = "rig", lock: SystemLock | None = None) -> Iterator[None]:
+    """Hold the lock at ``path`` (None: there is none) for ``what``. ``tell`` hears where a dead bench's lock was taken over.
+
+    Raises RigInUseError where another bench has it, ConfigError where the file can't be had at all.
+    """
+    if path is None:
+        yield
+        return
+    lock = lock or SYSTEM
+    try:
+        path.touch()
+        file = FileIO(path, "r+")  # without a buffer, so that its pointer is the system's, and no more is read than asked for
+    except OSError as error:
+        raise ConfigError.plain(f"{path}: the {who} can't be locked: {error.strerror or error}") from error
+    with file:
+        told = _told(file)
+        try:
+            lock.take(file)
+        except OSError as error:
+            if error.errno in TAKEN:
+                raise _in_use(path, told, who) from error
+            raise ConfigError.plain(f"{path}: the {who} can't be locked: {error.strerror or error}") from error
+        if told:
+            if told.get("host") != platform.node():  # its process can't be seen from here
+                raise _in_use(path, told, who)
+            tell(f"the lock of a bench that died ({_who(told)}) was taken over")
+        _write(file, {"host": platform.node(), "pid": os.getpid(), "since": wall_time().isoformat(timespec="seconds"), "run": what})
+        try:
+            yield
+        finally:
+            _write(file, {})
+            lock.give_back(file)
+
+
+def _told(file: FileIO) -> dict[str, Any]:
+    file.seek(0)
+    try:
+        told = json.loads(file.read(TEXT_BYTES).rstrip(b"\0 ") or b"{}")
+    except ValueError:
+        return {"host": platform.node(), "run": "what it wrote can't be read"}
+    return told if isinstance(told, dict) else {}
+
+
+def _write(file: FileIO, told: dict[str, Any]) -> None:
+    file.seek(0)
+    file.truncate()
+    file.write(json.dumps(told).encode() if told else b"")
+
+
+def _in_use(path: Path, told: dict[str, Any], who: str) -> RigInUseError:
+    hint = f"Wait for it to end, or end it. Where you know that it is gone, delete {path}."
+    return RigInUseError(who, f"another bench has it: {_who(told)}", hint=hint)
+
+
+def _who(told: dict[str, Any]) -> str:
+    known = [f"{name} {told[name]}" for name in ("pid", "host", "since", "run") if name in told]
+    return ", ".join(known) or "it doesn't say who it is"
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    SYSTEM: SystemLock = WindowsLock(msvcrt)
+else:
+    import fcntl
+
+    @dataclass(frozen=True, slots=True)
+    class PosixLock:
+        """By process: it goes when any handle of the process on that file is closed."""
+
+        def take(self, file: FileIO) -> None:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, AT)
+
+        def give_back(self, file: FileIO) -> None:
+            fcntl.lockf(file, fcntl.LOCK_UN, 1, AT)
+
+    SYSTEM = PosixLock()

@@ -1,0 +1,296 @@
+"""Reads the bath once a second through everything the bench does: feeds the stability gate, the interlocks and the record.
+
+It is planned on the clock, so with virtual time it runs as time moves and with real time on the clock's own thread, which no
+prompt stops. A trip acts there and at once: ``act`` makes safe, and is called again every few seconds until it has; the
+engine learns of it with ``check``. Nothing is raised on the clock's thread.
+
+Keeps the bath out of trouble through a run: the watch with its interlocks, what a trip does, and the bench's signs of life.
+
+A trip acts on the thread that saw it, at once: heater off, stage braked, then the record, the latch and the operator. The
+engine only asks ``check``. May not know trials, cameras or detectors.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from collections.abc import Callable, Hashable
+from typing import Protocol
+
+from bench.record.writer import Row, Store
+from bench.rig.devices import Devices
+from bench.rig.loading import LoadedRig
+from bench.safety.guardian_client import Lifeline
+from bench.safety.heartbeat import Pulse
+from bench.safety.interlocks import GUARDIAN, Interlocks, InterlockTrip, bath_of, moving_of, rule_named
+from bench.safety.latch import latch_path, set_latch
+from bench.safety.stability import StabilityGate, State
+from instruments.bath.reading import BathReading
+from instruments.bath.sequence import cause_of, heater_off, pump_on, pump_told
+from instruments.clock import Clock, wall_time
+from instruments.errors import InstrumentError, LinkError
+
+PERIOD_S = 1.0
+AGAIN_S = 5.0  # between attempts to make safe
+
+
+class ReadableBath(Protocol):
+    def read(self) -> BathReading: ...
+
+
+class Watch:
+    """Watches ``bath`` from ``start`` to ``stop``.
+
+    ``record`` gets each reading as a row. ``act`` gets the first trip, makes safe, and says whether it has. ``pump_on`` tells
+    whether the pump turns, None where nothing knows. ``also`` is asked with each reading what else there is to trip for;
+    ``moving`` tells what of a reading has to change for the gate to believe that the controller lives.
+    """
+
+    def __init__(
+        self,
+        bath: ReadableBath,
+        clock: Clock,
+        gate: StabilityGate,
+        interlocks: Interlocks,
+        record: Callable[[Row], None],
+        act: Callable[[Exception], bool],
+        *,
+        pump_on: Callable[[BathReading], bool | None] = lambda _: None,
+        also: Callable[[], InterlockTrip | None] = lambda: None,
+        moving: Callable[[BathReading], Hashable] = lambda reading: reading.raw,
+    ) -> None:
+        self._bath = bath
+        self._clock = clock
+        self._gate = gate
+        self._interlocks = interlocks
+        self._record = record
+        self._act = act
+        self._pump_on = pump_on
+        self._also = also
+        self._moving = moving
+        self._lock = threading.RLock()
+        self._running = False
+        self._trip: Exception | None = None
+        self._safe = False
+        self._act_again_s = clock.now()
+        self._heard_s = self._planned_s = clock.now()
+        self._heating_s: float | None = None
+        self.last: BathReading | None = None
+
+    @property
+    def state(self) -> State:
+        """Of the stability gate, after the last reading."""
+        return self._gate.state
+
+    @property
+    def why_not_stable(self) -> str:
+        """What the gate still waits for."""
+        return "; ".join(self._gate.report.reasons)
+
+    def stable_in_s(self, expected_s: float) -> float:
+        """How long until the gate opens, expected ``expected_s`` after heating began; once that is over, what it needs at the least."""
+        if self.state is State.STABLE:
+            return 0.0
+        heated_s = 0.0 if self._heating_s is None else self._clock.now() - self._heating_s
+        return max(expected_s - heated_s, self._gate.at_least_s)
+
+    @property
+    def tripped(self) -> Exception | None:
+        """What ``check`` would raise."""
+        return self._trip
+
+    def start(self) -> None:
+        """Read now and then every second."""
+        self._running = True
+        self._heard_s = self._planned_s = self._clock.now()
+        self._tick()
+
+    def heating(self) -> None:
+        """The bath has been started: what was read before is no evidence of stability."""
+        with self._lock:
+            self._gate.restart()
+            self._heating_s = self._clock.now()
+            self._interlocks.heating(self._gate.set_point_c)
+
+    def end(self) -> None:
+        """No further readings: the bath is about to be stopped. Doesn't wait for one that is under way; ``stop`` does."""
+        self._running = False
+
+    def stop(self) -> None:
+        """No further readings; returns once none is under way."""
+        self.end()
+        with self._lock:
+            pass
+
+    def check(self) -> None:
+        """Raise what has tripped since: InterlockTrip, or a mistake of the bench's own."""
+        if self._trip is not None:
+            raise self._trip
+
+    def trip(self, trip: Exception) -> None:
+        """Go to safe for a reason that is in no reading. The first trip stays."""
+        with self._lock:
+            self._trip = self._trip or trip
+            self._make_safe()
+
+    def _tick(self) -> None:
+        with self._lock:
+            if not self._running:
+                return
+            self._heard_s += self._clock.now() - self._planned_s  # while this process did not run, the bath was not silent
+            try:
+                self._trip = self._trip or self._also()
+                self._look()
+            except Exception as error:
+                self._trip = self._trip or error
+            self._make_safe()
+        self._planned_s = max(self._planned_s + PERIOD_S, self._clock.now())  # from start to start, however long a reading takes
+        self._clock.call_at(self._planned_s, self._tick)
+
+    def _look(self) -> None:
+        try:
+            reading = self._bath.read()
+            pump_on = self._pump_on(reading)
+        except InstrumentError as error:
+            silent_s = self._clock.now() - self._heard_s
+            trip = self._interlocks.silent(silent_s, error, answered=not isinstance(error, LinkError))
+        else:
+            if not self._running:
+                return  # the run has ended while we waited for it, and with it the heating
+            trip = self._take(reading, pump_on)
+        self._trip = self._trip or trip
+
+    def _take(self, reading: BathReading, pump_on: bool | None) -> InterlockTrip | None:
+        self._heard_s = reading.t_s
+        self.last = reading
+        raw, teat_c = self._moving(reading), reading.external_c
+        state = self._gate.add(reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c)
+        self._record(
+            {
+                "t_s": reading.t_s,
+                "temp_c": reading.temp_c,
+                "external_c": reading.external_c,
+                "power_percent": reading.power_percent,
+                "state": state.value,
+            }
+        )
+        return self._interlocks.add(reading, pump_on)
+
+    def _make_safe(self) -> None:
+        if self._trip is None or self._safe or self._clock.now() < self._act_again_s:
+            return
+        self._act_again_s = self._clock.now() + AGAIN_S
+        try:
+            self._safe = self._act(self._trip)
+        except Exception as error:
+            self._trip = error
+
+
+WATCH = "the watch"
+WATCHING = "beside the bench"
+NO_GUARDIAN = "none: under virtual time the emulated bath ends with the bench"
+READING_S = 60.0  # a reading of a bath that has gone, with all attempts to reach it and to make it safe
+
+
+class Keeper:
+    """``watch`` is to be started and stopped by the engine; ``lifeline`` is None where nothing needs a guardian.
+
+    ``heard`` gets the event of a trip, its kind and text, once it is in the record; ``seen`` is called after each reading.
+    """
+
+    def __init__(
+        self,
+        rig: LoadedRig,
+        devices: Devices,
+        gate: StabilityGate,
+        store: Store,
+        warn: Callable[[str], None],
+        pulse: Pulse,
+        lifeline: Lifeline | None,
+    ) -> None:
+        self._devices = devices
+        self._store = store
+        self._warn = warn
+        self._pulse = pulse
+        self._lifeline = lifeline
+        self._latch = latch_path(rig)
+        self._told = self._held = False
+        self.heard: Callable[[str, str], None] = lambda _kind, _text: None
+        self.seen: Callable[[], None] = lambda: None
+        interlocks = self._interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+        moving, pump_on, also = moving_of(rig.profile), self._pump_on, self._also
+        self.watch = Watch(
+            devices.bath, devices.clock, gate, interlocks, self._record, self._act, pump_on=pump_on, also=also, moving=moving
+        )
+        self._write_facts(rig, interlocks)
+
+    def stop(self) -> None:
+        """End the watch."""
+        self.watch.stop()
+        self._pulse.rest(WATCH)
+
+    def heater_off(self) -> None:
+        """For a thread that has no time for more: the heater, whatever else goes on."""
+        heater_off(self._devices.bath)
+
+    def _pump_on(self, reading: BathReading) -> bool | None:
+        return pump_on(self._devices.bath, reading)
+
+    def _record(self, reading: Row) -> None:
+        self._store.bath(reading)
+        self.seen()
+
+    def _also(self) -> InterlockTrip | None:
+        """With each reading: the watch is alive, and the guardian has to be too."""
+        self._pulse.sign("reading the bath", READING_S, who=WATCH)
+        lost = self._lifeline.lost if self._lifeline else None
+        return InterlockTrip(GUARDIAN, lost, rule_named(GUARDIAN).then, self._interlocks.values) if lost else None
+
+    def _act(self, trip: Exception) -> bool:
+        """Go to safe; True when heater and stage are. Called again until they are."""
+        said: list[str] = []
+        stage = self._devices.stage  # first, for it takes a byte, and a bath that doesn't answer half a minute
+        self._held = self._held or stage is None or _tried("stage", stage.brake, said, "is held")
+        safe = _tried("heater", lambda: heater_off(self._devices.bath), said, "is in standby")
+        if not self._told:
+            self._told = True
+            self._tell(trip, said)
+        return safe and self._held
+
+    def _tell(self, trip: Exception, said: list[str]) -> None:
+        """To the operator first; the record and the latch may fail without the others."""
+        done = "; ".join(said)
+        self._warn(f"{trip}\n{done}. The run ends; an open question needs no answer any more.")
+        try:
+            if isinstance(trip, InterlockTrip):
+                self._store.fact("trip", trip.as_dict() | {"t_s": self._devices.clock.now(), "done": said})
+            self._store.event(self._devices.clock.now(), "trip", f"{trip} ({done})", wall_time())
+            self.heard("trip", f"{trip} ({done})")
+        except sqlite3.Error as error:
+            self._warn(f"the trip could not be written down: {error}")
+        try:
+            if self._latch is not None:
+                set_latch(self._latch, trip, str(self._store.folder.resolve()))
+        except OSError as error:
+            what = f"the trip could not be latched in {self._latch}: {error.strerror or error}"
+            self._warn(f"{what}. Nothing but you keeps the next run from starting.")
+
+    def _write_facts(self, rig: LoadedRig, interlocks: Interlocks) -> None:
+        self._store.fact("interlocks asleep", interlocks.asleep)
+        self._store.fact("pump", pump_told(self._devices.bath))
+        self._store.fact("comms loss", rig.profile.comms_loss)
+        self._store.fact("cut-out tested", rig.rig.bath.cut_out_tested)
+        self._store.fact("safe states", self._devices.safe_states())
+        self._store.fact("guardian", WATCHING if self._lifeline else NO_GUARDIAN)
+        room_c = rig.rig.emulation.ambient_c if rig.rig.emulated else rig.rig.bath.room_c
+        self._store.fact("bath figures", {"room_c": room_c} | rig.rig.bath.model_dump(include={"accuracy_k", "external_accuracy_k"}))
+
+
+def _tried(name: str, step: Callable[[], str | None], said: list[str], done: str) -> bool:
+    try:
+        more = step()
+    except Exception as error:  # whatever it is, the next step is tried too
+        said.append(f"{name} could not be made safe: {cause_of(error)}")
+        return False
+    said += [f"{name} {done}", *([more] if more else [])]
+    return True

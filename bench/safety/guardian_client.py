@@ -1,0 +1,180 @@
+"""The bench's end of the guardian: starts it, exchanges signs of life, and tells it when the bath is safe without it.
+
+May not know the bath's protocol, or how the guardian does what it does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO, cast
+
+from bench.record.schema import GUARDIAN
+from bench.safety.guardian import ALIVE, DONE, HUNG, READY, TAKE_OVER
+from bench.safety.heartbeat import Pulse
+from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.errors import LinkError
+
+LOG = "guardian.log"
+BEAT_S = 1.0
+UNANSWERED = 3  # beats; one more, and the oldest has had no echo for so many times BEAT_S
+END_S = 5.0
+START_S = 30.0  # a loaded machine reads Python's modules slowly
+
+
+@dataclass(frozen=True, slots=True)
+class Charge:
+    """What a guardian has to put into standby: a bath, and the relay of its pump where it has one; profiles by name or whole path."""
+
+    url: str
+    profile: str
+    pump_url: str = ""
+    pump_profile: str = ""
+    allow_inferred: bool = False
+
+    @property
+    def arguments(self) -> list[str]:
+        """As the guardian's command line takes them."""
+        pump = ["--pump-url", self.pump_url, "--pump-profile", self.pump_profile] if self.pump_url else []
+        return ["--url", self.url, "--profile", self.profile, *pump, *(["--allow-inferred"] if self.allow_inferred else [])]
+
+
+class Lifeline:
+    """A running guardian for ``charge``, which keeps its record in ``folder``. Raises LinkError when it doesn't start."""
+
+    def __init__(self, charge: Charge, folder: Path, pulse: Pulse) -> None:
+        self._pulse = pulse
+        self._ended = threading.Event()
+        self._said = threading.Event()  # its first line, or its end
+        self._ready = False
+        self._unanswered = 0
+        self._log, self._acted = folder / LOG, folder / GUARDIAN
+        command = [sys.executable, "-X", "utf8", "-m", "bench.safety.guardian", *charge.arguments]
+        command += ["--record", str(folder.resolve() / GUARDIAN), "--bench", str(os.getpid())]
+        with self._log.open("wb") as log:
+            self._process = _spawn(command, log)
+        self._pipe_in = cast(IO[bytes], self._process.stdin)
+        self._reader = threading.Thread(target=self._listen, name="guardian", daemon=True)
+        self._reader.start()
+        self._await_ready()
+        self._beats = threading.Thread(target=self._beat, name="lifeline", daemon=True)
+        self._beats.start()
+
+    @property
+    def pid(self) -> int:
+        """The guardian's process."""
+        return self._process.pid
+
+    @property
+    def lost(self) -> str | None:
+        """Why nobody guards the bath any more; None while the guardian lives."""
+        code = self._process.poll()
+        if self._ended.is_set():
+            return None
+        if code is None and not self._acted.is_file():
+            silent = self._unanswered > UNANSWERED
+            return f"it has not answered for {UNANSWERED * BEAT_S:g} s" if silent else None
+        if code:
+            return f"it ended by itself (exit code {code})"
+        return "it took the bench for dead and went about putting the bath into standby"
+
+    def done(self) -> None:
+        """The bath is safe: the guardian may go."""
+        self._end(DONE)
+
+    def hand_over(self) -> None:
+        """The bath could not be made safe: the guardian goes on trying, as if the bench had died."""
+        self._end(TAKE_OVER)
+
+    def __enter__(self) -> Lifeline:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        """Left without ``done``, the guardian takes the bath over."""
+        if not self._ended.is_set():
+            self.hand_over()
+
+    def _end(self, word: str) -> None:
+        self._ended.set()
+        self._beats.join(END_S)
+        with contextlib.suppress(OSError):  # it has ended before
+            self._say(word)
+        with contextlib.suppress(OSError):
+            self._pipe_in.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(END_S)
+            self._reader.join(END_S)
+        if self._log.is_file() and not self._log.stat().st_size:
+            self._log.unlink()
+
+    def _await_ready(self) -> None:
+        """Its first line. Raises LinkError with its last words where it says anything else."""
+        self._said.wait(START_S)
+        if self._ready:
+            return
+        self._process.kill()
+        self._process.wait()
+        self._reader.join()
+        self._pipe_in.close()
+        said = self._log.read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
+        raise LinkError("guardian", "it did not start, so nothing is heated", seen=said or "nothing", hint=f"Its log is {self._log}.")
+
+    def _listen(self) -> None:
+        """That it is ready, then an echo of each beat; on a thread, to its end."""
+        with cast(IO[bytes], self._process.stdout) as pipe:
+            self._ready = pipe.readline().decode().strip() == READY
+            self._said.set()
+            for _ in pipe:
+                self._unanswered = 0
+
+    def _beat(self) -> None:
+        while not self._ended.wait(BEAT_S):
+            overdue = self._pulse.overdue()
+            self._unanswered += 1  # before, so that each echo comes after it
+            try:
+                self._say(HUNG + overdue if overdue else ALIVE)
+            except OSError:
+                return  # it has ended: ``lost`` tells
+
+    def _say(self, word: str) -> None:
+        self._pipe_in.write(word.encode() + b"\n")
+
+
+def _spawn(command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
+    """In a session of its own, or it would hear the terminal's Ctrl-C and end with the terminal."""
+    flags = ("DETACHED_PROCESS", "CREATE_NEW_PROCESS_GROUP", "HIGH_PRIORITY_CLASS")  # of Windows
+    return subprocess.Popen(  # noqa: S603 - our own module
+        command,
+        bufsize=0,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=log,
+        cwd=Path(__file__).resolve().parents[2],
+        start_new_session=os.name != "nt",
+        creationflags=sum(getattr(subprocess, flag, 0) for flag in flags),
+    )
+
+
+@contextmanager
+def guarded(charge: Charge, folder: Path, clock: Clock) -> Iterator[tuple[Pulse, Lifeline | None]]:
+    """Signs of life, and who looks at them: nobody under virtual time, for then the emulated bath ends with the bench."""
+    pulse = Pulse()
+    if isinstance(clock, VirtualClock):
+        yield pulse, None
+        return
+    if isinstance(clock, RealClock):
+        clock.heard_by(pulse.alive)
+    try:
+        with Lifeline(charge, folder, pulse) as lifeline:
+            yield pulse, lifeline
+    finally:
+        if isinstance(clock, RealClock):
+            clock.heard_by(None)

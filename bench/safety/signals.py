@@ -1,0 +1,226 @@
+"""A console window that is closed on Windows: the system tells of it on a thread of its own, and ends the program when that returns.
+
+What it tells and what is done about it is plain logic, and tested everywhere; only `windows_register` needs Windows. Elsewhere
+a terminal that closes sends SIGHUP, and nothing here is used. May not know what safe is.
+
+The one place that hears who asks the bench to end: Ctrl-C, SIGTERM, a dropped connection (SIGHUP), a closed console window.
+
+The first request is raised in the main thread as `Interrupted`, so that every `finally` runs and the bench passes through
+safe; what comes while it is on its way there is only noted. The handler of the signals is itself the state, so nothing is
+global but what the system keeps. May not know what safe is: the engine brings it along.
+"""
+
+from __future__ import annotations
+
+import _thread
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from instruments.clock import RealClock, stopwatch_s
+
+CTRL_C_EVENT, CTRL_BREAK_EVENT, CTRL_CLOSE_EVENT, CTRL_LOGOFF_EVENT, CTRL_SHUTDOWN_EVENT = 0, 1, 2, 5, 6  # wincon.h
+ENDINGS = {CTRL_CLOSE_EVENT: "console closed", CTRL_LOGOFF_EVENT: "log-off", CTRL_SHUTDOWN_EVENT: "shutdown"}
+
+Handler = Callable[[int], bool]
+Register = Callable[[Handler, bool], None]
+
+
+def handler_for(ends: Callable[[str], None]) -> Handler:
+    """What Windows calls: ``ends`` is told what ends the program, and has made safe when it returns.
+
+    True says that the event is dealt with. Ctrl-C and Ctrl-Break are not: Python makes signals of them.
+    """
+
+    def handler(event: int) -> bool:
+        word = ENDINGS.get(event)
+        if word is None:
+            return False
+        ends(word)
+        return True
+
+    return handler
+
+
+@contextmanager
+def console_heard(ends: Callable[[str], None], register: Register | None) -> Iterator[None]:
+    """Hear of a closed console while this lasts; ``register`` adds (True) or removes (False) a handler, None where nothing does."""
+    if register is None:
+        yield
+        return
+    handler = handler_for(ends)
+    register(handler, True)
+    try:
+        yield
+    finally:
+        register(handler, False)
+
+
+if sys.platform == "win32":
+    import ctypes
+    from ctypes import wintypes
+
+    def windows_register() -> Register | None:
+        """SetConsoleCtrlHandler of kernel32. What it gives back raises OSError where Windows refuses."""
+        make = ctypes.WINFUNCTYPE(wintypes.BOOL, wintypes.DWORD)
+        kernel32 = ctypes.WinDLL("kernel32", use_last_error=True)
+        kept: dict[Handler, object] = {}  # Windows calls it at any time: it must not be collected
+
+        def register(handler: Handler, add: bool) -> None:
+            native = kept.setdefault(handler, make(handler))
+            if not kernel32.SetConsoleCtrlHandler(native, add):
+                raise ctypes.WinError(ctypes.get_last_error())
+            if not add:
+                del kept[handler]
+
+        return register
+
+else:
+
+    def windows_register() -> Register | None:
+        """There is none: a terminal that closes sends SIGHUP."""
+        return None
+
+
+ASKED_BY = {
+    "SIGINT": "Ctrl-C",
+    "SIGTERM": "SIGTERM: somebody ended the program",
+    "SIGHUP": "SIGHUP: the terminal or its connection has gone",
+    "SIGBREAK": "Ctrl-Break",
+}
+ON_THE_WAY_S = 5.0  # a second Ctrl-C within this is the same wish; a later one is that of a person who sees nothing happen
+AMID_A_LOCK = ("__enter__", "__exit__", "_release_save", "_acquire_restore", "notify", "notify_all")
+MOMENT_S = 0.001
+CLOSE_S = 4.5  # Windows ends a program 5 s after its console was closed, whatever it does
+
+
+class Interrupted(KeyboardInterrupt):
+    """Somebody asked the bench to end; the text says who."""
+
+
+class Exits:
+    """Handler of all signals that ask for an end. ``asked`` tells all that came."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+        self.at_close: Callable[[], object] | None = None
+        self._raised_s: float | None = None
+        self._held = 0
+        self._terminals = [number for number in (0, 1, 2) if _is_terminal(number)]
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        if _amid_a_lock(frame):
+            _come_again(number)
+            return
+        name = signal.Signals(number).name
+        self.asked.append(name)
+        if name == "SIGHUP":
+            self._let_go_of_the_terminal()
+        now = stopwatch_s()
+        if self._held or (self._raised_s is not None and now - self._raised_s < ON_THE_WAY_S):
+            return
+        self._raised_s = now
+        raise Interrupted(f"the run was interrupted ({ASKED_BY.get(name, name)})")
+
+    def hold(self) -> None:
+        """From now on requests are noted and not raised. Each call needs its ``let_go``."""
+        self._held += 1
+
+    def let_go(self) -> None:
+        """Requests are raised again."""
+        self._held -= 1
+
+    def heed(self) -> None:
+        """Raise what came while requests were held, where nobody has ended for it."""
+        if self.asked and self._raised_s is None:
+            self._raised_s = stopwatch_s()
+            raise Interrupted(f"the run was interrupted ({ASKED_BY.get(self.asked[0], self.asked[0])})")
+
+    def console_closed(self, how: str = "console closed") -> None:
+        """Windows ends the program: make safe in this thread, for the main one may be waiting for input for ever."""
+        self.asked.append(how)
+        if self.at_close is not None:
+            work = threading.Thread(target=self.at_close, name="console closed", daemon=True)
+            work.start()
+            work.join(CLOSE_S)
+
+    def _let_go_of_the_terminal(self) -> None:
+        """What is written to a terminal that has gone fails, and would fail amid going to safe."""
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for number in self._terminals:
+            os.dup2(nowhere, number)
+        os.close(nowhere)
+
+
+@contextmanager
+def installed(register: Register | None = None) -> Iterator[Exits]:
+    """Hear all requests to end while this lasts. What was ignored when the program started (`nohup`, `&`) stays ignored.
+
+    ``register`` stands in for the system's way to tell of a closed console window.
+    """
+    exits = Exits()
+    if threading.current_thread() is not threading.main_thread():
+        yield exits
+        return
+    names = [name for name in ASKED_BY if hasattr(signal, name)]
+    numbers = [getattr(signal, name) for name in names if signal.getsignal(getattr(signal, name)) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, exits) for number in numbers}
+    try:
+        with console_heard(exits.console_closed, register or windows_register()):
+            yield exits
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def current() -> Exits:
+    """Whoever is installed; one that hears nothing where none is."""
+    handlers = (signal.getsignal(getattr(signal, name)) for name in ASKED_BY if hasattr(signal, name))
+    return next((handler for handler in handlers if isinstance(handler, Exits)), Exits())
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Requests to end are noted and not raised while this lasts: going to safe is short and bounded, and must not be cut off."""
+    exits = current()
+    exits.hold()
+    try:
+        yield
+    finally:
+        exits.let_go()
+
+
+def _amid_a_lock(frame: FrameType | None) -> bool:
+    """Whether Python's own code is just taking or giving back a lock: raised there, the lock would be held for ever.
+
+    All callers count: a signal that comes again may find us still at the handler's own work, called amid a lock.
+    """
+    while frame is not None:
+        if frame.f_code.co_filename == threading.__file__ and frame.f_code.co_name in AMID_A_LOCK:
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _come_again(number: int) -> None:
+    """Have the signal come once more, in a moment."""
+
+    def later() -> None:
+        RealClock().sleep(MOMENT_S)
+        if sys.platform == "win32":
+            _thread.interrupt_main(number)
+        else:
+            signal.pthread_kill(threading.main_thread().ident or 0, number)  # also out of a call that waits
+
+    threading.Thread(target=later, name="signal", daemon=True).start()
+
+
+def _is_terminal(number: int) -> bool:
+    with contextlib.suppress(OSError):
+        return os.isatty(number)
+    return False

@@ -1,0 +1,200 @@
+"""Repeatability and reproducibility of the bench itself: gage R&R of the ground truth, a crossed analysis of variance.
+
+AIAG, Measurement Systems Analysis, 4th edition, chapter III (ANOVA method), and ISO 22514-7: parts are teat ends at poses, appraisers are
+set-ups (repeats of the pose, or runs), repeats are touches. A component below zero is zero. An interaction that isn't significant at
+25 % is pooled into the repeatability, as the manual does. Knows only numbers.
+
+Repeated poses: accuracy and repeatability (ISO 9283:1998, 7.2), distances (7.3), drift, and the components of spread (ISO 5725-2:1994).
+
+Standard deviations divide by n - 1 here, as both standards do. Knows only points and numbers; a spread of one value is None.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import floor, sqrt
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import fdtrc
+
+from bench.scoring.errors import Floats, as_points, as_values
+
+POOL_ABOVE = 0.25
+STUDY_SDS = 6.0  # a study variation is 6 standard deviations: 99.73 % of a normal process
+
+
+@dataclass(frozen=True, slots=True)
+class GageStudy:
+    """Standard deviations along one axis, in the values' unit, and the analysis of variance that they come from.
+
+    `repeatability`: touch after touch. `reproducibility`: set-up after set-up, the interaction with the part included. `gage`: both.
+    `part`: between teat ends. `interaction_p` is None where it can't be tested.
+    """
+
+    parts: int
+    appraisers: int
+    repeats: int
+    repeatability: float
+    reproducibility: float
+    appraiser: float
+    interaction: float
+    part: float
+    sums_of_squares: tuple[float, float, float, float]  # parts, appraisers, interaction, within
+    interaction_p: float | None
+    pooled: bool
+
+    @property
+    def gage(self) -> float:
+        """sqrt(repeatability^2 + reproducibility^2): the measuring system's standard deviation."""
+        return sqrt(self.repeatability**2 + self.reproducibility**2)
+
+    @property
+    def total(self) -> float:
+        """With the parts."""
+        return sqrt(self.gage**2 + self.part**2)
+
+    @property
+    def distinct_categories(self) -> int:
+        """ndc = floor(1.41 part / gage), at least 1: how many sizes of part it can tell apart."""
+        return max(1, floor(1.41 * self.part / self.gage)) if self.gage > 0.0 else 1
+
+    def share_of_tolerance(self, tolerance: float) -> float:
+        """6 gage / tolerance; `tolerance` is the whole width (10 mm for +-5 mm). Below 0.1 is good, above 0.3 is not acceptable (AIAG)."""
+        if not tolerance > 0.0:
+            raise ValueError(f"tolerance: {tolerance} is not above 0")
+        return STUDY_SDS * self.gage / tolerance
+
+
+def gage_study(values: npt.ArrayLike) -> GageStudy:
+    """The study of `values` (parts, appraisers, repeats), every cell full; at least 2 of each. Raises ValueError on anything else."""
+    table = np.asarray(values, dtype=np.float64)
+    if table.ndim != 3 or min(table.shape) < 2 or not np.isfinite(table).all():
+        raise ValueError(
+            f"gage study: expected finite values (parts, appraisers, repeats) with at least 2 of each, got shape {table.shape}"
+        )
+    p, a, r = table.shape
+    mean, cell = table.mean(), table.mean(axis=2)
+    of_part, of_appraiser = cell.mean(axis=1), cell.mean(axis=0)
+    ss_part = a * r * float(np.square(of_part - mean).sum())
+    ss_appraiser = p * r * float(np.square(of_appraiser - mean).sum())
+    ss_cross = r * float(np.square(cell - of_part[:, None] - of_appraiser[None, :] + mean).sum())
+    ss_within = float(np.square(table - cell[:, :, None]).sum())
+    free_cross, free_within = (p - 1) * (a - 1), p * a * (r - 1)
+    ms_cross, ms_within = ss_cross / free_cross, ss_within / free_within
+    p_value = float(fdtrc(free_cross, free_within, ms_cross / ms_within)) if ms_within > 0.0 else None
+    pooled = p_value is not None and p_value > POOL_ABOVE
+    if pooled:
+        ms_within = ms_cross = (ss_cross + ss_within) / (free_cross + free_within)
+    interaction = max(0.0, (ms_cross - ms_within) / r)
+    appraiser = max(0.0, (ss_appraiser / (a - 1) - ms_cross) / (p * r))
+    part = max(0.0, (ss_part / (p - 1) - ms_cross) / (a * r))
+    return GageStudy(
+        parts=p,
+        appraisers=a,
+        repeats=r,
+        repeatability=sqrt(ms_within),
+        reproducibility=sqrt(appraiser + interaction),
+        appraiser=sqrt(appraiser),
+        interaction=sqrt(interaction),
+        part=sqrt(part),
+        sums_of_squares=(ss_part, ss_appraiser, ss_cross, ss_within),
+        interaction_p=p_value,
+        pooled=pooled,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class PoseAccuracy:
+    """AP = |mean - commanded| with its components, and RP = mean(l) + 3 sd(l), l_j = |p_j - mean|. RP is None for one repeat."""
+
+    n: int
+    ap_mm: float | None = None
+    ap_xyz_mm: tuple[float, float, float] | None = None
+    rp_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceAccuracy:
+    """AD = |mean distance - commanded|, and RD = 3 sd of the distances (None for one repeat)."""
+
+    n: int
+    ad_mm: float | None = None
+    rd_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Precision:
+    """Standard deviations: s_r within a pose or set-up, s_L between them, s_R = sqrt(s_r^2 + s_L^2). None where the groups don't tell."""
+
+    n: int
+    groups: int
+    s_r: float | None = None
+    s_between: float | None = None
+    s_R: float | None = None  # noqa: N815 - the standard's own symbol
+
+
+def pose_accuracy(points_mm: npt.ArrayLike, commanded_mm: npt.ArrayLike) -> PoseAccuracy:
+    """AP and RP of the repeats (n, 3) of one pose against its commanded (or true) position (3,)."""
+    points, commanded = as_points(points_mm, "points"), _as_point(commanded_mm)
+    if not len(points):
+        return PoseAccuracy(0)
+    centre = points.mean(axis=0)
+    offset = centre - commanded
+    spread = np.linalg.norm(points - centre, axis=1)
+    return PoseAccuracy(
+        n=len(points),
+        ap_mm=float(np.linalg.norm(offset)),
+        ap_xyz_mm=(float(offset[0]), float(offset[1]), float(offset[2])),
+        rp_mm=float(spread.mean() + 3 * spread.std(ddof=1)) if len(points) > 1 else None,
+    )
+
+
+def distance_accuracy(distances_mm: npt.ArrayLike, commanded_mm: float) -> DistanceAccuracy:
+    """AD and RD of the repeats (n,) of one distance."""
+    distances = as_values(distances_mm, "distances")
+    if not len(distances):
+        return DistanceAccuracy(0)
+    spread = 3 * float(distances.std(ddof=1)) if len(distances) > 1 else None
+    return DistanceAccuracy(len(distances), abs(float(distances.mean()) - commanded_mm), spread)
+
+
+def drift_mm(points_mm: npt.ArrayLike, commanded_mm: npt.ArrayLike, repeats: int) -> float | None:
+    """Drift of AP: the largest |AP(first block) - AP(later block)|, blocks of `repeats` points (n, 3) in order of time. None below two
+    blocks."""
+    points = as_points(points_mm, "points")
+    if repeats < 1:
+        raise ValueError(f"drift: blocks of {repeats} points; at least 1")
+    blocks = [points[k : k + repeats] for k in range(0, len(points) - repeats + 1, repeats)]
+    if len(blocks) < 2:
+        return None
+    accuracy = [float(np.linalg.norm(block.mean(axis=0) - _as_point(commanded_mm))) for block in blocks]
+    return max(abs(a - accuracy[0]) for a in accuracy[1:])
+
+
+def precision(groups: Sequence[npt.ArrayLike]) -> Precision:
+    """s_r and s_R of one quantity from groups of repeats (one-way analysis of variance; groups may differ in size, empty ones are left
+    out).
+
+    ISO 5725-2, 7.4.5: s_L^2 = (MS_between - s_r^2) / n0, at least 0, with n0 = (N - sum n_i^2 / N) / (p - 1).
+    """
+    values = [v for v in (as_values(g, "group of repeats") for g in groups) if len(v)]
+    n, p = sum(len(v) for v in values), len(values)
+    if n == p:
+        return Precision(n, p)
+    within = sum(float(((v - v.mean()) ** 2).sum()) for v in values) / (n - p)
+    if p < 2:
+        return Precision(n, p, sqrt(within))
+    centre = float(np.concatenate(values).mean())
+    between = sum(len(v) * (float(v.mean()) - centre) ** 2 for v in values) / (p - 1)
+    n0 = (n - sum(len(v) ** 2 for v in values) / n) / (p - 1)
+    variance = max(0.0, (between - within) / n0)
+    return Precision(n, p, sqrt(within), sqrt(variance), sqrt(within + variance))
+
+
+def _as_point(value: npt.ArrayLike) -> Floats:
+    point = np.asarray(value, dtype=np.float64)
+    if point.shape != (3,):
+        raise ValueError(f"commanded: expected one point (3,) in mm, got shape {point.shape}")
+    return as_points(point[None], "commanded").ravel()

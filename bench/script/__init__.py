@@ -1,0 +1,1 @@
+"""The trial script and the trials that it plans."""

@@ -1,0 +1,305 @@
+"""A script's `[truth]`: how the truth of its trials is had, fixed before the run. May not open anything.
+
+The trial script: what is to be shown, how it is decided, and the trials that show it.
+
+A script is fixed before the run and copied into it. Reading it may not open an instrument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from bench.config import Positive, Section, located, parse_config, read_text
+from bench.rig.loading import find_shipped
+from bench.script.detectors import check_named
+from bench.script.phantom import Layout, find_layout, load_layout
+from bench.script.planned_trials import PlannedTrial, plan
+from bench.script.python_script import ENDING, script_text
+from bench.script.trial_table import Published, Trial
+from bench.truth.registration import Registration
+from bench.truth.registration_file import load_registration
+
+FIRST = "first"
+Shift = Annotated[float, Field(ge=-2000, le=2000)]
+
+
+class TruthTable(Section):
+    """``touch``: every end in every trial. ``carry``: once, and by the stage from then on, with check touches.
+
+    ``readings`` of each end, None for what the rig says. ``registration`` is a file of 'teatbench calibrate stage' beside the
+    script, or "first": made at the start of the run by touches of teat ``registration_teat`` at ``registration_at_mm`` (x, y from the
+    reference place; left out, at the corners and the middle of all the script's poses). A check after every ``check_every``
+    carried trials (0: only at the end, and before the phantom is rearranged), which may be off by ``check_limit_mm``.
+    """
+
+    mode: Literal["touch", "carry"] = "touch"
+    readings: Annotated[int, Field(ge=1, le=20)] | None = None
+    registration: str = ""
+    registration_at_mm: Annotated[tuple[tuple[Shift, Shift], ...], Field(min_length=3)] | None = None
+    registration_teat: Annotated[int, Field(ge=1, le=8)] = 1
+    check_every: Annotated[int, Field(ge=0, le=100_000)] = 0
+    check_limit_mm: Annotated[float, Field(gt=0, le=50)] = 1.5
+
+    @field_validator("registration")
+    @classmethod
+    def _there(cls, name: str, info: ValidationInfo) -> str:
+        folder: Any = (info.context or {}).get("folder")
+        if name not in ("", FIRST) and folder is not None and not (Path(folder) / name).is_file():
+            raise ValueError(f'no such file beside the script ({Path(folder) / name}); "{FIRST}" makes one at the start of the run')
+        return name
+
+    @model_validator(mode="after")
+    def _whole(self) -> TruthTable:
+        given = self.model_fields_set - {"mode", "readings"}
+        if self.mode == "touch" and given:
+            raise ValueError(f'{", ".join(sorted(given))}: only for mode = "carry"; here every end is touched in every trial')
+        if self.mode == "carry" and not self.registration:
+            raise ValueError(f'carry needs a registration: a file of "teatbench calibrate stage", or "{FIRST}"')
+        if self.registration != FIRST and self.registration_at_mm:
+            raise ValueError(f'registration_at_mm is for registration = "{FIRST}"; the file has its own positions')
+        return self
+
+    @property
+    def file(self) -> str:
+        """The registration's file, beside the script; empty where there is none."""
+        return "" if self.registration == FIRST else self.registration
+
+
+TRIALS = Path(__file__).parents[1] / "trials"
+RECORDING_RULES = Path(__file__).parents[1] / "rules" / "recording.toml"
+Rate = Annotated[float, Field(gt=0, lt=1)]
+
+
+class BathGate(Section):
+    """Set point and stability gate; the defaults are those of the bench's bath sheet, section 4.2."""
+
+    set_point_c: float
+    window_s: Annotated[float, Field(ge=2, le=7200)] = 600.0  # far less than 600 s shows nothing: for trying a rig out
+    leave_k: Positive = 0.15
+    mean_k: Annotated[Positive, Field(validate_default=True)] = 0.10
+    half_range_k: Positive = 0.05
+    slope_k_per_min: Positive = 0.01
+    teat_slope_k_per_min: Positive = 0.02  # of the sensor at the teats, where the bath has one
+    timeout_s: Positive = 7200.0
+
+    @field_validator("mean_k")
+    @classmethod
+    def _at_most_leave_k(cls, mean_k: float, info: ValidationInfo) -> float:
+        leave_k = info.data.get("leave_k", mean_k)
+        if mean_k > leave_k:
+            raise ValueError(
+                f"{mean_k:g} K is above leave_k = {leave_k:g} K, so that a stable bath would count as "
+                "one that has left its set point: lower mean_k or raise leave_k"
+            )
+        return mean_k
+
+
+class ErrorRequirement(Section):
+    kind: Literal["error"]
+    name: str
+    limit_mm: Positive
+    statistic: Literal["max"] = "max"
+    rate: Rate = 0.95
+    confidence: Rate = 0.95
+    source: str = ""
+
+
+class TimeRequirement(Section):
+    """Decided on what was timed; with a rate only where so many poses show it for that share, with the confidence."""
+
+    kind: Literal["time"]
+    name: str
+    limit_s: Positive
+    statistic: Literal["p95", "max"]
+    rate: Rate | None = None
+    confidence: Rate = 0.95
+    source: str = ""
+
+    @field_validator("rate")
+    @classmethod
+    def _of_the_statistic(cls, rate: float | None, info: ValidationInfo) -> float | None:
+        if rate is not None and rate != 0.95 and info.data.get("statistic") == "p95":
+            raise ValueError('a p95 says it of 0.95 of the poses; for another rate the statistic is "max"')
+        return rate
+
+
+class SuccessRequirement(Section):
+    kind: Literal["success"]
+    name: str
+    rate: Rate
+    confidence: Rate = 0.95
+    source: str = ""
+
+
+class FalseRequirement(Section):
+    kind: Literal["false_teats"]
+    name: str
+    confidence: Rate = 0.95
+    source: str = ""
+
+
+class BathRequirement(Section):
+    kind: Literal["bath_in_band"]
+    name: str
+    band_k: Positive
+    source: str = ""
+
+
+class ArmRequirement(Section):
+    """The arm checked before and after the trials, and verified on a day not long ago (docs/arm.md). Limits in mm."""
+
+    kind: Literal["arm_verified"]
+    name: str
+    location_limit_mm: Positive
+    shift_limit_mm: Positive
+    drift_limit_mm: Positive
+    length_limit_mm: Positive | None = None
+    max_age_days: Positive
+    least_touches: Annotated[int, Field(ge=2, le=100)] = 5
+    dated_required: bool = False
+    source: str = ""
+
+
+class CalibrationRequirement(Section):
+    """The calibration was made not long before the run (docs/calibration.md)."""
+
+    kind: Literal["calibration_fresh"]
+    name: str
+    max_age_days: Positive
+    source: str = ""
+
+
+class CalibrationTable(Section):
+    """``[calibration]``: a run with an older one, or one whose age nobody knows, is refused before anything is opened."""
+
+    max_age_days: Positive | None = None
+
+
+Requirement = Annotated[
+    ErrorRequirement | TimeRequirement | SuccessRequirement | FalseRequirement | BathRequirement | ArmRequirement | CalibrationRequirement,
+    Field(discriminator="kind"),
+]
+
+
+class Rules(Section):
+    """What detections are held against, with or without instruments: fixed before anything is run."""
+
+    title: str
+    about: str = ""
+    detectors: Annotated[tuple[str, ...], Field(min_length=1)]
+    visible_within_mm: Positive = 5.0
+    time_limit_s: Positive = 2.0
+    requirements: Annotated[tuple[Requirement, ...], Field(min_length=1)]
+
+    @field_validator("detectors")
+    @classmethod
+    def _detectors(cls, names: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
+        if not (info.context or {}).get("stored"):  # of a run that was done, also where its detectors aren't at hand any more
+            check_named(names)
+        return names
+
+    @field_validator("requirements")
+    @classmethod
+    def _requirements_differ(cls, rules: tuple[Requirement, ...]) -> tuple[Requirement, ...]:
+        _no_name_twice([rule.name for rule in rules])
+        return rules
+
+    @property
+    def published(self) -> dict[str, Published]:
+        """The thesis's own figures by situation."""
+        return {}
+
+
+class Script(Rules):
+    """Rules, the bath, and the trials. ``seed`` draws poses, layouts and order: they are the same whatever the run's seed is."""
+
+    seed: Annotated[int, Field(ge=0)] = 1
+    order: Literal["as written", "shuffled"] = "as written"
+    repeats: Annotated[int, Field(ge=1, le=1000)] = 1
+    bath: BathGate
+    truth: TruthTable = TruthTable()
+    calibration: CalibrationTable = CalibrationTable()
+    trials: Annotated[tuple[Trial, ...], Field(min_length=1)]
+
+    @field_validator("trials")
+    @classmethod
+    def _trials_differ(cls, trials: tuple[Trial, ...]) -> tuple[Trial, ...]:
+        _no_name_twice([trial.name for trial in trials])
+        return trials
+
+    @property
+    def published(self) -> dict[str, Published]:
+        return {trial.situation: trial.published for trial in self.trials if trial.published}
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedScript:
+    """A script as read, with its trials in the order of the run, and the layouts that they name."""
+
+    path: Path
+    text: str
+    script: Script
+    planned: tuple[PlannedTrial, ...]
+    layouts: Mapping[str, Layout]
+    registration: Registration | None = None
+
+    @property
+    def name(self) -> str:
+        """The file's name without its ending."""
+        return self.path.name.removesuffix(".toml").removesuffix(".py")
+
+    @property
+    def source_files(self) -> dict[str, str]:
+        """The Python that made the script, where one did; for the run's folder."""
+        return {self.path.name: read_text(self.path)} if self.path.suffix == ENDING else {}
+
+    @property
+    def layout_files(self) -> dict[str, str]:
+        """The text of each layout of the script's own, by its name; for the run's folder."""
+        return {name: read_text(self.path.parent / name) for name in self.layouts if name.endswith(".toml")}
+
+    @property
+    def truth_files(self) -> dict[str, str]:
+        """The text of the stage's registration, where the script names one; for the run's folder."""
+        name = self.script.truth.file
+        return {Path(name).name: read_text(self.path.parent / name)} if name else {}
+
+
+def _no_name_twice(names: list[str]) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"two have the name {twice[0]!r}; names must differ")
+
+
+def find_script(name: str | None) -> Path:
+    """The file of a shipped script by name, or of any script by path; the six situations for None. Raises ConfigError."""
+    return find_shipped(name or "six-situations", TRIALS, "trial script")
+
+
+def load_script(path: Path, rig_limits_c: tuple[float, float] | None = None) -> LoadedScript:
+    """The script at ``path``, held against the rig's allowed set points where given. Raises ConfigError with all faults."""
+    text = script_text(path)
+    script = parse_config(path, text, Script)
+    wanted = script.bath.set_point_c
+    if rig_limits_c and not rig_limits_c[0] <= wanted <= rig_limits_c[1]:
+        low, high = rig_limits_c
+        message = f"{wanted:g} degC is outside what the rig allows ({low:g} to {high:g} degC)"
+        raise located(path, text, [(("bath", "set_point_c"), message, False)])
+    layouts = layouts_of(script, path.parent)
+    registration = load_registration(path.parent / script.truth.file) if script.truth.file else None
+    return LoadedScript(path, text, script, planned_of(script, layouts), layouts, registration)
+
+
+def layouts_of(script: Script, folder: Path) -> dict[str, Layout]:
+    """The layouts that the trials name, those of the script's own out of ``folder``. Raises ConfigError."""
+    return {name: load_layout(find_layout(name, folder)) for name in {trial.layout for trial in script.trials if trial.layout}}
+
+
+def planned_of(script: Script, layouts: Mapping[str, Layout]) -> tuple[PlannedTrial, ...]:
+    """The trials one by one, in the order of the run."""
+    return plan(script.trials, layouts, repeats=script.repeats, seed=script.seed, shuffled=script.order == "shuffled")

@@ -1,1 +1,0 @@
-"""How detectors' errors grow with one quantity at a time, beside what physics allows: `teatbench scene sensitivity`."""

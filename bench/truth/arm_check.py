@@ -1,0 +1,67 @@
+"""The check of the arm before and after a run: the operator touches one known divot a few times, each time from another side.
+
+Quick, and it catches what ruins a run without a sign: an arm that was not homed, a table or an arm that was pushed, a joint that
+slips. It may not judge: what was touched becomes a fact of the run, and the script's requirement decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from bench.rig.arm_verification import LocationTest
+from bench.rig.model import Arm
+from bench.truth.arm_tip import TipReader
+from instruments.clock import Clock
+
+BEFORE, AFTER = "before", "after"
+CHECK_FACT = "arm check {}"  # before, after
+
+
+class CheckingOperator(Protocol):
+    """Whoever brings the tip into the divot."""
+
+    def touch_check_point(self, touch: int, of: int) -> None: ...
+    def release(self) -> None: ...
+
+
+def check_arm(operator: CheckingOperator, tip: TipReader, arm: Arm, clock: Clock, check: Callable[[], None]) -> dict[str, Any]:
+    """Touch the rig's check point; gives back the fact to store. ``check`` is called before each touch, and may raise."""
+    touches = []
+    for touch in range(1, arm.check_touches + 1):
+        check()
+        operator.touch_check_point(touch, arm.check_touches)
+        seen = tip.read()
+        touches.append(
+            {
+                "t_s": clock.now(),
+                "tip_mm": seen.point_mm.tolist(),
+                "axis": seen.axis.tolist(),
+                "spread_mm": seen.spread_mm,
+                "counts": [int(count) for count in seen.counts],
+            }
+        )
+    operator.release()
+    return {"check_point_mm": arm.check_point_mm, "touches": touches}
+
+
+def location_of(fact: Mapping[str, Any], where: str) -> LocationTest:
+    """The touches of a stored check, world frame."""
+    touches = fact["touches"]
+    return LocationTest(where, np.array([t["tip_mm"] for t in touches]), np.array([t["axis"] for t in touches]))
+
+
+def shift_mm(fact: Mapping[str, Any]) -> float:
+    """How far the mean of the touches lies from where the rig says that the divot is."""
+    return float(np.linalg.norm(location_of(fact, "").centre_mm - np.array(fact["check_point_mm"])))
+
+
+def told(fact: Mapping[str, Any], when: str) -> str:
+    """The sentence for the events."""
+    test = location_of(fact, when)
+    return (
+        f"arm check {when} the trials: {test.n} touches within {test.largest_mm:.2f} mm of their mean, which is "
+        f"{shift_mm(fact):.2f} mm from the check point; the stylus swung by {test.swing_deg:.0f} degrees"
+    )

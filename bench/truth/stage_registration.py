@@ -1,0 +1,72 @@
+"""Makes a stage's registration: moves to positions, has one teat end touched at each, and reads back where the stage stands.
+
+The same for the command and for the start of a run. May not know of trials, nor who touches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, replace
+from datetime import datetime
+
+import numpy as np
+
+from bench.rig.model import Stage as StageSettings
+from bench.truth.registration import Registration, StageAccuracy, Station
+from bench.truth.touching import Ends, Toucher
+from bench.truth.uncertainty import Triple, triple
+from instruments.stage.driver import Stage
+from instruments.world.phantom import Phantom, PlatePose
+
+
+def stage_accuracy(settings: StageSettings) -> StageAccuracy:
+    """What the rig file states of the stage."""
+    return StageAccuracy(settings.scale_u, settings.squareness_u_rad, settings.repeatability_mm)
+
+
+def ends_of(phantom: Phantom, *, known: bool = True) -> Ends:
+    """The ends of a phantom where it is expected to stand."""
+    return Ends(phantom.ends_mm, phantom.axes, known)
+
+
+def stands_at(stage: Stage) -> Triple:
+    """Where the stage stands, machine mm, as read back from the controller."""
+    return triple(np.asarray(stage.position(), dtype=np.float64)[:3])
+
+
+def around(poses: Iterable[PlatePose], least_mm: float = 150.0) -> tuple[PlatePose, ...]:
+    """Where to touch for a run over ``poses``: the corners and the middle of the box round them, of at least ``least_mm`` along x and y."""
+    at = np.array([(pose.x_mm, pose.y_mm) for pose in poses], dtype=np.float64)
+    low, high = at.min(axis=0), at.max(axis=0)
+    short = np.maximum(least_mm - (high - low), 0.0)
+    (x0, y0), (x1, y1) = low - short / 2, high + short / 2
+    corners = ((x0, y0), (x1, y0), (x1, y1), (x0, y1), ((x0 + x1) / 2, (y0 + y1) / 2))
+    return tuple(PlatePose(float(x), float(y)) for x, y in corners)
+
+
+def register(
+    stage: Stage,
+    settings: StageSettings,
+    toucher: Toucher,
+    phantom: Phantom,
+    poses: Sequence[PlatePose],
+    *,
+    teat: int,
+    u_mm: float,
+    made: datetime,
+    serial_number: str,
+    tell: Callable[[str], None],
+) -> Registration:
+    """Touch ``teat`` of ``phantom`` (as it stands at its reference place) at each of ``poses``; ``u_mm`` is that of one end's mean.
+
+    Raises RegistrationError where the positions give no registration, and as stage, operator and arm do.
+    """
+    stations = []
+    for number, pose in enumerate(poses, 1):
+        there = replace(pose, yaw_rad=phantom.pose.yaw_rad)
+        tell(f"registering the stage: position {number} of {len(poses)}")
+        stage.move_to(**settings.machine(there), feed_mm_min=settings.feed_mm_per_min)
+        point, _ = toucher.touch_one(teat, ends_of(phantom.moved(there), known=False))
+        stations.append(Station(stands_at(stage), point.point_mm, u_mm))
+    identity = " ".join(str(part) for part in asdict(stage.identity).values() if part)
+    return Registration(made, serial_number, identity, teat, tuple(stations), stage_accuracy(settings))

@@ -1,0 +1,1 @@
+"""Captures of a link: written, read back, and played to a driver."""

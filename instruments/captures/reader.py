@@ -1,0 +1,245 @@
+"""Reads a capture back: each link's connections, and in each what the host asked and what came of it.
+
+Every fault of a file is told with its line. A last line that is cut is none: that is how a killed bench leaves its
+capture. It may not know what the bytes mean.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from instruments.captures.capture import FACTS, FORMAT, LINK_NAME, VERSION, CaptureError
+
+LONGEST_LINE = 1 << 20
+ENOUGH = 1000  # faults after which a file is given up
+EVENTS: dict[str, tuple[frozenset[str], frozenset[str]]] = {  # what each must say beside time, link and event; and what it may
+    "opened": (frozenset({"url"}), frozenset()),
+    "sent": (frozenset({"data"}), frozenset()),
+    "received": (frozenset({"data"}), frozenset()),
+    "closed": (frozenset(), frozenset({"why"})),
+}
+ALWAYS = frozenset({"t_s", "link", "event"})
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Bytes as the host read them in one go at ``t_s``; ``line`` of the file."""
+
+    t_s: float
+    data: bytes
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """What the host sent, the last of it at ``asked_s``, and all that came until it sent again; ``line`` is the first one's."""
+
+    asked: bytes
+    asked_s: float
+    line: int
+    came: tuple[Piece, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Conversation:
+    """One connection. The first exchange has nothing asked: what came unasked.
+
+    ``closed_s`` is None where the capture ends before the connection did; ``broke`` says what broke it, and is empty
+    where the host closed it.
+    """
+
+    url: str
+    opened_s: float
+    exchanges: tuple[Exchange, ...]
+    closed_s: float | None
+    broke: str
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """A file as read. ``facts`` are the header's, ``links`` each link's connections in order, ``cut`` whether the last line was cut."""
+
+    path: Path
+    facts: Mapping[str, str]
+    links: Mapping[str, tuple[Conversation, ...]]
+    cut: bool
+
+
+def read_capture(path: Path) -> Capture:
+    """The capture at ``path``. Raises CaptureError with all its faults, or the one that keeps it from being read."""
+    try:
+        with path.open("rb") as file:
+            lines = iter(lambda: file.readline(LONGEST_LINE + 1), b"")
+            return _Reader(path).read(lines)
+    except OSError as error:
+        raise CaptureError(path, [(0, f"can't be read: {error.strerror or error}")]) from error
+
+
+class _WrongError(Exception):
+    """What is wrong with a line."""
+
+
+class _NoJsonError(_WrongError):
+    """A line is no JSON at all, as one that was cut."""
+
+
+@dataclass(slots=True)
+class _Asking:
+    """An exchange while it is being read."""
+
+    asked_s: float
+    line: int
+    asked: bytearray = field(default_factory=bytearray)
+    came: list[Piece] = field(default_factory=list)
+
+
+class _Draft:
+    """A conversation while it is being read."""
+
+    def __init__(self, url: str, opened_s: float, line: int) -> None:
+        self._url = url
+        self._opened_s = opened_s
+        self._exchanges = [_Asking(opened_s, line)]
+        self._closed_s: float | None = None
+        self._broke = ""
+
+    def sent(self, t_s: float, data: bytes, line: int) -> None:
+        if self._closed_s is not None:
+            return  # into a broken link: it never arrived
+        if len(self._exchanges) == 1 or self._exchanges[-1].came:
+            self._exchanges.append(_Asking(t_s, line))
+        self._exchanges[-1].asked += data
+        self._exchanges[-1].asked_s = t_s
+
+    def received(self, t_s: float, data: bytes, line: int) -> None:
+        self._exchanges[-1].came.append(Piece(t_s, data, line))  # also what is read only after the link broke
+
+    def closed(self, t_s: float, why: str) -> None:
+        if self._closed_s is None:
+            self._closed_s, self._broke = t_s, why
+
+    def finished(self) -> Conversation:
+        exchanges = tuple(Exchange(bytes(one.asked), one.asked_s, one.line, tuple(one.came)) for one in self._exchanges)
+        return Conversation(self._url, self._opened_s, exchanges, self._closed_s, self._broke)
+
+
+class _Reader:
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._faults: list[tuple[int, str]] = []
+        self._links: dict[str, list[_Draft]] = {}
+        self._last_s = 0.0
+        self._cut = False
+
+    def read(self, lines: Iterator[bytes]) -> Capture:
+        facts = self._header(next(lines, b""))
+        for number, line in enumerate(lines, 2):
+            try:
+                self._event(number, _parsed(line))
+            except _WrongError as wrong:
+                self._cut = isinstance(wrong, _NoJsonError) and not line.endswith(b"\n")
+                if not self._cut:
+                    self._faults.append((number, str(wrong)))
+                if len(line) > LONGEST_LINE or len(self._faults) >= ENOUGH:
+                    break
+        if self._faults:
+            raise CaptureError(self._path, self._faults)
+        links = {name: tuple(draft.finished() for draft in drafts) for name, drafts in self._links.items()}
+        return Capture(self._path, facts, links, self._cut)
+
+    def _header(self, line: bytes) -> dict[str, str]:
+        """The first line's facts. Raises CaptureError at once: what follows another kind of header makes no sense."""
+        hint = "is this a file that teatbench wrote with --capture?"
+        if not line:
+            raise CaptureError(self._path, [(0, f"is empty; {hint}")])
+        try:
+            told = _parsed(line)
+            if told.pop("format", None) != FORMAT:
+                raise _WrongError(f'no "format": "{FORMAT}"; {hint}')
+            version = told.pop("version", None)
+            if version != VERSION or isinstance(version, bool):
+                raise _WrongError(f"written in version {version!r} of the format, and only {VERSION} is understood here: update teatbench")
+            _check_keys(told, frozenset(FACTS), frozenset())
+            return {key: _text(told, key) for key in FACTS}
+        except _WrongError as wrong:
+            raise CaptureError(self._path, [(1, str(wrong))]) from None
+
+    def _event(self, number: int, told: dict[str, Any]) -> None:
+        kind = told.get("event")
+        if not isinstance(kind, str) or kind not in EVENTS:
+            raise _WrongError(f"no event {kind!r}; there are {', '.join(EVENTS)}")
+        must, may = EVENTS[kind]
+        _check_keys(told, ALWAYS | must, may)
+        link, t_s = _text(told, "link"), self._time(told["t_s"])
+        if not LINK_NAME.fullmatch(link):
+            raise _WrongError(f"no name for a link: {link!r}")
+        if kind == "opened":
+            self._links.setdefault(link, []).append(_Draft(_text(told, "url"), t_s, number))
+            return
+        if link not in self._links:
+            raise _WrongError(f"{link} was {kind} before it was opened" if kind == "closed" else f"bytes {kind} before {link} was opened")
+        draft = self._links[link][-1]
+        if kind == "sent":
+            draft.sent(t_s, _bytes(told), number)
+        elif kind == "received":
+            draft.received(t_s, _bytes(told), number)
+        else:
+            draft.closed(t_s, _text(told, "why") if "why" in told else "")
+
+    def _time(self, t_s: object) -> float:
+        if isinstance(t_s, bool) or not isinstance(t_s, int | float) or not 0 <= t_s <= sys.float_info.max:
+            raise _WrongError(f"t_s is no time: {t_s!r:.60}")
+        if t_s < self._last_s:
+            raise _WrongError(f"t_s goes back, from {self._last_s:g} to {t_s:g}")
+        self._last_s = float(t_s)
+        return self._last_s
+
+
+def _parsed(line: bytes) -> dict[str, Any]:
+    if len(line) > LONGEST_LINE:
+        raise _WrongError(f"the line is longer than {LONGEST_LINE} bytes")
+    try:
+        told = json.loads(line.decode("utf-8"), object_pairs_hook=_no_key_twice)
+    except UnicodeDecodeError as error:
+        raise _NoJsonError(f"not UTF-8 text: {error}") from error
+    except (ValueError, RecursionError) as error:
+        raise _NoJsonError(f"not JSON: {error}") from error
+    if not isinstance(told, dict):
+        raise _WrongError("not a JSON object")
+    return told
+
+
+def _no_key_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    told = dict(pairs)
+    if len(told) != len(pairs):
+        raise ValueError("a key is there twice")
+    return told
+
+
+def _check_keys(told: Mapping[str, Any], must: frozenset[str], may: frozenset[str]) -> None:
+    if missing := must - told.keys():
+        raise _WrongError(f"{', '.join(sorted(missing))}: missing")
+    if unknown := told.keys() - must - may:
+        raise _WrongError(f"{', '.join(ascii(key) for key in sorted(unknown))}: unknown here")
+
+
+def _text(told: Mapping[str, Any], key: str) -> str:
+    if not isinstance(told[key], str):
+        raise _WrongError(f"{key} is no text: {told[key]!r:.60}")
+    return str(told[key])
+
+
+def _bytes(told: Mapping[str, Any]) -> bytes:
+    text = _text(told, "data")
+    try:
+        data = bytes.fromhex(text)
+    except ValueError:
+        raise _WrongError(f"data is not hex: {text!r:.60}") from None
+    if not data:
+        raise _WrongError("data is empty")
+    return data

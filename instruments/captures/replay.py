@@ -1,0 +1,388 @@
+"""The one thing in which a replayed Modbus TCP host may differ: each request's transaction id, which its answer repeats.
+
+A host counts them as it likes. So the recorded id stands in for the host's own while bytes are compared, and the host's
+own for the recorded one in the answer. All other bytes are left alone, and so is what is no Modbus TCP.
+
+Source: Modbus messaging on TCP/IP, implementation guide 1.0b, section 3.1.3 (the header).
+
+Plays one recorded connection to the host that has made it: compares what it sends, and says what came of that.
+
+What came of a request comes again once the whole request has been seen, however TCP cuts it, and after the recorded
+while. The order of bytes is always the recorded one: when the host is faster than it was, what it had read before a
+request leaves before that request's answer. A host that asks otherwise is told on and hears nothing more. It may not
+know what bytes mean, but for the ids in `transaction_ids`.
+
+Plays the far ends of a capture back: to a driver they are the instruments that were recorded.
+
+A listener for each link, at which each connection plays the next that was recorded (`replay_player`). What the hosts do
+otherwise than recorded is kept, as `Mismatch`. It may not know what bytes mean.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+from bisect import bisect_left
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import TracebackType
+from typing import Protocol
+
+from instruments.captures.reader import Capture, Conversation, Exchange
+from instruments.clock import Clock, VirtualClock
+from instruments.errors import hex_bytes
+from instruments.listener import Connection, Listener
+
+HEADER = struct.Struct(">HHH")  # transaction, protocol (0 is Modbus), bytes that follow
+ID_BYTES = 2
+LONGEST = 254
+
+
+def is_modbus_tcp(url: str) -> bool:
+    """Whether the link of this URL carries Modbus TCP: of all links, the bath's alone is ``tcp://``."""
+    return url.startswith("tcp://")
+
+
+class TransactionIds:
+    """The ids of one connection, in both directions of its recorded streams."""
+
+    def __init__(self, script: Conversation) -> None:
+        self._asked = _Stream(b"".join(exchange.asked for exchange in script.exchanges))
+        self._came = _Stream(b"".join(piece.data for exchange in script.exchanges for piece in exchange.came))
+        self._own: dict[bytes, bytes] = {}  # the host's id for each recorded one
+        self._half = b""
+
+    def as_recorded(self, data: bytes) -> bytes:
+        """The host's next bytes, with recorded ids in place of its own."""
+        changed = bytearray(data)
+        for at, place, recorded in self._asked.ids_in_next(len(data)):
+            self._half = data[at : at + 1] if place == 0 else self._half + data[at : at + 1]
+            if len(self._half) == ID_BYTES:
+                self._own[recorded] = self._half
+            changed[at] = recorded[place]
+        return bytes(changed)
+
+    def as_asked(self, data: bytes) -> bytes:
+        """The next recorded bytes for the host, with its own ids in place of the recorded ones."""
+        changed = bytearray(data)
+        for at, place, recorded in self._came.ids_in_next(len(data)):
+            changed[at] = self._own.get(recorded, recorded)[place]
+        return bytes(changed)
+
+
+class _Stream:
+    """Where the ids stand in one direction's bytes."""
+
+    def __init__(self, stream: bytes) -> None:
+        self._starts = list(_starts(stream))
+        self._ids = [stream[start : start + ID_BYTES] for start in self._starts]
+        self._at = 0
+
+    def ids_in_next(self, count: int) -> Iterator[tuple[int, int, bytes]]:
+        """For each byte of an id within the next ``count``: where it is, which of the id's bytes, and the recorded id."""
+        begin, end = self._at, self._at + count
+        self._at = end
+        number = bisect_left(self._starts, begin - ID_BYTES + 1)
+        while number < len(self._starts) and self._starts[number] < end:
+            for place in range(ID_BYTES):
+                at = self._starts[number] + place - begin
+                if 0 <= at < count:
+                    yield at, place, self._ids[number]
+            number += 1
+
+
+def _starts(stream: bytes) -> Iterator[int]:
+    """Where frames begin, up to what is no frame."""
+    at = 0
+    while at + HEADER.size <= len(stream):
+        _, protocol, length = HEADER.unpack_from(stream, at)
+        if protocol != 0 or not 2 <= length <= LONGEST:
+            return
+        yield at
+        at += HEADER.size + length
+
+
+# A recorded time is when the host had read the bytes. To be read at that time again they leave earlier: by the
+# rounding of the file under virtual time, by what loopback and a thread take under real time.
+LEAD_VIRTUAL_S = 2e-6
+LEAD_REAL_S = 2e-3
+SHOWN = 24  # bytes of a mismatch
+
+
+class Tell(Protocol):
+    """Who is told of a mismatch: the line of the capture, the sentence, and the bytes."""
+
+    def __call__(self, line: int, what: str, expected: bytes, got: bytes, /) -> None: ...
+
+
+class Player:
+    """The far end of connection ``number`` (from 0), to be told of the host's bytes; answers at once when ``fast``."""
+
+    def __init__(
+        self,
+        script: Conversation,
+        number: int,
+        connection: Connection,
+        clock: Clock,
+        *,
+        fast: bool,
+        tell: Tell,
+    ) -> None:
+        self.number = number
+        self._script = script
+        self._connection = connection
+        self._clock = clock
+        self._fast = fast
+        self._lead_s = LEAD_VIRTUAL_S if isinstance(clock, VirtualClock) else LEAD_REAL_S
+        self._tell = tell
+        self._ids = TransactionIds(script) if is_modbus_tcp(script.url) else None
+        self._turn = 0  # the exchange whose request was seen last
+        self._asked_s = clock.now()  # when it was seen
+        self._said = 0  # of what came of it
+        self._heard = b""  # of the next request
+        self._lost = False
+
+    @property
+    def left(self) -> str:
+        """What has not been played; empty when all has."""
+        requests = len(self._script.exchanges) - 1
+        if self._lost:
+            return f"{self._turn} of {requests} requests as recorded, then a mismatch"
+        return f"the host left after {self._turn} of {requests} requests" if self._turn < requests else ""
+
+    def start(self) -> None:
+        """Say what came unasked."""
+        self._answer()
+
+    def take(self, data: bytes) -> None:
+        """Bytes of the host: compare, and answer each request that they complete."""
+        if self._ids:
+            data = self._ids.as_recorded(data)
+        while data and not self._lost:
+            if self._turn + 1 == len(self._script.exchanges):
+                self._after_the_end(data)
+                return
+            asked = self._script.exchanges[self._turn + 1].asked
+            new, data = data[: len(asked) - len(self._heard)], data[len(asked) - len(self._heard) :]
+            self._heard += new
+            if not asked.startswith(self._heard):
+                self._differs(self._script.exchanges[self._turn + 1], self._heard + data)
+            elif len(self._heard) == len(asked):
+                self._say_all()
+                self._turn, self._said, self._heard, self._asked_s = self._turn + 1, 0, b"", self._clock.now()
+                self._answer()
+
+    def _after_the_end(self, data: bytes) -> None:
+        """Silence; and where the recording ends because the host closed, that it didn't is told."""
+        self._lost = self._script.closed_s is not None and not self._script.broke
+        if self._lost:
+            self._tell(self._script.exchanges[-1].line, "the host sends more than was recorded on this connection", b"", data[:SHOWN])
+
+    def _differs(self, exchange: Exchange, got: bytes) -> None:
+        self._lost = True
+        same = next(at for at, (one, other) in enumerate(zip(exchange.asked, got, strict=False)) if one != other)
+        start = max(0, same - SHOWN // 2)
+        what = f"connection {self.number + 1}, request {self._turn + 1}: byte {same} of it is another than recorded"
+        self._tell(exchange.line, what, exchange.asked[start : start + SHOWN], got[start : start + SHOWN])
+
+    def _answer(self) -> None:
+        """Say what is due of what came of the request, and come back for the rest."""
+        exchange = self._script.exchanges[self._turn]
+        while self._said < len(exchange.came):
+            wait_s = self._wait_s(exchange.came[self._said].t_s)
+            if wait_s > 0:
+                self._connection.after(wait_s, partial(self._go_on, self._turn))
+                return
+            self._say(exchange)
+        if self._script.broke and self._script.closed_s is not None and self._turn + 1 == len(self._script.exchanges):
+            self._hang_up_at(self._script.closed_s)
+
+    def _hang_up_at(self, recorded_s: float) -> None:
+        wait_s = self._wait_s(recorded_s)
+        if wait_s > 0:
+            self._connection.after(wait_s, self._connection.hang_up)
+        else:
+            self._connection.hang_up()
+
+    def _go_on(self, turn: int) -> None:
+        if turn == self._turn and not self._lost:
+            self._answer()
+
+    def _wait_s(self, recorded_s: float) -> float:
+        if self._fast:
+            return 0.0
+        after_s = recorded_s - self._script.exchanges[self._turn].asked_s - self._lead_s
+        return self._asked_s + after_s - self._clock.now()
+
+    def _say(self, exchange: Exchange) -> None:
+        data = exchange.came[self._said].data
+        self._said += 1
+        self._connection.send(self._ids.as_asked(data) if self._ids else data)
+
+    def _say_all(self) -> None:
+        exchange = self._script.exchanges[self._turn]
+        while self._said < len(exchange.came):
+            self._say(exchange)
+
+
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """The host sent ``got`` where ``expected`` was recorded, at ``line`` of the capture; ``what`` is the sentence."""
+
+    link: str
+    line: int
+    what: str
+    expected: bytes = b""
+    got: bytes = b""
+
+    @property
+    def sentence(self) -> str:
+        """What it was, and with which bytes."""
+        told = f" (expected {_shown(self.expected)}, got {_shown(self.got)})" if self.expected or self.got else ""
+        return f"{self.what}{told}"
+
+    def __str__(self) -> str:
+        return f"{self.link}: line {self.line}: {self.sentence}"
+
+
+class Replay:
+    """A listener for each link of ``capture`` (or of ``links``), at ``urls``. To be closed, or used with ``with``.
+
+    ``mismatches`` are what the hosts did otherwise than recorded, in the order in which they did it.
+    ``fast`` answers at once. ``again`` starts from the first connection once the last has been played; without it
+    a connection more than recorded is a mismatch. Raises OSError when ``host`` can't be listened on.
+    """
+
+    def __init__(
+        self,
+        capture: Capture,
+        clock: Clock,
+        *,
+        links: Collection[str] | None = None,
+        fast: bool = False,
+        again: bool = False,
+        host: str = "127.0.0.1",
+    ) -> None:
+        lock = threading.RLock()
+        self._listeners: list[Listener] = []
+        self.mismatches: list[Mismatch] = []
+        self.ends: dict[str, FarEnd] = {}
+        self.urls: dict[str, str] = {}
+        try:
+            for link, conversations in capture.links.items():
+                if links is None or link in links:
+                    end = FarEnd(link, conversations, clock, self.mismatches.append, fast=fast, again=again)
+                    listener = Listener(end, clock, lock=lock, name=f"replayed {link}", host=host)
+                    self._listeners.append(listener)
+                    self.ends[link] = end
+                    self.urls[link] = _like(link, conversations[0], listener.url)
+        except OSError:
+            self.close()
+            raise
+
+    @property
+    def finished(self) -> bool:
+        """Whether every recorded connection has been made and is over."""
+        return all(end.finished for end in self.ends.values())
+
+    @property
+    def unplayed(self) -> list[str]:
+        """A sentence for each link of which something has not been played, in the last turn."""
+        return [f"{name}: {what}" for name, end in self.ends.items() if (what := end.unplayed)]
+
+    def close(self) -> None:
+        """Stop listening and hang up."""
+        for listener in self._listeners:
+            listener.close()
+
+    def __enter__(self) -> Replay:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+
+class FarEnd:
+    """The far end of one link, as a device behind a listener: each connection plays the next that was recorded."""
+
+    def __init__(
+        self,
+        link: str,
+        conversations: Sequence[Conversation],
+        clock: Clock,
+        tell: Callable[[Mismatch], None],
+        *,
+        fast: bool = False,
+        again: bool = False,
+    ) -> None:
+        self.link = link
+        self._conversations = conversations
+        self._clock = clock
+        self._tell_mismatch = tell
+        self._fast = fast
+        self._again = again
+        self._next = 0
+        self._players: dict[Connection, Player] = {}
+        self._left: dict[int, str] = {}
+
+    @property
+    def finished(self) -> bool:
+        """Whether the last recorded connection has been made, and none is open."""
+        return self._next == len(self._conversations) and not self._players
+
+    @property
+    def unplayed(self) -> str:
+        """What has not been played in this turn; empty when all has."""
+        playing = {player.number: player.left for player in list(self._players.values()) if player.left}
+        left = [f"connection {number + 1}: {what}" for number, what in sorted({**self._left, **playing}.items())]
+        if missing := len(self._conversations) - self._next:
+            left.append(f"{missing} of {len(self._conversations)} connections were never made")
+        return "; ".join(left)
+
+    def connect(self, connection: Connection) -> None:
+        """Somebody plugs in: what came unasked then comes again."""
+        if self._again and self.finished:
+            self._next = 0
+            self._left.clear()
+        if self._next == len(self._conversations):
+            line = self._conversations[-1].exchanges[-1].line
+            self._tell(line, f"connected once more than the {self._next} times that were recorded")
+            return
+        player = Player(self._conversations[self._next], self._next, connection, self._clock, fast=self._fast, tell=self._tell)
+        self._players[connection] = player
+        self._next += 1  # last, as below: somebody may be waiting on another thread for ``finished``
+        player.start()
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        """Bytes of the host, cut anywhere."""
+        if player := self._players.get(connection):
+            player.take(data)
+
+    def disconnect(self, connection: Connection) -> None:
+        """The connection is over, by whichever end."""
+        player = self._players.get(connection)
+        if player and player.left:
+            self._left[player.number] = player.left
+        self._players.pop(connection, None)
+
+    def _tell(self, line: int, what: str, expected: bytes = b"", got: bytes = b"") -> None:
+        self._tell_mismatch(Mismatch(self.link, line, what, expected, got))
+
+
+def _shown(data: bytes) -> str:
+    """As text where it is a line of text, else as hex."""
+    text = data.decode("latin-1")
+    return ascii(text) if data and text.isascii() and text.strip().isprintable() else hex_bytes(data)
+
+
+def _like(link: str, talk: Conversation, url: str) -> str:
+    """``url`` in the form that the driver takes which was recorded: a bath's says how Modbus is framed, and which unit if not 1."""
+    if is_modbus_tcp(talk.url):
+        scheme, place = "tcp", 6
+    elif talk.url.startswith("rtu+tcp://") or (link == "bath" and "://" not in talk.url):  # on a serial port it is RTU
+        scheme, place = "rtu+tcp", 0
+    else:
+        return url
+    unit = talk.exchanges[1].asked[place : place + 1] if len(talk.exchanges) > 1 else b""
+    return url.replace("socket", scheme, 1) + (f"?unit={unit[0]}" if unit not in (b"", b"\1") else "")

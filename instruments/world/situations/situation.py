@@ -1,0 +1,146 @@
+"""A situation as a value. May not know how situations are drawn.
+
+Whether a situation can be set up: nothing within anything else, ends within reach of arm and cameras.
+
+The cameras are those of the thesis's rig, as a box of bearings that all three see; a rig whose cameras stand elsewhere
+gets its truth from `Renderer.visible_ends` all the same. Hoses give way to what stands among them. May not know how situations are drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from instruments.world.backdrop import Backdrop
+from instruments.world.boards import Board
+from instruments.world.objects import TEAT_PAINT, SceneObject
+from instruments.world.optics import Floats
+from instruments.world.phantom import Phantom
+from instruments.world.sensor import Exposure
+from instruments.world.shading import Lighting, Paint
+from instruments.world.solids import Bools, Hull
+from instruments.world.state import SceneState
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """One member of a family: what stands where, how it is lit and painted, how the optical cameras are set.
+
+    ``about`` tells a person in one sentence what to set up. Temperatures of the teats are the bath's affair, and no part of it.
+    """
+
+    name: str
+    seed: int
+    about: str
+    phantom: Phantom
+    objects: tuple[SceneObject, ...] = ()
+    boards: tuple[Board, ...] = ()
+    lighting: Lighting = field(default_factory=Lighting)
+    backdrop: Backdrop = field(default_factory=Backdrop)
+    teat_paint: Paint = TEAT_PAINT
+    exposure: Exposure = field(default_factory=Exposure)
+
+    def state(self, teat_temps_c: tuple[float, ...], hose_temp_c: float, ambient_c: float, **more: Any) -> SceneState:
+        """What the cameras see of it where the plant has these temperatures; ``more`` are further fields of `SceneState`."""
+        fields: dict[str, Any] = {
+            "phantom": self.phantom, "objects": self.objects, "boards": self.boards, "lighting": self.lighting,
+            "backdrop": self.backdrop, "teat_paint": self.teat_paint, "exposure": self.exposure,
+        }  # fmt: skip
+        return SceneState(teat_temps_c=teat_temps_c, hose_temp_c=hose_temp_c, ambient_c=ambient_c, **(fields | more))
+
+
+EYES_MM = ((-263.0, -840.0, 62.0), (-163.0, -841.0, 62.0), (-212.0, -841.0, 62.0))  # left, right, thermal
+BEARINGS = (-0.050, 0.225)  # to the right, per mm away: the thermal camera's view and some room to spare
+RISE = 0.103
+REACH_MM = ((-330.0, 100.0, 60.0), (50.0, 420.0, 185.0))  # where the arm touches with ease
+STYLUS_MM = 12.0  # room around the stylus, which comes from above
+STYLUS_LONG_MM = 120.0
+GAP_MM = 2.0  # between things that don't touch
+
+
+def faults(situation: Situation) -> tuple[str, ...]:
+    """What is wrong with a situation, in words; nothing for one that can be set up."""
+    return (*_out_of_reach(situation), *_out_of_view(situation), *collisions(situation))
+
+
+def _out_of_reach(situation: Situation) -> Iterator[str]:
+    low, high = np.asarray(REACH_MM)
+    for i, end in enumerate(situation.phantom.ends_mm):
+        if not np.all((end >= low) & (end <= high)):
+            yield f"the end of teat {i + 1} at {end.round().tolist()} mm is out of the arm's reach"
+    stylus = [Hull((x, y, z + STYLUS_MM + 1.0), (x, y, z + STYLUS_LONG_MM), 1.0, 1.0) for x, y, z in situation.phantom.ends_mm.tolist()]
+    for i, above in enumerate(stylus):
+        for thing in situation.objects:
+            if any(_gap(above, hull) < STYLUS_MM for hull in thing.hulls):
+                yield f"{thing.name} is in the way of touching teat {i + 1}"
+
+
+def _out_of_view(situation: Situation) -> Iterator[str]:
+    for i, end in enumerate(situation.phantom.ends_mm):
+        away = end - np.asarray(EYES_MM[2])
+        if not (BEARINGS[0] <= away[0] / away[1] <= BEARINGS[1] and abs(away[2] / away[1]) <= RISE):
+            yield f"the end of teat {i + 1} is out of the cameras' view"
+
+
+def collisions(situation: Situation) -> Iterator[str]:
+    """Things that stand within each other, in words."""
+    teats = situation.phantom.teat_hulls()
+    for (i, one), (j, other) in combinations(enumerate(teats), 2):
+        if _gap(one, other) < 0.0:
+            yield f"teats {i + 1} and {j + 1} stand in each other"
+    solid = (*teats, *situation.phantom.flange_hulls())
+    for thing in situation.objects:
+        if min(_gap(hull, mine) for hull in thing.hulls for mine in solid) < GAP_MM:
+            yield f"{thing.name} stands within the phantom"
+    for one_thing, other_thing in combinations(situation.objects, 2):
+        if min(_gap(a, b) for a in one_thing.hulls for b in other_thing.hulls) < GAP_MM:
+            yield f"{one_thing.name} and {other_thing.name} stand in each other"
+    for board in situation.boards:
+        u, v = np.meshgrid(np.linspace(0.0, 1.0, 9), np.linspace(0.0, 1.0, 25))
+        points = board.placed(np.column_stack([u.ravel(), v.ravel()]) * board.pattern.size_mm)
+        for hull in (*solid, *(hull for thing in situation.objects for hull in thing.hulls)):
+            if _from_points(points, hull) < GAP_MM:
+                yield f"{board.name} stands within something else"
+                break
+
+
+def hidden_ways(situation: Situation) -> Bools:
+    """Whether each end (n,) is hidden from each of the three eyes (n, 3) by an object or a board; the teats themselves don't count."""
+    ends = situation.phantom.ends_mm
+    hidden = np.zeros((len(ends), len(EYES_MM)), dtype=np.bool_)
+    for e, eye in enumerate(EYES_MM):
+        for i, end in enumerate(ends):
+            way = Hull(eye, tuple(eye + 0.995 * (end - eye)), 0.01, 0.01)
+            solid = any(_gap(way, hull) < 0.0 for thing in situation.objects for hull in thing.hulls)
+            hidden[i, e] = solid or any(_crosses(np.asarray(eye), end, board.outline_mm) for board in situation.boards)
+    return hidden
+
+
+def _crosses(start: Floats, end: Floats, outline: Floats) -> bool:
+    """Whether a way passes through a rectangle (4, 3)."""
+    corner, across, along = outline[0], outline[1] - outline[0], outline[3] - outline[0]
+    part, u, v = np.linalg.solve(np.column_stack([end - start, -across, -along]), corner - start)
+    return bool(0.0 < part < 1.0 and 0.0 <= u <= 1.0 and 0.0 <= v <= 1.0)
+
+
+def _gap(one: Hull, other: Hull) -> float:
+    """Room between two solids, taken as round at both ends; below zero where they overlap. A little too small where ends are flat."""
+    a, b, c, d = (np.asarray(point) for point in (one.a_mm, one.b_mm, other.a_mm, other.b_mm))
+    t = np.linspace(0.0, 1.0, 33)[:, None]
+    points = a + t * (b - a)
+    radii = one.radius_a_mm + t[:, 0] * (one.radius_b_mm - one.radius_a_mm)
+    span = d - c
+    along = np.clip((points - c) @ span / max(float(span @ span), 1e-9), 0.0, 1.0)
+    away = np.linalg.norm(points - c - along[:, None] * span, axis=1)
+    return float((away - radii - other.radius_a_mm - along * (other.radius_b_mm - other.radius_a_mm)).min())
+
+
+def _from_points(points: Floats, hull: Hull) -> float:
+    a, span = np.asarray(hull.a_mm), np.subtract(hull.b_mm, hull.a_mm)
+    along = np.clip((points - a) @ span / max(float(span @ span), 1e-9), 0.0, 1.0)
+    away = np.linalg.norm(points - a - along[:, None] * span, axis=1)
+    return float((away - hull.radius_a_mm - along * (hull.radius_b_mm - hull.radius_a_mm)).min())

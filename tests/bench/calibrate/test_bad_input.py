@@ -1,0 +1,191 @@
+"""Whatever is wrong with a set of pictures or a table, the answer is one sentence that says what, where and what to do, and no file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.calibrate.board_print import board_figure, board_pdf, sheet_mm
+from bench.calibrate.exchange import read_bouguet, read_opencv, read_ros, write_bouguet, write_opencv, write_ros
+from bench.cli.main import main
+from bench.config import ConfigError
+from bench.rig.board import BOARDS, load_board
+from bench.rig.loading import RIGS
+from detector.calibration import load_calibration
+from detector.calibration.corners import find_board
+from detector.calibration.thesis_rig import thesis_published
+from tests.bench.calibrate.board_pictures import BOARD_TOML, LEFT, picture, poses, write_image, write_pairs
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    (tmp_path / "board.toml").write_text(BOARD_TOML, encoding="utf-8")
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def three_pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_pairs(tmp_path_factory.mktemp("pictures") / "day", 3)
+
+
+def said(lab: Path, frames: Path, capsys: pytest.CaptureFixture[str], *more: str) -> str:
+    out = lab / "cameras.toml"
+    assert main(["calibrate", "cameras", str(frames), "--board", str(lab / "board.toml"), "--out", str(out), *more]) == 2
+    assert not out.exists()
+    return capsys.readouterr().err
+
+
+class TestPictures:
+    def test_no_folder(self, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert "nowhere: no such folder; a set of pictures is a folder with left/NAME.png" in said(lab, lab / "nowhere", capsys)
+
+    def test_an_empty_folder(self, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert "no picture found; wanted: left/NAME.png" in said(lab, lab, capsys)
+
+    def test_no_board_in_them(self, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        for camera in ("left", "right"):
+            write_image(lab / "empty" / camera / "00.png", np.full((360, 480), 128, np.uint8))
+        assert "left has 0 usable views of the board, at least 3 are needed" in said(lab, lab / "empty", capsys)
+
+    def test_too_few_views(self, lab: Path, three_pairs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert "2 usable views of the board" in said(lab, three_pairs, capsys, "--max-views", "2")
+
+    def test_all_views_from_one_side(self, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        one = picture(LEFT, poses(1)[0], 1)
+        for camera in ("left", "right"):
+            for number in range(4):
+                write_image(lab / "same" / camera / f"{number}.png", one)
+        assert "from one side" in said(lab, lab / "same", capsys)
+
+    def test_mixed_sizes(self, lab: Path, three_pairs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        for path in three_pairs.rglob("*.png"):
+            target = lab / "mixed" / path.relative_to(three_pairs)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(path.read_bytes())
+        write_image(lab / "mixed" / "left" / "02.png", np.zeros((100, 100), np.uint8))
+        assert "02.png: 100 x 100 px, but" in said(lab, lab / "mixed", capsys)
+
+    def test_an_unreadable_picture(self, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        for camera in ("left", "right"):
+            (lab / "broken" / camera).mkdir(parents=True)
+            (lab / "broken" / camera / "00.png").write_bytes(b"no picture at all")
+        assert "00.png: is not an image that can be read (17 bytes)" in said(lab, lab / "broken", capsys)
+
+    def test_no_picture_of_one_camera(self, lab: Path, three_pairs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        for path in (three_pairs / "left").iterdir():
+            target = lab / "half" / "left" / path.name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(path.read_bytes())
+        assert "no picture of the right camera was found" in said(lab, lab / "half", capsys)
+
+    def test_a_board_that_is_none(self, lab: Path, three_pairs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        (lab / "board.toml").write_text('kind = "chessboard"\ncolumns = 7\nrows = 5\n', encoding="utf-8")
+        told = said(lab, three_pairs, capsys)
+        assert "board.toml" in told
+        assert "pitch_mm" in told
+
+
+class TestTables:
+    @pytest.mark.parametrize(
+        ("text", "wanted"),
+        [
+            ("a,b\n1,2\n", "are missing; the first line must name left_x"),
+            ("left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n1,2,3,4,5,six,7\n", "y_mm must be a number, is 'six'"),
+            ("left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n1,2,3,4,5,6,7\n", "1 touched points are too few: at least 4"),
+        ],
+    )
+    def test_touched_points(self, lab: Path, text: str, wanted: str, capsys: pytest.CaptureFixture[str]) -> None:
+        (lab / "points.csv").write_text(text, encoding="utf-8")
+        cameras = str(RIGS / "thesis-calibration.toml")
+        assert main(["calibrate", "world", str(lab / "points.csv"), "--cameras", cameras, "--out", str(lab / "w.toml")]) == 2
+        assert wanted in capsys.readouterr().err
+
+    def test_pairs_need_the_pictures_size(self, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        (lab / "pairs.csv").write_text("thermal_x,thermal_y,left_x,left_y,right_x,right_y\n", encoding="utf-8")
+        assert main(["calibrate", "thermal", "--pairs", str(lab / "pairs.csv"), "--out", str(lab / "t.toml")]) == 2
+        assert "--pairs needs --image-size" in capsys.readouterr().err
+        assert main(["calibrate", "thermal", "--out", str(lab / "t.toml")]) == 2
+        assert "or a table with --pairs" in capsys.readouterr().err
+
+
+class TestPrint:
+    @pytest.mark.parametrize("name", sorted(path.stem for path in BOARDS.glob("*.toml")))
+    def test_a_shipped_board_is_printed_in_true_size(self, name: str, tmp_path: Path) -> None:
+        board = load_board(BOARDS / f"{name}.toml").board
+        figure = board_figure(board)
+        width, height = sheet_mm(board, None)
+        dots_per_mm = 4
+        figure.set_dpi(25.4 * dots_per_mm)
+        figure.savefig(tmp_path / "board.png", dpi=25.4 * dots_per_mm)
+        from instruments.camera.recording import read_grey
+
+        image = read_grey(tmp_path / "board.png")
+        assert image.shape == (height * dots_per_mm, width * dots_per_mm)
+        found = find_board(image, board)
+        assert len(found.ids) == board.columns * board.rows
+        grid = np.column_stack([board.points_mm[found.ids, :2], np.ones(len(found.ids))])
+        slopes = np.linalg.lstsq(grid, found.pixels_px, rcond=None)[0]
+        np.testing.assert_allclose(slopes[:2] / dots_per_mm, np.eye(2), atol=1e-3)
+        assert f"/MediaBox [ 0 0 {width * 72 / 25.4:.4f}"[:22].encode() in board_pdf(board)
+
+    def test_a_sheet_that_is_too_small(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["calibrate", "board", "chessboard-9x6-40", "--pdf", str(tmp_path / "b.pdf"), "--paper", "A4"]) == 2
+        assert "more than A4 has; it fits A2" in capsys.readouterr().err
+        assert main(["calibrate", "board", "chessboard-9x6-40", "--pdf", str(tmp_path / "b.pdf")]) == 0
+        assert (tmp_path / "b.pdf").read_bytes().startswith(b"%PDF")
+        nowhere = tmp_path / "typo" / "b.pdf"
+        assert main(["calibrate", "board", "chessboard-9x6-40", "--pdf", str(nowhere)]) == 2
+        assert f"--pdf {nowhere}: there is no folder" in capsys.readouterr().err
+        assert not nowhere.parent.exists()
+
+
+class TestExchange:
+    def test_each_format_comes_back_as_it_went(self, tmp_path: Path) -> None:
+        part = load_calibration(RIGS / "calibration.toml").part
+        assert part.right_from_left is not None
+        write_opencv(part, tmp_path / "a.yml")
+        write_bouguet(part, tmp_path / "b.mat")
+        for taken in (read_opencv(tmp_path / "a.yml"), read_bouguet(tmp_path / "b.mat")):
+            assert (taken.left, taken.right) == (part.left, part.right)
+            assert taken.right_from_left is not None
+            np.testing.assert_allclose(taken.right_from_left.R, part.right_from_left.R, atol=1e-12)
+            np.testing.assert_allclose(taken.right_from_left.T, part.right_from_left.T, atol=1e-9)
+        for camera in ("left", "right"):
+            write_ros(part, tmp_path / f"{camera}.yaml", camera)
+        taken = read_ros(tmp_path / "left.yaml", tmp_path / "right.yaml")
+        assert (taken.left, taken.right) == (part.left, part.right)
+
+    def test_opencvs_own_file(self, shared_data: Path, tmp_path: Path) -> None:
+        path = shared_data / "opencv_stereo_chessboards" / "data" / "intrinsic.yml"
+        with pytest.raises(ConfigError, match="--image-size"):
+            read_opencv(path)
+        with pytest.raises(ConfigError, match="only k1 k2 p1 p2 k3 can be taken over"):
+            read_opencv(path, (640, 480))
+
+    @pytest.mark.parametrize("kind", ["opencv", "bouguet", "ros"])
+    def test_what_is_none_of_them(self, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        (tmp_path / "x.yml").write_text("hello: [1, 2\n", encoding="utf-8")
+        out = tmp_path / "cameras.toml"
+        assert main(["calibrate", "import", str(tmp_path / "x.yml"), "--format", kind, "--out", str(out)]) == 2
+        assert "x.yml" in capsys.readouterr().err
+        assert not out.exists()
+
+    def test_by_command(self, tmp_path: Path) -> None:
+        mat, out = tmp_path / "c.mat", tmp_path / "cameras.toml"
+        assert main(["calibrate", "export", str(RIGS / "thesis-calibration.toml"), "--format", "bouguet", "--out", str(mat)]) == 0
+        assert main(["calibrate", "import", str(mat), "--format", "bouguet", "--out", str(out)]) == 0
+        assert 'with_what = "teatbench' in out.read_text(encoding="utf-8")
+
+
+def test_the_published_calibration_ships_with_its_defects_stated() -> None:
+    shipped = load_calibration(RIGS / "thesis-calibration.toml")
+    published = thesis_published()
+    assert shipped.left == published.left
+    assert shipped.covariance is not None
+    assert shipped.covariance.sd("left", "fx") == pytest.approx(0.9)
+    np.testing.assert_allclose(shipped.homographies.left, published.homographies.left)
+    text = (RIGS / "thesis-calibration.toml").read_text(encoding="utf-8")
+    assert "1.000, 0.990 and 0.920" in text
+    assert "no rigid motion" in text

@@ -1,0 +1,127 @@
+"""What the world's live step does with touches that go wrong, with boards that aren't seen, and with a ball tip."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from bench.calibrate.touch_board import Asking, gather_points, nine, under_ball
+from bench.rig.model import Arm
+from bench.truth.arm_tip import TipReader
+from detector.calibration.boards import Board
+from detector.geometry import Array, Motion
+from instruments.errors import DeviceError
+from instruments.microscribe.configuration import Identity
+from instruments.microscribe.errors import ArmMovesError
+from instruments.microscribe.stream import Reading
+from instruments.operators.operator import BoardAsked
+from tests.bench.calibrate.board_pictures import BOARD, LEFT, RIGHT, RIGHT_FROM_LEFT, picture, poses
+
+Grey = NDArray[np.uint8]
+WORLD_FROM_BOARD = Motion.from_vectors([-1.4, 0.1, 0.05], [-300.0, 200.0, 250.0])
+NORMAL = -WORLD_FROM_BOARD.R[:, 2]  # towards who sees the print
+RADIUS_MM = 1.5
+
+
+class Lab:
+    """An arm whose tip is where the operator put it, a board that the cameras see at some looks, and what was asked and told."""
+
+    def __init__(self, *, wrong: Mapping[int, int] | None = None, moves_at: int = 0, hidden_looks: int = 0) -> None:
+        self.wrong = dict(wrong or {})  # at that touch (from 1) another of the board's points
+        self.moves_at, self.hidden_looks = moves_at, hidden_looks
+        self.touches, self.looks = 0, 0
+        self.again: list[str] = []
+        self.boards: list[BoardAsked] = []
+        self.told: list[str] = []
+        self._tip: Array = np.zeros(3)
+
+    def look(self) -> dict[str, Grey]:
+        self.looks += 1
+        if self.looks <= self.hidden_looks:
+            return dict.fromkeys(("left", "right"), np.full((360, 480), 120, np.uint8))
+        pose = poses(4, 5)[self.looks % 2]
+        return {"left": picture(LEFT, pose, 1), "right": picture(RIGHT, RIGHT_FROM_LEFT @ pose, 2)}
+
+    def hold_board(self, asked: BoardAsked) -> None:
+        self.boards.append(asked)
+
+    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None:
+        self.touches += 1
+        self.again += [again] if again else []
+        at = self.wrong.get(self.touches, corner)
+        self._tip = WORLD_FROM_BOARD.apply(BOARD.points_mm[at]) + RADIUS_MM * NORMAL
+
+    def release(self) -> None:
+        """The arm goes back."""
+
+    @property
+    def identity(self) -> Identity:
+        raise AssertionError("nobody asks here who the arm is")
+
+    def read(self, n: int = 8, max_spread_mm: float = 1.0) -> Reading:
+        if self.touches == self.moves_at:
+            raise ArmMovesError("arm", f"the tip moved by more than {max_spread_mm} mm")
+        return Reading(tip_mm=self._tip, axis=NORMAL, spread_mm=0.05, n=n, counts=(0, 0, 0, 0, 0))
+
+    def points(self, folder: Path, board: Board = BOARD) -> Array:
+        tip = TipReader(self, Arm(url="emulator:"), None)
+        return gather_points(Asking(self.look, self, tip, RADIUS_MM, self.told.append), board, folder).touched_mm
+
+
+def expected() -> Array:
+    points = WORLD_FROM_BOARD.apply(BOARD.points_mm[list(nine(BOARD))])
+    return np.vstack([points, points])
+
+
+def test_nine_points_at_each_of_two_positions_the_ball_allowed_for(tmp_path: Path) -> None:
+    lab = Lab()
+    np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)
+    assert [(asked.number, asked.fixed) for asked in lab.boards] == [(1, True), (2, True)]
+    assert lab.touches == 18
+    assert (tmp_path / "points.csv").read_text(encoding="utf-8").startswith("left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n")
+
+
+def test_another_point_is_asked_for_again(tmp_path: Path) -> None:
+    lab = Lab(wrong={5: 3})
+    np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)
+    assert lab.touches == 19
+    assert "where the print has" in lab.again[0]
+    assert "another point, or the board has moved. Once more." in lab.again[0]
+
+
+def test_an_arm_that_moved_is_asked_for_again(tmp_path: Path) -> None:
+    lab = Lab(moves_at=7)
+    np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)
+    assert lab.touches == 19
+    assert lab.again[0].endswith("Touch it once more.")
+
+
+def test_a_point_that_is_never_touched_well_ends_it(tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match="point 4 of the board was not touched well, 4 times"):
+        Lab(wrong=dict.fromkeys(range(4, 8), 0)).points(tmp_path)
+    assert not (tmp_path / "points.csv").exists()
+
+
+def test_a_board_that_is_not_seen_is_asked_for_again_with_the_reason(tmp_path: Path) -> None:
+    lab = Lab(hidden_looks=2)
+    lab.points(tmp_path)
+    assert [asked.number for asked in lab.boards] == [1, 1, 1, 2]
+    assert lab.boards[1].instruction.startswith("Not found (no 7 x 5 chessboard found")
+    assert lab.told[0].startswith("position 1: refused: no 7 x 5 chessboard found")
+
+
+def test_a_board_that_is_never_seen_ends_it(tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match="the board was not found at position 1, 4 times"):
+        Lab(hidden_looks=9).points(tmp_path)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_ball_rests_on_the_side_from_which_the_stylus_comes(side: float) -> None:
+    flat = np.array([[x, y, 0.0] for x in (0.0, 50.0, 100.0) for y in (0.0, 40.0, 80.0)])
+    axis = np.array([0.3, 0.1, side])
+    centres = list(flat + np.array([0.0, 0.0, 2.0 * side]))
+    np.testing.assert_allclose(under_ball(centres, [axis] * len(centres), 2.0), flat, atol=1e-9)

@@ -1,0 +1,132 @@
+"""The steps of a calibration as a user goes through them: pictures in, files and pages out, one calibration at the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.cli.main import main
+from detector.calibration import load_calibration, load_part
+from tests.bench.calibrate.board_pictures import LEFT, RIGHT_FROM_LEFT, write_pairs
+from tests.bench.calibrate.conftest import calibrate_cameras
+from tests.bench.calibrate.touched import TOUCHED, WORLD_FROM_RIGHT, write_touched
+
+
+def write_pairs_table(path: Path) -> Path:
+    rng = np.random.default_rng(5)
+    lines = ["thermal_x,thermal_y,left_x,left_y,right_x,right_y"]
+    for x, y in rng.uniform((10, 10), (630, 470), (40, 2)):
+        lines.append(f"{x:.2f},{y:.2f},{0.2 * x + 160:.3f},{0.2 * y + 120:.3f},{0.2 * x + 110:.3f},{0.2 * y + 130:.3f}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def test_cameras_come_out_as_they_were_put_in(lab: Path) -> None:
+    part = load_part(lab / "cameras.toml")
+    assert part.left is not None
+    assert part.right_from_left is not None
+    assert part.covariance is not None
+    for name, at in (("fx", 0), ("fy", 1)):
+        assert abs(part.left.fc[at] - LEFT.fc[at]) < 4 * (part.covariance.sd("left", name) or 0.0)
+    off = part.right_from_left.T - RIGHT_FROM_LEFT.T
+    assert np.all(np.abs(off) < 4 * np.array([part.covariance.sd("stereo", name) for name in ("T1", "T2", "T3")], dtype=float))
+    assert part.record is not None
+    assert len(part.record.inputs) == 25, "24 pictures and the board"
+
+
+def test_its_page_says_what_it_is_good_for(lab: Path) -> None:
+    page = (lab / "cameras.page" / "index.html").read_text(encoding="utf-8")
+    for said in (
+        "Good to",
+        "mm at",
+        "12 pairs of views",
+        "Two calibrations, each from half of the views",
+        "Lens of the left camera",
+        "board.toml",
+    ):
+        assert said in page
+
+
+def test_a_second_day_shows_that_it_still_holds_or_not(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_pairs(lab / "day2", 5, seed=2)
+    given = [
+        "calibrate",
+        "check",
+        str(lab / "cameras.toml"),
+        str(lab / "day2"),
+        "--board",
+        str(lab / "board.toml"),
+        "--page",
+        str(lab / "again"),
+    ]
+    assert main(given) == 0
+    assert "It still holds." in capsys.readouterr().out
+    assert "It still holds." in (lab / "again" / "index.html").read_text(encoding="utf-8")
+    write_pairs(lab / "day3", 5, seed=3, pitch_mm=40.6)
+    assert main([*given[:3], str(lab / "day3"), *given[4:]]) == 1
+    said = capsys.readouterr()
+    assert "It no longer holds." in said.out
+    assert "wrong baseline" in said.err
+
+
+def test_all_steps_make_one_calibration(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cameras = ["--cameras", str(lab / "cameras.toml")]
+    points, pairs = write_touched(lab / "points.csv"), write_pairs_table(lab / "pairs.csv")
+    assert main(["calibrate", "world", str(points), *cameras, "--out", str(lab / "world.toml"), "--by", "A. Tester"]) == 0
+    thermal = ["calibrate", "thermal", "--pairs", str(pairs), "--image-size", "640x480", "--mirrored", "--out", str(lab / "thermal.toml")]
+    assert main(thermal) == 0
+    whole = lab / "calibration.toml"
+    parts = [str(lab / f"{name}.toml") for name in ("cameras", "world", "thermal")]
+    assert main(["calibrate", "merge", *parts, "--out", str(whole), "--by", "A. Tester"]) == 0
+    found = load_calibration(whole)
+    assert np.abs(found.world_from_right.T - WORLD_FROM_RIGHT.T).max() < 3.0
+    assert found.thermal.mirrored
+    assert found.covariance is not None
+    assert found.covariance.sd("world", "T3") is not None
+    sd = np.sqrt(np.linalg.eigvalsh(found.covariance_of(TOUCHED[:1], 0.05)[0]))
+    assert 0.02 < sd[0] < sd[2] < 3.0
+    assert found.record is not None
+    assert found.record.by == "A. Tester"
+    assert "world.toml: points.csv" in found.record.inputs
+    assert "Mapped points miss the arm" in (lab / "world.page" / "index.html").read_text(encoding="utf-8")
+    capsys.readouterr()
+
+
+def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path) -> None:
+    points = write_touched(lab / "points3.csv")
+    sds: list[float] = []
+    for noise in ((), ("--touch-sd", "2.5"), ("--pixel-sd", "2.5")):
+        given = ["calibrate", "world", str(points), "--cameras", str(lab / "cameras.toml"), "--out", str(lab / "w3.toml"), *noise]
+        assert main([*given, *(("--replace",) if sds else ())]) in (0, 1)
+        covariance = load_part(lab / "w3.toml").covariance
+        assert covariance is not None
+        sds.append(covariance.sd("world", "T3") or 0.0)
+    assert 0.0 < sds[0] * 1.5 < min(sds[1:])
+
+
+def test_whose_cameras_they_are_is_on_record(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert calibrate_cameras(lab, lab / "named.toml", "--identity", "left=L-17", "--identity", "right=R-18") in (0, 1)
+    assert load_part(lab / "named.toml").record is not None
+    text = (lab / "named.toml").read_text(encoding="utf-8")
+    assert "L-17" in text
+    assert "R-18" in text
+    assert calibrate_cameras(lab, lab / "nobody.toml", "--identity", "middle=1") == 2
+    assert "say left=SERIAL" in capsys.readouterr().err
+
+
+def test_parts_that_do_not_belong_together_are_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    points = write_touched(lab / "points2.csv")
+    assert main(["calibrate", "world", str(points), "--cameras", str(lab / "cameras.toml"), "--out", str(lab / "w.toml")]) == 0
+    assert calibrate_cameras(lab, lab / "other.toml", "--max-views", "10") in (0, 1)
+    out = ["--out", str(lab / "never.toml")]
+    assert main(["calibrate", "merge", str(lab / "other.toml"), str(lab / "w.toml"), *out]) == 2
+    assert "[cameras.thermal] is in none of the files: add the file that 'teatbench calibrate thermal' wrote" in capsys.readouterr().err
+    pairs = write_pairs_table(lab / "pairs2.csv")
+    assert main(["calibrate", "thermal", "--pairs", str(pairs), "--image-size", "640x480", "--out", str(lab / "t.toml")]) == 0
+    assert main(["calibrate", "merge", str(lab / "other.toml"), str(lab / "w.toml"), str(lab / "t.toml"), *out]) == 2
+    assert "was made with another cameras' file" in capsys.readouterr().err
+    assert main(["calibrate", "merge", str(lab / "cameras.toml"), str(lab / "other.toml"), *out]) == 2
+    assert "leave one of them out" in capsys.readouterr().err
+    assert not (lab / "never.toml").exists()

@@ -1,0 +1,77 @@
+"""The thermal camera as a third camera: a heated board, mirrored and inverted as such cameras deliver it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.cli.main import main
+from detector.calibration import Part, Record, dump_calibration, load_part
+from tests.bench.calibrate.board_pictures import (
+    HEATED,
+    HEATED_TOML,
+    LEFT,
+    RIGHT,
+    RIGHT_FROM_LEFT,
+    THERMAL,
+    THERMAL_FROM_LEFT,
+    picture,
+    poses,
+    write_image,
+)
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("lab")
+    (folder / "heated.toml").write_text(HEATED_TOML, encoding="utf-8")
+    pair = Part(left=LEFT, right=RIGHT, right_from_left=RIGHT_FROM_LEFT, record=Record("2026-11-20", "", "test", {}, {}))
+    (folder / "cameras.toml").write_text(dump_calibration(pair), encoding="utf-8")
+    for number, pose in enumerate(poses(10, 3, HEATED, 0.3)):
+        write_image(folder / "day" / "left" / f"{number:02d}.png", picture(LEFT, pose, number, board=HEATED, pitch_mm=HEATED.pitch_mm))
+        seen = picture(THERMAL, THERMAL_FROM_LEFT @ pose, 50 + number, board=HEATED, pitch_mm=HEATED.pitch_mm)
+        write_image(folder / "day" / "thermal" / f"{number:02d}.png", (255 - seen)[:, ::-1].copy())
+    return folder
+
+
+def calibrate(lab: Path, out: str, *more: str) -> int:
+    given = ["calibrate", "thermal", str(lab / "day"), "--board", str(lab / "heated.toml"), "--cameras", str(lab / "cameras.toml")]
+    return main([*given, "--out", str(lab / out), *more])
+
+
+def test_lens_and_pose_come_out_as_they_were_put_in(lab: Path) -> None:
+    assert calibrate(lab, "thermal.toml", "--mirrored", "--plane", "900") == 0
+    part = load_part(lab / "thermal.toml")
+    assert part.thermal is not None
+    assert part.thermal.lens is not None
+    assert part.thermal.mirrored
+    assert part.thermal_from_left is not None
+    assert part.covariance is not None
+    found, put_in = part.thermal.lens, THERMAL
+    for name, off in (("fx", found.fc[0] - put_in.fc[0]), ("fy", found.fc[1] - put_in.fc[1])):
+        assert abs(off) < 4 * (part.covariance.sd("thermal", name) or 0.0)
+    place_sd = np.array([part.covariance.sd("thermal pose", name) for name in ("T1", "T2", "T3")], dtype=float)
+    assert np.all(np.abs(part.thermal_from_left.T - THERMAL_FROM_LEFT.T) < 4 * place_sd)
+    page = (lab / "thermal.page" / "index.html").read_text(encoding="utf-8")
+    assert "10 views of a heated" in page
+    assert "Derived at a plane 900 mm" in page
+
+
+def test_the_derived_homography_maps_a_point_of_its_plane(lab: Path) -> None:
+    assert calibrate(lab, "plane.toml", "--mirrored", "--plane", "900") == 0
+    maps = load_part(lab / "plane.toml").homographies
+    assert maps is not None
+    in_right = np.array([[-40.0, 20.0, 900.0], [10.0, -30.0, 900.0]])
+    in_left = RIGHT_FROM_LEFT.inverse().apply(in_right)
+    thermal = np.column_stack([THERMAL.project(THERMAL_FROM_LEFT.apply(in_left)), np.ones(2)])
+    mapped = thermal @ maps.right.T
+    np.testing.assert_allclose(mapped[:, :2] / mapped[:, 2:], RIGHT.project(in_right), atol=3.0)
+
+
+def test_without_the_pair_it_is_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (lab / "empty.toml").write_text('[record]\nmade = "2026-11-20"\nby = ""\nwith_what = ""\ncameras = {}\ninputs = {}\n', encoding="utf-8")
+    given = ["calibrate", "thermal", str(lab / "day"), "--board", str(lab / "heated.toml"), "--cameras", str(lab / "empty.toml")]
+    assert main([*given, "--out", str(lab / "t.toml")]) == 2
+    assert "must hold cameras.left, cameras.right and stereo" in capsys.readouterr().err

@@ -1,0 +1,281 @@
+"""`teatbench arm …`: as a person at a terminal uses it, as another program does, and with everything that can be wrong."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import signal
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.calibrate.arm_dialogues import Step
+from bench.calibrate.simulated_arm import PLACED, TryingArm
+from bench.cli.main import main, parser
+from bench.rig.arm_files import load_frame, load_verification
+from bench.rig.model import Arm
+from bench.script.model import ArmRequirement, find_script, load_script
+from instruments.clock import RealClock
+from tests.bench.calibrate.arm_terminal import ENTER, answer, at_terminal
+from tests.bench.run.test_end_to_end import started
+from tests.conftest import ROOT
+
+HOMING = "Was the stylus on its peg"
+
+
+PATIENT = ["--answer-s", "60"]  # the emulated arm of a test waits for a processor, never for the arm
+
+
+@contextmanager
+def arm_in_hand(accuracy_mm: float = 0.23) -> Iterator[TryingArm]:
+    """An emulated arm of this process in real time; the test is the hand."""
+    clock = RealClock()
+    try:
+        with TryingArm(clock, accuracy_mm=accuracy_mm) as trying:
+            yield trying
+    finally:
+        clock.close()
+
+
+def wait_for_packets(trying: TryingArm, n: int = 10) -> None:
+    """Wait until the command has asked for ``n`` more packets: it watches the pedals then."""
+    end, deadline = trying.emulator.packets + n, time.monotonic() + 60.0
+    while trying.emulator.packets < end:
+        assert time.monotonic() < deadline, "nobody asks the arm for packets"
+        time.sleep(0.005)
+
+
+# At a terminal
+
+
+def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
+    out = tmp_path / "arm-frame.toml"
+    with at_terminal(["arm", "frame", "--port", "emulator:", "--out", str(out), "--check", "100,100,0"]) as terminal:
+        answer(terminal, HOMING)
+        answer(terminal, "Touch the table's origin")
+        answer(terminal, "Touch a point on the x axis")
+        answer(terminal, "Touch a point of the table's plane on the side of positive y")
+        answer(terminal, "Check point 1 of 2: touch the point 100.0, 100.0, 0.0 mm (world)")
+        answer(terminal, "Check point 2 of 2: touch another point of the table's plane")
+        assert terminal.code() == 0, terminal.text
+    assert 'frame = "arm-frame.toml"' in terminal.text
+    frame = load_frame(out, serial_number="40937")
+    assert np.allclose(frame.world_from_arm.T, PLACED.T, atol=1.0)
+    assert np.allclose(frame.world_from_arm.R, PLACED.R, atol=0.01)
+    assert list(frame.residuals_mm) == ["check 1", "check 2"]
+
+
+def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
+    out = tmp_path / "arm-verification.toml"
+    plan = ["--distances", "1", "--touches", "5", "--length-mm", "250", "--directions", "2"]
+    with at_terminal(["arm", "verify", "--port", "emulator:", "--out", str(out), *plan]) as terminal:
+        answer(terminal, HOMING)
+        answer(terminal, "Fix the divot at half the arm's reach")
+        for number, lean in enumerate(("upright", "leaning left", "leaning right", "leaning towards you", "leaning away from you"), 1):
+            answer(terminal, f"touch {number} of 5: tip in the divot, the stylus {lean}")
+        for where in ("pointing away from the arm", "across in front of the arm"):
+            answer(terminal, f"Fix the calibrated length flat, {where}")
+            answer(terminal, "touch its first end")
+            answer(terminal, "touch its second end")
+        assert terminal.code() == 0, terminal.text
+    assert "limit 0.46 mm" in terminal.text
+    assert "limit 0.7 mm" in terminal.text
+    found = load_verification(out, serial_number="40937")
+    assert [test.calibrated_mm for test in found.lengths] == [250.0, 250.0]
+    assert re.search(rf"Articulated location error {found.location_mm:.2f} mm", terminal.text)
+
+
+@pytest.mark.parametrize(("command", "prompts"), [("frame", 0), ("frame", 3), ("verify", 2)])
+def test_an_abort_writes_nothing(tmp_path: Path, command: str, prompts: int) -> None:
+    out = tmp_path / "arm.toml"
+    with at_terminal(["arm", command, "--port", "emulator:", "--out", str(out)]) as terminal:
+        for _ in range(prompts):
+            answer(terminal, ENTER)
+        answer(terminal, ENTER, "a")
+        assert terminal.code() == 3
+    assert "the operator aborted the run; nothing was written" in terminal.text
+    assert "Traceback" not in terminal.text
+    assert not out.exists()
+
+
+def test_what_is_not_understood_is_asked_again(tmp_path: Path) -> None:
+    with at_terminal(["arm", "read", "--port", "emulator:"]) as terminal:
+        answer(terminal, HOMING, "yes")
+        answer(terminal, "Not understood: 'yes'")
+        assert terminal.code() == 0
+    assert "tip 54.20, -51.84, 212.20 mm in the arm's frame" in terminal.text
+
+
+def test_a_pedal_is_as_good_as_enter(tmp_path: Path) -> None:
+    """Both hands are on the arm: nothing is typed but the answer on homing, which asks for Enter alone."""
+    out = tmp_path / "frame.toml"
+    with (
+        arm_in_hand() as trying,
+        at_terminal(["arm", "frame", *PATIENT, "--port", trying.url, "--out", str(out), "--plane-checks", "0"]) as terminal,
+    ):
+        answer(terminal, HOMING)
+        for what in ("origin", "x axis", "plane"):
+            terminal.expect("Enter or a pedal to go on")
+            trying.go(Step(what, 0, ""))
+            wait_for_packets(trying)
+            trying.emulator.buttons = 1
+            terminal.expect("read ")
+            trying.emulator.buttons = 0
+        assert terminal.code() == 0, terminal.text
+    assert np.allclose(load_frame(out).world_from_arm.T, PLACED.T, atol=1.0)
+
+
+def test_a_bad_arm_is_not_verified(tmp_path: Path) -> None:
+    out = tmp_path / "verification.toml"
+    command = ["arm", "verify", "--out", str(out), "--homed", "--distances", "1", "--touches", "5"]
+    with arm_in_hand(accuracy_mm=3.0) as trying, at_terminal([*command, *PATIENT, "--port", trying.url]) as terminal:
+        answer(terminal, "Fix the divot")
+        for touch in range(5):
+            terminal.expect("tip in the divot")
+            trying.go(Step("middle", touch, ""))
+            answer(terminal, ENTER)
+        assert terminal.code() == 1, terminal.text
+    assert "not verified: middle: readings of one point lie up to" in terminal.text
+    assert "not verified: no calibrated length was measured" in terminal.text
+    assert "passed = false" in out.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("limit", [[], ["--residual-limit-mm", "10"]])
+def test_a_frame_whose_check_point_is_off_is_not_written(tmp_path: Path, limit: list[str]) -> None:
+    out = tmp_path / "frame.toml"
+    with (
+        arm_in_hand() as trying,
+        at_terminal(["arm", "frame", *PATIENT, "--port", trying.url, "--out", str(out), "--homed", *limit]) as terminal,
+    ):
+        for step in (Step("origin", 0, ""), Step("x axis", 0, ""), Step("plane", 0, ""), Step("check", 0, "", (120.0, 90.0, 6.0))):
+            terminal.expect("Touch" if step.what != "check" else "Check point")
+            trying.go(step)
+            answer(terminal, ENTER)
+        assert terminal.code() == (0 if limit else 1), terminal.text
+    if limit:
+        assert out.exists()
+        return
+    assert re.search(r"a check point is [56]\.\d\d mm off, limit 1.5 mm; nothing was written", terminal.text)
+    assert not out.exists()
+
+
+def test_touches_that_are_all_at_one_place_are_asked_for_again() -> None:
+    """Nobody moves the arm: it says why that is no frame, and an abort ends it."""
+    with (
+        arm_in_hand() as trying,
+        at_terminal(["arm", "frame", *PATIENT, "--port", trying.url, "--out", "none.toml", "--homed"]) as terminal,
+    ):
+        for _ in range(3):
+            answer(terminal, ENTER)
+        terminal.expect("the touch on the x axis is 0.0 mm from the origin; 100 mm are needed")
+        answer(terminal, "Touch a point on the x axis", "abort")
+        assert terminal.code() == 3
+
+
+def test_watch_shows_tip_pedals_and_rate_live() -> None:
+    with arm_in_hand() as trying, at_terminal(["arm", "watch", *PATIENT, "--port", trying.url, "--homed", "--seconds", "3"]) as terminal:
+        terminal.expect("left up, right up")
+        trying.emulator.buttons = 1
+        terminal.expect("left up, right DOWN")
+        trying.emulator.buttons = 2
+        terminal.expect("left DOWN, right up")
+        trying.go(Step("origin", 0, ""))
+        x, y, z = PLACED.inverse().apply([0.0, 0.0, 0.0])
+        assert terminal.code() == 0, terminal.text
+    tips = [[float(v) for v in found] for found in re.findall(r"tip +(-?[\d.]+) +(-?[\d.]+) +(-?[\d.]+) mm", terminal.text)]
+    assert math.dist(tips[-1], (x, y, z)) < 2.0
+    assert math.dist(tips[0], (54.2, -51.8, 212.2)) < 0.1
+    rates = [float(v) for v in re.findall(r"([\d.]+) packets/s", terminal.text)]
+    assert max(rates) > 50.0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
+def test_ctrl_c_is_how_watching_ends() -> None:
+    with started(["arm", "watch", "--port", "emulator:", "--homed"]) as child:
+        assert child.stdout is not None
+        assert "packets/s" in child.stdout.readline()
+        child.send_signal(signal.SIGINT)
+        output, _ = child.communicate(timeout=60)
+    assert child.returncode == 0, output
+    assert "Traceback" not in output
+
+
+def test_home_asks_for_the_peg_first() -> None:
+    with arm_in_hand() as trying, at_terminal(["arm", "home", *PATIENT, "--port", trying.url]) as terminal:
+        answer(terminal, "Put the arm's stylus on its peg and let go of it.")
+        assert terminal.code() == 0, terminal.text
+    assert "Homed. The tip stands at 54.20, -51.84, 212.20 mm" in terminal.text
+
+
+# For other programs
+
+
+def test_read_gives_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
+    """The arm on its peg: some 75 mm from the base axis and 212 mm above the origin (the fact sheet, One real arm)."""
+    assert main(["arm", "read", "--port", "emulator:", "--homed", "--json"]) == 0
+    (text,) = capsys.readouterr().out.strip().split("\n")
+    line = json.loads(text)
+    assert set(line) == {"serial_number", "tip_mm", "spread_mm", "axis", "packets", "counts"}
+    assert math.hypot(*line["tip_mm"][:2]) == pytest.approx(75.0, abs=0.05)
+    assert line["tip_mm"][2] == pytest.approx(212.2005, abs=1e-3)
+    assert line["counts"] == [13903, 6238, 6868, 4098, 3193, 8416]
+    assert line["serial_number"] == "40937"
+
+
+def test_read_in_the_world_uses_the_frame_of_this_arm_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "frame.toml"
+    with at_terminal(["arm", "frame", "--port", "emulator:", "--out", str(out), "--homed", "--plane-checks", "0"]) as terminal:
+        for _ in range(3):
+            answer(terminal, ENTER)
+        assert terminal.code() == 0, terminal.text
+    assert main(["arm", "read", "--port", "emulator:", "--homed", "--json", "--frame", str(out)]) == 0
+    line = json.loads(capsys.readouterr().out)
+    assert line["world_mm"] == pytest.approx(PLACED.apply(line["tip_mm"]).tolist(), abs=1.5)
+    out.write_text(out.read_text(encoding="utf-8").replace('"40937"', '"11111"'), encoding="utf-8")
+    assert main(["arm", "read", "--port", "emulator:", "--homed", "--frame", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert f"{out}:4: serial_number: this file is of the arm 11111, but the arm that answers is 40937" in said
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
+def test_it_reads_the_arm_of_a_bench_that_only_emulates(capsys: pytest.CaptureFixture[str]) -> None:
+    with started(["emulate"]) as child:
+        assert child.stdout is not None
+        urls = dict(child.stdout.readline().split() for _ in range(3))
+        assert main(["arm", "read", "--port", urls["arm"], "--homed", "--json"]) == 0
+        assert main(["arm", "watch", "--port", urls["arm"], "--homed", "--seconds", "0.5"]) == 0
+        child.send_signal(signal.SIGINT)
+        child.communicate(timeout=60)
+    said = capsys.readouterr().out.strip().split("\n")
+    assert json.loads(said[0])["tip_mm"][2] == pytest.approx(212.2, abs=0.01)
+    assert "packets/s" in said[1]
+
+
+# The page for the lab
+
+GUIDE = (ROOT / "docs" / "arm.md").read_text(encoding="utf-8")
+
+
+def test_every_command_of_the_guide_is_one() -> None:
+    blocks = [block for block in GUIDE.split("```")[1::2] if block.startswith("\n")]
+    lines = [line for block in blocks for line in block.strip().split("\n")]
+    assert {line.split()[2] for line in lines} == {"home", "frame", "read", "verify"}
+    for line in lines:
+        parser().parse_args(line.split()[1:])
+
+
+def test_the_guides_pieces_of_files_are_right() -> None:
+    rig, script = (tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", GUIDE, re.DOTALL))
+    Arm.model_validate({"url": "emulator:", **rig["arm"]})
+    (rule,) = script["requirements"]
+    told = ArmRequirement.model_validate(rule)
+    assert set(rule) | {"source"} == set(ArmRequirement.model_fields)
+    (shipped,) = [r for r in load_script(find_script(None)).script.requirements if isinstance(r, ArmRequirement)]
+    assert told.model_copy(update={"dated_required": False, "source": shipped.source}) == shipped

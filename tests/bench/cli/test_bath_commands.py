@@ -1,0 +1,239 @@
+"""`bath read|set|watch|standby|acknowledge` on an emulated bath of another thread, with good and bad input."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import pytest
+from rich.console import Console
+
+from bench.cli.live_view import BathSample, BathView, open_bath, output_strip, plot, profile_of, rate_k_per_s, seconds_to_stable, watch_bath
+from bench.cli.main import main
+from bench.safety.stability import StabilityGate
+from instruments.bath.emulator import BathEmulator
+from instruments.bath.profile import load_profile
+from instruments.bath.reading import BathReading
+from instruments.clock import RealClock
+from instruments.listener import Listener
+from instruments.world.plant import Plant
+
+
+@dataclass
+class Served:
+    plant: Plant
+    emulator: BathEmulator
+    at: list[str]
+
+
+@pytest.fixture
+def bath() -> Iterator[Served]:
+    """``at`` are the arguments that lead to it."""
+    clock, plant = RealClock(), Plant(1, start_c=25.0)
+    emulator = BathEmulator(plant, load_profile("julabo-presto"), clock)
+    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
+    try:
+        yield Served(plant, emulator, ["--port", listener.url.replace("socket://", "tcp://"), "--profile", "julabo-presto"])
+    finally:
+        listener.close()
+        clock.close()
+
+
+def test_read_says_everything_with_units(bath: Served, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bath", "read", *bath.at, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["temp_c"] == pytest.approx(25.0, abs=0.05)
+    assert (told["run"], told["output_percent"], told["alarm"], told["comms_loss"]) == ("standby", 0.0, 0, "hold")
+    assert main(["bath", "read", *bath.at]) == 0
+    lines = dict(line.split(": ", 1) for line in capsys.readouterr().out.strip().split("\n"))
+    assert list(lines) == list(told)
+    assert lines["family"] == "JULABO PRESTO"
+
+
+def test_read_leaves_a_hot_bath_as_it_is(bath: Served, capsys: pytest.CaptureFixture[str]) -> None:
+    bath.plant.run(33.0)
+    assert main(["bath", "read", *bath.at, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["run"] == "started"
+    assert bath.plant.running
+
+
+def test_set_changes_the_set_point_and_starts_nothing(bath: Served, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bath", "set", *bath.at, "33.5"]) == 0
+    assert "33.50 degC; the bath is in standby" in capsys.readouterr().out
+    assert bath.plant.set_point_c == pytest.approx(33.5)
+    assert not bath.plant.running
+
+
+def test_standby_stops_a_bath_with_an_alarm_and_a_broken_sensor(bath: Served, capsys: pytest.CaptureFixture[str]) -> None:
+    bath.plant.run(33.0)
+    bath.emulator.fault("sensor break")
+    assert main(["bath", "standby", *bath.at]) == 0
+    assert not bath.plant.running
+    assert "in standby; no temperature" in capsys.readouterr().out
+
+
+def test_watch_prints_a_line_a_second_without_a_terminal(bath: Served, capsys: pytest.CaptureFixture[str]) -> None:
+    bath.plant.run(33.0)
+    assert main(["bath", "watch", *bath.at, "--seconds", "2.5"]) == 0
+    lines = capsys.readouterr().out.strip().split("\n")
+    assert 1 <= len(lines) <= 3, "a busy machine gets round to fewer"
+    assert all("set point 33.00 degC" in line and "heating" in line for line in lines)
+    assert bath.plant.running, "watching changes nothing"
+
+
+class Shown(io.StringIO):
+    """A terminal at which somebody presses Ctrl-C when it has been drawn anew after each of three readings."""
+
+    pressed = False
+
+    def write(self, text: str) -> int:
+        count = super().write(text)
+        if not self.pressed and self.getvalue().count("last ") >= 3:
+            self.pressed = True
+            raise KeyboardInterrupt
+        return count
+
+
+def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
+    bath.plant.run(33.0)
+    shown = Shown()
+    console = Console(file=shown, force_terminal=True, width=120, height=40, color_system=None)
+    with open_bath(bath.at[1], profile_of("julabo-presto")) as (driver, clock), pytest.raises(KeyboardInterrupt):
+        watch_bath(driver, clock, console)
+    frames = shown.getvalue().split("last ")
+    last = frames[-2] + frames[-1]
+    assert "33.00 ─" in last, "the set point is a line"
+    assert "•" in last, "the bath is points"
+    assert re.search("output [ ▁▂▃▄▅▆▇]*█", last), "a cold bath is heated at full power"
+    for words in ("set point 33.00 degC", "output 100 %", "heating", "not getting nearer"):
+        assert words in last
+    assert bath.plant.running, "watching changes nothing"
+
+
+def test_a_stable_bath_says_so_and_one_on_its_way_says_when() -> None:
+    view = BathView(StabilityGate(33.0, window_s=60.0))
+    lines = []
+    for t in range(200):
+        temp_c = min(33.0, 31.0 + t * 0.04) + 0.004 * (t % 2)
+        view.add(a_reading(float(t), temp_c, 100.0 if t < 50 else 3.0), 33.0, started=True)
+        lines.append(view.line())
+    assert "stable in 1:36 min at the earliest" in lines[10], lines[10]
+    assert "settling, stable in 0:" in lines[80]
+    assert lines[-1].endswith("stable, stable now")
+    strip = output_strip([BathSample(float(t), 33.0, 100.0 if t < 36 else 3.0) for t in range(72)], width=72)
+    assert (strip.count("█"), strip.count("▁")) == (35, 36), "one column is that of now"
+
+
+def test_an_output_that_is_not_told_has_no_strip() -> None:
+    assert output_strip([BathSample(0.0, 33.0)]) == ""
+
+
+def a_reading(t_s: float, temp_c: float, output_percent: float | None) -> BathReading:
+    return BathReading(
+        t_s=t_s,
+        temp_c=temp_c,
+        raw=(round(temp_c * 1000),),
+        external_c=None,
+        power_percent=output_percent,
+        safety_c=None,
+        alarm=0,
+        warning=0,
+        remote=True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["read", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto"], 3, "nothing took the connection"),
+        (["read", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-prest"], 2, 'did you mean "julabo-presto"'),
+        (["read", "--port", "tcp://127.0.0.1:1", "--profile", "none.toml"], 2, "can't be read"),
+        (["standby", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto"], 3, "nothing took the connection"),
+        (["acknowledge", "no-such-rig"], 2, 'no rig "no-such-rig"'),
+    ],
+)
+def test_bad_input_gets_a_sentence(arguments: list[str], code: int, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bath", *arguments]) == code
+    said = capsys.readouterr().err
+    assert message in said
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["read", "--profile", "julabo-presto"], "--port"),
+        (["read", "--port", "emulator:", "--profile", "julabo-presto"], "teatbench emulate"),
+        (["read", "--port", "over there", "--profile", "julabo-presto"], "'over there' is no bath"),
+        (["set", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto", "warm"], "'warm' is not a temperature"),
+        (["set", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto", "nan"], "'nan' is not a temperature"),
+        (["watch", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto", "--seconds", "0"], "'0' is not a number of seconds"),
+    ],
+)
+def test_bad_arguments_get_a_sentence(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["bath", *arguments])
+    assert caught.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_set_point_beyond_the_profile_is_refused_and_not_sent(bath: Served, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bath", "set", *bath.at, "45"]) == 2
+    assert "takes 5 to 36 degC" in capsys.readouterr().err
+    assert bath.plant.set_point_c == 25.0
+
+
+def samples(at: dict[float, float]) -> list[BathSample]:
+    return [BathSample(t_s, temp_c) for t_s, temp_c in at.items()]
+
+
+def test_the_plot_has_the_set_point_as_a_line_and_the_bath_as_points() -> None:
+    lines = plot(samples({float(t): 20.0 + t / 10 for t in range(131)}), 33.0, width=40, height=10)
+    assert len(lines) == 11
+    assert {len(line) for line in lines[:10]} == {48}
+    (line,) = [text for text in lines if "33.00" in text]
+    assert "─" in line
+    columns = [next((i for i, text in enumerate(lines[:10]) if text[8 + x] == "•"), None) for x in range(40)]
+    assert None not in columns
+    assert columns == sorted(columns, key=lambda row: -(row or 0)), "it rises from left to right"
+
+
+def test_a_steady_bath_does_not_fill_the_plot_with_its_noise() -> None:
+    lines = plot(samples({float(t): 33.0 + 0.004 * (t % 2) for t in range(60)}), 33.0, width=40, height=11)
+    assert sum("•" in line for line in lines[:11]) <= 2
+
+
+@pytest.mark.parametrize(
+    ("temps", "expected"),
+    [
+        ({float(t): 20.0 + t * 0.04 for t in range(101)}, (33.0 - 24.0 - 0.15) / 0.04 + 600.0),
+        ({float(t): 24.0 - t * 0.01 for t in range(101)}, None),
+        ({float(t): 24.0 for t in range(3)}, None),
+        ({float(t): 33.0 + 0.01 * (t % 3) for t in range(101)}, 500.0),
+        ({float(t): 33.0 + 0.01 * (t % 3) for t in range(701)}, 0.0),
+        ({float(t): min(33.0, 20.0 + t * 0.02) + 0.01 * (t % 3) for t in range(801)}, 600.0 - (800 - 643)),
+    ],
+)
+def test_the_time_to_stable_is_way_and_window(temps: dict[float, float], expected: float | None) -> None:
+    gate = StabilityGate(33.0)
+    for t_s, temp_c in temps.items():
+        gate.add(t_s, temp_c)
+    found = seconds_to_stable(gate.report, 600.0, 0.15, rate_k_per_s(samples(temps)))
+    assert found == (None if expected is None else pytest.approx(expected))
+
+
+def test_a_bath_that_cannot_be_read_is_told_beside_its_last_reading() -> None:
+    view = BathView(StabilityGate(33.0))
+    assert view.line() == "no reading yet"
+    reading = BathReading(
+        t_s=1.0, temp_c=24.0, raw=(1,), external_c=None, power_percent=None, safety_c=None, alarm=3, warning=0, remote=True
+    )
+    view.add(reading, 33.0, started=True)
+    view.trouble = "NO READING: cable"
+    for words in ("24.00 degC", "output not told", "alarm 3", "NO READING: cable"):
+        assert words in view.line()
+    assert len(list(view.lines())) == 16

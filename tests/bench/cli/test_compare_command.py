@@ -1,0 +1,231 @@
+"""`teatbench compare` end to end: frames recorded from the scene, scored by a detector and by the same with a fault, then the gate."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from bench.cli.main import main
+from bench.config import ConfigError
+from bench.record.reader import read_run
+from bench.report.comparison import notes
+from bench.results.comparison import compare_folders, judge_folders, scored_together
+from bench.scoring.decisions import Verdict
+from detector import registry
+from detector.calibration import Calibration
+from detector.protocol import Detection, Detector, Frames
+from tests.bench.small_run import written_anew
+
+SCENES = 3
+
+
+@dataclass(frozen=True)
+class Shifted:
+    """A frame set whose left picture lies a little to the side."""
+
+    left: NDArray[Any]
+    right: NDArray[Any]
+    thermal: NDArray[Any] | None
+    thermal_k: NDArray[Any] | None
+
+
+class Faulted:
+    """A detector with a fault: it takes the left picture for one moved by so many pixels."""
+
+    def __init__(self, inner: Detector, fault_px: float) -> None:
+        self._inner, self._fault_px = inner, fault_px
+        self.name, self.version = inner.name, f"{inner.version}-faulted"
+        self.parameters = {**inner.parameters, "fault_px": fault_px}
+
+    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+        motion = np.array([[1.0, 0.0, self._fault_px], [0.0, 1.0, 0.0]])
+        size = frames.left.shape[::-1]
+        left = cv2.warpAffine(frames.left, motion, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        return self._inner.detect(Shifted(left, frames.right, frames.thermal, frames.thermal_k), calibration)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recording") / "scenes"
+    main(["scene", "record", "--situation", "ideal", "--seeds", str(SCENES), "--out", str(folder)])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def baseline(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return score(recording, tmp_path_factory.mktemp("old"), "fused")
+
+
+def score(recording: Path, out: Path, *detectors: str) -> Path:
+    """Score the recording; the run's folder."""
+    main(["score", str(recording), "--out", str(out), *(word for name in detectors for word in ("--detector", name))])
+    (folder,) = out.iterdir()
+    return folder
+
+
+@pytest.mark.parametrize("fault_px", [0.2, -0.2])
+def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
+    recording: Path, baseline: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], fault_px: float
+) -> None:
+    create = registry.create
+    monkeypatch.setattr(registry, "create", lambda name: Faulted(create(name), fault_px))
+    new = score(recording, tmp_path, "fused")
+    capsys.readouterr()
+    assert main(["compare", str(baseline), str(new), "--gate"]) == 1
+    told = " ".join(capsys.readouterr().out.split())
+    assert "THE NEW ONE IS WORSE" in told
+    assert f"{SCENES} scenes, each in the very same frames." in told
+    assert "the mean distance to the teat end grew by 1." in told
+    assert main(["compare", str(baseline), str(new)]) == 0  # without --gate it only tells
+    assert main(["compare", str(new), str(baseline), "--gate"]) == 4  # nothing got worse, but three poses can't show that
+    assert main(["compare", str(baseline), str(new), "--gate", "--margin-mm", "5"]) != 1  # who allows so much is told nothing red
+
+
+def test_of_too_few_poses_the_gate_says_how_many_it_takes(
+    recording: Path, baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    again = score(recording, tmp_path, "fused")
+    capsys.readouterr()
+    assert main(["compare", str(baseline), str(again), "--gate"]) == 4
+    told = " ".join(capsys.readouterr().out.split())
+    assert "in 3 poses; poses that were not run may hide that it grew by 3.538 mm (margin 0.25 mm): 72 poses with such changes" in told
+    assert main(["compare", str(baseline), str(again), "--gate", "--margin-mm", "4"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "The new one is not worse: no scene lost, no false or missed teat more over all poses the mean distance grew by at most" in told
+    assert "at most 70.8 % of poses are lost anew (3 poses, 97.5 % confidence each)" in told
+
+
+def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = score(recording, tmp_path / "runs", "fused", "thesis")
+    capsys.readouterr()
+    assert main(["compare", str(run), "--gate", "--json", "--out", str(tmp_path / "page")]) == 1
+    (told,) = json.loads(capsys.readouterr().out)
+    assert (told["old"]["detector"], told["new"]["detector"]) == ("fused", "thesis")
+    assert told["gate"]["verdict"] == "worse"
+    assert told["rows"][0]["scenes"] == told["same_frames"] == SCENES
+    assert told["rows"][0]["success"]["only_old"] == SCENES
+    page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+    assert "THE NEW ONE IS WORSE" in page
+    assert '<span class="word-text">worse</span>' in page
+    assert "passed and now fails" in page
+    assert json.loads((tmp_path / "page" / "comparison.json").read_text(encoding="utf-8")) == [told]
+
+
+def test_trials_without_a_counterpart_leave_the_gate_open(baseline: Path, tmp_path: Path) -> None:
+    fewer = changed(baseline, tmp_path / "fewer", "DELETE FROM scores WHERE trial LIKE '001-%'")
+    (found,) = compare_folders([baseline, fewer])
+    assert (found.only_old, found.only_new, len(found.pairs)) == (1, 0, SCENES - 1)
+    assert found.compared.gate.verdict is Verdict.INCONCLUSIVE
+    assert main(["compare", str(baseline), str(fewer), "--gate"]) == 4
+
+
+def test_frames_that_differ_are_paired_by_name_and_told(baseline: Path, tmp_path: Path) -> None:
+    other = changed(baseline, tmp_path / "other", other_frames=True)
+    (found,) = compare_folders([baseline, other])
+    assert (len(found.pairs), found.same_frames) == (SCENES, 0)
+
+
+def changed(run: Path, to: Path, *statements: str, other_frames: bool = False) -> Path:
+    """A copy of a run whose record says something else, as a bench would have written it."""
+    shutil.copytree(run, to)
+    for picture in to.rglob("frames/*/*.png") if other_frames else ():
+        picture.write_bytes(picture.read_bytes() + b"other")
+    with closing(sqlite3.connect(to / "run.sqlite")) as db:
+        for statement in statements:
+            db.execute(statement)
+        db.commit()
+    return written_anew(to)
+
+
+def test_a_namesake_at_another_place_is_not_the_same_scene(baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    near = changed(baseline, tmp_path / "near", "UPDATE truth SET x_mm = x_mm + 5", other_frames=True)
+    assert len(compare_folders([baseline, near])[0].pairs) == SCENES
+    far = changed(baseline, tmp_path / "far", "UPDATE truth SET x_mm = x_mm + 25 WHERE trial LIKE '001-%'", other_frames=True)
+    (found,) = compare_folders([baseline, far])
+    assert (len(found.pairs), found.only_old, found.elsewhere) == (SCENES - 1, 1, 1)
+    assert main(["compare", str(baseline), str(far), "--gate"]) == 4
+    assert "1 trials of the old run have a namesake" in " ".join(capsys.readouterr().out.split())
+    nowhere = changed(baseline, tmp_path / "nowhere", "UPDATE truth SET x_mm = x_mm + 25", other_frames=True)
+    assert main(["compare", str(baseline), str(nowhere)]) == 2
+    assert f"{SCENES} have the same name, but their teats stood at other places" in capsys.readouterr().err
+
+
+def test_what_was_held_against_other_limits_is_not_compared(baseline: Path, tmp_path: Path) -> None:
+    wider = changed(baseline, tmp_path / "wider", "UPDATE scores SET score = replace(score, '\"limit_mm\": 5.0', '\"limit_mm\": 9.0')")
+    with pytest.raises(ConfigError, match=r"different limits \(5 and 9 mm\).*by the same rules"):
+        compare_folders([baseline, wider])
+    slower = changed(baseline, tmp_path / "slower")
+    rules = (slower / "rules.toml").read_text(encoding="utf-8")
+    (slower / "rules.toml").write_text(rules.replace("time_limit_s = 2.0", "time_limit_s = 4.0"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"different limits \(2 and 4 s\)"):
+        compare_folders([baseline, slower])
+
+
+def test_what_else_differs_is_told(baseline: Path, tmp_path: Path) -> None:
+    other = changed(baseline, tmp_path / "other", "UPDATE facts SET value = '\"emulated\"' WHERE key = 'kind'")
+    (found,) = compare_folders([baseline, other])
+    assert "The runs also differ in kind: recorded (old), emulated (new)." in list(notes(found))
+    assert not [note for note in notes(compare_folders([baseline, baseline])[0]) if "also differ" in note]
+
+
+def test_a_run_without_results(baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    empty = changed(baseline, tmp_path / "empty", "DELETE FROM scores")
+    assert main(["compare", str(baseline), str(empty), "--gate"]) == 2
+    assert "no scored trial in common" in capsys.readouterr().err
+
+
+def test_one_recording_scored_twice_is_the_same_poses_and_not_twice_as_many(baseline: Path, tmp_path: Path) -> None:
+    again = changed(baseline, tmp_path / "again")
+    together = scored_together([read_run(baseline), read_run(again)], "fused")
+    assert (together.success.trials, len(together.scores)) == (SCENES, 2 * SCENES)
+
+
+def test_runs_are_judged_together_by_their_counts(baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    again = changed(baseline, tmp_path / "again")
+    other = changed(baseline, tmp_path / "other", "UPDATE facts SET value = '\"another recording\"' WHERE key = 'about'")
+    for second, poses in ((again, SCENES), (other, 2 * SCENES)):
+        assert main(["compare", str(baseline), str(second), "--together", "--json"]) == 0
+        (told,) = json.loads(capsys.readouterr().out)
+        assert {decision["n"] for decision in told["decisions"] if decision["unit"] in ("mm", "%", "")} == {poses}
+    assert main(["compare", str(baseline), str(other), "--together", "--gate"]) == 4  # six poses show little
+    said = capsys.readouterr().out
+    assert "fused, all runs together: inconclusive" in said
+    assert f"0 in {2 * SCENES} scenes" in said
+    assert "of 6 poses succeeded" in said
+
+
+def test_what_cannot_be_judged_together(baseline: Path, tmp_path: Path) -> None:
+    wider = changed(baseline, tmp_path / "wider", "UPDATE scores SET score = replace(score, '\"limit_mm\": 5.0', '\"limit_mm\": 9.0')")
+    with pytest.raises(ConfigError, match="different limits"):
+        judge_folders([baseline, wider])
+    with pytest.raises(ConfigError, match="no detector of those named is in all runs"):
+        judge_folders([baseline, wider], ["thesis"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([], "name a second run"),
+        (["--detector", "fusedd"], 'did you mean "fused"'),
+    ],
+)
+def test_what_cannot_be_compared(baseline: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", str(baseline), *arguments]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_no_run_and_no_common_detector(baseline: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is no run"):
+        compare_folders([baseline, tmp_path])
+    with pytest.raises(ConfigError, match="no detector of those named is in both runs"):
+        compare_folders([baseline, baseline], ["thesis"])

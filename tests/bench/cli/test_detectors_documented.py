@@ -1,0 +1,60 @@
+"""docs/detectors.md does what it says: its example runs as it stands, and its file holds the defaults."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.cli.main import main
+from bench.config import read_config
+from bench.results.thesis_figures import thesis
+from bench.script.detectors import DetectorFile
+from detector.external import Limits
+from detector.registry import available
+from tests.bench.small_recording import write_recording
+from tests.conftest import ROOT
+
+PAGE = (ROOT / "docs" / "detectors.md").read_text(encoding="utf-8")
+
+
+def block(language: str) -> str:
+    found = re.search(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
+    assert found
+    return found[1]
+
+
+def test_the_example_is_a_detector_in_20_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording, program = write_recording(tmp_path / "five"), block("python")
+    assert len(program.strip().splitlines()) <= 20
+    (tmp_path / "my_detector.py").write_text(program, encoding="utf-8")
+    (tmp_path / "example.toml").write_text(block("toml").replace('"python3"', json.dumps(sys.executable)), encoding="utf-8")
+    assert main(["detect", str(recording), "--json", "--detector", str(tmp_path / "example.toml")]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.strip().splitlines()]
+    assert len(lines) == 5
+    for line in lines:
+        assert (line["detector"], line["hidden"], line.get("reason")) == ("example", 2, None)
+        in_space, in_pixels = line["teats"]
+        assert in_space["world_mm"] == [-160.0, 205.0, 136.0]
+        assert in_space["covariance_mm2"][1][1] == 0.4
+        assert np.abs(in_pixels["world_mm"]).max() < 1000
+
+
+def test_the_file_shows_the_defaults(tmp_path: Path) -> None:
+    (tmp_path / "example.toml").write_text(block("toml"), encoding="utf-8")
+    assert read_config(tmp_path / "example.toml", DetectorFile).limits == Limits()
+
+
+def test_every_variant_of_the_thesis_is_told() -> None:
+    for name in available([]):
+        assert f"`{name}`" in PAGE, name
+
+
+def test_the_published_failures_are_told() -> None:
+    told = re.findall(r"^\| `(\w+)` \| (\d) \|", PAGE, re.MULTILINE)
+    assert [(name, int(found)) for name, found in told] == [(one.name, one.found) for one in thesis().situations]
+    assert {one.present for one in thesis().situations} == {4}

@@ -1,0 +1,94 @@
+"""`teatbench trials`: what ships, what a script comes to, and how long it takes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from bench.cli.main import main
+from bench.rig.loading import find_rig, load_rig, shipped
+from bench.run.estimate import ASSUMED, estimate, move_s
+from bench.script.model import TRIALS, find_script, load_script
+
+
+def test_each_script_that_ships_is_listed_with_what_it_is_about(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["trials"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(": ")[0] for line in lines] == shipped(TRIALS)
+    assert all(len(line.split(": ")[1]) > 20 for line in lines)
+    assert main(["trials", "--json"]) == 0
+    assert list(json.loads(capsys.readouterr().out)) == shipped(TRIALS)
+
+
+def test_show_lists_every_trial_and_the_time(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["trials", "show", "plane-map"]) == 0
+    said = capsys.readouterr().out
+    assert "156 trials, 156 poses" in said
+    assert "156-plane-156-1" in said
+    assert "a grid of 13 x 12 poses" in said
+    assert "settling 36 min" in said
+
+
+def test_show_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["trials", "show", "repeatability", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert len(told["trials"]) == 150
+    assert told["trials"][1] == {
+        "id": "002-p-2-1", "pose": "p-2", "repeat": 1, "x_mm": 104.0, "y_mm": 96.0, "z_mm": 0.0, "yaw_deg": 0.0, "from": None,
+    }  # fmt: skip
+    parts = {key: value for key, value in told["estimate"].items() if key != "total_s"}
+    assert told["estimate"]["total_s"] == pytest.approx(sum(parts.values()))
+    assert told["assumed"]["touch [s]"] == ASSUMED["touch"]
+
+
+def test_show_of_a_script_without_trials(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["trials", "show", "thesis-test-2"]) == 0
+    assert "teat 2: 0 px in the left picture, 2 px in the right one" in capsys.readouterr().out
+    assert main(["trials", "show", "thesis-test-2", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["offsets"]) == 4
+
+
+def test_show_has_a_help_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["trials", "show", "--help"])
+    assert ended.value.code == 0
+    said = capsys.readouterr().out
+    assert said.startswith("usage: teatbench trials show [-h]")
+    assert "list the poses of a script, and estimate the time" in said
+    assert "--rig RIG" in said
+
+
+def test_show_of_nothing_says_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["trials", "show"])
+    assert ended.value.code == 2
+    assert "arguments are required: SCRIPT" in capsys.readouterr().err
+    assert main(["trials", "show", "plain-map"]) == 2
+    assert 'did you mean "plane-map"' in capsys.readouterr().err
+
+
+def test_moves_by_hand() -> None:
+    """25 mm at 1500 mm/min (25 mm/s) and 200 mm/s^2: 1 s, and an eighth of a second for starting and braking."""
+    assert move_s(25.0, 1500.0, 200.0) == pytest.approx(1.125)
+    assert move_s(2.0, 1500.0, 200.0) == pytest.approx(0.2), "too short to come to speed"
+    assert move_s(0.0, 1500.0, 200.0) == 0.0
+
+
+def test_the_time_by_hand() -> None:
+    rig, script = load_rig(find_rig(None)), load_script(find_script(None))
+    time = estimate(rig, script)
+    assert time.settling_s == pytest.approx(600.0 + 13.0 / 0.5 * 60.0)  # from 20 to 33 degC
+    assert time.captures_s == pytest.approx(18 * 2.0)
+    assert time.touches_s == pytest.approx(18 * 4 * 3 * 8.0)
+    assert time.set_ups_s == pytest.approx(6 * 60.0)
+    assert time.moves_s == pytest.approx(60.0)
+
+
+def test_without_a_stage_each_pose_is_a_persons() -> None:
+    rig, script = load_rig(find_rig(None)), load_script(find_script("plane-map"))
+    by_hand = estimate(replace(rig, rig=rig.rig.model_copy(update={"stage": None})), script)
+    assert by_hand.moves_s == 0.0
+    assert by_hand.set_ups_s == pytest.approx(60.0 + 155 * 30.0)
+    assert by_hand.total_s > estimate(rig, script).total_s

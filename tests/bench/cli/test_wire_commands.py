@@ -1,0 +1,226 @@
+"""`--capture FILE` and `replay-wire`: a session with instruments, sent in a file and played to the same drivers again."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from bench.cli.main import main, parser
+from bench.rig.loading import find_rig, load_rig
+from bench.rig.opening import driver_openers
+from instruments.captures.reader import Capture, read_capture
+from instruments.captures.replay import Replay
+from instruments.clock import RealClock, VirtualClock
+from instruments.link import Link
+from tests.bench.run.test_end_to_end import content, run_command, started
+from tests.conftest import ROOT
+
+HEAD = '{"format": "teatbench capture", "version": 1, "wall_time": "w", "teatbench": "0", "command": "c", "machine": "m"}\n'
+TALK = """{"t_s": 0, "link": "arm", "event": "opened", "url": "COM5"}
+{"t_s": 0, "link": "arm", "event": "sent", "data": "03"}
+{"t_s": 0.1, "link": "arm", "event": "received", "data": "8300"}
+{"t_s": 0.2, "link": "arm", "event": "closed"}
+"""
+posix = pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
+
+
+@pytest.fixture(scope="module")
+def run_capture(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> tuple[Capture, Path]:
+    """The capture of a run, and the run's folder."""
+    path = tmp_path_factory.mktemp("capture") / "run.jsonl"
+    _, folder = run_command(["run", str(short_script), "--capture", str(path)], tmp_path_factory.mktemp("runs"))
+    return read_capture(path), folder
+
+
+@pytest.fixture(scope="module")
+def check_capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The capture of a check of the emulated rig."""
+    path = tmp_path_factory.mktemp("capture") / "check.jsonl"
+    assert main(["check", "--capture", str(path)]) == 0
+    return path
+
+
+@contextmanager
+def playing(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, str]]]:
+    """`replay-wire` as another process, and what it listens at."""
+    links = arguments.count("--link") or len(read_capture(Path(arguments[0])).links)
+    with started(["replay-wire", *arguments]) as child:
+        try:
+            assert child.stdout is not None
+            lines = (line for line in child.stdout if "://" in line)
+            yield child, dict(next(lines).split() for _ in range(links))
+        finally:
+            child.kill()  # where the test has failed before its end
+
+
+def test_a_capture_changes_nothing_of_what_a_run_does(run_capture: tuple[Capture, Path], short_script: Path, tmp_path: Path) -> None:
+    _, plain = run_command(["run", str(short_script)], tmp_path)
+    assert content(run_capture[1]) == content(plain)
+
+
+def test_a_run_is_captured_whole(run_capture: tuple[Capture, Path]) -> None:
+    capture, _ = run_capture
+    assert list(capture.links) == ["arm", "bath", "stage"]
+    assert not capture.cut
+    for conversations in capture.links.values():
+        (conversation,) = conversations
+        assert conversation.closed_s is not None
+        assert conversation.broke == ""
+        assert len(conversation.exchanges) > 50
+
+
+def test_the_drivers_of_a_check_meet_the_captured_run(run_capture: tuple[Capture, Path]) -> None:
+    capture, _ = run_capture
+    clock = VirtualClock()
+    with Replay(capture, clock) as replay:
+        openers = driver_openers(load_rig(find_rig(None)), clock, replay.urls)
+        arm, bath, stage = (openers[name]() for name in ("arm", "bath", "stage"))
+        try:
+            assert arm.sign_on().serial_number == "40937"
+            assert len(arm.poll().counts) == 6
+            assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)
+            assert stage.connect().version == "1.1h"
+        finally:
+            for device in (bath, stage):
+                device.close()
+            mismatches = list(replay.mismatches)
+            arm.close()  # says goodbye where the run went on
+    assert mismatches == []
+
+
+def test_a_whole_check_is_replayed_to_a_check(check_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with playing(str(check_capture), "--once", "--fast") as (child, urls):
+        rig = (ROOT / "bench" / "rigs" / "lab.example.toml").read_text(encoding="utf-8")
+        for real, far_end in {
+            '"/dev/ttyUSB0"            #': f'"{urls["arm"]}" #',
+            '"tcp://192.168.0.40:502"': f'"{urls["bath"]}"',
+            '"/dev/ttyACM0"            #': f'"{urls["stage"]}" #',
+            '"opencv:0"  ': '"opencv:none1.avi"  ',
+        }.items():
+            assert real in rig
+            rig = rig.replace(real, far_end)
+        (tmp_path / "lab.toml").write_text(rig, encoding="utf-8")
+        (tmp_path / "calibration.toml").write_bytes((ROOT / "bench" / "rigs" / "calibration.toml").read_bytes())
+        main(["check", str(tmp_path / "lab.toml")])
+        said = capsys.readouterr().out
+        output, _ = child.communicate(timeout=60)
+    for words in ("arm: ok", "serial_number: 40937", "bath: ok", "temperature: 20.0", "stage: ok", "1.1h", "cameras: FAULT"):
+        assert words in said, words
+    assert (child.returncode, output) == (0, "")
+
+
+def test_a_mismatch_gives_1_and_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "bug.jsonl"
+    path.write_text(HEAD + TALK, encoding="utf-8")
+    with playing(str(path), "--once") as (child, urls):
+        link = Link(urls["arm"], RealClock(), who="arm")
+        link.write(b"\xc2")
+        assert link.receive(0.3) == b""
+        link.close()
+        output, _ = child.communicate(timeout=60)
+    assert child.returncode == 1
+    assert f"{path}:3: arm: connection 1, request 1: byte 0 of it is another than recorded (expected 03, got C2)" in output
+    assert "arm: connection 1: 0 of 1 requests as recorded, then a mismatch" in output
+
+
+def test_once_is_not_content_with_half_of_it(tmp_path: Path) -> None:
+    path = tmp_path / "bug.jsonl"
+    path.write_text(HEAD + TALK, encoding="utf-8")
+    with playing(str(path), "--once") as (child, urls):
+        Link(urls["arm"], RealClock(), who="arm").close()
+        output, _ = child.communicate(timeout=60)
+    assert (child.returncode, output.strip()) == (1, "arm: connection 1: the host left after 0 of 1 requests")
+
+
+@posix
+def test_it_plays_again_and_again_until_ctrl_c(tmp_path: Path) -> None:
+    path = tmp_path / "bug.jsonl"
+    second = TALK.replace("arm", "stage").replace('"t_s": 0', '"t_s": 1')
+    path.write_text(HEAD + TALK + second + '{"t_s": 2, "li', encoding="utf-8")
+    with playing(str(path), "--link", "arm") as (child, urls):
+        assert list(urls) == ["arm"]
+        for _ in range(3):
+            link = Link(urls["arm"], RealClock(), who="arm")
+            link.write(b"\x03")
+            assert link.read(2, 5.0) == b"\x83\x00"
+            link.close()
+            time.sleep(0.2)  # for the other process to see that we have gone
+        child.send_signal(signal.SIGINT)
+        output, _ = child.communicate(timeout=60)
+    assert child.returncode == 0
+    assert "Traceback" not in output
+
+
+@pytest.mark.parametrize(
+    ("text", "more", "message"),
+    [
+        ("", [], "is empty"),
+        ("hello\n", [], "1: not JSON"),
+        (HEAD, [], "no link was opened in it"),
+        (HEAD + TALK + "x\n", [], "6: not JSON"),
+        (HEAD + TALK, ["--link", "arn"], 'no link "arn"; did you mean "arm"? It has: arm.'),
+        (HEAD + TALK, ["--listen", "203.0.113.7"], "can't listen on 203.0.113.7"),
+        (HEAD + TALK, ["--listen", "no such host"], "can't listen on no such host"),
+        (None, [], "can't be read"),
+    ],
+)
+def test_a_wrong_file_gives_2_and_a_sentence(
+    text: str | None, more: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bug.jsonl"
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
+    threads = threading.active_count()
+    assert main(["replay-wire", str(path), *more]) == 2
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert "Traceback" not in captured.err
+    assert threading.active_count() == threads
+
+
+WITHOUT_A_LINK = {"tell", "report", "score", "compare", "plan", "detect", "rigs", "trials show", "detectors", "emulate", "replay-wire"}
+WITHOUT_A_LINK |= {f"camera {name}" for name in ("list", "show", "focus", "grab")}
+WITHOUT_A_LINK |= {f"scene {name}" for name in ("sheet", "record", "boards", "sensitivity")}
+WITHOUT_A_LINK |= {f"store {name}" for name in ("check", "export")}
+WITHOUT_A_LINK |= {f"calibrate {name}" for name in ("merge", "board", "export", "import")}
+
+
+def commands_of(one: argparse.ArgumentParser, name: str = "") -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    """Every command with its parser, those of a group by both names."""
+    groups = [action for action in one._actions if isinstance(action, argparse._SubParsersAction)]
+    if not groups:
+        yield name, one
+    for group in groups:
+        for word, sub in group.choices.items():
+            yield from commands_of(sub, f"{name} {word}".strip())
+
+
+def test_every_command_that_opens_a_link_can_be_captured_and_no_other() -> None:
+    commands = dict(commands_of(parser()))
+    assert {"run", "check", "arm read"} | WITHOUT_A_LINK <= commands.keys()
+    for name, one in commands.items():
+        assert ("--capture FILE" in one.format_help()) != (name in WITHOUT_A_LINK), name
+
+
+@pytest.mark.parametrize("name", ["bug.jsonl", "no/such/folder/bug.jsonl"])
+def test_where_a_capture_cannot_be_written_nothing_is_begun(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bug.jsonl").write_text("precious", encoding="utf-8")
+    assert main(["run", "--capture", str(tmp_path / name), "--out", str(tmp_path / "runs")]) == 2
+    assert ("never written over" if name == "bug.jsonl" else "can't be written") in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["bug.jsonl"]
+    assert (tmp_path / "bug.jsonl").read_text(encoding="utf-8") == "precious"
+
+
+def test_wrong_use_leaves_no_capture_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "emulatd", "--capture", str(tmp_path / "bug.jsonl")]) == 2
+    assert "was not written: no link was opened" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,307 @@
+"""A run whose folder was damaged in any way: no command ends in a traceback, and none gives a verdict as if nothing were wrong."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from bench.cli.main import main
+from bench.cli.record import DAMAGED
+from bench.record.check import NOT_AS_WRITTEN, PRINTED
+from bench.record.reader import read_run
+from bench.record.schema import DATABASE, SCHEMA_VERSION
+from bench.run.engine import Ending
+from tests.bench.killed_runs import Silent, start
+from tests.bench.operated_runs import files
+from tests.conftest import ROOT
+
+KEPT = ROOT / "tests" / "bench" / "record" / "kept" / f"schema-{SCHEMA_VERSION}"
+OF_A_TRIAL = ("frames", "touches", "truth", "found", "scores", "detections")
+FRAME = Path("frames") / "001-place-1"
+Damage = Callable[[Path], object]
+
+
+def sql(*commands: str) -> Damage:
+    """Somebody with a database tool."""
+
+    def edit(run: Path) -> None:
+        with closing(sqlite3.connect(run / DATABASE)) as db:
+            for command in commands:
+                assert db.execute(command).rowcount, f"{command}: nothing was changed"
+            db.commit()
+
+    return edit
+
+
+def written(name: Path | str, change: Callable[[bytes], bytes]) -> Damage:
+    """A file with other bytes."""
+    return lambda run: (run / name).write_bytes(change((run / name).read_bytes()))
+
+
+def flipped(data: bytes, at: int) -> bytes:
+    return data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
+
+
+def version(number: int) -> Damage:
+    def edit(run: Path) -> None:
+        with closing(sqlite3.connect(run / DATABASE)) as db:
+            db.execute(f"PRAGMA user_version = {number}")
+
+    return edit
+
+
+def printed(text: str) -> Damage:
+    """The last report's run.json."""
+
+    def write(run: Path) -> None:
+        (run / PRINTED).parent.mkdir()
+        (run / PRINTED).write_text(text, encoding="utf-8")
+
+    return write
+
+
+def a_folder_for_a_picture(run: Path) -> None:
+    (run / FRAME / "right.png").unlink()
+    (run / FRAME / "right.png").mkdir()
+
+
+DAMAGES: dict[str, Damage] = {
+    **{f"all of {table} removed": sql(f"DELETE FROM {table}") for table in (*OF_A_TRIAL, "trials", "files", "facts", "events", "chain")},
+    **{f"first of {table} removed": sql(f"DELETE FROM {table} WHERE rowid = 1") for table in (*OF_A_TRIAL, "bath", "sessions")},
+    "a trial removed with all its rows": sql(
+        *(f"DELETE FROM {table} WHERE trial = '002-again-1'" for table in OF_A_TRIAL), "DELETE FROM trials WHERE number = 2"
+    ),
+    **{
+        f"{table}.{column} is {value}": sql(f"UPDATE {table} SET {column} = {value} WHERE rowid = 1")
+        for table, column, value in (
+            ("scores", "score", "'{'"),
+            ("scores", "score", "'[]'"),
+            ("scores", "wall_score", "'null'"),
+            ("scores", "score", "x'ff00'"),
+            ("detections", "trace", "'{\"ends\": 1'"),
+            ("detections", "trace", "'[1]'"),
+            ("detections", "outcome", "'fine'"),
+            ("detections", "wall_seconds", "'soon'"),
+            ("found", "x_mm", "x_mm + 0.001"),
+            ("found", "x_mm", "'left'"),
+            ("found", "covariance_mm2", "'[[1]]'"),
+            ("truth", "x_mm", "1e999"),
+            ("truth", "budget", "'[]'"),
+            ("truth", "covariance_mm2", "'{'"),
+            ("trials", "stage_mm", "'0'"),
+            ("trials", "id", "NULL"),
+            ("trials", "captured_s", "'noon'"),
+            ("trials", "bath_c", "'warm'"),
+            ("files", "name", "NULL"),
+            ("files", "name", "'..' || char(0)"),
+            ("files", "sha256", "x'00'"),
+            ("facts", "key", "NULL"),
+            ("frames", "path", "'../../elsewhere.png'"),
+            ("events", "wall_time", "'yesterday'"),
+            ("bath", "temp_c", "'cold'"),
+            ("chain", "covers", "'[]'"),
+            ("chain", "covers", "printf('%.*c', 100000, '[')"),
+            ("chain", "wall_covers", "'{\"trials\": 1}'"),
+        )
+    },
+    **{
+        f"fact {key} is {value}": sql(f"UPDATE facts SET value = '{value}' WHERE key = '{key}'")
+        for key, value in (
+            ("detectors", "{"), ("detectors", "1"), ("items", "[]"), ("versions", "null"), ("kind", "\"other\""), ("title", "7"),
+            ("pose set", "3"), ("asked", "{}"), ("set_point_c", "\"33\""), ("ending", "\"interrupted\""), ("identities", "[]"),
+        )
+    },
+    "schema 2": version(2),
+    "schema 1": version(1),
+    "schema 99": version(99),
+    "no database": lambda run: (run / DATABASE).unlink(),
+    "an empty database": written(DATABASE, lambda _: b""),
+    "half a database": written(DATABASE, lambda data: data[: len(data) // 2]),
+    "a database of zeros": written(DATABASE, lambda data: bytes(len(data))),
+    **{
+        f"{name}, {what}": written(FRAME / name, change)
+        for name in ("left.png", "thermal_radiometric.png")
+        for what, change in (
+            ("empty", lambda _: b""),
+            ("cut", lambda data: data[: len(data) // 2]),
+            ("only a signature", lambda data: data[:8]),
+            ("a bit flipped", lambda data: flipped(data, len(data) // 2)),
+            ("no picture", lambda _: b"hello"),
+        )
+    },
+    "a lost picture": lambda run: (run / FRAME / "right.png").unlink(),
+    "all pictures lost": lambda run: shutil.rmtree(run / "frames"),
+    "a folder for a picture": a_folder_for_a_picture,
+    **{
+        f"{name}, {what}": written(name, change)
+        for name in ("script.toml", "calibration.toml", "rig.toml")
+        for what, change in (
+            ("empty", lambda _: b""),
+            ("cut", lambda data: data[: len(data) // 2]),
+            ("not UTF-8", lambda data: data + b"\xff"),
+            ("a digit changed", lambda data: data.replace(b"0", b"1", 1)),
+        )
+    },
+    **{
+        f"the last report's run.json is {text}": printed(text)
+        for text in ("", "{", "[]", '{"chain": 1}', '{"chain": {"links": 1}}', '{"chain": {"links": 1, "wall_digest": []}}')
+    },
+}  # fmt: skip
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(KEPT, tmp_path / "run"))
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(KEPT, tmp_path / "whole"))
+
+
+def reading(run: Path, whole: Path, out: Path) -> dict[str, list[str]]:
+    """Every command that makes something of a run's record."""
+    exports = {kind: ["store", "export", str(run), "--format", kind, "--out", str(out / kind)] for kind in ("csv", "parquet", "mcap")}
+    compare = ["compare", str(whole), str(run), "--gate"]
+    return exports | {
+        "compare": [*compare, "--out", str(out / "compared")],
+        "compare --json": [*compare, "--json"],
+        "compare --together": [*compare, "--together"],
+        "report --baseline": ["report", str(whole), "--baseline", str(run), "--no-pdf"],
+        "report": ["report", str(run), "--no-pdf"],
+        "resume": ["resume", str(run)],
+    }
+
+
+def test_what_is_whole_is_taken_by_every_command(run: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Else nothing below would mean anything. The kept run is finished, and its rig lies elsewhere: it isn't resumed."""
+    for name, command in reading(run, whole, tmp_path / "out").items():
+        assert main(command) == (2 if name == "resume" else 0), name
+        assert NOT_AS_WRITTEN not in "".join(capsys.readouterr())
+    assert not list(tmp_path.rglob(DAMAGED))
+
+
+@pytest.mark.parametrize("what", DAMAGES)
+def test_a_damaged_run_is_refused_or_told_to_be_damaged(
+    run: Path, whole: Path, tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    DAMAGES[what](run)
+    assert main(["store", "check", str(run)]) in (1, 2)
+    no_traceback(capsys)
+    out = tmp_path / "out"
+    for name, command in reading(run, whole, out).items():
+        assert main(command) == 2, name
+        told = no_traceback(capsys)
+        assert not told.out, f"{name} gave something out"
+        assert told.err.startswith((f"teatbench: {NOT_AS_WRITTEN}", f"teatbench: {run}")), (name, told.err)
+    assert not out.exists()
+    assert not (run / "report" / "index.html").exists()
+    asked = reading(run, whole, out)
+    others = [name for name in asked if name != "report"]  # they take turns: a report takes its time
+    for name in ("report", others[list(DAMAGES).index(what) % len(others)]):
+        code = main([*asked[name], "--despite-damage"])
+        told = no_traceback(capsys)
+        if code == 0:
+            assert name in ("csv", "parquet", "mcap"), f"{name} gave a verdict"
+        else:
+            assert code in (2, 3, 4), f"{name} gave a verdict"
+        assert code == 2 or NOT_AS_WRITTEN in told.err, name
+    assert_told(out, run / "report", whole / "report")
+
+
+class Told(NamedTuple):
+    """What a command wrote."""
+
+    out: str
+    err: str
+
+
+def no_traceback(capsys: pytest.CaptureFixture[str]) -> Told:
+    told = capsys.readouterr()
+    assert "Traceback" not in told.err
+    assert "a mistake of the bench" not in told.err
+    return Told(*told)
+
+
+def assert_told(out: Path, *reports: Path) -> None:
+    """Nothing that was written can be taken for what was made of a whole record."""
+    for kind in ("csv", "parquet", "mcap"):
+        files = list((out / kind).glob("*"))
+        assert not files or (out / kind / DAMAGED) in files
+    for page in [*(report / "index.html" for report in reports), out / "compared" / "index.html"]:
+        if page.exists():
+            text = page.read_text(encoding="utf-8")
+            assert f'<p class="alarm">{NOT_AS_WRITTEN}' in text
+            assert '<span class="word-text">met' not in text
+    for report in reports:
+        if (report / "index.html").exists():
+            made = json.loads((report / "run.json").read_text(encoding="utf-8"))
+            assert made["damage"]
+            assert made["verdict"] == "inconclusive"
+            assert "<failure" not in (report / "junit.xml").read_text(encoding="utf-8")
+            rows = (report / "trials.csv").read_text(encoding="utf-8").splitlines()[1:]
+            assert all(NOT_AS_WRITTEN in row for row in rows)
+
+
+def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    class Stopping(Silent):
+        def trial(self, done: int, total: int, name: str) -> None:
+            if done == 1:
+                raise KeyboardInterrupt
+
+    files(tmp_path)
+    run, ending = start(tmp_path, progress=Stopping())
+    assert ending is Ending.ABORTED
+    sql("UPDATE detections SET wall_seconds = 0.001")(run)
+    assert main(["resume", str(run)]) == 2
+    assert f"{NOT_AS_WRITTEN}, and is refused. {run.name}: table detections, row 1" in capsys.readouterr().err
+    assert len(read_run(run).trials) == 1
+    assert main(["resume", str(run), "--despite-damage"]) == 4
+    told = capsys.readouterr()
+    assert told.err.count(f"{NOT_AS_WRITTEN}. ") == 2, "before and after all else"
+    assert "Verdict: no verdict" in told.out
+    assert (read_run(run).ending, len(read_run(run).trials)) == ("finished", 3)
+    assert_told(tmp_path, run / "report")
+    assert main(["store", "check", str(run)]) == 1
+
+
+def test_a_report_of_a_record_that_was_cut_off_does_not_make_it_whole(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The new report may not name the chain as it is now: the next check would find nothing."""
+    assert main(["report", str(run), "--no-pdf"]) == 0
+    printed = json.loads((run / PRINTED).read_text(encoding="utf-8"))["chain"]
+    facts = "'ending', 'retries', 'wall_ended'"
+    cut = "(SELECT number FROM chain WHERE wall_covers LIKE '%wall_ended%')"
+    sql(f"DELETE FROM facts WHERE key IN ({facts})", f"DELETE FROM chain WHERE number >= {cut} - 3")(run)
+    sql("DELETE FROM events WHERE kind = 'end'")(run)
+    for _ in range(2):
+        assert main(["report", str(run), "--no-pdf"]) == 2
+        assert main(["report", str(run), "--no-pdf", "--despite-damage"]) in (3, 4)
+        assert json.loads((run / PRINTED).read_text(encoding="utf-8"))["chain"] == printed
+    assert f"the chain doesn't pass through the digest of {PRINTED.as_posix()}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_bit_flipped_anywhere_in_the_database_changes_nothing_unseen(
+    run: Path, tmp_path: Path, seed: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where the check finds nothing, all rows are the same: the bit lay where nothing is stored."""
+    chance, data, before = random.Random(seed), (run / DATABASE).read_bytes(), dumped(run)
+    for _ in range(25):
+        at, bit = chance.randrange(len(data)), 1 << chance.randrange(8)
+        (run / DATABASE).write_bytes(data[:at] + bytes([data[at] ^ bit]) + data[at + 1 :])
+        code = main(["store", "export", str(run), "--format", "csv", "--out", str(tmp_path / "csv")])
+        no_traceback(capsys)
+        assert code == 2 or (code == 0 and dumped(run) == before), f"bit {bit} of byte {at}"
+
+
+def dumped(run: Path) -> list[str]:
+    with closing(sqlite3.connect(run / DATABASE)) as db:
+        return [line for line in db.iterdump() if line.startswith("INSERT")]

@@ -1,0 +1,161 @@
+"""The run folder: whole trials or none, whatever dies."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from contextlib import closing
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from bench.config import ConfigError
+from bench.files import write_synced
+from bench.record.reader import read_run
+from bench.record.schema import DATABASE
+from bench.record.writer import FinishedTrial, Store, new_run_folder
+from instruments.clock import wall_time
+
+WRITER = """
+import sys
+from pathlib import Path
+import numpy as np
+from bench.store import Store
+from tests.bench.test_store import facts, trial
+store = Store.create(Path(sys.argv[1]), {"script.toml": "x = 1"})
+facts(store)
+print("ready", flush=True)
+for number in range(1, 100000):
+    store.finished(trial(store, number))
+    print(number, flush=True)
+"""
+
+
+def facts(store: Store) -> None:
+    for key, value in {"detectors": ["thesis"], "title": "t", "kind": "emulated"}.items():
+        store.fact(key, value)
+
+
+def trial(store: Store, number: int) -> FinishedTrial:
+    name = f"{number:03d}-x-1"
+    frame = store.frame(name, "left", np.full((48, 64), number % 256, np.uint8), 1.0)
+    head: dict[str, Any] = {"id": name, "number": number, "name": "x", "situation": "s", "repeat": 1, "wall_time": "now"}
+    detection = {"trial": name, "detector": "thesis", "hidden": 0, "reason": None, "trace": "{}", "wall_seconds": 0.1}
+    found = {"trial": name, "detector": "thesis", "number": 1, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0}
+    truth = {"trial": name, "teat": 1, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "u_mm": 0.2, "visible": 1}
+    store.bath({"t_s": float(number), "temp_c": 33.0, "external_c": None, "power_percent": 2.0, "state": "stable"})
+    return FinishedTrial(head, [frame], [], [truth], [detection], [found], [])
+
+
+def test_what_was_written_is_read(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "run", {"script.toml": "x = 1"})
+    facts(store)
+    store.event(None, "state", "preparing", wall_time())
+    store.finished(trial(store, 7))
+    store.close()
+    run = read_run(tmp_path / "run")
+    assert run.ending == "interrupted"
+    assert [t.id for t in run.trials] == ["007-x-1"]
+    assert run.trials[0].found[0]["z_mm"] == 3.0
+    assert run.bath.tolist() == [[7.0, 33.0, 2.0]]
+    image = cv2.imread(str(tmp_path / "run" / run.trials[0].frames[0]["path"]), cv2.IMREAD_GRAYSCALE)
+    assert image is not None
+    assert (image == 7).all()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
+@pytest.mark.parametrize("after_s", [0.0, 0.013, 0.05, 0.11, 0.23])
+def test_a_killed_run_opens_and_has_every_finished_trial(tmp_path: Path, after_s: float) -> None:
+    folder = tmp_path / "run"
+    root = Path(__file__).resolve().parents[3]
+    writer = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(folder)], stdout=subprocess.PIPE, cwd=root, env={**os.environ, "PYTHONPATH": str(root)}
+    )
+    assert writer.stdout is not None
+    assert writer.stdout.readline() == b"ready\n"
+    time.sleep(after_s)
+    writer.kill()
+    reported = [int(line) for line in writer.stdout.read().split(b"\n") if line.strip().isdigit()]
+    writer.stdout.close()
+    writer.wait()
+    run = read_run(folder)
+    numbers = [int(t.head["number"]) for t in run.trials]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert len(numbers) >= (reported[-1] if reported else 0)
+    for kept in run.trials:
+        assert len(kept.frames) == len(kept.truth) == len(kept.detections) == len(kept.found) == 1
+        assert cv2.imread(str(folder / kept.frames[0]["path"])) is not None
+
+
+def test_a_trial_that_fails_to_be_written_leaves_nothing(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "run", {})
+    facts(store)
+    good = trial(store, 1)
+    bad = FinishedTrial(good.trial, good.frames, [], good.truth, good.detections, [{"trial": "other", "detector": "x", "number": 1}], [])
+    with pytest.raises(sqlite3.IntegrityError):
+        store.finished(bad)
+    store.finished(good)
+    store.close()
+    assert len(read_run(tmp_path / "run").trials) == 1
+
+
+def test_a_folder_that_is_no_run_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is no run"):
+        read_run(tmp_path)
+    (tmp_path / DATABASE).write_bytes(b"this is not a database, and long enough to have a header of some kind" * 20)
+    with pytest.raises(ConfigError, match="can't be read"):
+        read_run(tmp_path)
+
+
+def test_another_schema_is_refused(tmp_path: Path) -> None:
+    Store.create(tmp_path / "run", {}).close()
+    db = sqlite3.connect(tmp_path / "run" / DATABASE)
+    db.execute("PRAGMA user_version = 99")
+    db.close()
+    with pytest.raises(ConfigError, match="schema 99"):
+        read_run(tmp_path / "run")
+
+
+def test_two_runs_of_one_second_get_two_folders(tmp_path: Path) -> None:
+    now = wall_time()
+    first = new_run_folder(tmp_path, "six", now)
+    first.mkdir()
+    second = new_run_folder(tmp_path, "six", now)
+    assert first != second
+    assert ":" not in second.name
+
+
+def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "a" / "b.bin"
+    write_synced(path, b"one")
+    write_synced(path, b"two")
+    assert path.read_bytes() == b"two"
+    assert [p.name for p in path.parent.iterdir()] == ["b.bin"]
+
+
+def test_the_link_over_many_facts_repeats_in_another_process(tmp_path: Path) -> None:
+    """Facts are named as they were written, and none whose value doesn't repeat."""
+    keys = [f"fact {number}" for number in (7, 3, 9, 1, 5, 8, 2)]
+    with closing(Store.create(tmp_path / "run", {})) as store, store.step():
+        for key in ("command", *keys, "recorded to"):
+            store.fact(key, "said")
+    with closing(sqlite3.connect(tmp_path / "run" / DATABASE)) as db:
+        said = [json.loads(covers).get("facts", {}) for (covers,) in db.execute("SELECT covers FROM chain ORDER BY number")]
+    assert [key for link in said for key in link if key in keys or not key.startswith("fact")] == keys
+
+
+@pytest.mark.parametrize("name", ["n" * 250, "ü" * 125])
+def test_a_run_of_a_script_with_a_long_name_can_be_kept(tmp_path: Path, name: str) -> None:
+    folder = new_run_folder(tmp_path, name, datetime(2026, 1, 2, tzinfo=UTC))
+    Store.create(folder, {}).close()
+    assert folder.is_dir()
+    assert name.startswith(folder.name.removeprefix("20260102-000000-"))

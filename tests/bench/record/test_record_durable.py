@@ -1,0 +1,237 @@
+"""When what is durable: the order of syncs, what a step holds back and what it doesn't, and what a failed write leaves."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from bench.config import ConfigError
+from bench.files import png_bytes, write_pictures, write_synced
+from bench.record.check import check_run
+from bench.record.reader import read_run
+from bench.record.schema import DATABASE
+from bench.record.writer import FLUSH_EVERY, URGENT, FinishedTrial, Store
+from instruments.clock import wall_time
+from tests.bench.record.test_record import facts, trial
+
+READING = {"temp_c": 33.0, "external_c": None, "power_percent": 2.0, "state": "stable"}
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Any:
+    made = Store.create(tmp_path / "run", {"script.toml": "x = 1"})
+    facts(made)
+    yield made
+    made.close()
+
+
+def durable(store: Store, table: str = "events") -> int:
+    """Rows that another process would see now."""
+    with closing(sqlite3.connect(store.folder / DATABASE)) as db:
+        return int(db.execute(f"SELECT count(*) FROM {table}").fetchone()[0])
+
+
+def say(store: Store, kind: str = "state") -> None:
+    store.event(1.0, kind, "something", wall_time())
+
+
+def test_an_event_is_durable_when_it_returns_and_in_a_step_when_that_ends(store: Store) -> None:
+    say(store)
+    assert durable(store) == 1
+    with store.step():
+        say(store)
+        store.fact("camera faults", {"left": 1})
+        with store.step():
+            say(store)
+        assert durable(store) == 1, "an inner step doesn't end the outer one"
+    assert durable(store) == 3
+    with suppress(ZeroDivisionError), store.step():
+        say(store)
+        raise ZeroDivisionError
+    assert durable(store) == 4, "a step that fails is a step that ended"
+
+
+def test_before_a_physical_action_counts_as_done_a_flush_makes_all_durable(store: Store) -> None:
+    with store.step():
+        say(store)
+        store.flush()
+        assert durable(store) == 1
+
+
+@pytest.mark.parametrize("kind", sorted(URGENT))
+def test_what_is_urgent_waits_for_no_step(store: Store, kind: str) -> None:
+    with store.step():
+        say(store)
+        say(store, kind)
+        assert durable(store) == 2
+
+
+def test_no_step_holds_back_more_than_so_many_rows(store: Store) -> None:
+    with store.step():
+        for _ in range(FLUSH_EVERY):
+            say(store)
+        assert durable(store) == FLUSH_EVERY
+
+
+def test_bath_readings_become_durable_with_whatever_comes_next(store: Store) -> None:
+    store.bath({"t_s": 1.0, **READING})
+    assert durable(store, "bath") == 0
+    say(store)
+    store.bath({"t_s": 2.0, **READING})
+    store.finished(trial(store, 3))
+    assert durable(store, "bath") == 3
+
+
+def test_a_trial_that_cannot_be_written_takes_nothing_with_it(store: Store) -> None:
+    good = trial(store, 1)
+    orphan = [{"trial": "other", "detector": "x", "number": 1}]
+    with pytest.raises(sqlite3.IntegrityError):
+        store.finished(FinishedTrial(good.trial, good.frames, [], good.truth, good.detections, orphan, []))
+    assert (durable(store, "bath"), durable(store, "trials")) == (1, 0)
+    store.finished(good)
+    assert (durable(store, "bath"), durable(store, "trials")) == (1, 1)
+    store.close()
+    assert check_run(store.folder).whole
+
+
+def test_a_wrong_row_that_waited_does_not_hold_up_the_runs_end(store: Store) -> None:
+    for _ in range(2):
+        store.bath({"t_s": 1.0, **READING})  # the same moment twice
+    with pytest.raises(sqlite3.IntegrityError):
+        say(store)
+    say(store, "end")
+    assert (durable(store, "bath"), durable(store)) == (0, 1)
+
+
+def test_what_waits_goes_on_waiting_while_the_disk_is_full(store: Store) -> None:
+    store.bath({"t_s": 1.0, **READING})
+    (pages,) = store._db.execute("PRAGMA page_count").fetchone()
+    store._db.execute(f"PRAGMA max_page_count = {pages}")
+    step = store.step()
+    step.__enter__()
+    for _ in range(FLUSH_EVERY - 2):
+        store.event(1.0, "state", "x" * 10_000, wall_time())
+    with pytest.raises(sqlite3.OperationalError, match="full"):
+        step.__exit__(None, None, None)
+    assert durable(store, "bath") == 0
+    store._db.execute("PRAGMA max_page_count = 1000000")
+    say(store, "end")
+    assert (durable(store, "bath"), durable(store)) == (1, FLUSH_EVERY - 1)
+    store.close()
+    assert check_run(store.folder).whole
+
+
+def test_a_file_is_synced_then_renamed_then_its_folder_is_synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+    fsync, replace = os.fsync, Path.replace
+
+    def synced(handle: int) -> None:
+        done.append("sync " + Path(f"/proc/self/fd/{handle}").readlink().name)
+        fsync(handle)
+
+    def renamed(path: Path, target: Path) -> Path:
+        done.append(f"rename {path.name} to {target.name}")
+        return replace(path, target)
+
+    if not Path("/proc/self/fd").is_dir():
+        pytest.skip("needs /proc to tell which file is synced")
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(Path, "replace", renamed)
+    write_synced(tmp_path / "new" / "a.bin", b"a")
+    assert done == [f"sync {tmp_path.name}", "sync a.bin.part", "rename a.bin.part to a.bin", "sync new"]
+
+
+def test_frames_are_on_the_disk_before_the_row_that_names_them(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+    fsync = os.fsync
+
+    def synced(handle: int) -> None:
+        seen.append(durable(store, "frames"))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    done = trial(store, 1)
+    assert len(seen) >= 3, "the frame, its folder, and the folder that holds that"
+    assert set(seen) == {0}
+    store.finished(done)
+    assert durable(store, "frames") == 1
+
+
+def test_a_run_folder_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "out" / "run"
+
+    def died(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "rename", died)
+    with pytest.raises(KeyboardInterrupt):
+        Store.create(folder, {"script.toml": "x = 1"})
+    assert not folder.exists()
+    monkeypatch.undo()
+    Store.create(folder, {"script.toml": "x = 1"}).close()
+    with pytest.raises(FileExistsError):
+        Store.create(folder, {})
+    assert (folder / "script.toml").read_text(encoding="utf-8") == "x = 1"
+
+
+def test_each_opening_is_a_session_with_a_clock_of_its_own(store: Store) -> None:
+    store.bath({"t_s": 1.0, **READING})
+    store.close()
+    again = Store(store.folder)
+    again.bath({"t_s": 1.0, **READING})
+    again.bath({"t_s": 2.0, **READING})
+    again.close()
+    assert (store.session, again.session) == (1, 2)
+    assert read_run(store.folder).bath[:, 0].tolist() == [1.0, 1.0, 2.0]
+
+
+def test_pictures_of_a_trial_that_died_in_flight_do_not_stay_beside_those_of_its_repetition(store: Store) -> None:
+    store.frames("001-x-1", {"left": np.zeros((4, 5), np.uint8), "thesis-edges": np.zeros((4, 5), np.uint8)}, {})
+    store.finished(trial(store, 2))
+    store.close()
+    again = Store(store.folder)
+    again.finished(trial(again, 1))
+    again.close()
+    assert check_run(store.folder).findings == ()
+    assert sorted(path.parent.name for path in store.folder.rglob("*.png")) == ["001-x-1", "002-x-1"]
+
+
+def test_a_write_protected_run_is_read_unless_its_log_would_be_missed(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There SQLite can't make the index of its log, and says so."""
+    store.finished(trial(store, 1))
+    store.close()
+    connect: Any = sqlite3.connect
+
+    def protected(address: str, **more: Any) -> Any:
+        return connect(address if "immutable=1" in address else "file:/nowhere/run.sqlite?mode=ro", **more)
+
+    monkeypatch.setattr(sqlite3, "connect", protected)
+    assert len(read_run(store.folder).trials) == 1
+    (store.folder / f"{DATABASE}-wal").write_bytes(b"something")
+    with pytest.raises(ConfigError, match="can't be read: unable to open"):
+        read_run(store.folder)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(1, 1), (7, 5), (120, 160)])
+def test_pictures_come_back_as_they_were(tmp_path: Path, dtype: type[np.uint8 | np.uint16], shape: tuple[int, int]) -> None:
+    image = np.random.default_rng(4).integers(0, np.iinfo(dtype).max, shape, dtype=dtype, endpoint=True)
+    paths = {tmp_path / f"{k}.png": np.roll(image, k) for k in range(9)}
+    assert list(write_pictures(paths)) == list(paths)
+    for path, written in paths.items():
+        read = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert read is not None
+        assert read.dtype == dtype
+        assert np.array_equal(read, written)
+
+
+def test_a_picture_that_is_none_is_named() -> None:
+    with pytest.raises((ValueError, cv2.error)):
+        png_bytes(np.zeros((0, 0), np.uint16))

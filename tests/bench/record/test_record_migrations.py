@@ -1,0 +1,115 @@
+"""Runs of older benches: read by migration in memory, left on the disk as they are, and never gone on with."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from bench.cli.main import main
+from bench.config import ConfigError
+from bench.record.check import check_run
+from bench.record.reader import read_run
+from bench.record.schema import DATABASE, SCHEMA_VERSION, make_tables, migrate, tables_of
+from bench.record.writer import Store
+from tests.bench.old_schemas import ROWS_1, ROWS_2, VERSION_1, VERSION_2
+
+OLD = {1: VERSION_1 + ROWS_1, 2: VERSION_2 + ROWS_2}
+
+
+def old_run(folder: Path, version: int, text: str) -> Path:
+    folder.mkdir()
+    with closing(sqlite3.connect(folder / DATABASE)) as db:
+        db.executescript(f"{text} PRAGMA user_version = {version};")
+    return folder
+
+
+def kept(folder: Path) -> Path:
+    """A run as the bench of schema 3 wrote it."""
+    return Path(shutil.copytree(Path(__file__).parent / "kept" / "schema-3", folder / "schema-3"))
+
+
+@pytest.fixture(params=OLD)
+def run(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    return old_run(tmp_path / "run", request.param, OLD[request.param])
+
+
+def test_a_run_of_every_older_bench_is_read_and_left_as_it_is(run: Path) -> None:
+    before = hashlib.sha256((run / DATABASE).read_bytes()).hexdigest()
+    record = read_run(run)
+    assert record.ending == "finished"
+    assert [one.id for one in record.trials] == ["001-x-1", "002-y-1"]
+    first = record.trials[0]
+    assert first.found[0]["x_mm"] == 1.5
+    assert first.touches[0]["refused"] is None
+    assert record.bath.tolist() == [[1.0, 32.5, 4.0], [2.0, 33.0, 3.0]]
+    assert [event["session"] for event in record.events] == [1, 1]
+    assert record.head is not None
+    assert record.head.number == 0, "an older bench made no chain"
+    assert hashlib.sha256((run / DATABASE).read_bytes()).hexdigest() == before
+    assert [path.name for path in run.iterdir()] == [DATABASE]
+
+
+def test_what_version_1_did_not_know_has_its_default(tmp_path: Path) -> None:
+    first = read_run(old_run(tmp_path / "run", 1, OLD[1])).trials[0]
+    assert (first.invalid, first.how, first.head["stage_mm"]) == (None, None, None)
+    assert (first.detections[0]["outcome"], first.detections[0]["cold"]) == ("answered", 0)
+
+
+def test_what_version_2_knew_is_kept(tmp_path: Path) -> None:
+    record = read_run(old_run(tmp_path / "run", 2, OLD[2]))
+    assert [one.invalid for one in record.trials] == [None, "the carried end was off"]
+    assert [one.id for one in record.counted] == ["001-x-1"]
+    assert record.trials[0].how == "touched"
+    assert record.trials[0].detections[0]["outcome"] == "timeout"
+    assert record.skipped[0]["reason"] == "no teat to touch"
+    assert record.checks[0]["off_mm"] == 6.0
+
+
+def test_every_migration_ends_in_the_tables_of_today(tmp_path: Path) -> None:
+    def columns(db: sqlite3.Connection) -> dict[str, set[str]]:
+        return {name: {row[1] for row in db.execute(f"PRAGMA table_info({name})")} for name in tables_of(db)}
+
+    with closing(sqlite3.connect(":memory:", isolation_level=None)) as today:
+        make_tables(today)
+        for folder in (*(old_run(tmp_path / str(version), version, text) for version, text in OLD.items()), kept(tmp_path)):
+            with closing(sqlite3.connect(folder / DATABASE, isolation_level=None)) as old:
+                migrate(old)
+                assert columns(old) == columns(today)
+                assert old.execute("PRAGMA foreign_key_check").fetchall() == []
+
+
+def test_an_old_run_is_checked_and_exported_but_not_gone_on_with(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert any("it has no chain" in finding.text for finding in check_run(run).findings)
+    export = ["store", "export", str(run), "--format", "csv", "--out", str(tmp_path / "csv")]
+    assert main(export) == 2, "its pictures aren't there"
+    assert main([*export, "--despite-damage"]) == 0
+    assert "001-x-1" in (tmp_path / "csv" / "trials.csv").read_text(encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"of an older bench: it can be read and reported, but not gone on with"):
+        Store(run)
+    capsys.readouterr()
+
+
+def test_a_run_of_schema_3_is_whole_reported_and_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = kept(tmp_path)
+    assert [row["wall_cpu_s"] for trial in read_run(run).trials for row in trial.detections] == [None, None]
+    assert main(["store", "check", str(run)]) == 0
+    assert main(["report", str(run), "--no-pdf"]) == 4
+    assert main(["store", "export", str(run), "--format", "parquet", "--out", str(tmp_path / "parquet")]) == 0
+    assert main(["store", "check", str(run)]) == 0, "the report names the chain as it is"
+    with pytest.raises(ConfigError, match="of an older bench"):
+        Store(run)
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(("version", "told"), [(SCHEMA_VERSION + 1, "A newer bench wrote it"), (0, "No bench has finished making it")])
+def test_tables_that_this_bench_does_not_know_are_refused(tmp_path: Path, version: int, told: str) -> None:
+    run = old_run(tmp_path / "run", version, VERSION_2)
+    with pytest.raises(ConfigError, match=told):
+        read_run(run)
+    with pytest.raises(ConfigError, match=f"schema {version}"):
+        Store(run)

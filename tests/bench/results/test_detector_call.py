@@ -1,0 +1,268 @@
+"""Detectors of every manner: what they do is scored as what it is."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.config import read_calibration
+from bench.results.answers import Answer, Examiner, TruthRow, close_detectors, examine, score_answer
+from bench.rig.loading import RIGS
+from bench.run.rows import detection_rows, score_row, stage_pictures
+from bench.scoring.scene import scene_from_dict
+from detector.calibration import Calibration
+from detector.protocol import Detection, DetectionFailure, Frames, Outcome, Served, Stage, Teat
+from instruments.camera.frame import FrameSet
+
+TRUTH = [TruthRow("1", (0.0, 0.0, 100.0), True, 0.2), TruthRow("2", (50.0, 0.0, 100.0), True, 0.2)]
+FRAMES = FrameSet(np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8))
+
+
+@dataclass(frozen=True)
+class Scripted:
+    """A detector that does what a function says."""
+
+    does: Callable[[], Any]
+    name: str = "scripted"
+    version: str = "1"
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        return {}
+
+    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+        found: Detection = self.does()
+        return found
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    return read_calibration(RIGS / "calibration.toml")
+
+
+def teat(*xyz: float, **more: Any) -> Teat:
+    return Teat(np.array(xyz), **more)
+
+
+def answered(*teats: Any, **more: Any) -> Callable[[], Detection]:
+    return lambda: Detection(teats, **more)
+
+
+def test_a_good_answer_is_scored_and_stored(calibration: Calibration) -> None:
+    answer = examine(Scripted(answered(teat(1, 0, 100), teat(50, 2, 100))), FRAMES, calibration)
+    assert (answer.outcome, answer.cold, answer.start_up_s, answer.stderr) == (Outcome.ANSWERED, False, None, "")
+    score = score_answer(answer, TRUTH, limit_mm=5.0, time_limit_s=2.0)
+    assert score.success
+    assert sorted(score.radial_mm) == [1.0, 2.0]
+    row = score_row("t", "scripted", score)
+    assert "seconds" not in json.loads(str(row["score"]))
+    again = scene_from_dict({**json.loads(str(row["score"])), **json.loads(str(row["wall_score"]))})
+    assert again.as_dict() == score.as_dict()
+
+
+def crash() -> Detection:
+    raise RuntimeError("out of\ncheese")
+
+
+def leave() -> Detection:
+    raise SystemExit(3)
+
+
+LEANING = np.eye(3) + np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("does", "reason"),
+    [
+        (crash, "the detector failed: RuntimeError: out of cheese"),
+        (leave, "the detector failed: SystemExit: 3"),
+        (lambda: None, "its answer is a NoneType, not a Detection"),
+        (lambda: [[1, 2, 3]], "its answer is a list, not a Detection"),
+        (answered([1, 2, 3]), "teat 1 of its answer is a list, not a Teat"),
+        (answered(teat(1, 2)), "not three finite numbers"),
+        (answered(teat(1, 2, np.nan)), "not three finite numbers"),
+        (answered(teat(1, 2, 3), teat(1, np.inf, 3)), "teat 2 of its answer is [1.0, inf, 3.0]"),
+        (answered(Teat("here")), "'here', not three finite numbers"),  # type: ignore[arg-type]
+        (answered(teat(1, 2, 3), teat(0, 0, 1e9)), "teat 2 of its answer is at (0, 0, 1e+09) mm, outside of the working volume"),
+        (answered(*[teat(i, 0, 0) for i in range(17)]), "17 teats; 16 are taken at most"),
+        (answered(hidden=-1), "counts -1 teats as hidden"),
+        (answered(hidden=99), "counts 99 teats as hidden"),
+        (answered(hidden=1.5), "counts 1.5 teats as hidden"),
+        (answered(hidden=True), "counts True teats as hidden"),
+        (answered(teat(1, 2, 3, covariance_mm2=np.eye(2))), "the covariance of teat 1"),
+        (answered(teat(1, 2, 3, covariance_mm2=np.full((3, 3), np.nan))), "not 3 x 3 finite numbers"),
+        (answered(teat(1, 2, 3, covariance_mm2=LEANING)), "the covariance of teat 1 is not symmetric"),
+        (answered(teat(1, 2, 3, covariance_mm2=np.diag([1.0, 1, 0]))), "the covariance of teat 1 is not positive definite"),
+        (answered(teat(1, 2, 3, covariance_mm2=-np.eye(3))), "not positive definite"),
+        (answered(teat(1, 2, 3, left_px=np.array([1.0]))), "left_px of teat 1 is [1.0], not two finite numbers"),
+    ],
+)
+def test_a_bad_answer_is_told_and_stops_nothing(calibration: Calibration, does: Callable[[], Any], reason: str) -> None:
+    answer = examine(Scripted(does), FRAMES, calibration)
+    assert answer.outcome is Outcome.FAILED
+    assert answer.detection.teats == ()
+    assert reason in str(answer.detection.reason)
+    assert "\n" not in str(answer.detection.reason)
+    assert answer.seconds > 0
+    assert not score_answer(answer, TRUTH, limit_mm=5.0, time_limit_s=2.0).success
+
+
+def test_ctrl_c_is_nobodys_failure(calibration: Calibration) -> None:
+    def interrupted() -> Detection:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        examine(Scripted(interrupted), FRAMES, calibration)
+
+
+def test_no_answer_is_no_success_where_there_is_nothing_to_find(calibration: Calibration) -> None:
+    unseen = [replace(row, visible=False) for row in TRUTH]
+    silent = examine(Scripted(answered(hidden=2)), FRAMES, calibration)
+    assert score_answer(silent, unseen, limit_mm=5.0, time_limit_s=2.0).success
+    failed = score_answer(examine(Scripted(crash), FRAMES, calibration), unseen, limit_mm=5.0, time_limit_s=2.0)
+    assert (failed.success, failed.hidden_claimed) == (False, None)
+
+
+def test_an_answer_after_the_limit_is_a_timeout(calibration: Calibration) -> None:
+    answer = examine(Scripted(answered(teat(0, 0, 100))), FRAMES, calibration, timeout_s=1e-9)
+    assert (answer.outcome, answer.detection.teats) == (Outcome.TIMEOUT, ())
+    assert "it answered after 1e-09 s, which counts as no answer" in str(answer.detection.reason)
+    score = score_answer(answer, TRUTH, limit_mm=5.0, time_limit_s=2.0)
+    assert (score.in_time, score.success) == (False, False)
+
+
+def test_the_first_call_is_the_cold_one(calibration: Calibration) -> None:
+    examiner = Examiner(calibration)
+    one, two = Scripted(answered(), "one"), Scripted(crash, "two")
+    assert [examiner.ask(d, FRAMES).cold for d in (one, two, one, two, one)] == [True, True, False, False, False]
+
+
+def test_no_detector_can_change_the_pictures_under_the_others(calibration: Calibration) -> None:
+    class Painter(Scripted):
+        def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+            frames.left[:] = 255
+            return Detection()
+
+    answer = examine(Painter(answered()), FRAMES, calibration)
+    assert answer.outcome is Outcome.FAILED
+    assert "read-only" in str(answer.detection.reason)
+    assert not FRAMES.left.any()
+    FRAMES.left[0, 0] = 0  # the bench itself may
+
+
+def test_a_covariance_as_printed_is_symmetric_enough(calibration: Calibration) -> None:
+    printed = np.array([[1.0, 0.3333334, 0], [0.3333333, 1, 0], [0, 0, 1]])
+    answer = examine(Scripted(answered(teat(1, 2, 3, covariance_mm2=printed))), FRAMES, calibration)
+    kept = answer.detection.teats[0].covariance_mm2
+    assert kept is not None
+    assert np.array_equal(kept, kept.T)
+
+
+def test_stages_are_kept_points_in_the_record_and_masks_as_pictures(calibration: Calibration) -> None:
+    mask = np.eye(30, dtype=bool)
+    stages = (Stage("edges", {"mask": mask}), Stage("teat ends", {"points_px": np.array([[1.5, 2.5]])}))
+    answer = examine(Scripted(answered(hidden=2, trace=stages)), FRAMES, calibration)
+    head, found = detection_rows("t", answer)
+    trace = json.loads(str(head["trace"]))
+    assert trace["teat ends"]["points_px"] == [[1.5, 2.5]]
+    assert trace["edges"]["mask"]["shape"] == [30, 30]
+    assert (head["outcome"], head["cold"]) == ("answered", 0)
+    assert found == []
+    pictures = stage_pictures(answer)
+    assert list(pictures) == ["scripted-edges"]
+    assert (pictures["scripted-edges"] == mask * np.uint8(255)).all()
+
+
+def test_stages_that_the_record_cannot_hold_are_left_out_with_a_word(calibration: Calibration) -> None:
+    (told,) = [examine(Scripted(answered(reason="dark\n and   cold")), FRAMES, calibration).detection.reason]
+    assert told == "dark and cold"
+    good = Stage("fine", {"p": np.zeros(2)})
+    bad = (Stage("../up", {"p": np.zeros(2)}), Stage("things", {"p": np.array([object()])}), "no stage")
+    answer = examine(Scripted(answered(reason="dark", trace=(good, *bad))), FRAMES, calibration)
+    assert answer.outcome is Outcome.ANSWERED
+    assert [stage.name for stage in answer.detection.trace] == ["fine"]
+    assert str(answer.detection.reason).startswith("dark; 3 of its stages can't be kept")
+    detection_rows("t", answer)
+
+
+@dataclass
+class Remote:
+    """A detector that lives elsewhere, with a diary of what it was asked to do."""
+
+    fails: dict[str, DetectionFailure] = field(default_factory=dict)
+    done: list[str] = field(default_factory=list)
+    name: str = "remote"
+    version: str = "1"
+    patience_s: float = 1.0
+    start_up_s: float | None = 0.75
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    def _do(self, what: str) -> None:
+        self.done.append(what)
+        if what in self.fails:
+            raise self.fails[what]
+
+    def prepare(self, frames: Frames, calibration: Calibration) -> None:
+        self._do("prepare")
+
+    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+        self._do("detect")
+        return Detection((teat(0, 0, 100),))
+
+    def check(self) -> None:
+        self._do("check")
+
+    def said(self) -> str:
+        return "cheese is low"
+
+    def close(self) -> None:
+        self._do("close")
+
+
+def test_what_lives_elsewhere_is_prepared_outside_of_its_time_and_checked(calibration: Calibration) -> None:
+    remote = Remote()
+    assert isinstance(remote, Served)
+    answer = examine(remote, FRAMES, calibration)
+    assert (answer.outcome, answer.cold, answer.start_up_s, answer.stderr) == (Outcome.ANSWERED, True, 0.75, "cheese is low")
+    close_detectors([remote, Scripted(crash)])
+    assert remote.done == ["prepare", "detect", "check", "close"]
+    head, _ = detection_rows("t", answer)
+    assert (head["cold"], head["wall_start_up_s"], head["wall_stderr"]) == (1, 0.75, "cheese is low")
+
+
+@pytest.mark.parametrize(("where", "outcome"), [("prepare", Outcome.OFF), ("detect", Outcome.TIMEOUT), ("check", Outcome.FAILED)])
+def test_its_failures_are_what_they_are(calibration: Calibration, where: str, outcome: Outcome) -> None:
+    answer: Answer = examine(Remote({where: DetectionFailure("no cheese", outcome)}), FRAMES, calibration)
+    assert (answer.outcome, answer.detection.teats) == (outcome, ())
+    assert answer.detection.reason == "the detector failed: no cheese"
+    assert answer.stderr == "cheese is low"
+
+
+def test_what_the_processor_gave_is_measured_beside_the_time(calibration: Calibration) -> None:
+    def wait() -> Detection:
+        threading.Event().wait(0.5)
+        return Detection(())
+
+    def work() -> Detection:
+        end_s = time.thread_time() + 0.1
+        while time.thread_time() < end_s:
+            pass
+        return Detection(())
+
+    waited, worked = (examine(Scripted(does), FRAMES, calibration) for does in (wait, work))
+    assert waited.cpu_s is not None
+    assert waited.cpu_s < 0.25
+    assert waited.seconds >= 0.4
+    assert worked.cpu_s is not None
+    assert worked.cpu_s >= 0.09
+    row = detection_rows("t", waited)[0]
+    assert (row["wall_cpu_s"], row["wall_load"]) == (waited.cpu_s, waited.load)
+    assert (waited.load is not None) is hasattr(os, "getloadavg")

@@ -1,0 +1,227 @@
+"""Scoring several detectors at once, one of them in a process of its own that fails: the record, the table, and what is left behind."""
+
+from __future__ import annotations
+
+import csv
+import html
+import json
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from bench.cli.main import main
+from bench.record.reader import RunRecord, read_run
+from bench.report.page import stored_rules
+from bench.report.tables import score_table
+from bench.results.latency import Latency, failures_told, latency_of
+from bench.results.verdicts import judge
+from bench.scoring.decisions import Verdict
+from tests.bench.small_recording import ENDS_MM, write_recording
+from tests.bench.small_run import written_anew
+from tests.conftest import ROOT
+
+PROGRAM = f"""
+import json, sys
+print(json.dumps({{"ready": True}}), flush=True)
+for line in sys.stdin:
+    asked = json.loads(line)
+    number = int(asked["frame"])
+    if number == 3:
+        print("no cheese", file=sys.stderr, flush=True)
+        sys.exit(9)
+    ends = {ENDS_MM}
+    if number == 2:
+        ends[0][0] += 3
+        ends.append([0, 0, 0])
+    teats = [{{"world_mm": end, "covariance_mm2": None}} for end in ends]
+    print(json.dumps({{"frame": asked["frame"], "teats": teats, "hidden": 0}}), flush=True)
+"""
+
+
+@dataclass(frozen=True)
+class Scored:
+    code: int
+    run: RunRecord
+    said: str
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_recording(tmp_path_factory.mktemp("recordings") / "five")
+
+
+@pytest.fixture(scope="module")
+def scored(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Scored:
+    folder = tmp_path_factory.mktemp("scored")
+    (folder / "program.py").write_text(PROGRAM, encoding="utf-8")
+    text = f'name = "mine"\nversion = "3"\ncommand = [{json.dumps(sys.executable)}, "program.py"]\ntime_limit_s = 60\n'
+    (folder / "mine.toml").write_text(text, encoding="utf-8")
+    said: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("builtins.print", lambda *parts, **_: said.append(" ".join(map(str, parts))))
+        arguments = [
+            "score",
+            str(recording),
+            "--detector",
+            str(folder / "mine.toml"),
+            "--detector",
+            "thesis",
+            "--out",
+            str(folder / "runs"),
+        ]
+        code = main(arguments)
+    (run,) = (folder / "runs").iterdir()
+    return Scored(code, read_run(run), "\n".join(said))
+
+
+def test_every_frame_has_its_answer_and_its_outcome(scored: Scored) -> None:
+    rows = [row for trial in scored.run.trials for row in trial.detections if row["detector"] == "mine"]
+    assert [row["outcome"] for row in rows] == ["answered", "answered", "failure", "answered", "answered"]
+    assert [row["cold"] for row in rows] == [1, 0, 0, 1, 0], "each process has a first call"
+    assert [row["wall_start_up_s"] is not None for row in rows] == [True, False, False, True, False]
+    assert rows[2]["reason"] == "the detector failed: it ended with exit code 9"
+    assert rows[2]["wall_stderr"] == "no cheese"
+    item = scored.run.facts["items"]["mine"]
+    assert item["version"] == "3"
+    assert "program.py" in item["configuration"]
+    assert "files_sha256" in item["configuration"]
+
+
+def test_latency_leaves_first_calls_and_failures_out(scored: Scored) -> None:
+    mine = latency_of(scored.run, "mine")
+    assert (len(mine.seconds), len(mine.cold_s), dict(mine.unanswered)) == (2, 2, {"failure": 1})
+    assert mine.start_up_s is not None
+    thesis = latency_of(scored.run, "thesis")
+    assert (len(thesis.seconds), len(thesis.cold_s), thesis.start_up_s) == (4, 1, None)
+    assert latency_of(scored.run, "nobody") == Latency()
+    assert (Latency().median_s, Latency().p99_s, failures_told(Latency())) == (None, None, "none")
+    rules = stored_rules(scored.run.folder)
+    (of_mine, _) = judge(scored.run, rules)
+    assert {d.n for d in of_mine.decisions if d.unit == "s"} == {2}
+
+
+def test_the_table_says_it_all(scored: Scored) -> None:
+    table = score_table(scored.run)
+    assert table in scored.said
+    cells = {(c[1], c[2]): c for line in table.splitlines() if line.startswith("| ") and len(c := [x.strip() for x in line.split("|")]) > 3}
+    calm, windy, whole = (cells[situation, "mine"] for situation in ("calm", "windy", "all"))
+    # frame 2: one end 3 mm off, one false end; frame 3 fails, so frame 4 is the new process's first: its count goes on
+    assert calm[3:7] == ["2", "4 of 4", "1", "0.75, 3.00, 3.00"]
+    assert windy[3:7] == ["3", "4 of 6", "0", "0.00, 0.00, 0.00"]
+    assert whole[3:7] == ["5", "8 of 10", "1", "0.38, 3.00, 3.00"]
+    assert windy[8] == "1 failure"
+    assert cells["all", "thesis"][4:7] == ["0 of 10", "0", "not measured"]
+    assert "the first call of each process (cold)" in table
+    assert "mine: first call " in table
+
+
+def test_the_report_and_the_exports_say_it_too(scored: Scored) -> None:
+    page = (scored.run.folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert "mine wrote to its standard error: no cheese" in page
+    assert "1 failure" in page
+    assert "stand apart" in page
+    with (scored.run.folder / "report" / "trials.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["detector"] == "mine"]
+    assert [row["outcome"] for row in rows].count("failure") == 1
+    assert [row["cold"] for row in rows] == ["1", "0", "0", "1", "0"]
+
+
+def test_a_report_can_be_written_where_the_detector_is_not(scored: Scored, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(scored.run.folder, copy)
+    rules = (copy / "rules.toml").read_text(encoding="utf-8")
+    (copy / "rules.toml").write_text(rules.replace('["thesis"]', '["elsewhere"]'), encoding="utf-8")
+    assert main(["report", str(written_anew(copy))]) in (0, 1, 4)
+
+
+def test_without_truth_there_is_no_table(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bare = tmp_path / "bare"
+    shutil.copytree(recording, bare)
+    (bare / "truth.csv").unlink()
+    main(["score", str(bare), "--out", str(tmp_path / "runs")])
+    assert "There is no truth, so nothing was scored." in capsys.readouterr().out
+
+
+def test_detect_tells_outcomes_and_first_calls(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "program.py").write_text(PROGRAM, encoding="utf-8")
+    assert main(["detect", str(recording), "--json", "--detector", f"exec:{sys.executable} {tmp_path / 'program.py'}"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.strip().splitlines()]
+    assert [line["detector"] for line in lines] == ["exec-program"] * 5
+    assert [line.get("outcome") for line in lines] == [None, None, "failure", None, None]
+    assert [line.get("cold", False) for line in lines] == [True, False, False, True, False]
+
+
+def test_a_detector_that_crashes_is_no_bad_detector(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "crasher.py").write_text("import sys\nsys.exit('cannot find model.bin')", encoding="utf-8")
+    command = f"exec:{sys.executable} {tmp_path / 'crasher.py'}"
+    assert main(["score", str(recording), "--detector", command, "--out", str(tmp_path / "runs")]) == 4
+    said = " ".join(capsys.readouterr().out.split())
+    assert "exec-crasher did not answer on 5 of 5 frame sets: the detector failed: it ended with exit code 1 before it was ready." in said
+    assert 'it is switched off for the rest of the run. Its last words: "cannot find model.bin".' in said
+    assert "First find out why the detector did not answer" in said
+    assert "has to become better" not in said
+    (run,) = (tmp_path / "runs").iterdir()
+    (judgement,) = judge(read_run(run), stored_rules(run))
+    assert {decision.verdict for decision in judgement.decisions} == {Verdict.NOT_MEASURED}
+    page = html.unescape((run / "report" / "index.html").read_text(encoding="utf-8"))
+    assert page.index("did not answer on 5 of 5 frame sets") < page.index('id="results"')
+
+
+def test_nothing_is_met_by_silence(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    silent_once = PROGRAM.replace("if number == 2:", "if False:")
+    command = f"command = [{json.dumps(sys.executable)}, 'mine.py']\n"
+    (tmp_path / "mine.toml").write_text(command, encoding="utf-8")
+    (tmp_path / "mine.py").write_text(silent_once, encoding="utf-8")
+    main(["score", str(recording), "--detector", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "runs")])
+    said = " ".join(capsys.readouterr().out.split())
+    assert 'mine did not answer on 1 of 5 frame sets: the detector failed: it ended with exit code 9. Its last words: "no cheese".' in said
+    (run,) = (tmp_path / "runs").iterdir()
+    (judgement,) = judge(read_run(run), stored_rules(run))
+    (false,) = (decision for decision in judgement.decisions if "false" in decision.name)
+    assert (false.measured, false.verdict) == (0.0, Verdict.INCONCLUSIVE)
+    assert "did not answer on 1 of 5 frame sets" in false.sentence
+    assert Verdict.MET not in {decision.verdict for decision in judgement.decisions}
+
+
+def test_a_score_that_fails_leaves_no_half_a_run(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    odd = tmp_path / "odd"
+    shutil.copytree(recording, odd)
+    last = sorted((odd / "frames").iterdir())[-1] / "right.png"
+    header = struct.pack(">IIBBBBB", 60000, 60000, 8, 0, 0, 0, 0)
+    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(bytes(9))), (b"IEND", b"")]
+    last.write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + b"".join(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks)
+    )
+    assert main(["score", str(odd), "--out", str(tmp_path / "runs")]) == 2
+    said = capsys.readouterr().err
+    assert f"{last}: is not an image that can be read" in said
+    assert "Traceback" not in said
+    assert list((tmp_path / "runs").iterdir()) == []
+    assert main(["detect", str(odd)]) == 0
+    assert f"{last}: is not an image that can be read" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="sends a POSIX signal, and looks for processes in /proc")
+def test_ctrl_c_while_a_program_is_silent_ends_both(recording: Path, tmp_path: Path) -> None:
+    silent = f"import os, time\nopen({str(tmp_path / 'pid')!r}, 'w').write(str(os.getpid()))\nprint('{{\"ready\": true}}', flush=True)\n"
+    (tmp_path / "silent.py").write_text(f"{silent}open({str(tmp_path / 'up')!r}, 'w')\ntime.sleep(600)", encoding="utf-8")
+    command = [sys.executable, "-m", "bench.cli", "score", str(recording), "--out", str(tmp_path / "runs")]
+    command += ["--detector", f"exec:{sys.executable} {tmp_path / 'silent.py'}"]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as bench:
+        deadline = time.monotonic() + 60
+        while not (tmp_path / "up").is_file() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        bench.send_signal(signal.SIGINT)
+        said, _ = bench.communicate(timeout=60)
+    assert "Traceback" not in said
+    assert bench.returncode == 3, said
+    assert not Path(f"/proc/{(tmp_path / 'pid').read_text(encoding='ascii')}").exists()

@@ -1,0 +1,126 @@
+"""Whole emulated runs of a bath whose controller turns no pump: with a relay's pump, with one that fails, and with none."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from bench.cli.main import main
+from bench.config import ConfigError
+from bench.record.reader import RunRecord, read_run
+from bench.rig.emulated_faults import fault_names
+from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.loading import load_rig
+from instruments.bath.relay_emulator import RELAY_FAULTS
+from instruments.clock import RealClock, VirtualClock
+from tests.bench.real_rig import SCRIPT
+from tests.bench.rig.test_bath_profiles import rig_of
+
+FAULT = """
+[[emulation.faults]]
+instrument = "pump"
+name = "{name}"
+at_s = {at_s}
+"""
+
+
+def run(rig: Path, folder: Path, code: set[int], *, window_s: float = 60.0) -> RunRecord:
+    script = folder / "script.toml"
+    script.write_text(SCRIPT.format(repeats=1, window_s=window_s), encoding="utf-8")
+    assert main(["run", str(script), "--rig", str(rig), "--out", str(folder / "runs")]) in code
+    (made,) = (folder / "runs").iterdir()
+    return read_run(made)
+
+
+@pytest.mark.parametrize("profile", ["eurotherm-3200", "omega-cn7"])
+def test_a_run_whose_pump_is_a_relays(profile: str, tmp_path: Path) -> None:
+    record = run(rig_of(tmp_path, profile, relay=True), tmp_path, {0, 1, 4})
+    assert record.ending == "finished"
+    assert record.facts["pump"].startswith("switched by itself: 10 s before the heater")
+    said = " ".join(str(event["text"]) for event in record.events)
+    assert "the pump ran on for 60 s and is off" in said
+    assert float(record.bath[:, 1].max()) == pytest.approx(33.0, abs=0.3)
+
+
+@pytest.mark.parametrize(("fault", "rule"), [("power cut", "communications lost"), ("silence", "communications lost")])
+def test_a_relay_that_fails_ends_the_heat(fault: str, rule: str, tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, "eurotherm-3200", FAULT.format(name=fault, at_s=200.0), relay=True)
+    record = run(rig, tmp_path, {3}, window_s=3000.0)
+    trip = record.facts["trip"]
+    assert trip["rule"] == rule
+    assert 200.0 <= trip["t_s"] <= 220.0
+    assert any("heater is in standby" in done for done in trip["done"])
+
+
+def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path: Path) -> None:
+    """After a short power cut the relay answers again, and says that it is off."""
+    rig = rig_of(tmp_path, "eurotherm-3200", FAULT.format(name="power cut", at_s=200.2) + "for_s = 0.5\n", relay=True)
+    record = run(rig, tmp_path, {3}, window_s=3000.0)
+    trip = record.facts["trip"]
+    assert trip["rule"] == "heat without pump or level"
+    assert "while the pump stands" in trip["why"]
+    assert 200.0 <= trip["t_s"] <= 203.0
+
+
+def test_a_pump_that_is_not_fitted_is_told_and_not_pretended(tmp_path: Path) -> None:
+    path = rig_of(tmp_path, "eurotherm-3200")
+    record = run(path, tmp_path, {0, 1, 3, 4})
+    assert record.facts["pump"] == "not fitted to the controller: nothing here proves that the water goes round"
+    with EmulatedRig(load_rig(path), VirtualClock(), seed=1) as twin:
+        assert twin.pump is None
+        assert "pump" not in twin.urls
+        plant = twin.world.plant
+        plant.run(33.0)
+        plant.advance_to(1800.0)
+        assert not plant.pump_on
+        assert float(plant.teat_c.max()) == 20.0
+
+
+def test_the_relay_listens_on_a_port_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = rig_of(tmp_path, "eurotherm-3200", relay=True)
+    with EmulatedRig(load_rig(path), VirtualClock(), seed=1) as twin:
+        assert re.fullmatch(r"tcp://127\.0\.0\.1:\d+", twin.urls["pump"])
+        assert re.fullmatch(r"rtu\+tcp://127\.0\.0\.1:\d+", twin.urls["bath"])
+    assert main(["check", str(path)]) == 0
+    assert "pump: off" in capsys.readouterr().out
+
+
+def test_on_a_pseudo_terminal(tmp_path: Path) -> None:
+    pytest.importorskip("termios", reason="needs pseudo-terminals: Linux and macOS have them")
+    clock, rig = RealClock(), load_rig(rig_of(tmp_path, "omega-cn7", relay=True))
+    with EmulatedRig(rig, clock, seed=1, pty=True) as twin:
+        assert twin.urls["pump"].startswith("/dev/")
+    clock.close()
+
+
+def test_faults_of_a_relay_in_the_rig_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"faults\[1\]\.instrument: this rig has no such instrument"):
+        load_rig(rig_of(tmp_path, "eurotherm-3200", FAULT.format(name="power cut", at_s=1.0)))
+    with pytest.raises(ConfigError, match='the pump has no fault "low level"'):
+        load_rig(rig_of(tmp_path, "eurotherm-3200", FAULT.format(name="low level", at_s=1.0), relay=True))
+    with pytest.raises(ConfigError, match="which has no check sum"):
+        EmulatedRig(
+            load_rig(rig_of(tmp_path, "eurotherm-3200", FAULT.format(name="bad CRC", at_s=1.0), relay=True)), VirtualClock(), seed=1
+        )
+    with pytest.raises(ConfigError, match="JULABO PRESTO has a pump of its own"):
+        load_rig(rig_of(tmp_path, "julabo-presto", relay=True))
+
+
+def test_a_relays_fault_comes_and_goes(tmp_path: Path) -> None:
+    wish = FAULT.format(name="late answer", at_s=5.0) + "for_s = 10.0\namount = 0.4\n"
+    with EmulatedRig(load_rig(rig_of(tmp_path, "eurotherm-3200", wish, relay=True)), VirtualClock(), seed=1) as twin:
+        assert twin.pump is not None
+        seen = []
+        for _ in range(3):
+            seen.append(set(twin.pump.faults))
+            twin.world.clock.sleep(8.0)
+        assert seen == [set(), {"late answer"}, set()]
+        assert twin.pump.late_s == 0.4
+
+
+def test_every_fault_of_the_relay_can_be_put_into_a_rig(tmp_path: Path) -> None:
+    faults = "".join(FAULT.format(name=name, at_s=1.0) for name in fault_names("pump"))
+    loaded = load_rig(rig_of(tmp_path, "eurotherm-3200", faults, relay=True))
+    assert [fault.name for fault in loaded.rig.emulation.faults] == list(RELAY_FAULTS)

@@ -1,0 +1,138 @@
+"""The rig file's cameras: each key reaches its camera, what a calibration declares is met, and each fault is shown in its place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from bench.config import ConfigError
+from bench.rig.camera_model import OneCamera, camera_url
+from bench.rig.loading import LoadedRig, load_rig
+from bench.rig.opening import conversion_of
+from instruments.camera.conversion import Conversion, Radiometry
+from instruments.camera.settings import Settings
+from tests.conftest import ROOT
+
+HEAD = """
+name = "cameras"
+calibration = "calibration.toml"
+
+[operator]
+url = "console:"
+
+[arm]
+url = "COM1"
+
+[bath]
+url = "COM2"
+profile = "julabo-presto"
+"""
+
+TABLES = """
+[cameras.left]
+url = "genicam:SERIAL"
+resolution = [1360, 1024]
+pixel_format = "Mono12p"
+exposure = 8000
+gain = 1.5
+fps = 10
+trigger = "hardware"
+trigger_source = "Line2"
+features = { GevSCPD = 1000, TriggerDelay = 12.5, ReverseX = true, LineMode = "Input" }
+try = ["gain", "GevSCPD"]
+turn_deg = 90
+flip = "vertical"
+mirrored = true
+white = 4095
+grey = "green"
+
+[cameras.right]
+url = "opencv:http://127.0.0.1:8080/right.mjpg"
+try = true
+"""
+
+
+def rig_of(folder: Path, cameras: str) -> LoadedRig:
+    (folder / "calibration.toml").write_text((ROOT / "bench/rigs/calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "rig.toml").write_text(HEAD + cameras, encoding="utf-8")
+    return load_rig(folder / "rig.toml")
+
+
+def test_every_key_reaches_its_camera(tmp_path: Path) -> None:
+    cameras = rig_of(tmp_path, TABLES).rig.cameras
+    assert cameras.told == "left genicam:SERIAL, right opencv:http://127.0.0.1:8080/right.mjpg"
+    left, right = cameras.tables["left"], cameras.tables["right"]
+    features: dict[str, bool | int | float | str] = {"GevSCPD": 1000, "TriggerDelay": 12.5, "ReverseX": True, "LineMode": "Input"}
+    tries = frozenset({"gain", "GevSCPD"})
+    assert left.settings == Settings((1360, 1024), "Mono12p", 8000.0, 1.5, 10.0, features, "hardware", "Line2", tries)
+    assert left.conversion() == Conversion("green", True, 90, "vertical", 4095)
+    assert right.settings == Settings(tries=frozenset({"all"}))
+    assert right.conversion() == Conversion()
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ("", Conversion()),  # as delivered is as the calibration has it
+        ("mirrored = false", Conversion(mirrored=True)),  # the calibration's picture is a mirror image
+        ("mirrored = true", Conversion()),
+        ('polarity = "hot_is_white"', Conversion(inverted=True)),
+        ('polarity = "hot_is_black"', Conversion()),
+        # temperatures are never mirrored
+        ("radiometric = { kelvin_per_count = 0.04 }", Conversion(mirrored=True, radiometry=Radiometry(0.04))),
+        (
+            "mirrored = false\nradiometric = { kelvin_per_count = 0.01, kelvin_at_zero = 273.15 }",
+            Conversion(radiometry=Radiometry(0.01, 273.15)),
+        ),
+    ],
+)
+def test_the_thermal_picture_comes_as_the_calibration_declares_it(tmp_path: Path, keys: str, expected: Conversion) -> None:
+    rig = rig_of(tmp_path, f'{TABLES}\n[cameras.thermal]\nurl = "opencv:2"\n{keys}\n')
+    assert rig.calibration.thermal.mirrored
+    assert rig.calibration.thermal.polarity == "hot_is_black"
+    assert conversion_of(rig.rig.cameras.tables["thermal"], rig.calibration) == expected
+
+
+def test_another_calibration_asks_for_another_picture(tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, f'{TABLES}\n[cameras.thermal]\nurl = "opencv:2"\nmirrored = true\npolarity = "hot_is_black"\n')
+    thermal = replace(rig.calibration.thermal, mirrored=False, polarity="hot_is_white")
+    asked = conversion_of(rig.rig.cameras.tables["thermal"], replace(rig.calibration, thermal=thermal))
+    assert asked == Conversion(mirrored=True, inverted=True)
+
+
+@pytest.mark.parametrize(
+    ("cameras", "message"),
+    [
+        (TABLES.replace("gain = 1.5", "gian = 1.5"), 'cameras.left.gian: unknown key; did you mean "gain"?'),
+        (TABLES.replace('"genicam:SERIAL"', '"SERIAL"'), "cameras.left.url: not a camera; allowed:"),
+        (TABLES.replace('"genicam:SERIAL"', '"opencv:0"'), 'cameras.left: features is for cameras of the kind "genicam:"'),
+        (TABLES.replace('["gain", "GevSCPD"]', '["gein"]'), 'cameras.left.try: "gein" is no setting'),
+        (TABLES.replace("turn_deg = 90", "turn_deg = 45"), "cameras.left.turn_deg"),
+        ('[cameras]\nurl = "opencv:0,1"\n' + TABLES, "cameras: either url for all cameras or a table for each, not both"),
+        (TABLES.split("[cameras.right]")[0], "cameras: no url for all cameras, and no [cameras.right]"),
+        ('[cameras]\nurl = "genicam:X"\n', "cameras.url: not a camera; allowed:"),
+        (TABLES + "\n[cameras.checks]\nblack = 3\n", 'cameras.checks.black: unknown key; did you mean "black_dn"?'),
+        (
+            TABLES + '\n[cameras.thermal]\nurl = "opencv:2"\nradiometric = { kelvin_per_count = 0 }\n',
+            "kelvin_per_count: input should be greater than 0",
+        ),
+    ],
+)
+def test_each_fault_is_shown_in_its_place(tmp_path: Path, cameras: str, message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        rig_of(tmp_path, cameras)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "url", ["opencv:0", "opencv:/dev/video2", "opencv:a.avi", "opencv:rtsp://user:word@h:554/a", "genicam:Aravis-Fake-GV01", "genicam:"]
+)
+def test_addresses_of_one_camera(url: str) -> None:
+    assert OneCamera(url=url).url == camera_url(url)
+
+
+@pytest.mark.parametrize("url", ["opencv:0,1,2", "opencv:http://h/l,http://h/r", "recording:folder"])
+def test_all_cameras_by_one_url(tmp_path: Path, url: str) -> None:
+    assert rig_of(tmp_path, f'[cameras]\nurl = "{url}"\n').rig.cameras.told == url

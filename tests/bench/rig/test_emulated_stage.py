@@ -1,0 +1,135 @@
+"""The emulated stage as a rig file says: its firmware, its axes, its errors of geometry, and what goes wrong with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.config import ConfigError
+from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.loading import LoadedRig, find_rig, load_rig
+from bench.rig.opening import driver_openers
+from instruments.clock import VirtualClock
+from instruments.errors import DeviceError, LinkError, ProtocolError
+from instruments.stage.driver import Stage
+from instruments.world.phantom import PlatePose
+
+
+def rig_with(folder: Path, stage: str = "", emulation: str = "") -> LoadedRig:
+    """The emulated rig with more said of its stage and its emulation."""
+    shipped = find_rig(None)
+    text = shipped.read_text(encoding="utf-8").replace('[stage]\nurl = "emulator:"\n', f'[stage]\nurl = "emulator:"\n{stage}\n')
+    (folder / "calibration.toml").write_text((shipped.parent / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    path = folder / "rig.toml"
+    path.write_text(f"{text}\n{emulation}\n", encoding="utf-8")
+    return load_rig(path)
+
+
+@contextmanager
+def homed(rig: LoadedRig) -> Iterator[tuple[EmulatedRig, Stage]]:
+    """The rig's world, and its stage as the bench opens it."""
+    with EmulatedRig(rig, VirtualClock(), seed=1) as twin:
+        stage: Stage = driver_openers(rig, twin.world.clock, twin.urls)["stage"]()
+        try:
+            stage.connect()
+            stage.home()
+            yield twin, stage
+        finally:
+            stage.close()
+
+
+def test_the_plate_stands_as_the_stage_stands_in_all_four_axes(tmp_path: Path) -> None:
+    rig = rig_with(tmp_path, 'axes = "XYZA"', '[emulation.stage]\ndialect = "grblHAL"')
+    assert rig.rig.stage is not None
+    with homed(rig) as (twin, stage):
+        assert stage.identity.dialect == "grblHAL"
+        wanted = PlatePose(20.0, -10.0, 5.0, math.radians(30))
+        stage.move_to(**rig.rig.stage.machine(PlatePose()))
+        reference = twin.world.phantom()
+        assert twin.world.stage_pose() == PlatePose()
+        stage.move_to(**rig.rig.stage.machine(wanted))
+        assert np.allclose(twin.world.ends_mm(), reference.moved(wanted).ends_mm, atol=0.01)
+
+
+def test_errors_of_geometry_are_in_the_teat_ends(tmp_path: Path) -> None:
+    errors = "scale_errors = [0.002, -0.001, 0.0, 0.0]\nsquareness_rad = 0.003\nyaw_rad = 0.01"
+    rig = rig_with(tmp_path, "", f"[emulation.stage]\n{errors}")
+    with homed(rig) as (twin, stage):
+        stage.move_to(-200.0, -200.0)
+        ends = twin.world.ends_mm()
+        stage.move_to(-100.0, -200.0)
+        along_x = twin.world.ends_mm() - ends
+        stage.move_to(-200.0, -100.0)
+        along_y = twin.world.ends_mm() - ends
+    assert np.allclose(along_x, [100.2 * math.cos(0.01), 100.2 * math.sin(0.01), 0.0], atol=1e-6)
+    assert np.allclose(along_y, [-99.9 * math.sin(0.013), 99.9 * math.cos(0.013), 0.0], atol=1e-6)
+
+
+def test_play_depends_on_the_side_from_which_a_place_is_reached(tmp_path: Path) -> None:
+    with homed(rig_with(tmp_path, "", "[emulation.stage]\nbacklash_mm = [0.2, 0.0, 0.0]")) as (twin, stage):
+        stage.move_to(-150.0, -100.0)
+        from_above = twin.world.ends_mm()
+        stage.move_to(-160.0, -100.0)
+        stage.move_to(-150.0, -100.0)
+        assert np.allclose(twin.world.ends_mm() - from_above, [-0.2, 0.0, 0.0], atol=1e-9)
+
+
+def test_a_lost_step_of_a_rig_file_is_seen_by_nobody_but_the_world(tmp_path: Path) -> None:
+    faults = '[emulation]\nfaults = [{ instrument = "stage", name = "lost step", at_s = 60.0, amount = 1.5 }]'
+    with homed(rig_with(tmp_path, "", faults)) as (twin, stage):
+        stage.move_to(-150.0, -100.0)
+        before = twin.world.ends_mm()
+        twin.world.clock.sleep(60.0)
+        stage.move_to(-170.0, -100.0)
+        stage.move_to(-150.0, -100.0)
+        assert stage.homed
+        assert stage.position()[:2] == pytest.approx([-150, -100])
+        assert np.allclose(twin.world.ends_mm() - before, [1.5, 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "amount", "error", "sentence"),
+    [
+        ("limit hit", 1.0, DeviceError, "alarm 1"),
+        ("restart", 3.0, DeviceError, "restarted by itself"),
+        ("disconnect", 1.0, LinkError, "hung up|broke"),
+        ("garbage", None, ProtocolError, "nonsense"),
+        ("late ok", None, LinkError, "no answer"),
+        ("late ok", 10.0, LinkError, "no answer"),
+        ("lost ok", None, LinkError, "no answer"),
+        ("silent", None, LinkError, "no "),
+    ],
+)
+def test_faults_of_a_rig_file_reach_the_driver(
+    tmp_path: Path, name: str, amount: float | None, error: type[Exception], sentence: str
+) -> None:
+    said = "" if amount is None else f", amount = {amount}"
+    faults = f'[emulation]\nfaults = [{{ instrument = "stage", name = "{name}", at_s = 60.0{said} }}]'
+    with homed(rig_with(tmp_path, "", faults)) as (twin, stage):
+        stage.move_to(-150.0, -100.0)
+        twin.world.clock.sleep(60.0)
+        with pytest.raises(error, match=sentence):
+            stage.move_to(-10.0, -270.0)
+
+
+def test_an_amount_that_means_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r'"silent" has no amount; one have "lost step" \(mm lost\), "late ok" \(s late\)'):
+        rig_with(tmp_path, "", '[emulation]\nfaults = [{ instrument = "stage", name = "silent", amount = 1.0 }]')
+
+
+def test_a_rotation_with_the_classic_firmware_is_refused_in_its_place(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r'stage\.axes: the firmware "grbl" has no axis A: set dialect = "grblHAL"'):
+        rig_with(tmp_path, 'axes = "XYA"')
+
+
+@pytest.mark.parametrize(
+    "line", ['dialect = "marlin"', "scale_errors = [0.5, 0, 0, 0]", "backlash_mm = [-1, 0, 0]", "squareness = 1", "yaw_rad = nan"]
+)
+def test_a_stage_that_cannot_be_emulated_is_refused(tmp_path: Path, line: str) -> None:
+    with pytest.raises(ConfigError, match=r"emulation\.stage\."):
+        rig_with(tmp_path, "", f"[emulation.stage]\n{line}")

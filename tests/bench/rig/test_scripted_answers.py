@@ -1,0 +1,110 @@
+"""Scripts of answers as files: both forms say the same, and a wrong one is told with its place before anything is opened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bench.config import ConfigError
+from bench.rig.loading import RIGS, load_rig
+from bench.rig.scripted_answers import load_answers
+from instruments.errors import ProtocolError
+from instruments.operators.operator import OperatorSkip
+from instruments.operators.prompted import PromptedOperator
+
+TOML = """
+[otherwise]
+homing = "go"
+"check point" = "go"
+
+[[answers]]
+to = "touch"
+answer = ""
+times = 3
+
+[[answers]]
+to = "touch"
+says = "teat 2 of 4"
+answer = "skip the teat came off"
+"""
+
+TEXT = """
+# the same, line by line
+otherwise homing: go
+otherwise check point: go
+
+touch: go x3
+touch (teat 2 of 4): skip the teat came off
+"""
+
+
+@pytest.mark.parametrize(("name", "text"), [("answers.toml", TOML), ("answers.txt", TEXT)])
+def test_both_forms_say_the_same(name: str, text: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    shown: list[str] = []
+    who = PromptedOperator(load_answers(path, shown.append))
+    who.confirm_homing("On its peg.")
+    for touch in (1, 2):
+        who.touch_check_point(touch, 2)
+    for teat in (1, 2, 1):
+        who.touch(teat, 4)
+    with pytest.raises(ProtocolError, match=f"{name} has no answer to this prompt"):
+        who.touch(3, 4)
+    with pytest.raises(OperatorSkip, match="the teat came off"):
+        who.touch(2, 4)
+    who.finish()
+    assert shown[0] == "On its peg. > go"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.toml", '[[answers]]\nto = "tuch"\nanswer = "go"\n', ["a.toml:2", "'tuch' is not allowed", 'did you mean "touch"']),
+        ("a.toml", '[[answers]]\nto = "touch"\nanswer = "skip"\n', ['"skip" needs a reason']),
+        ("a.toml", '[[answers]]\nto = "touch"\nansver = "go"\n', ["a.toml:3", 'did you mean "answer"']),
+        ("a.toml", '[otherwise]\nhoming = "skip it"\n', ["a.toml:", 'there are "go", "abort"']),
+        ("a.toml", '[[answers]]\nto = "touch"\nanswer = "go"\ntimes = 0\n', ["a.toml:4", "greater than or equal to 1"]),
+        ("a.txt", "homing: go\n\ntuch: go\n", ["a.txt:3: ", 'no prompt is of the kind "tuch"', 'did you mean "touch"']),
+        ("a.txt", "touch\n", ["a.txt:1: ", 'a line is "KIND: ANSWER"']),
+        ("a.txt", "touch: skip\n", ["a.txt:1: ", '"skip" needs a reason']),
+        ("a.txt", "otherwise touch: go x4\n", ["a.txt:1: ", "leave the words in brackets and the times out"]),
+        ("a.txt", "otherwise homing: 3\n", ["a.txt:1: ", "Not understood: '3'"]),
+    ],
+)
+def test_a_wrong_file_is_told_with_its_place(name: str, text: str, words: list[str], tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError) as error:
+        load_answers(tmp_path / name)
+    for word in words:
+        assert word in str(error.value)
+
+
+def rig_with(url: str, folder: Path) -> Path:
+    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
+    head, tail = text.split('[operator]\nurl = "emulator:"')
+    (folder / "rig.toml").write_text(f'{head}[operator]\nurl = "{url}"{tail}', encoding="utf-8")
+    return folder / "rig.toml"
+
+
+def test_a_rig_with_emulated_instruments_takes_each_operator(tmp_path: Path) -> None:
+    (tmp_path / "answers.txt").write_text(TEXT, encoding="utf-8")
+    for url in ("emulator:", "console:", "script:answers.txt"):
+        assert load_rig(rig_with(url, tmp_path)).rig.operator.url == url
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("script:nowhere.toml", "no such file beside the rig file"),
+        ("person:", 'allowed: "console:", "emulator:", "script:ANSWERS.toml", "script:ANSWERS.txt"'),
+        ("script:wrong.txt", "wrong.txt:1: "),
+    ],
+)
+def test_a_rig_s_operator_is_checked_when_it_is_read(url: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "wrong.txt").write_text("hello\n", encoding="utf-8")
+    with pytest.raises(ConfigError) as error:
+        load_rig(rig_with(url, tmp_path))
+    assert words in str(error.value)

@@ -1,0 +1,252 @@
+"""The arm's place in a run: moved elsewhere on the table it scores the same, and what ruins its readings is found out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.calibrate.arm_dialogues import Plan, Step, touch_frame, verify
+from bench.calibrate.simulated_arm import TryingArm
+from bench.cli.main import main
+from bench.record.reader import RunRecord, read_run
+from bench.report.page import stored_rules
+from bench.results.verdicts import judge
+from bench.rig.arm_files import frame_text, verification_text, write_file
+from bench.rig.arm_verification import Limits
+from bench.rig.loading import RIGS
+from bench.rig.model import Arm
+from bench.scoring.decisions import Verdict
+from bench.script.model import TRIALS
+from bench.truth.arm_check import check_arm, location_of, shift_mm
+from bench.truth.arm_tip import TipReader
+from detector.geometry import Motion
+from instruments.clock import wall_time
+from instruments.operators.emulated import EmulatedOperator
+from instruments.world.world import World
+from tests.bench.calibrate.arm_rig import Follower, emulated
+
+PLACED = Motion.from_vectors((0.015, -0.01, 0.4), (-40.0, -60.0, 9.0))
+REQUIREMENT = "arm verified before and after"
+
+
+@pytest.fixture(scope="module")
+def script(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first trial of the six situations, once, with a stability gate of a minute."""
+    text = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
+    head, first, *_ = text.split("[[trials]]")
+    for old, new in {"repeats = 3": "repeats = 1", "window_s = 600.0": "window_s = 60.0"}.items():
+        assert old in head
+        head = head.replace(old, new)
+    path = tmp_path_factory.mktemp("script") / "one.toml"
+    path.write_text(f"{head}[[trials]]{first}", encoding="utf-8")
+    return path
+
+
+@dataclass(frozen=True)
+class Done:
+    code: int
+    run: RunRecord
+
+    @property
+    def verdict(self) -> Verdict:
+        (judgement,) = judge(self.run, stored_rules(self.run.folder))
+        return next(decision.verdict for decision in judgement.decisions if decision.name == REQUIREMENT)
+
+    @property
+    def page(self) -> str:
+        return (self.run.folder / "report" / "index.html").read_text(encoding="utf-8")
+
+    @property
+    def off_mm(self) -> np.ndarray:
+        """How far each touched truth lies from the scene's exact end (n, 3)."""
+        rows = [row for trial in self.run.trials for row in trial.truth]
+        return np.array([np.array([r["x_mm"], r["y_mm"], r["z_mm"]]) - json.loads(r["exact_mm"]) for r in rows])
+
+
+def rig_in(folder: Path, arm: str = "", emulation: str = "") -> Path:
+    """The shipped emulated rig with more lines in two of its tables."""
+    text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
+    assert "[arm]\n" in text
+    assert "[emulation]" not in text
+    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    path = folder / "rig.toml"
+    path.write_text(text.replace("[arm]\n", f"[arm]\n{arm}") + f"\n[emulation]\n{emulation}", encoding="utf-8")
+    return path
+
+
+def placed_key() -> str:
+    return f"arm_placed = {{ om = {PLACED.om.tolist()}, T = {PLACED.T.tolist()} }}\n"
+
+
+def done(rig: Path, script: Path, out: Path) -> Done:
+    code = main(["run", str(script), "--rig", str(rig), "--out", str(out)])
+    (folder,) = out.iterdir()
+    return Done(code, read_run(folder))
+
+
+def arm_files(folder: Path) -> None:
+    """The frame and the verification of the arm that stands at PLACED, made as a person would."""
+    now = wall_time().replace(microsecond=0)
+    with emulated(seed=1, placed=PLACED) as (arm, trying):
+        write_file(folder / "arm-frame.toml", frame_text(touch_frame(arm, Follower(trying), [None], now)))
+        found = verify(arm, Follower(trying), Plan(1, 5, 300.0, 2), now)
+        write_file(folder / "arm-verification.toml", verification_text(found, Limits(0.46, 0.7)))
+
+
+@pytest.fixture(scope="module")
+def in_place(script: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
+    folder = tmp_path_factory.mktemp("in-place")
+    return done(rig_in(folder), script, folder / "runs")
+
+
+@pytest.fixture(scope="module")
+def elsewhere(script: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
+    folder = tmp_path_factory.mktemp("elsewhere")
+    arm_files(folder)
+    keys = 'frame = "arm-frame.toml"\nverification = "arm-verification.toml"\n'
+    return done(rig_in(folder, keys, placed_key()), script, folder / "runs")
+
+
+def test_an_arm_elsewhere_scores_like_one_in_its_place(in_place: Done, elsewhere: Done) -> None:
+    assert in_place.run.ending == elsewhere.run.ending == "finished"
+    one, other = (d.run.trials[0].scores["thesis"] for d in (in_place, elsewhere))
+    assert one.counts == other.counts
+    assert np.allclose(one.radial_mm, other.radial_mm, atol=1.5), "the truth differs by the arm's noise and the frame's"
+    for run in (in_place, elsewhere):
+        assert np.linalg.norm(run.off_mm, axis=1).max() < 1.5
+    assert not np.allclose(one.radial_mm, other.radial_mm, atol=1e-6)
+
+
+def test_the_frame_has_its_line_in_the_uncertainty_budget(in_place: Done, elsewhere: Done) -> None:
+    def budget(run: Done) -> dict[str, float]:
+        return {line["name"]: line["u_mm"] for line in json.loads(run.run.trials[-1].truth[-1]["budget"])["components"]}
+
+    assert "registration" not in budget(in_place)
+    assert 0.1 < budget(elsewhere)["registration"] < 0.8
+    u_mm = [row["u_mm"] for row in elsewhere.run.trials[0].truth]
+    assert min(u_mm) > max(row["u_mm"] for row in in_place.run.trials[0].truth)
+    assert np.abs(elsewhere.off_mm).max() < 3.0 * max(u_mm)
+
+
+def test_the_arm_is_checked_before_and_after(in_place: Done, elsewhere: Done) -> None:
+    for run in (in_place, elsewhere):
+        assert run.verdict is Verdict.MET
+        first, last = (run.run.facts[f"arm check {when}"] for when in ("before", "after"))
+        assert len(first["touches"]) == len(last["touches"]) == 5
+        assert max(t["t_s"] for t in first["touches"]) < run.run.trials[0].head["started_s"]
+        assert min(t["t_s"] for t in last["touches"]) > run.run.trials[-1].head["ended_s"]
+        assert location_of(first, "").swing_deg > 40.0
+
+
+def test_the_report_shows_frame_verification_and_checks(in_place: Done, elsewhere: Done) -> None:
+    page = elsewhere.page
+    assert "World frame: the table" in page
+    assert "arm-frame.toml" in page
+    assert f"{wall_time():%Y-%m-%d}" in page
+    assert "Verification of arm 40937" in page
+    assert "A calibrated length, measured in several directions" in page
+    for said in (page, in_place.page):
+        assert "The arm before and after the trials" in said
+        assert REQUIREMENT in said
+    assert "the arm&#39;s own" in in_place.page or "the arm's own" in in_place.page
+    assert "names no dated verification" in in_place.page
+
+
+def test_the_runs_folder_keeps_the_files_of_the_arm(elsewhere: Done) -> None:
+    rig = elsewhere.run.folder / "rig.toml"
+    assert 'frame = "arm-frame.toml"' in rig.read_text(encoding="utf-8")
+    assert (elsewhere.run.folder / "arm-frame.toml").is_file()
+    assert (elsewhere.run.folder / "arm-verification.toml").is_file()
+    assert main(["check", str(rig)]) == 0, "the folder's own rig file can be used again"
+
+
+def test_an_arm_that_was_moved_is_found_out(script: Path, tmp_path: Path) -> None:
+    """Elsewhere on the table, and nobody made a frame: every truth is wrong, and the requirement says so."""
+    run = done(rig_in(tmp_path, emulation="arm_placed = { T = [3.0, 0.0, 0.0] }\n"), script, tmp_path / "runs")
+    assert run.verdict is Verdict.NOT_MET
+    assert run.code == 1
+    assert "from its place before the trials" in run.page
+    assert "Put the bench right before all else: arm verified before and after" in run.page
+
+
+def test_a_rig_without_a_check_point_has_not_measured_it(script: Path, tmp_path: Path) -> None:
+    path = rig_in(tmp_path)
+    text = path.read_text(encoding="utf-8")
+    path.write_text("\n".join(line for line in text.split("\n") if not line.startswith("check_point_mm")), encoding="utf-8")
+    run = done(path, script, tmp_path / "runs")
+    assert run.verdict is Verdict.NOT_MEASURED
+    assert not any(key.startswith("arm check") for key in run.run.facts)
+
+
+def test_the_frame_of_another_arm_ends_the_run_before_anything_is_heated(script: Path, tmp_path: Path) -> None:
+    arm_files(tmp_path)
+    file = tmp_path / "arm-frame.toml"
+    file.write_text(file.read_text(encoding="utf-8").replace('"40937"', '"40938"'), encoding="utf-8")
+    run = done(rig_in(tmp_path, 'frame = "arm-frame.toml"\n'), script, tmp_path / "runs")
+    assert run.code == 3
+    assert run.run.ending == "faulted"
+    faults = [event["text"] for event in run.run.events if event["kind"] == "fault"]
+    assert any("table frame is of the arm 40938, but the arm that answers is 40937" in text for text in faults), faults
+    assert not any("heating" in event["text"] for event in run.run.events)
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ('frame = "none.toml"\n', "arm.frame: no such file beside the rig file"),
+        ('verification = "none.toml"\n', "arm.verification: no such file beside the rig file"),
+        ('frme = "none.toml"\n', 'did you mean "frame"?'),
+        ("check_touches = 1\n", "greater than or equal to 2"),
+    ],
+)
+def test_wrong_keys_of_a_rig_are_shown(lines: str, message: str, script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(script), "--rig", str(rig_in(tmp_path, lines)), "--out", str(tmp_path / "runs")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+
+
+class Checker:
+    """Touches one place of an emulated arm's world, swung another way each time."""
+
+    def __init__(self, trying: TryingArm) -> None:
+        self._trying = trying
+
+    def touch_check_point(self, touch: int, of: int) -> None:
+        self._trying.go(Step("middle", touch - 1, ""))
+
+    def release(self) -> None: ...
+
+
+def checked(spoil: Callable[[TryingArm], None]) -> dict[str, Any]:
+    settings = Arm(url="emulator:", check_point_mm=(330.0, 0.0, 20.0))
+    with emulated() as (arm, trying):
+        spoil(trying)
+        arm.sign_on()
+        arm.confirm_homed()
+        return check_arm(Checker(trying), TipReader(arm, settings, None), settings, trying.clock, lambda: None)
+
+
+def test_an_arm_that_was_not_homed_is_found_out() -> None:
+    """Switched on with the stylus off its peg, and a person who says that it was on: the hazard of the fact sheet."""
+
+    def off_its_peg(trying: TryingArm) -> None:
+        trying.go(Step("near", 0, ""))
+        trying.emulator.power_cycle()
+
+    assert shift_mm(checked(lambda trying: None)) < 1.0
+    assert shift_mm(checked(off_its_peg)) > 20.0
+
+
+def test_an_operator_who_knows_no_check_point_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    class NoWorld(World):
+        def __init__(self) -> None:
+            self.seed = 1
+
+    with pytest.raises(ValueError, match="no check point"):
+        EmulatedOperator(NoWorld(), hand_error_mm=0.1).touch_check_point(1, 5)

@@ -1,0 +1,100 @@
+"""`teatbench run` at a pseudo-terminal, as a new user drives it: a rehearsal, in which emulated hands follow each "go on"."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.bench.calibrate.arm_terminal import Terminal, at_terminal
+from tests.bench.operated_runs import CHECK_POINT, SCRIPT, files, run_of
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not")
+
+ENTER = ""
+ABORT_KEY = "a = abort the run): "
+TWO = SCRIPT.replace("poses = [", "poses = [{ x_mm = 12.0 }, { x_mm = -8.0 }]\n#")
+
+
+def answer(terminal: Terminal, words: str, line: str = ENTER) -> str:
+    """Read up to the end of the prompt that says ``words``, then type; gives back what the prompt said."""
+    said = terminal.expect(words) + terminal.expect(ABORT_KEY)
+    terminal.type(line)
+    return said
+
+
+def test_a_new_user_gets_through_a_run(tmp_path: Path) -> None:
+    with at_terminal(files(tmp_path, operator="console:", touches=2, check_point=CHECK_POINT, script=TWO)) as terminal:
+        answer(terminal, "Put the arm's stylus on its peg", "what?")
+        answer(terminal, "Not understood: 'what?'.", "?")
+        answer(terminal, "from where they are when it is switched on")
+        for touch in (1, 2):
+            answer(terminal, f"[touch {touch} of 2] Arm check")
+        said = answer(terminal, "Move the plate to x +12 mm", "2, 4")
+        assert "[trial 1 of 2; about 4 min left] Situation ideal, layout table-5-1:\nTeats as in table 5.1." in said
+        assert "s REASON = skip this trial" in said
+        for teat in (1, 2, 3, 4):
+            for touch in (1, 2):
+                answer(terminal, f"[trial 1 of 2, teat {teat} of 4, touch {touch} of 2; about 4 min left] Touch the end of teat {teat} (")
+        answer(terminal, "[trial 2 of 2; ", "s")
+        terminal.expect("Why?")
+        terminal.type("the hose came off")
+        for touch in (1, 2):
+            answer(terminal, f"[touch {touch} of 2] Arm check")
+        terminal.code()
+    record = run_of(tmp_path)
+    assert record.ending == "finished", terminal.text
+    assert [row["visible"] for row in record.trials[0].truth] == [1, 0, 1, 0]
+    assert [row["reason"] for row in record.skipped] == ["the hose came off"]
+
+
+def safe(told: str, tmp_path: Path) -> None:
+    """The run was aborted, for the reason that was ``told``, and the bath was made safe."""
+    record = run_of(tmp_path)
+    assert record.ending == "aborted"
+    assert any(event["kind"] == "aborted" and told in event["text"] for event in record.events)
+    assert any(event["kind"] == "safe" and "bath" in event["text"] for event in record.events)
+
+
+@pytest.mark.parametrize(("key", "told"), [("a\n", "the operator aborted the run"), ("\x04", "nobody is at the terminal")])
+def test_an_abort_ends_the_run_in_safe(key: str, told: str, tmp_path: Path) -> None:
+    """By its key, and by Ctrl-D."""
+    with at_terminal(files(tmp_path, operator="console:", script=TWO)) as terminal:
+        terminal.expect(ABORT_KEY)
+        terminal.press(key)
+        assert terminal.code() == 3
+    assert "Traceback" not in terminal.text
+    safe(told, tmp_path)
+
+
+def test_ctrl_c_at_a_prompt_amid_a_trial_ends_the_run_in_safe(tmp_path: Path) -> None:
+    with at_terminal(files(tmp_path, operator="console:", script=TWO)) as terminal:
+        answer(terminal, "on its peg")
+        terminal.expect("[trial 1 of 2; ")
+        terminal.expect(ABORT_KEY)
+        terminal.press("\x03")
+        assert terminal.code() == 3
+    assert "Traceback" not in terminal.text
+    safe("Ctrl-C", tmp_path)
+
+
+def test_a_terminal_that_closes_ends_the_run_in_safe(tmp_path: Path) -> None:
+    with at_terminal(files(tmp_path, operator="console:", script=TWO)) as terminal:
+        terminal.expect(ABORT_KEY)
+        assert terminal.hang_up() == 3
+    safe("", tmp_path)
+
+
+def test_a_trip_ends_a_prompt_without_enter_and_reminders_come_before(tmp_path: Path) -> None:
+    fault = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 3.0'
+    with at_terminal(files(tmp_path, operator="console:", operator_more="remind_s = 0.5", script=TWO, emulation=fault)) as terminal:
+        terminal.expect(ABORT_KEY)
+        for _ in range(2):
+            terminal.expect("Still waiting for you, since")
+            terminal.expect(ABORT_KEY)
+        terminal.expect("No answer is needed any more: interlock controller alarm")
+        assert terminal.code() == 3
+    record = run_of(tmp_path)
+    assert record.ending == "faulted"
+    assert record.facts["trip"]["rule"] == "controller alarm"

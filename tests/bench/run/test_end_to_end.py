@@ -1,0 +1,213 @@
+"""The main job on the emulated rig: what a user gets, the same every time, and safe at every end."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.cli.main import main
+from bench.record.reader import RunRecord, read_run
+from bench.safety.stability import State
+from tests.conftest import ROOT
+
+
+@dataclass(frozen=True)
+class Done:
+    code: int
+    run: RunRecord
+    recording: Path
+
+
+def run_command(arguments: Sequence[str], out: Path) -> tuple[int, Path]:
+    """Run a command that leaves one run in ``out``; its exit code and the run's folder."""
+    code = main([*arguments, "--out", str(out)])
+    (folder,) = out.iterdir()
+    return code, folder
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> Done:
+    out = tmp_path_factory.mktemp("first")
+    recording = tmp_path_factory.mktemp("recording") / "new"
+    code, folder = run_command(["run", str(short_script), "--record", str(recording)], out)
+    return Done(code, read_run(folder), recording)
+
+
+def test_the_bench_does_its_work_and_the_exit_code_is_the_verdict(done: Done) -> None:
+    verdict = json.loads((done.run.folder / "report" / "run.json").read_text(encoding="utf-8"))["verdict"]
+    assert done.code == {"met": 0, "not met": 1, "inconclusive": 4}[verdict]
+    assert done.run.ending == "finished"
+    assert [trial.head["situation"] for trial in done.run.trials] == [
+        "non_vertical", "overlapping", "spurious_teat", "hot_body_at_base", "hot_body_at_ends", "cooler_bodies",
+    ]  # fmt: skip
+
+
+def test_every_capture_is_in_a_stable_bath(done: Done) -> None:
+    assert {trial.head["bath_state"] for trial in done.run.trials} == {State.STABLE.value}
+    assert all(abs(trial.head["bath_c"] - 33.0) <= 0.15 for trial in done.run.trials)
+    assert done.run.bath[0, 1] == pytest.approx(20.0, abs=0.1)
+    steps = np.diff(done.run.bath[:, 0])
+    assert steps.max() <= 1.5, "the bath is watched at least once a second or so, also while the arm reads and the stage moves"
+
+
+def test_the_touched_truth_is_as_near_to_the_exact_one_as_the_arm_is_good(done: Done) -> None:
+    rows = [row for trial in done.run.trials for row in trial.truth]
+    off = [np.array([r["x_mm"], r["y_mm"], r["z_mm"]]) - np.array(json.loads(r["exact_mm"])) for r in rows]
+    distances = np.linalg.norm(off, axis=1)
+    assert len(rows) == 24
+    assert 0.02 < distances.mean() < 0.6
+    assert all(0.23 < row["u_mm"] < 0.5 for row in rows)
+
+
+def test_trials_csv_has_a_line_a_trial(done: Done) -> None:
+    with (done.run.folder / "report" / "trials.csv").open(encoding="utf-8", newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [line["trial"] for line in lines] == [trial.id for trial in done.run.trials]
+    for line, trial in zip(lines, done.run.trials, strict=True):
+        assert int(line["found"]) == trial.scores["thesis"].counts.matched
+        assert int(line["found"]) + int(line["missed"]) == int(line["visible"])
+
+
+def test_junit_has_a_case_a_requirement(done: Done) -> None:
+    root = ET.parse(done.run.folder / "report" / "junit.xml").getroot()
+    cases = root.findall(".//testcase")
+    table = json.loads((done.run.folder / "report" / "run.json").read_text(encoding="utf-8"))
+    verdicts = {d["name"]: d["verdict"] for d in table["judgements"][0]["requirements"]}
+    assert {case.get("name") for case in cases} == set(verdicts)
+    for case in cases:
+        failed, skipped = case.find("failure") is not None, case.find("skipped") is not None
+        assert failed == (verdicts[str(case.get("name"))] == "not met")
+        assert skipped == (verdicts[str(case.get("name"))] in ("inconclusive", "not measured"))
+
+
+def test_the_recording_scores_the_same(done: Done, tmp_path: Path) -> None:
+    _, folder = run_command(["score", str(done.recording)], tmp_path)
+    again = read_run(folder)
+    assert len(again.trials) == len(done.run.trials)
+    for one, other in zip(done.run.trials, again.trials, strict=True):
+        first, second = (t.scores["thesis"].as_dict() for t in (one, other))
+        for wall in ("seconds", "in_time", "success"):
+            del first[wall], second[wall]
+        assert first == second
+
+
+def content(folder: Path) -> dict[str, Any]:
+    """All tables of a run but the columns and facts of real time, and the bytes of its frames."""
+    found: dict[str, Any] = {}
+    with closing(sqlite3.connect(folder / "run.sqlite")) as db:
+        for (table,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name").fetchall():
+            columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})") if not row[1].startswith("wall")]
+            rows = db.execute(f"SELECT {', '.join(columns)} FROM {table} ORDER BY rowid").fetchall()
+            found[table] = [row for row in rows if table != "facts" or not row[0].startswith("wall")]
+    for path in sorted((folder / "frames").rglob("*.png")):
+        found[path.relative_to(folder).as_posix()] = path.read_bytes()
+    return found
+
+
+def without_commands(facts: dict[str, Any]) -> dict[str, Any]:
+    """The command line names another output folder each time, and one of the runs is recorded."""
+    return {**facts, "facts": [row for row in facts["facts"] if row[0] not in ("command", "recorded to")]}
+
+
+def test_the_same_seed_gives_the_same_bytes(done: Done, short_script: Path, tmp_path: Path) -> None:
+    _, folder = run_command(["run", str(short_script)], tmp_path)
+    first, second = without_commands(content(done.run.folder)), without_commands(content(folder))
+    assert first.keys() == second.keys()
+    for key in first:
+        assert first[key] == second[key], key
+
+
+def test_another_seed_gives_other_noise(done: Done, short_script: Path, tmp_path: Path) -> None:
+    _, folder = run_command(["run", str(short_script), "--seed", "2"], tmp_path)
+    first, second = content(done.run.folder), content(folder)
+    assert first["touches"] != second["touches"]
+    assert first["bath"] != second["bath"]
+    assert first["frames/001-non-vertical-1/left.png"] != second["frames/001-non-vertical-1/left.png"]
+
+
+def test_the_report_can_be_written_again(done: Done, capsys: pytest.CaptureFixture[str]) -> None:
+    page = done.run.folder / "report" / "index.html"
+    before = page.read_bytes()
+    page.unlink()
+    assert main(["report", str(done.run.folder)]) == done.code
+    assert page.read_bytes() == before
+    assert str(page) in capsys.readouterr().out.replace("\n", "")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals to a child")
+@pytest.mark.parametrize("after_s", [0.1, 0.9, 1.6, 2.4, 3.2])
+def test_ctrl_c_ends_safe_and_leaves_a_run(short_script: Path, tmp_path: Path, after_s: float) -> None:
+    text = short_script.read_text(encoding="utf-8").replace("repeats = 1", "repeats = 50").replace("window_s = 60.0", "window_s = 600.0")
+    (tmp_path / "long.toml").write_text(text, encoding="utf-8")
+    out = tmp_path / "runs"
+    with started(["run", str(tmp_path / "long.toml"), "--out", str(out)]) as child:
+        folder = wait_for_run(out, child)
+        time.sleep(after_s)
+        child.send_signal(signal.SIGINT)
+        output, _ = child.communicate(timeout=60)
+    assert child.returncode == 3, output
+    run = read_run(folder)
+    assert run.ending == "aborted"
+    assert "Traceback" not in output
+    safe = [event["text"] for event in run.events if event["kind"] == "safe"]
+    if any(event["text"] == "preparing" for event in run.events):
+        assert {"bath is safe", "stage is safe", "arm is safe"} <= set(safe), safe
+    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert "EMULATED INSTRUMENTS" in page
+    assert "aborted" in page
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
+def test_a_killed_bench_leaves_a_run_that_reports(short_script: Path, tmp_path: Path) -> None:
+    text = short_script.read_text(encoding="utf-8").replace("repeats = 1", "repeats = 50")
+    (tmp_path / "long.toml").write_text(text, encoding="utf-8")
+    out = tmp_path / "runs"
+    with started(["run", str(tmp_path / "long.toml"), "--out", str(out)]) as child:
+        folder = wait_for_run(out, child)
+        while child.poll() is None and not list((folder / "frames").glob("003-*")):
+            time.sleep(0.02)
+        child.kill()
+        child.communicate(timeout=60)
+    run = read_run(folder)
+    assert run.ending == "interrupted"
+    assert len(run.trials) >= 2
+    assert main(["report", str(folder)]) == 3
+    assert "died before the run was over" in (folder / "report" / "index.html").read_text(encoding="utf-8")
+
+
+def started(arguments: Sequence[str]) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "bench.cli", *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8", env=environment, cwd=ROOT
+    )
+
+
+def wait_for_run(out: Path, child: subprocess.Popen[str]) -> Path:
+    while child.poll() is None:
+        if out.is_dir() and (found := [path for path in out.iterdir() if (path / "run.sqlite").is_file()]):
+            return found[0]
+        time.sleep(0.01)
+    raise AssertionError(f"the bench ended before it had a run: {child.communicate()[0]}")
+
+
+def test_the_report_names_the_digest_by_which_the_record_is_checked(done: Done) -> None:
+    head = read_run(done.run.folder).head
+    assert head is not None
+    assert head.wall_digest in (done.run.folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert main(["store", "check", str(done.run.folder), "--digest", head.wall_digest]) == 0

@@ -1,0 +1,160 @@
+"""Every way out of a whole run in real time passes through safe, and takes no longer than it may: what the bath and the record say.
+
+SIGTERM and SIGHUP in each step are `test_guardian_kills`.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from bench.record.reader import RunRecord, read_run
+from instruments.listener import Listener
+from tests.bench.real_rig import RealRig, real_rig, record_one, touch_as_asked
+
+if sys.platform == "win32":
+    pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
+
+from tests.bench.marked_bench import CLOSED_CODE, MARK, MarkedBench, marked_bench, serve
+
+AT_ONCE = 2  # an arm in real time that waits for a busy processor counts as lost
+BOUND_S = 15.0  # standby takes milliseconds; the rest is the arm's and the links' ending, on a machine that is busy
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """``standby_s`` and ``gone_s`` are from the moment that ended it."""
+
+    way: str
+    standby_s: float
+    gone_s: float
+    code: int | None
+    run: RunRecord
+    said: str
+
+
+def leave(way: str, folder: Path, recording: Path) -> Outcome:
+    step = {"Ctrl-C": "settling", "Ctrl-C twice": "going to safe"}.get(way, way)
+    with real_rig(folder, recording, window_s=2.0 if way in ("normal", "mistaken") else 60.0) as rig, marked_bench(rig, step) as running:
+        running.wait_for("on its peg")
+        running.enter()
+        plant, start = rig.twin.world.plant, BRING[way](rig, running) or time.monotonic()
+        while plant.running and time.monotonic() - start < 60.0:
+            time.sleep(0.002)
+        standby_s = time.monotonic() - start
+        running.process.join(60)
+        return Outcome(way, standby_s, time.monotonic() - start, running.process.exitcode, read_run(rig.run_folder()), running.said)
+
+
+def to_the_end(rig: RealRig, running: MarkedBench) -> float:
+    """When the last readings were taken."""
+    running.wait_for("Enter when it stands")
+    running.enter()
+    return touch_as_asked(rig, lambda: running.said, running.enter, lambda: not rig.twin.world.plant.running)
+
+
+def to_the_mistake(_: RealRig, running: MarkedBench) -> None:
+    running.wait_for("Enter when it stands")
+    running.enter()
+
+
+def interrupt(_: RealRig, running: MarkedBench) -> None:
+    running.wait_for(f"{MARK}settling")
+    time.sleep(1.2)
+    running.signal("SIGINT")
+
+
+def interrupt_twice(rig: RealRig, running: MarkedBench) -> None:
+    """The second comes while the bench is on its way to safe, and has not got there."""
+    running.until(lambda: rig.twin.world.plant.running, "heated")
+    time.sleep(1.2)
+    running.signal("SIGINT")
+    running.wait_for(f"{MARK}going to safe")
+    assert rig.twin.world.plant.running
+    running.signal("SIGINT")
+
+
+BRING: dict[str, Callable[[RealRig, MarkedBench], float | None]] = {
+    "normal": to_the_end,
+    "mistaken": to_the_mistake,
+    "Ctrl-C": interrupt,
+    "Ctrl-C twice": interrupt_twice,
+    "closing": lambda _, running: running.wait_for(f"{MARK}closing"),
+}
+ENDINGS = {"normal": "finished", "mistaken": "faulted", "Ctrl-C": "aborted", "Ctrl-C twice": "aborted", "closing": "interrupted"}
+CODES = {"normal": 0, "mistaken": 1, "Ctrl-C": 3, "Ctrl-C twice": 3, "closing": CLOSED_CODE}
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    serve()
+    return record_one(tmp_path_factory.mktemp("frames") / "recording")
+
+
+def test_every_way_out_of_a_run_leaves_standby_in_bounded_time(recording: Path, tmp_path: Path) -> None:
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        jobs = [pool.submit(leave, way, tmp_path / way, recording) for way in BRING]
+        outcomes = [job.result() for job in jobs]
+    for outcome in outcomes:
+        texts = [event["text"] for event in outcome.run.events]
+        assert outcome.standby_s < BOUND_S, outcome.way
+        assert outcome.gone_s < BOUND_S, outcome.way
+        assert (outcome.run.ending, outcome.code) == (ENDINGS[outcome.way], CODES[outcome.way]), f"{outcome.way}: {outcome.said}"
+        if outcome.way == "closing":
+            continue  # Windows ends the process behind the handler: there is no time for the record
+        assert "bath is safe" in texts, outcome.way
+        assert outcome.run.guardian is None, f"{outcome.way}: the guardian was told that all is safe"
+        if outcome.way == "mistaken":
+            assert any("a mistake of the bench: ZeroDivisionError" in text for text in texts)
+        if outcome.way.startswith("Ctrl-C"):
+            assert any("Ctrl-C" in text for text in texts)
+
+
+@pytest.mark.parametrize(("bath_too", "asked"), [(False, "SIGINT"), (True, "SIGTERM")], ids=["the stage", "stage and bath"])
+def test_instruments_that_are_gone_do_not_keep_the_others_from_safe(bath_too: bool, asked: str, recording: Path, tmp_path: Path) -> None:
+    """The run is ended while it waits for a stage whose connection is lost."""
+    with real_rig(tmp_path / "rig", recording, stage=True) as rig, marked_bench(rig, "settling") as running:
+        running.wait_for("on its peg")
+        running.enter()
+        running.wait_for(f"{MARK}settling")
+        rig.twin._listeners["stage"].close()
+        running.wait_for("The run is paused")
+        bath = rig.twin._listeners["bath"]
+        assert isinstance(bath, Listener)
+        if bath_too:
+            bath.close()
+        running.signal(asked)
+        running.wait_for("NOT SAFE")
+        running.process.join(120)
+        assert running.process.exitcode == 3, running.said
+        said = " ".join(running.said.split())
+        assert f"NOT SAFE: {'bath, ' * bath_too}stage. " in said
+        assert "SWITCH IT OFF BY HAND." in said
+        if bath_too:  # the guardian goes on trying until somebody has plugged the bath in again
+            assert rig.twin.world.plant.running
+            clock, lock = rig.twin._clock, rig.twin.world.lock
+            rig.twin._listeners["bath"] = Listener(rig.twin.bath, clock, lock=lock, name="bath", port=bath.port)
+            await_record(rig.run_folder() / "guardian.json", standby=True)
+        assert not rig.twin.world.plant.running
+        run = read_run(rig.run_folder())
+    texts = [event["text"] for event in run.events]
+    assert (run.ending, texts[-1]) == ("aborted", "aborted")
+    assert ("bath is safe" in texts) is not bath_too
+    assert any(text.startswith("bath could not be made safe: bath") for text in texts) is bath_too
+    assert any(text.startswith("stage could not be made safe: stage at socket:") for text in texts)
+    assert "arm is safe" in texts
+    assert (run.guardian is not None and run.guardian["cause"] == "gave up") is bath_too
+
+
+def await_record(path: Path, *, standby: bool) -> None:
+    deadline = time.monotonic() + 60.0
+    while not path.is_file() or json.loads(path.read_text(encoding="utf-8"))["standby"] is not standby:
+        assert time.monotonic() < deadline, "the guardian has not written its record"
+        time.sleep(0.02)

@@ -1,0 +1,155 @@
+"""Two benches never have one rig: the second is told who has it; a dead bench's lock is taken over."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bench.cli.main import main
+from bench.config import ConfigError
+from bench.rig.loading import find_rig, load_rig
+from bench.run.lock import RigInUseError, WindowsLock, lock_path, locked
+from tests.bench.operated_runs import files
+from tests.conftest import ROOT
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from bench.running.rig_lock import locked
+with locked(Path(sys.argv[1]), "runs/here", print):
+    print("held", flush=True)
+    sys.stdin.readline()
+"""
+
+
+def holder(path: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", HOLDER, str(path)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "held\n"
+    return process
+
+
+def test_the_second_bench_is_told_who_has_the_rig_and_gets_it_when_that_one_ends(tmp_path: Path) -> None:
+    path, told = tmp_path / "lab.lock.json", list[str]()
+    first = holder(path)
+    who = rf"another bench has it: pid {first.pid}, host {platform.node()}.*runs/here"
+    with pytest.raises(RigInUseError, match=who), locked(path, "x", told.append):
+        pass
+    first.communicate("\n", 60)
+    with locked(path, "x", told.append):
+        assert json.loads(path.read_text(encoding="utf-8").rstrip("\0"))["pid"] == os.getpid()
+    assert told == [], "it was given back in order"
+    assert path.read_bytes() == b""
+
+
+def test_the_lock_of_a_bench_that_was_killed_is_taken_over_and_that_is_told(tmp_path: Path) -> None:
+    path, told = tmp_path / "lab.lock.json", list[str]()
+    first = holder(path)
+    first.kill()
+    first.communicate(timeout=60)
+    with locked(path, "x", told.append):
+        pass
+    assert len(told) == 1
+    assert f"the lock of a bench that died (pid {first.pid}" in told[0]
+
+
+def test_a_lock_of_another_machine_is_believed(tmp_path: Path) -> None:
+    path = tmp_path / "lab.lock.json"
+    path.write_text(json.dumps({"host": "another", "pid": 1}), encoding="utf-8")
+    with pytest.raises(RigInUseError, match=rf"pid 1, host another.*delete .*{path.name}"), locked(path, "x", print):
+        pass
+
+
+def test_a_file_that_says_nothing_understandable_is_taken_over(tmp_path: Path) -> None:
+    path, told = tmp_path / "lab.lock.json", list[str]()
+    path.write_text("{half", encoding="utf-8")
+    with locked(path, "x", told.append):
+        pass
+    assert "can't be read" in told[0]
+
+
+def test_an_emulated_rig_needs_none_and_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
+    assert lock_path(load_rig(find_rig(None))) is None
+    with locked(None, "x", print):
+        pass
+    with pytest.raises(ConfigError, match="the rig can't be locked"), locked(tmp_path / "no" / "lab.lock.json", "x", print):
+        pass
+
+
+def test_a_run_is_refused_before_anything_is_opened(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments, rig = files(tmp_path, operator="console:"), tmp_path / "rig.toml"
+    urls = iter(["socket://127.0.0.1:9", "tcp://127.0.0.1:9", "recording:frames"])  # nobody is there, and nobody is asked
+    text = re.sub('"emulator:"', lambda _: f'"{next(urls)}"', rig.read_text(encoding="utf-8"))
+    text = text.replace("[bath]", '[bath]\ncut_out_tested = "2024-03-01"')
+    rig.write_text(text.replace("bath_start_c = 33.0", "").replace("[emulation]", ""), encoding="utf-8")
+    first = holder(rig.with_name("rig.lock.json"))
+    assert main(arguments) == 3
+    said = capsys.readouterr().err
+    assert f"rig: another bench has it: pid {first.pid}" in said
+    assert not (tmp_path / "runs").exists()
+    first.communicate("\n", 60)
+
+
+class PlayedMsvcrt:
+    """Windows's `_locking` as Microsoft documents it: from the file's pointer on, by handle, past the end too, and nothing twice."""
+
+    LK_UNLCK, LK_NBLCK = 0, 2
+
+    def __init__(self) -> None:
+        self.held: dict[tuple[int, int], int] = {}  # file and place -> handle
+
+    def locking(self, fd: int, mode: int, nbytes: int, /) -> None:
+        assert nbytes == 1
+        at = os.fstat(fd).st_ino, os.lseek(fd, 0, os.SEEK_CUR)
+        if mode == self.LK_NBLCK and at not in self.held:
+            self.held[at] = fd
+        elif mode == self.LK_UNLCK and self.held.get(at) == fd:
+            del self.held[at]
+        else:
+            raise OSError(errno.EACCES, "Permission denied")
+
+
+def test_on_windows_the_second_is_refused_and_gets_it_afterwards(tmp_path: Path) -> None:
+    path, told, system = tmp_path / "lab.lock.json", list[str](), PlayedMsvcrt()
+    lock = WindowsLock(system)
+    with locked(path, "runs/here", told.append, lock=lock):
+        ((_, at),) = system.held
+        assert at > 1_000_000, "what a reader of the text reads at once must not touch the locked byte: Windows would refuse it"
+        with pytest.raises(RigInUseError, match=f"pid {os.getpid()}.*runs/here"), locked(path, "x", told.append, lock=lock):
+            pass
+        assert json.loads(path.read_text(encoding="utf-8"))["run"] == "runs/here", "the one that was refused wrote nothing"
+    assert system.held == {}
+    with locked(path, "x", told.append, lock=lock):
+        pass
+    assert told == []
+    assert path.read_bytes() == b""
+
+
+def test_on_windows_a_dead_benchs_lock_is_taken_over(tmp_path: Path) -> None:
+    """Windows unlocks what a process leaves behind, and the text stays."""
+    path, told, system = tmp_path / "lab.lock.json", list[str](), PlayedMsvcrt()
+    path.write_text(json.dumps({"host": platform.node(), "pid": 1}), encoding="utf-8")
+    with locked(path, "x", told.append, lock=WindowsLock(system)):
+        assert len(system.held) == 1
+    assert "pid 1" in told[0]
+    assert system.held == {}
+
+
+def test_a_folder_that_knows_no_locks_is_no_bench_that_has_it(tmp_path: Path) -> None:
+    class Lockless(PlayedMsvcrt):
+        def locking(self, fd: int, mode: int, nbytes: int, /) -> None:
+            raise OSError(errno.ENOLCK, "No locks available")
+
+    lock = WindowsLock(Lockless())
+    why = "the rig can't be locked: No locks available"
+    with pytest.raises(ConfigError, match=why), locked(tmp_path / "lab.lock.json", "x", print, lock=lock):
+        pass

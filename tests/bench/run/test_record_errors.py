@@ -1,0 +1,248 @@
+"""Disk full, folder read-only, clock set, a watcher that fails: the bench goes to safe or goes on, and nothing finished is lost."""
+
+from __future__ import annotations
+
+import errno
+import json
+import shutil
+import sqlite3
+import sys
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.cli.main import main
+from bench.record.reader import read_run
+from bench.record.schema import DATABASE
+from bench.record.writer import FolderGoneError, Store
+from bench.run.engine import Ending
+from bench.run.progress import EventLines, WatchedProgress, event_lines
+from instruments.clock import stopwatch_s
+from instruments.operators.emulated import EmulatedOperator
+from instruments.operators.operator import Arrangement, Placed
+from tests.bench.killed_runs import Silent, only_run, resume, start
+from tests.bench.operated_runs import files
+
+FULL = [OSError(errno.ENOSPC, "No space left on device"), sqlite3.OperationalError("database or disk is full")]
+
+
+class FullDisk:
+    """The store's ``method`` raises ``error`` from the second trial's frames on: once, or ever after."""
+
+    def __init__(self, method: str, error: Exception, *, for_good: bool) -> None:
+        self._method, self._error, self._for_good = method, error, for_good
+        self._trials, self._struck = 0, False
+
+    def put_into(self, patch: pytest.MonkeyPatch) -> None:
+        frames, own = Store.frames, getattr(Store, self._method)
+
+        def counted(*arguments: Any, **more: Any) -> Any:
+            self._trials += 1
+            return (frames if self._method == "_write" else failing)(*arguments, **more)
+
+        def failing(*arguments: Any, **more: Any) -> Any:
+            if self._trials >= 2 and (self._for_good or not self._struck):
+                self._struck = True
+                raise self._error
+            return own(*arguments, **more)
+
+        patch.setattr(Store, self._method, failing)
+        patch.setattr(Store, "frames", counted)
+
+
+@pytest.mark.parametrize("error", FULL, ids=["frames", "database"])
+@pytest.mark.parametrize("for_good", [False, True], ids=["once", "for good"])
+def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
+    error: Exception, for_good: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files(tmp_path)
+    method = "frames" if isinstance(error, OSError) else "_write"
+    fails = FullDisk(method, error, for_good=for_good)
+    progress = Silent()
+    with monkeypatch.context() as patch:
+        fails.put_into(patch)
+        try:
+            assert start(tmp_path, progress=progress)[1] is Ending.FAULTED
+        except sqlite3.OperationalError:
+            assert for_good, "what could not be closed cleanly is told by the command"
+    run = read_run(only_run(tmp_path, "runs"))
+    assert run.ending in ("faulted", "interrupted")
+    kept = [trial.id for trial in run.trials]
+    assert any("the record could not be written" in text and "teatbench resume" in text for text in progress.warned)
+    assert resume(tmp_path, "runs")[1] is Ending.FINISHED
+    whole = read_run(only_run(tmp_path, "runs"))
+    assert [trial.id for trial in whole.trials][: len(kept)] == kept
+    assert len(whole.trials) == 3
+
+
+def moved(run: Path) -> None:
+    run.rename(run.with_name("elsewhere"))
+
+
+def replaced(run: Path) -> None:
+    moved(run)
+    shutil.copytree(run.with_name("elsewhere"), run)
+
+
+def another_database(run: Path) -> None:
+    (run / DATABASE).rename(run / "old.sqlite")
+    shutil.copy(run / "old.sqlite", run / DATABASE)
+
+
+class Tampering(Silent):
+    """Somebody does ``what`` with the run's folder as its second trial begins, or while its pictures are taken."""
+
+    def __init__(self, what: Callable[[Path], object], folder: Path, at: str) -> None:
+        super().__init__()
+        self._what, self._folder, self._at, self._second = what, folder, at, False
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        self._second = self._second or done == 1
+        self._now("trial")
+
+    def state(self, text: str) -> None:
+        self._now(text)
+
+    def _now(self, text: str) -> None:
+        if self._second and text == self._at:
+            self._at = ""
+            self._what(only_run(self._folder, "runs"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows neither deletes nor moves what is open")
+@pytest.mark.parametrize("what", [shutil.rmtree, moved, replaced, another_database], ids=lambda what: what.__name__)
+@pytest.mark.parametrize(("at", "touched"), [("trial", 1), ("capturing", 2)])
+def test_a_folder_that_is_gone_is_noticed_in_the_trial_in_which_it_went(
+    what: Callable[[Path], object], at: str, touched: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not at the end: SQLite goes on writing into a file that has no name any more."""
+    files(tmp_path)
+    asked, set_up = [], EmulatedOperator.set_up
+
+    def counted(operator: EmulatedOperator, arrangement: Arrangement) -> Placed:
+        asked.append(arrangement)
+        return set_up(operator, arrangement)
+
+    monkeypatch.setattr(EmulatedOperator, "set_up", counted)
+    progress = Tampering(what, tmp_path, at)
+    with pytest.raises(FolderGoneError, match=r"was deleted, moved or replaced: .* teatbench resume"):
+        start(tmp_path, progress=progress)
+    assert len(asked) == touched, "nobody sets up a trial that can't be kept"
+    if what is shutil.rmtree:
+        assert not list((tmp_path / "runs").glob("*/frames")), "the folder isn't made anew"
+
+
+def test_a_folder_that_is_gone_is_told_by_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments, own = files(tmp_path), Store.frames
+
+    def gone(store: Store, *given: Any, **more: Any) -> Any:
+        store._place = ()  # as if it were another one
+        return own(store, *given, **more)
+
+    monkeypatch.setattr(Store, "frames", gone)
+    assert main(arguments) == 3
+    told = capsys.readouterr().err
+    assert "was deleted, moved or replaced" in told
+    assert "disk full" not in told
+    run = read_run(only_run(tmp_path, "runs"))
+    assert run.ending == "faulted"
+    assert any(event["kind"] == "safe" or "standby" in event["text"] for event in run.events)
+
+
+def test_a_folder_that_may_not_be_written_is_told_before_anything_is_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = files(tmp_path)
+
+    def refused(*_: Any, **__: Any) -> Any:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(Store, "create", refused)
+    assert main(arguments) == 2
+    assert "a run can't be kept in" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("by_s", [-3600.0, 86400.0])
+def test_a_clock_that_is_set_amid_a_run_is_noted_and_changes_nothing_else(
+    by_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files(tmp_path)
+    looks = {"n": 0}
+
+    def stepping() -> datetime:
+        looks["n"] += 1
+        return datetime.now(UTC) + (timedelta(seconds=by_s) if looks["n"] > 12 else timedelta())
+
+    monkeypatch.setattr("bench.run.context.wall_time", stepping)
+    folder, ending = start(tmp_path)
+    run = read_run(folder)
+    assert (ending, len(run.trials)) == (Ending.FINISHED, 3)
+    (told,) = [event["text"] for event in run.events if event["kind"] == "clock"]
+    assert told.startswith(f"the computer's clock was set {by_s:+.0f} s")
+    times = [event["t_s"] for event in run.events if event["t_s"] is not None]
+    assert times == sorted(times), "the bench's own time goes on"
+
+
+def test_a_busy_computer_is_no_clock_that_is_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody else may run for seconds between two looks at two clocks."""
+    files(tmp_path)
+    asleep_s, looks = 0.0, 0
+
+    def late() -> datetime:
+        nonlocal asleep_s, looks
+        looks += 1
+        told = datetime.now(UTC) + timedelta(seconds=asleep_s)
+        asleep_s += 20.0 if looks == 11 else 0.0  # the first of an event: its look at both clocks
+        return told
+
+    monkeypatch.setattr("bench.run.context.wall_time", late)
+    monkeypatch.setattr("bench.run.context.stopwatch_s", lambda: stopwatch_s() + asleep_s)
+    run = read_run(start(tmp_path)[0])
+    assert looks > 12
+    assert [event["text"] for event in run.events if event["kind"] == "clock"] == []
+
+
+def test_events_as_lines_and_each_is_json(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    assert main([*files(tmp_path), "--events", str(path)]) in (0, 1, 4)
+    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    assert {line["what"] for line in lines} == {"doing", "trial", "event"}
+    states = [line["text"] for line in lines if line.get("kind") == "run state"]
+    assert states == ["preparing", "settling", "running", "safing", "finished"]
+    assert [line["name"] for line in lines if line["what"] == "trial"] == ["place-1", "place-2", "place-3", ""]
+    record = [event["text"] for event in read_run(only_run(tmp_path, "runs")).events]
+    assert [line["text"] for line in lines if line["what"] == "event"] == record, "what is told is on record"
+    assert any("bath" in line for line in lines if line["what"] == "doing")
+
+
+class Broken(Silent):
+    """A screen that fails at everything but warnings."""
+
+    def state(self, text: str) -> None:
+        raise RuntimeError("the plot has a bug")
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        raise RuntimeError("the plot has a bug")
+
+
+def test_nothing_that_only_watches_can_end_a_run(tmp_path: Path) -> None:
+    files(tmp_path)
+    assert start(tmp_path, progress=Broken())[1] is Ending.FINISHED
+    with (tmp_path / "e").open("w", encoding="utf-8") as file:
+        lines = EventLines(file)
+    shown = Silent()
+    assert start(tmp_path, "again", WatchedProgress(shown, lines))[1] is Ending.FINISHED  # type: ignore[arg-type]
+    assert len(shown.warned) == 1, "it is told once"
+    assert "--events: no further lines" in shown.warned[0]
+
+
+def test_a_file_for_lines_that_cannot_be_opened_is_wrong_use(tmp_path: Path) -> None:
+    from bench.config import ConfigError
+
+    with pytest.raises(ConfigError, match="it can't be opened"), event_lines(tmp_path / "no" / "e"):
+        pass

@@ -1,0 +1,117 @@
+"""A script's poses on the emulated rig: what stands there is what was planned, moved by the stage, by hand, or by both."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from bench.cli.terminal import TerminalProgress
+from bench.record.reader import RunRecord, read_run
+from bench.rig.loading import RIGS, LoadedRig, load_rig
+from bench.run.engine import Ending
+from bench.run.start import run_script
+from bench.script.model import LoadedScript, load_script
+from instruments.stage.driver import Stage
+from instruments.world.phantom import PIVOT_MM
+
+SCRIPT = """title = "poses"
+detectors = ["thesis"]
+
+[bath]
+set_point_c = 33.0
+window_s = 2.0
+slope_k_per_min = 10.0
+
+[[requirements]]
+kind = "bath_in_band"
+name = "bath"
+band_k = 0.15
+
+[[trials]]
+name = "one"
+situation = "poses"
+layout = "mine.toml"
+set_up = "Two teats."
+poses = [{ x_mm = 10.0, y_mm = -5.0 }, { x_mm = -3.0, z_mm = 12.0, yaw_deg = 20.0 }]
+"""
+LAYOUT = """about = "two"
+[[teats]]
+name = "LF"
+base_mm = [-200.0, 250.0]
+[[teats]]
+name = "RF"
+base_mm = [-150.0, 240.0]
+length_mm = 120.0
+"""
+STANDING_MM = np.array([[-200.0, 250.0, 135.0], [-150.0, 240.0, 120.0]])
+
+
+def script(folder: Path, more: str = "") -> LoadedScript:
+    (folder / "mine.toml").write_text(LAYOUT, encoding="utf-8")
+    (folder / "poses.toml").write_text(SCRIPT + more, encoding="utf-8")
+    return load_script(folder / "poses.toml")
+
+
+def rig(folder: Path, axes: str) -> LoadedRig:
+    """The emulated rig with a stage of these axes; without a stage where there are none."""
+    text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
+    part = '[stage]\nurl = "emulator:"\n'
+    assert part in text
+    dialect = '\n[emulation.stage]\ndialect = "grblHAL"\n' if "A" in axes else ""
+    warm = "\n[emulation]\nbath_start_c = 33.0\n"
+    (folder / "rig.toml").write_text(text.replace(part, f'{part}axes = "{axes}"\n' if axes else "") + warm + dialect, encoding="utf-8")
+    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    return load_rig(folder / "rig.toml")
+
+
+def run(rig: LoadedRig, loaded: LoadedScript, out: Path) -> RunRecord:
+    with TerminalProgress(Console(file=io.StringIO())) as progress:
+        folder, ending = run_script(rig, loaded, out, progress)
+    assert ending is Ending.FINISHED
+    return read_run(folder)
+
+
+def exact_mm(record: RunRecord) -> list[np.ndarray]:
+    return [np.array([json.loads(row["exact_mm"]) for row in trial.truth]) for trial in record.trials]
+
+
+def turned(points_mm: np.ndarray, deg: float) -> np.ndarray:
+    c, s = np.cos(np.radians(deg)), np.sin(np.radians(deg))
+    pivot = np.array([*PIVOT_MM, 0.0])
+    return np.asarray((points_mm - pivot) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + pivot)
+
+
+@pytest.mark.parametrize("axes", ["XY", "XYZA", ""], ids=["two axes", "four axes", "by hand"])
+def test_the_phantom_stands_where_the_script_says(tmp_path: Path, axes: str) -> None:
+    """A stage of two axes leaves height and turn to the operator; without one every pose is a prompt."""
+    record = run(rig(tmp_path, axes), script(tmp_path), tmp_path / "runs")
+    first, second = exact_mm(record)
+    assert first == pytest.approx(STANDING_MM + np.array([10.0, -5.0, 0.0]), abs=0.05)
+    assert second == pytest.approx(turned(STANDING_MM, 20.0) + np.array([-3.0, 0.0, 12.0]), abs=0.05)
+    assert [trial.pose for trial in record.trials] == ["one-1", "one-2"]
+
+    assert (record.folder / "mine.toml").read_text(encoding="utf-8") == LAYOUT
+    kept = record.facts["pose set"]
+    assert kept["chosen"] == ["one: 2 poses as written; layout mine.toml."]
+    assert kept["poses"][1] == ["002-one-2-1", "one-2", 1, -3.0, 0.0, 12.0, pytest.approx(20.0), None]
+
+
+def test_a_pose_is_reached_from_the_sides_that_are_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    went: list[tuple[float, float]] = []
+    begin = Stage.begin_move
+
+    def noted(self: Stage, x_mm: float, y_mm: float, **more: float | None) -> None:
+        went.append((x_mm, y_mm))
+        begin(self, x_mm, y_mm, **more)
+
+    monkeypatch.setattr(Stage, "begin_move", noted)
+    loaded = script(tmp_path, 'approach = ["+x", "-y"]\napproach_mm = 4.0\n')
+    run(rig(tmp_path, "XY"), loaded, tmp_path / "runs")
+    to = [(-140.0, -142.5), (-153.0, -137.5)]  # the reference place is (-150, -137.5)
+    expected = [place for x, y in to for place in ((x + 4.0, y), (x, y), (x, y - 4.0), (x, y))]
+    assert went == expected

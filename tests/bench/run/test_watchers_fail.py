@@ -1,0 +1,175 @@
+"""Whoever only watches a run, screen or lines, may fail in any way: the run goes on, the other still shows, and it is told once."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from bench.record.reader import read_run
+from bench.run.engine import Ending
+from bench.run.progress import EventLines, Unfailing, WatchedProgress, event_lines
+from tests.bench.killed_runs import Silent, only_run, start
+from tests.bench.operated_runs import files
+from tests.conftest import ROOT
+
+
+class Gone(Silent):
+    """A screen that fails at everything from its ``after``-th word on, as rich does where the reader of its output has gone."""
+
+    def __init__(self, error: BaseException, after: int = 0) -> None:
+        super().__init__()
+        self._error, self._left = error, after
+        self.tried = 0
+
+    def state(self, text: str) -> None:
+        self._word()
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        self._word()
+
+    def warn(self, text: str) -> None:
+        self._word()
+        super().warn(text)
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:  # type: ignore[override]
+        self._word()
+        yield
+        self._word()
+
+    def _word(self) -> None:
+        self.tried += 1
+        if self.tried > self._left:
+            raise self._error
+
+
+@pytest.mark.parametrize("error", [SystemExit(1), BrokenPipeError(), RuntimeError("a bug in the plot")], ids=["exit", "pipe", "bug"])
+def test_a_screen_that_fails_ends_neither_the_run_nor_the_lines(error: BaseException, tmp_path: Path) -> None:
+    files(tmp_path)
+    path = tmp_path / "events.jsonl"
+    with event_lines(path) as lines:
+        screen = Gone(error, after=3)
+        assert start(tmp_path, progress=WatchedProgress(screen, lines))[1] is Ending.FINISHED  # type: ignore[arg-type]
+    assert screen.tried == 4, "once it has failed it is left alone"
+    told = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    assert [line["name"] for line in told if line["what"] == "trial"] == ["place-1", "place-2", "place-3", ""]
+    assert [line["text"] for line in told if line["what"] == "warning"] == [f"the screen shows nothing any more: {said(error)}"]
+    record = read_run(only_run(tmp_path, "runs")).events
+    assert [event["text"] for event in record if event["kind"] == "not shown"] == [f"the screen shows nothing any more: {said(error)}"]
+
+
+def said(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+def test_the_line_has_trial_state_bath_time_left_and_the_last_error() -> None:
+    shown: list[str] = []
+
+    class Screen(Silent):
+        def state(self, text: str) -> None:
+            shown.append(text)
+
+    progress = WatchedProgress(Screen(), None)
+    progress.state("preparing")
+    progress.fed_by(lambda: 0.0, lambda: {"bath": "bath 33.02 degC, stable", "left": "about 12 min left"})
+    progress.trial(1, 3, "place-2")
+    progress.event("state", "no error")
+    progress.state("capturing")
+    progress.event("camera", "left: late. " * 20)
+    progress.state("capturing")
+    assert shown[:2] == ["preparing", "place-2; capturing; bath 33.02 degC, stable; about 12 min left"]
+    assert shown[2] == f"{shown[1]}; last error: {('left: late. ' * 20)[:60]}"
+
+
+def test_the_line_follows_the_bath_while_one_thing_takes_long(tmp_path: Path) -> None:
+    shown: list[str] = []
+
+    class Screen(Silent):
+        def state(self, text: str) -> None:
+            shown.append(text)
+
+    files(tmp_path, emulation="prompt_s = 10.0")
+    assert start(tmp_path, progress=WatchedProgress(Screen(), None))[1] is Ending.FINISHED  # type: ignore[arg-type]
+    touching = [text for text in shown if text.startswith("place-2; taking the truth")]
+    assert len(touching) >= 40, "four touches of ten seconds, a look at the bath each second"
+    assert len(set(touching)) > 1
+
+
+def test_a_line_that_cannot_be_made_is_no_trouble_of_the_baths() -> None:
+    """It is made on the watch's own thread."""
+
+    def fails() -> dict[str, str]:
+        raise RuntimeError("a bug in the line")
+
+    progress = WatchedProgress(Silent(), None)
+    progress.fed_by(lambda: 0.0, fails)
+    progress.refresh()
+    with pytest.raises(RuntimeError, match="a bug in the line"):
+        progress.state("capturing")
+
+
+def test_screen_and_lines_may_fail_both(tmp_path: Path) -> None:
+    files(tmp_path)
+    with (tmp_path / "e").open("w", encoding="utf-8") as file:
+        closed = EventLines(file)
+    assert start(tmp_path, progress=WatchedProgress(Gone(BrokenPipeError()), closed))[1] is Ending.FINISHED  # type: ignore[arg-type]
+    kinds = [event["kind"] for event in read_run(only_run(tmp_path, "runs")).events]
+    assert kinds.count("not shown") == 2
+
+
+def test_what_a_person_has_to_see_is_tried_again_all_the_same() -> None:
+    told: list[str] = []
+    screen = Gone(OSError("the terminal is busy"))
+    shown = Unfailing(screen, told.append)
+    shown.state("moving")
+    shown.state("capturing")
+    shown.warn("NOT SAFE")
+    with shown.aside():
+        pass
+    screen.__init__(OSError(), after=9)  # type: ignore[misc]
+    shown.warn("NOT SAFE: bath")
+    assert screen.warned == ["NOT SAFE: bath"]
+    assert told == ["the screen shows nothing any more: OSError: the terminal is busy"]
+
+
+def test_what_is_asked_amid_a_question_is_not_swallowed() -> None:
+    with pytest.raises(KeyboardInterrupt), Unfailing(Silent()).aside():
+        raise KeyboardInterrupt
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="closes a pipe as a POSIX shell does")
+def test_a_reader_of_the_output_that_has_gone_ends_no_run(tmp_path: Path) -> None:
+    """`teatbench run | head -1`."""
+    command = [sys.executable, "-m", "bench.cli", *files(tmp_path)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment) as bench:
+        assert bench.stdout is not None
+        assert bench.stderr is not None
+        assert bench.stdout.readline().startswith("3 trials, ")
+        bench.stdout.close()
+        complaints = bench.stderr.read()
+        assert bench.wait() == 0, complaints
+    assert complaints == ""
+    run = read_run(only_run(tmp_path, "runs"))
+    assert (run.ending, len(run.trials)) == ("finished", 3)
+    assert (run.folder / "report" / "index.html").is_file()
+    assert (run.folder / "times.json").is_file(), "what comes after the table is done too"
+
+
+def test_a_trip_is_among_the_lines(tmp_path: Path) -> None:
+    """It happens on the watch's own thread; a watcher at the other end of the lines has to hear of it all the same."""
+    files(tmp_path, emulation='[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 3.0')
+    path = tmp_path / "events.jsonl"
+    with event_lines(path) as lines:
+        assert start(tmp_path, progress=WatchedProgress(Silent(), lines))[1] is Ending.FAULTED  # type: ignore[arg-type]
+    told = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    (trip,) = [line for line in told if line.get("kind") == "trip"]
+    assert trip["text"].startswith("interlock controller alarm")
+    assert trip["text"] in [event["text"] for event in read_run(only_run(tmp_path, "runs")).events]

@@ -1,0 +1,183 @@
+"""The watch: what it reads, what it does about a trip and when, whoever is busy."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import pytest
+
+from bench.record.writer import Row
+from bench.rig.model import Limits
+from bench.safety.bath_monitor import Watch
+from bench.safety.interlocks import Interlocks, InterlockTrip, bath_of
+from bench.safety.stability import StabilityGate, State
+from instruments.bath.profile import load_profile
+from instruments.bath.reading import BathReading
+from instruments.clock import RealClock, VirtualClock
+from instruments.errors import DeviceError, LinkError
+
+CALM = BathReading(t_s=0.0, temp_c=33.0, raw=(1, 2), external_c=None, power_percent=2.0, safety_c=None, alarm=0, warning=0, remote=True)
+
+
+@dataclass
+class ScriptedBath:
+    """Reads what a function of time says."""
+
+    clock: VirtualClock
+    at: Callable[[float], BathReading]
+
+    def read(self) -> BathReading:
+        return replace(self.at(self.clock.now()), t_s=self.clock.now())
+
+
+class Watched:
+    """A watch over a scripted bath under virtual time, with what it recorded and did."""
+
+    def __init__(self, at: Callable[[float], BathReading], *, safe_from_s: float = 0.0) -> None:
+        self.clock, self.rows = VirtualClock(), list[Row]()
+        self.acts: list[tuple[float, Exception]] = []
+        gate = StabilityGate(33.0, window_s=60.0)
+        interlocks = Interlocks(Limits(), bath_of(load_profile("julabo-presto")))
+
+        def act(trip: Exception) -> bool:
+            self.acts.append((self.clock.now(), trip))
+            return self.clock.now() >= safe_from_s
+
+        self.also: InterlockTrip | None = None
+        self.watch = Watch(ScriptedBath(self.clock, at), self.clock, gate, interlocks, self.rows.append, act, also=lambda: self.also)
+        self.watch.start()
+
+
+def wobble(t: float) -> BathReading:
+    return replace(CALM, temp_c=33.0 + 0.01 * (int(t) % 3), raw=(int(t),))
+
+
+def test_the_bath_is_read_every_second_and_recorded() -> None:
+    w = Watched(wobble)
+    w.clock.sleep(100.0)
+    w.watch.check()
+    assert len(w.rows) == 101
+    assert w.watch.state is State.STABLE
+    w.watch.stop()
+    w.clock.sleep(10.0)
+    assert len(w.rows) == 101
+
+
+def test_what_was_read_before_the_heating_is_no_evidence_of_stability() -> None:
+    w = Watched(wobble)
+    w.clock.sleep(100.0)
+    w.watch.heating()
+    states = [w.watch.state]
+    w.clock.sleep(100.0)
+    states.append(w.watch.state)
+    assert [state is State.STABLE for state in states] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("at", "rule", "at_s"),
+    [
+        (lambda t: replace(CALM, temp_c=33.0 + t * 0.05, raw=(int(t),)), "over-temperature", 81.0),
+        (lambda t: replace(CALM, temp_c=20.0 + t * 0.1, raw=(int(t),)), "rate", 30.0),
+        (lambda t: replace(CALM, alarm=int(t > 40) * 5), "controller alarm", 41.0),
+    ],
+)
+def test_a_trip_acts_at_once_and_stays(at: Callable[[float], BathReading], rule: str, at_s: float) -> None:
+    w = Watched(at)
+    w.clock.sleep(200.0)
+    assert [(when, type(trip)) for when, trip in w.acts] == [(at_s, InterlockTrip)], "once, without being asked for"
+    for _ in range(2):
+        with pytest.raises(InterlockTrip) as caught:
+            w.watch.check()
+        assert caught.value.rule == rule
+    assert len(w.rows) == 201, "what the bath does afterwards is recorded too"
+
+
+def test_it_goes_on_trying_until_the_bath_is_safe() -> None:
+    w = Watched(lambda t: replace(CALM, alarm=int(t >= 10)), safe_from_s=22.0)
+    w.clock.sleep(60.0)
+    assert [when for when, _ in w.acts] == [10.0, 15.0, 20.0, 25.0]
+
+
+def test_a_bath_that_falls_silent_trips_after_the_limit_and_not_before() -> None:
+    def at(t: float) -> BathReading:
+        if 10.0 < t < 14.0 or t > 20.0:
+            raise LinkError("bath", "no answer", seconds=1.0)
+        return wobble(t)
+
+    w = Watched(at)
+    w.clock.sleep(20.0)
+    w.watch.check()
+    w.clock.sleep(4.0)
+    w.watch.check()
+    w.clock.sleep(3.0)
+    with pytest.raises(InterlockTrip, match=r"communications lost.*no answer"):
+        w.watch.check()
+    assert len(w.rows) == 18
+
+
+def test_a_bath_without_a_temperature_trips_as_implausible() -> None:
+    def at(t: float) -> BathReading:
+        if t > 20.0:
+            raise DeviceError("bath", "it has no temperature", hint="Look at the sensor and its plug.")
+        return wobble(t)
+
+    w = Watched(at)
+    w.clock.sleep(30.0)
+    with pytest.raises(InterlockTrip, match=r"implausible reading: no usable reading for 5 s"):
+        w.watch.check()
+
+
+def test_a_frozen_reading_is_never_stable() -> None:
+    w = Watched(lambda t: CALM)
+    w.clock.sleep(3000.0)
+    assert w.watch.state is not State.STABLE
+    assert w.watch.why_not_stable
+
+
+def test_a_guardian_that_is_gone_trips() -> None:
+    w = Watched(wobble)
+    w.clock.sleep(10.0)
+    w.also = InterlockTrip("guardian lost", "it ended by itself", "See its log.")
+    w.clock.sleep(2.0)
+    assert w.watch.tripped is w.also
+    assert [when for when, _ in w.acts] == [11.0]
+
+
+def test_a_mistake_of_ours_is_not_swallowed_and_makes_safe() -> None:
+    def at(t: float) -> BathReading:
+        if t > 5:
+            raise ZeroDivisionError
+        return wobble(t)
+
+    w = Watched(at)
+    w.clock.sleep(10.0)
+    with pytest.raises(ZeroDivisionError):
+        w.watch.check()
+    assert [when for when, _ in w.acts] == [6.0]
+
+
+def test_with_the_real_clock_a_trip_acts_while_the_main_thread_is_blocked() -> None:
+    clock, acted = RealClock(), threading.Event()
+    threads: list[threading.Thread] = []
+
+    def act(_: Exception) -> bool:
+        threads.append(threading.current_thread())
+        acted.set()
+        return True
+
+    reading = replace(CALM, temp_c=38.0)
+    interlocks = Interlocks(Limits(), bath_of(load_profile("julabo-presto")))
+
+    class Bath:
+        def read(self) -> BathReading:
+            now = clock.now()
+            return replace(reading if now > 0.5 else CALM, t_s=now)
+
+    watch = Watch(Bath(), clock, StabilityGate(33.0), interlocks, lambda _: None, act)
+    watch.start()
+    assert acted.wait(60.0), "the main thread never looked"
+    assert threads[0] is not threading.current_thread()
+    watch.stop()
+    clock.close()

@@ -1,0 +1,235 @@
+"""Requests to end, at every moment and in every number: the work between is cut short, going to safe never is."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from bench.safety.signals import Exits, Interrupted, current, installed, undisturbed
+from tests.conftest import ROOT
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
+
+# A program shaped like the engine's run: it works, then goes to safe in half a second, and says what it did.
+CHILD = """
+import sys, time
+from bench.safety.exits import current, installed, undisturbed
+from bench.safety.exits import Interrupted
+def say(text):
+    with open(sys.argv[1], "a", encoding="utf-8") as file:
+        file.write(text + chr(10))
+with installed():
+    exits, why = current(), "finished"
+    try:
+        say("working")
+        print("working", flush=True)
+        time.sleep(float(sys.argv[2]))
+    except BaseException as error:
+        exits.hold()
+        why = str(error) or type(error).__name__
+    else:
+        exits.hold()
+    finally:
+        with undisturbed():
+            say("going to safe")
+            print("going to safe", flush=True)
+            time.sleep(0.5)
+            say("safe")
+        exits.let_go()
+    say(why)
+"""
+
+
+@posix
+def test_the_first_request_is_raised_and_the_second_is_noted() -> None:
+    with installed() as exits:
+        with pytest.raises(Interrupted, match=r"Ctrl-C"):
+            os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert exits.asked == ["SIGINT", "SIGINT", "SIGTERM"]
+
+
+@posix
+@pytest.mark.parametrize(("name", "said"), [("SIGINT", "Ctrl-C"), ("SIGTERM", "SIGTERM"), ("SIGHUP", "connection has gone")])
+def test_each_request_says_who_asked(name: str, said: str) -> None:
+    with installed(), pytest.raises(Interrupted, match=said):
+        os.kill(os.getpid(), getattr(signal, name))
+
+
+@posix
+def test_nothing_is_raised_while_undisturbed_and_again_after() -> None:
+    with installed() as exits:
+        with undisturbed(), undisturbed():
+            os.kill(os.getpid(), signal.SIGTERM)
+        assert exits.asked == ["SIGTERM"]
+        with pytest.raises(Interrupted):
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+@posix
+def test_what_came_while_nothing_was_raised_can_be_heeded_afterwards() -> None:
+    with installed() as exits:
+        exits.heed()
+        with undisturbed():
+            os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(Interrupted, match="SIGTERM"):
+            exits.heed()
+        exits.heed()
+
+
+@posix
+def test_what_was_there_before_is_there_again() -> None:
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    with installed() as exits:
+        assert current() is exits
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
+    assert current() is not exits
+
+
+@posix
+def test_what_nohup_ignores_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with installed() as exits:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert exits.asked == []
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_on_another_thread_nothing_is_installed() -> None:
+    seen: list[object] = []
+
+    def work() -> None:
+        with installed() as exits:
+            seen.append(exits.asked)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [[]]
+
+
+def test_a_closed_console_makes_safe_on_its_own_thread_and_in_bounded_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The part of the Windows path that is ours; that Windows calls it can't be tested here."""
+    exits, done = Exits(), list[str]()
+    exits.at_close = lambda: done.append(threading.current_thread().name)
+    exits.console_closed()
+    assert done == ["console closed"]
+    monkeypatch.setattr("bench.safety.signals.CLOSE_S", 0.1)
+    ended = threading.Event()
+    exits.at_close = lambda: ended.wait(60.0)
+    start = time.monotonic()
+    exits.console_closed()
+    assert time.monotonic() - start < 30.0
+    ended.set()
+
+
+@posix
+@pytest.mark.parametrize(
+    ("signals", "why"),
+    [
+        ([], "finished"),
+        (["SIGINT"], "Ctrl-C"),
+        (["SIGINT", "SIGINT"], "Ctrl-C"),
+        (["SIGTERM"], "SIGTERM"),
+        (["SIGHUP"], "SIGHUP"),
+        (["SIGHUP", "SIGTERM", "SIGINT"], "SIGHUP"),
+    ],
+)
+def test_every_way_out_passes_through_safe_whole(signals: list[str], why: str, tmp_path: Path) -> None:
+    assert lived_through(signals, tmp_path / "log", gap_s=0.15) == ["working", "going to safe", "safe", why]
+
+
+@posix
+def test_requests_that_come_at_once_are_one(tmp_path: Path) -> None:
+    assert lived_through(["SIGTERM", "SIGHUP", "SIGINT"], tmp_path / "log", 0.0)[:3] == ["working", "going to safe", "safe"]
+
+
+@posix
+def test_a_storm_of_signals_from_the_end_of_the_work_on_cuts_nothing_off(tmp_path: Path) -> None:
+    """The moment between work and safe is the one that a plain `finally` loses."""
+    for number in range(4):
+        log = tmp_path / str(number)
+        with subprocess.Popen([sys.executable, "-c", CHILD, str(log), "0.05"], cwd=ROOT, stdout=subprocess.PIPE) as child:
+            assert child.stdout is not None
+            child.stdout.readline()
+            time.sleep(0.04)
+            deadline = time.monotonic() + 0.3
+            while time.monotonic() < deadline and child.poll() is None:
+                child.send_signal(signal.SIGINT)
+                time.sleep(0.0005)
+            child.wait(60)
+        assert log.read_text(encoding="utf-8").split("\n")[:3] == ["working", "going to safe", "safe"]
+
+
+def lived_through(signals: list[str], log: Path, gap_s: float) -> list[str]:
+    """What the child did; its cause of ending by the word that it shares with ours."""
+    command = [sys.executable, "-c", CHILD, str(log), "30" if signals else "0.1"]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        child.stdout.readline()
+        for name in signals:
+            child.send_signal(getattr(signal, name))
+            time.sleep(gap_s)
+        child.wait(60)
+    *lines, why = log.read_text(encoding="utf-8").strip().split("\n")
+    known = ("finished", "Ctrl-C", "SIGTERM", "SIGHUP")
+    return [*lines, next(word for word in known if word in why)]
+
+
+@posix
+def test_a_request_never_leaves_a_lock_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Raised while Python's own code takes a lock, it would be held for ever, and whoever wants it would wait for ever."""
+    monkeypatch.setattr("bench.safety.signals.ON_THE_WAY_S", 0.0)
+    condition, rng, raised = threading.Condition(), random.Random(1), 0
+
+    def is_free() -> None:
+        free.append(condition.acquire(timeout=2.0))
+        condition.release()
+
+    main_thread = threading.get_ident()
+    for _ in range(100):
+        storm = threading.Timer(rng.uniform(0.001, 0.003), lambda: signal.pthread_kill(main_thread, signal.SIGINT))
+        with installed():
+            try:
+                storm.start()
+                while True:
+                    with condition:
+                        condition.notify_all()
+            except Interrupted:
+                raised += 1
+        storm.join()
+        free: list[bool] = []
+        other = threading.Thread(target=is_free)
+        other.start()
+        other.join()
+        assert free == [True]
+    assert raised == 100
+
+
+@posix
+def test_a_terminal_that_goes_does_not_keep_the_bench_from_safe(tmp_path: Path) -> None:
+    """A dropped SSH connection: the pseudo-terminal closes, SIGHUP comes, and every write to it fails from then on."""
+    import pty
+
+    log = tmp_path / "log"
+    child, master = pty.fork()
+    if child == 0:
+        os.chdir(ROOT)
+        os.execv(sys.executable, [sys.executable, "-c", CHILD, str(log), "30"])
+    while b"working" not in os.read(master, 100):
+        pass
+    os.close(master)
+    _, status = os.waitpid(child, 0)
+    assert log.read_text(encoding="utf-8").split("\n")[:3] == ["working", "going to safe", "safe"]
+    assert os.waitstatus_to_exitcode(status) == 0

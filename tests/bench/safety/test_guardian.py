@@ -1,0 +1,186 @@
+"""A bench that dies or hangs, and one that ends well, beside its guardian: what the record and the report say of it afterwards.
+
+Kills in every step are `test_guardian_kills`; serial ports and pumps `test_guardian_serial`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import sys
+import time
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.cli.main import main
+from bench.record.reader import read_run
+from instruments.clock import wall_time
+from tests.bench.real_rig import Bench, RealRig, bench, real_rig, record_one, touch_as_asked
+
+if sys.platform == "win32":
+    pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
+
+from tests.bench.marked_bench import MARK, marked_bench, serve
+
+STANDBY_S = 3.0  # as docs/safety.md says; it takes milliseconds
+HANG_S = 10.0
+SEEN_LATE_S = 5.0  # so much later than it was said a busy machine may show us that it hangs
+
+
+def heating(rig: RealRig, running: Bench) -> None:
+    running.wait_for("on its peg")
+    running.answer()
+    running.wait_until(lambda: rig.twin.world.plant.running, "heated")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    serve()
+    return record_one(tmp_path_factory.mktemp("frames") / "recording")
+
+
+def standby_after(rig: RealRig, within_s: float) -> float:
+    """How long the bath still heats."""
+    plant, start = rig.twin.world.plant, time.monotonic()
+    assert plant.running
+    while plant.running and time.monotonic() - start < within_s:
+        time.sleep(0.005)
+    return time.monotonic() - start
+
+
+def silence_s(told: Mapping[str, Any]) -> float:
+    """How long the guardian had heard nothing when it noticed."""
+    last, noticed = (datetime.fromisoformat(told[name]) for name in ("wall_last_sign", "wall_noticed"))
+    return (noticed - last).total_seconds()
+
+
+def await_record(rig: RealRig) -> None:
+    path, deadline = rig.run_folder() / "guardian.json", time.monotonic() + 60.0
+    while not path.is_file() and time.monotonic() < deadline:
+        time.sleep(0.02)
+
+
+def reported(rig: RealRig, capsys: pytest.CaptureFixture[str]) -> tuple[str, str]:
+    """What `teatbench report` says of the run: on the terminal, and on the page."""
+    assert main(["report", str(rig.run_folder())]) == 3
+    page = rig.run_folder() / "report" / "index.html"
+    return " ".join(capsys.readouterr().out.split()), page.read_text(encoding="utf-8")
+
+
+def test_the_report_of_a_killed_bench_says_when_it_died_and_when_the_bath_was_safe(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with real_rig(tmp_path / "rig", recording) as rig:
+        with bench(rig) as running:
+            heating(rig, running)
+            running.wait_for("Enter when it stands")
+            killed = wall_time()
+            running.process.kill()
+            assert standby_after(rig, 30.0) < STANDBY_S
+            await_record(rig)
+        told = read_run(rig.run_folder()).guardian
+        assert told is not None
+        assert abs((datetime.fromisoformat(told["wall_noticed"]) - killed).total_seconds()) < STANDBY_S
+        sentence = f"The bench died at {told['wall_noticed']}; the guardian had the bath in standby at {told['wall_safe']}"
+        for said in reported(rig, capsys):
+            assert sentence in said
+
+
+def test_a_bench_that_is_stopped_is_taken_for_dead_after_ten_seconds(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
+) -> None:
+    with real_rig(tmp_path / "rig", recording, window_s=60.0) as rig:
+        with bench(rig) as running:
+            heating(rig, running)
+            time.sleep(1.5)
+            running.process.send_signal(signal.SIGSTOP)
+            seconds = standby_after(rig, 30.0)
+            await_record(rig)
+            running.process.send_signal(signal.SIGCONT)
+            assert running.process.wait(60) == 3
+        request.node.user_properties.append(("s to standby, SIGSTOP while settling", round(seconds, 3)))
+        assert seconds < HANG_S + STANDBY_S
+        run = read_run(rig.run_folder())
+        assert run.guardian is not None
+        assert silence_s(run.guardian) >= HANG_S
+        assert (run.guardian["cause"], run.guardian["standby"]) == ("hung", True)
+        assert run.ending == "faulted", "once it goes on, it finds its guardian gone"
+        assert run.facts["trip"]["rule"] in ("guardian lost", "changed at the controller"), "or the bath not as it left it"
+        assert "The bench hung (no sign of life for 10 s)" in reported(rig, capsys)[1]
+
+
+def test_a_main_thread_that_hangs_while_the_others_live_is_taken_for_dead_after_ten_seconds(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
+) -> None:
+    """In a move, which may take ten minutes: what counts is the silence."""
+    with real_rig(tmp_path / "rig", recording, stage=True) as rig:
+        with marked_bench(rig, "hanging") as running:
+            running.wait_for("on its peg")
+            running.enter()
+            running.wait_for(f"{MARK}hanging")
+            seconds = standby_after(rig, 30.0)
+            await_record(rig)
+        request.node.user_properties.append(("s to standby, main thread hangs while moving", round(seconds, 3)))
+        assert HANG_S - SEEN_LATE_S < seconds < HANG_S + STANDBY_S
+        told = read_run(rig.run_folder()).guardian
+        assert told is not None
+        assert (told["cause"], told["standby"]) == ("hung", True)
+        why = "the main thread hangs: moving the stage, and no sign of life for 10 s"
+        assert told["why"] == why
+        for said in reported(rig, capsys):
+            assert f"The bench hung ({why}); its last sign of life was at {told['wall_last_sign']}" in said
+            assert f"the guardian had the bath in standby at {told['wall_safe']}" in said
+
+
+def test_a_run_that_ends_well_leaves_no_guardian(recording: Path, tmp_path: Path) -> None:
+    with real_rig(tmp_path / "rig", recording) as rig, bench(rig) as running:
+        heating(rig, running)
+        running.wait_for("Enter when it stands")
+        running.answer()
+        touch_as_asked(rig, lambda: running.said, running.answer, lambda: running.process.poll() is not None)
+        assert running.process.returncode == 0, running.said
+        assert not rig.twin.world.plant.running
+        folder = rig.run_folder()
+    run = read_run(folder)
+    assert run.ending == "finished"
+    assert run.guardian is None
+    assert run.facts["guardian"] == "beside the bench"
+    assert run.facts["cut-out tested"] == "2024-03-01"
+    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert re.search(r"independent cut-out tested on.{0,80}2024-03-01", page, re.DOTALL)
+    assert not (folder / "guardian.log").exists()
+    assert json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))["ending"] == "finished"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="finds the guardian in /proc")
+def test_a_frozen_guardian_ends_the_run_with_the_bath_in_standby(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """So that no death of the bench can follow that nobody would act on."""
+    with real_rig(tmp_path / "rig", recording, window_s=600.0) as rig, bench(rig) as running:
+        heating(rig, running)
+        pid = running.process.pid
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+        (guardian,) = [int(child) for child in children if "guardian" in command_line(child)]
+        os.kill(guardian, signal.SIGSTOP)
+        try:
+            standby_after(rig, 60.0)
+            assert running.process.wait(60) == 3
+        finally:
+            os.kill(guardian, signal.SIGCONT)
+        assert not rig.twin.world.plant.running
+        run = read_run(rig.run_folder())
+        assert (run.ending, run.facts["trip"]["rule"]) == ("faulted", "guardian lost")
+        assert run.facts["trip"]["why"] == "it has not answered for 3 s"
+        assert run.guardian is None, "it had nothing to do"
+        assert "interlock guardian lost: it has not answered for 3 s" in reported(rig, capsys)[1]
+
+
+def command_line(pid: str) -> str:
+    return Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8")

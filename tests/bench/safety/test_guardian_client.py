@@ -1,0 +1,286 @@
+"""The guardian and the bench's end of it, beside an emulated bath in real time: a word for every way to end."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.safety.guardian import main as guardian
+from bench.safety.guardian_client import BEAT_S, UNANSWERED, Charge, Lifeline, guarded
+from bench.safety.heartbeat import Pulse
+from instruments.bath.driver import Bath
+from instruments.bath.emulator import BathEmulator
+from instruments.bath.profile import load_profile
+from instruments.clock import RealClock, VirtualClock
+from instruments.errors import LinkError
+from instruments.listener import Listener
+from instruments.world.plant import Plant
+from tests.conftest import ROOT
+
+PATIENCE_S = 60.0
+
+
+@dataclass
+class HotBath:
+    plant: Plant
+    url: str
+    folder: Path
+
+    def record(self) -> dict[str, Any]:
+        path = self.folder / "guardian.json"
+        within(PATIENCE_S, path.is_file, "the guardian wrote its record")
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+
+
+@pytest.fixture
+def hot(tmp_path: Path) -> Iterator[HotBath]:
+    """A bath that heats, on a wire of its own."""
+    import threading
+
+    clock, plant = RealClock(), Plant(1, start_c=33.0)
+    plant.run(33.0)
+    emulator = BathEmulator(plant, load_profile("julabo-presto"), clock)
+    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
+    try:
+        yield HotBath(plant, listener.url.replace("socket://", "tcp://"), tmp_path)
+    finally:
+        listener.close()
+        clock.close()
+
+
+def within(seconds: float, there: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + seconds
+    while not there():
+        assert time.monotonic() < deadline, f"not within {seconds} s: {what}"
+        time.sleep(0.01)
+
+
+def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> None:
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
+        assert line.lost is None
+        line.done()
+    assert hot.plant.running
+    assert list(hot.folder.iterdir()) == []
+
+
+def test_left_without_a_word_the_guardian_takes_over(hot: HotBath) -> None:
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()):
+        pass
+    within(PATIENCE_S, lambda: not hot.plant.running, "standby")
+    assert hot.record()["cause"] == "gave up"
+
+
+def test_a_main_thread_that_hangs_while_the_others_live_is_seen(hot: HotBath) -> None:
+    pulse = Pulse()
+    pulse.sign("detecting", 0.5)
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, pulse) as line:
+        pulse.sign("detecting", 0.5)
+        within(PATIENCE_S, lambda: not hot.plant.running, "standby")
+        within(PATIENCE_S, lambda: line.lost is not None, "the bench learned of it")
+        assert "took the bench for dead" in str(line.lost)
+    told = hot.record()
+    assert (told["cause"], told["standby"]) == ("hung", True)
+    assert told["why"] == "the main thread hangs: detecting took more than 0.5 s"
+
+
+def test_a_long_wait_that_was_announced_is_no_hang(hot: HotBath) -> None:
+    pulse = Pulse()
+    pulse.sign("waiting for the operator", 1e9)
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, pulse) as line:
+        time.sleep(2.5)
+        assert line.lost is None
+        line.done()
+    assert hot.plant.running
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
+def test_a_guardian_that_dies_is_missed(hot: HotBath) -> None:
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
+        os.kill(line.pid, signal.SIGKILL)
+        within(PATIENCE_S, lambda: line.lost is not None, "the loss was seen")
+        assert "ended by itself" in str(line.lost)
+        line.done()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system has no SIGSTOP")
+def test_a_guardian_that_is_frozen_is_missed_and_one_that_lives_is_not(hot: HotBath) -> None:
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
+        beats = BEAT_S * (UNANSWERED + 3)
+        start_s = time.monotonic()
+        while time.monotonic() - start_s < beats:
+            assert line.lost is None, "it echoes each beat"
+            time.sleep(0.05)
+        os.kill(line.pid, signal.SIGSTOP)
+        start_s = time.monotonic()
+        within(PATIENCE_S, lambda: line.lost is not None, "the silence was noticed")
+        assert time.monotonic() - start_s >= UNANSWERED * BEAT_S
+        assert line.lost == "it has not answered for 3 s"
+        os.kill(line.pid, signal.SIGCONT)
+        within(PATIENCE_S, lambda: line.lost is None, "it answers again")
+        line.done()
+    assert hot.plant.running
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the process's state from /proc")
+def test_the_guardian_has_the_priority_and_the_memory_that_the_system_grants(hot: HotBath) -> None:
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
+        status = Path(f"/proc/{line.pid}/status").read_text(encoding="utf-8")
+        resident, locked = (next(int(row.split()[1]) for row in status.split("\n") if row.startswith(name)) for name in ("VmRSS", "VmLck"))
+        nice = os.getpriority(os.PRIO_PROCESS, line.pid)
+        assert nice == granted("import os; os.setpriority(os.PRIO_PROCESS, 0, -20)", -20, 0)
+        lock = "import bench.safety.guardian, ctypes, sys; sys.exit(ctypes.CDLL(None).mlockall(5))"
+        assert (locked >= resident) is granted(lock, True, False)
+    assert {name: hot.record()[name] for name in ("nice", "memory_locked")} == {
+        "nice": nice,
+        "memory_locked": locked >= resident,
+    }
+
+
+def granted(code: str, yes: Any, no: Any) -> Any:
+    """Whether the system lets a process of ours do it."""
+    tried = subprocess.run([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.DEVNULL)
+    return no if tried.returncode else yes
+
+
+def test_a_mistake_in_one_try_does_not_end_the_guardian(hot: HotBath, monkeypatch: pytest.MonkeyPatch) -> None:
+    safe, tries = Bath.safe, list[int]()
+
+    def fails_once(bath: Bath) -> None:
+        tries.append(1)
+        if len(tries) == 1:
+            raise ValueError("a bug")
+        safe(bath)
+
+    monkeypatch.setattr(Bath, "safe", fails_once)
+    read, write = os.pipe()
+    os.close(write)
+    with os.fdopen(read, encoding="utf-8") as end, monkeypatch.context() as patched:
+        patched.setattr(sys, "stdin", end)
+        patched.setattr(signal, "signal", lambda *_: None)
+        patched.setattr("bench.safety.guardian._preferred", dict)
+        given = ["--url", hot.url, "--profile", "julabo-presto", "--bench", "1"]
+        assert guardian([*given, "--record", str(hot.folder / "guardian.json")]) == 0
+    assert not hot.plant.running
+    assert (hot.record()["standby"], hot.record()["tries"]) == (True, 2)
+
+
+def test_the_guardian_is_small_and_hears_no_signal_that_is_meant_for_the_bench(hot: HotBath) -> None:
+    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
+        if sys.platform == "linux":
+            status = Path(f"/proc/{line.pid}/status").read_text(encoding="utf-8")
+            (resident,) = [int(row.split()[1]) for row in status.split("\n") if row.startswith("VmRSS")]
+            assert resident < 60_000, "kB"
+            for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                os.kill(line.pid, name)
+            assert os.getsid(line.pid) != os.getsid(0)
+            held = [str(path.readlink()) for path in Path(f"/proc/{line.pid}/fd").iterdir()]
+            assert len(held) == 3, f"pipes to the bench, its log, and nothing else: {held}"
+            assert sum(name.startswith("pipe:") for name in held) == 2
+            assert sum(name.endswith("guardian.log") for name in held) == 1
+        time.sleep(0.5)
+        assert line.lost is None
+        line.done()
+
+
+def test_a_guardian_that_cannot_start_is_told_with_its_own_words(tmp_path: Path) -> None:
+    with pytest.raises(LinkError, match=r"did not start.*no-such-family"):
+        Lifeline(Charge("tcp://127.0.0.1:1", "no-such-family"), tmp_path, Pulse())
+
+
+def test_under_virtual_time_there_is_nothing_to_guard(tmp_path: Path) -> None:
+    with guarded(Charge("tcp://127.0.0.1:1", "julabo-presto"), tmp_path, VirtualClock()) as (_, lifeline):
+        assert lifeline is None
+
+
+STARTED = """
+import subprocess, sys, time
+command = [sys.executable, "-m", "bench.safety.guardian", "--url", sys.argv[1], "--profile", "julabo-presto", "--record", sys.argv[2]]
+import os
+child = subprocess.Popen(command + ["--bench", str(os.getpid())], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
+child.stdout.readline()
+print("ready", flush=True)
+"""
+BENCH_THAT_FORKS = (
+    STARTED
+    + """
+forked = os.fork()
+if forked:
+    print(forked, flush=True)
+time.sleep(100)
+"""
+)
+BENCH_THAT_HANGS = (
+    STARTED
+    + """
+child.stdin.write(b"hung: the main thread hangs" + bytes([10]))
+child.stdin.flush()
+time.sleep(100)
+"""
+)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="sees the bench's end in /proc")
+def test_a_bench_that_dies_is_noticed_while_its_end_of_the_pipe_is_still_open(hot: HotBath) -> None:
+    """As a process that it has forked keeps it, or the system, which is slow to end a process when it has much to do."""
+    record = hot.folder / "guardian.json"
+    command = [sys.executable, "-c", BENCH_THAT_FORKS, hot.url, str(record)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == b"ready\n"
+        forked = int(child.stdout.readline())
+        child.kill()
+        within(PATIENCE_S, lambda: not hot.plant.running, "standby")
+        os.kill(forked, signal.SIGKILL)
+    assert (hot.record()["cause"], hot.record()["why"]) == ("died", "the system is ending it")
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
+def test_a_hung_bench_that_keeps_the_port_is_ended(hot: HotBath) -> None:
+    """The port takes nobody until the bench that holds it is gone, as a serial port does."""
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        port = closed.getsockname()[1]
+    record = hot.folder / "guardian.json"
+    command = [sys.executable, "-c", BENCH_THAT_HANGS, f"tcp://127.0.0.1:{port}", str(record)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == b"ready\n"
+        assert child.wait(60) == -signal.SIGKILL
+        within(PATIENCE_S, record.is_file, "the record")
+        forward(port, hot.url)
+        within(10.0, lambda: not hot.plant.running, "standby")
+    within(PATIENCE_S, lambda: hot.record()["standby"], "the record says so")
+    assert hot.record()["killed"] is True
+    assert hot.record()["tries"] >= 2
+
+
+def forward(port: int, url: str) -> None:
+    """From now on ``port`` leads to the bath, for one connection."""
+    import threading
+
+    def serve() -> None:
+        with socket.create_server(("127.0.0.1", port)) as server:
+            near, _ = server.accept()
+        host, _, far_port = url.removeprefix("tcp://").partition(":")
+        with near, socket.create_connection((host, int(far_port))) as far:
+            while data := near.recv(1000):
+                far.sendall(data)
+                near.sendall(far.recv(1000))
+
+    threading.Thread(target=serve, daemon=True).start()
+
+
+def test_wrong_arguments_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        guardian(["--url", "tcp://127.0.0.1:1"])
+    assert "--profile" in capsys.readouterr().err

@@ -1,0 +1,198 @@
+"""The bench is killed in every step of a run in real time, in every way, and the bath is in standby within three seconds.
+
+The emulators live here, the bench and its guardian in processes of their own; what the bath does is seen at the plant and
+asked by a second Modbus client. The times measured stand in the summary of the tests, and in their JUnit file.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.record.reader import RunRecord, read_run
+from bench.report.wording import headline
+from instruments.bath.driver import Bath
+from instruments.bath.profile import load_profile
+from instruments.clock import RealClock, wall_time
+from tests.bench.real_rig import RealRig, real_rig, record_one
+
+if sys.platform == "win32":
+    pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
+
+from tests.bench.marked_bench import MARK, MarkedBench, marked_bench, serve
+
+AT_ONCE = 3  # an arm in real time that waits for a busy processor counts as lost
+STANDBY_S = 3.0  # as docs/safety.md says; it takes milliseconds
+PROMPT = "a = abort the run): "
+CHECK, TOUCH = r"(\d) of (\d)\] Arm check", r"ouch the end of teat (\d+).* of (\d+)"
+
+
+@dataclass(frozen=True)
+class Step:
+    """Where to kill: once the bench has said ``words`` for the ``nth`` time and ``then_s`` are over."""
+
+    words: str
+    nth: int = 1
+    then_s: float = 0.2
+    more: tuple[tuple[str, Any], ...] = ()
+
+
+STEPS = {
+    "moving": Step(f"{MARK}moving", more=(("stage", True),)),  # first: what takes longest
+    "homing": Step(f"{MARK}homing", more=(("stage", True),)),
+    "checking the arm after": Step("1 of 2] Arm check", nth=2),
+    "going to safe": Step(f"{MARK}going to safe"),
+    "storing": Step(f"{MARK}storing"),
+    "detecting": Step(f"{MARK}detecting"),
+    "touching": Step("Touch the end of teat 2"),
+    "capturing": Step(f"{MARK}capturing"),
+    "setting up": Step("Enter when it stands"),
+    "settling": Step(f"{MARK}settling", then_s=1.2, more=(("window_s", 60.0),)),
+    "heating": Step("never said", more=(("start_c", 25.0),)),
+    "checking the arm before": Step("1 of 2] Arm check"),
+    "preparing": Step("on its peg"),
+}
+NOT_YET_HEATING = ("preparing", "checking the arm before", "homing")
+PAST_ENDING = ("going to safe",)  # what is asked there is noted: the run has ended already
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one bench: the time to standby as the plant saw it, and what the record says."""
+
+    step: str
+    seconds: float
+    killed: datetime
+    run_state: str
+    code: int | None
+    run: RunRecord
+    said: str
+
+
+def go_to(rig: RealRig, running: MarkedBench, step: Step, there: Callable[[], bool]) -> None:
+    """Be the person at the terminal and at the arm until the bench is at ``step``, or ``there``."""
+    left, read_to = step.nth, 0
+    while not there():
+        new = running.said[read_to:]
+        found = {words: new.index(words) for words in (PROMPT, step.words) if words in new}
+        if not found:
+            running.until_longer(read_to + len(new), there)
+            continue
+        first = min(found, key=lambda words: found[words])
+        if first == PROMPT:
+            put_the_hand(rig, new[: found[first]])
+            running.enter()
+        else:
+            left -= 1
+        if not left:
+            return
+        read_to += found[first] + len(first)
+
+
+def put_the_hand(rig: RealRig, asked: str) -> None:
+    if match := re.search(CHECK, asked):
+        rig.twin.operator.touch_check_point(int(match[1]), int(match[2]))
+    elif match := re.search(TOUCH, asked):
+        rig.twin.operator.touch(int(match[1]), int(match[2]))
+
+
+def bring(rig: RealRig, running: MarkedBench, name: str) -> None:
+    plant = rig.twin.world.plant
+    go_to(rig, running, STEPS[name], lambda: plant.running and name == "heating")
+    if name in NOT_YET_HEATING:
+        with rig.twin.world.lock:
+            plant.run(33.0)  # before the bench has heated anything: somebody has left the bath on
+    time.sleep(STEPS[name].then_s)
+
+
+def kill_in(name: str, kill: str, folder: Path, recording: Path) -> Outcome:
+    figures: dict[str, Any] = {"check_touches": 2, **dict(STEPS[name].more)}
+    with real_rig(folder, recording, **figures) as rig, marked_bench(rig, name) as running:
+        bring(rig, running, name)
+        plant = rig.twin.world.plant
+        assert plant.running, f"{name}: the bath was off before the kill:\n{running.said}"
+        killed, start = wall_time(), time.monotonic()
+        running.signal(kill)
+        while plant.running and time.monotonic() - start < 60.0:
+            time.sleep(0.002)
+        seconds = time.monotonic() - start
+        state = asked(rig.twin.urls["bath"], "julabo-presto")
+        running.process.join(60)
+        if kill == "SIGKILL":
+            await_record(rig.run_folder() / "guardian.json")
+        return Outcome(name, seconds, killed, state, running.process.exitcode, read_run(rig.run_folder()), running.said)
+
+
+def await_record(path: Path, within_s: float = 60.0) -> None:
+    deadline = time.monotonic() + within_s
+    while not path.is_file() and time.monotonic() < deadline:
+        time.sleep(0.02)
+
+
+def asked(url: str, profile: str) -> str:
+    """What a second client is told about the controller."""
+    clock = RealClock()
+    bath = Bath(url, load_profile(profile), clock)
+    row = bath.profile.row("run")
+    told = row.label(bath.get("run"))
+    bath.close()
+    clock.close()
+    return told
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    serve()
+    return record_one(tmp_path_factory.mktemp("frames") / "recording")
+
+
+def all_steps(kill: str, folder: Path, recording: Path, request: pytest.FixtureRequest) -> list[Outcome]:
+    """A bench killed in each step, beside each other; the test's record gets what was measured."""
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        jobs = [pool.submit(kill_in, name, kill, folder / name, recording) for name in STEPS]
+        outcomes = [job.result() for job in jobs]
+    for outcome in outcomes:
+        request.node.user_properties.append((f"s to standby, {kill} while {outcome.step}", round(outcome.seconds, 3)))
+    assert len(outcomes) == len(STEPS) == 13
+    for outcome in outcomes:
+        assert outcome.seconds < STANDBY_S, f"{kill} while {outcome.step}"
+        assert outcome.run_state == "standby", f"{kill} while {outcome.step}"
+    return outcomes
+
+
+def test_a_kill_in_any_step_leaves_standby_and_a_record_of_it(recording: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    for outcome in all_steps("SIGKILL", tmp_path, recording, request):
+        told = outcome.run.guardian
+        assert outcome.run.ending == "interrupted", outcome.step
+        assert not outcome.run.trials or outcome.step in ("checking the arm after", "going to safe"), "a trial is there whole or not at all"
+        assert told is not None, outcome.step
+        assert (told["cause"], told["standby"], told["tries"]) == ("died", True, 1), outcome.step
+        assert abs((datetime.fromisoformat(told["wall_noticed"]) - outcome.killed).total_seconds()) < 1.0
+        assert told["seconds"] < STANDBY_S
+        sentence = f"The bench died at {told['wall_noticed']}; the guardian had the bath in standby at {told['wall_safe']}"
+        assert sentence in headline(outcome.run, ())[1]
+
+
+@pytest.mark.parametrize("kill", ["SIGTERM", "SIGHUP"])
+def test_a_bench_that_is_asked_to_end_in_any_step_makes_safe_itself(
+    kill: str, recording: Path, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    for outcome in all_steps(kill, tmp_path, recording, request):
+        texts = [event["text"] for event in outcome.run.events]
+        assert outcome.run.guardian is None, f"{outcome.step}: nothing was left for the guardian"
+        assert "bath is safe" in texts, outcome.step
+        assert "Traceback" not in outcome.said, outcome.said
+        if outcome.step in PAST_ENDING:
+            assert (outcome.run.ending, outcome.code) == ("finished", 0)
+        else:
+            assert (outcome.run.ending, outcome.code) == ("aborted", 3), outcome.step
+            assert any(kill in text for text in texts), outcome.step

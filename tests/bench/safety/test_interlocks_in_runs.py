@@ -1,0 +1,175 @@
+"""Trips in whole runs: with emulated faults under virtual time, and in real time while the operator lets the bench wait."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bench.cli.main import main
+from bench.record.reader import RunRecord, read_run
+from bench.rig.loading import RIGS
+from tests.bench.operated_runs import files, run_of
+from tests.bench.real_rig import bench, real_rig, record_one
+
+FAULT = """
+[[emulation.faults]]
+instrument = "bath"
+name = "{name}"
+at_s = {at_s}
+"""
+
+
+def run_with_fault(name: str, at_s: float, short_script: Path, folder: Path) -> RunRecord:
+    """A run on the emulated rig whose bath gets a fault; it is still settling when the latest of them comes."""
+    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
+    (folder / "rig.toml").write_text(text + FAULT.format(name=name, at_s=at_s), encoding="utf-8")
+    script = short_script.read_text(encoding="utf-8").replace("window_s = 60.0", "window_s = 3000.0")
+    (folder / "script.toml").write_text(script, encoding="utf-8")
+    code = main(["run", str(folder / "script.toml"), "--rig", str(folder / "rig.toml"), "--out", str(folder / "runs")])
+    assert code == 3
+    (run,) = (folder / "runs").iterdir()
+    return read_run(run)
+
+
+@pytest.mark.parametrize(
+    ("fault", "at_s", "rule", "within_s"),
+    [
+        ("stuck heater", 1200.0, "over-temperature", 240.0),
+        ("dead heater", 300.0, "loop break", 150.0),
+        ("frozen sensor", 475.0, "frozen reading", 125.0),
+        ("sensor break", 300.0, "implausible reading", 7.0),
+        ("fahrenheit", 300.0, "implausible reading", 7.0),
+        ("silence", 300.0, "communications lost", 20.0),
+        ("controller reset", 300.0, "changed at the controller", 20.0),
+        ("low level", 300.0, "controller alarm", 3.0),
+        ("pump stopped", 1200.0, "sensor disagreement", 300.0),
+    ],
+)
+def test_each_fault_of_the_bath_trips_its_rule_in_time(
+    fault: str, at_s: float, rule: str, within_s: float, short_script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = run_with_fault(fault, at_s, short_script, tmp_path)
+    trip = run.facts["trip"]
+    assert trip["rule"] == rule
+    assert at_s <= trip["t_s"] <= at_s + within_s
+    assert run.ending == "faulted"
+    assert 1 <= len(trip["values"]) <= 12, "the last ten, and those that the rule compared with"
+    kinds = [event["kind"] for event in run.events]
+    assert kinds.index("trip") < kinds.index("fault") < kinds.index("end")
+    said = capsys.readouterr().out.replace("\n", " ")
+    assert f"interlock {rule}" in said, "shown to the operator"
+    page = (run.folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert f"Readings that led to the trip: {rule}" in page
+    assert not list(tmp_path.glob("*.tripped.json")), "an emulated bath is a new one in each run: nothing is latched"
+
+
+OWN_LIMITS = """
+[limits]
+set_point_c = [22.0, 33.2]
+bath_max_c = 33.5
+bath_silence_s = 20.0
+
+[emulation]
+bath_start_c = 33.0
+[[emulation.faults]]
+instrument = "bath"
+name = "{fault}"
+at_s = 30.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "rule"),
+    [("stuck heater", "over-temperature"), ("silence", "communications lost")],
+)
+def test_a_run_trips_at_the_limits_of_its_rig_file(fault: str, rule: str, short_script: Path, tmp_path: Path) -> None:
+    calibration, rig = ((RIGS / name).read_text(encoding="utf-8") for name in ("calibration.toml", "emulated.toml"))
+    (tmp_path / "calibration.toml").write_text(calibration, encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(rig + OWN_LIMITS.format(fault=fault), encoding="utf-8")
+    script = short_script.read_text(encoding="utf-8").replace("window_s = 60.0", "window_s = 3000.0")
+    (tmp_path / "script.toml").write_text(script, encoding="utf-8")
+    given = [str(tmp_path / name) for name in ("script.toml", "rig.toml", "runs")]
+    assert main(["run", given[0], "--rig", given[1], "--out", given[2]]) == 3
+    run = run_of(tmp_path)
+    assert run.facts["trip"]["rule"] == rule
+    before, last = run.bath[:-1], run.bath[-1]
+    if rule == "over-temperature":
+        seen = run.facts["trip"]["values"][-1]
+        assert before[:, 1].max() <= 33.5 < max(seen["temp_c"], seen["safety_c"])
+    else:
+        assert 20.0 <= run.facts["trip"]["t_s"] - last[0] <= 20.0 + SILENT_LOOK_S
+
+
+def test_a_detection_may_take_what_the_rig_file_allows(tmp_path: Path) -> None:
+    limit = "\n[limits]\ndetection_timeout_s = 1e-6"
+    assert main(files(tmp_path, emulation=limit)) == 0
+    answers = [row for trial in run_of(tmp_path).trials for row in trial.detections]
+    assert len(answers) == 3
+    assert {row["outcome"] for row in answers} == {"timeout"}
+
+
+SILENT_LOOK_S = 8.0  # a look at a bath that does not answer takes up to seven seconds
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a symbolic link")
+def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowledged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = record_one(tmp_path / "recording")
+    with real_rig(tmp_path / "rig", recording) as rig:
+        plant = rig.twin.world.plant
+        with bench(rig) as running:
+            running.wait_for("on its peg")
+            running.answer()
+            running.wait_for("Enter when it stands")
+            assert plant.running
+            with rig.twin.world.lock:
+                plant.bath_c = 39.0
+            running.wait_until(lambda: not plant.running, "made safe", within_s=120.0)  # and nobody pressed Enter
+            running.wait_for("interlock over-temperature")
+            running.wait_for("No answer is needed any more")
+            assert running.process.wait(60) == 3, running.said
+        trip = read_run(rig.run_folder()).facts["trip"]
+        assert trip["values"][-1]["safety_c"] == pytest.approx(39.0, abs=0.2)
+        latch = rig.folder / "lab.tripped.json"
+        assert json.loads(latch.read_text(encoding="utf-8"))["rule"] == "over-temperature"
+
+        again = ["run", str(rig.script_path), "--rig", str(rig.rig_path), "--out", str(tmp_path / "elsewhere")]
+        assert main(again) == 3
+        assert "teatbench bath acknowledge" in capsys.readouterr().err
+        assert not (tmp_path / "elsewhere").exists(), "another folder is no way round"
+        assert main(["bath", "acknowledge", str(rig.rig_path)]) == 3
+        assert "has to cool below 36 degC" in capsys.readouterr().err
+        with rig.twin.world.lock:
+            plant.bath_c = plant.pv_c = 33.0
+            plant.acknowledge()
+        deadline = time.monotonic() + 120.0
+        while main(["bath", "acknowledge", str(rig.rig_path)]) != 0:  # the sensor has its lag
+            assert time.monotonic() < deadline, capsys.readouterr().err
+        assert not latch.exists()
+        assert main(["bath", "acknowledge", str(rig.rig_path)]) == 0
+        assert "nothing is latched" in capsys.readouterr().out
+
+
+def test_after_a_trip_a_pump_on_a_relay_runs_on_for_a_minute_behind_the_heater(short_script: Path, tmp_path: Path) -> None:
+    (tmp_path / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    text, before = (RIGS / "emulated.toml").read_text(encoding="utf-8"), 'profile = "julabo-presto"'
+    assert before in text
+    relay = 'profile = "eurotherm-2400"\npump_url = "emulator:"\npump_profile = "modbus-relay"'
+    (tmp_path / "rig.toml").write_text(text.replace(before, relay) + FAULT.format(name="dead heater", at_s=300.0), encoding="utf-8")
+    assert main(["run", str(short_script), "--rig", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "runs")]) == 3
+    (folder,) = (tmp_path / "runs").iterdir()
+    run = read_run(folder)
+    trip = run.facts["trip"]
+    assert trip["rule"] == "loop break"
+    assert trip["done"] == ["stage is held", "heater is in standby"]
+    at_s = {event["text"]: event["t_s"] for event in run.events if event["kind"] == "safe"}
+    ran_on = "the pump ran on for 60 s and is off"
+    assert list(at_s) == ["bath is safe", "stage is safe", "arm is safe", ran_on]
+    assert run.facts["pump"] == "switched by itself: 10 s before the heater, 60 s after it"
+    assert run.events[-1]["t_s"] - trip["t_s"] >= 60.0

@@ -1,0 +1,325 @@
+"""The table of interlocks, walked: each row trips, stays tripped whatever the bath does then, and resets when its condition holds."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from bench.cli.main import main
+from bench.config import ConfigError
+from bench.rig.loading import RIGS, LoadedRig, load_rig
+from bench.rig.model import Limits
+from bench.safety.bath_monitor import Watch
+from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, bath_of, moving_of, rule_named
+from bench.safety.latch import LatchedError, acknowledge, latch_path, read_latch, refuse_latched, set_latch
+from bench.safety.stability import StabilityGate
+from bench.script.model import load_script
+from instruments.bath.profile import load_profile
+from instruments.bath.reading import BathReading
+from instruments.clock import VirtualClock
+from instruments.errors import LinkError
+
+CALM = BathReading(t_s=0.0, temp_c=33.0, raw=(1, 2), external_c=None, power_percent=2.0, safety_c=None, alarm=0, warning=0, remote=True)
+COLD = replace(CALM, power_percent=0.0)
+FROM_S, TO_S = 200.0, 800.0  # the trouble comes and goes
+
+
+@dataclass(frozen=True)
+class Walk:
+    """How a row is tripped (``trouble`` at a time, or what ``also`` finds), what keeps it from being reset, and what doesn't."""
+
+    trouble: Callable[[float], BathReading]
+    within_s: float
+    stays: BathReading | None = None
+    resets: BathReading = COLD
+    also: bool = False
+
+
+def silence(_: float) -> BathReading:
+    raise LinkError("bath", "no answer", seconds=1.0)
+
+
+WALKS = {
+    "over-temperature": Walk(lambda t: replace(CALM, temp_c=37.1), 0.0, replace(COLD, temp_c=36.5)),
+    "heat without pump or level": Walk(lambda t: replace(CALM, alarm=1), 0.0, CALM),
+    "implausible reading": Walk(lambda t: replace(CALM, temp_c=-20.0), 0.0, replace(COLD, temp_c=-20.0)),
+    "frozen reading": Walk(lambda t: replace(CALM, temp_c=32.8, power_percent=30.0), 121.0, replace(CALM, power_percent=30.0)),
+    "rate": Walk(lambda t: replace(CALM, temp_c=33.0 - (t - FROM_S) * 4.5 / 60), 32.0, CALM),
+    "loop break": Walk(lambda t: replace(CALM, temp_c=33.0 - (t - FROM_S) * 1e-4, power_percent=95.0), 121.0, CALM),
+    "sensor disagreement": Walk(lambda t: replace(CALM, temp_c=33.0 + 0.01 * (t % 2), external_c=30.9), 11.0, CALM),
+    "controller alarm": Walk(lambda t: replace(CALM, alarm=3), 0.0, replace(COLD, alarm=3)),
+    "changed at the controller": Walk(lambda t: replace(CALM, running=False), 0.0, CALM),
+    "communications lost": Walk(silence, 6.0, resets=CALM),
+    "guardian lost": Walk(lambda t: CALM, 1.0, resets=CALM, also=True),
+}
+
+
+def test_every_row_is_walked() -> None:
+    assert list(WALKS) == [rule.name for rule in RULES]
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> LoadedRig:
+    for name in ("lab.example.toml", "calibration.toml"):
+        (tmp_path / name).write_text((RIGS / name).read_text(encoding="utf-8"), encoding="utf-8")
+    return load_rig(tmp_path / "lab.example.toml")
+
+
+@pytest.mark.parametrize("name", WALKS)
+def test_a_row_trips_latches_and_resets(name: str, lab: LoadedRig) -> None:
+    walk = WALKS[name]
+    trips = walked(walk)
+    assert len(trips) == 1, "once, and it stays"
+    at_s, trip = trips[0]
+    assert isinstance(trip, InterlockTrip)
+    assert (trip.rule, trip.then) == (name, rule_named(name).then)
+    assert FROM_S <= at_s <= FROM_S + walk.within_s
+    path = latch_path(lab)
+    assert path is not None
+    set_latch(path, trip, "runs/one")
+    with pytest.raises(LatchedError, match=name):
+        refuse_latched(lab)
+    latch = read_latch(path)
+    assert latch is not None
+    assert latch.told["values"], "with what led to it"
+    if walk.stays is not None:
+        with pytest.raises(LatchedError, match="not yet"):
+            acknowledge(lab, latch, walk.stays)
+        assert path.exists()
+    acknowledge(lab, latch, walk.resets)
+    refuse_latched(lab)
+
+
+def walked(walk: Walk) -> list[tuple[float, Exception]]:
+    """What tripped and when, in a watched bath whose trouble comes and goes; a trip has to outlast it."""
+    clock, acts = VirtualClock(), list[tuple[float, Exception]]()
+    profile = load_profile("julabo-presto")
+    interlocks = Interlocks(Limits(), bath_of(profile))
+
+    def act(trip: Exception) -> bool:
+        acts.append((clock.now(), trip))
+        return True
+
+    class Bath:
+        def read(self) -> BathReading:
+            t = clock.now()
+            calm = replace(CALM, temp_c=33.0 + 0.01 * (t % 3))
+            reading = walk.trouble(t) if FROM_S <= t < TO_S else calm
+            return replace(reading, t_s=t, raw=(round(reading.temp_c * 1e4),))
+
+    def also() -> InterlockTrip | None:
+        lost = walk.also and clock.now() >= FROM_S
+        return InterlockTrip("guardian lost", "it ended", rule_named("guardian lost").then, interlocks.values) if lost else None
+
+    gate = StabilityGate(33.0)
+    watch = Watch(Bath(), clock, gate, interlocks, lambda _: None, act, also=also, moving=moving_of(profile))
+    watch.start()
+    watch.heating()
+    clock.sleep(TO_S + 300.0)
+    with pytest.raises(InterlockTrip):
+        watch.check()
+    watch.stop()
+    return acts
+
+
+def test_what_a_rule_compared_with_is_among_its_values() -> None:
+    (trip,) = [trip for _, trip in walked(WALKS["loop break"])]
+    assert isinstance(trip, InterlockTrip)
+    times = [float(str(row["t_s"])) for row in trip.values]
+    assert times == sorted(times)
+    assert FROM_S - 2.0 <= times[0] <= FROM_S, "the reading from which it has not risen"
+    assert times[-1] - times[0] >= 120.0
+    (stopped,) = [trip for _, trip in walked(WALKS["changed at the controller"])]
+    assert isinstance(stopped, InterlockTrip)
+    assert stopped.values[-1]["running"] is False
+
+
+@pytest.mark.parametrize(("family", "alive"), [("julabo-presto", False), ("eurotherm-2400", False), ("omega-cn7", True)])
+def test_only_a_coarse_temperature_may_stand_while_the_output_moves(family: str, alive: bool) -> None:
+    moving = moving_of(load_profile(family))
+    gate = StabilityGate(33.0)
+    states = set()
+    for t in range(1500):
+        reading = replace(CALM, t_s=float(t), power_percent=float(t % 5))
+        states.add(gate.add(reading.t_s, reading.temp_c, raw=moving(reading)).value)
+    assert ("stable" in states) is alive
+
+
+LIMITS = {
+    "set_point_c": "[22.0, 33.0]",
+    "bath_max_c": "34.5",
+    "bath_plausible_c": "[12.0, 38.0]",
+    "bath_rate_k_per_min": "1.875",
+    "bath_silence_s": "9.0",
+    "sensors_differ_k": "0.75",
+}
+LOW_TOP = {"bath_plausible_c": "[12.0, 34.0]"}
+SET_C, TINY = 30.0, 2**-20  # exact in floating point, as all figures here: 1.875 K/min is 2**-5 K/s
+
+
+def with_limits(folder: Path, **changed: str) -> LoadedRig:
+    """A rig file in ``folder`` none of whose limits is the default."""
+    for name in ("lab.example.toml", "calibration.toml"):
+        (folder / name).write_text((RIGS / name).read_text(encoding="utf-8"), encoding="utf-8")
+    path = folder / "lab.example.toml"
+    text = path.read_text(encoding="utf-8")
+    keys = "\n".join(f"{key} = {value}" for key, value in (LIMITS | changed).items())
+    path.write_text(f"{text[: text.index('[limits]')]}[limits]\n{keys}\n", encoding="utf-8")
+    return load_rig(path)
+
+
+def first_trip(rig: LoadedRig, at: Callable[[int], BathReading]) -> tuple[str, int] | None:
+    """The rule and the second of the first trip of a bath that was started at SET_C."""
+    interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+    interlocks.heating(SET_C)
+    for t in range(400):
+        trip = interlocks.add(replace(at(t), t_s=float(t), raw=(t,)))
+        if trip:
+            return trip.rule, t
+    return None
+
+
+def always(temp_c: float = SET_C, **more: float) -> Callable[[int], BathReading]:
+    return lambda _: replace(CALM, temp_c=temp_c, **more)  # type: ignore[arg-type]
+
+
+def changing(from_c: float, k_per_s: float) -> Callable[[int], BathReading]:
+    return lambda t: replace(CALM, temp_c=from_c + k_per_s * t)
+
+
+@pytest.mark.parametrize(
+    ("at", "expected"),
+    [
+        (always(34.5), None),
+        (always(34.5 + TINY), ("over-temperature", 0)),
+        (always(safety_c=34.5), ("sensor disagreement", 129)),
+        (always(safety_c=34.5 + TINY), ("over-temperature", 0)),
+        (always(external_c=34.5), ("sensor disagreement", 129)),
+        (always(external_c=34.5 + TINY), ("over-temperature", 0)),
+        (always(12.0), None),
+        (always(12.0 - TINY), ("implausible reading", 0)),
+        (changing(20.0, 2**-5), None),
+        (changing(20.0, 2**-5 + TINY), ("rate", 30)),
+        (changing(32.0, -(2**-5)), None),
+        (changing(32.0, -(2**-5) - TINY), ("rate", 30)),
+        (always(external_c=SET_C - 0.75), None),
+        (always(external_c=SET_C - 0.75 - TINY), ("sensor disagreement", 129)),
+        (always(safety_c=SET_C + 0.75), None),
+        (always(safety_c=SET_C + 0.75 + TINY), ("sensor disagreement", 129)),
+    ],
+)
+def test_each_limit_of_a_rig_file_holds_on_both_sides(
+    at: Callable[[int], BathReading], expected: tuple[str, int] | None, tmp_path: Path
+) -> None:
+    assert first_trip(with_limits(tmp_path), at) == expected
+
+
+def test_the_highest_plausible_temperature_holds_on_both_sides(tmp_path: Path) -> None:
+    rig = with_limits(tmp_path, **LOW_TOP)
+    assert first_trip(rig, always(34.0)) is None
+    assert first_trip(rig, always(34.0 + TINY)) == ("implausible reading", 0)
+
+
+@pytest.mark.parametrize("answered", [False, True])
+def test_the_silence_of_a_rig_file_holds_on_both_sides(answered: bool, tmp_path: Path) -> None:
+    rig, gone = with_limits(tmp_path), LinkError("bath", "no answer")
+    interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+    assert interlocks.silent(9.0 - TINY, gone, answered=answered) is None
+    assert interlocks.silent(9.0, gone, answered=answered) is not None
+
+
+HOT, DISAGREE, BROKEN = "over-temperature", "sensor disagreement", "implausible reading"
+
+
+@pytest.mark.parametrize(
+    ("rule", "reading", "resets"),
+    [
+        (HOT, replace(COLD, temp_c=33.5 - TINY), True),
+        (HOT, replace(COLD, temp_c=33.5), False),
+        (HOT, replace(COLD, safety_c=33.5), False),
+        (HOT, replace(COLD, external_c=33.5), False),
+        (BROKEN, replace(COLD, temp_c=12.0), True),
+        (BROKEN, replace(COLD, temp_c=12.0 - TINY), False),
+        (BROKEN, replace(COLD, temp_c=38.0), True),
+        (BROKEN, replace(COLD, temp_c=38.0 + TINY), False),
+        ("rate", replace(COLD, temp_c=38.0 + TINY), False),
+        ("loop break", replace(COLD, temp_c=12.0 - TINY), False),
+        (DISAGREE, replace(COLD, temp_c=12.0 - TINY), False),
+        ("changed at the controller", replace(COLD, temp_c=38.0 + TINY), False),
+        ("frozen reading", replace(CALM, power_percent=20.0), True),
+        ("frozen reading", replace(CALM, power_percent=20.0 + TINY), False),
+        ("frozen reading", replace(CALM, power_percent=None), True),
+        ("heat without pump or level", COLD, True),
+        ("heat without pump or level", replace(CALM, power_percent=TINY), False),
+        ("rate", replace(CALM, power_percent=TINY), False),
+        ("rate", replace(CALM, power_percent=None), True),
+    ],
+)
+def test_what_a_rig_file_allows_to_reset(rule: str, reading: BathReading, resets: bool, tmp_path: Path) -> None:
+    rig = with_limits(tmp_path)
+    path = latch_path(rig)
+    assert path is not None
+    set_latch(path, InterlockTrip(rule, "", ""), "runs/one")
+    latch = read_latch(path)
+    assert latch is not None
+    if resets:
+        acknowledge(rig, latch, reading)
+    else:
+        with pytest.raises(LatchedError, match="not yet"):
+            acknowledge(rig, latch, reading)
+    assert path.exists() is not resets
+
+
+@pytest.mark.parametrize(
+    ("changed", "fault"),
+    [
+        ({"bath_max_c": "40.0"}, ""),
+        ({"bath_max_c": "40.000001"}, "less than or equal to 40"),
+        ({"set_point_c": "[22.0, 34.499999]"}, ""),
+        ({"set_point_c": "[22.0, 34.5]"}, "which bath_max_c = 34.5 would trip on"),
+        ({"bath_plausible_c": "[12.0, 12.000001]"}, ""),
+        ({"bath_plausible_c": "[12.0, 12.0]"}, "the first number must be the smaller one"),
+        ({"bath_rate_k_per_min": "0.0"}, "greater than 0"),
+        ({"bath_silence_s": "0.0"}, "greater than 0"),
+        ({"sensors_differ_k": "0.0"}, "greater than 0"),
+        ({"detection_timeout_s": "0.0"}, "greater than 0"),
+        ({"away_s": "0.0"}, ""),
+        ({"away_s": "-0.000001"}, "greater than or equal to 0"),
+        ({"away_s": "86400.0"}, ""),
+        ({"away_s": "86400.000001"}, "less than or equal to 86400"),
+    ],
+)
+def test_which_limits_a_rig_file_may_have(changed: dict[str, str], fault: str, tmp_path: Path) -> None:
+    if not fault:
+        with_limits(tmp_path, **changed)
+        return
+    with pytest.raises(ConfigError, match=re.escape(fault)):
+        with_limits(tmp_path, **changed)
+
+
+@pytest.mark.parametrize(("set_point_c", "allowed"), [(22.0, True), (21.999999, False), (33.0, True), (33.000001, False)])
+def test_a_script_may_ask_for_what_the_rig_file_allows(
+    set_point_c: float,
+    allowed: bool,
+    short_script: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    text = re.sub(
+        r"^set_point_c = .*$",
+        f"set_point_c = {set_point_c}",
+        short_script.read_text(encoding="utf-8"),
+        flags=re.MULTILINE,
+    )
+    script, rig = tmp_path / "script.toml", with_limits(tmp_path)
+    script.write_text(text, encoding="utf-8")
+    if allowed:
+        load_script(script, rig.rig.limits.set_point_c)
+    else:
+        out = str(tmp_path / "runs")
+        assert main(["run", str(script), "--rig", str(rig.path), "--out", out]) == 2
+        assert "outside what the rig allows (22 to 33 degC)" in capsys.readouterr().err

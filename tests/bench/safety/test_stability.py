@@ -1,0 +1,233 @@
+"""The bath's gate: when it opens, when it closes, and that its running figures are those of numpy on the same window."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.safety.stability import StabilityGate, State
+
+SP = 33.0
+HEATING, SETTLING, STABLE = State.HEATING, State.SETTLING, State.STABLE
+
+
+def feed(gate: StabilityGate, temps: list[float], start_s: float = 0.0, step_s: float = 1.0) -> list[State]:
+    return [gate.add(start_s + k * step_s, t) for k, t in enumerate(temps)]
+
+
+def quiet(n: int, offset_k: float = 0.0, amplitude_k: float = 0.01, seed: int = 0) -> list[float]:
+    """A controlled bath: noise of a 0.01 K step about the set point."""
+    noise = np.random.default_rng(seed).integers(-1, 2, n) * amplitude_k
+    return [float(v) for v in np.round(SP + offset_k + noise, 4)]
+
+
+def stable_gate() -> StabilityGate:
+    gate = StabilityGate(SP)
+    assert feed(gate, quiet(601))[-1] is STABLE
+    return gate
+
+
+def test_a_quiet_bath_is_stable_when_the_window_is_full_and_not_before() -> None:
+    states = feed(StabilityGate(SP), quiet(700))
+    assert set(states[:600]) == {SETTLING}
+    assert set(states[600:]) == {STABLE}  # the reading at 600 s spans the 10 min
+
+
+def test_a_bath_that_heats_up_goes_through_all_three_states() -> None:
+    ramp = [float(v) for v in np.linspace(20, 33, 400, endpoint=False)]
+    states = feed(StabilityGate(SP), ramp + quiet(1100))
+    assert [s for s, after in pairwise([*states, None]) if s is not after] == [HEATING, SETTLING, STABLE]
+    assert states.index(STABLE) >= 400 + 590  # the ramp has to leave the window first
+
+
+def test_what_is_waited_for_is_told_by_the_readings_near_the_set_point() -> None:
+    """The way there fills the window too, and has a slope and a range that say nothing of how steady the bath is now."""
+    gate = StabilityGate(SP)
+    feed(gate, [float(v) for v in np.linspace(20, 32.8, 1500)])
+    assert list(gate.report.reasons) == ["32.80 degC, needs 33 ± 0.15"]
+    assert gate.at_least_s == gate.window_s
+    feed(gate, [SP - 0.05 + 0.02 / 60 * k for k in range(261)], start_s=1500.0)
+    assert list(gate.report.reasons) == ["stable for 4 of 10 min", "slope +0.020 K/min, needs 0.01"]
+    assert gate.report.near_s == 260.0
+    assert gate.at_least_s == 340.0
+
+
+@pytest.mark.parametrize(
+    ("temps", "reason"),
+    [
+        (quiet(2000, offset_k=0.12), "mean +0.1"),
+        ([SP + 0.06 * (-1) ** (k // 30) for k in range(2000)], "half the range 0.060 K, needs 0.05"),
+        ([SP - 0.04 + 0.011 / 60 * k for k in range(700)], "slope +0.011 K/min, needs 0.01"),
+    ],
+)
+def test_each_criterion_alone_keeps_the_gate_shut(temps: list[float], reason: str) -> None:
+    gate = StabilityGate(SP, half_range_k=0.07 if "slope" in reason else 0.05)
+    assert STABLE not in feed(gate, temps)
+    assert len(gate.report.reasons) == 1
+    assert gate.report.reasons[0].startswith(reason)
+
+
+def test_just_within_each_criterion_it_opens() -> None:
+    assert feed(StabilityGate(SP), quiet(601, offset_k=0.08))[-1] is STABLE
+    assert feed(StabilityGate(SP), [SP + 0.04 * (-1) ** (k // 30) for k in range(601)])[-1] is STABLE
+    assert feed(StabilityGate(SP), [SP - 0.04 + 0.0075 / 60 * k for k in range(601)])[-1] is STABLE
+
+
+def test_hysteresis_holds_it_until_the_leaving_limit() -> None:
+    gate = stable_gate()
+    assert feed(gate, [SP + 0.14] * 5, start_s=601) == [STABLE] * 5
+    assert gate.report.reasons  # the window no longer fulfils the gate, and the report says so
+    assert gate.add(606, SP + 0.16) is HEATING
+    assert gate.add(607, SP) is SETTLING
+
+
+def test_below_the_set_point_it_leaves_too() -> None:
+    assert stable_gate().add(601, SP - 0.16) is HEATING
+
+
+def test_after_leaving_the_whole_window_has_to_be_quiet_again() -> None:
+    gate = stable_gate()
+    gate.add(601, SP + 0.2)
+    states = feed(gate, quiet(700, seed=1), start_s=602)
+    assert states.index(STABLE) == 600  # at 1201 s the window still begins with the excursion at 601 s
+    assert set(states[:600]) == {SETTLING}
+
+
+def test_an_alarm_throws_away_the_evidence() -> None:
+    gate = stable_gate()
+    assert gate.add(601, SP, alarm=True) is SETTLING
+    assert gate.report.reasons == ("the bath has an alarm",)
+    states = feed(gate, quiet(700, seed=2), start_s=602)
+    assert states.index(STABLE) == 600
+
+
+def test_a_gap_throws_away_the_evidence() -> None:
+    gate = stable_gate()
+    assert gate.add(605, SP + 0.01) is STABLE  # 5 s are allowed
+    assert gate.add(610.5, SP) is SETTLING
+    assert gate.report.n == 1
+
+
+class TestFrozenReading:
+    def test_a_dead_controller_at_the_set_point_is_never_stable(self) -> None:
+        gate = StabilityGate(SP)
+        assert STABLE not in feed(gate, [SP] * 3000)
+        assert gate.report.frozen
+        assert "is the controller alive?" in gate.report.reasons[0]
+
+    def test_a_bath_that_freezes_while_stable_leaves(self) -> None:
+        gate = stable_gate()
+        states = feed(gate, [SP + 0.005] * 400, start_s=601)
+        assert states[:301] == [STABLE] * 301
+        assert set(states[301:]) == {SETTLING}
+
+    def test_a_value_held_for_a_while_is_no_dead_controller(self) -> None:
+        held = [SP + 0.01 * (k // 200 % 2) for k in range(900)]
+        assert feed(StabilityGate(SP), held)[-1] is STABLE
+
+    def test_too_few_distinct_readings(self) -> None:
+        gate = StabilityGate(SP, window_s=60, min_distinct=4)
+        assert STABLE not in feed(gate, quiet(200))  # three values: -1, 0, +1 steps
+        assert "3 distinct readings, needs 4" in gate.report.reasons[0]
+
+    def test_a_moving_heartbeat_in_the_raw_reading_keeps_a_steady_bath_alive(self) -> None:
+        gate = StabilityGate(SP)
+        assert [gate.add(float(t), SP, raw=(3300, t // 10)) for t in range(700)][-1] is STABLE
+
+    def test_a_raw_reading_that_stands_still_is_not_saved_by_a_moving_temperature(self) -> None:
+        gate = StabilityGate(SP)
+        assert STABLE not in [gate.add(float(t), temp, raw=3300) for t, temp in enumerate(quiet(1500))]
+
+
+class TestTeats:
+    """The sensor at the teats, where there is one, has a slope of its own: 0.02 K/min (section 4.2)."""
+
+    @pytest.mark.parametrize(("k_per_min", "state"), [(0.018, STABLE), (0.022, SETTLING), (-0.022, SETTLING)])
+    def test_teats_that_still_warm_up_keep_the_gate_shut(self, k_per_min: float, state: State) -> None:
+        gate = StabilityGate(SP)
+        for t, temp in enumerate(quiet(700)):
+            gate.add(float(t), temp, teat_c=32.0 + k_per_min * t / 60)
+        assert gate.state is state
+        assert (gate.report.reasons == ()) is (state is STABLE)
+        if state is SETTLING:
+            assert gate.report.reasons == (f"slope at the teats {k_per_min:+.3f} K/min, needs 0.02",)
+
+    def test_what_the_teats_do_later_is_no_reason_to_leave(self) -> None:
+        gate = StabilityGate(SP)
+        states = [gate.add(float(t), temp, teat_c=32.0 + 0.1 * max(0, t - 650)) for t, temp in enumerate(quiet(800))]
+        assert set(states[601:]) == {STABLE}
+
+    def test_a_sensor_that_has_gone_asks_for_nothing(self) -> None:
+        gate = StabilityGate(SP)
+        for t, temp in enumerate(quiet(700)):
+            gate.add(float(t), temp, teat_c=20.0 + t if t < 300 else None)
+        assert gate.state is STABLE
+
+
+def test_a_new_set_point_restarts_and_the_same_does_not() -> None:
+    gate = stable_gate()
+    gate.change_set_point(SP)
+    assert gate.state is STABLE
+    gate.change_set_point(32.0)
+    assert (gate.state, gate.report.n, gate.set_point_c) == (HEATING, 0, 32.0)
+    assert gate.add(0.0, 32.0) is SETTLING  # time may start again too
+
+
+def test_before_the_first_reading_there_are_no_figures() -> None:
+    report = StabilityGate(SP).report
+    assert (report.state, report.n, report.mean_c, report.half_range_k, report.slope_k_per_min) == (HEATING, 0, None, None, None)
+    assert report.as_dict()["state"] == "heating"
+
+
+STEPS = st.lists(st.tuples(st.sampled_from([0.1, 0.5, 1.0, 2.5, 5.0]), st.integers(-300, 300)), min_size=2, max_size=250)
+
+
+@settings(max_examples=150, deadline=None)
+@given(STEPS, st.sampled_from([2.0, 10.0, 60.0]), st.sampled_from([0.0, 1e6]))
+def test_the_running_figures_are_those_of_numpy(steps: list[tuple[float, int]], window_s: float, start_s: float) -> None:
+    gate = StabilityGate(SP, window_s=window_s, frozen_s=1e9)
+    times = start_s + np.cumsum([dt for dt, _ in steps])
+    temps = np.array([SP + k / 1000 for _, k in steps])
+    for t, temp in zip(times.tolist(), temps.tolist(), strict=True):
+        gate.add(t, temp)
+    after = np.flatnonzero(times[-1] - times >= window_s - 1e-6)
+    t, y = times[after[-1] if len(after) else 0 :], temps[after[-1] if len(after) else 0 :]
+    report = gate.report
+    assert report.n == len(t)
+    assert report.mean_c == pytest.approx(y.mean(), abs=1e-9)
+    assert report.half_range_k == pytest.approx((y.max() - y.min()) / 2, abs=1e-12)
+    assert report.distinct == len(set(y.tolist()))
+    if len(t) > 1:
+        x = t - t[0] - (t - t[0]).mean()
+        assert report.slope_k_per_min == pytest.approx(60 * float((x * (y - y.mean())).sum() / (x * x).sum()), abs=1e-6)
+
+
+def test_a_day_of_readings_leaves_no_rounding_behind() -> None:
+    gate = StabilityGate(SP)
+    temps = quiet(86_400, seed=3)
+    for k, temp in enumerate(temps):
+        gate.add(1e6 + k, temp)
+    window = np.array(temps[-601:])
+    assert gate.report.mean_c == pytest.approx(window.mean(), abs=1e-12)
+    assert gate.report.slope_k_per_min == pytest.approx(60 * np.polyfit(np.arange(601.0), window, 1)[0], abs=1e-12)
+
+
+def test_bad_readings_and_limits_are_refused() -> None:
+    gate = StabilityGate(SP)
+    gate.add(1.0, SP)
+    with pytest.raises(ValueError, match="time has to advance"):
+        gate.add(1.0, SP)
+    with pytest.raises(ValueError, match="nan degC at 2"):
+        gate.add(2.0, float("nan"))
+    with pytest.raises(ValueError, match="window_s = 0"):
+        StabilityGate(SP, window_s=0)
+    with pytest.raises(ValueError, match="below mean_k"):
+        StabilityGate(SP, leave_k=0.05)
+    with pytest.raises(ValueError, match="min_distinct"):
+        StabilityGate(SP, min_distinct=0)
+    with pytest.raises(ValueError, match="set point nan"):
+        StabilityGate(float("nan"))
