@@ -4,9 +4,9 @@
     python3 run.py test [arguments of pytest]
     python3 run.py install    only installs what the tests need
 
-Standard library only, so that it starts with nothing but Python 3.11 and pip. The versions are those of
-constraints.txt. A second call finds the installation by its stamp and starts at once. It works on Linux,
-macOS and Windows.
+Standard library only, so that it starts with nothing but Python 3.11 and pip. The versions are
+those of constraints.txt. A second call finds the installation by its stamp and starts at once. It
+works on Linux, macOS and Windows.
 """
 
 from __future__ import annotations
@@ -23,15 +23,19 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 CONSTRAINTS = ROOT / "constraints.txt"
 NEEDED = (3, 11)
-DID_ITS_WORK = (0, 1, 4)  # met, not met, inconclusive: a verdict on the detector, not a fault of the bench
+# met, not met, inconclusive: a verdict on the detector, not a fault of the bench
+DID_ITS_WORK = (0, 1, 4)
 
-HINT_NETWORK = """The package index can't be reached. Check the network, or the proxy (set HTTPS_PROXY, or call
-'pip config set global.proxy URL'). Without a network: on another machine with the same Python run 'pip download -d wheels -c
-constraints.txt .[test] hatchling', copy the folder here, and set PIP_NO_INDEX=1 and PIP_FIND_LINKS=wheels before calling run.py again."""
-HINT_VENV = """Python can't make a virtual environment here. On Debian or Ubuntu: 'sudo apt install python3-venv'. Elsewhere install
-Python from python.org with pip included. If the folder can't be written, copy the project to a place of your own."""
-HINT_PIP = """pip could not install the packages; its last lines are above. Often an old pip, or a Python without ready-made packages, is
-the cause: use CPython 3.11, 3.12 or 3.13 (64 bit), delete the folder .venv and call run.py again."""
+HINT_NETWORK = """The package index can't be reached. Check the network, or the proxy (set
+HTTPS_PROXY, or call 'pip config set global.proxy URL'). Without a network: on another machine
+with the same Python run 'pip download -d wheels -c constraints.txt .[test] hatchling', copy the
+folder here, and set PIP_NO_INDEX=1 and PIP_FIND_LINKS=wheels before calling run.py again."""
+HINT_VENV = """Python can't make a virtual environment here. On Debian or Ubuntu:
+'sudo apt install python3-venv'. Elsewhere install Python from python.org with pip included.
+If the folder can't be written, copy the project to a place of your own."""
+HINT_PIP = """pip could not install the packages; its last lines are above. Often an old pip, or
+a Python without ready-made packages, is the cause: use CPython 3.11, 3.12 or 3.13 (64 bit),
+delete the folder .venv and call run.py again."""
 NETWORK_SIGNS = (
     "NewConnectionError",
     "Temporary failure",
@@ -47,7 +51,10 @@ def main(arguments: Sequence[str]) -> int:
     """Run one of the jobs; gives back the exit code."""
     if sys.version_info < NEEDED:
         needed = ".".join(str(part) for part in NEEDED)
-        return complain(f"Python {needed} or newer is needed; this is {sys.version.split()[0]}.", "Call run.py with a newer python.")
+        return complain(
+            f"Python {needed} or newer is needed; this is {sys.version.split()[0]}.",
+            "Call run.py with a newer python.",
+        )
     if not arguments or arguments[0] not in ("demo", "test", "install"):
         print((__doc__ or "").strip())
         return 0 if arguments[:1] in (["-h"], ["--help"]) else 2
@@ -56,13 +63,18 @@ def main(arguments: Sequence[str]) -> int:
     if fault or job == "install":
         return fault
     if job == "test":
-        return call([str(python()), "-m", "pytest", "--numprocesses", "auto", "--dist", "loadfile", *rest], ROOT)
+        return call(
+            [str(python()), "-m", "pytest", "--numprocesses", "auto", "--dist", "loadfile", *rest],
+            ROOT,
+        )
     code = call([str(python()), "-m", "bench.cli", "run", *rest])
     return 0 if code in DID_ITS_WORK else code
 
 
 def install(extra: str) -> int:
-    """Bring .venv up to date; 0 when it is. What is installed is known by a stamp, so that this costs nothing twice."""
+    """Bring .venv up to date; 0 when it is. What is installed is known by a stamp, so that this
+    costs nothing twice.
+    """
     stamp = VENV / f"teatbench-{extra or 'run'}.stamp"
     if python().exists() and stamp.exists() and stamp.read_text(encoding="utf-8") == fingerprint():
         return 0
@@ -83,7 +95,9 @@ def install(extra: str) -> int:
     )
     if done.returncode:
         last = "\n".join(done.stdout.strip().splitlines()[-15:])
-        return complain(last, HINT_NETWORK if any(sign in done.stdout for sign in NETWORK_SIGNS) else HINT_PIP)
+        return complain(
+            last, HINT_NETWORK if any(sign in done.stdout for sign in NETWORK_SIGNS) else HINT_PIP
+        )
     stamp.write_text(fingerprint(), encoding="utf-8")
     return 0
 
@@ -108,7 +122,12 @@ def python() -> Path:
 def works(arguments: Sequence[str]) -> bool:
     """Whether .venv's interpreter does this without complaint."""
     try:
-        done = subprocess.run([str(python()), *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
+        done = subprocess.run(
+            [str(python()), *arguments],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            check=False,
+        )
     except OSError:
         return False
     return done.returncode == 0
@@ -116,12 +135,19 @@ def works(arguments: Sequence[str]) -> bool:
 
 def fingerprint() -> str:
     """Changes when the dependencies, their versions, the place or the Python change."""
-    text = (ROOT / "pyproject.toml").read_bytes() + CONSTRAINTS.read_bytes() + str(ROOT).encode() + sys.version.encode()
+    text = (
+        (ROOT / "pyproject.toml").read_bytes()
+        + CONSTRAINTS.read_bytes()
+        + str(ROOT).encode()
+        + sys.version.encode()
+    )
     return hashlib.sha256(text).hexdigest()
 
 
 def call(command: Sequence[str], folder: Path | None = None) -> int:
-    """Run a command with this terminal; Ctrl-C is the child's to answer, and its exit code is ours."""
+    """Run a command with this terminal; Ctrl-C is the child's to
+    answer, and its exit code is ours.
+    """
     environment = {**os.environ, "PYTHONUTF8": "1"}
     with subprocess.Popen(command, cwd=folder, env=environment) as child:
         while True:

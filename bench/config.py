@@ -1,12 +1,14 @@
 """Where the keys of a TOML text stand: line and column, so that a fault can be shown in its place.
 
-`tomllib` gives values without places, so this reads the lines once more: headers, keys and how far a value
-reaches. It may not judge anything; what it can't place (an inline table's inside) falls to the key around it.
+`tomllib` gives values without places, so this reads the lines once more: headers, keys and how far
+a value reaches. It may not judge anything; what it can't place (an inline table's inside) falls to
+the key around it.
 
 Files that people write: read, checked whole, and explained when wrong.
 
-`read_config` gives a pydantic model or one `ConfigError` that lists every fault with file, line, a caret under
-the place, what is allowed and what may have been meant. It may not know what the files are about.
+`read_config` gives a pydantic model or one `ConfigError` that lists every fault with file, line, a
+caret under the place, what is allowed and what may have been meant. It may not know what the files
+are about.
 
 Numbers as the files that people write take them.
 """
@@ -29,7 +31,9 @@ from pydantic_core import ErrorDetails
 from detector.calibration import Calibration, CalibrationError, load_calibration
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]=]+?)\s*\]\]?\s*(#.*)?$")
-_KEY = re.compile(r"""\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*=\s*""")
+_KEY = re.compile(
+    r"""\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*=\s*"""
+)
 _STRINGS = re.compile(r'"""|\'\'\'|"(?:\\.|[^"\\])*"|\'[^\']*\'|#.*|[\[\]{}]')
 
 KeyPath = tuple[str | int, ...]
@@ -37,7 +41,9 @@ KeyPath = tuple[str | int, ...]
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """``line`` from 1; columns from 0; the key spans ``key_end - key_start``, the value starts at ``value_start``."""
+    """``line`` from 1; columns from 0; the key spans ``key_end - key_start``, the value starts at
+    ``value_start``.
+    """
 
     line: int
     key_start: int
@@ -90,7 +96,9 @@ def _open_table(names: tuple[str, ...], *, is_array: bool, counts: dict[KeyPath,
 
 
 def _logical_lines(text: str) -> Iterator[tuple[int, str]]:
-    """Lines on which a header or key may start: those inside a long string, array or inline table are left out."""
+    """Lines on which a header or key may start: those inside a long string, array or inline table
+    are left out.
+    """
     depth, quote = 0, ""
     for number, line in enumerate(text.split("\n"), 1):
         if depth == 0 and not quote:
@@ -118,9 +126,13 @@ def _scan(line: str, depth: int, quote: str) -> tuple[int, str]:
 
 
 class Section(BaseModel):
-    """A table of a file that a person writes: unknown keys are faults, numbers are finite, values don't change."""
+    """A table of a file that a person writes: unknown keys are faults, numbers are finite, values
+    don't change.
+    """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False
+    )
 
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -129,7 +141,9 @@ SHOWN, TOLD = 120, 2000  # characters of a line of the file, and of a message
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault of a file. ``line`` counts from 1; ``column`` and ``width`` say where the caret goes."""
+    """One fault of a file. ``line`` counts from 1; ``column`` and ``width`` say where the caret
+    goes.
+    """
 
     line: int
     column: int
@@ -138,7 +152,9 @@ class Fault:
 
 
 class ConfigError(Exception):
-    """A file (or a command's argument) is wrong. Lists all faults at once; the command exits with 2."""
+    """A file (or a command's argument) is wrong. Lists all faults at once; the command exits with
+    2.
+    """
 
     def __init__(self, path: Path | None, faults: Sequence[Fault], text: str = "") -> None:
         self.path = path
@@ -152,12 +168,15 @@ class ConfigError(Exception):
 
 
 def read_config(path: Path, model: type[Model], *, stored: bool = False) -> Model:
-    """The file at ``path`` as ``model``; ``stored`` is the copy in a run that was done. Raises ConfigError with all its faults."""
+    """The file at ``path`` as ``model``; ``stored`` is the copy in a run that was done. Raises
+    ConfigError with all its faults.
+    """
     return parse_config(path, read_text(path), model, stored=stored)
 
 
 def parse_config(path: Path, text: str, model: type[Model], *, stored: bool = False) -> Model:
-    """``text`` as ``model``, as if it stood at ``path``; text isn't taken for a number, nor 1 for true.
+    """``text`` as ``model``, as if it stood at ``path``; text isn't taken for a number, nor 1 for
+    true.
 
     Raises ConfigError with all its faults.
     """
@@ -166,12 +185,17 @@ def parse_config(path: Path, text: str, model: type[Model], *, stored: bool = Fa
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(path, [_syntax_fault(str(error), text)], text) from error
     try:
-        whole = json.dumps(table, default=lambda date: date.isoformat())  # its strict mode has lists
+        # its strict mode has lists
+        whole = json.dumps(table, default=lambda date: date.isoformat())
         context = {"folder": path.parent, "stored": stored}
         return model.model_validate_json(whole, strict=not stored, context=context)
     except ValidationError as error:
         found = [
-            (_without_tags(detail["loc"], table), _message(detail, model), detail["type"] == "extra_forbidden")
+            (
+                _without_tags(detail["loc"], table),
+                _message(detail, model),
+                detail["type"] == "extra_forbidden",
+            )
             for detail in error.errors()
             if not _echo(detail)
         ]
@@ -189,7 +213,9 @@ def read_text(path: Path) -> str:
 
 
 def located(path: Path, text: str, found: Iterable[tuple[KeyPath, str, bool]]) -> ConfigError:
-    """A ConfigError for faults known by key path; the flag says that the key itself is wrong, not its value."""
+    """A ConfigError for faults known by key path; the flag says that the key itself is wrong, not
+    its value.
+    """
     places = find_places(text)
     lines = text.split("\n")
     faults = []
@@ -198,9 +224,18 @@ def located(path: Path, text: str, found: Iterable[tuple[KeyPath, str, bool]]) -
         name = _dotted(key_path)
         if exact and not at_key and place.value_start > place.key_start:
             value = lines[place.line - 1][place.value_start :].split("  #")[0].rstrip()
-            faults.append(Fault(place.line, place.value_start, max(1, len(value)), f"{name}: {message}"))
+            faults.append(
+                Fault(place.line, place.value_start, max(1, len(value)), f"{name}: {message}")
+            )
         else:
-            faults.append(Fault(place.line, place.key_start, max(1, place.key_end - place.key_start), f"{name}: {message}"))
+            faults.append(
+                Fault(
+                    place.line,
+                    place.key_start,
+                    max(1, place.key_end - place.key_start),
+                    f"{name}: {message}",
+                )
+            )
     return ConfigError(path, sorted(faults, key=lambda fault: (fault.line, fault.column)), text)
 
 
@@ -225,7 +260,9 @@ def _rendered(path: Path | None, faults: Sequence[Fault], lines: Sequence[str]) 
         if 0 < fault.line <= len(lines):
             shown, column = _around(lines[fault.line - 1], fault.column)
             out.append(f"  {fault.line:4} | {shown}")
-            out.append(f"       | {' ' * column}{'^' * min(fault.width, max(1, len(shown) - column))}")
+            out.append(
+                f"       | {' ' * column}{'^' * min(fault.width, max(1, len(shown) - column))}"
+            )
     return out
 
 
@@ -261,22 +298,35 @@ def _message(detail: ErrorDetails, model: type[BaseModel]) -> str:
     if kind in ("literal_error", "enum"):
         allowed = str(context["expected"])
         words = re.findall(r"'([^']*)'", allowed)
-        return f"{short(repr(detail['input']))} is not allowed{did_you_mean(str(detail['input']), words)} (allowed: {', '.join(words)})"
+        return (
+            f"{short(repr(detail['input']))} is not"
+            f" allowed{did_you_mean(str(detail['input']), words)} (allowed: {', '.join(words)})"
+        )
     message = detail["msg"].removeprefix("Value error, ")
     return f"{message[0].lower()}{message[1:]} (found {short(repr(detail['input']))})"
 
 
 def _echo(detail: ErrorDetails) -> bool:
-    """Whether this says that a list is too short whose items are all there: those that are wrong were left out, and have their own."""
+    """Whether this says that a list is too short whose items are all there: those that are wrong
+    were left out, and have their own.
+    """
     least = detail.get("ctx", {}).get("min_length")
-    return detail["type"] == "too_short" and isinstance(detail["input"], list) and len(detail["input"]) >= int(least or 0)
+    return (
+        detail["type"] == "too_short"
+        and isinstance(detail["input"], list)
+        and len(detail["input"]) >= int(least or 0)
+    )
 
 
 def _without_tags(path: KeyPath, table: Any) -> KeyPath:
     """``path`` without the tags that pydantic puts in for the members of a union."""
     kept: list[str | int] = []
     for index, part in enumerate(path):
-        inside = isinstance(table, list) and part < len(table) if isinstance(part, int) else isinstance(table, dict) and part in table
+        inside = (
+            isinstance(table, list) and part < len(table)
+            if isinstance(part, int)
+            else isinstance(table, dict) and part in table
+        )
         if inside:
             table = table[part]
         if inside or index == len(path) - 1:
@@ -290,7 +340,12 @@ def _fields_at(model: type[BaseModel], path: Sequence[str | int]) -> set[str]:
     for part in path:
         if isinstance(part, int):
             continue
-        deeper = [found for one in models if part in one.model_fields for found in _models_in(one.model_fields[part].annotation)]
+        deeper = [
+            found
+            for one in models
+            if part in one.model_fields
+            for found in _models_in(one.model_fields[part].annotation)
+        ]
         models = deeper or [one for one in models if _tag(one) == part] or models
     return {field.alias or name for one in models for name, field in one.model_fields.items()}
 
@@ -318,4 +373,6 @@ def read_calibration(path: Path) -> Calibration:
     try:
         return load_calibration(path)
     except CalibrationError as error:
-        raise located(path, read_text(path), [(fault.key, fault.message, False) for fault in error.faults]) from error
+        raise located(
+            path, read_text(path), [(fault.key, fault.message, False) for fault in error.faults]
+        ) from error

@@ -1,8 +1,10 @@
-"""Files that are on the disk whole or not at all: written beside their place, synced, renamed, and their folder synced.
+"""Files that are on the disk whole or not at all: written beside their place, synced, renamed, and
+their folder synced.
 
-Pictures are PNG. 8 bits a pixel compress to a third or less and are worth the time; 16 bits of a sensor are noise in their lower
-half, so they are stored as they are, several times as fast (docs/record.md has the figures). Many files at once take turns on
-threads: hashing, encoding and syncing all let others work.
+Pictures are PNG. 8 bits a pixel compress to a third or less and are worth the time; 16 bits of a
+sensor are noise in their lower half, so they are stored as they are, several times as fast
+(docs/record.md has the figures). Many files at once take turns on threads: hashing, encoding and
+syncing all let others work.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from numpy.typing import NDArray
 
 Picture = NDArray[np.uint8] | NDArray[np.uint16]
 
-PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)  # on noise half the time of level 1, and smaller; a level would undo it
+# on noise half the time of level 1, and smaller; a level would undo it
+PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 AT_ONCE = 4  # files; a disk syncs several in little more time than one
 
@@ -33,25 +36,41 @@ def png_bytes(image: Picture) -> bytes:
         return _stored_png(image)
     done, data = cv2.imencode(".png", image, PNG)
     if not done:
-        raise ValueError(f"OpenCV can't write an image of shape {image.shape} and type {image.dtype} as PNG")
+        raise ValueError(
+            f"OpenCV can't write an image of shape {image.shape} and type {image.dtype} as PNG"
+        )
     return bytes(data)
 
 
 def _stored_png(image: Picture) -> bytes:
-    """16-bit grey without compression or filter (PNG specification, third edition, sections 9 to 11)."""
+    """16-bit grey without compression or filter (PNG specification, third edition, sections 9 to
+    11).
+    """
     height, width = image.shape
     lines = np.zeros((height, 1 + 2 * width), np.uint8)  # each line begins with its filter: 0, none
     lines[:, 1:] = np.ascontiguousarray(image, dtype=">u2").view(np.uint8)
     header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
-    return SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", zlib.compress(lines.tobytes(), 0)) + _chunk(b"IEND", b"")
+    return (
+        SIGNATURE
+        + _chunk(b"IHDR", header)
+        + _chunk(b"IDAT", zlib.compress(lines.tobytes(), 0))
+        + _chunk(b"IEND", b"")
+    )
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))
+    return (
+        struct.pack(">I", len(data))
+        + kind
+        + data
+        + struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))
+    )
 
 
 def write_pictures(pictures: Mapping[Path, Picture]) -> dict[Path, str]:
-    """Write all as PNG, synced and renamed; gives back the SHA-256 of each file. Raises OSError, ValueError."""
+    """Write all as PNG, synced and renamed; gives back the SHA-256 of each file. Raises OSError,
+    ValueError.
+    """
     if not pictures:
         return {}
     folders = {path.parent for path in pictures}
@@ -69,7 +88,9 @@ def _write_picture(path: Path, image: Picture) -> str:
 
 
 def write_synced(path: Path, data: bytes) -> None:
-    """Write ``data`` to ``path`` so that after a crash it is there whole or not at all, and once this returns, is there."""
+    """Write ``data`` to ``path`` so that after a crash it is there whole or not at all, and once
+    this returns, is there.
+    """
     make_folder(path.parent)
     _replace(path, data)
     sync_folder(path.parent)
@@ -99,7 +120,9 @@ def _made(folder: Path) -> list[Path]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in ``folder`` durable, where the system has that: Windows does it with the rename."""
+    """Make the names in ``folder`` durable, where the system has that: Windows does it with the
+    rename.
+    """
     if os.name == "nt":
         return
     handle = os.open(folder, os.O_RDONLY)

@@ -1,4 +1,6 @@
-"""Values to TOML text, as far as the bench writes it: the standard library only reads. It may not know what the values mean."""
+"""Values to TOML text, as far as the bench writes it: the standard library only reads. It may not
+know what the values mean.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ WIDTH = 120
 
 
 def toml_text(table: Mapping[str, Any], heading: str = "") -> str:
-    """``table`` as TOML under comment lines of ``heading``. Keys with None are left out; lists of tables come after plain keys."""
+    """``table`` as TOML under comment lines of ``heading``. Keys with None are left out; lists of
+    tables come after plain keys.
+    """
     lines = [f"# {line}" for line in heading.split("\n")] if heading else []
     return "\n".join([*lines, *_lines(table, ())]) + "\n"
 
@@ -30,7 +34,9 @@ def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
 
 
 def _tables(value: Any) -> bool:
-    return isinstance(value, Mapping) or (_is_list(value) and bool(value) and isinstance(value[0], Mapping))
+    return isinstance(value, Mapping) or (
+        _is_list(value) and bool(value) and isinstance(value[0], Mapping)
+    )
 
 
 def _is_list(value: Any) -> bool:
@@ -45,7 +51,8 @@ def _value(value: Any) -> str:
     if isinstance(value, datetime):
         return value.isoformat(timespec="seconds")
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML's basic strings have JSON's escapes
+        # TOML's basic strings have JSON's escapes
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     items = [_value(item) for item in value]
     flat = f"[{', '.join(items)}]"
     return flat if len(flat) <= WIDTH else "[\n" + "".join(f"  {item},\n" for item in items) + "]"

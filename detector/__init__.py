@@ -1,1 +1,3 @@
-"""Pixels to millimetres: calibration, geometry and the teat detectors. numpy, OpenCV and scipy only."""
+"""Pixels to millimetres: calibration, geometry and the teat detectors. numpy, OpenCV and scipy
+only.
+"""

@@ -1,8 +1,10 @@
-"""Rigid motions, the camera model, homographies and triangulation: pixels to millimetres and back, without a file or a picture.
+"""Rigid motions, the camera model, homographies and triangulation: pixels to millimetres and back,
+without a file or a picture.
 
-Strategy: vectorised closed forms where there are any, Newton where there is none. Pixel centres lie at whole numbers from 0,
-lengths are mm. What has no answer (a point behind the camera, rays that are parallel) is NaN in its row and never spoils the other rows.
-The module may not know how a calibration is stored or which detector asks.
+Strategy: vectorised closed forms where there are any, Newton where there is none. Pixel centres lie
+at whole numbers from 0, lengths are mm. What has no answer (a point behind the camera, rays that
+are parallel) is NaN in its row and never spoils the other rows. The module may not know how a
+calibration is stored or which detector asks.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ Array = NDArray[np.float64]
 
 _BLOCK = 4096  # points
 _NEWTON_STEPS = 60
-_NEWTON_TOLERANCE = 1e-13  # normalised units; three decades under what is promised, so that the last step is beyond doubt
+# normalised units; three decades under what is promised, so that the last step is beyond doubt
+_NEWTON_TOLERANCE = 1e-13
 
 
 def rotation_from_vector(om_rad: ArrayLike) -> Array:
@@ -25,13 +28,17 @@ def rotation_from_vector(om_rad: ArrayLike) -> Array:
     angle = float(np.linalg.norm(om))
     K = np.array([[0.0, -om[2], om[1]], [om[2], 0.0, -om[0]], [-om[1], om[0], 0.0]])
     # np.sinc is sin(pi x) / (pi x): finite at zero, so that no rotation needs no case of its own
-    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (K @ K))
+    return np.asarray(
+        np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (K @ K)
+    )
 
 
 def vector_from_rotation(R: ArrayLike) -> Array:
-    """Rotation vector (3,), radians, of length 0 to pi, of a rotation matrix (3, 3): the inverse of `rotation_from_vector`.
+    """Rotation vector (3,), radians, of length 0 to pi, of a rotation matrix (3, 3): the inverse of
+    `rotation_from_vector`.
 
-    Through the unit quaternion taken from its largest component, which keeps full precision at every angle, pi included.
+    Through the unit quaternion taken from its largest component, which keeps full precision at
+    every angle, pi included.
     """
     m = np.asarray(R, dtype=np.float64)
     squares = np.array([1 + m.trace(), *(1 + 2 * np.diag(m) - m.trace())])
@@ -53,7 +60,8 @@ def vector_from_rotation(R: ArrayLike) -> Array:
 class Motion:
     """A rigid motion x -> R x + T; name it `b_from_a`. R (3, 3) is a rotation, T (3,) in mm.
 
-    Raises ValueError where R is no rotation: a mirror image or a scale would pass unnoticed through every later step.
+    Raises ValueError where R is no rotation: a mirror image or a scale would pass unnoticed through
+    every later step.
     """
 
     R: Array
@@ -61,8 +69,15 @@ class Motion:
 
     def __post_init__(self) -> None:
         R, T = np.array(self.R, dtype=np.float64), _vector(self.T, 3, "a translation").copy()
-        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-9) or np.linalg.det(R) < 0:
-            raise ValueError(f"not a rotation matrix (orthogonal, determinant +1): {R.tolist()}; fit it with `rigid_fit`")
+        if (
+            R.shape != (3, 3)
+            or not np.allclose(R @ R.T, np.eye(3), atol=1e-9)
+            or np.linalg.det(R) < 0
+        ):
+            raise ValueError(
+                f"not a rotation matrix (orthogonal, determinant +1): {R.tolist()}; fit it with"
+                " `rigid_fit`"
+            )
         R.setflags(write=False)
         T.setflags(write=False)
         object.__setattr__(self, "R", R)
@@ -70,7 +85,9 @@ class Motion:
 
     @classmethod
     def from_vectors(cls, om_rad: ArrayLike, T_mm: ArrayLike) -> Motion:
-        """The motion with rotation vector `om_rad` (3,) and translation `T_mm` (3,), as calibration files give them."""
+        """The motion with rotation vector `om_rad` (3,) and translation `T_mm` (3,), as calibration
+        files give them.
+        """
         return cls(rotation_from_vector(om_rad), _vector(T_mm, 3, "a translation"))
 
     @classmethod
@@ -97,13 +114,18 @@ class Motion:
 
 
 def rigid_fit(target_mm: ArrayLike, source_mm: ArrayLike) -> Motion:
-    """The motion `target_from_source` that brings points (n, 3) closest to their partners (n, 3) in the least-squares sense.
+    """The motion `target_from_source` that brings points (n, 3) closest to their partners (n, 3) in
+    the least-squares sense.
 
-    Kabsch's solution with reflections ruled out. Raises ValueError for fewer than 3 pairs or points on one line.
+    Kabsch's solution with reflections ruled out. Raises ValueError for fewer than 3 pairs or points
+    on one line.
     """
     target, source = _rows(target_mm, 3, "target points"), _rows(source_mm, 3, "source points")
     if len(target) != len(source) or len(source) < 3:
-        raise ValueError(f"a rigid fit needs at least 3 pairs, got {len(source)} source and {len(target)} target points")
+        raise ValueError(
+            f"a rigid fit needs at least 3 pairs, got {len(source)} source and {len(target)} target"
+            " points"
+        )
     centre_t, centre_s = target.mean(axis=0), source.mean(axis=0)
     U, spread, Vt = np.linalg.svd((target - centre_t).T @ (source - centre_s))
     if spread[1] <= 1e-12 * max(float(spread[0]), np.finfo(float).tiny):
@@ -117,7 +139,8 @@ class Camera:
     """A camera in the convention of Bouguet's toolbox and OpenCV.
 
     image_size (columns, rows) px; fc, cc (x, y) px; alpha_c the skew; kc = (k1, k2, p1, p2, k3).
-    Source: Bouguet, Camera Calibration Toolbox for Matlab, "Description of the calibration parameters".
+    Source: Bouguet, Camera Calibration Toolbox for Matlab, "Description of the calibration
+    parameters".
     """
 
     image_size: tuple[int, int]
@@ -127,7 +150,9 @@ class Camera:
     kc: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def project(self, points_mm: ArrayLike) -> Array:
-        """Pixels (n, 2) of points (n, 3) in this camera's frame; NaN for a point that isn't in front of the camera."""
+        """Pixels (n, 2) of points (n, 3) in this camera's frame; NaN for a point that isn't in
+        front of the camera.
+        """
         points = _rows(points_mm, 3, "points")
         depth = np.where(points[:, 2] > 0, points[:, 2], np.nan)
         return self.pixels(_distort(points[:, :2] / depth[:, None], self.kc))
@@ -138,36 +163,51 @@ class Camera:
         return np.column_stack([x, self.fc[1] * distorted[:, 1] + self.cc[1]])
 
     def normalize(self, pixels_px: ArrayLike) -> Array:
-        """Undistorted normalised coordinates (n, 2), the point at depth 1, of pixels (n, 2); exact to 1e-10.
+        """Undistorted normalised coordinates (n, 2), the point at depth 1, of pixels (n, 2); exact
+        to 1e-10.
 
-        Newton's method on the distortion. NaN where the lens model has no inverse (pixels far outside of what it was fitted on).
+        Newton's method on the distortion. NaN where the lens model has no inverse (pixels far
+        outside of what it was fitted on).
         """
         pixels = _rows(pixels_px, 2, "pixels")
         y = (pixels[:, 1] - self.cc[1]) / self.fc[1]
-        return _undistort(np.column_stack([(pixels[:, 0] - self.cc[0]) / self.fc[0] - self.alpha_c * y, y]), self.kc)
+        return _undistort(
+            np.column_stack([(pixels[:, 0] - self.cc[0]) / self.fc[0] - self.alpha_c * y, y]),
+            self.kc,
+        )
 
     def rays(self, pixels_px: ArrayLike) -> Array:
         """Unit viewing directions (n, 3) in this camera's frame of pixels (n, 2)."""
-        ends = np.column_stack([self.normalize(pixels_px), np.ones(len(np.atleast_2d(np.asarray(pixels_px))))])
+        ends = np.column_stack(
+            [self.normalize(pixels_px), np.ones(len(np.atleast_2d(np.asarray(pixels_px))))]
+        )
         return np.asarray(ends / np.linalg.norm(ends, axis=1, keepdims=True))
 
 
 def apply_homography(H: ArrayLike, pixels_px: ArrayLike) -> Array:
-    """Map pixels (n, 2) through a homography (3, 3), division by the third coordinate included; NaN where that isn't positive."""
+    """Map pixels (n, 2) through a homography (3, 3), division by the third coordinate included; NaN
+    where that isn't positive.
+    """
     pixels = _rows(pixels_px, 2, "pixels")
     mapped = np.column_stack([pixels, np.ones(len(pixels))]) @ np.asarray(H, dtype=np.float64).T
     return np.asarray(mapped[:, :2] / np.where(mapped[:, 2:] > 0, mapped[:, 2:], np.nan))
 
 
-def triangulate(left_px: ArrayLike, right_px: ArrayLike, left: Camera, right: Camera, right_from_left: Motion) -> tuple[Array, Array]:
-    """Points (n, 3) mm in the right camera's frame midway between the rays of pixel pairs (n, 2), and the gap (n,) mm between the rays.
+def triangulate(
+    left_px: ArrayLike, right_px: ArrayLike, left: Camera, right: Camera, right_from_left: Motion
+) -> tuple[Array, Array]:
+    """Points (n, 3) mm in the right camera's frame midway between the rays of pixel pairs (n, 2),
+    and the gap (n,) mm between the rays.
 
-    The midpoint of the common perpendicular, as in appendix A.5 of the thesis (Bouguet's stereo triangulation). Parallel rays give NaN.
+    The midpoint of the common perpendicular, as in appendix A.5 of the thesis (Bouguet's stereo
+    triangulation). Parallel rays give NaN.
     """
     a = _homogeneous(left.normalize(left_px)) @ right_from_left.R.T
     b = _homogeneous(right.normalize(right_px))
     if len(a) != len(b):
-        raise ValueError(f"triangulation needs pairs: {len(a)} left and {len(b)} right pixels were given")
+        raise ValueError(
+            f"triangulation needs pairs: {len(a)} left and {len(b)} right pixels were given"
+        )
     T = right_from_left.T
     aa, bb, ab = _dot(a, a), _dot(b, b), _dot(a, b)
     aT, bT = a @ T, b @ T
@@ -183,11 +223,18 @@ def _distort(x: Array, kc: tuple[float, ...]) -> Array:
     u, v = x[:, 0], x[:, 1]
     r2 = u * u + v * v
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.column_stack([u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u), v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v])
+    return np.column_stack(
+        [
+            u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u),
+            v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v,
+        ]
+    )
 
 
 def _distortion_jacobian(x: Array, kc: tuple[float, ...]) -> tuple[Array, Array, Array]:
-    """The three different entries (du/du, du/dv = dv/du, dv/dv), each (n,), of the derivative of `_distort`."""
+    """The three different entries (du/du, du/dv = dv/du, dv/dv), each (n,), of the derivative of
+    `_distort`.
+    """
     k1, k2, p1, p2, k3 = kc
     u, v = x[:, 0], x[:, 1]
     r2 = u * u + v * v
@@ -201,7 +248,9 @@ def _distortion_jacobian(x: Array, kc: tuple[float, ...]) -> tuple[Array, Array,
 
 
 def _undistort(distorted: Array, kc: tuple[float, ...]) -> Array:
-    """Block by block: what the steps of a block need stays in the processor's cache, which makes a million points twice as fast."""
+    """Block by block: what the steps of a block need stays in the processor's cache, which makes a
+    million points twice as fast.
+    """
     if not any(kc):
         return distorted
     x = np.empty_like(distorted)
@@ -213,12 +262,18 @@ def _undistort(distorted: Array, kc: tuple[float, ...]) -> Array:
 
 def _undistort_block(distorted: Array, kc: tuple[float, ...]) -> Array:
     x = distorted.copy()
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # rows without an answer run away, and are caught below
+    # rows without an answer run away, and are caught below
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for _ in range(_NEWTON_STEPS):
             error = _distort(x, kc) - distorted
             a, b, d = _distortion_jacobian(x, kc)
             determinant = a * d - b * b
-            step = np.column_stack([d * error[:, 0] - b * error[:, 1], a * error[:, 1] - b * error[:, 0]]) / determinant[:, None]
+            step = (
+                np.column_stack(
+                    [d * error[:, 0] - b * error[:, 1], a * error[:, 1] - b * error[:, 0]]
+                )
+                / determinant[:, None]
+            )
             x -= step
             if not np.any(np.abs(step) > _NEWTON_TOLERANCE):
                 break

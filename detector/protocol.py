@@ -1,7 +1,9 @@
-"""What every detector takes and gives: the seam between the bench and any detector, the thesis's among them.
+"""What every detector takes and gives: the seam between the bench and any detector, the thesis's
+among them.
 
-Strategy: structural protocols and plain values, so that a frame set of any origin fits without an import from either side.
-The module may not know the bench, the instruments, nor any one detector; a detector never sees the scene, the truth or the script.
+Strategy: structural protocols and plain values, so that a frame set of any origin fits without an
+import from either side. The module may not know the bench, the instruments, nor any one detector; a
+detector never sees the scene, the truth or the script.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ Image = NDArray[Any]
 class Frames(Protocol):
     """What a detector asks of a frame set.
 
-    left, right: (rows, columns) grey, uint8 or uint16, of the sizes in the calibration. thermal: (rows, columns) as the camera delivers it
-    (mirrored where the calibration says so), or None. thermal_k: (rows, columns) kelvin at sensor resolution, never mirrored, or None.
+    left, right: (rows, columns) grey, uint8 or uint16, of the sizes in the calibration. thermal:
+    (rows, columns) as the camera delivers it (mirrored where the calibration says so), or None.
+    thermal_k: (rows, columns) kelvin at sensor resolution, never mirrored, or None.
     """
 
     @property
@@ -38,7 +41,9 @@ class Frames(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Teat:
-    """One teat end: where it is in the world (3,) mm, how sure (3, 3) mm^2 or None, and the pixels (2,) that it was seen at."""
+    """One teat end: where it is in the world (3,) mm, how sure (3, 3) mm^2 or None, and the pixels
+    (2,) that it was seen at.
+    """
 
     world_mm: Array
     covariance_mm2: Array | None = None
@@ -59,7 +64,8 @@ class Stage:
 class Detection:
     """A detector's answer on one frame set.
 
-    hidden: how many teats it believes are there but not seen. reason: why nothing was found, or what was left out; None when all went well.
+    hidden: how many teats it believes are there but not seen. reason: why nothing was found, or
+    what was left out; None when all went well.
     """
 
     teats: tuple[Teat, ...] = ()
@@ -73,7 +79,9 @@ class Detection:
 
 
 class Detector(Protocol):
-    """Anything that finds teat ends. `parameters` holds every setting that changes an answer: it goes into the configuration hash."""
+    """Anything that finds teat ends. `parameters` holds every setting that changes an answer: it
+    goes into the configuration hash.
+    """
 
     @property
     def name(self) -> str: ...
@@ -83,7 +91,9 @@ class Detector(Protocol):
     def parameters(self) -> Mapping[str, Any]: ...
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
-        """Teat ends in the world frame. A frame set that can't be used gives no teats and a reason, never an exception."""
+        """Teat ends in the world frame. A frame set that can't be used gives no teats and a reason,
+        never an exception.
+        """
         ...
 
 
@@ -97,7 +107,9 @@ class Outcome(Enum):
 
 
 class DetectionFailure(Exception):  # noqa: N818 - a failure of the detector, not of the bench
-    """A detector gave no answer that can be used; the message is one sentence. Raised where the outcome isn't a plain failure too."""
+    """A detector gave no answer that can be used; the message is one sentence. Raised where the
+    outcome isn't a plain failure too.
+    """
 
     def __init__(self, reason: str, outcome: Outcome = Outcome.FAILED) -> None:
         super().__init__(reason)
@@ -106,10 +118,12 @@ class DetectionFailure(Exception):  # noqa: N818 - a failure of the detector, no
 
 @runtime_checkable
 class Served(Protocol):
-    """A detector that lives outside of the bench's process: beside `Detector`, what has to happen around a call.
+    """A detector that lives outside of the bench's process: beside `Detector`, what has to happen
+    around a call.
 
-    patience_s: how long `prepare` and `detect` may take together before they end by themselves. start_up_s: how long the process took that
-    the last `prepare` started, None where it ran already.
+    patience_s: how long `prepare` and `detect` may take together before they end by themselves.
+    start_up_s: how long the process took that the last `prepare` started, None where it ran
+    already.
     """
 
     @property
@@ -118,15 +132,21 @@ class Served(Protocol):
     def start_up_s(self) -> float | None: ...
 
     def prepare(self, frames: Frames, calibration: Calibration) -> None:
-        """All that isn't detection: a process started, pictures written where it can read them. Raises DetectionFailure."""
+        """All that isn't detection: a process started, pictures written where it can read them.
+        Raises DetectionFailure.
+        """
         ...
 
     def check(self) -> None:
-        """Whether it keeps its limits between calls, after an answer and outside of its time. Raises DetectionFailure."""
+        """Whether it keeps its limits between calls, after an answer and outside of its time.
+        Raises DetectionFailure.
+        """
         ...
 
     def said(self) -> str:
-        """What it wrote to its standard error since this was last asked, the end of it where that is long."""
+        """What it wrote to its standard error since this was last asked, the end of it where that
+        is long.
+        """
         ...
 
     def close(self) -> None:

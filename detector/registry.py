@@ -1,8 +1,10 @@
-"""Detectors by name: those that ship, and those that other packages bring (entry points of the group ``teatbench.detectors``).
+"""Detectors by name: those that ship, and those that other packages bring (entry points of the
+group ``teatbench.detectors``).
 
-Strategy: a table of names, loaded only when one is created, so that listing them costs nothing. What a package brings may be anything that
-gives an object with ``detect(frame_set, calibration)``: the object, its class, or a function that makes it. One that is broken is told by
-name and is in nobody's way. The module may not import a detector at its top: `teatbench --help` reads this table.
+Strategy: a table of names, loaded only when one is created, so that listing them costs nothing.
+What a package brings may be anything that gives an object with ``detect(frame_set, calibration)``:
+the object, its class, or a function that makes it. One that is broken is told by name and is in
+nobody's way. The module may not import a detector at its top: `teatbench --help` reads this table.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ class _Entry:
 
 _SHIPPED = {
     "thesis": _Entry(
-        "the published algorithm, stage by stage: thermal edges, one homography, dark line in a 41 x 41 region",
+        "the published algorithm, stage by stage: thermal edges, one homography, dark line in a 41"
+        " x 41 region",
         "detector.thesis.detector",
         "ThesisDetector",
     ),
@@ -43,7 +46,8 @@ _SHIPPED = {
         "FusedDetector",
     ),
     "thesis-published-homography": _Entry(
-        "the same with the homographies that the thesis printed, not the calibration's at the teats' plane",
+        "the same with the homographies that the thesis printed, not the calibration's at the"
+        " teats' plane",
         "detector.thesis.detector",
         "published_homography",
     ),
@@ -65,7 +69,9 @@ class UnknownDetectorError(ValueError):
 
 
 class BrokenDetectorError(ValueError):
-    """A package brings a detector of that name, but it can't be loaded; the message says which package, and why."""
+    """A package brings a detector of that name, but it can't be loaded; the message says which
+    package, and why.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +89,8 @@ class Plugged:
 
 
 def available(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
-    """Name -> one line on what it is, of every detector that is there; whether those of other packages work is not tried.
+    """Name -> one line on what it is, of every detector that is there; whether those of other
+    packages work is not tried.
 
     ``plugs`` are the entry points to look at, those of the group by default.
     """
@@ -92,16 +99,26 @@ def available(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
 
 
 def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
-    """Name -> why it can't be used, of the detectors that other packages bring: each is loaded to know."""
+    """Name -> why it can't be used, of the detectors that other packages bring: each is loaded to
+    know.
+    """
     found: dict[str, str] = {}
     seen: set[str] = set()
     for plug in _plugs(plugs):
         if not _NAME.fullmatch(plug.name):
-            found[plug.name] = f"{_source(plug)} gives it a name that no file could bear: letters, digits, dots, _ and - are allowed"
+            found[plug.name] = (
+                f"{_source(plug)} gives it a name that no file could bear: letters, digits, dots, _"
+                " and - are allowed"
+            )
         elif plug.name in _SHIPPED:
-            found[plug.name] = f"{_source(plug)} brings a detector of this name, which is the name of one that ships: it is left out"
+            found[plug.name] = (
+                f"{_source(plug)} brings a detector of this name, which is the name of one that"
+                " ships: it is left out"
+            )
         elif plug.name in seen:
-            found[plug.name] = f"{_source(plug)} brings a second detector of this name: the first is used"
+            found[plug.name] = (
+                f"{_source(plug)} brings a second detector of this name: the first is used"
+            )
         else:
             try:
                 _plugged(plug)
@@ -114,7 +131,8 @@ def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
 def create(name: str, plugs: Iterable[EntryPoint] | None = None) -> Detector:
     """A detector with its own settings.
 
-    Raises UnknownDetectorError with the nearest name where there is no such detector, BrokenDetectorError where it can't be loaded.
+    Raises UnknownDetectorError with the nearest name where there is no such detector,
+    BrokenDetectorError where it can't be loaded.
     """
     entry = _SHIPPED.get(name)
     if entry is not None:
@@ -124,7 +142,9 @@ def create(name: str, plugs: Iterable[EntryPoint] | None = None) -> Detector:
         known = sorted(available(plugs))
         near = get_close_matches(name, known, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise UnknownDetectorError(f"no detector is called {name!r}{hint} There are: {', '.join(known)}.")
+        raise UnknownDetectorError(
+            f"no detector is called {name!r}{hint} There are: {', '.join(known)}."
+        )
     return _plugged(plug)
 
 
@@ -141,14 +161,20 @@ def _plugged(plug: EntryPoint) -> Plugged:
         given = plug.load()
         made = given() if isinstance(given, type) or not hasattr(given, "detect") else given
         parameters = json.loads(json.dumps(dict(getattr(made, "parameters", {})), default=_plain))
-        version = _line(str(getattr(made, "version", None) or (plug.dist.version if plug.dist else "unknown")))
+        version = _line(
+            str(getattr(made, "version", None) or (plug.dist.version if plug.dist else "unknown"))
+        )
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # another's code: it may fail in any way, and not every library's errors are Exceptions
-        raise BrokenDetectorError(f"detector {plug.name!r} of {_source(plug)} can't be loaded: {_told(error)}") from error
+    # another's code: it may fail in any way, and not every library's errors are Exceptions
+    except BaseException as error:
+        raise BrokenDetectorError(
+            f"detector {plug.name!r} of {_source(plug)} can't be loaded: {_told(error)}"
+        ) from error
     if not callable(getattr(made, "detect", None)):
         raise BrokenDetectorError(
-            f"detector {plug.name!r} of {_source(plug)} is a {type(made).__name__}, which has no detect(frame_set, calibration)"
+            f"detector {plug.name!r} of {_source(plug)} is a {type(made).__name__}, which has no"
+            " detect(frame_set, calibration)"
         )
     return Plugged(plug.name, version, parameters, made)
 

@@ -1,8 +1,8 @@
 """Real and virtual time. Nothing else in the project reads the time of day for its work, or sleeps.
 
-With the virtual clock time moves only when somebody waits for it: half an hour of soaking is a loop over
-the events that were planned for it, and two runs see the same times to the last bit. It may not know who
-waits or why. Events planned with ``call_at`` run in the thread that moves the time on.
+With the virtual clock time moves only when somebody waits for it: half an hour of soaking is a loop
+over the events that were planned for it, and two runs see the same times to the last bit. It may
+not know who waits or why. Events planned with ``call_at`` run in the thread that moves the time on.
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ def wall_time() -> datetime:
 
 
 def stopwatch_s() -> float:
-    """Real seconds from an arbitrary start, to measure what software takes (a detector's latency), never to wait."""
+    """Real seconds from an arbitrary start, to measure what software takes (a detector's latency),
+    never to wait.
+    """
     return time.perf_counter()
 
 
@@ -51,7 +53,9 @@ def processor_s() -> float:
 
 
 def load_per_processor() -> float | None:
-    """How many processes want a processor, over the last minute, for each that there is; None where the system doesn't count (Windows)."""
+    """How many processes want a processor, over the last minute, for each that there is; None where
+    the system doesn't count (Windows).
+    """
     return os.getloadavg()[0] / (os.cpu_count() or 1) if hasattr(os, "getloadavg") else None
 
 
@@ -59,7 +63,9 @@ PATIENCE_S = 10.0  # real time that an emulator's thread gets to take bytes befo
 
 
 class RealClock:
-    """Time as it passes, from ``start_s`` on. Planned actions run on a thread of their own, which ``close`` ends."""
+    """Time as it passes, from ``start_s`` on. Planned actions run on a thread of their own, which
+    ``close`` ends.
+    """
 
     def __init__(self, start_s: float = 0.0) -> None:
         self._start = time.monotonic() - start_s
@@ -82,7 +88,9 @@ class RealClock:
             time.sleep(seconds)
 
     def heard_by(self, looked: Callable[[float], None] | None) -> None:
-        """From now on ``looked`` is called on every thread that looks at the clock, with how long it is about to sleep: a sign of life."""
+        """From now on ``looked`` is called on every thread that looks at the clock, with how long
+        it is about to sleep: a sign of life.
+        """
         self._looked = looked
 
     def call_at(self, when_s: float, action: Callable[[], None]) -> None:
@@ -137,7 +145,8 @@ class VirtualClock:
             heapq.heappush(self._planned, (when_s, next(self._order), action))
 
     def step(self, limit_s: float) -> bool:
-        """Move to the next planned action and run it, or to ``limit_s`` if none comes before; False at the limit.
+        """Move to the next planned action and run it, or to ``limit_s`` if none comes before; False
+        at the limit.
 
         What is on its way to an emulator is taken first: it was sent before time moved.
         """
@@ -153,7 +162,9 @@ class VirtualClock:
         return True
 
     def wire(self, port: int) -> Wire:
-        """The account of bytes in flight on the loopback connection whose near end is TCP port ``port``."""
+        """The account of bytes in flight on the loopback connection whose near end is TCP port
+        ``port``.
+        """
         with self._lock:
             return self._wires.setdefault(port, Wire())
 
@@ -164,11 +175,13 @@ class VirtualClock:
 
 
 class Wire:
-    """Counts of bytes between a link and an emulator of one process, so that time stands still while any is in flight.
+    """Counts of bytes between a link and an emulator of one process, so that time stands still
+    while any is in flight.
 
-    Without it a reader under virtual time could not tell "the emulator has nothing to say" from "its thread
-    has not run yet", and how far time moves would depend on the machine's load. Ctrl-C may strike the host's thread
-    anywhere: only locks of the interpreter's own are used, which `with` never leaves taken.
+    Without it a reader under virtual time could not tell "the emulator has nothing to say" from
+    "its thread has not run yet", and how far time moves would depend on the machine's load. Ctrl-C
+    may strike the host's thread anywhere: only locks of the interpreter's own are used, which
+    `with` never leaves taken.
     """
 
     def __init__(self) -> None:
@@ -200,7 +213,9 @@ class Wire:
             self._tell()
 
     def send(self, count: int, write: Callable[[], None]) -> None:
-        """The emulator's ``write`` of ``count`` bytes, counted before: where its thread is held up amid it, the host knows to wait."""
+        """The emulator's ``write`` of ``count`` bytes, counted before: where its thread is held up
+        amid it, the host knows to wait.
+        """
         try:
             self.sending = True
             self.add(to_host=count)
@@ -211,17 +226,22 @@ class Wire:
     def settle(self, patience_s: float) -> bool:
         """Wait until bytes are there for the host (True), or nothing is in flight (False).
 
-        Raises TimeoutError when the emulator's thread does neither within ``patience_s`` of real time.
+        Raises TimeoutError when the emulator's thread does neither within ``patience_s`` of real
+        time.
         """
         self._wait_for(self._settled, patience_s)
         return self._to_host > 0 or self._closed
 
     def wait_taken(self, patience_s: float) -> None:
-        """Wait until the emulator has taken all that was sent to it. Raises TimeoutError as ``settle`` does."""
+        """Wait until the emulator has taken all that was sent to it. Raises TimeoutError as
+        ``settle`` does.
+        """
         self._wait_for(self._taken, patience_s)
 
     def nothing_came(self) -> None:
-        """The host looked and found no byte, whatever the count says: an interrupt has come between reading and counting."""
+        """The host looked and found no byte, whatever the count says: an interrupt has come between
+        reading and counting.
+        """
         with self._lock:
             self._to_host = 0
 

@@ -1,7 +1,7 @@
 """What can go wrong with an instrument, as a tree of exceptions.
 
-Each message says who, what was asked, what came (bytes as hex), how long it took and what to try. Whose
-fault it is decides the class: raise the most exact one, catch the one you can act on.
+Each message says who, what was asked, what came (bytes as hex), how long it took and what to try.
+Whose fault it is decides the class: raise the most exact one, catch the one you can act on.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ def hex_bytes(data: bytes) -> str:
 class InstrumentError(Exception):
     """Any fault of an instrument. Not raised itself: use one of the four below.
 
-    ``who`` names the instrument and its link, ``what`` is the sentence, ``asked`` the request, ``seen``
-    what came instead (bytes are shown as hex), ``seconds`` how long was waited, ``hint`` what to try.
+    ``who`` names the instrument and its link, ``what`` is the sentence, ``asked`` the request,
+    ``seen`` what came instead (bytes are shown as hex), ``seconds`` how long was waited, ``hint``
+    what to try.
     """
 
     def __init__(
@@ -56,7 +57,9 @@ def _shown(fact: str | bytes) -> str:
 
 
 class LinkError(InstrumentError):
-    """Nobody answered, or the link broke: cable, power, address. Not for an answer that makes no sense."""
+    """Nobody answered, or the link broke: cable, power, address. Not for an answer that makes no
+    sense.
+    """
 
 
 class ProtocolError(InstrumentError):

@@ -1,8 +1,9 @@
 """A byte link to an instrument, named by a URL as pyserial names them.
 
-``/dev/ttyUSB0``, ``COM5`` and ``rfc2217://host:port`` are opened by pyserial. ``socket://host:port`` is opened
-here: pyserial's own handler reads one byte a call and sleeps 0.3 s when it closes. A link moves bytes and
-keeps the time; it may not know what they mean. Under virtual time it waits by moving the clock.
+``/dev/ttyUSB0``, ``COM5`` and ``rfc2217://host:port`` are opened by pyserial.
+``socket://host:port`` is opened here: pyserial's own handler reads one byte a call and sleeps 0.3 s
+when it closes. A link moves bytes and keeps the time; it may not know what they mean. Under virtual
+time it waits by moving the clock.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ class Link:
     ``tap`` sees all bytes. Raises LinkError when the link can't be opened, or breaks.
     """
 
-    def __init__(self, url: str, clock: Clock, *, who: str, baud: int = 115200, tap: Tap | None = None) -> None:
+    def __init__(
+        self, url: str, clock: Clock, *, who: str, baud: int = 115200, tap: Tap | None = None
+    ) -> None:
         self.url = url
         self.who = f"{who} at {url}"
         self.clock = clock
@@ -49,12 +52,15 @@ class Link:
         self._open()
 
     def reopen(self) -> None:
-        """Open again, after a cable was out: nothing that came before counts. Raises LinkError while the port is not back."""
+        """Open again, after a cable was out: nothing that came before counts. Raises LinkError
+        while the port is not back.
+        """
         self.close()
         self._open()
 
     def set_baud(self, baud: int) -> None:
-        """Speak at another rate from now on; a link that is no serial port has none, and only notes it.
+        """Speak at another rate from now on; a link that is no serial port has none, and only notes
+        it.
 
         Raises LinkError where the port can't do that rate; it keeps its own then.
         """
@@ -62,7 +68,11 @@ class Link:
         try:
             self._port.set_baud(baud)
         except (OSError, ValueError) as error:
-            raise LinkError(self.who, f"the port can't speak at {baud} baud: {error}", hint=f"Stay at {self.baud} baud.") from error
+            raise LinkError(
+                self.who,
+                f"the port can't speak at {baud} baud: {error}",
+                hint=f"Stay at {self.baud} baud.",
+            ) from error
         self.baud = baud
 
     def _open(self) -> None:
@@ -84,12 +94,20 @@ class Link:
             self._port.write(data)
         except OSError as error:
             self._tap.closed(str(error))
-            raise LinkError(self.who, f"the link broke while sending: {error}", asked=data, hint="Check cable and power.") from error
-        if self._virtual:  # counted after: an interrupt between the two must not leave bytes that nobody will ever take
+            raise LinkError(
+                self.who,
+                f"the link broke while sending: {error}",
+                asked=data,
+                hint="Check cable and power.",
+            ) from error
+        # counted after: an interrupt between the two must not leave bytes that nobody will ever
+        # take
+        if self._virtual:
             self._virtual[1].add(to_device=len(data))
 
     def receive(self, timeout_s: float) -> bytes:
-        """Whatever has come, waiting ``timeout_s`` at most for the first byte; empty when nothing came.
+        """Whatever has come, waiting ``timeout_s`` at most for the first byte; empty when nothing
+        came.
 
         Raises LinkError when the link is broken or closed.
         """
@@ -97,14 +115,22 @@ class Link:
         if self._buffer:
             data, self._buffer = self._buffer, b""
             return data
-        return self._receive_virtually(*self._virtual, timeout_s) if self._virtual else self._receive_by_slices(timeout_s)
+        return (
+            self._receive_virtually(*self._virtual, timeout_s)
+            if self._virtual
+            else self._receive_by_slices(timeout_s)
+        )
 
     def read(self, count: int, timeout_s: float) -> bytes:
-        """``count`` bytes, or fewer if ``timeout_s`` ran out first. Raises LinkError when the link is broken."""
+        """``count`` bytes, or fewer if ``timeout_s`` ran out first. Raises LinkError when the link
+        is broken.
+        """
         return self._collect(lambda data: count if len(data) >= count else None, timeout_s)
 
     def read_until(self, terminator: bytes, timeout_s: float) -> bytes:
-        """All up to and with ``terminator``, or what came until ``timeout_s`` ran out. Raises LinkError when broken."""
+        """All up to and with ``terminator``, or what came until ``timeout_s`` ran out. Raises
+        LinkError when broken.
+        """
 
         def end(data: bytes) -> int | None:
             at = data.find(terminator)
@@ -113,7 +139,9 @@ class Link:
         return self._collect(end, timeout_s)
 
     def drain(self, silence_s: float, *, at_most_s: float = 5.0) -> bytes:
-        """Read and give back all that comes until ``silence_s`` without a byte, or until ``at_most_s`` have passed."""
+        """Read and give back all that comes until ``silence_s`` without a byte, or until
+        ``at_most_s`` have passed.
+        """
         got = b""
         deadline = self.clock.now() + at_most_s
         while self.clock.now() < deadline:
@@ -124,7 +152,9 @@ class Link:
         return got
 
     def close(self) -> None:
-        """Close the link; once more is no error. Until ``reopen`` all other calls raise LinkError."""
+        """Close the link; once more is no error. Until ``reopen``
+        all other calls raise LinkError.
+        """
         self._is_open = False
         self._tap.closed()
         if self._virtual:
@@ -150,7 +180,9 @@ class Link:
             data += more
 
     def _receive_by_slices(self, timeout_s: float) -> bytes:
-        """A long wait looks at the clock every second: that is its sign of life, and on Windows the moment for Ctrl-C."""
+        """A long wait looks at the clock every second: that is its sign of life, and on Windows the
+        moment for Ctrl-C.
+        """
         deadline = self.clock.now() + timeout_s
         while True:
             left_s = max(0.0, deadline - self.clock.now())
@@ -163,7 +195,9 @@ class Link:
             data = self._port.read_some(timeout_s)
         except OSError as error:
             self._tap.closed(str(error))
-            raise LinkError(self.who, f"the link broke while reading: {error}", hint="Check cable and power.") from error
+            raise LinkError(
+                self.who, f"the link broke while reading: {error}", hint="Check cable and power."
+            ) from error
         if data:
             self._tap.received(data)
         return data
@@ -182,7 +216,9 @@ class Link:
             wire.nothing_came()
 
     def _receive_late(self, wire: Wire) -> bytes:
-        """What an emulator's thread counted and then was held up with, on a machine that has much else to do."""
+        """What an emulator's thread counted and then was held up with, on a machine that has much
+        else to do.
+        """
         return self._receive_really(PATIENCE_S if wire.sending else 0.0)
 
     def _settle(self, wire: Wire) -> bool:
@@ -210,13 +246,21 @@ class _TcpPort:
             parts = urlsplit(url)
             address = (parts.hostname or "", parts.port or 0)
         except ValueError as error:
-            raise LinkError(who, f"not a link: {error}", hint="Write socket://host:port.") from error
+            raise LinkError(
+                who, f"not a link: {error}", hint="Write socket://host:port."
+            ) from error
         if not address[0] or not address[1]:
-            raise LinkError(who, "not a link: host or port is missing", hint="Write socket://host:port.")
+            raise LinkError(
+                who, "not a link: host or port is missing", hint="Write socket://host:port."
+            )
         try:
             self._socket = socket.create_connection(address, timeout=5.0)
         except OSError as error:
-            raise LinkError(who, f"nothing takes the connection: {error}", hint="Is the device on, and the address right?") from error
+            raise LinkError(
+                who,
+                f"nothing takes the connection: {error}",
+                hint="Is the device on, and the address right?",
+            ) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.near_end: int = self._socket.getsockname()[1]
 
@@ -250,7 +294,9 @@ else:
 
 @contextlib.contextmanager
 def _hang_up_is_os_error() -> Iterator[None]:
-    """A terminal that hangs up amid a call raises an error of its own kind, which pyserial lets through."""
+    """A terminal that hangs up amid a call raises an error of its own kind, which pyserial lets
+    through.
+    """
     try:
         yield
     except _HANG_UPS as error:
@@ -261,9 +307,13 @@ class _SerialPort:
     def __init__(self, url: str, baud: int, who: str) -> None:
         try:
             with _hang_up_is_os_error():
-                self._serial = serial.serial_for_url(url, baudrate=baud, timeout=0, write_timeout=2.0, exclusive=True)
+                self._serial = serial.serial_for_url(
+                    url, baudrate=baud, timeout=0, write_timeout=2.0, exclusive=True
+                )
         except (serial.SerialException, ValueError, OSError) as error:
-            raise LinkError(who, f"the port can't be opened: {error}", hint=_port_hint(url, error)) from error
+            raise LinkError(
+                who, f"the port can't be opened: {error}", hint=_port_hint(url, error)
+            ) from error
 
     def read_some(self, timeout_s: float) -> bytes:
         self._serial.timeout = timeout_s
@@ -292,15 +342,22 @@ def _port_hint(url: str, error: Exception) -> str:
         return f"Another program has the port open: close it. On Linux 'fuser -v {url}' names it."
     if "permission" in text:
         group = _group(url)
-        return f"You may not use the port: it belongs to the group '{group}'. 'sudo usermod -aG {group} $USER', then log in again."
+        return (
+            f"You may not use the port: it belongs to the group '{group}'. 'sudo usermod -aG"
+            f" {group} $USER', then log in again."
+        )
     if "no such file" in text or "filenotfound" in text.replace(" ", ""):
         here = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
-        return f"Is the adapter plugged in, and the port's name right? Serial ports on this machine: {here}."
+        return (
+            "Is the adapter plugged in, and the port's name right? Serial ports on this machine:"
+            f" {here}."
+        )
     return "Check the port's name and that no other program uses it."
 
 
 def _group(url: str) -> str:
     try:
         return Path(url).group()
-    except (OSError, KeyError, NotImplementedError):  # no such file any more, a group without a name, or Windows
+    # no such file any more, a group without a name, or Windows
+    except (OSError, KeyError, NotImplementedError):
         return "dialout"

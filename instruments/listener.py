@@ -1,8 +1,10 @@
-"""The emulators' end of a link: listens on loopback TCP and hands bytes to a device that never waits.
+"""The emulators' end of a link: listens on loopback TCP and hands bytes to a device that never
+waits.
 
-One listener serves one device, on a port that the system chooses; ``pty_listener`` does the same on a pseudo-terminal.
-It may not know what the bytes mean. A device answers at once through its connection, or later through ``after``; it
-never sleeps, and it is never called by two threads at the same time: all emulators of a world share one lock.
+One listener serves one device, on a port that the system chooses; ``pty_listener`` does the same on
+a pseudo-terminal. It may not know what the bytes mean. A device answers at once through its
+connection, or later through ``after``; it never sleeps, and it is never called by two threads at
+the same time: all emulators of a world share one lock.
 """
 
 from __future__ import annotations
@@ -37,7 +39,15 @@ class Device(Protocol):
 class Connection:
     """One host's connection to a device: the device's way to answer."""
 
-    def __init__(self, port: Port, clock: Clock, lock: threading.RLock, *, wire: Wire | None = None, pacer: Pacer | None = None) -> None:
+    def __init__(
+        self,
+        port: Port,
+        clock: Clock,
+        lock: threading.RLock,
+        *,
+        wire: Wire | None = None,
+        pacer: Pacer | None = None,
+    ) -> None:
         self._port = port
         self._clock = clock
         self._lock = lock
@@ -62,7 +72,9 @@ class Connection:
             self._port.write(data)
 
     def after(self, seconds: float, action: Callable[[], None]) -> None:
-        """Run ``action`` once the clock has moved on by ``seconds``, unless the host has gone by then."""
+        """Run ``action`` once the clock has moved on by ``seconds``, unless the host has gone by
+        then.
+        """
 
         def run() -> None:
             with self._lock:
@@ -72,7 +84,9 @@ class Connection:
         self._clock.call_at(self._clock.now() + seconds, run)
 
     def busy_s(self) -> float:
-        """How long the line will take for what was sent already, as a transmitter's empty flag tells; 0 where it isn't paced."""
+        """How long the line will take for what was sent already, as a transmitter's empty flag
+        tells; 0 where it isn't paced.
+        """
         return self._pacer.busy_s() if self._pacer else 0.0
 
     def baud(self) -> int | None:
@@ -80,10 +94,13 @@ class Connection:
         return self._port.baud()
 
     def hang_up(self) -> None:
-        """Break the connection from the device's side: a pulled cable, a power cut. What was sent before arrives."""
+        """Break the connection from the device's side: a pulled cable, a power cut. What was sent
+        before arrives.
+        """
         self.open = False
         if self._wire:
-            self._wire.closed()  # at once, so that virtual time does not run on while the host waits
+            # at once, so that virtual time does not run on while the host waits
+            self._wire.closed()
         if self._pacer:
             self._pacer.hang_up()
         else:
@@ -96,7 +113,9 @@ class Connection:
             self._pacer.abort()
 
     def serve(self, device: Device) -> None:
-        """Hand ``device`` what comes, until the host goes or somebody hangs up: the work of a listener's thread."""
+        """Hand ``device`` what comes, until the host goes or somebody hangs up: the work of a
+        listener's thread.
+        """
         with self._lock:
             device.connect(self)
         if self._wire:
@@ -133,9 +152,9 @@ class Connection:
 class Listener:
     """Serves ``device`` until closed. ``url`` is what a driver opens.
 
-    With ``baud``, bytes come and go at 10 bits a byte of real time, as on a serial line; with ``latency_s``, the host
-    sees each byte so much later, as behind an adapter. Raises OSError when the address is taken, and ValueError for a
-    pace under virtual time.
+    With ``baud``, bytes come and go at 10 bits a byte of real time, as on a serial line; with
+    ``latency_s``, the host sees each byte so much later, as behind an adapter. Raises OSError when
+    the address is taken, and ValueError for a pace under virtual time.
     """
 
     def __init__(
@@ -167,7 +186,10 @@ class Listener:
     def close(self) -> None:
         """Stop listening, break all connections and wait for the threads to end."""
         self._closing = True
-        with contextlib.suppress(OSError), socket.create_connection(self._server.getsockname(), timeout=1.0):
+        with (
+            contextlib.suppress(OSError),
+            socket.create_connection(self._server.getsockname(), timeout=1.0),
+        ):
             pass  # wakes the accepting thread on every system
         self._server.close()
         with self._lock:
@@ -201,7 +223,13 @@ class Listener:
                 if self._closing:
                     return
                 port = _TcpPort(sock)
-                connection = Connection(port, self._clock, self._lock, wire=wire, pacer=pacer_for(port, self._clock, *self._pace))
+                connection = Connection(
+                    port,
+                    self._clock,
+                    self._lock,
+                    wire=wire,
+                    pacer=pacer_for(port, self._clock, *self._pace),
+                )
                 self._connections.add(connection)
             try:
                 connection.serve(self._device)

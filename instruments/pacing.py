@@ -1,10 +1,12 @@
-"""A serial line's speed and an adapter's latency, kept in real time for a device that knows of neither.
+"""A serial line's speed and an adapter's latency, kept in real time for a device that knows of
+neither.
 
-A pacer stands between a port and a connection. Each direction is a line that carries one byte after another, 10 bits
-each; what has to happen is scheduled by absolute times on those lines, so that a thread that wakes late delays one
-byte and never the rate. This is the one place where real time is waited for other than by a clock: on the thread of
-the listener that serves the port, whose host is another program. Virtual time has no use for it: listeners refuse both
-together. It may not know what the bytes mean.
+A pacer stands between a port and a connection. Each direction is a line that carries one byte after
+another, 10 bits each; what has to happen is scheduled by absolute times on those lines, so that a
+thread that wakes late delays one byte and never the rate. This is the one place where real time is
+waited for other than by a clock: on the thread of the listener that serves the port, whose host is
+another program. Virtual time has no use for it: listeners refuse both together. It may not know
+what the bytes mean.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from instruments.clock import Clock, VirtualClock
 
 BITS_PER_BYTE = 10  # start, eight, stop
 PIECE_S = 0.002  # bytes of so long are handed on together, when the last of them is through
-SPIN_S = 0.00008  # the system wakes a thread this late at times: the rest of a wait is looked at, not slept
+# the system wakes a thread this late at times: the rest of a wait is looked at, not slept
+SPIN_S = 0.00008
 
 
 class Port(Protocol):
@@ -42,7 +45,9 @@ class Port(Protocol):
         ...
 
     def read(self, count: int) -> bytes:
-        """At most ``count`` bytes, waiting for the first; empty, or OSError, when the host has gone or somebody hung up."""
+        """At most ``count`` bytes, waiting for the first; empty, or OSError, when the host has gone
+        or somebody hung up.
+        """
         ...
 
     def write(self, data: bytes) -> None:
@@ -66,28 +71,39 @@ def pacer_for(port: Port, clock: Clock, baud: int | None, latency_s: float) -> P
 def check_pace(clock: Clock, baud: int | None, latency_s: float) -> None:
     """Raise ValueError for a pace that no line has, and for one under virtual time."""
     if baud is not None and baud < 1:
-        raise ValueError(f"a line's rate is 1 baud at least, not {baud}; leave it out for one that is not paced")
+        raise ValueError(
+            f"a line's rate is 1 baud at least, not {baud}; leave it out for one that is not paced"
+        )
     if not 0.0 <= latency_s < math.inf:
         raise ValueError(f"an adapter's latency is 0 s or more, not {latency_s}")
     if isinstance(clock, VirtualClock) and (baud is not None or latency_s):
-        raise ValueError("a paced line keeps real time and can't be had under virtual time; take a RealClock, or no pace")
+        raise ValueError(
+            "a paced line keeps real time and can't be had under virtual time; take a RealClock, or"
+            " no pace"
+        )
 
 
 class Line:
-    """One direction: when bytes that follow one another are through. ``byte_s`` is 0 for a line without a pace."""
+    """One direction: when bytes that follow one another are through. ``byte_s`` is 0 for a line
+    without a pace.
+    """
 
     def __init__(self, byte_s: float) -> None:
         self.byte_s = byte_s
         self.free_s = -math.inf
 
     def carry(self, count: int, from_s: float) -> float:
-        """Put ``count`` bytes on the line at ``from_s``, behind what is on it; gives back when the last one is through."""
+        """Put ``count`` bytes on the line at ``from_s``, behind what is on it; gives back when the
+        last one is through.
+        """
         self.free_s = max(self.free_s, from_s) + count * self.byte_s
         return self.free_s
 
 
 class Pacer:
-    """Both directions of one host's cable, for as long as it is plugged in. ``run`` is the listener's thread."""
+    """Both directions of one host's cable, for as long as it is plugged in. ``run`` is the
+    listener's thread.
+    """
 
     def __init__(self, port: Port, clock: Clock, baud: int | None, latency_s: float) -> None:
         byte_s = BITS_PER_BYTE / baud if baud else 0.0
@@ -99,19 +115,25 @@ class Pacer:
         self._for_host: collections.deque[tuple[float, bytes]] = collections.deque()
         self._heard = b""  # on its way to the device
         self._heard_s = math.inf  # when the last byte of it is through
-        self._moment_s: float | None = None  # the line's time of the byte that the device is told of just now
+        # the line's time of the byte that the device is told of just now
+        self._moment_s: float | None = None
         self._hung_up = self._aborted = False
         self._thread = 0
-        self._wake_near, self._wake_far = socket.socketpair()  # not a pipe: Windows selects sockets only
+        # not a pipe: Windows selects sockets only
+        self._wake_near, self._wake_far = socket.socketpair()
         self._wake_far.setblocking(False)
 
     def send(self, data: bytes) -> None:
-        """Put bytes for the host on the line: an answer from where its question ended, anything else from now on."""
+        """Put bytes for the host on the line: an answer from where its question ended, anything
+        else from now on.
+        """
         answers = self._moment_s is not None and threading.get_ident() == self._thread
         start_s = self._moment_s if answers and self._moment_s is not None else self._clock.now()
         for at in range(0, len(data), self._piece):
             piece = data[at : at + self._piece]
-            self._for_host.append((self._to_host.carry(len(piece), start_s) + self._latency_s, piece))
+            self._for_host.append(
+                (self._to_host.carry(len(piece), start_s) + self._latency_s, piece)
+            )
         if not answers:
             self._wake()
 
@@ -130,14 +152,20 @@ class Pacer:
         self._wake()
 
     def run(self, receive: Callable[[bytes], None]) -> None:
-        """Serve until the host goes or somebody hangs up; ``receive`` is told of each byte once it is through."""
+        """Serve until the host goes or somebody hangs up; ``receive`` is told of each byte once it
+        is through.
+        """
         self._thread = threading.get_ident()
         try:
             if self._port.ready() and not self._hear(self._clock.now()):
                 return
             while True:
                 self._hand_over()
-                if self._aborted or (self._hung_up and not self._for_host) or not self._turn(receive):
+                if (
+                    self._aborted
+                    or (self._hung_up and not self._for_host)
+                    or not self._turn(receive)
+                ):
                     return
         finally:
             if self._hung_up:
@@ -146,14 +174,17 @@ class Pacer:
             self._wake_far.close()
 
     def _turn(self, receive: Callable[[bytes], None]) -> bool:
-        """Tell the device what is through, or wait for what is due next; False when the host has gone."""
+        """Tell the device what is through, or wait for what is due next; False when the host has
+        gone.
+        """
         if not self._heard:
             return not self._wait(listen=True) or self._hear(self._clock.now())
         if self._clock.now() < self._heard_s:
             self._wait(listen=False)
             return True
         self._tell(receive)
-        # What waits by now followed without a gap: it began when the last byte ended, not when this thread looked.
+        # What waits by now followed without a gap: it began when the last byte ended, not when this
+        # thread looked.
         return not self._port.ready() or self._hear(self._heard_s)
 
     def _hand_over(self) -> None:
@@ -185,8 +216,13 @@ class Pacer:
         self._moment_s = None
 
     def _wait(self, *, listen: bool) -> bool:
-        """Wait for what is due next, or for a wake; True when the host has sent something, where it is listened for."""
-        due_s = min(self._heard_s if self._heard else math.inf, self._for_host[0][0] if self._for_host else math.inf)
+        """Wait for what is due next, or for a wake; True when the host has sent something, where it
+        is listened for.
+        """
+        due_s = min(
+            self._heard_s if self._heard else math.inf,
+            self._for_host[0][0] if self._for_host else math.inf,
+        )
         sleep_s = None if due_s == math.inf else max(0.0, due_s - self._clock.now() - SPIN_S)
         wake, port = self._wake_near.fileno(), self._port.fileno()
         ready = select.select([wake, port] if listen else [wake], [], [], sleep_s)[0]
@@ -198,5 +234,6 @@ class Pacer:
         return port in ready
 
     def _wake(self) -> None:
-        with contextlib.suppress(OSError):  # full: a wake is on its way already; closed: nobody is asleep
+        # full: a wake is on its way already; closed: nobody is asleep
+        with contextlib.suppress(OSError):
             self._wake_far.send(b"w")

@@ -1,14 +1,18 @@
-"""Whether anybody has closed a device file since one last asked, even if it was opened again at once.
+"""Whether anybody has closed a device file since one last asked, even if it was opened again at
+once.
 
-Linux tells it through inotify, which Python has no module for; other systems don't, and there a file that is closed and
-opened within a moment passes for one that stayed open. It may not know what the file is for.
+Linux tells it through inotify, which Python has no module for; other systems don't, and there a
+file that is closed and opened within a moment passes for one that stayed open. It may not know what
+the file is for.
 
-The emulators' end of a serial port: a pseudo-terminal whose other end a driver opens as it opens an adapter's port.
+The emulators' end of a serial port: a pseudo-terminal whose other end a driver opens as it opens an
+adapter's port.
 
-Linux and macOS have them. A host that opens the terminal has plugged in, one that closes it has pulled its cable: the
-system tells of the second and not of the first, so that the listener's thread looks for a host every few milliseconds.
-When the device itself hangs up, the terminal goes and another one comes, as an adapter may come back under another
-name. It keeps real time only, and may not know what the bytes mean.
+Linux and macOS have them. A host that opens the terminal has plugged in, one that closes it has
+pulled its cable: the system tells of the second and not of the first, so that the listener's thread
+looks for a host every few milliseconds. When the device itself hangs up, the terminal goes and
+another one comes, as an adapter may come back under another name. It keeps real time only, and may
+not know what the bytes mean.
 """
 
 from __future__ import annotations
@@ -60,7 +64,9 @@ class Closings:
         return self._end
 
     def any(self) -> bool:
-        """Whether there was one since this was last asked. How many is not known: equal events are told once."""
+        """Whether there was one since this was last asked. How many is not known: equal events are
+        told once.
+        """
         some = False
         with contextlib.suppress(BlockingIOError):
             while os.read(self._end, 4096):
@@ -77,17 +83,28 @@ RATES = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 
 
 class PtyListener:
-    """Serves ``device`` on a pseudo-terminal until closed. ``url`` is its path, which pyserial opens.
+    """Serves ``device`` on a pseudo-terminal until closed. ``url`` is its path, which pyserial
+    opens.
 
-    ``baud`` and ``latency_s`` are as for a `Listener`. Raises OSError on a system without pseudo-terminals or with none
-    left, and ValueError under virtual time.
+    ``baud`` and ``latency_s`` are as for a `Listener`. Raises OSError on a system without
+    pseudo-terminals or with none left, and ValueError under virtual time.
     """
 
     def __init__(
-        self, device: Device, clock: Clock, *, lock: threading.RLock, name: str, baud: int | None = None, latency_s: float = 0.0
+        self,
+        device: Device,
+        clock: Clock,
+        *,
+        lock: threading.RLock,
+        name: str,
+        baud: int | None = None,
+        latency_s: float = 0.0,
     ) -> None:
         if isinstance(clock, VirtualClock):
-            raise ValueError(f"{name}: a pseudo-terminal keeps real time and can't be had under virtual time; take a Listener")
+            raise ValueError(
+                f"{name}: a pseudo-terminal keeps real time and can't be had under virtual time;"
+                " take a Listener"
+            )
         check_pace(clock, baud, latency_s)
         self.name = name
         self._device = device
@@ -121,7 +138,9 @@ class PtyListener:
             self._terminal.close()
 
     def _host_comes(self) -> bool:
-        """Wait until a host is there; seen twice, so that it has set its port up and flushed it before anything is said."""
+        """Wait until a host is there; seen twice, so that it has set its port up and flushed it
+        before anything is said.
+        """
         seen = 0
         while seen < 2:
             if self._closing.wait(LOOK_S):
@@ -134,20 +153,26 @@ class PtyListener:
         with self._lock:
             if self._closing.is_set():
                 return
-            self._connection = Connection(terminal, self._clock, self._lock, pacer=pacer_for(terminal, self._clock, *self._pace))
+            self._connection = Connection(
+                terminal,
+                self._clock,
+                self._lock,
+                pacer=pacer_for(terminal, self._clock, *self._pace),
+            )
         self._connection.serve(self._device)
         with self._lock:
             self._connection = None
         if terminal.hung_up and not self._closing.is_set():
-            self._terminal = _Terminal(self.name)  # before the host notices, so that it finds the new one
+            # before the host notices, so that it finds the new one
+            self._terminal = _Terminal(self.name)
             terminal.close()
 
 
 class _Terminal:
     """The near end of one pseudo-terminal, never blocking but in ``read``.
 
-    Where the system tells of it, a host that closes is noticed even if another opens at once; one that has a second program
-    open and close the terminal (``stty -F``) has replugged too.
+    Where the system tells of it, a host that closes is noticed even if another opens at once; one
+    that has a second program open and close the terminal (``stty -F``) has replugged too.
     """
 
     def __init__(self, name: str) -> None:
@@ -193,17 +218,23 @@ class _Terminal:
         except BlockingIOError:
             if self._closings and not self._closings.any():
                 raise
-            return b""  # there was something, and it wasn't bytes: a host closed, and one opened at once
+            # there was something, and it wasn't bytes: a host closed, and one opened at once
+            return b""
 
     def read(self, count: int) -> bytes:
         """As `Port.read`, and as ``take``."""
-        while self._early or self._wake_near not in select.select([self.fileno(), self._wake_near], [], [])[0]:
+        while (
+            self._early
+            or self._wake_near not in select.select([self.fileno(), self._wake_near], [], [])[0]
+        ):
             with contextlib.suppress(BlockingIOError):
                 return self.take(count)
         return b""
 
     def write(self, data: bytes) -> None:
-        """What a host leaves unread beyond the system's buffer is lost, as on a port without flow control."""
+        """What a host leaves unread beyond the system's buffer is lost, as on a port without flow
+        control.
+        """
         with contextlib.suppress(BlockingIOError):
             while data:
                 data = data[os.write(self._master, data) :]
@@ -219,7 +250,9 @@ class _Terminal:
         """The rate that the host has set; a terminal takes any."""
         import termios
 
-        codes = {code: rate for rate in RATES if (code := getattr(termios, f"B{rate}", None)) is not None}
+        codes = {
+            code: rate for rate in RATES if (code := getattr(termios, f"B{rate}", None)) is not None
+        }
         try:
             return codes.get(termios.tcgetattr(self._master)[5])
         except termios.error:
@@ -239,7 +272,10 @@ class _Terminal:
 def _open(name: str) -> tuple[int, str]:
     """The near end of a new pseudo-terminal, and the path of its far end, which nobody has open."""
     if not hasattr(os, "openpty"):
-        raise OSError(f"{name}: this system has no pseudo-terminals (Linux and macOS have them); let the emulator listen on TCP")
+        raise OSError(
+            f"{name}: this system has no pseudo-terminals (Linux and macOS have them); let the"
+            " emulator listen on TCP"
+        )
     master, slave = os.openpty()
     try:
         os.set_blocking(master, False)
@@ -253,7 +289,9 @@ def _open(name: str) -> tuple[int, str]:
 
 
 def _set_raw(end: int) -> None:
-    """Bytes as they are, no echo. Looked at first: macOS forgets it whenever a host closes, and a host's own choice stands."""
+    """Bytes as they are, no echo. Looked at first: macOS forgets it whenever a host closes, and a
+    host's own choice stands.
+    """
     import termios
     import tty
 

@@ -1,7 +1,7 @@
 """Somebody who listens in on a link: sees every byte as it is sent or received, and changes none.
 
-A driver that has its own transport (Modbus) tells its tap the same way as `link` does. What a tap does with the bytes,
-a capture file for one, is not known here.
+A driver that has its own transport (Modbus) tells its tap the same way as `link` does. What a tap
+does with the bytes, a capture file for one, is not known here.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ class Tap(Protocol):
         ...
 
     def closed(self, why: str = "") -> None:
-        """The host closed the link, or it broke: ``why`` says then what broke it. May be told once more."""
+        """The host closed the link, or it broke: ``why`` says then what broke it. May be told once
+        more.
+        """
         ...
 
 

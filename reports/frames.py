@@ -1,7 +1,9 @@
-"""Frames of a trial and what is drawn over them, as data: shapes at pixel coordinates, grouped in layers that can be switched off.
+"""Frames of a trial and what is drawn over them, as data: shapes at pixel coordinates, grouped in
+layers that can be switched off.
 
-Coordinates are those of the image file named by `src`: x to the right, y down, the first pixel's centre at (0, 0).
-May not know: what a teat, a truth or a detector is; a layer's tone only picks its colour and its switch.
+Coordinates are those of the image file named by `src`: x to the right, y down, the first pixel's
+centre at (0, 0). May not know: what a teat, a truth or a detector is; a layer's tone only picks its
+colour and its switch.
 """
 
 import math
@@ -12,7 +14,15 @@ from typing import ClassVar, Literal
 from reports.trust import PageError, address, one_of
 
 LayerTone = Literal["truth", "nomination", "region", "point", "model", "spread", "other"]
-LAYER_TONES: tuple[LayerTone, ...] = ("truth", "nomination", "region", "point", "model", "spread", "other")
+LAYER_TONES: tuple[LayerTone, ...] = (
+    "truth",
+    "nomination",
+    "region",
+    "point",
+    "model",
+    "spread",
+    "other",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +38,9 @@ class Circle:
 
 @dataclass(frozen=True, slots=True)
 class Ellipse:
-    """Half axes `major_px` and `minor_px`; the first is turned by `turn_deg` from the x axis towards y."""
+    """Half axes `major_px` and `minor_px`; the first is turned by `turn_deg` from the x axis
+    towards y.
+    """
 
     kind: ClassVar[str] = "ellipse"
     x_px: float
@@ -53,7 +65,9 @@ class Cross:
 
 @dataclass(frozen=True, slots=True)
 class Rect:
-    """A rectangle by its top left corner and its size. A region of pixels x to x + n - 1 starts at x - 0.5 and is n wide."""
+    """A rectangle by its top left corner and its size. A region of pixels x to x + n - 1 starts at
+    x - 0.5 and is n wide.
+    """
 
     kind: ClassVar[str] = "rect"
     x_px: float
@@ -88,7 +102,9 @@ Shape = Circle | Ellipse | Cross | Rect | Polyline | Label
 
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """One layer: `tone` picks colour and switch, `name` stands in the legend and is the same in every frame of the page."""
+    """One layer: `tone` picks colour and switch, `name` stands in the legend and is the same in
+    every frame of the page.
+    """
 
     tone: LayerTone
     name: str
@@ -98,15 +114,19 @@ class Overlay:
         one_of(self.tone, LAYER_TONES, f"overlay {self.name!r}")
         for shape in self.shapes:
             if not all(math.isfinite(number) for number in _numbers(shape)):
-                raise PageError(f"overlay {self.name!r}: {shape} has a coordinate that is not finite; leave the shape out")
+                raise PageError(
+                    f"overlay {self.name!r}: {shape} has a coordinate that is not finite; leave the"
+                    " shape out"
+                )
 
 
 @dataclass(frozen=True, slots=True)
 class ImageView:
-    """An image file beside the page, or the part of it that `view_box` (x, y, width, height in whole pixels) cuts out.
+    """An image file beside the page, or the part of it that `view_box` (x, y, width, height in
+    whole pixels) cuts out.
 
-    `src`, and `original` (what a click on the picture opens; `src` where empty), are paths relative to the page's folder. `width`, `height`
-    are the pixels of the image that the overlays count in.
+    `src`, and `original` (what a click on the picture opens; `src` where empty), are paths relative
+    to the page's folder. `width`, `height` are the pixels of the image that the overlays count in.
     """
 
     label: str
@@ -122,13 +142,25 @@ class ImageView:
         what = f"image {self.label!r}"
         for path in (self.src, self.original or self.src):
             if path.startswith("#"):
-                raise PageError(f"{what}: {path!r} is no file; give a path relative to the page's folder")
+                raise PageError(
+                    f"{what}: {path!r} is no file; give a path relative to the page's folder"
+                )
             address(path, what)
         if self.width <= 0 or self.height <= 0:
             raise PageError(f"{what}: {self.width} x {self.height} pixels; both must be above 0")
         x, y, width, height = self.shown
-        if width <= 0 or height <= 0 or x < 0 or y < 0 or x + width > self.width or y + height > self.height:
-            raise PageError(f"{what}: view_box {self.view_box} leaves the image of {self.width} x {self.height} pixels")
+        if (
+            width <= 0
+            or height <= 0
+            or x < 0
+            or y < 0
+            or x + width > self.width
+            or y + height > self.height
+        ):
+            raise PageError(
+                f"{what}: view_box {self.view_box} leaves the image of {self.width} x {self.height}"
+                " pixels"
+            )
 
     @property
     def shown(self) -> tuple[int, int, int, int]:
@@ -137,13 +169,18 @@ class ImageView:
 
 
 def layers(images: Iterable[ImageView]) -> dict[LayerTone, str]:
-    """Tone and name of every layer, in the order of LAYER_TONES. Raises PageError where one tone goes by two names."""
+    """Tone and name of every layer, in the order of LAYER_TONES. Raises PageError where one tone
+    goes by two names.
+    """
     names: dict[LayerTone, str] = {}
     for image in images:
         for overlay in image.overlays:
             known = names.setdefault(overlay.tone, overlay.name)
             if known != overlay.name:
-                raise PageError(f"image {image.label!r}: layer {overlay.tone!r} is called {overlay.name!r} here and {known!r} elsewhere")
+                raise PageError(
+                    f"image {image.label!r}: layer {overlay.tone!r} is called {overlay.name!r} here"
+                    f" and {known!r} elsewhere"
+                )
     return {tone: names[tone] for tone in LAYER_TONES if tone in names}
 
 

@@ -1,7 +1,9 @@
-"""A page described as data: what it says. How it looks is in `templates/`, how the two meet in `render.py`.
+"""A page described as data: what it says. How it looks is in `templates/`, how the two meet in
+`render.py`.
 
-Strategy: frozen values that check themselves when made, so that a page that exists can be rendered. All text is plain text; numbers
-arrive as text with their units, already rounded by whoever knows their meaning. May not know: bench, instruments, detectors.
+Strategy: frozen values that check themselves when made, so that a page that exists can be rendered.
+All text is plain text; numbers arrive as text with their units, already rounded by whoever knows
+their meaning. May not know: bench, instruments, detectors.
 """
 
 from collections import Counter
@@ -9,7 +11,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from reports.frames import LAYER_TONES, Circle, Cross, Ellipse, ImageView, Label, LayerTone, Overlay, Polyline, Rect, Shape, layers
+from reports.frames import (
+    LAYER_TONES,
+    Circle,
+    Cross,
+    Ellipse,
+    ImageView,
+    Label,
+    LayerTone,
+    Overlay,
+    Polyline,
+    Rect,
+    Shape,
+    layers,
+)
 from reports.parts import (
     TONES,
     VERDICTS,
@@ -73,14 +88,26 @@ KINDS: dict[Kind, str] = {
     "recorded": "RECORDED FRAMES",
 }
 RESERVED_IDS = (  # what the template itself uses
-    *("top", "main", "verdict", "top-verdict", "contents", "trials", "layers", "keys", "keys-title"),
+    *(
+        "top",
+        "main",
+        "verdict",
+        "top-verdict",
+        "contents",
+        "trials",
+        "layers",
+        "keys",
+        "keys-title",
+    ),
     *(f"layer-{tone}" for tone in LAYER_TONES),
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Banner:
-    """The first screen: what was tested, whether it passed, why, how sure that is, and what to do next. Each a sentence or two."""
+    """The first screen: what was tested, whether it passed, why, how sure that is, and what to do
+    next. Each a sentence or two.
+    """
 
     kind: Kind
     verdict: Verdict
@@ -113,7 +140,9 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class TrialPart:
-    """One trial's part of the page, at the anchor `id` (`trial-007`): data, not a verdict. Neighbours are linked in the page's order."""
+    """One trial's part of the page, at the anchor `id` (`trial-007`): data, not a verdict.
+    Neighbours are linked in the page's order.
+    """
 
     id: str
     heading: str
@@ -132,10 +161,11 @@ class TrialPart:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A whole report; `worst` names the trials to look at first, by their ids: they come first where not all find room.
+    """A whole report; `worst` names the trials to look at first, by their ids: they come first
+    where not all find room.
 
-    `alarm` stays at the top of each file, however far one scrolls.
-    Raises PageError where two parts share an id, a link leads nowhere, or the banner claims more than its rows.
+    `alarm` stays at the top of each file, however far one scrolls. Raises PageError where two parts
+    share an id, a link leads nowhere, or the banner claims more than its rows.
     """
 
     title: str
@@ -155,19 +185,30 @@ class Page:
         ids = [*RESERVED_IDS, *(section.id for section in self.sections), *trials, *drawn]
         twice = sorted(name for name, times in Counter(ids).items() if times > 1)
         if twice:
-            raise PageError(f"page {self.title!r}: the ids {twice} stand for two things; give each part, and each figure's name, its own")
+            raise PageError(
+                f"page {self.title!r}: the ids {twice} stand for two things; give each part, and"
+                " each figure's name, its own"
+            )
         strangers = sorted(set(self.worst) - {trial.id for trial in self.trials})
         if strangers:
             raise PageError(f"page {self.title!r}: {strangers} in 'worst' are no trials of it")
         for link in self._links():
             if link.startswith("#") and link[1:] not in ids:
-                raise PageError(f"page {self.title!r}: the link {link!r} leads nowhere; no section or trial has that id")
+                raise PageError(
+                    f"page {self.title!r}: the link {link!r} leads nowhere; no section or trial has"
+                    " that id"
+                )
         failed = [row.name for row in self._requirements() if row.verdict in {"not met", "aborted"}]
         if self.banner.verdict == "met" and failed:
-            raise PageError(f"page {self.title!r}: the banner says 'met', but {failed} is not; it must not claim more than the rows")
+            raise PageError(
+                f"page {self.title!r}: the banner says 'met', but {failed} is not; it must not"
+                " claim more than the rows"
+            )
 
     def first_looks(self) -> tuple[TrialPart, ...]:
-        """The trials that the first screen sends the reader to: the worst three, unless the run has to be gone on with first."""
+        """The trials that the first screen sends the reader to: the worst three, unless the run has
+        to be gone on with first.
+        """
         if self.banner.verdict == "aborted":
             return ()
         by_id = {trial.id: trial for trial in self.trials}
@@ -188,11 +229,19 @@ class Page:
         return (part for part in self._parts() if isinstance(part, Figure))
 
     def _requirements(self) -> Iterator[Requirement]:
-        return (row for part in self._parts() if isinstance(part, Requirements) for row in part.rows)
+        return (
+            row for part in self._parts() if isinstance(part, Requirements) for row in part.rows
+        )
 
     def _links(self) -> Iterator[str]:
-        tables = [part for part in self._parts() if isinstance(part, Table)] + [table for trial in self.trials for table in trial.tables]
-        lists = [part.entries for part in self._parts() if isinstance(part, KeyValues)] + [trial.summary for trial in self.trials]
-        cells = [cell for table in tables for row in table.rows for cell in row] + [value for entries in lists for _, value in entries]
+        tables = [part for part in self._parts() if isinstance(part, Table)] + [
+            table for trial in self.trials for table in trial.tables
+        ]
+        lists = [part.entries for part in self._parts() if isinstance(part, KeyValues)] + [
+            trial.summary for trial in self.trials
+        ]
+        cells = [cell for table in tables for row in table.rows for cell in row] + [
+            value for entries in lists for _, value in entries
+        ]
         yield from (cell.href for cell in cells if isinstance(cell, Cell) and cell.href)
         yield from (link for figure in self._figures() for link in figure.facts.links)

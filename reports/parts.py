@@ -1,7 +1,8 @@
 """The parts that a page is made of: requirement rows, tables, figures, lists, text.
 
-Strategy: frozen values that check themselves when made. All text is plain text; numbers arrive as text with their units, already
-rounded by whoever knows their meaning. May not know: bench, instruments, detectors.
+Strategy: frozen values that check themselves when made. All text is plain text; numbers arrive as
+text with their units, already rounded by whoever knows their meaning. May not know: bench,
+instruments, detectors.
 """
 
 from dataclasses import dataclass, field
@@ -9,7 +10,9 @@ from typing import ClassVar, Literal, get_args
 
 from reports.trust import PageError, SvgFacts, address, one_of, svg_facts
 
-Verdict = Literal["met", "not met", "inconclusive", "not measured", "aborted", "no verdict", "not worse", "worse"]
+Verdict = Literal[
+    "met", "not met", "inconclusive", "not measured", "aborted", "no verdict", "not worse", "worse"
+]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 Tone = Literal["plain", "good", "bad", "warn", "info", "muted"]
 TONES: tuple[Tone, ...] = ("plain", "good", "bad", "warn", "info", "muted")
@@ -19,7 +22,9 @@ NARROW_BELOW = 500.0  # units of a drawing's viewBox: points
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """One row of the verdict: `rule` says how it is decided, `n` on how many values or poses, `margin` what is left to the limit."""
+    """One row of the verdict: `rule` says how it is decided, `n` on how many values or poses,
+    `margin` what is left to the limit.
+    """
 
     name: str
     rule: str
@@ -33,7 +38,10 @@ class Requirement:
     def __post_init__(self) -> None:
         one_of(self.verdict, VERDICTS, f"requirement {self.name!r}, verdict")
         if self.n <= 0 and self.verdict in {"met", "not met"}:
-            raise PageError(f"requirement {self.name!r}: {self.verdict!r} on {self.n} values; a verdict on nothing is 'not measured'")
+            raise PageError(
+                f"requirement {self.name!r}: {self.verdict!r} on {self.n} values; a verdict on"
+                " nothing is 'not measured'"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +56,9 @@ class Requirements:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A text with more to it: a tone, a link (`#id` or a relative path), a value to sort by, fixed-width letters for hashes."""
+    """A text with more to it: a tone, a link (`#id` or a relative path), a value to sort by,
+    fixed-width letters for hashes.
+    """
 
     text: str
     tone: Tone = "plain"
@@ -77,7 +87,9 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of cells. `searchable` adds a filter box and sorting; rows whose first link is a trial's then hide that trial with them."""
+    """Rows of cells. `searchable` adds a filter box and sorting; rows whose first link is a trial's
+    then hide that trial with them.
+    """
 
     kind: ClassVar[str] = "table"
     caption: str
@@ -89,12 +101,17 @@ class Table:
     def __post_init__(self) -> None:
         for number, row in enumerate(self.rows, start=1):
             if len(row) != len(self.columns):
-                raise PageError(f"table {self.caption!r}, row {number}: {len(row)} cells for {len(self.columns)} columns")
+                raise PageError(
+                    f"table {self.caption!r}, row {number}: {len(row)} cells for"
+                    f" {len(self.columns)} columns"
+                )
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A drawing of `reports.figures`, with a caption and the words that stand for it where it can't be seen. `wide` fills the page."""
+    """A drawing of `reports.figures`, with a caption and the words that stand for it where it can't
+    be seen. `wide` fills the page.
+    """
 
     kind: ClassVar[str] = "figure"
     svg: str
@@ -108,7 +125,9 @@ class Figure:
 
     @property
     def narrow(self) -> bool:
-        """Drawn for half a page: over the whole of it its letters would be larger than the text's."""
+        """Drawn for half a page: over the whole of it its letters
+        would be larger than the text's.
+        """
         return self.facts.width < NARROW_BELOW
 
 

@@ -1,8 +1,11 @@
-"""A page printed to PDF by a browser of this machine, where one is installed. The page's own print style sheet says how it looks.
+"""A page printed to PDF by a browser of this machine, where one is installed. The page's own print
+style sheet says how it looks.
 
-Strategy: the browser runs once, without a window, with a profile of its own that is thrown away, and is given a time to end in; what it
-says goes to a file, so that a process it leaves behind can't hold us up. Of its PDF only what tells of this machine is changed, in place
-and without a byte more or less: the browser's name for itself gives way to our name, and paths in links to paths from the PDF's folder.
+Strategy: the browser runs once, without a window, with a profile of its own that is thrown away,
+and is given a time to end in; what it says goes to a file, so that a process it leaves behind can't
+hold us up. Of its PDF only what tells of this machine is changed, in place and without a byte more
+or less: the browser's name for itself gives way to our name, and paths in links to paths from the
+PDF's folder.
 """
 
 import os
@@ -16,16 +19,35 @@ from urllib.parse import quote, unquote, urlsplit
 
 from reports.trust import PageError
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge", "microsoft-edge")
+NAMES = (
+    "chromium",
+    "chromium-browser",
+    "google-chrome",
+    "google-chrome-stable",
+    "chrome",
+    "msedge",
+    "microsoft-edge",
+)
 PLACES = (  # where they stand on Windows and macOS without being on the path
-    *("Google/Chrome/Application/chrome.exe", "Microsoft/Edge/Application/msedge.exe", "Chromium/Application/chrome.exe"),
+    *(
+        "Google/Chrome/Application/chrome.exe",
+        "Microsoft/Edge/Application/msedge.exe",
+        "Chromium/Application/chrome.exe",
+    ),
     *("Google Chrome.app/Contents/MacOS/Google Chrome", "Chromium.app/Contents/MacOS/Chromium"),
 )
 ROOTS = ("ProgramFiles", "ProgramFiles(x86)", "LOCALAPPDATA")
-BROWSER = "TEATBENCH_BROWSER"  # of the environment: the browser's path; empty where none is to be used
+# of the environment: the browser's path; empty where none is to be used
+BROWSER = "TEATBENCH_BROWSER"
 TIME_LIMIT_S = 120.0
 SWITCHES = (
-    *("--headless", "--disable-gpu", "--no-first-run", "--disable-extensions", "--disable-background-networking"),
+    *(
+        "--headless",
+        "--disable-gpu",
+        "--no-first-run",
+        "--disable-extensions",
+        "--disable-background-networking",
+    ),
     *("--no-pdf-header-footer", "--generate-pdf-document-outline"),
 )
 _TEXT = rb"\(((?:[^()\\]|\\.)*)\)"  # a string of a PDF, ISO 32000-1, 7.3.4.2
@@ -34,24 +56,37 @@ _LINK = re.compile(rb"/URI \((file://(?:[^()\\]|\\.)*)\)")
 _OURS = b"/Author (teatbench)/Creator (teatbench)"
 
 
-def find_browser(names: Sequence[str] = NAMES, environment: Mapping[str, str] = os.environ) -> str | None:
-    """The path of a Chromium, Chrome or Edge, or what TEATBENCH_BROWSER names; None where there is none."""
+def find_browser(
+    names: Sequence[str] = NAMES, environment: Mapping[str, str] = os.environ
+) -> str | None:
+    """The path of a Chromium, Chrome or Edge, or what TEATBENCH_BROWSER names; None where there is
+    none.
+    """
     if BROWSER in environment:
         return shutil.which(environment[BROWSER]) if environment[BROWSER] else None
     on_path = next((path for path in map(shutil.which, names) if path), None)
-    roots = [Path(environment[name]) for name in ROOTS if name in environment] + [Path("/Applications")]
-    return on_path or next((str(root / place) for root in roots for place in PLACES if (root / place).is_file()), None)
+    roots = [Path(environment[name]) for name in ROOTS if name in environment] + [
+        Path("/Applications")
+    ]
+    return on_path or next(
+        (str(root / place) for root in roots for place in PLACES if (root / place).is_file()), None
+    )
 
 
 def print_pdf(page: Path, target: Path, browser: str, time_limit_s: float = TIME_LIMIT_S) -> Path:
-    """Prints the HTML file `page` to `target`. Raises PageError with the browser's own words where it made none."""
+    """Prints the HTML file `page` to `target`. Raises PageError with the browser's own words where
+    it made none.
+    """
     draft = target.with_name(target.name + ".part")
     draft.unlink(missing_ok=True)
     try:
         code, said = _printed(browser, page, draft, time_limit_s)
         made = draft.read_bytes() if draft.is_file() else b""
         if not made.startswith(b"%PDF-"):
-            raise PageError(f"{target}: {browser} ended with code {code} and printed nothing: {said or 'no word of it'}")
+            raise PageError(
+                f"{target}: {browser} ended with code {code} and printed nothing:"
+                f" {said or 'no word of it'}"
+            )
         draft.write_bytes(travelling(made, target.resolve().parent))
         draft.replace(target)
     except (OSError, subprocess.TimeoutExpired) as error:
@@ -68,8 +103,14 @@ def _printed(browser: str, page: Path, draft: Path, time_limit_s: float) -> tupl
         if hasattr(os, "geteuid") and os.geteuid() == 0:
             command.append("--no-sandbox")  # Chromium refuses its sandbox to root, as in containers
         words = Path(profile) / "words.txt"
-        code = _run([*command, f"--print-to-pdf={draft.resolve()}", page.resolve().as_uri()], words, time_limit_s)
-        return code, " ".join(words.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-3:])
+        code = _run(
+            [*command, f"--print-to-pdf={draft.resolve()}", page.resolve().as_uri()],
+            words,
+            time_limit_s,
+        )
+        return code, " ".join(
+            words.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-3:]
+        )
 
 
 def _run(command: Sequence[str], words: Path, time_limit_s: float) -> int:
@@ -83,15 +124,20 @@ def _run(command: Sequence[str], words: Path, time_limit_s: float) -> int:
 
 
 def travelling(pdf: bytes, folder: Path) -> bytes:
-    """`pdf` signed by us and without this machine's paths in its links: they become paths from `folder`.
+    """`pdf` signed by us and without this machine's paths in its links: they become paths from
+    `folder`.
 
-    Every part stays as long as it was, since a PDF's table of contents counts bytes (ISO 32000-1, 7.5.4).
+    Every part stays as long as it was, since a PDF's table of contents counts bytes (ISO 32000-1,
+    7.5.4).
     """
 
     def link(found: re.Match[bytes]) -> bytes:
         path = Path(_local_path(found[1]))
         relative = os.path.relpath(path, folder) if folder.anchor == path.anchor else path.name
-        return _as_long(found[0], b"/URI (" + quote(Path(relative).as_posix(), safe="/-._~").encode("ascii") + b")")
+        return _as_long(
+            found[0],
+            b"/URI (" + quote(Path(relative).as_posix(), safe="/-._~").encode("ascii") + b")",
+        )
 
     return _LINK.sub(link, _CREATOR.sub(lambda found: _as_long(found[0], _OURS), pdf))
 

@@ -1,9 +1,10 @@
 """From a `Page` to HTML files that open from disk with no network.
 
-Strategy: Jinja2 escapes every text; the only texts let through are our own style sheet and script, the drawings that `page.Figure` has
-checked, and numbers. Each file carries a content security policy that allows exactly its style sheet and its script, by their hash, and
-images. Few trials stand in the page itself; many get a file each, so that the page stays small, and the list of trials leads to them
-without a script too. Same page, same bytes: no time, no chance, no machine in it.
+Strategy: Jinja2 escapes every text; the only texts let through are our own style sheet and script,
+the drawings that `page.Figure` has checked, and numbers. Each file carries a content security
+policy that allows exactly its style sheet and its script, by their hash, and images. Few trials
+stand in the page itself; many get a file each, so that the page stays small, and the list of trials
+leads to them without a script too. Same page, same bytes: no time, no chance, no machine in it.
 """
 
 import base64
@@ -27,17 +28,26 @@ IN_PAGE = 40  # trials: more get a file each
 TRIALS = "trials"  # their folder
 _TEMPLATES = Path(__file__).parent / "templates"
 _SIGNS: dict[Verdict, str] = {
-    "met": "✓", "not met": "✕", "inconclusive": "?", "not measured": "–", "aborted": "!", "no verdict": "○",
-    "not worse": "✓", "worse": "✕",
-}  # fmt: skip
+    "met": "✓",
+    "not met": "✕",
+    "inconclusive": "?",
+    "not measured": "–",
+    "aborted": "!",
+    "no verdict": "○",
+    "not worse": "✓",
+    "worse": "✕",
+}
 
-View = tuple[int, int, int, int, int, int]  # size of an image, and the part of it that is shown: all that a view's style rule needs
+# size of an image, and the part of it that is shown: all that a view's style rule needs
+View = tuple[int, int, int, int, int, int]
 _Row = tuple[str | Cell, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a file stands and what it holds: the trials in it, whether the others have files, images by their data (`src` to data URI)."""
+    """Where a file stands and what it holds: the trials in it, whether the others have files,
+    images by their data (`src` to data URI).
+    """
 
     trials: tuple[TrialPart, ...]
     files: bool = True
@@ -54,7 +64,11 @@ class Place:
 
     def original(self, image: ImageView) -> str:
         """What a click on an image opens; nothing where the file travels alone."""
-        return self.base + address(image.original or image.src, "image") if self.embedded is None else ""
+        return (
+            self.base + address(image.original or image.src, "image")
+            if self.embedded is None
+            else ""
+        )
 
 
 class Press:
@@ -63,7 +77,10 @@ class Press:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._trials = {trial.id for trial in page.trials}
-        self._style, self._script = _assets("style.css", "frames.css", "print.css"), _assets("frames.js", "script.js")
+        self._style, self._script = (
+            _assets("style.css", "frames.css", "print.css"),
+            _assets("frames.js", "script.js"),
+        )
         self._environment = Environment(
             loader=FileSystemLoader(_TEMPLATES, encoding="utf-8"),
             autoescape=True,
@@ -72,7 +89,9 @@ class Press:
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        self._environment.filters.update(drawing=_drawing, number=_number, url=_url, slug=lambda word: word.replace(" ", "-"))
+        self._environment.filters.update(
+            drawing=_drawing, number=_number, url=_url, slug=lambda word: word.replace(" ", "-")
+        )
 
     def page(self, place: Place) -> str:
         """The page's own file."""
@@ -82,15 +101,30 @@ class Press:
         return self._fill("page.html.j2", place, away=away)
 
     def trial(self, number: int) -> str:
-        """The file of the trial at `number`, from 0, in the page's order; it stands in the folder `trials`."""
+        """The file of the trial at `number`, from 0, in the page's order; it stands in the folder
+        `trials`.
+        """
         trials = self._page.trials
-        before, after = trials[number - 1] if number else None, trials[number + 1] if number + 1 < len(trials) else None
+        before, after = (
+            trials[number - 1] if number else None,
+            (trials[number + 1] if number + 1 < len(trials) else None),
+        )
         place = Place((trials[number],), base="../")
-        return self._fill("trial.html.j2", place, away=self._trials - place.ids, trial=trials[number], before=before, after=after)
+        return self._fill(
+            "trial.html.j2",
+            place,
+            away=self._trials - place.ids,
+            trial=trials[number],
+            before=before,
+            after=after,
+        )
 
     def _fill(self, template: str, place: Place, **values: Any) -> str:
         shown = [image for trial in place.trials for image in trial.images]
-        views = {view: f"v{number}" for number, view in enumerate(dict.fromkeys(_view(image) for image in shown))}
+        views = {
+            view: f"v{number}"
+            for number, view in enumerate(dict.fromkeys(_view(image) for image in shown))
+        }
         named: set[str] = set()
         style = self._style + "".join(_view_rule(name, view) for view, name in views.items())
         return self._environment.get_template(template).render(
@@ -118,7 +152,9 @@ class Press:
 
     @staticmethod
     def _row_id(row: _Row, away: set[str]) -> str:
-        """The id of a trial that stands in a file of its own, where this is its row in the list: points of figures lead here."""
+        """The id of a trial that stands in a file of its own, where this is its row in the list:
+        points of figures lead here.
+        """
         first = row[0] if row else ""
         return first.href[1:] if isinstance(first, Cell) and first.href[1:] in away else ""
 
@@ -131,11 +167,19 @@ class Press:
         return address(href, "link")
 
     def _all_listed(self, away: set[str]) -> None:
-        tables = [part for section in self._page.sections for part in section.parts if isinstance(part, Table) and part.searchable]
+        tables = [
+            part
+            for section in self._page.sections
+            for part in section.parts
+            if isinstance(part, Table) and part.searchable
+        ]
         listed = {self._row_id(row, away) for table in tables for row in table.rows}
         lost = sorted(away - listed)
         if lost:
-            raise PageError(f"page {self._page.title!r}: no searchable table begins a row with a link to {lost[:5]}; list every trial")
+            raise PageError(
+                f"page {self._page.title!r}: no searchable table begins a row with a link to"
+                f" {lost[:5]}; list every trial"
+            )
 
 
 def render(page: Page) -> str:
@@ -144,10 +188,11 @@ def render(page: Page) -> str:
 
 
 def write_report(page: Page, folder: Path) -> Path:
-    """Writes `folder/index.html`, whole or not at all, and returns its path; many trials get files in `folder/trials` before.
+    """Writes `folder/index.html`, whole or not at all, and returns its path; many trials get files
+    in `folder/trials` before.
 
-    The images must already stand where their `src` says. Raises PageError that lists the images which are not there; OSError where the
-    folder can't be written.
+    The images must already stand where their `src` says. Raises PageError that lists the images
+    which are not there; OSError where the folder can't be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     refuse_missing(page.images(), folder)
@@ -156,7 +201,9 @@ def write_report(page: Page, folder: Path) -> Path:
     if len(place.trials) < len(page.trials):
         (folder / TRIALS).mkdir(exist_ok=True)
         for number, trial in enumerate(page.trials):
-            (folder / TRIALS / f"{trial.id}.html").write_text(press.trial(number), encoding="utf-8", newline="\n")
+            (folder / TRIALS / f"{trial.id}.html").write_text(
+                press.trial(number), encoding="utf-8", newline="\n"
+            )
     return write_whole(folder / "index.html", press.page(place))
 
 
@@ -173,11 +220,18 @@ def write_whole(target: Path, html: str) -> Path:
 
 def refuse_missing(images: Iterable[ImageView], folder: Path) -> None:
     """Raises PageError that lists the images which are not in `folder`."""
-    wanted = dict.fromkeys(path for image in images for path in (image.src, image.original or image.src))
+    wanted = dict.fromkeys(
+        path for image in images for path in (image.src, image.original or image.src)
+    )
     missing: Sequence[str] = [path for path in wanted if not (folder / path).is_file()]
     if missing:
-        shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
-        raise PageError(f"report in {folder}: {len(missing)} images are not there: {shown}; write the images before the page")
+        shown = ", ".join(missing[:5]) + (
+            f" and {len(missing) - 5} more" if len(missing) > 5 else ""
+        )
+        raise PageError(
+            f"report in {folder}: {len(missing)} images are not there: {shown}; write the images"
+            " before the page"
+        )
 
 
 def _own(page: Page) -> Place:
@@ -185,7 +239,9 @@ def _own(page: Page) -> Place:
 
 
 def _lone(parts: Sequence[Part]) -> set[int]:
-    """Figures of half a page that have no neighbour in their row, by their places in `parts`: they get the row."""
+    """Figures of half a page that have no neighbour in their row, by their places in `parts`: they
+    get the row.
+    """
     found: set[int] = set()
     left: int | None = None  # a figure in the left half, whose right half is free
     for at, part in enumerate(parts):
@@ -210,10 +266,17 @@ def _assets(*names: str) -> str:
 
 def _policy(style: str, script: str) -> str:
     def digest(text: str) -> str:
-        return "'sha256-" + base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii") + "'"
+        return (
+            "'sha256-"
+            + base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
+            + "'"
+        )
 
     ours = f"style-src {digest(style)}; script-src {digest(script)}"
-    return f"default-src 'none'; img-src 'self' data: file:; {ours}; base-uri 'none'; form-action 'none'"
+    return (
+        f"default-src 'none'; img-src 'self' data: file:; {ours}; base-uri 'none'; form-action"
+        " 'none'"
+    )
 
 
 def _printable(value: Any) -> Any:
@@ -238,10 +301,14 @@ def _view(image: ImageView) -> View:
 
 
 def _view_rule(name: str, view: View) -> str:
-    """The style rule that shows one part of an image: `style` attributes are closed to us by the page's policy."""
+    """The style rule that shows one part of an image: `style` attributes are closed to us by the
+    page's policy.
+    """
     full_width, full_height, x, y, width, height = view
-    place = f"left:{-100 * x / width:.4f}%;top:{-100 * y / height:.4f}%;width:{100 * full_width / width:.4f}%"
+    left, top, wide = -100 * x / width, -100 * y / height, 100 * full_width / width
+    place = f"left:{left:.4f}%;top:{top:.4f}%;width:{wide:.4f}%"
     return (
-        f".{name}{{aspect-ratio:{width}/{height}}}.{name} img{{{place}}}"
-        f".whole .{name}{{aspect-ratio:{full_width}/{full_height}}}.whole .{name} img{{left:0;top:0;width:100%}}\n"
+        f".{name}{{aspect-ratio:{width}/{height}}}.{name} img{{{place}}}.whole"
+        f" .{name}{{aspect-ratio:{full_width}/{full_height}}}.whole .{name}"
+        " img{left:0;top:0;width:100%}\n"
     )

@@ -1,7 +1,9 @@
-"""The one filter for text that others wrote (files, detectors, the wire), at each place where it leaves: terminal, HTML, SVG, XML, CSV.
+"""The one filter for text that others wrote (files, detectors, the wire), at each place where it
+leaves: terminal, HTML, SVG, XML, CSV.
 
-Neither an escape sequence nor a bidirectional override gets through, so that nothing but the program itself moves the cursor, changes
-colours or turns the order of a line. What is replaced leaves U+FFFD. The record keeps what was written.
+Neither an escape sequence nor a bidirectional override gets through, so that nothing but the
+program itself moves the cursor, changes colours or turns the order of a line. What is replaced
+leaves U+FFFD. The record keeps what was written.
 """
 
 from __future__ import annotations
@@ -13,14 +15,17 @@ from collections.abc import Iterable, Sequence
 from typing import TextIO, cast
 
 REPLACED = "\N{REPLACEMENT CHARACTER}"
-# Controls but tab and line end (C0, DEL, C1), Unicode's Bidi_Control and line separators, invisible operators and tags, surrogates, and
-# what is no character (Unicode 15, section 23; XML 1.0, 2.2).
+# Controls but tab and line end (C0, DEL, C1), Unicode's Bidi_Control and line separators, invisible
+# operators and tags, surrogates, and what is no character (Unicode 15, section 23; XML 1.0, 2.2).
 _UNSAFE = re.compile(
     r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
     r"\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff\U000e0000-\U000e007f]|\r(?!\n)"
 )
-_FORMULA = tuple("=+-@\t\r\n\uff1d\uff0b\uff0d\uff20")  # what a spreadsheet takes for the beginning of one (OWASP, CSV Injection)
-_OWN = ("\r", "\b \b")  # the program's own, to write over a line and to rub out a letter: as a whole write, never within one
+# what a spreadsheet takes for the beginning of one (OWASP, CSV Injection)
+_FORMULA = tuple("=+-@\t\r\n\uff1d\uff0b\uff0d\uff20")
+# the program's own, to write over a line and to rub out a letter: as a whole write, never within
+# one
+_OWN = ("\r", "\b \b")
 
 
 def sanitized(text: str) -> str:
@@ -29,7 +34,9 @@ def sanitized(text: str) -> str:
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:
-    """Rows as CSV. A text that a spreadsheet would take for a formula gets an apostrophe before it; numbers stay as they are."""
+    """Rows as CSV. A text that a spreadsheet would take for a formula gets an apostrophe before it;
+    numbers stay as they are.
+    """
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([_cell(value) for value in row] for row in rows)
     return text.getvalue()
@@ -51,7 +58,9 @@ def _is_number(text: str) -> bool:
 
 
 class SanitizedStream:
-    """``stream``, on which all text is sanitized; ``stream`` itself is for what makes control sequences of its own."""
+    """``stream``, on which all text is sanitized; ``stream`` itself is for what makes control
+    sequences of its own.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self.stream = stream
@@ -72,7 +81,11 @@ class SanitizedStream:
 
 def sanitizing(stream: TextIO) -> TextIO:
     """``stream`` as a SanitizedStream. A program without a console has None for it."""
-    return stream if stream is None or isinstance(stream, SanitizedStream) else cast(TextIO, SanitizedStream(stream))
+    return (
+        stream
+        if stream is None or isinstance(stream, SanitizedStream)
+        else cast(TextIO, SanitizedStream(stream))
+    )
 
 
 def unfiltered(stream: TextIO) -> TextIO:

@@ -1,7 +1,9 @@
-"""What may enter a page as an id, as an address, or as ready-made SVG; everything else is text and is escaped.
+"""What may enter a page as an id, as an address, or as ready-made SVG; everything else is text and
+is escaped.
 
-Strategy: allow-lists. An address is a fragment of the page or a relative path; no scheme can be written in either. SVG passes only
-when every element and attribute is one that a plot needs. Knows nothing of pages.
+Strategy: allow-lists. An address is a fragment of the page or a relative path; no scheme can be
+written in either. SVG passes only when every element and attribute is one that a plot needs. Knows
+nothing of pages.
 """
 
 import re
@@ -14,24 +16,83 @@ _SLUG = re.compile(r"[a-z][a-z0-9-]{0,79}")
 _UNSAFE_IN_PATH = re.compile(r"[\x00-\x1f\x7f-\x9f:\\]")
 _VIEW_BOX = re.compile(r"\S+ \S+ (\d+(?:\.\d+)?) \d\S*")
 _LOCAL_REFERENCE = re.compile(r"#[A-Za-z0-9._-]+")
-_SVG_ELEMENTS = frozenset({"svg", "g", "defs", "path", "use", "text", "tspan", "rect", "circle", "line", "clippath", "a", "title"})
+_SVG_ELEMENTS = frozenset(
+    {
+        "svg",
+        "g",
+        "defs",
+        "path",
+        "use",
+        "text",
+        "tspan",
+        "rect",
+        "circle",
+        "line",
+        "clippath",
+        "a",
+        "title",
+    }
+)
 _SVG_ATTRIBUTES = frozenset(
     {
-        "class", "clip-path", "clip-rule", "cx", "cy", "d", "dx", "dy", "fill", "fill-opacity", "fill-rule", "font-size", "font-style",
-        "font-weight", "height", "href", "id", "opacity", "r", "rx", "ry", "stroke", "stroke-dasharray", "stroke-dashoffset",
-        "stroke-linecap", "stroke-linejoin", "stroke-miterlimit", "stroke-opacity", "stroke-width", "tabindex", "text-anchor", "transform",
-        "version", "viewbox", "width", "x", "x1", "x2", "xml:space", "xmlns", "y", "y1", "y2",
+        "class",
+        "clip-path",
+        "clip-rule",
+        "cx",
+        "cy",
+        "d",
+        "dx",
+        "dy",
+        "fill",
+        "fill-opacity",
+        "fill-rule",
+        "font-size",
+        "font-style",
+        "font-weight",
+        "height",
+        "href",
+        "id",
+        "opacity",
+        "r",
+        "rx",
+        "ry",
+        "stroke",
+        "stroke-dasharray",
+        "stroke-dashoffset",
+        "stroke-linecap",
+        "stroke-linejoin",
+        "stroke-miterlimit",
+        "stroke-opacity",
+        "stroke-width",
+        "tabindex",
+        "text-anchor",
+        "transform",
+        "version",
+        "viewbox",
+        "width",
+        "x",
+        "x1",
+        "x2",
+        "xml:space",
+        "xmlns",
+        "y",
+        "y1",
+        "y2",
     }
-)  # fmt: skip
+)
 
 
 class PageError(ValueError):
-    """A page can't be written as described: the message names the part, the value, and what is allowed."""
+    """A page can't be written as described: the message names the part, the value, and what is
+    allowed.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class SvgFacts:
-    """What a page needs to know of a drawing: the ids it defines, the fragments it links to, how wide it was drawn (0: it doesn't say)."""
+    """What a page needs to know of a drawing: the ids it defines, the fragments it links to, how
+    wide it was drawn (0: it doesn't say).
+    """
 
     ids: tuple[str, ...]
     links: tuple[str, ...]
@@ -39,21 +100,31 @@ class SvgFacts:
 
 
 def checked_slug(value: str, what: str) -> str:
-    """`value`, when it can be an id and an anchor: lower case letters, digits and hyphens, a letter first. Raises PageError."""
+    """`value`, when it can be an id and an anchor: lower case letters, digits and hyphens, a letter
+    first. Raises PageError.
+    """
     if not _SLUG.fullmatch(value):
-        raise PageError(f"{what}: {value!r} can't be an id; use lower case letters, digits and hyphens, a letter first, at most 80")
+        raise PageError(
+            f"{what}: {value!r} can't be an id; use lower case letters, digits and hyphens, a"
+            " letter first, at most 80"
+        )
     return value
 
 
 def address(value: str, what: str) -> str:
-    """The URL text of `value`, which is `#id` or the relative path of a file beside the page. Raises PageError.
+    """The URL text of `value`, which is `#id` or the relative path of a file beside the page.
+    Raises PageError.
 
-    A path is a plain file path with forward slashes, not yet percent-encoded; `..` may lead out of the page's folder.
+    A path is a plain file path with forward slashes, not yet percent-encoded; `..` may lead out of
+    the page's folder.
     """
     if value.startswith("#"):
         return "#" + checked_slug(value[1:], what)
     if not value or value.startswith("/") or _UNSAFE_IN_PATH.search(value):
-        raise PageError(f"{what}: {value!r} is no address in this page; use '#id' or a relative path with forward slashes and no ':'")
+        raise PageError(
+            f"{what}: {value!r} is no address in this page; use '#id' or a relative path with"
+            " forward slashes and no ':'"
+        )
     return quote(value, safe="/-._~()", errors="replace")
 
 
@@ -66,9 +137,14 @@ def one_of(value: str, allowed: Iterable[str], what: str) -> str:
 
 
 def svg_facts(svg: str, what: str) -> SvgFacts:
-    """The ids and links of one `<svg>` element. Raises PageError for anything that a plot has no use for."""
+    """The ids and links of one `<svg>` element. Raises PageError for anything that a plot has no
+    use for.
+    """
     if not svg.startswith("<svg"):
-        raise PageError(f"{what}: the drawing must start with '<svg', not {svg[:30]!r}; take it from reports.figures")
+        raise PageError(
+            f"{what}: the drawing must start with '<svg', not {svg[:30]!r}; take it from"
+            " reports.figures"
+        )
     reader = _SvgReader(what)
     reader.feed(svg)
     reader.close()
@@ -78,7 +154,9 @@ def svg_facts(svg: str, what: str) -> SvgFacts:
 
 
 class _SvgReader(HTMLParser):
-    """Walks one drawing with the rules of HTML, as the browser will, and refuses what is not on the lists."""
+    """Walks one drawing with the rules of HTML, as the browser will, and refuses what is not on the
+    lists.
+    """
 
     def __init__(self, what: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -95,7 +173,9 @@ class _SvgReader(HTMLParser):
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         if self.finished or tag not in _SVG_ELEMENTS or (tag == "svg") != (not self.open_elements):
-            raise PageError(f"{self.what}: the drawing may not hold <{tag}> here; take it from reports.figures")
+            raise PageError(
+                f"{self.what}: the drawing may not hold <{tag}> here; take it from reports.figures"
+            )
         for name, value in attrs:
             self._read_attribute(tag, name, value or "")
 
@@ -103,7 +183,10 @@ class _SvgReader(HTMLParser):
         refers = name == "href" or "url(" in value
         target = value.removeprefix("url(").removesuffix(")")
         if name not in _SVG_ATTRIBUTES or (refers and not _LOCAL_REFERENCE.fullmatch(target)):
-            raise PageError(f"{self.what}: the drawing may not hold {name}={value[:60]!r} in <{tag}>; take it from reports.figures")
+            raise PageError(
+                f"{self.what}: the drawing may not hold {name}={value[:60]!r} in <{tag}>; take it"
+                " from reports.figures"
+            )
         if name == "id":
             self.ids.append(value)
         if name == "viewbox" and (size := _VIEW_BOX.fullmatch(value)):
@@ -117,11 +200,18 @@ class _SvgReader(HTMLParser):
         self.finished = not self.open_elements
 
     def handle_data(self, data: str) -> None:
-        if data.strip() and (not self.open_elements or self.open_elements[-1] not in {"text", "tspan", "title"}):
-            raise PageError(f"{self.what}: the drawing holds the text {data.strip()[:40]!r} outside a text element")
+        if data.strip() and (
+            not self.open_elements or self.open_elements[-1] not in {"text", "tspan", "title"}
+        ):
+            raise PageError(
+                f"{self.what}: the drawing holds the text {data.strip()[:40]!r} outside a text"
+                " element"
+            )
 
     def _refuse(self, what: str) -> None:
-        raise PageError(f"{self.what}: the drawing may not hold {what}; take it from reports.figures")
+        raise PageError(
+            f"{self.what}: the drawing may not hold {what}; take it from reports.figures"
+        )
 
     def handle_comment(self, data: str) -> None:
         self._refuse(f"the comment {data[:40]!r}")

@@ -1,4 +1,6 @@
-"""axe-core, as the package axe-playwright-python carries it, run in a page that is open. Nothing is fetched."""
+"""axe-core, as the package axe-playwright-python carries it, run in a page that is open. Nothing is
+fetched.
+"""
 
 from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
 from playwright.sync_api import Page

@@ -1,7 +1,9 @@
-"""Opens pages from disk in the machine's own Chromium, offline, and notes what they ask for and complain about.
+"""Opens pages from disk in the machine's own Chromium, offline, and notes what they ask for and
+complain about.
 
-Strategy: plain functions over Playwright, so that any test can use them: `with browser_page() as seen: seen.open(path)`. A machine without
-a browser skips, saying so. Nothing here knows what a report says.
+Strategy: plain functions over Playwright, so that any test can use them: `with browser_page() as
+seen: seen.open(path)`. A machine without a browser skips, saying so. Nothing here knows what a
+report says.
 """
 
 import os
@@ -13,7 +15,14 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
-from playwright.sync_api import Browser, ConsoleMessage, Page, Request, ViewportSize, sync_playwright
+from playwright.sync_api import (
+    Browser,
+    ConsoleMessage,
+    Page,
+    Request,
+    ViewportSize,
+    sync_playwright,
+)
 
 Scheme = Literal["light", "dark"]
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -34,7 +43,8 @@ class Seen:
 
     page: Page
     requests: list[str] = field(default_factory=list)
-    complaints: list[str] = field(default_factory=list)  # console errors and warnings, exceptions, requests that failed
+    # console errors and warnings, exceptions, requests that failed
+    complaints: list[str] = field(default_factory=list)
 
     def open(self, path: Path, fragment: str = "") -> Page:
         """Opens the file, at `#fragment` where one is given, and waits until it has loaded."""
@@ -43,10 +53,16 @@ class Seen:
 
     def network_requests(self) -> list[str]:
         """Everything that was asked for beyond this disk and the page itself."""
-        return [url for url in self.requests if not url.startswith(("file:", "data:", "blob:", "about:"))]
+        return [
+            url
+            for url in self.requests
+            if not url.startswith(("file:", "data:", "blob:", "about:"))
+        ]
 
     def image_widths(self) -> dict[str, int]:
-        """Width in pixels of every image as decoded, by its address; 0 where it could not be. Lazy images are fetched first."""
+        """Width in pixels of every image as decoded, by its address; 0 where it could not be. Lazy
+        images are fetched first.
+        """
         script = """async () => {
             const images = [...document.images];
             images.forEach((image) => { image.loading = 'eager'; });
@@ -57,12 +73,19 @@ class Seen:
 
 
 def chromium() -> str:
-    """The path of the machine's Chromium or Chrome; skips the test where there is none, or fails it where CI promised one."""
+    """The path of the machine's Chromium or Chrome; skips the test where there is none, or fails it
+    where CI promised one.
+    """
     found = next((path for path in map(shutil.which, NAMES) if path), None)
     if found is None and os.environ.get("TEATBENCH_NEED_BROWSER"):
-        pytest.fail("no browser is installed, and TEATBENCH_NEED_BROWSER says that there has to be one")
+        pytest.fail(
+            "no browser is installed, and TEATBENCH_NEED_BROWSER says that there has to be one"
+        )
     if found is None:
-        pytest.skip(f"needs a browser ({', '.join(NAMES)}): none is installed; on Debian: apt-get install chromium")
+        pytest.skip(
+            f"needs a browser ({', '.join(NAMES)}): none is installed; on Debian: apt-get install"
+            " chromium"
+        )
     return found
 
 
@@ -79,10 +102,18 @@ def launched() -> Iterator[Browser]:
 
 
 @contextmanager
-def window(browser: Browser, width: int = 1440, height: int = 900, scheme: Scheme = "light", javascript: bool = True) -> Iterator[Seen]:
+def window(
+    browser: Browser,
+    width: int = 1440,
+    height: int = 900,
+    scheme: Scheme = "light",
+    javascript: bool = True,
+) -> Iterator[Seen]:
     """A fresh, offline window of the given size and colour scheme in a browser that runs."""
     size = ViewportSize(width=width, height=height)
-    context = browser.new_context(viewport=size, color_scheme=scheme, offline=True, java_script_enabled=javascript)
+    context = browser.new_context(
+        viewport=size, color_scheme=scheme, offline=True, java_script_enabled=javascript
+    )
     try:
         seen = Seen(context.new_page())
         _listen(seen)
@@ -92,7 +123,9 @@ def window(browser: Browser, width: int = 1440, height: int = 900, scheme: Schem
 
 
 @contextmanager
-def browser_page(width: int = 1440, height: int = 900, scheme: Scheme = "light", javascript: bool = True) -> Iterator[Seen]:
+def browser_page(
+    width: int = 1440, height: int = 900, scheme: Scheme = "light", javascript: bool = True
+) -> Iterator[Seen]:
     """Both in one: a window in a browser of its own."""
     with launched() as browser, window(browser, width, height, scheme, javascript) as seen:
         yield seen

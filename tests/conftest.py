@@ -1,4 +1,6 @@
-"""For all tests: what leaks a thread fails the test that leaked it; runs on the emulated rig are shared where they may be."""
+"""For all tests: what leaks a thread fails the test that leaked it; runs on the emulated rig are
+shared where they may be.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,16 @@ MOST_MIB = 1024.0
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """A CI that starts in the background (`&`, `nohup`) ignores signals, and its children too: tests that send them need them heard."""
-    fixed = settings().derandomize and config.getoption("hypothesis_seed") is None  # hypothesis: the same examples in a CI
-    settings.register_profile("teatbench", deadline=None, derandomize=fixed)  # how fast the machine is says nothing of the code
+    """A CI that starts in the background (`&`, `nohup`) ignores signals, and its children too:
+    tests that send them need them heard.
+    """
+    # hypothesis: the same examples in a CI
+    fixed = settings().derandomize and config.getoption("hypothesis_seed") is None
+    # how fast the machine is says nothing of the code
+    settings.register_profile("teatbench", deadline=None, derandomize=fixed)
     settings.load_profile("teatbench")
-    os.environ.setdefault("TEATBENCH_BROWSER", "")  # 'teatbench report' prints a PDF where a browser is: only where that is what is tested
+    # 'teatbench report' prints a PDF where a browser is: only where that is what is tested
+    os.environ.setdefault("TEATBENCH_BROWSER", "")
     for name, default in (("SIGINT", signal.default_int_handler), ("SIGHUP", signal.SIG_DFL)):
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is signal.SIG_IGN:
@@ -35,9 +42,18 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """What tests have measured and want to be seen: times from a death of the bench to the bath's standby."""
-    reports = [report for kind in ("passed", "failed") for report in terminalreporter.stats.get(kind, ())]
-    told = [(name, value) for report in reports for name, value in report.user_properties if name.startswith("s to standby")]
+    """What tests have measured and want to be seen: times from a death of the bench to the bath's
+    standby.
+    """
+    reports = [
+        report for kind in ("passed", "failed") for report in terminalreporter.stats.get(kind, ())
+    ]
+    told = [
+        (name, value)
+        for report in reports
+        for name, value in report.user_properties
+        if name.startswith("s to standby")
+    ]
     if told:
         terminalreporter.section("seconds to standby")
         for name, value in told:
@@ -56,7 +72,9 @@ def no_leaked_threads() -> Iterator[None]:
 
 @pytest.fixture(scope="module", autouse=True)
 def caches_end_with_their_module() -> Iterator[None]:
-    """What tests draw once and keep (`functools.cache`) is some 100 MB a renderer: a worker would hold that of every module."""
+    """What tests draw once and keep (`functools.cache`) is some 100 MB a renderer: a worker would
+    hold that of every module.
+    """
     yield
     for name, module in list(sys.modules.items()):
         if name.startswith("tests."):
@@ -67,11 +85,15 @@ def caches_end_with_their_module() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def bounded_memory() -> Iterator[None]:
-    """A worker that has grown beyond `MOST_MIB` fails the test after which it was so: 1 GiB a worker runs on small machines."""
+    """A worker that has grown beyond `MOST_MIB` fails the test after which it was so: 1 GiB a
+    worker runs on small machines.
+    """
     yield
     status = Path("/proc/self/statm")
     if status.exists():  # resident pages, on Linux only
-        mib = int(status.read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+        mib = (
+            int(status.read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+        )
         assert mib < MOST_MIB, f"this worker holds {mib:.0f} MiB"
 
 

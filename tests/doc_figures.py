@@ -1,4 +1,5 @@
-"""The tables of measured figures in README and docs, each from a CSV file of docs/figures: one place that renders them.
+"""The tables of measured figures in README and docs, each from a CSV file of docs/figures: one
+place that renders them.
 
 python -m tests.doc_figures                         write the pages' tables from the CSV files
 python -m tests.doc_figures families SET RUN        write the rows of SET in families.csv from a run of `teatbench score`
@@ -40,21 +41,41 @@ def write(name: str, rows: Sequence[Row]) -> None:
 
 def families(of: str, detector: str) -> dict[str, Row]:
     """What a detector did on a set of frames, by situation."""
-    return {row["situation"]: row for row in read("families.csv") if (row["set"], row["detector"]) == (of, detector)}
+    return {
+        row["situation"]: row
+        for row in read("families.csv")
+        if (row["set"], row["detector"]) == (of, detector)
+    }
 
 
 def _families() -> Iterator[Sequence[str]]:
     thesis = families(OWN, "thesis")
     for name, row in families(OWN, "fused").items():
         other = thesis[name]
-        errors = (", ".join(one[key] for key in ("mean_mm", "p95_mm", "max_mm")) for one in (row, other))
-        yield name, f"{row['found']} of {row['visible']}", row["false"], next(errors), other["found"], other["false"], next(errors)
+        errors = (
+            ", ".join(one[key] for key in ("mean_mm", "p95_mm", "max_mm")) for one in (row, other)
+        )
+        yield (
+            name,
+            f"{row['found']} of {row['visible']}",
+            row["false"],
+            next(errors),
+            other["found"],
+            other["false"],
+            next(errors),
+        )
 
 
 def _missed() -> Iterator[Sequence[str]]:
     for row in read("missed.csv"):
         other = f"{row['other']}: {row['what']}" if row["what"] else row["other"]
-        yield row["situation"], *(cell if cell != "0" else "" for cell in (row["no_fit"], row["end_not_seen"], row["side_not_seen"], other))
+        yield (
+            row["situation"],
+            *(
+                cell if cell != "0" else ""
+                for cell in (row["no_fit"], row["end_not_seen"], row["side_not_seen"], other)
+            ),
+        )
 
 
 def _covariances() -> Iterator[Sequence[str]]:
@@ -65,23 +86,44 @@ def _covariances() -> Iterator[Sequence[str]]:
 def _coverage() -> Iterator[Sequence[str]]:
     for row in read("coverage.csv"):
         covers, green = (f"{100 * float(row[key]):.1f} %" for key in ("covers", "green"))
-        yield row["changes"], f"{round(float(row['mean_mm']), 2) + 0.0:.2f}", row["poses"], covers, f"{float(row['width_mm']):.2f}", green
+        yield (
+            row["changes"],
+            f"{round(float(row['mean_mm']), 2) + 0.0:.2f}",
+            row["poses"],
+            covers,
+            f"{float(row['width_mm']):.2f}",
+            green,
+        )
 
 
 # page, the table's first line, its rows
 TABLES: tuple[tuple[str, str, Callable[[], Iterator[Sequence[str]]]], ...] = (
     (
         "README.md",
-        "| situation | fused found | false | mean, p95, max (mm) | thesis found | false | mean, p95, max (mm) |",
+        (
+            "| situation | fused found | false | mean, p95, max (mm) | thesis found | false | mean,"
+            " p95, max (mm) |"
+        ),
         _families,
     ),
     (
         "docs/detectors.md",
-        "| situation | no fit near it (2) | end not seen | side not seen, or one side and too little else (3) | other |",
+        (
+            "| situation | no fit near it (2) | end not seen | side not seen, or one side and too"
+            " little else (3) | other |"
+        ),
         _missed,
     ),
-    ("docs/detectors.md", "| situation | ours | over 11.3 | version 1 | path-traced | version 1 |", _covariances),
-    ("docs/scoring.md", "| changes | mean (mm) | poses | covers | median width (mm) | green |", _coverage),
+    (
+        "docs/detectors.md",
+        "| situation | ours | over 11.3 | version 1 | path-traced | version 1 |",
+        _covariances,
+    ),
+    (
+        "docs/scoring.md",
+        "| changes | mean (mm) | poses | covers | median width (mm) | green |",
+        _coverage,
+    ),
 )
 
 
@@ -101,16 +143,24 @@ def main(arguments: Sequence[str]) -> None:
     """What the module's docstring says."""
     if arguments[:1] == ["families"]:
         of, run = arguments[1], Path(arguments[2])
-        write("families.csv", [*(row for row in read("families.csv") if row["set"] != of), *family_rows(of, run)])
+        write(
+            "families.csv",
+            [*(row for row in read("families.csv") if row["set"] != of), *family_rows(of, run)],
+        )
     elif arguments[:1] == ["coverage"]:
         runs = int(arguments[1])
-        write("coverage.csv", [_coverage_row(name, n, runs) for name in DRAWS for n in (8, 20, 60, 150)])
+        write(
+            "coverage.csv",
+            [_coverage_row(name, n, runs) for name in DRAWS for n in (8, 20, 60, 150)],
+        )
     for path, head, rows in TABLES:
         text = (ROOT / path).read_text(encoding="utf-8")
         table = standing(text, head)
         if not table:
             raise SystemExit(f"{path}: no table begins with {head!r}")
-        (ROOT / path).write_text(text.replace(table, rendered(head, rows())), encoding="utf-8", newline="\n")
+        (ROOT / path).write_text(
+            text.replace(table, rendered(head, rows())), encoding="utf-8", newline="\n"
+        )
 
 
 def family_rows(of: str, folder: Path) -> Iterator[dict[str, str]]:
@@ -120,19 +170,32 @@ def family_rows(of: str, folder: Path) -> Iterator[dict[str, str]]:
         for situation in (*situations(run), None):
             pool = scored(run, detector, situation)
             radial, counts = pool.summary().radial, pool.counts
-            errors = ("" if value is None else f"{value:.2f}" for value in (radial.mean_mm, radial.p95_mm, radial.max_mm))
+            errors = (
+                "" if value is None else f"{value:.2f}"
+                for value in (radial.mean_mm, radial.p95_mm, radial.max_mm)
+            )
             yield {
-                "set": of, "detector": detector, "situation": situation or ALL, "visible": str(counts.visible),
-                "found": str(counts.matched), "false": str(counts.false), **dict(zip(("mean_mm", "p95_mm", "max_mm"), errors, strict=True)),
-            }  # fmt: skip
+                "set": of,
+                "detector": detector,
+                "situation": situation or ALL,
+                "visible": str(counts.visible),
+                "found": str(counts.matched),
+                "false": str(counts.false),
+                **dict(zip(("mean_mm", "p95_mm", "max_mm"), errors, strict=True)),
+            }
 
 
 def _coverage_row(changes: str, poses: int, runs: int) -> dict[str, str]:
     mean, covers, width, green = coverage(changes, poses, runs)
     return {
-        "changes": changes, "poses": str(poses), "runs": str(runs), "mean_mm": f"{mean:.4f}", "covers": f"{covers:.5f}",
-        "width_mm": f"{width:.4f}", "green": f"{green:.5f}",
-    }  # fmt: skip
+        "changes": changes,
+        "poses": str(poses),
+        "runs": str(runs),
+        "mean_mm": f"{mean:.4f}",
+        "covers": f"{covers:.5f}",
+        "width_mm": f"{width:.4f}",
+        "green": f"{green:.5f}",
+    }
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""The six situations of the shipped script as scenes, warm: what the tests of renderer and cameras look at."""
+"""The six situations of the shipped script as scenes, warm: what the tests of renderer and cameras
+look at.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,14 @@ from bench.script.trial_table import Trial
 from instruments.world.objects import make_object
 from instruments.world.state import SceneState
 
-SITUATIONS: dict[str, Trial] = {trial.situation: trial for trial in read_config(TRIALS / "six-situations.toml", Script).trials}
+SITUATIONS: dict[str, Trial] = {
+    trial.situation: trial for trial in read_config(TRIALS / "six-situations.toml", Script).trials
+}
 
 
-def situation(name: str, *, teat_c: float = 32.5, hose_c: float = 31.5, ambient_c: float = 21.0) -> SceneState:
+def situation(
+    name: str, *, teat_c: float = 32.5, hose_c: float = 31.5, ambient_c: float = 21.0
+) -> SceneState:
     """A situation as the cameras would see it, the phantom warm."""
     trial = SITUATIONS[name]
     phantom = shipped_phantom(trial.layout)

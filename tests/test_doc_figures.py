@@ -1,4 +1,6 @@
-"""Measured figures in README and docs are those of the committed CSV files; `tests.doc_figures` says how either is made again."""
+"""Measured figures in README and docs are those of the committed CSV files; `tests.doc_figures`
+says how either is made again.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,16 @@ from bench.report.sensitivity import PAGE, POINTS, numbers_page
 from bench.report.tables import ALL
 from bench.results.sensitivity import QUANTITIES
 from tests.conftest import ROOT
-from tests.doc_figures import OWN, PATH_TRACED, TABLES, families, family_rows, read, rendered, standing
+from tests.doc_figures import (
+    OWN,
+    PATH_TRACED,
+    TABLES,
+    families,
+    family_rows,
+    read,
+    rendered,
+    standing,
+)
 
 SENSITIVITY = "../sensitivity/"
 
@@ -24,8 +35,12 @@ def page(path: str) -> str:
 
 
 @pytest.mark.parametrize(("path", "head", "rows"), TABLES)
-def test_a_table_is_that_of_its_csv_file(path: str, head: str, rows: Callable[[], Iterator[Sequence[str]]]) -> None:
-    """Where it isn't: correct docs/figures/*.csv, then `python -m tests.doc_figures` writes the page."""
+def test_a_table_is_that_of_its_csv_file(
+    path: str, head: str, rows: Callable[[], Iterator[Sequence[str]]]
+) -> None:
+    """Where it isn't: correct docs/figures/*.csv, then `python -m tests.doc_figures` writes the
+    page.
+    """
     assert standing((ROOT / path).read_text(encoding="utf-8"), head) == rendered(head, rows())
 
 
@@ -44,23 +59,37 @@ def test_families_add_up(detector: str) -> None:
 def test_what_was_missed_is_what_the_families_lack() -> None:
     rows = families(OWN, "fused")
     missed = {
-        row["situation"]: sum(int(row[key]) for key in ("no_fit", "end_not_seen", "side_not_seen", "other")) for row in read("missed.csv")
+        row["situation"]: sum(
+            int(row[key]) for key in ("no_fit", "end_not_seen", "side_not_seen", "other")
+        )
+        for row in read("missed.csv")
     }
-    assert missed == {name: by for name, row in rows.items() if name != ALL and (by := int(row["visible"]) - int(row["found"]))}
+    assert missed == {
+        name: by
+        for name, row in rows.items()
+        if name != ALL and (by := int(row["visible"]) - int(row["found"]))
+    }
     total, told = rows[ALL], page("docs/detectors.md")
     assert f"Missed, {int(total['visible']) - int(total['found'])}, by what" in told
     assert f"Off by more than 4 mm, of those {total['found']} " in told
 
 
 def test_the_ends_that_are_far_off_are_the_largest_of_their_families() -> None:
-    table = standing((ROOT / "docs/detectors.md").read_text(encoding="utf-8"), "| situation | frame | what | cause |")
+    table = standing(
+        (ROOT / "docs/detectors.md").read_text(encoding="utf-8"),
+        "| situation | frame | what | cause |",
+    )
     worst: dict[str, float] = {}
     for line in table.splitlines()[2:]:
         name, _, what, _ = (cell.strip() for cell in line.strip("|").split("|"))
         errors = [float(number) for number in re.findall(r"\d+\.\d+(?=(?:, \d+\.\d+)* mm)", what)]
         worst[name] = max([worst.get(name, 0.0), *errors])
-    largest = {name: float(row["max_mm"]) for name, row in families(OWN, "fused").items() if name != ALL}
-    assert worst == {name: pytest.approx(most, abs=0.051) for name, most in largest.items() if most > 4.0}
+    largest = {
+        name: float(row["max_mm"]) for name, row in families(OWN, "fused").items() if name != ALL
+    }
+    assert worst == {
+        name: pytest.approx(most, abs=0.051) for name, most in largest.items() if most > 4.0
+    }
 
 
 def test_sentences_on_the_path_traced_frames() -> None:
@@ -68,10 +97,14 @@ def test_sentences_on_the_path_traced_frames() -> None:
     assert ours["false"] == "0"
     found = f"{ours['found']} of {ours['visible']}"
     assert (
-        f"fused finds {found} visible ends, nothing false, {ours['mean_mm']} mm off in the mean and {ours['max_mm']} mm at most; "
-        f"the thesis's detector {thesis['found']}, with {thesis['false']} false."
-    ) in page("README.md")
-    told = f"{found}, nothing false, {ours['mean_mm']} in the mean, p95 {ours['p95_mm']}, {ours['max_mm']} at most"
+        f"fused finds {found} visible ends, nothing false, {ours['mean_mm']} mm off in the mean and"
+        f" {ours['max_mm']} mm at most; the thesis's detector {thesis['found']}, with"
+        f" {thesis['false']} false." in page("README.md")
+    )
+    told = (
+        f"{found}, nothing false, {ours['mean_mm']} in the mean, p95 {ours['p95_mm']},"
+        f" {ours['max_mm']} at most"
+    )
     assert told in page("docs/detectors.md")
 
 
@@ -81,30 +114,50 @@ def test_the_sentence_on_covariances() -> None:
 
 
 def test_sensitivity_as_measured_is_that_of_its_points() -> None:
-    """Where it isn't, `teatbench scene sensitivity` with the command of docs/sensitivity.md writes both."""
+    """Where it isn't, `teatbench scene sensitivity` with the command of docs/sensitivity.md writes
+    both.
+    """
     text = (ROOT / "docs" / "sensitivity" / PAGE).read_text(encoding="utf-8")
-    assert text == numbers_page(list(QUANTITIES.values()), read(SENSITIVITY + POINTS), text.split("\n\n")[1])
+    assert text == numbers_page(
+        list(QUANTITIES.values()), read(SENSITIVITY + POINTS), text.split("\n\n")[1]
+    )
 
 
 def test_sentences_on_sensitivity() -> None:
     rows, told = read(SENSITIVITY + POINTS), page("docs/sensitivity.md")
-    medians = [float(row["median_mm"]) for row in rows if row["detector"] == "thesis" and row["median_mm"]]
+    medians = [
+        float(row["median_mm"]) for row in rows if row["detector"] == "thesis" and row["median_mm"]
+    ]
     assert f"`thesis` is {min(medians):.0f} to {max(medians):.0f} mm off in the median" in told
     fused = [row for row in rows if row["detector"] == "fused"]
-    noise = {float(row["value"]): float(row["median_mm"]) for row in fused if row["quantity"] == "pixel-noise"}
+    noise = {
+        float(row["value"]): float(row["median_mm"])
+        for row in fused
+        if row["quantity"] == "pixel-noise"
+    }
     assert "flat until noise passes some four grey levels" in told
-    flat, risen = (max(by for at, by in noise.items() if at <= 4), min(by for at, by in noise.items() if at > 4))
+    flat, risen = (
+        max(by for at, by in noise.items() if at <= 4),
+        min(by for at, by in noise.items() if at > 4),
+    )
     assert flat < 1.2 * noise[0.4] < risen
     assert "It loses no end by lean, range, contrast, overlap or noise of the pictures" in told
-    lost = [(row["quantity"], float(row["value"])) for row in fused if row["found"] != row["visible"]]
+    lost = [
+        (row["quantity"], float(row["value"])) for row in fused if row["found"] != row["visible"]
+    ]
     assert {quantity for quantity, _ in lost} == {"calibration", "arm-gap", "netd"}
     assert "and some where the calibration is wrong by 0.4 px and more" in told
     assert min(value for quantity, value in lost if quantity == "calibration") == 0.4
 
 
-def test_rows_of_families_are_made_from_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_of_families_are_made_from_a_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     recording, runs = tmp_path / "own", tmp_path / "runs"
-    assert main(["scene", "record", "--situation", "ideal", "--seeds", "1", "--out", str(recording)]) == 0
+    assert (
+        main(["scene", "record", "--situation", "ideal", "--seeds", "1", "--out", str(recording)])
+        == 0
+    )
     capsys.readouterr()
     main(["score", str(recording), "--detector", "thesis", "--out", str(runs)])
     told = capsys.readouterr().out

@@ -1,4 +1,6 @@
-"""Commands of all pages are those of the program, and their TOML is TOML; what needs no instrument and no file of the reader's is run."""
+"""Commands of all pages are those of the program, and their TOML is TOML; what needs no instrument
+and no file of the reader's is run.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,11 @@ COMMANDS = [
     for line in block.splitlines()
     if line.startswith("teatbench ")
 ]
-TOML = [(page.name, text) for page in PAGES for text in re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)]
+TOML = [
+    (page.name, text)
+    for page in PAGES
+    for text in re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+]
 RUN_HERE = ("plan --rate", "plan --trials", "plan --shift-mm", "plan --limit-mm", "calibrate board")
 
 
@@ -29,7 +35,9 @@ def words_of(line: str) -> list[str]:
 
 
 @pytest.mark.parametrize(("page", "line"), COMMANDS)
-def test_the_program_knows_the_command(page: str, line: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_program_knows_the_command(
+    page: str, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     try:
         parser().parse_args(words_of(line))
     except SystemExit:
@@ -37,9 +45,16 @@ def test_the_program_knows_the_command(page: str, line: str, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize(
-    ("page", "line"), [(page, line) for page, line in COMMANDS if line.startswith(tuple(f"teatbench {w}" for w in RUN_HERE))]
+    ("page", "line"),
+    [
+        (page, line)
+        for page, line in COMMANDS
+        if line.startswith(tuple(f"teatbench {w}" for w in RUN_HERE))
+    ],
 )
-def test_what_needs_nothing_else_works(page: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_needs_nothing_else_works(
+    page: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(words_of(line)) == 0, page
 

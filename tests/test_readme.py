@@ -18,7 +18,11 @@ VERDICTS = (0, 1, 4)
 
 def commands() -> list[str]:
     """Every line of the README's shell blocks."""
-    return [line for block in re.findall(r"```sh\n(.*?)```", README, re.DOTALL) for line in block.strip().split("\n")]
+    return [
+        line
+        for block in re.findall(r"```sh\n(.*?)```", README, re.DOTALL)
+        for line in block.strip().split("\n")
+    ]
 
 
 def test_the_two_commands_stand_there_and_ci_calls_them() -> None:
@@ -35,9 +39,18 @@ def test_each_command_of_the_readme_works(tmp_path: Path) -> None:
         words = [sys.executable, "-m", "bench.cli", *shlex.split(line)[1:]]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         done = subprocess.run(
-            words, cwd=tmp_path, env=environment, capture_output=True, text=True, encoding="utf-8", timeout=280, check=False
+            words,
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            timeout=280,
+            check=False,
         )
-        assert done.returncode in (VERDICTS if words[3] in ("run", "score") else (0,)), f"{line}\n{done.stdout}\n{done.stderr}"
+        assert done.returncode in (VERDICTS if words[3] in ("run", "score") else (0,)), (
+            f"{line}\n{done.stdout}\n{done.stderr}"
+        )
         assert "Traceback" not in done.stderr
         assert done.stdout.strip(), line
 

@@ -43,17 +43,25 @@ def fake_python(run_py: ModuleType, text: str) -> None:
 
 def test_it_uses_the_standard_library_only() -> None:
     text = (ROOT / "run.py").read_text(encoding="utf-8")
-    modules = {line.split()[1].split(".")[0] for line in text.split("\n") if line.startswith(("import ", "from "))}
+    modules = {
+        line.split()[1].split(".")[0]
+        for line in text.split("\n")
+        if line.startswith(("import ", "from "))
+    }
     assert modules <= sys.stdlib_module_names
 
 
-def test_an_old_python_is_told(run_py: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_old_python_is_told(
+    run_py: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(run_py, "NEEDED", (99, 0))
     assert run_py.main(["demo"]) == 2
     assert "Python 99.0 or newer is needed" in capsys.readouterr().err
 
 
-def test_without_a_job_it_says_what_there_is(run_py: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_job_it_says_what_there_is(
+    run_py: ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run_py.main([]) == 2
     assert run_py.main(["--help"]) == 0
     assert "run.py demo" in capsys.readouterr().out
@@ -67,7 +75,9 @@ def test_without_a_job_it_says_what_there_is(run_py: ModuleType, capsys: pytest.
         ("ERROR: No matching distribution found for numpy>=2.0", "CPython 3.11, 3.12 or 3.13"),
     ],
 )
-def test_a_failing_pip_gets_a_hint(run_py: ModuleType, capsys: pytest.CaptureFixture[str], says: str, hint: str) -> None:
+def test_a_failing_pip_gets_a_hint(
+    run_py: ModuleType, capsys: pytest.CaptureFixture[str], says: str, hint: str
+) -> None:
     fake_python(run_py, f'case "$*" in *install*) echo "{says}"; exit 1;; esac')
     assert run_py.main(["demo"]) == 2
     error = capsys.readouterr().err
@@ -75,7 +85,9 @@ def test_a_failing_pip_gets_a_hint(run_py: ModuleType, capsys: pytest.CaptureFix
     assert hint in error
 
 
-def test_a_folder_that_cannot_hold_an_environment(run_py: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_cannot_hold_an_environment(
+    run_py: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / ".venv").write_text("in the way", encoding="utf-8")
     assert run_py.main(["demo"]) == 2
     assert "can't be made" in capsys.readouterr().err
@@ -83,7 +95,9 @@ def test_a_folder_that_cannot_hold_an_environment(run_py: ModuleType, tmp_path: 
 
 @pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
 @pytest.mark.parametrize(("code", "expected"), [(0, 0), (1, 0), (4, 0), (2, 2), (3, 3)])
-def test_demo_gives_0_when_the_bench_did_its_work(run_py: ModuleType, code: int, expected: int) -> None:
+def test_demo_gives_0_when_the_bench_did_its_work(
+    run_py: ModuleType, code: int, expected: int
+) -> None:
     fake_python(run_py, f'case "$*" in *bench.cli*) exit {code};; esac')
     assert run_py.main(["demo"]) == expected
 
@@ -98,12 +112,16 @@ def test_a_second_call_installs_nothing(run_py: ModuleType, tmp_path: Path) -> N
     start = time.perf_counter()
     done = subprocess.run([sys.executable, str(tmp_path / "run.py"), "test", "-q"], check=False)
     assert done.returncode == 0
-    assert log.read_text(encoding="utf-8") == "-m pytest --numprocesses auto --dist loadfile -q\n", f"{time.perf_counter() - start:.2f} s"
+    assert (
+        log.read_text(encoding="utf-8") == "-m pytest --numprocesses auto --dist loadfile -q\n"
+    ), f"{time.perf_counter() - start:.2f} s"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
 @pytest.mark.parametrize("changed", ["pyproject.toml", "constraints.txt"])
-def test_other_dependencies_are_installed_anew(run_py: ModuleType, tmp_path: Path, changed: str) -> None:
+def test_other_dependencies_are_installed_anew(
+    run_py: ModuleType, tmp_path: Path, changed: str
+) -> None:
     log = tmp_path / "calls"
     fake_python(run_py, f'echo "$*" >> "{log}"')
     run_py.main(["install"])
@@ -123,9 +141,14 @@ def test_each_dependency_is_locked_to_a_version_that_it_allows() -> None:
         if found := re.match(r"([\w.-]+)==([\w.]+)", line):
             locked.setdefault(canonicalize_name(found[1]), []).append(found[2])
     ours = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    wanted = [*ours["dependencies"], *(text for extra in ours["optional-dependencies"].values() for text in extra)]
+    wanted = [
+        *ours["dependencies"],
+        *(text for extra in ours["optional-dependencies"].values() for text in extra),
+    ]
     for text in wanted:
         needed = Requirement(text)
         versions = locked.get(canonicalize_name(needed.name), [])
         assert versions, f"{text} is not in constraints.txt"
-        assert all(needed.specifier.contains(version) for version in versions), f"{text}: constraints.txt has {versions}"
+        assert all(needed.specifier.contains(version) for version in versions), (
+            f"{text}: constraints.txt has {versions}"
+        )

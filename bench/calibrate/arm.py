@@ -1,6 +1,8 @@
-"""One arm alone, for the commands: connected by its URL, signed on, homing confirmed by the person who stands beside it.
+"""One arm alone, for the commands: connected by its URL, signed on, homing confirmed by the person
+who stands beside it.
 
-`emulator:` means an emulated arm of this process that goes where the dialogue asks. Time is real: a person takes part.
+`emulator:` means an emulated arm of this process that goes where the dialogue asks. Time is real: a
+person takes part.
 """
 
 from __future__ import annotations
@@ -27,10 +29,14 @@ from instruments.microscribe.driver import MicroScribe
 from instruments.operators.console import Console
 
 PEG = "Put the arm's stylus on its peg"
-HOMED = "Was the stylus on its peg when the arm was last switched on, or the arm homed since ('teatbench arm home')?"
+HOMED = (
+    "Was the stylus on its peg when the arm was last switched on, or the arm homed since"
+    " ('teatbench arm home')?"
+)
 NO_TERMINAL = (
-    "no positions before homing is confirmed, and nobody is at a terminal to confirm it. Give --homed where the stylus was on its peg "
-    "when the arm was last switched on, or the arm was homed since: otherwise positions are wrong, with no sign of it."
+    "no positions before homing is confirmed, and nobody is at a terminal to confirm it. Give"
+    " --homed where the stylus was on its peg when the arm was last switched on, or the arm was"
+    " homed since: otherwise positions are wrong, with no sign of it."
 )
 
 
@@ -44,7 +50,9 @@ class ArmSession:
     trying: TryingArm | None
 
     def confirm_homing(self, *, homed: bool) -> None:
-        """Confirm homing: ``homed`` says so, else the person is asked. Raises ConfigError where nobody is there, OperatorAbort."""
+        """Confirm homing: ``homed`` says so, else the person is asked. Raises ConfigError where
+        nobody is there, OperatorAbort.
+        """
         if not homed:
             if not sys.stdin.isatty():
                 raise ConfigError.plain(NO_TERMINAL)
@@ -77,8 +85,12 @@ class ArmSession:
 
 
 @contextmanager
-def open_arm(port: str, baud: int, answer_s: float, capture: Captures, *, length_mm: float | None = None) -> Iterator[ArmSession]:
-    """The arm at ``port``, signed on; ``length_mm`` is that of an emulated arm's bar. Raises ConfigError and as the driver does."""
+def open_arm(
+    port: str, baud: int, answer_s: float, capture: Captures, *, length_mm: float | None = None
+) -> Iterator[ArmSession]:
+    """The arm at ``port``, signed on; ``length_mm`` is that of an emulated arm's bar. Raises
+    ConfigError and as the driver does.
+    """
     try:
         serial_url(port)
     except ValueError as error:
@@ -86,7 +98,13 @@ def open_arm(port: str, baud: int, answer_s: float, capture: Captures, *, length
     clock = RealClock()
     trying = TryingArm(clock, length_mm=length_mm or 300.0) if port == EMULATED else None
     try:
-        link = Link(trying.url if trying else port, clock, who="arm", baud=baud, tap=capture.tap("arm", clock))
+        link = Link(
+            trying.url if trying else port,
+            clock,
+            who="arm",
+            baud=baud,
+            tap=capture.tap("arm", clock),
+        )
         arm = MicroScribe(link, clock, answer_s=answer_s)
         try:
             arm.sign_on()
@@ -111,7 +129,10 @@ def limits_of(script: str | None) -> Limits:
     for rule in loaded.script.requirements:
         if isinstance(rule, ArmRequirement):
             return Limits(rule.location_limit_mm, rule.length_limit_mm)
-    raise ConfigError.plain(f"{loaded.path} has no requirement of the kind arm_verified, so it has no limits for an arm. Name another one.")
+    raise ConfigError.plain(
+        f"{loaded.path} has no requirement of the kind arm_verified, so it has no limits for an"
+        " arm. Name another one."
+    )
 
 
 def refuse_existing(out: Path, *, replace: bool, option: str = "--out") -> None:
@@ -120,4 +141,6 @@ def refuse_existing(out: Path, *, replace: bool, option: str = "--out") -> None:
         why = f"there is no folder {out.parent}" if not out.is_dir() else "this is a folder"
         raise ConfigError.plain(f"{option} {out}: {why}; name a file in a folder that is there.")
     if out.exists() and not replace:
-        raise ConfigError.plain(f"{option} {out} is there already. Name another file, or give --replace.")
+        raise ConfigError.plain(
+            f"{option} {out} is there already. Name another file, or give --replace."
+        )

@@ -1,7 +1,9 @@
-"""The dialogues of `arm frame` and `arm verify`: which touches are asked for, in which order and words, and what they add up to.
+"""The dialogues of `arm frame` and `arm verify`: which touches are asked for, in which order and
+words, and what they add up to.
 
-A touch that can't be used (the arm moved, two points are too near) is asked for again; nothing is lost but that touch. It may not
-know whether a person, a test or the emulated hand of a trial session answers.
+A touch that can't be used (the arm moved, two points are too near) is asked for again; nothing is
+lost but that touch. It may not know whether a person, a test or the emulated hand of a trial
+session answers.
 """
 
 from __future__ import annotations
@@ -14,7 +16,14 @@ from typing import Protocol
 
 import numpy as np
 
-from bench.rig.arm_frame import APART_MM, FrameError, TableFrame, TouchedPoint, Triple, world_from_arm
+from bench.rig.arm_frame import (
+    APART_MM,
+    FrameError,
+    TableFrame,
+    TouchedPoint,
+    Triple,
+    world_from_arm,
+)
 from bench.rig.arm_verification import TOUCHES, LengthTest, LocationTest, Verification
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.errors import ArmMovesError
@@ -40,7 +49,9 @@ DIRECTIONS = (
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One touch that is asked for. ``what`` names the place, ``number`` (from 0) which of several; ``world_mm`` where it is known."""
+    """One touch that is asked for. ``what`` names the place, ``number`` (from 0) which of several;
+    ``world_mm`` where it is known.
+    """
 
     what: str
     number: int
@@ -74,7 +85,9 @@ class ReadableArm(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What `verify` asks for: ``distances`` of divots (1 to 3), ``touches`` in each, a ``length_mm`` (None: none) in ``directions``."""
+    """What `verify` asks for: ``distances`` of divots (1 to 3), ``touches`` in each, a
+    ``length_mm`` (None: none) in ``directions``.
+    """
 
     distances: int = 3
     touches: int = TOUCHES
@@ -82,16 +95,27 @@ class Plan:
     directions: int = len(DIRECTIONS)
 
 
-def touch_frame(arm: ReadableArm, person: Person, checks: Sequence[Triple | None], made: datetime) -> TableFrame:
-    """A table frame from three touches and one for each of ``checks``: a known place, or None for anywhere in the plane.
+def touch_frame(
+    arm: ReadableArm, person: Person, checks: Sequence[Triple | None], made: datetime
+) -> TableFrame:
+    """A table frame from three touches and one for each of ``checks``: a known place, or None for
+    anywhere in the plane.
 
     Raises as person and driver do.
     """
-    origin = _touched(arm, person, Step("origin", 0, "Touch the table's origin (world 0, 0, 0)."), "origin")
+    origin = _touched(
+        arm, person, Step("origin", 0, "Touch the table's origin (world 0, 0, 0)."), "origin"
+    )
     while True:
-        text = f"Touch a point on the x axis, on its positive side, at least {APART_MM:g} mm from the origin; further is better."
+        text = (
+            f"Touch a point on the x axis, on its positive side, at least {APART_MM:g} mm from the"
+            " origin; further is better."
+        )
         on_x = _touched(arm, person, Step("x axis", 0, text), "x axis")
-        text = f"Touch a point of the table's plane on the side of positive y, at least {APART_MM:g} mm from the x axis; further is better."
+        text = (
+            f"Touch a point of the table's plane on the side of positive y, at least {APART_MM:g}"
+            " mm from the x axis; further is better."
+        )
         in_plane = _touched(arm, person, Step("plane", 0, text), "plane")
         try:
             world_from_arm([origin.arm_mm, on_x.arm_mm, in_plane.arm_mm])
@@ -100,30 +124,50 @@ def touch_frame(arm: ReadableArm, person: Person, checks: Sequence[Triple | None
             person.say(f"{error}. Once more, the second and the third point.")
     points = [origin, on_x, in_plane]
     for number, place in enumerate(checks):
-        where = "another point of the table's plane, well away from the three" if place is None else f"the point {_mm(place)} (world)"
-        step = Step("check", number, f"Check point {number + 1} of {len(checks)}: touch {where}.", place)
+        where = (
+            "another point of the table's plane, well away from the three"
+            if place is None
+            else f"the point {_mm(place)} (world)"
+        )
+        step = Step(
+            "check", number, f"Check point {number + 1} of {len(checks)}: touch {where}.", place
+        )
         points.append(_touched(arm, person, step, f"check {number + 1}"))
     frame = TableFrame.from_touches(made, arm.identity.serial_number, points)
     if frame.hangs:
         person.ask(
-            "In this frame the arm stands upside down. That is right only where it hangs; otherwise the third point was on the wrong "
-            "side of the x axis: abort, and begin again."
+            "In this frame the arm stands upside down. That is right only where it hangs; otherwise"
+            " the third point was on the wrong side of the x axis: abort, and begin again."
         )
     return frame
 
 
 def verify(arm: ReadableArm, person: Person, plan: Plan, made: datetime) -> Verification:
     """The readings that ``plan`` asks for, as a verification. Raises as person and driver do."""
-    names = DISTANCES if plan.distances == 3 else ("near", "far") if plan.distances == 2 else ("middle",)
+    names = (
+        DISTANCES
+        if plan.distances == 3
+        else ("near", "far")
+        if plan.distances == 2
+        else ("middle",)
+    )
     locations = []
     for name in names:
-        person.ask(f"Fix the divot {DIVOTS[name]}. It must not move until its {plan.touches} touches are done.")
+        person.ask(
+            f"Fix the divot {DIVOTS[name]}. It must not move until its {plan.touches} touches are"
+            " done."
+        )
         locations.append(_divot(arm, person, name, plan.touches))
         test = locations[-1]
         person.say(
-            f"{name}: within {test.largest_mm:.2f} mm of the mean, 2 sd {test.two_sd_mm:.2f} mm, swung by {test.swing_deg:.0f} degrees."
+            f"{name}: within {test.largest_mm:.2f} mm of the mean, 2 sd {test.two_sd_mm:.2f} mm,"
+            f" swung by {test.swing_deg:.0f} degrees."
         )
-    lengths = [_length(arm, person, number, plan.length_mm) for number in range(plan.directions) if plan.length_mm is not None]
+    lengths = [
+        _length(arm, person, number, plan.length_mm)
+        for number in range(plan.directions)
+        if plan.length_mm is not None
+    ]
     return Verification(made, arm.identity.serial_number, tuple(locations), tuple(lengths))
 
 
@@ -131,15 +175,24 @@ def _divot(arm: ReadableArm, person: Person, name: str, touches: int) -> Locatio
     readings = []
     for number in range(touches):
         lean = LEANS[number % len(LEANS)]
-        further = ", turned about itself and with the elbow elsewhere" if number >= len(LEANS) else ""
-        text = f"Divot {name}, touch {number + 1} of {touches}: tip in the divot, the stylus {lean}{further}."
+        further = (
+            ", turned about itself and with the elbow elsewhere" if number >= len(LEANS) else ""
+        )
+        text = (
+            f"Divot {name}, touch {number + 1} of {touches}: tip in the divot, the stylus"
+            f" {lean}{further}."
+        )
         readings.append(_read(arm, person, Step(name, number, text)))
-    return LocationTest(name, np.array([r.tip_mm for r in readings]), np.array([r.axis for r in readings]))
+    return LocationTest(
+        name, np.array([r.tip_mm for r in readings]), np.array([r.axis for r in readings])
+    )
 
 
 def _length(arm: ReadableArm, person: Person, number: int, length_mm: float) -> LengthTest:
     where = DIRECTIONS[number % len(DIRECTIONS)]
-    person.ask(f"Fix the calibrated length {where}. It must not move until both its ends are touched.")
+    person.ask(
+        f"Fix the calibrated length {where}. It must not move until both its ends are touched."
+    )
     a = _read(arm, person, Step("length a", number, f"Length {where}: touch its first end."))
     b = _read(arm, person, Step("length b", number, f"Length {where}: touch its second end."))
     test = LengthTest(where, a.tip_mm, b.tip_mm, length_mm)

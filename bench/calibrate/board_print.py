@@ -23,16 +23,25 @@ MM_PER_INCH = 25.4
 MARGIN_MM = 15.0
 FOOT_MM = 12.0
 RULER_MM = 100.0
-PAPERS_MM: dict[str, tuple[float, float]] = {"A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841)}
+PAPERS_MM: dict[str, tuple[float, float]] = {
+    "A4": (297, 210),
+    "A3": (420, 297),
+    "A2": (594, 420),
+    "A1": (841, 594),
+    "A0": (1189, 841),
+}
 
 
 def board_pdf(board: Board, paper: str | None = None) -> bytes:
-    """The board on a landscape sheet, the smallest of `PAPERS_MM` that holds it where none is named.
+    """The board on a landscape sheet, the smallest of `PAPERS_MM` that holds it where none is
+    named.
 
     Raises ConfigError where it doesn't fit.
     """
     written = io.BytesIO()
-    board_figure(board, paper).savefig(written, format="pdf", metadata={"CreationDate": None, "Title": "Calibration board"})
+    board_figure(board, paper).savefig(
+        written, format="pdf", metadata={"CreationDate": None, "Title": "Calibration board"}
+    )
     return written.getvalue()
 
 
@@ -46,13 +55,20 @@ def board_figure(board: Board, paper: str | None = None) -> Figure:
     axes.axis("off")
     board_width, board_height = board.size_mm
     left, top = (width - board_width) / 2, (height - FOOT_MM - board_height) / 2
-    drawers: dict[str, Callable[[Axes, Board, float, float], None]] = {"chessboard": _chessboard, "charuco": _charuco, "circles": _circles}
+    drawers: dict[str, Callable[[Axes, Board, float, float], None]] = {
+        "chessboard": _chessboard,
+        "charuco": _charuco,
+        "circles": _circles,
+    }
     drawers[board.kind](axes, board, left, top)
     foot = height - FOOT_MM / 2
     axes.plot([MARGIN_MM, MARGIN_MM + RULER_MM], [foot, foot], color="black", linewidth=0.8)
     for x in (MARGIN_MM, MARGIN_MM + RULER_MM):
         axes.plot([x, x], [foot - 2, foot + 2], color="black", linewidth=0.8)
-    text = f"This line is {RULER_MM:g} mm long. {_told(board)} Print at 100 %, glue it flat, measure the pitch, write it into the file."
+    text = (
+        f"This line is {RULER_MM:g} mm long. {_told(board)} Print at 100 %, glue it flat, measure"
+        " the pitch, write it into the file."
+    )
     axes.text(MARGIN_MM + RULER_MM + 5, foot, text, fontsize=7, va="center")
     return figure
 
@@ -63,28 +79,40 @@ def sheet_mm(board: Board, paper: str | None) -> tuple[float, float]:
     height += FOOT_MM
     fits = [name for name, (w, h) in PAPERS_MM.items() if w >= width and h >= height]
     if not fits:
-        raise ConfigError.plain(f"the board needs {width:.0f} x {height:.0f} mm with its margin, more than A0 has")
+        raise ConfigError.plain(
+            f"the board needs {width:.0f} x {height:.0f} mm with its margin, more than A0 has"
+        )
     if paper is not None and paper not in fits:
-        raise ConfigError.plain(f"the board needs {width:.0f} x {height:.0f} mm with its margin, more than {paper} has; it fits {fits[0]}")
+        raise ConfigError.plain(
+            f"the board needs {width:.0f} x {height:.0f} mm with its margin, more than {paper} has;"
+            f" it fits {fits[0]}"
+        )
     return PAPERS_MM[paper or fits[0]]
 
 
 def _told(board: Board) -> str:
-    more = {"charuco": f", markers {board.marker_mm} mm ({board.dictionary})", "circles": f", circles {board.circle_mm} mm"}.get(
-        board.kind, ""
+    more = {
+        "charuco": f", markers {board.marker_mm} mm ({board.dictionary})",
+        "circles": f", circles {board.circle_mm} mm",
+    }.get(board.kind, "")
+    return (
+        f"{board.kind} of {board.columns} x {board.rows} points, pitch {board.pitch_mm:g} mm{more}."
     )
-    return f"{board.kind} of {board.columns} x {board.rows} points, pitch {board.pitch_mm:g} mm{more}."
 
 
 def _chessboard(axes: Axes, board: Board, left: float, top: float) -> None:
     for row in range(board.rows + 1):
         for column in range(board.columns + 1):
             if (row + column) % 2 == 0:
-                _square(axes, left + column * board.pitch_mm, top + row * board.pitch_mm, board.pitch_mm)
+                _square(
+                    axes, left + column * board.pitch_mm, top + row * board.pitch_mm, board.pitch_mm
+                )
 
 
 def _charuco(axes: Axes, board: Board, left: float, top: float) -> None:
-    """Markers where OpenCV's own description has them, module by module as squares, so that edges are exact."""
+    """Markers where OpenCV's own description has them, module by module as squares, so that edges
+    are exact.
+    """
     _chessboard(axes, board, left, top)
     modules = board.aruco.getDictionary().markerSize + 2
     side = float(board.marker_mm or 0.0) / modules
@@ -97,13 +125,18 @@ def _charuco(axes: Axes, board: Board, left: float, top: float) -> None:
 
 def _marker(board: Board, number: int, modules: int) -> NDArray[np.uint8]:
     identity = int(np.ravel(board.aruco.getIds())[number])
-    return np.asarray(cv2.aruco.generateImageMarker(board.aruco.getDictionary(), identity, modules), dtype=np.uint8)
+    return np.asarray(
+        cv2.aruco.generateImageMarker(board.aruco.getDictionary(), identity, modules),
+        dtype=np.uint8,
+    )
 
 
 def _circles(axes: Axes, board: Board, left: float, top: float) -> None:
     radius = float(board.circle_mm or 0.0) / 2
     for x, y, _ in board.points_mm:
-        axes.add_patch(Circle((left + radius + x, top + radius + y), radius, color="black", linewidth=0))
+        axes.add_patch(
+            Circle((left + radius + x, top + radius + y), radius, color="black", linewidth=0)
+        )
 
 
 def _square(axes: Axes, x: float, y: float, side: float, color: str = "black") -> None:

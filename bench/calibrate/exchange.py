@@ -1,9 +1,11 @@
-"""Calibrations of other tools, in and out: OpenCV's YAML, Bouguet's stereo .mat, and ROS camera_info.
+"""Calibrations of other tools, in and out: OpenCV's YAML, Bouguet's stereo .mat, and ROS
+camera_info.
 
-Strategy: each format gives and takes a `Part`: lenses, and the stereo motion where the format has one. What a format can't hold is not
-written, and told by `lacks`. Sources: OpenCV FileStorage (the keys of its stereo_calib sample: M1 D1 M2 D2 in intrinsics.yml, R T in
-extrinsics.yml); Bouguet's toolbox, Calib_Results_stereo.mat (om, T, fc_left ...); ROS sensor_msgs/CameraInfo as camera_calibration_parsers
-writes it, P[0,3] = -fx B for the right camera of a rectified pair.
+Strategy: each format gives and takes a `Part`: lenses, and the stereo motion where the format has
+one. What a format can't hold is not written, and told by `lacks`. Sources: OpenCV FileStorage (the
+keys of its stereo_calib sample: M1 D1 M2 D2 in intrinsics.yml, R T in extrinsics.yml); Bouguet's
+toolbox, Calib_Results_stereo.mat (om, T, fc_left ...); ROS sensor_msgs/CameraInfo as
+camera_calibration_parsers writes it, P[0,3] = -fx B for the right camera of a rectified pair.
 """
 
 from __future__ import annotations
@@ -38,15 +40,26 @@ def read_opencv(path: Path, image_size: tuple[int, int] | None = None) -> Part:
         raise ConfigError.plain(f"{path}: OpenCV can't read it: {str(error).strip()}") from error
     try:
         if not storage.isOpened():
-            raise ConfigError.plain(f"{path}: OpenCV can't read it as YAML or XML; does it begin with %YAML:1.0?")
-        matrices = {name: storage.getNode(name).mat() for name in ("M1", "D1", "M2", "D2", "R", "T", "image_size")}
+            raise ConfigError.plain(
+                f"{path}: OpenCV can't read it as YAML or XML; does it begin with %YAML:1.0?"
+            )
+        matrices = {
+            name: storage.getNode(name).mat()
+            for name in ("M1", "D1", "M2", "D2", "R", "T", "image_size")
+        }
     finally:
         storage.release()
     if missing := [name for name in ("M1", "D1", "M2", "D2") if matrices[name] is None]:
-        raise ConfigError.plain(f"{path}: lacks {', '.join(missing)}; wanted: the stereo pair's M1 D1 M2 D2, and R T")
+        raise ConfigError.plain(
+            f"{path}: lacks {', '.join(missing)}; wanted: the stereo pair's M1 D1 M2 D2, and R T"
+        )
     size = image_size or _size(matrices["image_size"], path)
     left, right = (_camera(matrices[f"M{n}"], matrices[f"D{n}"], size, path) for n in (1, 2))
-    motion = _motion(matrices["R"], matrices["T"], path) if matrices["R"] is not None and matrices["T"] is not None else None
+    motion = (
+        _motion(matrices["R"], matrices["T"], path)
+        if matrices["R"] is not None and matrices["T"] is not None
+        else None
+    )
     return Part(left=left, right=right, right_from_left=motion)
 
 
@@ -71,27 +84,43 @@ def read_bouguet(path: Path) -> Part:
     try:
         found = loadmat(path)
     except (OSError, ValueError, NotImplementedError, MatReadError) as error:
-        raise ConfigError.plain(f"{path}: can't be read as a .mat file (version 7 or older): {error}") from error
+        raise ConfigError.plain(
+            f"{path}: can't be read as a .mat file (version 7 or older): {error}"
+        ) from error
     wanted = [f"{key}_{side}" for side in SIDES for key in ("fc", "cc", "kc")]
     if missing := [name for name in (*wanted, "om", "T", "nx", "ny") if name not in found]:
         raise ConfigError.plain(
-            f"{path}: lacks {', '.join(missing)}; wanted: the file that the stereo calibration of Bouguet's toolbox saves"
+            f"{path}: lacks {', '.join(missing)}; wanted: the file that the stereo calibration of"
+            " Bouguet's toolbox saves"
         )
     size = (int(found["nx"].item()), int(found["ny"].item()))
 
     def camera(side: str) -> Camera:
         fc, cc, kc = (np.ravel(found[f"{key}_{side}"]).tolist() for key in ("fc", "cc", "kc"))
         skew = float(np.ravel(found[f"alpha_c_{side}"])[0]) if f"alpha_c_{side}" in found else 0.0
-        return _camera(np.array([[fc[0], fc[0] * skew, cc[0]], [0.0, fc[1], cc[1]], [0.0, 0.0, 1.0]]), kc, size, path)
+        return _camera(
+            np.array([[fc[0], fc[0] * skew, cc[0]], [0.0, fc[1], cc[1]], [0.0, 0.0, 1.0]]),
+            kc,
+            size,
+            path,
+        )
 
-    return Part(left=camera("left"), right=camera("right"), right_from_left=Motion.from_vectors(found["om"], found["T"]))
+    return Part(
+        left=camera("left"),
+        right=camera("right"),
+        right_from_left=Motion.from_vectors(found["om"], found["T"]),
+    )
 
 
 def write_bouguet(part: Part, path: Path) -> None:
-    """A .mat file with the names that Bouguet's toolbox loads. Raises ConfigError without a stereo motion."""
+    """A .mat file with the names that Bouguet's toolbox loads. Raises ConfigError without a stereo
+    motion.
+    """
     left, right, motion = _pair(part)
     if motion is None:
-        raise ConfigError.plain("Bouguet's stereo file needs the motion between the cameras ([stereo])")
+        raise ConfigError.plain(
+            "Bouguet's stereo file needs the motion between the cameras ([stereo])"
+        )
     values: dict[str, Any] = {
         "nx": left.image_size[0],
         "ny": left.image_size[1],
@@ -100,26 +129,41 @@ def write_bouguet(part: Part, path: Path) -> None:
     }
     values["R"] = np.array(motion.R)
     for side, camera in zip(SIDES, (left, right), strict=True):
-        values |= {f"{key}_{side}": np.array(getattr(camera, key)).reshape(-1, 1) for key in ("fc", "cc", "kc")}
+        values |= {
+            f"{key}_{side}": np.array(getattr(camera, key)).reshape(-1, 1)
+            for key in ("fc", "cc", "kc")
+        }
         values |= {f"alpha_c_{side}": camera.alpha_c, f"KK_{side}": _matrix(camera)}
     with path.open("wb") as file:
         savemat(file, values)
 
 
 def read_ros(left: Path, right: Path | None = None) -> Part:
-    """ROS camera_info of the left and, where given, the right camera; the motion between them is not in it. Raises ConfigError."""
+    """ROS camera_info of the left and, where given, the right camera; the motion between them is
+    not in it. Raises ConfigError.
+    """
     return Part(left=_ros_camera(left), right=_ros_camera(right) if right else None)
 
 
 def write_ros(part: Part, path: Path, camera: str) -> None:
-    """The camera_info of one camera, unrectified: R is the identity, P its own matrix. Raises ConfigError for a camera that isn't there."""
-    lens = {"left": part.left, "right": part.right, "thermal": part.thermal.lens if part.thermal else None}.get(camera)
+    """The camera_info of one camera, unrectified: R is the identity, P its own matrix. Raises
+    ConfigError for a camera that isn't there.
+    """
+    lens = {
+        "left": part.left,
+        "right": part.right,
+        "thermal": part.thermal.lens if part.thermal else None,
+    }.get(camera)
     if lens is None:
         raise ConfigError.plain(f"the calibration has no lens of a camera {camera!r}")
     K = _matrix(lens)
 
     def matrix(values: Array) -> dict[str, Any]:
-        return {"rows": values.shape[0], "cols": values.shape[1], "data": [float(v) for v in values.reshape(-1)]}
+        return {
+            "rows": values.shape[0],
+            "cols": values.shape[1],
+            "data": [float(v) for v in values.reshape(-1)],
+        }
 
     told = {
         "image_width": lens.image_size[0],
@@ -144,21 +188,37 @@ def _ros_camera(path: Path) -> Camera:
     except OSError as error:
         raise ConfigError.plain(f"{path}: can't be read: {error.strerror or error}") from error
     except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
-        raise ConfigError.plain(f"{path}: is no camera_info: {type(error).__name__} {error}") from error
+        raise ConfigError.plain(
+            f"{path}: is no camera_info: {type(error).__name__} {error}"
+        ) from error
     if model != PLUMB_BOB:
-        raise ConfigError.plain(f"{path}: the distortion model is {model!r}; only {PLUMB_BOB} (k1 k2 p1 p2 k3) can be taken over")
+        raise ConfigError.plain(
+            f"{path}: the distortion model is {model!r}; only {PLUMB_BOB} (k1 k2 p1 p2 k3) can be"
+            " taken over"
+        )
     return _camera(K, kc, size, path)
 
 
 def _camera(K: Any, kc: Any, size: tuple[int, int], path: Path) -> Camera:
     matrix, values = np.asarray(K, dtype=np.float64), np.ravel(np.asarray(kc, dtype=np.float64))
     if matrix.shape != (3, 3) or not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
-        raise ConfigError.plain(f"{path}: a camera matrix must be 3 x 3 with focal lengths above zero, is {matrix.tolist()}")
+        raise ConfigError.plain(
+            f"{path}: a camera matrix must be 3 x 3 with focal lengths above zero, is"
+            f" {matrix.tolist()}"
+        )
     if len(values) not in (4, 5) and np.any(values[5:]):
-        raise ConfigError.plain(f"{path}: {len(values)} distortion coefficients; only k1 k2 p1 p2 k3 can be taken over")
+        raise ConfigError.plain(
+            f"{path}: {len(values)} distortion coefficients; only k1 k2 p1 p2 k3 can be taken over"
+        )
     k1, k2, p1, p2, k3 = (float(v) for v in [*values[:5], *[0.0] * (5 - min(len(values), 5))])
     fx, fy = float(matrix[0, 0]), float(matrix[1, 1])
-    return Camera(size, (fx, fy), (float(matrix[0, 2]), float(matrix[1, 2])), float(matrix[0, 1]) / fx, (k1, k2, p1, p2, k3))
+    return Camera(
+        size,
+        (fx, fy),
+        (float(matrix[0, 2]), float(matrix[1, 2])),
+        float(matrix[0, 1]) / fx,
+        (k1, k2, p1, p2, k3),
+    )
 
 
 def _motion(R: Any, T: Any, path: Path) -> Motion:
@@ -177,10 +237,14 @@ def _size(told: Any, path: Path) -> tuple[int, int]:
 
 def _pair(part: Part) -> tuple[Camera, Camera, Motion | None]:
     if part.left is None or part.right is None:
-        raise ConfigError.plain("the file holds no stereo pair ([cameras.left] and [cameras.right])")
+        raise ConfigError.plain(
+            "the file holds no stereo pair ([cameras.left] and [cameras.right])"
+        )
     return part.left, part.right, part.right_from_left
 
 
 def _matrix(camera: Camera) -> Array:
     fx, fy = camera.fc
-    return np.array([[fx, fx * camera.alpha_c, camera.cc[0]], [0.0, fy, camera.cc[1]], [0.0, 0.0, 1.0]])
+    return np.array(
+        [[fx, fx * camera.alpha_c, camera.cc[0]], [0.0, fy, camera.cc[1]], [0.0, 0.0, 1.0]]
+    )

@@ -1,7 +1,9 @@
-"""An emulated arm of this process for trying the arm's commands (`--port emulator:`), and the hand that holds it.
+"""An emulated arm of this process for trying the arm's commands (`--port emulator:`), and the hand
+that holds it.
 
-The hand goes where each step of a dialogue asks, while the person at the terminal presses Enter. The table it works on has its origin
-elsewhere than the arm (`PLACED`), a block with a divot at three distances, and a bar of the calibrated length.
+The hand goes where each step of a dialogue asks, while the person at the terminal presses Enter.
+The table it works on has its origin elsewhere than the arm (`PLACED`), a block with a divot at
+three distances, and a bar of the calibrated length.
 """
 
 from __future__ import annotations
@@ -24,9 +26,11 @@ Floats = NDArray[np.float64]
 PLACED = Motion.from_vectors((0.01, -0.02, 0.5), (150.0, -150.0, 12.0))  # world_from_arm
 FRAME_MM = {"origin": (0.0, 0.0, 0.0), "x axis": (300.0, 0.0, 0.0), "plane": (60.0, 200.0, 0.0)}
 CHECK_MM = (180.0, 160.0, 0.0)
-DIVOTS_MM = {"near": (200.0, 0.0, 20.0), "middle": (330.0, 0.0, 20.0), "far": (450.0, 0.0, 20.0)}  # in the arm's frame
+# in the arm's frame
+DIVOTS_MM = {"near": (200.0, 0.0, 20.0), "middle": (330.0, 0.0, 20.0), "far": (450.0, 0.0, 20.0)}
 BAR_MM = (330.0, 0.0, 170.0)
-BARS = ((1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1))  # as guided.DIRECTIONS
+# as guided.DIRECTIONS
+BARS = ((1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1))
 LEAN_RAD = np.radians(38.0)
 _UP = np.array([0.0, 0.0, 1.0])
 
@@ -50,7 +54,13 @@ class TryingArm:
     """An emulated arm on a loopback port, at ``url``. To be closed, or used with ``with``."""
 
     def __init__(
-        self, clock: Clock, *, seed: int = 0, accuracy_mm: float = 0.23, placed: Motion = PLACED, length_mm: float = 300.0
+        self,
+        clock: Clock,
+        *,
+        seed: int = 0,
+        accuracy_mm: float = 0.23,
+        placed: Motion = PLACED,
+        length_mm: float = 300.0,
     ) -> None:
         self.clock = clock
         self._hand = TryingHand()
@@ -63,7 +73,9 @@ class TryingArm:
         self.url = self._listener.url
 
     def go(self, step: Step) -> None:
-        """Bring the tip where ``step`` asks. Raises ConfigError where this arm doesn't get there."""
+        """Bring the tip where ``step`` asks. Raises ConfigError
+        where this arm doesn't get there.
+        """
         with self._lock:
             try:
                 self._hand.hold(*self._target(step))
@@ -111,4 +123,6 @@ class TryingArm:
 
 
 def _leaning(turn_rad: float) -> Floats:
-    return np.array([np.sin(LEAN_RAD) * np.cos(turn_rad), np.sin(LEAN_RAD) * np.sin(turn_rad), np.cos(LEAN_RAD)])
+    return np.array(
+        [np.sin(LEAN_RAD) * np.cos(turn_rad), np.sin(LEAN_RAD) * np.sin(turn_rad), np.cos(LEAN_RAD)]
+    )

@@ -1,4 +1,5 @@
-"""The job behind `calibrate stage`: one teat end touched at several stage positions, and nothing else switched on.
+"""The job behind `calibrate stage`: one teat end touched at several stage positions, and nothing
+else switched on.
 
 Heats nothing and takes no picture, but every instrument of the rig has to answer.
 """
@@ -33,7 +34,9 @@ SPAN_MM = 200.0  # of the positions where none are named
 
 @dataclass(frozen=True, slots=True)
 class RegistrationRequest:
-    """Which ``teat`` of which ``layout`` to touch, at which places (x, y mm from the reference place; none: corners and middle)."""
+    """Which ``teat`` of which ``layout`` to touch, at which places (x, y mm from the reference
+    place; none: corners and middle).
+    """
 
     layout: str = "table-5-1"
     teat: int = 1
@@ -42,25 +45,40 @@ class RegistrationRequest:
 
 
 def calibrate_stage(
-    rig: LoadedRig, wanted: RegistrationRequest, made: datetime, tell: Callable[[str], None], *, seed: int, capture: Captures = NO_CAPTURE
+    rig: LoadedRig,
+    wanted: RegistrationRequest,
+    made: datetime,
+    tell: Callable[[str], None],
+    *,
+    seed: int,
+    capture: Captures = NO_CAPTURE,
 ) -> Registration:
-    """The registration of ``rig``'s stage. Raises ConfigError before anything moves, and as operator and instruments do."""
+    """The registration of ``rig``'s stage. Raises ConfigError before anything moves, and as
+    operator and instruments do.
+    """
     settings = rig.rig.stage
     if settings is None:
         raise ConfigError.plain(f"{rig.path} has no [stage]: there is nothing to register.")
     phantom = _phantom(wanted.layout, seed)
     if wanted.teat > len(phantom.teats):
-        raise ConfigError.plain(f"--teat {wanted.teat}: the layout {wanted.layout} has {len(phantom.teats)} teats")
+        raise ConfigError.plain(
+            f"--teat {wanted.teat}: the layout {wanted.layout} has {len(phantom.teats)} teats"
+        )
     poses = [PlatePose(x, y) for x, y in wanted.at_mm] or around([PlatePose()], SPAN_MM)
     if len(poses) < 3:
-        raise ConfigError.plain(f"--at: {len(poses)} positions; a registration needs three or more that don't lie on a line")
+        raise ConfigError.plain(
+            f"--at: {len(poses)} positions; a registration needs three or more that don't lie on a"
+            " line"
+        )
     with open_rig(rig, seed=seed, capture=capture) as hookup:
         devices, stage = hookup.devices, hookup.devices.stage
         if stage is None:
             raise ConfigError.plain(f"{rig.path} has no [stage]: there is nothing to register.")
         tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
         try:
-            return _registered(rig, settings, devices, stage, tip, phantom, poses, wanted, made, tell)
+            return _registered(
+                rig, settings, devices, stage, tip, phantom, poses, wanted, made, tell
+            )
         except RegistrationError as error:
             raise ConfigError.plain(f"no registration: {error}") from error
         finally:
@@ -93,9 +111,14 @@ def _registered(
     devices.arm.confirm_homed()
     stage.connect()
     stage.home()
-    text = f"Put the phantom on the stage, its teats as in layout {wanted.layout}, and fix it: it must not shift on its plate."
+    text = (
+        f"Put the phantom on the stage, its teats as in layout {wanted.layout}, and fix it: it must"
+        " not shift on its plate."
+    )
     devices.operator.set_up(Arrangement("stage_registration", phantom, (), text))
-    toucher = Toucher(devices.operator, tip, rig.rig.arm, devices.clock, lambda: None, wanted.readings)
+    toucher = Toucher(
+        devices.operator, tip, rig.rig.arm, devices.clock, lambda: None, wanted.readings
+    )
     return register(
         stage,
         settings,

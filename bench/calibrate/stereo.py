@@ -1,4 +1,5 @@
-"""The stereo pair from views of a board: alone, with fixed and with joint lenses, and everything that says how good it is.
+"""The stereo pair from views of a board: alone, with fixed and with joint lenses, and everything
+that says how good it is.
 
 May not know where the views come from, nor how the result is shown.
 """
@@ -13,7 +14,13 @@ import numpy as np
 from bench.calibrate.views import BoardViews
 from detector.calibration import ParameterCovariance, Part, Record
 from detector.calibration.bundle import POSE
-from detector.calibration.cameras import Calibrated, TooFewViewsError, View, calibrate_camera, join_cameras
+from detector.calibration.cameras import (
+    Calibrated,
+    TooFewViewsError,
+    View,
+    calibrate_camera,
+    join_cameras,
+)
 from detector.calibration.coverage import Coverage, coverage
 from detector.calibration.diagnosis import Finding, bent, measured_again, outlier_views, swapped
 from detector.calibration.remeasure import Remeasured, remeasure
@@ -35,7 +42,9 @@ class Lens:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CamerasResult:
-    """Everything found. ``halves`` and ``held_out`` are None where there were too few views for them."""
+    """Everything found. ``halves`` and ``held_out`` are None where there were too few views for
+    them.
+    """
 
     views: BoardViews
     lens: Lens
@@ -56,15 +65,25 @@ class CamerasResult:
     def covariance(self) -> ParameterCovariance:
         """Of lenses and stereo, as a calibration file names them."""
         fit = self.joint.fit
-        return ParameterCovariance(tuple(("stereo", name) if name in POSE else (owner, name) for owner, name in fit.names), fit.covariance)
+        return ParameterCovariance(
+            tuple(("stereo", name) if name in POSE else (owner, name) for owner, name in fit.names),
+            fit.covariance,
+        )
 
     def part(self, record: Record) -> Part:
         """What the file of this step holds."""
         pair = self.pair
-        return Part(left=pair.left, right=pair.right, right_from_left=pair.right_from_left, covariance=self.covariance, record=record)
+        return Part(
+            left=pair.left,
+            right=pair.right,
+            right_from_left=pair.right_from_left,
+            covariance=self.covariance,
+            record=record,
+        )
 
     def good_to_mm(self, depths_mm: Array) -> Array:
-        """Expanded uncertainty (k = 2) (n,) of a point's place, along its worst direction, midway before the pair at these distances.
+        """Expanded uncertainty (k = 2) (n,) of a point's place, along its worst direction, midway
+        before the pair at these distances.
 
         The calibration's own, with pixels as noisy as the corners were.
         """
@@ -78,15 +97,30 @@ def calibrate_pair(views: BoardViews, lens: Lens) -> CamerasResult:
     """The whole job. Raises BundleError (a sentence) for views that can't fix the cameras."""
     seen = {camera: views.views(camera) for camera in PAIR}
     alone = {
-        camera: calibrate_camera(camera, seen[camera], views.image_size[camera], model=lens.model, square_pixels=lens.square_pixels)
+        camera: calibrate_camera(
+            camera,
+            seen[camera],
+            views.image_size[camera],
+            model=lens.model,
+            square_pixels=lens.square_pixels,
+        )
         for camera in PAIR
     }
     if views.image_size["left"] != views.image_size["right"]:
-        raise TooFewViewsError("left and right pictures differ in size: are they from the same pair?")
+        raise TooFewViewsError(
+            "left and right pictures differ in size: are they from the same pair?"
+        )
     fixed = join_cameras(alone)
-    joint = join_cameras(alone, joint_lenses=PAIR, model=lens.model, square_pixels=lens.square_pixels)
+    joint = join_cameras(
+        alone, joint_lenses=PAIR, model=lens.model, square_pixels=lens.square_pixels
+    )
     shown = {
-        camera: coverage([view.pixels_px for view in seen[camera]], views.image_size[camera], alone[camera].fit.poses) for camera in PAIR
+        camera: coverage(
+            [view.pixels_px for view in seen[camera]],
+            views.image_size[camera],
+            alone[camera].fit.poses,
+        )
+        for camera in PAIR
     }
     halves = _halves(views, seen, lens)
     held_out = _held_out(views, halves) if halves else None
@@ -98,7 +132,9 @@ def _halves(views: BoardViews, seen: Mapping[str, Sequence[View]], lens: Lens) -
     if len(views.pairs()) < LEAST_FOR_HALVES:
         return None
     try:
-        return split_half(seen, views.image_size["left"], model=lens.model, square_pixels=lens.square_pixels)
+        return split_half(
+            seen, views.image_size["left"], model=lens.model, square_pixels=lens.square_pixels
+        )
     except TooFewViewsError:
         return None
 
@@ -106,11 +142,15 @@ def _halves(views: BoardViews, seen: Mapping[str, Sequence[View]], lens: Lens) -
 def _held_out(views: BoardViews, halves: Halves) -> Remeasured:
     """Each half of the views measured with the calibration that the other half made."""
     pairs = views.pairs()
-    first, second = (remeasure(halves.pairs[1 - start], views.board, pairs[start::2]) for start in (0, 1))
+    first, second = (
+        remeasure(halves.pairs[1 - start], views.board, pairs[start::2]) for start in (0, 1)
+    )
     return Remeasured(views.board, (*first.views, *second.views))
 
 
-def _findings(views: BoardViews, joint: Calibrated, held_out: Remeasured | None) -> tuple[Finding, ...]:
+def _findings(
+    views: BoardViews, joint: Calibrated, held_out: Remeasured | None
+) -> tuple[Finding, ...]:
     pair = pair_of(joint)
     found = swapped(pair.right_from_left)
     if not found:

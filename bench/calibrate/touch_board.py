@@ -1,4 +1,5 @@
-"""Points that both cameras see and the arm touches: nine of a board's at each of two positions, asked for one by one.
+"""Points that both cameras see and the arm touches: nine of a board's at each of two positions,
+asked for one by one.
 
 May not know what is fitted to them, nor how anything is shown.
 """
@@ -29,7 +30,8 @@ from instruments.operators.operator import BoardAsked
 POSITIONS = 2
 TRIES = 4  # of one position, or of one point, before it is given up
 ROWS, COLUMNS = ("upper", "middle", "lower"), ("left", "middle", "right")
-MISTAKEN = 0.25  # of the pitch: touched distances that miss printed ones by more are another point's
+# of the pitch: touched distances that miss printed ones by more are another point's
+MISTAKEN = 0.25
 WHERE = ("high and near", "lower and farther, tilted another way")
 POINTS_FILE = "points.csv"
 
@@ -44,7 +46,9 @@ class BoardOperator(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """A board that stays where it is, as both cameras saw it; ``corners`` are the nine points to be touched."""
+    """A board that stays where it is, as both cameras saw it; ``corners`` are the nine points to be
+    touched.
+    """
 
     left: Found
     right: Found
@@ -52,13 +56,18 @@ class Seen:
 
     def pixels(self) -> tuple[Array, Array]:
         """The nine points in both pictures, (9, 2) each."""
-        left, right = (found.pixels_px[[int(np.flatnonzero(found.ids == c)[0]) for c in self.corners]] for found in (self.left, self.right))
+        left, right = (
+            found.pixels_px[[int(np.flatnonzero(found.ids == c)[0]) for c in self.corners]]
+            for found in (self.left, self.right)
+        )
         return left, right
 
 
 @dataclass(frozen=True, slots=True)
 class Asking:
-    """Who looks, who is asked, whose tip is read; ``tip_radius_mm`` is that of a ball tip, 0 for a point."""
+    """Who looks, who is asked, whose tip is read; ``tip_radius_mm`` is that of a ball tip, 0 for a
+    point.
+    """
 
     look: Callable[[], Mapping[str, Grey]]
     operator: BoardOperator
@@ -68,14 +77,18 @@ class Asking:
 
 
 def gather_points(asking: Asking, board: Board, folder: Path) -> TouchedPoints:
-    """All points; pictures with the nine numbered, and the points as a table, are kept in ``folder``.
+    """All points; pictures with the nine numbered, and the points as a table, are kept in
+    ``folder``.
 
-    Raises OperatorAbort, DeviceError where a board is never found or a point never touched well, and as cameras and arm do.
+    Raises OperatorAbort, DeviceError where a board is never found or a point never touched well,
+    and as cameras and arm do.
     """
     parts = [_at_position(asking, board, position, folder) for position in range(1, POSITIONS + 1)]
     points = TouchedPoints(*(np.vstack(columns) for columns in zip(*parts, strict=True)))
     rows = np.hstack([points.left_px, points.right_px, points.touched_mm])
-    text = "\n".join([",".join(POINT_COLUMNS), *(",".join(f"{value:.4f}" for value in row) for row in rows)])
+    text = "\n".join(
+        [",".join(POINT_COLUMNS), *(",".join(f"{value:.4f}" for value in row) for row in rows)]
+    )
     write_synced(folder / POINTS_FILE, f"{text}\n".encode())
     return points
 
@@ -86,13 +99,19 @@ def nine(board: Board) -> tuple[int, ...]:
     return tuple(row * board.columns + column for row in rows for column in columns)
 
 
-def _at_position(asking: Asking, board: Board, position: int, folder: Path) -> tuple[Array, Array, Array]:
+def _at_position(
+    asking: Asking, board: Board, position: int, folder: Path
+) -> tuple[Array, Array, Array]:
     seen = _fixed(asking, board, position, folder)
     readings: list[WorldTip] = []
     for at in range(len(seen.corners)):
         readings.append(_touched(asking, board, seen, at, readings))
     asking.operator.release()
-    points = under_ball([reading.point_mm for reading in readings], [reading.axis for reading in readings], asking.tip_radius_mm)
+    points = under_ball(
+        [reading.point_mm for reading in readings],
+        [reading.axis for reading in readings],
+        asking.tip_radius_mm,
+    )
     return (*seen.pixels(), points)
 
 
@@ -102,8 +121,9 @@ def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> Seen:
     for _ in range(TRIES):
         where = WHERE[(position - 1) % len(WHERE)]
         text = (
-            f"{again}Position {position} of {POSITIONS}, {where}: fix the board where both cameras see all of it and"
-            " the arm reaches all of it, so that a touch can't move it. Take hands and arm out of the pictures."
+            f"{again}Position {position} of {POSITIONS}, {where}: fix the board where both cameras"
+            " see all of it and the arm reaches all of it, so that a touch can't move it. Take"
+            " hands and arm out of the pictures."
         )
         asking.operator.hold_board(BoardAsked(pattern_of(board), text, position, fixed=True))
         pictures = asking.look()
@@ -115,11 +135,21 @@ def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> Seen:
             continue
         for camera, found in (("left", seen.left), ("right", seen.right)):
             write_picture(folder / camera / f"position-{position}.png", pictures[camera])
-            write_picture(folder / f"position-{position}-{camera}-numbered.png", _numbered(pictures[camera], found, seen.corners))
-        asking.tell(f"position {position}: found; the points to touch are numbered in {folder / f'position-{position}-left-numbered.png'}")
+            write_picture(
+                folder / f"position-{position}-{camera}-numbered.png",
+                _numbered(pictures[camera], found, seen.corners),
+            )
+        asking.tell(
+            f"position {position}: found; the points to touch are numbered in"
+            f" {folder / f'position-{position}-left-numbered.png'}"
+        )
         return seen
     what = f"the board was not found at position {position}, {TRIES} times"
-    raise DeviceError("cameras", what, hint="See the pictures: is it sharp, lit, and the board that the file describes?")
+    raise DeviceError(
+        "cameras",
+        what,
+        hint="See the pictures: is it sharp, lit, and the board that the file describes?",
+    )
 
 
 def _looked(pictures: Mapping[str, Grey], board: Board) -> Seen:
@@ -127,14 +157,25 @@ def _looked(pictures: Mapping[str, Grey], board: Board) -> Seen:
     right, corners = order_alike(left, right, board), nine(board)
     for camera, found in (("left", left), ("right", right)):
         if hidden := [str(at + 1) for at, corner in enumerate(corners) if corner not in found.ids]:
-            raise ViewRefusedError(f"the {camera} camera does not see point {', '.join(hidden)} of the nine: show all of the board")
+            raise ViewRefusedError(
+                f"the {camera} camera does not see point {', '.join(hidden)} of the nine: show all"
+                " of the board"
+            )
     return Seen(left, right, corners)
 
 
 def _touched(asking: Asking, board: Board, seen: Seen, at: int, before: list[WorldTip]) -> WorldTip:
-    """One of the nine, read; asked for again where the arm moved, or where it was another point by its distances to those before."""
+    """One of the nine, read; asked for again where the arm moved, or where it was another point by
+    its distances to those before.
+    """
     which = f"{ROWS[at // 3]} {COLUMNS[at % 3]}"
-    text, again = f"Touch point {at + 1} of {len(seen.corners)}, the {which} one, with the tip and hold it still.", ""
+    text, again = (
+        (
+            f"Touch point {at + 1} of {len(seen.corners)}, the {which} one, with the tip and hold"
+            " it still."
+        ),
+        "",
+    )
     for _ in range(TRIES):
         asking.operator.touch_board(seen.corners[at], text, again=again)
         try:
@@ -146,24 +187,35 @@ def _touched(asking: Asking, board: Board, seen: Seen, at: int, before: list[Wor
         if not again:
             return reading
         asking.tell(again)
-    raise DeviceError("arm", f"point {at + 1} of the board was not touched well, {TRIES} times; the last one: {again}")
+    raise DeviceError(
+        "arm",
+        f"point {at + 1} of the board was not touched well, {TRIES} times; the last one: {again}",
+    )
 
 
-def _mistaken(board: Board, corners: tuple[int, ...], at: int, reading: WorldTip, before: list[WorldTip]) -> str:
-    """Why a touch is not of the point asked for, or nothing: a distance to an earlier point that the print doesn't have."""
+def _mistaken(
+    board: Board, corners: tuple[int, ...], at: int, reading: WorldTip, before: list[WorldTip]
+) -> str:
+    """Why a touch is not of the point asked for, or nothing: a distance to an earlier point that
+    the print doesn't have.
+    """
     for earlier, known in enumerate(before):
-        printed = float(np.linalg.norm(board.points_mm[corners[at]] - board.points_mm[corners[earlier]]))
+        printed = float(
+            np.linalg.norm(board.points_mm[corners[at]] - board.points_mm[corners[earlier]])
+        )
         touched = float(np.linalg.norm(reading.point_mm - known.point_mm))
         if abs(touched - printed) > MISTAKEN * board.pitch_mm:
             return (
-                f"That lies {touched:.1f} mm from point {earlier + 1}, where the print has {printed:.1f} mm: another point,"
-                " or the board has moved. Once more."
+                f"That lies {touched:.1f} mm from point {earlier + 1}, where the print has"
+                f" {printed:.1f} mm: another point, or the board has moved. Once more."
             )
     return ""
 
 
 def under_ball(centres_mm: list[Array], axes: list[Array], radius_mm: float) -> Array:
-    """Points (n, 3) of a plane that a ball tip touched, from the ball's centres and the stylus's axes (3,), which point away from it."""
+    """Points (n, 3) of a plane that a ball tip touched, from the ball's centres and the stylus's
+    axes (3,), which point away from it.
+    """
     points = np.array(centres_mm, dtype=np.float64)
     normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
     side = 1.0 if float(np.mean(axes, axis=0) @ normal) > 0 else -1.0
@@ -173,7 +225,18 @@ def under_ball(centres_mm: list[Array], axes: list[Array], radius_mm: float) -> 
 def _numbered(picture: Grey, found: Found, corners: tuple[int, ...]) -> NDArray[np.uint8]:
     image = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
     for number, corner in enumerate(corners, 1):
-        x, y = (round(float(v)) for v in found.pixels_px[int(np.flatnonzero(found.ids == corner)[0])])
+        x, y = (
+            round(float(v)) for v in found.pixels_px[int(np.flatnonzero(found.ids == corner)[0])]
+        )
         cv2.circle(image, (x, y), 8, (0, 200, 255), 2, cv2.LINE_AA)
-        cv2.putText(image, str(number), (x + 10, y - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.8, (0, 200, 255), 2, cv2.LINE_AA)
+        cv2.putText(
+            image,
+            str(number),
+            (x + 10, y - 8),
+            cv2.FONT_HERSHEY_SIMPLEX,
+            0.8,
+            (0, 200, 255),
+            2,
+            cv2.LINE_AA,
+        )
     return np.asarray(image, dtype=np.uint8)

@@ -1,7 +1,8 @@
-"""Where pictures of a board come from: folders by camera, files named by camera, or a recording. Names of views are what pairs them.
+"""Where pictures of a board come from: folders by camera, files named by camera, or a recording.
+Names of views are what pairs them.
 
-Strategy: find which picture is whose before any is read; a view is one pose of the board, and its name is the same in every camera. May not
-know boards.
+Strategy: find which picture is whose before any is read; a view is one pose of the board, and its
+name is the same in every camera. May not know boards.
 
 Pictures to views: the board found in each, alike in all cameras; what is refused, with its reason.
 
@@ -25,7 +26,10 @@ from instruments.camera.recording import RecordingError, read_grey
 
 CAMERAS = ("left", "right", "thermal")
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
-LAYOUT = "left/NAME.png and right/NAME.png (and thermal/NAME.png), or leftNAME.png and rightNAME.png, or a recording's frames/NAME/left.png"
+LAYOUT = (
+    "left/NAME.png and right/NAME.png (and thermal/NAME.png), or leftNAME.png and rightNAME.png, or"
+    " a recording's frames/NAME/left.png"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,44 +47,67 @@ class PictureSet:
         """The pictures of some cameras. Raises ConfigError where one has none."""
         for camera in cameras:
             if camera not in self.pictures:
-                raise ConfigError.plain(f"no picture of the {camera} camera was found; wanted: {LAYOUT}")
+                raise ConfigError.plain(
+                    f"no picture of the {camera} camera was found; wanted: {LAYOUT}"
+                )
         return PictureSet({camera: self.pictures[camera] for camera in cameras})
 
 
 def find_pictures(places: Sequence[Path]) -> PictureSet:
-    """All pictures in the folders ``places``. Raises ConfigError for a place that is none, or holds none, or has a view twice."""
+    """All pictures in the folders ``places``. Raises ConfigError for a place that is none, or holds
+    none, or has a view twice.
+    """
     found: dict[str, dict[str, Path]] = {}
     for place in places:
         if not place.is_dir():
-            raise ConfigError.plain(f"{place}: no such folder; a set of pictures is a folder with {LAYOUT}")
+            raise ConfigError.plain(
+                f"{place}: no such folder; a set of pictures is a folder with {LAYOUT}"
+            )
         prefix = f"{place.name}/" if len(places) > 1 else ""
         before = sum(map(len, found.values()))
         for camera, name, path in _in_folder(place):
             views = found.setdefault(camera, {})
             if prefix + name in views:
                 raise ConfigError.plain(
-                    f"{path}: view {prefix + name!r} of the {camera} camera is there twice (also {views[prefix + name]})"
+                    f"{path}: view {prefix + name!r} of the {camera} camera is there twice (also"
+                    f" {views[prefix + name]})"
                 )
             views[prefix + name] = path
         if sum(map(len, found.values())) == before:
             raise ConfigError.plain(f"{place}: no picture found; wanted: {LAYOUT}")
-    return PictureSet({camera: dict(sorted(found[camera].items())) for camera in CAMERAS if camera in found})
+    return PictureSet(
+        {camera: dict(sorted(found[camera].items())) for camera in CAMERAS if camera in found}
+    )
 
 
 def _in_folder(place: Path) -> list[tuple[str, str, Path]]:
     """Camera, view and path of each picture in one folder, by whichever of the layouts it keeps."""
     if (place / "frames").is_dir():
         place = place / "frames"
-    by_camera = [(camera, path.stem, path) for camera in CAMERAS for path in _pictures(place / camera)]
-    by_name = [
-        (camera, path.stem.removeprefix(camera), path) for path in _pictures(place) for camera in CAMERAS if path.stem.startswith(camera)
+    by_camera = [
+        (camera, path.stem, path) for camera in CAMERAS for path in _pictures(place / camera)
     ]
-    by_frame = [(path.stem, frame.name, path) for frame in _folders(place) for path in _pictures(frame) if path.stem in CAMERAS]
+    by_name = [
+        (camera, path.stem.removeprefix(camera), path)
+        for path in _pictures(place)
+        for camera in CAMERAS
+        if path.stem.startswith(camera)
+    ]
+    by_frame = [
+        (path.stem, frame.name, path)
+        for frame in _folders(place)
+        for path in _pictures(frame)
+        if path.stem in CAMERAS
+    ]
     return by_camera or by_frame or by_name
 
 
 def _pictures(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS) if folder.is_dir() else []
+    return (
+        sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS)
+        if folder.is_dir()
+        else []
+    )
 
 
 def _folders(place: Path) -> list[Path]:
@@ -98,7 +125,9 @@ class Refused:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardViews:
-    """The board as each camera saw it: ``found`` by camera and view. ``image_size`` (columns, rows) px by camera."""
+    """The board as each camera saw it: ``found`` by camera and view. ``image_size`` (columns, rows)
+    px by camera.
+    """
 
     board: Board
     found: Mapping[str, Mapping[str, Found]]
@@ -107,7 +136,10 @@ class BoardViews:
 
     def views(self, camera: str) -> list[View]:
         """What the solver wants of one camera."""
-        return [View(name, self.board.points_mm[found.ids], found.pixels_px) for name, found in self.found[camera].items()]
+        return [
+            View(name, self.board.points_mm[found.ids], found.pixels_px)
+            for name, found in self.found[camera].items()
+        ]
 
     def pairs(self) -> list[PairView]:
         """The points that left and right saw in the same view."""
@@ -116,7 +148,9 @@ class BoardViews:
             right = self.found["right"].get(name)
             if right is not None:
                 ids, in_left, in_right = np.intersect1d(left.ids, right.ids, return_indices=True)
-                pairs.append(PairView(name, ids, left.pixels_px[in_left], right.pixels_px[in_right]))
+                pairs.append(
+                    PairView(name, ids, left.pixels_px[in_left], right.pixels_px[in_right])
+                )
         return [pair for pair in pairs if len(pair.ids) >= 4]
 
 
@@ -129,7 +163,8 @@ def find_views(
     max_views: int | None = None,
     mirrored: frozenset[str] = frozenset(),
 ) -> BoardViews:
-    """The board in every picture; ``max_views`` takes that many, spread over the set. Raises ConfigError for pictures that can't be.
+    """The board in every picture; ``max_views`` takes that many, spread over the set. Raises
+    ConfigError for pictures that can't be.
 
     Pictures of cameras in ``mirrored`` are turned round first.
     """
@@ -145,7 +180,10 @@ def find_views(
             first = first or path
             if sizes.setdefault(camera, size) != size:
                 was = "{} x {}".format(*sizes[camera])
-                raise ConfigError.plain(f"{path}: {size[0]} x {size[1]} px, but {first} has {was}: one camera's pictures have one size")
+                raise ConfigError.plain(
+                    f"{path}: {size[0]} x {size[1]} px, but {first} has {was}: one camera's"
+                    " pictures have one size"
+                )
             try:
                 found[camera][name] = find_board(image, board, sub_pixel=SubPixel(window_px))
             except ViewRefusedError as why:
@@ -156,7 +194,9 @@ def find_views(
 
 
 def _spread(views: Mapping[str, Path], most: int | None) -> dict[str, Path]:
-    """At most ``most`` views, evenly taken; the same ones in every camera whose views have the same names."""
+    """At most ``most`` views, evenly taken; the same ones in every camera whose views have the same
+    names.
+    """
     names = sorted(views)
     if most is None or len(names) <= most:
         return dict(views)
@@ -172,7 +212,9 @@ def _read(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
 
 
 def _count_alike(found: dict[str, dict[str, Found]], board: Board) -> None:
-    """Turn boards that read the same when turned, so that all cameras count from the end that the first camera counts from."""
+    """Turn boards that read the same when turned, so that all cameras count from the end that the
+    first camera counts from.
+    """
     cameras = list(found)
     for camera in cameras[1:]:
         for name, other in found[camera].items():

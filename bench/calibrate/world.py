@@ -1,4 +1,5 @@
-"""Tables of numbers that a person writes: comma-separated values with a first line of names, explained when wrong.
+"""Tables of numbers that a person writes: comma-separated values with a first line of names,
+explained when wrong.
 
 Camera to table from points that the arm touched and both cameras saw.
 
@@ -22,17 +23,25 @@ from detector.geometry import Array
 
 
 def read_table(path: Path, columns: tuple[str, ...]) -> Mapping[str, Array]:
-    """Columns of numbers from a CSV file with a first line of names. Raises ConfigError with the line."""
+    """Columns of numbers from a CSV file with a first line of names. Raises ConfigError with the
+    line.
+    """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.DictReader(file, strict=True)
             if missing := [name for name in columns if name not in (lines.fieldnames or ())]:
                 raise ConfigError.plain(
-                    f"{path}:1: the column(s) {', '.join(missing)} are missing; the first line must name {','.join(columns)}"
+                    f"{path}:1: the column(s) {', '.join(missing)} are missing; the first line must"
+                    f" name {','.join(columns)}"
                 )
-            rows = [[_number(f"{path}:{lines.line_num}", name, line[name]) for name in columns] for line in lines]
+            rows = [
+                [_number(f"{path}:{lines.line_num}", name, line[name]) for name in columns]
+                for line in lines
+            ]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError.plain(f"{path}: can't be read as a table of comma-separated values in UTF-8: {error}") from error
+        raise ConfigError.plain(
+            f"{path}: can't be read as a table of comma-separated values in UTF-8: {error}"
+        ) from error
     table = np.array(rows, dtype=np.float64).reshape(-1, len(columns))
     return dict(zip(columns, table.T, strict=True))
 
@@ -41,7 +50,9 @@ def _number(where: str, name: str, text: str | None) -> float:
     try:
         value = float(text or "")
     except ValueError:
-        raise ConfigError.plain(f"{where}: {name} must be a number, is {short(repr(text))}") from None
+        raise ConfigError.plain(
+            f"{where}: {name} must be a number, is {short(repr(text))}"
+        ) from None
     if not np.isfinite(value):
         raise ConfigError.plain(f"{where}: {name} must be finite, is {text!r}")
     return value
@@ -53,7 +64,9 @@ LEAST_POINTS = 4  # three fix the pose and leave nothing to see by whether it is
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchedPoints:
-    """Points (n, 2) px in each camera, and (n, 3) mm where the arm touched them, in the world frame."""
+    """Points (n, 2) px in each camera, and (n, 3) mm where the arm touched them, in the world
+    frame.
+    """
 
     left_px: Array
     right_px: Array
@@ -70,24 +83,39 @@ class WorldResult:
 
     def part(self, record: Record) -> Part:
         """What the file of this step holds: the world, and the covariance of it with the pair's."""
-        return Part(world_from_right=self.fit.world_from_right, covariance=self.fit.covariance, record=record)
+        return Part(
+            world_from_right=self.fit.world_from_right,
+            covariance=self.fit.covariance,
+            record=record,
+        )
 
 
 def read_points(path: Path) -> TouchedPoints:
     """Touched points from a table (`POINT_COLUMNS`). Raises ConfigError with the line."""
     table = read_table(path, POINT_COLUMNS)
     left, right, touched = (
-        np.column_stack([table[name] for name in names]) for names in (POINT_COLUMNS[:2], POINT_COLUMNS[2:4], POINT_COLUMNS[4:])
+        np.column_stack([table[name] for name in names])
+        for names in (POINT_COLUMNS[:2], POINT_COLUMNS[2:4], POINT_COLUMNS[4:])
     )
     return TouchedPoints(left, right, touched)
 
 
-def calibrate_world(points: TouchedPoints, cameras: Part, *, pixel_sd_px: float, touch_sd_mm: float) -> WorldResult:
-    """The world's pose. Raises ConfigError (a sentence) for points that don't determine it, or a file without the pair."""
+def calibrate_world(
+    points: TouchedPoints, cameras: Part, *, pixel_sd_px: float, touch_sd_mm: float
+) -> WorldResult:
+    """The world's pose. Raises ConfigError (a sentence) for points that don't determine it, or a
+    file without the pair.
+    """
     if cameras.left is None or cameras.right is None or cameras.right_from_left is None:
-        raise ConfigError.plain("the cameras' file lacks a part: it must hold cameras.left, cameras.right and stereo (calibrate cameras)")
+        raise ConfigError.plain(
+            "the cameras' file lacks a part: it must hold cameras.left, cameras.right and stereo"
+            " (calibrate cameras)"
+        )
     if len(points.touched_mm) < LEAST_POINTS:
-        raise ConfigError.plain(f"{len(points.touched_mm)} touched points are too few: at least {LEAST_POINTS}, 18 at two heights are good")
+        raise ConfigError.plain(
+            f"{len(points.touched_mm)} touched points are too few: at least {LEAST_POINTS}, 18 at"
+            " two heights are good"
+        )
     try:
         fit = fit_world(
             cameras.left,

@@ -1,10 +1,13 @@
-"""`--capture FILE`, for every command that opens a link: the file is opened before the command and closed behind it.
+"""`--capture FILE`, for every command that opens a link: the file is opened before the command and
+closed behind it.
 
 The command finds in ``given.capture`` whom to ask for a tap, whether or not anything is captured.
 
-The commands by family, a module each: its arguments, and what it calls. Jobs themselves are done elsewhere.
+The commands by family, a module each: its arguments, and what it calls. Jobs themselves are done
+elsewhere.
 
-Words of the command line to values, for argparse's ``type``: what several families of commands take. Each says what is wrong.
+Words of the command line to values, for argparse's ``type``: what several families of commands
+take. Each says what is wrong.
 """
 
 from __future__ import annotations
@@ -24,7 +27,12 @@ Command = Callable[[argparse.Namespace], int]
 
 def add_capture(parser: argparse.ArgumentParser, command: Command) -> Command:
     """The option for ``parser``; gives back ``command`` with a capture around it."""
-    parser.add_argument("--capture", type=Path, metavar="FILE", help="record the bytes of every link in a new file (docs/captures.md)")
+    parser.add_argument(
+        "--capture",
+        type=Path,
+        metavar="FILE",
+        help="record the bytes of every link in a new file (docs/captures.md)",
+    )
     return lambda given: _captured(given, command)
 
 
@@ -42,12 +50,22 @@ def _captured(given: argparse.Namespace, command: Command) -> int:
             if capture.fault:
                 print(f"teatbench: {capture.fault}", file=sys.stderr)
             elif not capture.events:
-                print(f"teatbench: {capture.path} was not written: no link was opened", file=sys.stderr)
+                print(
+                    f"teatbench: {capture.path} was not written: no link was opened",
+                    file=sys.stderr,
+                )
 
 
 def _facts() -> dict[str, str]:
-    machine = f"{platform.system()} {platform.release()} {platform.machine()}, Python {platform.python_version()}"
-    return {"teatbench": __version__, "command": shlex.join(["teatbench", *sys.argv[1:]]), "machine": machine}
+    machine = (
+        f"{platform.system()} {platform.release()} {platform.machine()}, Python"
+        f" {platform.python_version()}"
+    )
+    return {
+        "teatbench": __version__,
+        "command": shlex.join(["teatbench", *sys.argv[1:]]),
+        "machine": machine,
+    }
 
 
 if TYPE_CHECKING:
@@ -78,11 +96,17 @@ class Commands:
         self._subparsers = subparsers
 
     def add(
-        self, name: str, what: str, command: Callable[[argparse.Namespace], int], *, opens_links: bool = True
+        self,
+        name: str,
+        what: str,
+        command: Callable[[argparse.Namespace], int],
+        *,
+        opens_links: bool = True,
     ) -> argparse.ArgumentParser:
         """A command that calls ``command``; gives back its parser for its arguments.
 
-        One that opens links has ``--capture FILE``, and asks ``given.capture.tap(name, clock)`` for each link's tap.
+        One that opens links has ``--capture FILE``, and asks ``given.capture.tap(name, clock)`` for
+        each link's tap.
         """
         sub = self._subparsers.add_parser(name, help=what, description=what, epilog=EXIT_CODES)
         sub.set_defaults(command=add_capture(sub, command) if opens_links else command)
@@ -96,17 +120,24 @@ class Commands:
 
 def add_rig(parser: argparse.ArgumentParser) -> None:
     """The rig as a positional argument that may be left out."""
-    parser.add_argument("rig", nargs="?", help="a shipped rig by name, or a .toml file (default: emulated)")
+    parser.add_argument(
+        "rig", nargs="?", help="a shipped rig by name, or a .toml file (default: emulated)"
+    )
 
 
 def add_out(parser: argparse.ArgumentParser) -> None:
     """Where run folders go."""
-    parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help="where run folders go (default: runs)")
+    parser.add_argument(
+        "--out", type=Path, default=OUT, metavar="DIR", help="where run folders go (default: runs)"
+    )
 
 
 def add_detectors(parser: argparse.ArgumentParser) -> None:
     """Detectors by name, command or file."""
-    what = "a detector by name, a file DETECTOR.toml, or exec:COMMAND (docs/detectors.md); may be given several times"
+    what = (
+        "a detector by name, a file DETECTOR.toml, or exec:COMMAND (docs/detectors.md); may be"
+        " given several times"
+    )
     parser.add_argument("--detector", action="append", default=[], metavar="NAME", help=what)
 
 
@@ -145,14 +176,19 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 
 def address(instrument: str) -> Callable[[str], str]:
-    """Where a "bath" or a "stage" is, as in a rig file, but not an emulated one: that lives in the bench."""
+    """Where a "bath" or a "stage" is, as in a rig file, but not an emulated one: that lives in the
+    bench.
+    """
 
     def take(text: str) -> str:
         from bench.rig.urls import EMULATED, bath_url, serial_url
 
         try:
             if text == EMULATED:
-                raise ValueError(f"an emulated {instrument} lives in the bench; 'teatbench emulate' serves one at a port")
+                raise ValueError(
+                    f"an emulated {instrument} lives in the bench; 'teatbench emulate' serves one"
+                    " at a port"
+                )
             return bath_url(text) if instrument == "bath" else serial_url(text)
         except ValueError as error:
             raise argparse.ArgumentTypeError(f"{text!r} is no {instrument}: {error}") from error

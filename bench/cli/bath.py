@@ -16,20 +16,43 @@ def add_to(commands: Commands) -> None:
     read = _add_bath(bath.add("read", "one reading, and who answered; changes nothing", _read))
     read.add_argument("--json", action="store_true", help="one JSON object, units in its keys")
     change = _add_bath(bath.add("set", "change the set point; starts and stops nothing", _set))
-    change.add_argument("set_point", type=_degrees, metavar="DEGC", help="the new set point in degC")
-    change.add_argument("--allow-inferred", action="store_true", help="also write what the profile only infers")
+    change.add_argument(
+        "set_point", type=_degrees, metavar="DEGC", help="the new set point in degC"
+    )
+    change.add_argument(
+        "--allow-inferred", action="store_true", help="also write what the profile only infers"
+    )
     watch = _add_bath(bath.add("watch", "a live plot until Ctrl-C; changes nothing", _watch))
-    watch.add_argument("--seconds", type=seconds, default=math.inf, metavar="N", help="end after so long (default: Ctrl-C ends it)")
+    watch.add_argument(
+        "--seconds",
+        type=seconds,
+        default=math.inf,
+        metavar="N",
+        help="end after so long (default: Ctrl-C ends it)",
+    )
     _add_bath(bath.add("standby", "heater off now, whatever the bath is doing", _standby))
-    acknowledge = bath.add("acknowledge", "after an interlock has tripped and its cause is gone: let the rig run again", _acknowledge)
+    acknowledge = bath.add(
+        "acknowledge",
+        "after an interlock has tripped and its cause is gone: let the rig run again",
+        _acknowledge,
+    )
     add_rig(acknowledge)
 
 
 def _add_bath(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     parser.add_argument(
-        "--port", required=True, type=address("bath"), metavar="URL", help="where the controller is, as in a rig file's [bath] url"
+        "--port",
+        required=True,
+        type=address("bath"),
+        metavar="URL",
+        help="where the controller is, as in a rig file's [bath] url",
     )
-    parser.add_argument("--profile", required=True, metavar="NAME", help="the controller's family, or the path of a profile of your own")
+    parser.add_argument(
+        "--profile",
+        required=True,
+        metavar="NAME",
+        help="the controller's family, or the path of a profile of your own",
+    )
     return parser
 
 
@@ -60,7 +83,12 @@ def _set(given: argparse.Namespace) -> int:
     from bench.cli.live_view import open_bath, profile_of, set_point
     from instruments.errors import LimitError
 
-    with open_bath(given.port, profile_of(given.profile), allow_inferred=given.allow_inferred, capture=given.capture) as (bath, _):
+    with open_bath(
+        given.port,
+        profile_of(given.profile),
+        allow_inferred=given.allow_inferred,
+        capture=given.capture,
+    ) as (bath, _):
         try:
             print(set_point(bath, given.set_point))
         except LimitError as error:
@@ -84,7 +112,9 @@ def _watch(given: argparse.Namespace) -> int:
 def _standby(given: argparse.Namespace) -> int:
     from bench.cli.live_view import open_bath, profile_of, standby
 
-    with open_bath(given.port, profile_of(given.profile), identify=False, capture=given.capture) as (bath, _):
+    with open_bath(
+        given.port, profile_of(given.profile), identify=False, capture=given.capture
+    ) as (bath, _):
         print(standby(bath))
     return CODES.met
 

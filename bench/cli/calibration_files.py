@@ -1,6 +1,8 @@
-"""`calibrate board|export|import`, and what every step of a calibration does with its file: record, page, exit code.
+"""`calibrate board|export|import`, and what every step of a calibration does with its file: record,
+page, exit code.
 
-What `calibrate cameras|thermal|world --rig` do before they calculate: the rig's cameras opened, the operator led, the pictures kept.
+What `calibrate cameras|thermal|world --rig` do before they calculate: the rig's cameras opened, the
+operator led, the pictures kept.
 """
 
 from __future__ import annotations
@@ -30,27 +32,54 @@ if TYPE_CHECKING:
 
 def add_files(group: Commands) -> None:
     """The commands with their arguments."""
-    board = group.add("board", "a calibration board as a PDF in true size", _board, opens_links=False)
+    board = group.add(
+        "board", "a calibration board as a PDF in true size", _board, opens_links=False
+    )
     board.add_argument("board", metavar="BOARD", help="a shipped board by name, or a .toml file")
     board.add_argument("--pdf", type=Path, required=True, metavar="FILE", help="where to write it")
-    board.add_argument("--paper", choices=("A4", "A3", "A2", "A1", "A0"), help="the sheet (default: the smallest that holds it)")
+    board.add_argument(
+        "--paper",
+        choices=("A4", "A3", "A2", "A1", "A0"),
+        help="the sheet (default: the smallest that holds it)",
+    )
     export = group.add("export", "write a calibration for another tool", _export, opens_links=False)
     export.add_argument("calibration", type=Path, metavar="CAL")
     export.add_argument("--format", choices=("opencv", "bouguet", "ros"), required=True)
-    export.add_argument("--camera", choices=("left", "right", "thermal"), default="left", help="for ros, which has one camera a file")
+    export.add_argument(
+        "--camera",
+        choices=("left", "right", "thermal"),
+        default="left",
+        help="for ros, which has one camera a file",
+    )
     export.add_argument("--out", type=Path, required=True, metavar="FILE")
     export.add_argument("--replace", action="store_true", help="write over a file that is there")
-    taken = group.add("import", "take the cameras of another tool over, as a part for merge", _import, opens_links=False)
-    taken.add_argument("file", nargs="+", type=Path, metavar="FILE", help="for ros two: left, right")
+    taken = group.add(
+        "import",
+        "take the cameras of another tool over, as a part for merge",
+        _import,
+        opens_links=False,
+    )
+    taken.add_argument(
+        "file", nargs="+", type=Path, metavar="FILE", help="for ros two: left, right"
+    )
     taken.add_argument("--format", choices=("opencv", "bouguet", "ros"), required=True)
-    taken.add_argument("--image-size", type=size, metavar="COLUMNSxROWS", help="for opencv, whose files may leave it out")
+    taken.add_argument(
+        "--image-size",
+        type=size,
+        metavar="COLUMNSxROWS",
+        help="for opencv, whose files may leave it out",
+    )
     add_out_file(taken, "cameras.toml")
 
 
 def add_out_file(parser: argparse.ArgumentParser, name: str) -> None:
     """Where a step writes its file, and who says so."""
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="FILE", help=f"where to write it, such as {name}; its page stands beside it"
+        "--out",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help=f"where to write it, such as {name}; its page stands beside it",
     )
     parser.add_argument("--replace", action="store_true", help="write over a file that is there")
     parser.add_argument("--by", default="", metavar="NAME", help="who calibrated, for the record")
@@ -65,7 +94,10 @@ def size(text: str) -> tuple[int, int]:
 
 
 def make_record(
-    given: argparse.Namespace, inputs: Sequence[Path], cameras: Mapping[str, str], more: Mapping[str, str] | None = None
+    given: argparse.Namespace,
+    inputs: Sequence[Path],
+    cameras: Mapping[str, str],
+    more: Mapping[str, str] | None = None,
 ) -> Record:
     """Who, today, with this program, from these files."""
     from bench import __version__
@@ -74,13 +106,24 @@ def make_record(
 
     names = _short_names(inputs)
     hashes = {name: file_hash(path) for name, path in zip(names, inputs, strict=True)}
-    return Record(wall_time().date().isoformat(), given.by, f"teatbench {__version__}", cameras, {**hashes, **(more or {})})
+    return Record(
+        wall_time().date().isoformat(),
+        given.by,
+        f"teatbench {__version__}",
+        cameras,
+        {**hashes, **(more or {})},
+    )
 
 
 def _short_names(paths: Sequence[Path]) -> list[str]:
-    """As short as keeps them apart: the name, with the folder before it where two files have one name."""
+    """As short as keeps them apart: the name, with the folder before it where two files have one
+    name.
+    """
     names = [path.name for path in paths]
-    return [f"{path.parent.name}/{path.name}" if names.count(path.name) > 1 else path.name for path in paths]
+    return [
+        f"{path.parent.name}/{path.name}" if names.count(path.name) > 1 else path.name
+        for path in paths
+    ]
 
 
 def write_step(given: argparse.Namespace, found: Part | Calibration, page: Page | None) -> None:
@@ -145,7 +188,10 @@ def _import(given: argparse.Namespace) -> int:
 
     refuse_existing(given.out, replace=given.replace)
     if len(given.file) > (2 if given.format == "ros" else 1):
-        raise ConfigError.plain(f"{given.format} takes {'two files at most, left and right' if given.format == 'ros' else 'one file'}")
+        raise ConfigError.plain(
+            f"{given.format} takes"
+            f" {'two files at most, left and right' if given.format == 'ros' else 'one file'}"
+        )
     if given.format == "opencv":
         part = exchange.read_opencv(given.file[0], given.image_size)
     elif given.format == "bouguet":
@@ -169,11 +215,17 @@ class Gathered:
 
 def add_rig_option(parser: argparse.ArgumentParser) -> None:
     """The rig, in the place of files that are there already."""
-    parser.add_argument("--rig", metavar="RIG", help="live, with the cameras of this rig: by name, or a .toml file")
-    parser.add_argument("--seed", type=int, metavar="N", help="of the emulators' noise (default: the rig's)")
+    parser.add_argument(
+        "--rig", metavar="RIG", help="live, with the cameras of this rig: by name, or a .toml file"
+    )
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help="of the emulators' noise (default: the rig's)"
+    )
 
 
-def gather_views(given: argparse.Namespace, wanted: ViewsRequest, known: Part | None = None) -> Gathered:
+def gather_views(
+    given: argparse.Namespace, wanted: ViewsRequest, known: Part | None = None
+) -> Gathered:
     """Views of ``given.board`` from the cameras of ``given.rig``, which are those of ``known``.
 
     Raises ConfigError, InstrumentError, OperatorAbort.
@@ -186,13 +238,19 @@ def gather_views(given: argparse.Namespace, wanted: ViewsRequest, known: Part | 
     with _opened(given, known, arm=False) as (parts, rig):
         kept = gather(_look(parts, rig), parts.operator, board, wanted, folder, _tell)
         parts.operator.finish()
-        identity = {camera: str(who) for camera, who in parts.cameras.identity.items() if camera in wanted.cameras}
+        identity = {
+            camera: str(who)
+            for camera, who in parts.cameras.identity.items()
+            if camera in wanted.cameras
+        }
     _tell(f"{kept} views in {folder}")
     return Gathered(folder, identity)
 
 
 def gather_world(given: argparse.Namespace, known: Part) -> Gathered:
-    """Points of ``given.board`` that the arm of ``given.rig`` touched and its cameras, those of ``known``, saw: a table in the folder."""
+    """Points of ``given.board`` that the arm of ``given.rig`` touched and its cameras, those of
+    ``known``, saw: a table in the folder.
+    """
     from bench.calibrate.capture import free_folder
     from bench.calibrate.touch_board import Asking, gather_points
     from bench.rig.board import find_board_file, load_board
@@ -210,7 +268,9 @@ def gather_world(given: argparse.Namespace, known: Part) -> Gathered:
             tip.refuse_other_arm()
             parts.operator.confirm_homing(PEG)
             arm.confirm_homed()
-            asking = Asking(_look(parts, rig), parts.operator, tip, rig.rig.arm.tip_radius_mm, _tell)
+            asking = Asking(
+                _look(parts, rig), parts.operator, tip, rig.rig.arm.tip_radius_mm, _tell
+            )
             gather_points(asking, board, folder)
             parts.operator.finish()
         finally:
@@ -220,7 +280,9 @@ def gather_world(given: argparse.Namespace, known: Part) -> Gathered:
 
 
 @contextmanager
-def _opened(given: argparse.Namespace, known: Part | None, *, arm: bool) -> Iterator[tuple[Parts, LoadedRig]]:
+def _opened(
+    given: argparse.Namespace, known: Part | None, *, arm: bool
+) -> Iterator[tuple[Parts, LoadedRig]]:
     from bench.rig.loading import find_rig, load_rig
     from bench.rig.opening import open_parts
     from bench.script.calibration_age import refuse_other_cameras

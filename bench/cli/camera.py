@@ -15,22 +15,68 @@ from bench.cli.arguments import CODES, Commands, seconds
 if TYPE_CHECKING:
     from bench.rig.cameras_alone import Alone
 
-SOURCES = "a rig by name or .toml file (default: emulated), or one to three cameras: opencv:0, opencv:http://…, genicam:NAME"
+SOURCES = (
+    "a rig by name or .toml file (default: emulated), or one to three cameras: opencv:0,"
+    " opencv:http://…, genicam:NAME"
+)
 
 
 def add_to(commands: Commands) -> None:
     """The family's commands with their arguments."""
-    camera = commands.group("camera", "the cameras alone: which there are, what they see, how sharp, and a frame set to keep")
-    listing = camera.add("list", "cameras that this machine can see, or those of a rig", _list, opens_links=False)
-    listing.add_argument("rig", nargs="?", help="a shipped rig by name, or a .toml file (default: this machine)")
-    show = _add_sources(camera.add("show", "who each camera is, what it sees, and what is wrong with it", _show, opens_links=False))
+    camera = commands.group(
+        "camera",
+        "the cameras alone: which there are, what they see, how sharp, and a frame set to keep",
+    )
+    listing = camera.add(
+        "list", "cameras that this machine can see, or those of a rig", _list, opens_links=False
+    )
+    listing.add_argument(
+        "rig", nargs="?", help="a shipped rig by name, or a .toml file (default: this machine)"
+    )
+    show = _add_sources(
+        camera.add(
+            "show",
+            "who each camera is, what it sees, and what is wrong with it",
+            _show,
+            opens_links=False,
+        )
+    )
     show.add_argument("--json", action="store_true", help="one JSON object, units in its keys")
-    focus = _add_sources(camera.add("focus", "a live figure of sharpness, to set a lens by, until Ctrl-C", _focus, opens_links=False))
-    focus.add_argument("--seconds", type=seconds, default=math.inf, metavar="N", help="end after so long (default: Ctrl-C ends it)")
-    focus.add_argument("--every", type=seconds, default=0.2, metavar="N", help="seconds between two figures (default: 0.2)")
-    grab = _add_sources(camera.add("grab", "save frame sets as a recording", _grab, opens_links=False))
-    grab.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="the recording; one that is there is added to")
-    grab.add_argument("--count", type=_count, default=1, metavar="N", help="how many frame sets (default: 1)")
+    focus = _add_sources(
+        camera.add(
+            "focus",
+            "a live figure of sharpness, to set a lens by, until Ctrl-C",
+            _focus,
+            opens_links=False,
+        )
+    )
+    focus.add_argument(
+        "--seconds",
+        type=seconds,
+        default=math.inf,
+        metavar="N",
+        help="end after so long (default: Ctrl-C ends it)",
+    )
+    focus.add_argument(
+        "--every",
+        type=seconds,
+        default=0.2,
+        metavar="N",
+        help="seconds between two figures (default: 0.2)",
+    )
+    grab = _add_sources(
+        camera.add("grab", "save frame sets as a recording", _grab, opens_links=False)
+    )
+    grab.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="FOLDER",
+        help="the recording; one that is there is added to",
+    )
+    grab.add_argument(
+        "--count", type=_count, default=1, metavar="N", help="how many frame sets (default: 1)"
+    )
 
 
 def _add_sources(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
@@ -61,7 +107,9 @@ def _show(given: argparse.Namespace) -> int:
     with open_alone(given.sources) as alone:
         noticed: list[str] = []
         if alone.frame_set is None:
-            seen: Mapping[str, object] = {name: figures(picture) for name, picture in alone.look().items()}
+            seen: Mapping[str, object] = {
+                name: figures(picture) for name, picture in alone.look().items()
+            }
         else:
             frames = patient(alone.frame_set.capture)()
             seen = {name: figures(picture) for name, picture in pictures(frames).items()}
@@ -93,7 +141,11 @@ def _focus(given: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             print()
     if best:
-        print("focus_px = { " + ", ".join(f"{name} = {px:.2f}" for name, px in best.items()) + " }  # of [cameras.checks] in the rig file")
+        print(
+            "focus_px = { "
+            + ", ".join(f"{name} = {px:.2f}" for name, px in best.items())
+            + " }  # of [cameras.checks] in the rig file"
+        )
     return CODES.met
 
 
@@ -109,7 +161,12 @@ def _follow(alone: Alone, best: dict[str, float], seconds: float, every_s: float
             if blur_px is not None:
                 best[name] = min(best.get(name, math.inf), blur_px)
             told.append(
-                f"{name} " + ("no edge" if blur_px is None else f"{blur_px:5.2f} px (best {best[name]:.2f}) {_bar(best[name], blur_px)}")
+                f"{name} "
+                + (
+                    "no edge"
+                    if blur_px is None
+                    else f"{blur_px:5.2f} px (best {best[name]:.2f}) {_bar(best[name], blur_px)}"
+                )
             )
         print("  ".join(told), end="\r" if live else "\n", flush=True)
         alone.clock.sleep(every_s)
@@ -130,12 +187,17 @@ def _grab(given: argparse.Namespace) -> int:
 
     with open_alone(given.sources) as alone:
         if alone.frame_set is None:
-            raise ConfigError.plain("one camera alone makes no frame set: name left, right and perhaps thermal, or a rig")
+            raise ConfigError.plain(
+                "one camera alone makes no frame set: name left, right and perhaps thermal, or"
+                " a rig"
+            )
         writer = RecordingWriter(given.out)
         calibration = calibration_text(alone)
         if calibration is not None:
             writer.add_calibration(calibration)
-        taker = FrameTaker(alone.frame_set, alone.table, None, alone.clock.sleep, _tell, checks=alone.checks)
+        taker = FrameTaker(
+            alone.frame_set, alone.table, None, alone.clock.sleep, _tell, checks=alone.checks
+        )
         for number in range(given.count):
             name = f"{len(list((given.out / 'frames').iterdir())):04d}"
             writer.add(name, taker.take())
@@ -143,7 +205,10 @@ def _grab(given: argparse.Namespace) -> int:
             if number + 1 < given.count:
                 alone.clock.sleep(alone.table.settle_s)
     if calibration is None:
-        print("there is no calibration: put calibration.toml into the folder before it is scored", file=sys.stderr)
+        print(
+            "there is no calibration: put calibration.toml into the folder before it is scored",
+            file=sys.stderr,
+        )
     return CODES.met
 
 

@@ -1,6 +1,7 @@
 """`compare`: detectors or versions held against each other on the same scenes, and a gate for CI.
 
-`plan`: before a run, how many poses a claim needs, and how small a difference between two detectors they can show.
+`plan`: before a run, how many poses a claim needs, and how small a difference between two detectors
+they can show.
 """
 
 from __future__ import annotations
@@ -24,14 +25,48 @@ if TYPE_CHECKING:
 
 def add_to(commands: Commands) -> None:
     """The command with its arguments."""
-    compare = commands.add("compare", "paired differences between runs, or between the detectors of one run", _compare, opens_links=False)
-    compare.add_argument("run", type=Path, nargs="+", metavar="RUN", help="folders of runs; the first is the old one")
-    compare.add_argument("--detector", action="append", default=[], metavar="NAME", help="only this one; may be given several times")
-    compare.add_argument("--margin-mm", type=_length, metavar="MM", help="how much larger an error may be (default: 5 %% of the limit)")
-    compare.add_argument("--confidence", type=_confidence, default=0.95, metavar="P", help="of the intervals (default: 0.95)")
-    compare.add_argument("--gate", action="store_true", help="exit code 1 when the new one is worse, 4 when that can't be told")
-    compare.add_argument("--together", action="store_true", help="judge all runs as one, by their counts and errors, instead of comparing")
-    compare.add_argument("--out", type=Path, metavar="DIR", help="also write a page and comparison.json there")
+    compare = commands.add(
+        "compare",
+        "paired differences between runs, or between the detectors of one run",
+        _compare,
+        opens_links=False,
+    )
+    compare.add_argument(
+        "run", type=Path, nargs="+", metavar="RUN", help="folders of runs; the first is the old one"
+    )
+    compare.add_argument(
+        "--detector",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="only this one; may be given several times",
+    )
+    compare.add_argument(
+        "--margin-mm",
+        type=_length,
+        metavar="MM",
+        help="how much larger an error may be (default: 5 %% of the limit)",
+    )
+    compare.add_argument(
+        "--confidence",
+        type=_confidence,
+        default=0.95,
+        metavar="P",
+        help="of the intervals (default: 0.95)",
+    )
+    compare.add_argument(
+        "--gate",
+        action="store_true",
+        help="exit code 1 when the new one is worse, 4 when that can't be told",
+    )
+    compare.add_argument(
+        "--together",
+        action="store_true",
+        help="judge all runs as one, by their counts and errors, instead of comparing",
+    )
+    compare.add_argument(
+        "--out", type=Path, metavar="DIR", help="also write a page and comparison.json there"
+    )
     add_despite_damage(compare)
     compare.add_argument("--json", action="store_true", help="print JSON instead of tables")
 
@@ -56,7 +91,13 @@ def _compare(given: argparse.Namespace) -> int:
     with undamaged(given.run, given) as damage:
         if given.together:
             return _together(given, damage)
-        found = compare_folders(given.run, given.detector, margin_mm=given.margin_mm, confidence=given.confidence, damage=damage)
+        found = compare_folders(
+            given.run,
+            given.detector,
+            margin_mm=given.margin_mm,
+            confidence=given.confidence,
+            damage=damage,
+        )
         return _told(given, found)
 
 
@@ -81,7 +122,12 @@ def _together(given: argparse.Namespace, damage: tuple[str, ...]) -> int:
     judgements = judge_folders(given.run, given.detector, damage)
     if given.json:
         lines = [
-            {"detector": one.detector, "verdict": one.verdict, "decisions": [d.as_dict() for d in one.decisions]} for one in judgements
+            {
+                "detector": one.detector,
+                "verdict": one.verdict,
+                "decisions": [d.as_dict() for d in one.decisions],
+            }
+            for one in judgements
         ]
         print(json.dumps(lines, indent=1, ensure_ascii=False))
     else:
@@ -91,7 +137,15 @@ def _together(given: argparse.Namespace, damage: tuple[str, ...]) -> int:
 
 def _show(found: tuple[Comparison, ...]) -> None:
     from bench.cli.terminal import Terminal
-    from bench.report.comparison import DISTANCE, SUCCESS, distance_rows, heading, notes, success_rows, verdict_told
+    from bench.report.comparison import (
+        DISTANCE,
+        SUCCESS,
+        distance_rows,
+        heading,
+        notes,
+        success_rows,
+        verdict_told,
+    )
 
     console = Terminal()
     for comparison in found:
@@ -104,12 +158,18 @@ def _show(found: tuple[Comparison, ...]) -> None:
             console.print(f"  {reason}")
 
 
-def _table(title: str, columns: Sequence[tuple[str, str]], rows: Iterable[tuple[str, ...]]) -> Table:
+def _table(
+    title: str, columns: Sequence[tuple[str, str]], rows: Iterable[tuple[str, ...]]
+) -> Table:
     from rich.table import Table
 
     table = Table(title=title)
     for at, (column, unit) in enumerate(columns):
-        table.add_column(f"{column}, {unit}" if unit else column, justify="right" if at else "left", no_wrap=not at)
+        table.add_column(
+            f"{column}, {unit}" if unit else column,
+            justify="right" if at else "left",
+            no_wrap=not at,
+        )
     for row in rows:
         table.add_row(*row)
     return table
@@ -132,21 +192,74 @@ RATES = (0.95, 0.99, 0.999)
 
 def add_plan_to(commands: Commands) -> None:
     """The command with its arguments."""
-    plan = commands.add("plan", "how many poses a claim needs, and what so many poses can show", _plan, opens_links=False)
-    plan.add_argument("--rate", type=_share, action="append", default=[], metavar="R", help="to be shown (default: 0.95, 0.99 and 0.999)")
-    plan.add_argument("--confidence", type=_share, default=0.95, metavar="P", help="of the claim (default: 0.95)")
-    plan.add_argument("--failures", type=_whole, default=3, metavar="N", help="plan for up to so many failures (default: 3)")
-    plan.add_argument("--trials", type=_whole, metavar="N", help="poses there are: what do they show?")
-    plan.add_argument("--script", metavar="SCRIPT", help="take the poses of a script, shipped by name or a .toml file")
-    plan.add_argument("--true-rate", type=_share, metavar="R", help="what the detector is hoped to do: its chance to show the rate")
-    plan.add_argument("--sd-mm", type=_positive_length, metavar="SD", help="of the difference of two detectors' errors from pose to pose")
-    plan.add_argument("--shift-mm", type=_positive_length, metavar="MM", help="difference of two detectors to be shown: how many poses?")
-    plan.add_argument("--power", type=_share, default=0.8, metavar="P", help="chance to show a difference that is there (default: 0.8)")
-    plan.add_argument(
-        "--limit-mm", type=_positive_length, metavar="T", help="of the error: how near to it may the largest lie? With --u-mm"
+    plan = commands.add(
+        "plan",
+        "how many poses a claim needs, and what so many poses can show",
+        _plan,
+        opens_links=False,
     )
     plan.add_argument(
-        "--u-mm", type=_positive_length, metavar="U", help="standard uncertainty of the truth along an axis; a report says it"
+        "--rate",
+        type=_share,
+        action="append",
+        default=[],
+        metavar="R",
+        help="to be shown (default: 0.95, 0.99 and 0.999)",
+    )
+    plan.add_argument(
+        "--confidence", type=_share, default=0.95, metavar="P", help="of the claim (default: 0.95)"
+    )
+    plan.add_argument(
+        "--failures",
+        type=_whole,
+        default=3,
+        metavar="N",
+        help="plan for up to so many failures (default: 3)",
+    )
+    plan.add_argument(
+        "--trials", type=_whole, metavar="N", help="poses there are: what do they show?"
+    )
+    plan.add_argument(
+        "--script",
+        metavar="SCRIPT",
+        help="take the poses of a script, shipped by name or a .toml file",
+    )
+    plan.add_argument(
+        "--true-rate",
+        type=_share,
+        metavar="R",
+        help="what the detector is hoped to do: its chance to show the rate",
+    )
+    plan.add_argument(
+        "--sd-mm",
+        type=_positive_length,
+        metavar="SD",
+        help="of the difference of two detectors' errors from pose to pose",
+    )
+    plan.add_argument(
+        "--shift-mm",
+        type=_positive_length,
+        metavar="MM",
+        help="difference of two detectors to be shown: how many poses?",
+    )
+    plan.add_argument(
+        "--power",
+        type=_share,
+        default=0.8,
+        metavar="P",
+        help="chance to show a difference that is there (default: 0.8)",
+    )
+    plan.add_argument(
+        "--limit-mm",
+        type=_positive_length,
+        metavar="T",
+        help="of the error: how near to it may the largest lie? With --u-mm",
+    )
+    plan.add_argument(
+        "--u-mm",
+        type=_positive_length,
+        metavar="U",
+        help="standard uncertainty of the truth along an axis; a report says it",
     )
     plan.add_argument("--json", action="store_true", help="print JSON")
 
@@ -154,7 +267,9 @@ def add_plan_to(commands: Commands) -> None:
 def _share(text: str) -> float:
     value = number(text)
     if not 0.0 < value < 1.0:
-        raise argparse.ArgumentTypeError(f"{text!r} must lie between 0 and 1, for example 0.95: no number of poses shows 100 %")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} must lie between 0 and 1, for example 0.95: no number of poses shows 100 %"
+        )
     return value
 
 
@@ -178,11 +293,19 @@ def _plan(given: argparse.Namespace) -> int:
     from bench.results.sample_size import make_plan, plan_lines
 
     if given.script and given.trials is not None:
-        raise ConfigError.plain("--script and --trials both say how many poses there are; give one of them")
+        raise ConfigError.plain(
+            "--script and --trials both say how many poses there are; give one of them"
+        )
     if given.shift_mm is not None and given.sd_mm is None:
-        raise ConfigError.plain("--shift-mm needs --sd-mm: how much the difference varies from pose to pose ('teatbench compare' shows it)")
+        raise ConfigError.plain(
+            "--shift-mm needs --sd-mm: how much the difference varies from pose to pose ('teatbench"
+            " compare' shows it)"
+        )
     if (given.limit_mm is None) != (given.u_mm is None):
-        raise ConfigError.plain("--limit-mm and --u-mm belong together: the limit of the error, and the uncertainty of the truth")
+        raise ConfigError.plain(
+            "--limit-mm and --u-mm belong together: the limit of the error, and the uncertainty of"
+            " the truth"
+        )
     plan: Plan = make_plan(
         tuple(given.rate) or RATES,
         given.confidence,

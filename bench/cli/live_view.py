@@ -1,10 +1,13 @@
-"""One bath without a rig file: opened by its port and the name of its family, read, set, and put into standby.
+"""One bath without a rig file: opened by its port and the name of its family, read, set, and put
+into standby.
 
-A bath to look at: its last minutes as a plot of characters, its state, and how long until it is stable.
+A bath to look at: its last minutes as a plot of characters, its state, and how long until it is
+stable.
 
 Pure but for `watch_bath`, which reads and shows. It changes nothing at the bath.
 
-What `arm watch` shows: tip, pedals and rate out of a stream, a line some times a second. It may not print, nor know a terminal.
+What `arm watch` shows: tip, pedals and rate out of a stream, a line some times a second. It may not
+print, nor know a terminal.
 """
 
 from __future__ import annotations
@@ -38,7 +41,9 @@ def profile_of(name: str) -> Profile:
     known = profile_names()
     if not name.endswith(".toml") and name not in known:
         near, there = did_you_mean(name, known) or ".", ", ".join(known)
-        raise ConfigError.plain(f'no profile "{name}"{near} Shipped: {there}; or the path of a .toml file.')
+        raise ConfigError.plain(
+            f'no profile "{name}"{near} Shipped: {there}; or the path of a .toml file.'
+        )
     try:
         return load_profile(Path(name) if name.endswith(".toml") else name)
     except ProfileError as error:
@@ -47,7 +52,12 @@ def profile_of(name: str) -> Profile:
 
 @contextmanager
 def open_bath(
-    url: str, profile: Profile, *, allow_inferred: bool = False, identify: bool = True, capture: Captures = NO_CAPTURE
+    url: str,
+    profile: Profile,
+    *,
+    allow_inferred: bool = False,
+    identify: bool = True,
+    capture: Captures = NO_CAPTURE,
 ) -> Iterator[tuple[Bath, RealClock]]:
     """The bath at ``url`` in real time, and its clock. Raises InstrumentError."""
     clock = RealClock()
@@ -89,18 +99,23 @@ def is_started(bath: Bath) -> bool:
 
 
 def set_point(bath: Bath, wanted_c: float) -> str:
-    """Change the set point and nothing else; what the bath says after it. Raises LimitError outside the profile's range."""
+    """Change the set point and nothing else; what the bath says after it. Raises LimitError outside
+    the profile's range.
+    """
     bath.set_point(wanted_c)
     state = "it is heating or cooling to it now" if is_started(bath) else "the bath is in standby"
     return f"set point {bath.get('set_point'):.2f} degC; {state}"
 
 
 def standby(bath: Bath) -> str:
-    """Heater off, whatever the controller is; what the bath says after it. Raises InstrumentError where it can't be reached."""
+    """Heater off, whatever the controller is; what the bath says after it. Raises InstrumentError
+    where it can't be reached.
+    """
     bath.safe()
     try:
         return f"in standby at {bath.read().temp_c:.2f} degC"
-    except InstrumentError as error:  # what matters is done; an alarm or a broken sensor doesn't undo it
+    # what matters is done; an alarm or a broken sensor doesn't undo it
+    except InstrumentError as error:
         return f"in standby; no temperature: {error}"
 
 
@@ -121,10 +136,14 @@ class BathSample:
     output_percent: float | None = None
 
 
-def seconds_to_stable(report: StabilityReport, window_s: float, leave_k: float, rate_k_per_s: float | None) -> float | None:
-    """How long at the least until the gate opens; None where the bath doesn't come nearer to its set point.
+def seconds_to_stable(
+    report: StabilityReport, window_s: float, leave_k: float, rate_k_per_s: float | None
+) -> float | None:
+    """How long at the least until the gate opens; None where the bath doesn't come nearer to its
+    set point.
 
-    While heating that is the way at the present rate, and a window behind it; while settling what is missing of the window.
+    While heating that is the way at the present rate, and a window behind it; while settling what
+    is missing of the window.
     """
     if report.state is State.STABLE:
         return 0.0
@@ -146,8 +165,12 @@ def rate_k_per_s(samples: Sequence[BathSample]) -> float | None:
     return (last.temp_c - first.temp_c) / span_s if span_s >= 10.0 else None
 
 
-def plot(samples: Sequence[BathSample], set_point_c: float, *, width: int = WIDTH, height: int = HEIGHT) -> list[str]:
-    """Temperature over time, the set point as a line; ``height`` rows of text, and one that says the time."""
+def plot(
+    samples: Sequence[BathSample], set_point_c: float, *, width: int = WIDTH, height: int = HEIGHT
+) -> list[str]:
+    """Temperature over time, the set point as a line; ``height`` rows of text, and one that says
+    the time.
+    """
     temps = [sample.temp_c for sample in samples]
     low, high = min(*temps, set_point_c), max(*temps, set_point_c)
     middle, half = (low + high) / 2, max(high - low, LEAST_SPAN_K) * 0.55
@@ -161,16 +184,23 @@ def plot(samples: Sequence[BathSample], set_point_c: float, *, width: int = WIDT
     for sample in samples:
         rows[row(sample.temp_c)][_column(sample, samples, width)] = POINT
     labels = {0: middle + half, height - 1: middle - half, row(set_point_c): set_point_c}
-    lines = [f"{f'{labels[i]:.2f}' if i in labels else '':>7} {''.join(cells)}" for i, cells in enumerate(rows)]
+    lines = [
+        f"{f'{labels[i]:.2f}' if i in labels else '':>7} {''.join(cells)}"
+        for i, cells in enumerate(rows)
+    ]
     return [*lines, f"{'degC':>7} last {span_s / 60:.1f} min; {LINE * 2} set point, {POINT} bath"]
 
 
 def output_strip(samples: Sequence[BathSample], *, width: int = WIDTH) -> str:
-    """The heater's output over the same time, a bar a column; empty where the controller doesn't tell it."""
+    """The heater's output over the same time, a bar a column; empty where the controller doesn't
+    tell it.
+    """
     bars = [" "] * width
     for sample in samples:
         if sample.output_percent is not None:
-            bars[_column(sample, samples, width)] = BARS[round(min(100.0, max(0.0, sample.output_percent)) / 100.0 * (len(BARS) - 1))]
+            bars[_column(sample, samples, width)] = BARS[
+                round(min(100.0, max(0.0, sample.output_percent)) / 100.0 * (len(BARS) - 1))
+            ]
     return f"{'output':>7} {''.join(bars)}" if any(bar != " " for bar in bars) else ""
 
 
@@ -179,14 +209,20 @@ def _span_s(samples: Sequence[BathSample], width: int) -> float:
 
 
 def _column(sample: BathSample, samples: Sequence[BathSample], width: int) -> int:
-    return min(width - 1, int((sample.t_s - samples[0].t_s) / _span_s(samples, width) * (width - 1)))
+    return min(
+        width - 1, int((sample.t_s - samples[0].t_s) / _span_s(samples, width) * (width - 1))
+    )
 
 
 class BathView:
     """What is shown after each reading."""
 
     def __init__(
-        self, gate: StabilityGate, kept_s: float = 3600.0, *, moving: Callable[[BathReading], Hashable] = lambda reading: reading.raw
+        self,
+        gate: StabilityGate,
+        kept_s: float = 3600.0,
+        *,
+        moving: Callable[[BathReading], Hashable] = lambda reading: reading.raw,
     ) -> None:
         self._gate = gate
         self._moving = moving
@@ -201,7 +237,9 @@ class BathView:
         self._started = started
         self._gate.change_set_point(set_point_c)
         raw, teat_c = self._moving(reading), reading.external_c
-        self._gate.add(reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c)
+        self._gate.add(
+            reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c
+        )
         self._samples.append(BathSample(reading.t_s, reading.temp_c, reading.power_percent))
         while reading.t_s - self._samples[0].t_s > self._kept_s:
             self._samples.popleft()
@@ -215,10 +253,18 @@ class BathView:
         report, gate = self._gate.report, self._gate
         left_s = seconds_to_stable(report, gate.window_s, gate.leave_k, rate_k_per_s(self._samples))
         output = "not told" if reading.power_percent is None else f"{reading.power_percent:.0f} %"
-        parts = [f"{reading.temp_c:.2f} degC", f"set point {gate.set_point_c:.2f} degC", f"output {output}"]
+        parts = [
+            f"{reading.temp_c:.2f} degC",
+            f"set point {gate.set_point_c:.2f} degC",
+            f"output {output}",
+        ]
         if self._started:
             parts.append(report.state.value)
-            parts.append({None: "not getting nearer", 0.0: "stable now"}.get(left_s, f"stable in {_minutes(left_s)} at the earliest"))
+            parts.append(
+                {None: "not getting nearer", 0.0: "stable now"}.get(
+                    left_s, f"stable in {_minutes(left_s)} at the earliest"
+                )
+            )
         else:
             parts.append("in standby")
         parts += [f"alarm {reading.alarm}"] if reading.alarm else []
@@ -230,11 +276,17 @@ class BathView:
             yield from plot(self._samples, self._gate.set_point_c)
             yield from filter(None, [output_strip(self._samples)])
         yield self.line()
-        yield from (f"  {reason}" for reason in self._gate.report.reasons if self._gate.state is not State.HEATING)
+        yield from (
+            f"  {reason}"
+            for reason in self._gate.report.reasons
+            if self._gate.state is not State.HEATING
+        )
 
 
 def watch_bath(bath: Bath, clock: Clock, console: Console, seconds: float = math.inf) -> None:
-    """Read and show once a second until ``seconds`` are over, or somebody interrupts. Without a terminal, a line a reading."""
+    """Read and show once a second until ``seconds`` are over, or somebody interrupts. Without a
+    terminal, a line a reading.
+    """
     view = BathView(StabilityGate(bath.get("set_point")), moving=moving_of(bath.profile))
     end_s = clock.now() + seconds
     with Live(console=console, auto_refresh=False, transient=False) as live:
@@ -262,7 +314,9 @@ SHOW_S = 0.2
 
 
 def watch(arm: MicroScribe, clock: Clock, seconds: float | None) -> Iterator[str]:
-    """A line every `SHOW_S` until ``seconds`` have passed (None: without end). Raises as the driver does."""
+    """A line every `SHOW_S` until ``seconds`` have passed (None: without end). Raises as the driver
+    does.
+    """
     start = shown = clock.now()
     samples: list[Sample] = []
     with arm.stream() as stream:
@@ -279,5 +333,11 @@ def watch(arm: MicroScribe, clock: Clock, seconds: float | None) -> Iterator[str
 def line(arm: MicroScribe, samples: list[Sample], over_s: float) -> str:
     """One line for the samples of ``over_s`` seconds."""
     x, y, z = arm.position(samples).tip_mm
-    pedals = ", ".join(f"{pedal.name.lower()} {'DOWN' if samples[-1].buttons & pedal.value else 'up'}" for pedal in reversed(Pedal))
-    return f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm   pedals: {pedals:<22} {len(samples) / over_s:6.1f} packets/s   damaged: {arm.damaged}"
+    pedals = ", ".join(
+        f"{pedal.name.lower()} {'DOWN' if samples[-1].buttons & pedal.value else 'up'}"
+        for pedal in reversed(Pedal)
+    )
+    return (
+        f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm   pedals: {pedals:<22} {len(samples) / over_s:6.1f}"
+        f" packets/s   damaged: {arm.damaged}"
+    )

@@ -1,6 +1,8 @@
-"""The commands. Reads arguments, calls a command, knows the exit codes; with `bench.commands` the only place that prints.
+"""The commands. Reads arguments, calls a command, knows the exit codes; with `bench.commands` the
+only place that prints.
 
-Everything heavy is imported by the command that needs it, so that ``teatbench --help`` answers at once.
+Everything heavy is imported by the command that needs it, so that ``teatbench --help`` answers at
+once.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from reports.sanitize import sanitizing
 
 FILENAME_EXCED_RANGE = 206  # of Windows, which gives it the errno of a file that is not there
 
-# OpenCV and its FFmpeg write to the terminal themselves; what they say there is told by us. Both read this when they are loaded.
+# OpenCV and its FFmpeg write to the terminal themselves; what they say there is told by us. Both
+# read this when they are loaded.
 QUIET = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
 
 
@@ -32,7 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     streams = sys.stdout, sys.stderr
     for stream in streams:
         if hasattr(stream, "reconfigure"):
-            stream.reconfigure(encoding="utf-8", errors="replace")  # a Windows console may be set to less
+            # a Windows console may be set to less
+            stream.reconfigure(encoding="utf-8", errors="replace")
     try:
         sys.stdout, sys.stderr = map(sanitizing, streams)
         with installed():
@@ -59,22 +63,40 @@ def _run(given: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         return complain("interrupted", CODES.fault)
     except sqlite3.Error as error:
-        return complain(f"the run's record can't be written or read: {error}. Is the disk full, or the folder read-only?", CODES.fault)
+        return complain(
+            f"the run's record can't be written or read: {error}. Is the disk full, or the folder"
+            " read-only?",
+            CODES.fault,
+        )
     except BrokenPipeError:  # the reader of our output has gone (`| head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CODES.met
-    except OSError as error:  # a disk that is full, a folder that may not be written, amid whatever the command did
-        if error.errno == errno.ENAMETOOLONG or getattr(error, "winerror", 0) == FILENAME_EXCED_RANGE:
+    # a disk that is full, a folder that may not be written, amid whatever the command did
+    except OSError as error:
+        if (
+            error.errno == errno.ENAMETOOLONG
+            or getattr(error, "winerror", 0) == FILENAME_EXCED_RANGE
+        ):
             return complain(f"{error}: give it a shorter name", CODES.wrong_use)
-        return complain(f"{error}. Is the disk full, or the folder read-only?" if error.errno else str(error), CODES.fault)
-    except Exception:  # must not look like a requirement that isn't met, which Python's own code for it would
+        return complain(
+            f"{error}. Is the disk full, or the folder read-only?" if error.errno else str(error),
+            CODES.fault,
+        )
+    # must not look like a requirement that isn't met, which Python's own code for it would
+    except Exception:
         traceback.print_exc()
-        return complain("a mistake of the bench, not yours: please report what stands above", CODES.fault)
+        return complain(
+            "a mistake of the bench, not yours: please report what stands above", CODES.fault
+        )
 
 
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
-    top = argparse.ArgumentParser(prog="teatbench", description="A hardware-in-the-loop test bench for teat detectors.", epilog=EXIT_CODES)
+    top = argparse.ArgumentParser(
+        prog="teatbench",
+        description="A hardware-in-the-loop test bench for teat detectors.",
+        epilog=EXIT_CODES,
+    )
     top.add_argument("--version", action="version", version=f"teatbench {__version__}")
     commands = Commands(top.add_subparsers(title="commands", metavar="COMMAND", required=True))
     for add in (

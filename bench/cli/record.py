@@ -1,4 +1,6 @@
-"""`store check` and `store export`: whether a run is still as it was written, and its record for other programs."""
+"""`store check` and `store export`: whether a run is still as it was written, and its record for
+other programs.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +18,43 @@ FORMATS = ("csv", "parquet", "mcap")
 
 def add_to(commands: Commands) -> None:
     """The family's commands with their arguments."""
-    store = commands.group("store", "a run's record: whether it is as it was written, and for other programs (docs/record.md)")
-    check = store.add("check", "verify database, hash chain, frames and files; 0 whole, 1 not as it was written", _check, opens_links=False)
+    store = commands.group(
+        "store",
+        "a run's record: whether it is as it was written, and for other programs (docs/record.md)",
+    )
+    check = store.add(
+        "check",
+        "verify database, hash chain, frames and files; 0 whole, 1 not as it was written",
+        _check,
+        opens_links=False,
+    )
     check.add_argument("run", type=Path, help="the run's folder")
-    check.add_argument("--digest", metavar="HEX", help="a digest that a report names: the record has to have passed through it")
-    export = store.add("export", "write the record's tables, or all of it on one time line", _export, opens_links=False)
+    check.add_argument(
+        "--digest",
+        metavar="HEX",
+        help="a digest that a report names: the record has to have passed through it",
+    )
+    export = store.add(
+        "export",
+        "write the record's tables, or all of it on one time line",
+        _export,
+        opens_links=False,
+    )
     export.add_argument("run", type=Path, help="the run's folder")
     export.add_argument(
-        "--format", required=True, choices=FORMATS, help="csv and parquet: a file a table; mcap: one file for Foxglove and its kin"
+        "--format",
+        required=True,
+        choices=FORMATS,
+        help="csv and parquet: a file a table; mcap: one file for Foxglove and its kin",
     )
     add_despite_damage(export)
-    export.add_argument("--out", required=True, type=Path, metavar="DIR", help="where to; files of the same names are replaced")
+    export.add_argument(
+        "--out",
+        required=True,
+        type=Path,
+        metavar="DIR",
+        help="where to; files of the same names are replaced",
+    )
 
 
 def add_despite_damage(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +65,9 @@ def add_despite_damage(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def undamaged(runs: Sequence[Path], given: argparse.Namespace) -> Iterator[tuple[str, ...]]:
-    """Checks the runs' records first; gives what is damaged, where that was allowed, and says it before and after all else."""
+    """Checks the runs' records first; gives what is damaged, where that was allowed, and says it
+    before and after all else.
+    """
     from bench.record.check import NOT_AS_WRITTEN, checked_first, shortened
 
     with checked_first(runs, despite_damage=given.despite_damage) as damage:
@@ -75,8 +105,19 @@ def _export(given: argparse.Namespace) -> int:
             for path in write(given.run, given.out):
                 print(path)
             if damage:
-                text = "\n".join((f"{NOT_AS_WRITTEN}: the files beside this one are made of what is left of it.", *damage, ""))
+                text = "\n".join(
+                    (
+                        (
+                            f"{NOT_AS_WRITTEN}: the files beside this one are made of what is left"
+                            " of it."
+                        ),
+                        *damage,
+                        "",
+                    )
+                )
                 write_synced(given.out / DAMAGED, text.encode())
     except OSError as error:
-        raise ConfigError.plain(f"the export can't be written to {given.out}: {error.strerror or error}") from error
+        raise ConfigError.plain(
+            f"the export can't be written to {given.out}: {error.strerror or error}"
+        ) from error
     return CODES.met

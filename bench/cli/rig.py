@@ -26,15 +26,37 @@ if TYPE_CHECKING:
 
 def add_rig_commands(commands: Commands) -> None:
     """The family's commands with their arguments."""
-    add_rig(commands.add("check", "connect to every instrument, print who it is and one reading", _check))
-    emulate = commands.add("emulate", "only the emulators of a rig, in real time, until Ctrl-C", _emulate, opens_links=False)
+    add_rig(
+        commands.add(
+            "check", "connect to every instrument, print who it is and one reading", _check
+        )
+    )
+    emulate = commands.add(
+        "emulate",
+        "only the emulators of a rig, in real time, until Ctrl-C",
+        _emulate,
+        opens_links=False,
+    )
     add_rig(emulate)
-    emulate.add_argument("--listen", default="127.0.0.1", metavar="HOST", help="address to listen on (default: 127.0.0.1)")
-    emulate.add_argument("--pty", action="store_true", help="serial instruments on pseudo-terminals (Linux and macOS)")
+    emulate.add_argument(
+        "--listen",
+        default="127.0.0.1",
+        metavar="HOST",
+        help="address to listen on (default: 127.0.0.1)",
+    )
+    emulate.add_argument(
+        "--pty",
+        action="store_true",
+        help="serial instruments on pseudo-terminals (Linux and macOS)",
+    )
     what = "write a rig file with these addresses, for 'run --rig FILE' in another process"
     emulate.add_argument("--write-rig", type=Path, metavar="FILE", help=what)
     emulate.add_argument("--replace", action="store_true", help="write over a file that is there")
-    emulate.add_argument("--paced", action="store_true", help="serial instruments at the rig's baud rate, 10 bits a byte")
+    emulate.add_argument(
+        "--paced",
+        action="store_true",
+        help="serial instruments at the rig's baud rate, 10 bits a byte",
+    )
 
 
 def _check(given: argparse.Namespace) -> int:
@@ -43,7 +65,10 @@ def _check(given: argparse.Namespace) -> int:
 
     rig = load_rig(find_rig(given.rig))
     if rig.made_calibration is None:
-        print(f"calibration: not made yet ({rig.calibration_path}); a run needs it, see docs/calibration.md")
+        print(
+            f"calibration: not made yet ({rig.calibration_path}); a run needs it, see"
+            " docs/calibration.md"
+        )
     failed = False
     for name, fault, lines in check_rig(rig, given.capture):
         failed |= fault
@@ -70,7 +95,9 @@ def _emulate(given: argparse.Namespace) -> int:
     clock = RealClock()
     try:
         with (
-            EmulatedRig(rig, clock, rig.rig.seed, host=given.listen, pty=given.pty, paced=given.paced) as twin,
+            EmulatedRig(
+                rig, clock, rig.rig.seed, host=given.listen, pty=given.pty, paced=given.paced
+            ) as twin,
             closing(StreamServer(twin.cameras, clock, host=given.listen)) as streams,
             closing(
                 Listener(
@@ -88,7 +115,8 @@ def _emulate(given: argparse.Namespace) -> int:
             while True:
                 urls = twin.urls | more
                 for name, url in urls.items():
-                    if shown.get(name) != url:  # a pty comes back under another name after the instrument hung up
+                    # a pty comes back under another name after the instrument hung up
+                    if shown.get(name) != url:
                         print(f"{name} {url}", flush=True)
                 if given.write_rig and shown != urls:
                     write_synced(given.write_rig, _rig_text(rig, urls).encode("utf-8"))
@@ -98,7 +126,11 @@ def _emulate(given: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         return CODES.met
     except OSError as error:
-        print(f"teatbench: can't listen on {'pseudo-terminals' if given.pty else given.listen}: {error}", file=sys.stderr)
+        print(
+            f"teatbench: can't listen on {'pseudo-terminals' if given.pty else given.listen}:"
+            f" {error}",
+            file=sys.stderr,
+        )
         return CODES.wrong_use
     finally:
         clock.close()
@@ -130,8 +162,15 @@ def _rig_text(rig: LoadedRig, urls: Mapping[str, str]) -> str:
 
 def add_lists(commands: Commands) -> None:
     """The family's commands."""
-    commands.add("rigs", "the rig files that ship, and the one to copy for a real rig", _rigs, opens_links=False)
-    what = "the detectors that ship, that other packages bring, and that files in ./detectors declare"
+    commands.add(
+        "rigs",
+        "the rig files that ship, and the one to copy for a real rig",
+        _rigs,
+        opens_links=False,
+    )
+    what = (
+        "the detectors that ship, that other packages bring, and that files in ./detectors declare"
+    )
     commands.add("detectors", what, _detectors, opens_links=False)
 
 
@@ -158,12 +197,34 @@ def _list(rows: dict[str, str]) -> int:
 
 def add_wire(commands: Commands) -> None:
     """The family's command with its arguments."""
-    replay = commands.add("replay-wire", "play the far end of a capture back, for drivers to talk to", _replay_wire, opens_links=False)
+    replay = commands.add(
+        "replay-wire",
+        "play the far end of a capture back, for drivers to talk to",
+        _replay_wire,
+        opens_links=False,
+    )
     replay.add_argument("file", type=Path, help="what a command wrote with --capture")
-    replay.add_argument("--listen", default="127.0.0.1", metavar="HOST", help="address to listen on (default: 127.0.0.1)")
-    replay.add_argument("--link", action="append", default=[], metavar="NAME", help="only this link; may be given several times")
-    replay.add_argument("--fast", action="store_true", help="answer at once, not after the recorded while")
-    replay.add_argument("--once", action="store_true", help="end when all has been played, instead of beginning again")
+    replay.add_argument(
+        "--listen",
+        default="127.0.0.1",
+        metavar="HOST",
+        help="address to listen on (default: 127.0.0.1)",
+    )
+    replay.add_argument(
+        "--link",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="only this link; may be given several times",
+    )
+    replay.add_argument(
+        "--fast", action="store_true", help="answer at once, not after the recorded while"
+    )
+    replay.add_argument(
+        "--once",
+        action="store_true",
+        help="end when all has been played, instead of beginning again",
+    )
 
 
 def _replay_wire(given: argparse.Namespace) -> int:
@@ -177,7 +238,14 @@ def _replay_wire(given: argparse.Namespace) -> int:
         print(f"teatbench: {given.file}: the last line is cut, and left out", file=sys.stderr)
     with closing(RealClock()) as clock:
         try:
-            replay = Replay(capture, clock, links=links, fast=given.fast, again=not given.once, host=given.listen)
+            replay = Replay(
+                capture,
+                clock,
+                links=links,
+                fast=given.fast,
+                again=not given.once,
+                host=given.listen,
+            )
         except OSError as error:
             print(f"teatbench: can't listen on {given.listen}: {error}", file=sys.stderr)
             return CODES.wrong_use
@@ -188,15 +256,22 @@ def _replay_wire(given: argparse.Namespace) -> int:
 
 
 def _links(capture: Capture, wanted: list[str]) -> list[str]:
-    """The names of the links to play. Raises ConfigError for one that the file lacks, or when it has none."""
+    """The names of the links to play. Raises ConfigError for one that the file lacks, or when it
+    has none.
+    """
     from bench.config import ConfigError, did_you_mean
 
     if not capture.links:
-        raise ConfigError.plain(f"{capture.path}: no link was opened in it, so there is nothing to play")
+        raise ConfigError.plain(
+            f"{capture.path}: no link was opened in it, so there is nothing to play"
+        )
     for name in wanted:
         if name not in capture.links:
             there = ", ".join(capture.links)
-            raise ConfigError.plain(f'{capture.path}: no link "{name}"{did_you_mean(name, capture.links) or "."} It has: {there}.')
+            raise ConfigError.plain(
+                f'{capture.path}: no link "{name}"{did_you_mean(name, capture.links) or "."} It'
+                f" has: {there}."
+            )
     return wanted or list(capture.links)
 
 
@@ -209,7 +284,9 @@ def _tell(replay: Replay, path: Path, told: int) -> int:
 
 
 def _watch(replay: Replay, clock: Clock, path: Path, *, once: bool) -> int:
-    """Tell mismatches as they come, until Ctrl-C or, for ``once``, the end; gives back the exit code."""
+    """Tell mismatches as they come, until Ctrl-C or, for ``once``, the end; gives back the exit
+    code.
+    """
     told = 0
     with suppress(KeyboardInterrupt):  # the way to end it
         while not (once and replay.finished):

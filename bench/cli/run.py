@@ -23,31 +23,73 @@ TOLD_S = 10.0  # a run looks once a second; a capture or a detection may take lo
 def add_to(commands: Commands) -> None:
     """The family's commands with their arguments."""
     run = commands.add("run", "run a trial script on a rig and write the scored report", _run)
-    run.add_argument("script", nargs="?", help="a shipped script by name, or a .toml file (default: six-situations)")
+    run.add_argument(
+        "script",
+        nargs="?",
+        help="a shipped script by name, or a .toml file (default: six-situations)",
+    )
     run.add_argument("--rig", help="a shipped rig by name, or a .toml file (default: emulated)")
     run.add_argument("--seed", type=_seed, help="seed of all chance (default: the rig file's)")
-    run.add_argument("--record", type=Path, metavar="DIR", help="also write a recording that 'teatbench score' reads")
-    run.add_argument("--realtime", action="store_true", help="emulated rig only: let time pass as it does")
-    run.add_argument("--dry-run", action="store_true", help="move nothing: look at each pose, then go through all trials on emulators")
+    run.add_argument(
+        "--record",
+        type=Path,
+        metavar="DIR",
+        help="also write a recording that 'teatbench score' reads",
+    )
+    run.add_argument(
+        "--realtime", action="store_true", help="emulated rig only: let time pass as it does"
+    )
+    run.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="move nothing: look at each pose, then go through all trials on emulators",
+    )
     add_out(run)
     add_detectors(run)
     add_events(run)
-    resume = commands.add("resume", "go on with a run that stopped, at its first trial without a result", _resume)
+    resume = commands.add(
+        "resume", "go on with a run that stopped, at its first trial without a result", _resume
+    )
     resume.add_argument("run", type=Path, help="the run's folder")
     add_events(resume)
     add_despite_damage(resume)
-    tell = commands.add("tell", "tell a run that goes on: pause, go on, skip REASON, repeat REASON, abort", _tell, opens_links=False)
+    tell = commands.add(
+        "tell",
+        "tell a run that goes on: pause, go on, skip REASON, repeat REASON, abort",
+        _tell,
+        opens_links=False,
+    )
     tell.add_argument("run", type=Path, help="the run's folder")
     tell.add_argument("words", nargs="+", help="pause, go on, skip REASON, repeat REASON or abort")
     report = commands.add("report", "(re)write the report of a run", _report, opens_links=False)
     report.add_argument("run", type=Path, help="the run's folder")
-    report.add_argument("--baseline", type=Path, metavar="RUN", help="also hold it against this older run of the same scenes")
-    report.add_argument("--single-file", action="store_true", help="also write single-file.html for mail: pictures in it, at most 20 MB")
+    report.add_argument(
+        "--baseline",
+        type=Path,
+        metavar="RUN",
+        help="also hold it against this older run of the same scenes",
+    )
+    report.add_argument(
+        "--single-file",
+        action="store_true",
+        help="also write single-file.html for mail: pictures in it, at most 20 MB",
+    )
     add_despite_damage(report)
     printed = report.add_mutually_exclusive_group()
-    printed.add_argument("--pdf", action="store_true", help="fail where report.pdf can't be printed (by a Chromium, Chrome or Edge)")
-    printed.add_argument("--no-pdf", action="store_true", help="print no report.pdf, though a browser is installed")
-    score = commands.add("score", "score detectors on recorded frames: a table, and a run folder with a report", _score, opens_links=False)
+    printed.add_argument(
+        "--pdf",
+        action="store_true",
+        help="fail where report.pdf can't be printed (by a Chromium, Chrome or Edge)",
+    )
+    printed.add_argument(
+        "--no-pdf", action="store_true", help="print no report.pdf, though a browser is installed"
+    )
+    score = commands.add(
+        "score",
+        "score detectors on recorded frames: a table, and a run folder with a report",
+        _score,
+        opens_links=False,
+    )
     score.add_argument("recording", type=Path, help="a recording's folder")
     add_out(score)
     add_detectors(score)
@@ -100,7 +142,9 @@ def _run(given: argparse.Namespace) -> int:
 
 
 def _compare_times(folder: Path, out: Path, rig: LoadedRig, script: LoadedScript) -> None:
-    """Print what the run took beside what was expected, and learn from it; one that didn't get through teaches nothing."""
+    """Print what the run took beside what was expected, and learn from it; one that didn't get
+    through teaches nothing.
+    """
     from bench.record.reader import read_run
     from bench.run.estimate import figures, needs, read_learnt, told, took, write_learnt
 
@@ -124,7 +168,11 @@ def _resume(given: argparse.Namespace) -> int:
         operator = files_of(read_run(given.run))[0].rig.operator.url
         with event_lines(given.events) as lines, TerminalProgress(console) as shown:
             progress = WatchedProgress(shown, lines)
-            resume_run(given.run, progress, HowToRun(capture=given.capture, typed=typed_lines(operator), begun=shown.say))
+            resume_run(
+                given.run,
+                progress,
+                HowToRun(capture=given.capture, typed=typed_lines(operator), begun=shown.say),
+            )
             progress.state("writing the report")
             code, show = _reported(given.run, damage=damage)
         show(console)
@@ -144,13 +192,21 @@ def _tell(given: argparse.Namespace) -> int:
     if was_taken(given.run, RealClock(), TOLD_S):
         print("taken; what comes of it is shown at the run's terminal.")
     else:
-        print(f"left for the run, which has not looked for {TOLD_S:g} s: it is busy, or its bench has died and takes nothing any more.")
+        print(
+            f"left for the run, which has not looked for {TOLD_S:g} s: it is busy, or its bench has"
+            " died and takes nothing any more."
+        )
     return CODES.met
 
 
 def add_events(parser: argparse.ArgumentParser) -> None:
     """Where what goes on is told as JSON lines."""
-    parser.add_argument("--events", type=Path, metavar="FILE", help="also tell what goes on as JSON lines, for others to watch")
+    parser.add_argument(
+        "--events",
+        type=Path,
+        metavar="FILE",
+        help="also tell what goes on as JSON lines, for others to watch",
+    )
 
 
 def typed_lines(operator_url: str) -> Callable[[], str | None]:
@@ -165,7 +221,9 @@ def typed_lines(operator_url: str) -> Callable[[], str | None]:
 
 
 def _is_ours(terminal: int) -> bool:
-    """Whether what is typed there is for us: who reads a terminal from the background (`teatbench run &`) is stopped by the system."""
+    """Whether what is typed there is for us: who reads a terminal from the background (`teatbench
+    run &`) is stopped by the system.
+    """
     if sys.platform == "win32":
         return True
     try:
@@ -209,7 +267,10 @@ def _offsets_reported(folder: Path) -> int:
 
     page, loaded, found, verdict = report_offsets(folder)
     for one in found:
-        figures = f"up to {one.worst_mm:.2f} mm in the worst of {len(one.errors_mm)} directions, median {one.median_mm:.2f} mm"
+        figures = (
+            f"up to {one.worst_mm:.2f} mm in the worst of {len(one.errors_mm)} directions, median"
+            f" {one.median_mm:.2f} mm"
+        )
         print(f"teat {one.offset.teat}, {offset_told(one.offset)}: {figures}")
     print(f"Verdict: {verdict} (limit {loaded.script.limit_mm:g} mm)\nReport: {page}")
     return CODES.met if verdict == "met" else CODES.not_met
@@ -223,7 +284,10 @@ def _report(given: argparse.Namespace) -> int:
 
     browser = None if given.no_pdf else find_browser()
     if given.pdf and browser is None:
-        raise ConfigError.plain("no Chromium, Chrome or Edge was found to print a PDF with. Install one, or print index.html by hand.")
+        raise ConfigError.plain(
+            "no Chromium, Chrome or Edge was found to print a PDF with. Install one, or print"
+            " index.html by hand."
+        )
     if is_offset_run(given.run):
         code = _offsets_reported(given.run)
     else:
@@ -236,7 +300,9 @@ def _report(given: argparse.Namespace) -> int:
 
 
 def _print(folder: Path, browser: str, *, needed: bool) -> None:
-    """The report as PDF, when all else is written and told. Raises ConfigError where it is needed and can't be printed."""
+    """The report as PDF, when all else is written and told. Raises ConfigError where it is needed
+    and can't be printed.
+    """
     from bench.config import ConfigError
     from bench.report.page import PDF, REPORT
     from reports.pdf import print_pdf
@@ -259,13 +325,21 @@ def _extras(given: argparse.Namespace, damage: tuple[str, ...]) -> Extras:
     return Extras(chapters, given.single_file)
 
 
-def _reported(folder: Path, extras: Extras | None = None, damage: tuple[str, ...] = ()) -> tuple[int, Callable[..., None]]:
-    """Write the report of a run; gives back the exit code that it deserves, and what shows it on a console."""
+def _reported(
+    folder: Path, extras: Extras | None = None, damage: tuple[str, ...] = ()
+) -> tuple[int, Callable[..., None]]:
+    """Write the report of a run; gives back the exit code that it deserves, and what shows it on a
+    console.
+    """
     from bench.cli.terminal import show_result
     from bench.report.page import PLAIN, write_run_report
     from bench.results.verdicts import run_verdict
 
     path, run, judgements = write_run_report(folder, extras or PLAIN, damage)
     codes = {"met": CODES.met, "not met": CODES.not_met}
-    code = CODES.fault if run.ending != "finished" else codes.get(run_verdict(judgements).value, CODES.inconclusive)
+    code = (
+        CODES.fault
+        if run.ending != "finished"
+        else codes.get(run_verdict(judgements).value, CODES.inconclusive)
+    )
     return code, lambda console: show_result(console, run, judgements, path)

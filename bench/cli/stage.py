@@ -21,26 +21,76 @@ _RESETS = "opening the port resets most controllers, so that the stage has to be
 def add_to(commands: Commands) -> None:
     """The family's commands with their arguments."""
     stage = commands.group("stage", "the motion stage alone, without a script")
-    status = _add_stage(stage.add("status", f"who answered, its state, position and travel; moves nothing, but {_RESETS}", _status))
+    status = _add_stage(
+        stage.add(
+            "status",
+            f"who answered, its state, position and travel; moves nothing, but {_RESETS}",
+            _status,
+        )
+    )
     status.add_argument("--json", action="store_true", help="one JSON object, units in its keys")
     _add_stage(stage.add("home", "run to the switches and set the position", _home))
-    move = _add_stage(stage.add("move", f"home, then move to a place in machine coordinates ({_RESETS})", _move))
-    move.add_argument("x_mm", type=_number, metavar="X", help="mm, 0 at the switch and negative elsewhere")
+    move = _add_stage(
+        stage.add("move", f"home, then move to a place in machine coordinates ({_RESETS})", _move)
+    )
+    move.add_argument(
+        "x_mm", type=_number, metavar="X", help="mm, 0 at the switch and negative elsewhere"
+    )
     move.add_argument("y_mm", type=_number, metavar="Y", help="mm")
-    move.add_argument("--z", type=_number, dest="z_mm", metavar="MM", help="height, on a stage declared with Z")
-    move.add_argument("--a", type=_number, dest="a_deg", metavar="DEG", help="rotation, on a stage declared with A")
-    jog = _add_stage(stage.add("jog", f"home, then go by so much, step by step; Ctrl-C ends a step at once ({_RESETS})", _jog))
-    jog.add_argument("steps", type=_step, nargs="+", metavar="STEP", help="X-5, or X-5Y2.5 for both at once: mm, degrees for A")
+    move.add_argument(
+        "--z", type=_number, dest="z_mm", metavar="MM", help="height, on a stage declared with Z"
+    )
+    move.add_argument(
+        "--a",
+        type=_number,
+        dest="a_deg",
+        metavar="DEG",
+        help="rotation, on a stage declared with A",
+    )
+    jog = _add_stage(
+        stage.add(
+            "jog",
+            f"home, then go by so much, step by step; Ctrl-C ends a step at once ({_RESETS})",
+            _jog,
+        )
+    )
+    jog.add_argument(
+        "steps",
+        type=_step,
+        nargs="+",
+        metavar="STEP",
+        help="X-5, or X-5Y2.5 for both at once: mm, degrees for A",
+    )
     for parser in (move, jog):
-        parser.add_argument("--feed", type=_number, metavar="MM_MIN", help="mm/min (default: as fast as the slowest axis can)")
-    _add_stage(stage.add("recover", "leave an alarm or a hold: restart the controller. It has to be homed after it", _recover))
+        parser.add_argument(
+            "--feed",
+            type=_number,
+            metavar="MM_MIN",
+            help="mm/min (default: as fast as the slowest axis can)",
+        )
+    _add_stage(
+        stage.add(
+            "recover",
+            "leave an alarm or a hold: restart the controller. It has to be homed after it",
+            _recover,
+        )
+    )
 
 
 def _add_stage(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     which = parser.add_mutually_exclusive_group(required=True)
-    which.add_argument("--port", type=address("stage"), metavar="URL", help="where the controller is, as in a rig file's [stage] url")
+    which.add_argument(
+        "--port",
+        type=address("stage"),
+        metavar="URL",
+        help="where the controller is, as in a rig file's [stage] url",
+    )
     which.add_argument("--rig", metavar="RIG", help="the stage of this rig")
-    parser.add_argument("--axes", choices=["XY", "XYZ", "XYA", "XYZA"], help="with --port: the axes that it has (default: XY)")
+    parser.add_argument(
+        "--axes",
+        choices=["XY", "XYZ", "XYA", "XYZA"],
+        help="with --port: the axes that it has (default: XY)",
+    )
     return parser
 
 
@@ -70,7 +120,9 @@ def _at(given: argparse.Namespace) -> StageAt:
     if given.rig is None:
         return StageAt(given.port, given.axes or "XY")
     if given.axes:
-        raise ConfigError.plain("--axes goes with --port; a rig file says itself which axes its stage has")
+        raise ConfigError.plain(
+            "--axes goes with --port; a rig file says itself which axes its stage has"
+        )
     return of_rig(given.rig)
 
 
@@ -97,7 +149,9 @@ def _move(given: argparse.Namespace) -> int:
     def go(stage: Stage) -> None:
         check_target(stage, given.x_mm, given.y_mm, z_mm=given.z_mm, a_deg=given.a_deg)
         _homed(stage)
-        stage.move_to(given.x_mm, given.y_mm, z_mm=given.z_mm, a_deg=given.a_deg, feed_mm_min=given.feed)
+        stage.move_to(
+            given.x_mm, given.y_mm, z_mm=given.z_mm, a_deg=given.a_deg, feed_mm_min=given.feed
+        )
         print(f"moved: {shown(stage)}")
 
     return _work(given, go)
@@ -141,5 +195,8 @@ def _recover(given: argparse.Namespace) -> int:
 
     with open_stage(_at(given), given.capture) as stage:
         stage.recover()
-        print(f"restarted, in state {stage.status().name}; its position is unknown until 'teatbench stage home'")
+        print(
+            f"restarted, in state {stage.status().name}; its position is unknown until 'teatbench"
+            " stage home'"
+        )
     return CODES.met

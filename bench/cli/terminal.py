@@ -1,6 +1,8 @@
-"""What a person at the terminal sees while a run goes on: a bar, what is being done, and the verdict table at the end.
+"""What a person at the terminal sees while a run goes on: a bar, what is being done, and the
+verdict table at the end.
 
-Rich's console as the bench uses it: what others wrote moves no cursor, changes no colour and is no markup.
+Rich's console as the bench uses it: what others wrote moves no cursor, changes no colour and is no
+markup.
 """
 
 from __future__ import annotations
@@ -24,19 +26,33 @@ from bench.results.verdicts import Judgement
 from bench.run.progress import FAILURES
 from reports.sanitize import sanitized, unfiltered
 
-TONES = {"met": "green", "not met": "red", "inconclusive": "yellow", "not measured": "yellow", "aborted": "red", "no verdict": "yellow"}
+TONES = {
+    "met": "green",
+    "not met": "red",
+    "inconclusive": "yellow",
+    "not measured": "yellow",
+    "aborted": "red",
+    "no verdict": "yellow",
+}
 
 
 class TerminalProgress:
-    """A progress bar on ``console``; to be used with ``with``. Without a terminal it prints a line a trial.
+    """A progress bar on ``console``; to be used with ``with``. Without a terminal it prints a line
+    a trial.
 
-    A display of rich's keeps the shape that it had when it was stopped, and would clear as many rows of what was written since: each
-    stretch between two questions has a new one. Only a bar that has trials to count is left on the screen.
+    A display of rich's keeps the shape that it had when it was stopped, and would clear as many
+    rows of what was written since: each stretch between two questions has a new one. Only a bar
+    that has trials to count is left on the screen.
     """
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+        )
         self._bar = Progress(*columns, console=console)
         self._task = self._bar.add_task("trials", total=None)
         self._doing = ""  # trial, what is done, bath, time left, last error
@@ -49,7 +65,11 @@ class TerminalProgress:
     def trial(self, done: int, total: int, name: str) -> None:
         self._bar.update(self._task, completed=done, total=total)
         if not self._console.is_terminal:
-            self._console.print(f"trial {done + 1} of {total}: {name}" if done < total else f"{total} of {total} trials done")
+            self._console.print(
+                f"trial {done + 1} of {total}: {name}"
+                if done < total
+                else f"{total} of {total} trials done"
+            )
 
     def say(self, text: str) -> None:
         """A line that stays, above what moves; whether anybody sees it changes nothing."""
@@ -57,7 +77,9 @@ class TerminalProgress:
             self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def warn(self, text: str) -> None:
-        self._console.print(f"\n{text}" if self._asking else text, style="bold red", markup=False, soft_wrap=True)
+        self._console.print(
+            f"\n{text}" if self._asking else text, style="bold red", markup=False, soft_wrap=True
+        )
 
     @contextmanager
     def aside(self) -> Iterator[None]:
@@ -78,7 +100,12 @@ class TerminalProgress:
             self._start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         with suppress(*FAILURES):
             self._stop(leave=any(task.total is not None for task in self._bar.tasks))
 
@@ -97,20 +124,28 @@ class TerminalProgress:
         return Group(self._bar.get_renderable(), Text(self._doing))
 
 
-def show_result(console: Console, run: RunRecord, judgements: Sequence[Judgement], report: Path) -> None:
-    """The verdict table, the sentence and where the report is; whether anybody sees them changes no verdict."""
+def show_result(
+    console: Console, run: RunRecord, judgements: Sequence[Judgement], report: Path
+) -> None:
+    """The verdict table, the sentence and where the report is; whether anybody sees them changes no
+    verdict.
+    """
     with suppress(*FAILURES):
         _show_result(console, run, judgements, report)
 
 
-def _show_result(console: Console, run: RunRecord, judgements: Sequence[Judgement], report: Path) -> None:
+def _show_result(
+    console: Console, run: RunRecord, judgements: Sequence[Judgement], report: Path
+) -> None:
     for judgement in judgements:
         table = Table(title=f"{run.facts['title']}: detector {judgement.detector}")
         for title in ("requirement", "measured", "limit", "verdict"):
             table.add_column(title)
         for decision in judgement.decisions:
             word = decision.verdict.value
-            table.add_row(decision.name, measured(decision), limit(decision), Text(word, TONES[word]))
+            table.add_row(
+                decision.name, measured(decision), limit(decision), Text(word, TONES[word])
+            )
         console.print(table)
     verdict, why, then = headline(run, judgements)
     console.print(Text.assemble("Verdict: ", (verdict, f"bold {TONES[verdict]}")))
@@ -120,12 +155,16 @@ def _show_result(console: Console, run: RunRecord, judgements: Sequence[Judgemen
 
 
 class Terminal(Console):
-    """The program's standard output. Only control segments, which rich makes itself, are written as they are."""
+    """The program's standard output. Only control segments, which rich makes itself, are written as
+    they are.
+    """
 
     def __init__(self) -> None:
         super().__init__(file=unfiltered(sys.stdout), markup=False, emoji=False)
 
-    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
         """As rich does, with each text sanitized before lines are measured and cut."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(sanitized(segment.text), segment.style)

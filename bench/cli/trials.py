@@ -46,7 +46,11 @@ def _about(path: Path) -> str:
     from bench.script.model import load_script
     from bench.script.pixel_offsets import is_offset_script, load_offsets
 
-    return load_offsets(path).script.about if is_offset_script(path) else load_script(path).script.about
+    return (
+        load_offsets(path).script.about
+        if is_offset_script(path)
+        else load_script(path).script.about
+    )
 
 
 def _show(given: argparse.Namespace) -> int:
@@ -77,8 +81,14 @@ def _show_offsets(path: Path, *, as_json: bool) -> int:
         return CODES.met
     print(f"{script.title}: {script.about}")
     for offset in script.offsets:
-        print(f"teat {offset.teat}: {offset.left_px:g} px in the left picture, {offset.right_px:g} px in the right one")
-    print(f"{script.directions} directions a picture. No trials: it needs a calibration and no instruments, and is over at once.")
+        print(
+            f"teat {offset.teat}: {offset.left_px:g} px in the left picture, {offset.right_px:g} px"
+            " in the right one"
+        )
+    print(
+        f"{script.directions} directions a picture. No trials: it needs a calibration and no"
+        " instruments, and is over at once."
+    )
     return CODES.met
 
 
@@ -93,7 +103,15 @@ def _as_json(script: LoadedScript, time: TimeEstimate, rig: str) -> dict[str, An
     rows = [dict(zip(POSE_KEYS, row, strict=True)) for row in poses.pop("poses")]
     seconds = {**asdict(time), "total_s": time.total_s}
     assumed = {f"{what} [{UNITS.get(what, 's')}]": value for what, value in ASSUMED.items()}
-    return {"script": script.name, "title": s.title, "rig": rig, **poses, "trials": rows, "estimate": seconds, "assumed": assumed}
+    return {
+        "script": script.name,
+        "title": s.title,
+        "rig": rig,
+        **poses,
+        "trials": rows,
+        "estimate": seconds,
+        "assumed": assumed,
+    }
 
 
 def _print(script: LoadedScript, time: TimeEstimate) -> None:
@@ -104,17 +122,30 @@ def _print(script: LoadedScript, time: TimeEstimate) -> None:
     from bench.script.planned_trials import chosen
 
     console = Terminal()
-    table = Table(title=f"{script.script.title}: {len(script.planned)} trials, {len({one.name for one in script.planned})} poses")
+    table = Table(
+        title=(
+            f"{script.script.title}: {len(script.planned)} trials,"
+            f" {len({one.name for one in script.planned})} poses"
+        )
+    )
     for column in ("trial", "situation", "layout", "x", "y", "z", "yaw", "from"):
         table.add_column(column, justify="right" if len(column) <= 3 else "left")
     for one in script.planned:
         pose = (one.pose.x_mm, one.pose.y_mm, one.pose.z_mm, one.yaw_deg)
-        table.add_row(one.id, one.situation, one.phantom.name, *(f"{value:+.1f}" for value in pose), one.side or "")
+        table.add_row(
+            one.id,
+            one.situation,
+            one.phantom.name,
+            *(f"{value:+.1f}" for value in pose),
+            one.side or "",
+        )
     console.print(table)
     for trial in script.script.trials:
         console.print(chosen(trial), highlight=False)
     parts = {"settling": time.settling_s, "moves": time.moves_s, "set-ups": time.set_ups_s}
     parts |= {"captures": time.captures_s, "touches": time.touches_s}
     spent = ", ".join(f"{what} {seconds / 60:.0f} min" for what, seconds in parts.items())
-    console.print(f"About {time.total_s / 3600:.1f} h with a person at the arm: {spent}.", highlight=False)
+    console.print(
+        f"About {time.total_s / 3600:.1f} h with a person at the arm: {spent}.", highlight=False
+    )
     console.print(assumed_told(), highlight=False)

@@ -1,7 +1,9 @@
-"""The cameras of a rehearsal: pictures that nobody looks at, at no cost, but for a few trials whose frames are rendered and looked at.
+"""The cameras of a rehearsal: pictures that nobody looks at, at no cost, but for a few trials whose
+frames are rendered and looked at.
 
-Rendering is what a rehearsal of a thousand trials can't afford. The rendered sets go through the rig's own frame checks, tell what a
-set takes on the disk, and the first is shown to each detector. A fault of theirs is met, and the rehearsal goes on.
+Rendering is what a rehearsal of a thousand trials can't afford. The rendered sets go through the
+rig's own frame checks, tell what a set takes on the disk, and the first is shown to each detector.
+A fault of theirs is met, and the rehearsal goes on.
 """
 
 from __future__ import annotations
@@ -32,13 +34,22 @@ DARK, LIGHT = 60, 180  # of a picture that passes for one
 
 def lenient(rig: LoadedRig) -> LoadedRig:
     """``rig`` for pictures that are all alike: nothing is compared, and no edge is measured."""
-    checks = Checks(frozen=False, swapped=False, focus_px=FocusTable(), flat_dn=0, saturated_share=1.0, black_dn=0)
+    checks = Checks(
+        frozen=False,
+        swapped=False,
+        focus_px=FocusTable(),
+        flat_dn=0,
+        saturated_share=1.0,
+        black_dn=0,
+    )
     cameras = rig.rig.cameras.model_copy(update={"checks": checks})
     return replace(rig, rig=rig.rig.model_copy(update={"cameras": cameras}))
 
 
 def to_render(planned: Sequence[PlannedTrial], most: int = MOST_SETS) -> frozenset[str]:
-    """Ids of the trials whose frames are rendered: the first of each of the script's tables, and evenly spaced poses; at most ``most``."""
+    """Ids of the trials whose frames are rendered: the first of each of the script's tables, and
+    evenly spaced poses; at most ``most``.
+    """
     tables = list({one.trial.name: one.id for one in reversed(planned)}.values())[::-1][:most]
     poses = list({one.name: one.id for one in reversed(planned)}.values())[::-1]
     left = [one for one in poses if one not in tables]
@@ -49,7 +60,9 @@ def to_render(planned: Sequence[PlannedTrial], most: int = MOST_SETS) -> frozens
 def stand_in(calibration: Calibration) -> FrameSet:
     """Pictures of the calibration's sizes that rise from dark to light."""
     c = calibration
-    return FrameSet(_ramp(c.left.image_size), _ramp(c.right.image_size), _ramp(c.thermal.image_size))
+    return FrameSet(
+        _ramp(c.left.image_size), _ramp(c.right.image_size), _ramp(c.thermal.image_size)
+    )
 
 
 def _ramp(size: tuple[int, int]) -> Grey:
@@ -58,16 +71,25 @@ def _ramp(size: tuple[int, int]) -> Grey:
 
 
 class StandInCameras:
-    """``cameras`` render at the trials that are ``due``, and what they give has to pass the checks of ``rig``, as they stand.
+    """``cameras`` render at the trials that are ``due``, and what they give has to pass the checks
+    of ``rig``, as they stand.
 
     ``takes_s`` is how long a frame set takes. ``rendered`` are the sets that passed.
     """
 
     def __init__(
-        self, cameras: Cameras, rig: LoadedRig, course: Course, due: frozenset[str], detectors: Sequence[Detector], clock: Clock
+        self,
+        cameras: Cameras,
+        rig: LoadedRig,
+        course: Course,
+        due: frozenset[str],
+        detectors: Sequence[Detector],
+        clock: Clock,
     ) -> None:
         self._cameras = cameras
-        self._taker = FrameTaker(cameras, rig.rig.cameras, rig.calibration, clock.sleep, lambda _kind, _text: None)
+        self._taker = FrameTaker(
+            cameras, rig.rig.cameras, rig.calibration, clock.sleep, lambda _kind, _text: None
+        )
         self._stand_in = stand_in(rig.calibration)
         self._course = course
         self._due = set(due)
@@ -96,8 +118,12 @@ class StandInCameras:
         self._cameras.close()
 
     def bytes_of(self, trials: int) -> float:
-        """What the pictures of so many trials take on the disk, by those that were rendered, and what detectors leave with each."""
-        return trials * (self._set_bytes / self.rendered + self._stage_bytes) if self.rendered else 0.0
+        """What the pictures of so many trials take on the disk, by those that were rendered, and
+        what detectors leave with each.
+        """
+        return (
+            trials * (self._set_bytes / self.rendered + self._stage_bytes) if self.rendered else 0.0
+        )
 
     def _look(self) -> None:
         try:
@@ -106,7 +132,9 @@ class StandInCameras:
             self._course.met("frames", str(fault))
             return
         pictures = (frames.left, frames.right, frames.thermal, frames.thermal_ck)
-        self._set_bytes += sum(len(png_bytes(picture)) for picture in pictures if picture is not None)
+        self._set_bytes += sum(
+            len(png_bytes(picture)) for picture in pictures if picture is not None
+        )
         self.rendered += 1
         if self.rendered == 1:
             for detector in self._detectors:
@@ -116,4 +144,6 @@ class StandInCameras:
         answer = self._examiner.ask(detector, frames)
         if answer.outcome is not Outcome.ANSWERED:
             self._course.met("detector", f"{detector.name}: {answer.detection.reason}")
-        self._stage_bytes += sum(len(png_bytes(picture)) for picture in stage_pictures(answer).values())
+        self._stage_bytes += sum(
+            len(png_bytes(picture)) for picture in stage_pictures(answer).values()
+        )

@@ -1,6 +1,8 @@
-"""Where a rehearsal is and what it met there: the engine's progress, and its record without pictures.
+"""Where a rehearsal is and what it met there: the engine's progress, and its record without
+pictures.
 
-What would end the run, or leave a trial without a truth, is a finding; what the run gets over by itself is only told.
+What would end the run, or leave a trial without a truth, is a finding; what the run gets over by
+itself is only told.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from instruments.clock import wall_time as time_of_day
 BEFORE, AFTER = "before the trials", "after the trials"
 INTERRUPTED = "the run was interrupted"
 OPERATOR_SKIPPED = "the operator skipped it"
-FINDINGS = {"trip": "interlock", "fault": "fault", "invalid": "truth"}  # kinds of events: what no run should have
+# kinds of events: what no run should have
+FINDINGS = {"trip": "interlock", "fault": "fault", "invalid": "truth"}
 GOT_OVER = {
     "dropped out": "an instrument dropped out and came back",
     "suspended": "the bath left its band, and settled again",
@@ -32,9 +35,17 @@ GOT_OVER = {
 
 
 class RehearsalStore(Store):
-    """A record whose events are ``heard``, whose ``trials`` are counted, and which keeps no pictures."""
+    """A record whose events are ``heard``, whose ``trials`` are counted, and which keeps no
+    pictures.
+    """
 
-    def __init__(self, folder: Path, session: int | None = None, *, wall: Callable[[], datetime] = time_of_day) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        session: int | None = None,
+        *,
+        wall: Callable[[], datetime] = time_of_day,
+    ) -> None:
         self.heard: Callable[[str, str], None] = lambda _kind, _text: None
         self.trials = 0
         super().__init__(folder, session, wall=wall)
@@ -54,14 +65,23 @@ class RehearsalStore(Store):
         super().finished(done)
         self.trials += 1
 
-    def frames(self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]) -> list[Row]:  # noqa: ARG002 - none
+    def frames(
+        self,
+        trial: str,  # noqa: ARG002
+        images: Mapping[str, Picture],  # noqa: ARG002
+        exposed_s: Mapping[str, float | None],  # noqa: ARG002
+    ) -> list[Row]:
         return []
 
 
 class Course:
-    """Progress of a rehearsal of ``planned``; ``shown`` gets how many trials are done, of how many."""
+    """Progress of a rehearsal of ``planned``; ``shown`` gets how
+    many trials are done, of how many.
+    """
 
-    def __init__(self, planned: Sequence[PlannedTrial], spent: TimeSpent, shown: Callable[[int, int], None]) -> None:
+    def __init__(
+        self, planned: Sequence[PlannedTrial], spent: TimeSpent, shown: Callable[[int, int], None]
+    ) -> None:
         self._by_number = {one.number: one for one in planned}
         self._planned = len(planned)
         self._begun = 0
@@ -112,7 +132,9 @@ class Course:
             self.got_over[GOT_OVER[kind]] += 1
 
     def _skipped(self, text: str) -> None:
-        """Hands skip what is out of reach, and that was met; otherwise answers do, as they were meant to, or the bench has no truth."""
+        """Hands skip what is out of reach, and that was met; otherwise answers do, as they were
+        meant to, or the bench has no truth.
+        """
         if OPERATOR_SKIPPED in text:
             self.got_over["the operator's script skips a trial"] += 1
         else:

@@ -1,11 +1,14 @@
-"""The emulated operator's hands, who look whether the arm reaches before they try: what it can't reach is met, not waited for.
+"""The emulated operator's hands, who look whether the arm reaches before they try: what it can't
+reach is met, not waited for.
 
-An arm that is pulled too far hangs up, and the bench would take it for one that has lost its cable. A person may lean the stylus.
+An arm that is pulled too far hangs up, and the bench would take it for one that has lost its cable.
+A person may lean the stylus.
 
-Who is asked in a rehearsal: a person who takes as long as persons take, or a script of answers; prompts are counted.
+Who is asked in a rehearsal: a person who takes as long as persons take, or a script of answers;
+prompts are counted.
 
-A run that takes a person days would take the clock as many bath readings: then a part of each prompt passes on the clock, and the rest is
-only booked. May not know the world.
+A run that takes a person days would take the clock as many bath readings: then a part of each
+prompt passes on the clock, and the rest is only booked. May not know the world.
 """
 
 from __future__ import annotations
@@ -21,22 +24,35 @@ from bench.run.estimate import CAPTURES, MOVES, SET_UPS, TOUCHES, TimeSpent
 from detector.geometry import Motion
 from instruments.clock import Clock
 from instruments.microscribe.kinematics import OutOfReachError, inverse
-from instruments.operators.operator import Arrangement, BoardAsked, Operator, OperatorAbort, OperatorSkip, Placed, Prompt
+from instruments.operators.operator import (
+    Arrangement,
+    BoardAsked,
+    Operator,
+    OperatorAbort,
+    OperatorSkip,
+    Placed,
+    Prompt,
+)
 from instruments.operators.prompted import Answerer
 
 Floats = NDArray[np.float64]
 
 
 class ReachingHands:
-    """The operator of ``twin``, whose arm stands at ``placed``. ``met`` gets what is out of reach; ``leans`` where a person touches."""
+    """The operator of ``twin``, whose arm stands at ``placed``. ``met`` gets what is out of reach;
+    ``leans`` where a person touches.
+    """
 
-    def __init__(self, twin: EmulatedRig, placed: ArmPlaced, met: Callable[[str, str], None], *, leans: bool) -> None:
+    def __init__(
+        self, twin: EmulatedRig, placed: ArmPlaced, met: Callable[[str, str], None], *, leans: bool
+    ) -> None:
         self._twin = twin
         self._hands = twin.operator
         self._arm_from_world = Motion.from_vectors(placed.om, placed.T).inverse()
         self._met = met
         self._leans = leans
-        self._reached: dict[bytes, Floats] = {}  # to within a millimetre, how the stylus was held: nobody solves the same pose twice
+        # to within a millimetre, how the stylus was held: nobody solves the same pose twice
+        self._reached: dict[bytes, Floats] = {}
 
     def heed(self, check: Callable[[], None]) -> None:
         self._hands.heed(check)
@@ -56,10 +72,14 @@ class ReachingHands:
     def set_up(self, arrangement: Arrangement) -> Placed:
         return self._hands.set_up(arrangement)
 
-    def touch(self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = "") -> None:
+    def touch(
+        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
+    ) -> None:
         """Raises OperatorSkip where the arm doesn't reach the teat's end."""
         self._hands.touch(teat, of, number=number, numbers=numbers, again=again)
-        if why := self._out_of_reach(f"the end of teat {self._twin.world.phantom().teats[teat - 1].name or teat}"):
+        if why := self._out_of_reach(
+            f"the end of teat {self._twin.world.phantom().teats[teat - 1].name or teat}"
+        ):
             raise OperatorSkip(why)
 
     def hold_board(self, asked: BoardAsked) -> None:
@@ -75,7 +95,9 @@ class ReachingHands:
         self._hands.finish()
 
     def _out_of_reach(self, what: str) -> str:
-        """Empty where the arm gets there, leaning if need be; else the tip is let go of, and why is met and given back."""
+        """Empty where the arm gets there, leaning if need be; else the tip is let go of, and why is
+        met and given back.
+        """
         world, held = self._twin.world, self._twin.world.arm_target()
         if held is None:
             return ""
@@ -93,7 +115,9 @@ class ReachingHands:
         return ""
 
     def _way(self, point_mm: Floats, axis: Floats) -> Floats | None:
-        """The stylus's direction (3,), world frame, in which the tip gets to (3,): ``axis`` if it can be, else any for who leans."""
+        """The stylus's direction (3,), world frame, in which the tip gets to (3,): ``axis`` if it
+        can be, else any for who leans.
+        """
         arm, there = self._twin.arm, self._arm_from_world.apply(point_mm)
         try:
             arm.check_reach(there, np.asarray(self._arm_from_world.R @ axis))
@@ -117,10 +141,12 @@ LOOK_S = 1.0  # between two looks at the interlocks
 
 
 class Person:
-    """Answers prompts. ``seconds`` has "set-up", "placing" and "touch"; ``on_clock`` is the share of them that passes on the clock.
+    """Answers prompts. ``seconds`` has "set-up", "placing" and "touch"; ``on_clock`` is the share
+    of them that passes on the clock.
 
-    ``beside_s`` is what each prompt takes whoever answers, and the clock doesn't see. ``answers``, where given, are said instead of a
-    plain "go on". ``next_set_up_s`` is how long the next set-up takes.
+    ``beside_s`` is what each prompt takes whoever answers, and the clock doesn't see. ``answers``,
+    where given, are said instead of a plain "go on". ``next_set_up_s`` is how long the next set-up
+    takes.
     """
 
     def __init__(
@@ -164,9 +190,13 @@ class Person:
 
 
 class TimedOperator:
-    """Has ``operator`` do what is asked, tells ``spent`` what that is, and ``person`` how long a set-up takes: as `trial_time` has it."""
+    """Has ``operator`` do what is asked, tells ``spent`` what that is, and ``person`` how long a
+    set-up takes: as `trial_time` has it.
+    """
 
-    def __init__(self, operator: Operator, person: Person, spent: TimeSpent, seconds: Mapping[str, float]) -> None:
+    def __init__(
+        self, operator: Operator, person: Person, spent: TimeSpent, seconds: Mapping[str, float]
+    ) -> None:
         self._operator = operator
         self._person = person
         self._spent = spent
@@ -195,7 +225,9 @@ class TimedOperator:
         self._spent.work(CAPTURES)
         return placed
 
-    def touch(self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = "") -> None:
+    def touch(
+        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
+    ) -> None:
         self._spent.asking(TOUCHES)
         self._operator.touch(teat, of, number=number, numbers=numbers, again=again)
 
@@ -214,6 +246,10 @@ class TimedOperator:
 
     def _takes_s(self, wanted: Arrangement) -> float:
         before = self._stands
-        if before is None or (before.phantom, before.objects, before.scene) != (wanted.phantom, wanted.objects, wanted.scene):
+        if before is None or (before.phantom, before.objects, before.scene) != (
+            wanted.phantom,
+            wanted.objects,
+            wanted.scene,
+        ):
             return self._seconds["set-up"]
         return self._seconds["placing"] if before.pose != wanted.pose else 0.0

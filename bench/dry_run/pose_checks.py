@@ -1,11 +1,15 @@
-"""How far inside each camera's picture a round thing lies, by the calibration alone: what a dry run asks before anything is moved.
+"""How far inside each camera's picture a round thing lies, by the calibration alone: what a dry run
+asks before anything is moved.
 
-May not know of frames, scenes or instruments. Pixel centres at whole numbers from 0; the thermal picture is the un-mirrored one.
+May not know of frames, scenes or instruments. Pixel centres at whole numbers from 0; the thermal
+picture is the un-mirrored one.
 
-What would go wrong with a script on a rig, found without moving anything: reach, limits, views, collisions.
+What would go wrong with a script on a rig, found without moving anything: reach, limits, views,
+collisions.
 
-Each pose is looked at once, however often it is repeated. Pure: the stage's travel comes as an argument, from whoever asked the
-controller. What can't be checked is said, not passed over. The emulated operator holds the stylus upright; a person may lean it.
+Each pose is looked at once, however often it is repeated. Pure: the stage's travel comes as an
+argument, from whoever asked the controller. What can't be checked is said, not passed over. The
+emulated operator holds the stylus upright; a person may lean it.
 """
 
 from __future__ import annotations
@@ -42,7 +46,8 @@ class View:
     camera_from_world: Motion
 
     def room_px(self, points_mm: Floats, radii_mm: Floats) -> Floats:
-        """(n,) px from the rim of balls at ``points_mm`` (n, 3), world frame, to the picture's nearest edge.
+        """(n,) px from the rim of balls at ``points_mm`` (n, 3), world frame, to the picture's
+        nearest edge.
 
         Negative where a rim is beyond it, not-a-number behind the camera.
         """
@@ -58,7 +63,10 @@ def views_of(calibration: Calibration) -> tuple[View, ...]:
     """Left, right, and thermal where its lens and its place are calibrated."""
     right_from_world = calibration.world_from_right.inverse()
     left_from_world = calibration.right_from_left.inverse() @ right_from_world
-    pair = (View("left", calibration.left, left_from_world), View("right", calibration.right, right_from_world))
+    pair = (
+        View("left", calibration.left, left_from_world),
+        View("right", calibration.right, right_from_world),
+    )
     thermal, thermal_from_left = calibration.thermal.lens, calibration.thermal_from_left
     if thermal is None or thermal_from_left is None:
         return pair
@@ -93,18 +101,31 @@ class DryRun:
 
 
 def dry_run(
-    rig: LoadedRig, script: LoadedScript, travel: Mapping[str, AxisLimits] | None, why_no_travel: str = "its controller doesn't answer"
+    rig: LoadedRig,
+    script: LoadedScript,
+    travel: Mapping[str, AxisLimits] | None,
+    why_no_travel: str = "its controller doesn't answer",
 ) -> DryRun:
-    """Look at each pose of ``script``. ``travel`` is the stage's, in machine coordinates, None where nobody could ask, and why."""
+    """Look at each pose of ``script``. ``travel`` is the stage's, in machine coordinates, None
+    where nobody could ask, and why.
+    """
     distinct = list({(one.name, one.side): one for one in script.planned}.values())
     poses = list({one.name: one for one in distinct}.values())
     views = views_of(rig.calibration)
     findings = [finding for one in distinct for finding in _limits(rig, one, travel)]
-    findings += [found for pose in registered_at(rig, script) for found in _beyond(rig, f"registration at {told(pose)}", pose, travel)]
+    findings += [
+        found
+        for pose in registered_at(rig, script)
+        for found in _beyond(rig, f"registration at {told(pose)}", pose, travel)
+    ]
     findings += [finding for one in poses for finding in _unseen(one, views)]
     findings += [finding for one in distinct for finding in _collisions(one)]
     findings += list(_out_of_reach(rig, touched(rig, script)))
-    return DryRun(len(poses), tuple(findings), tuple(_unchecked(rig, views, why_no_travel if travel is None else None)))
+    return DryRun(
+        len(poses),
+        tuple(findings),
+        tuple(_unchecked(rig, views, why_no_travel if travel is None else None)),
+    )
 
 
 def touched(rig: LoadedRig, script: LoadedScript) -> Iterator[tuple[str, Phantom]]:
@@ -117,13 +138,18 @@ def touched(rig: LoadedRig, script: LoadedScript) -> Iterator[tuple[str, Phantom
     first = planned[0]
     for pose in registered_at(rig, script):
         stands = first.phantom.moved(shared(first.pose, axes)[1].carried(pose))
-        yield f"registration at {told(pose)}", replace(stands, teats=stands.teats[truth.registration_teat - 1 :][:1])
+        yield (
+            f"registration at {told(pose)}",
+            replace(stands, teats=stands.teats[truth.registration_teat - 1 :][:1]),
+        )
     for index in carry_touches(planned, axes, truth.check_every):
         yield planned[index].name, planned[index].phantom.moved(planned[index].pose)
 
 
 def registered_at(rig: LoadedRig, script: LoadedScript) -> tuple[PlatePose, ...]:
-    """Where the stage goes for the touches of a registration that the run makes itself; nowhere where it makes none."""
+    """Where the stage goes for the touches of a registration that the run makes itself; nowhere
+    where it makes none.
+    """
     truth, axes = script.script.truth, rig.rig.stage.axes if rig.rig.stage else ""
     if truth.mode != "carry" or truth.registration != FIRST:
         return ()
@@ -140,13 +166,17 @@ def _unchecked(rig: LoadedRig, views: Sequence[View], why_no_travel: str | None)
         yield "this very arm's reach: that of an arm of the usual size was taken"
 
 
-def _limits(rig: LoadedRig, one: PlannedTrial, travel: Mapping[str, AxisLimits] | None) -> Iterator[Finding]:
+def _limits(
+    rig: LoadedRig, one: PlannedTrial, travel: Mapping[str, AxisLimits] | None
+) -> Iterator[Finding]:
     for pose in (one.approach, one.pose):
         if pose is not None:
             yield from _beyond(rig, one.name, pose, travel)
 
 
-def _beyond(rig: LoadedRig, name: str, pose: PlatePose, travel: Mapping[str, AxisLimits] | None) -> Iterator[Finding]:
+def _beyond(
+    rig: LoadedRig, name: str, pose: PlatePose, travel: Mapping[str, AxisLimits] | None
+) -> Iterator[Finding]:
     """Axes of the stage that can't go where ``pose`` needs them."""
     stage = rig.rig.stage
     if stage is None or travel is None:
@@ -155,7 +185,9 @@ def _beyond(rig: LoadedRig, name: str, pose: PlatePose, travel: Mapping[str, Axi
         limits = travel.get(KEYS[key])
         if limits is not None and not limits.hold(value):
             where = f"{told(pose)} needs the stage's {KEYS[key]} axis at {value:g}"
-            yield Finding(name, "limits", f"{where}, which goes from {limits.low_mm:g} to {limits.high_mm:g}")
+            yield Finding(
+                name, "limits", f"{where}, which goes from {limits.low_mm:g} to {limits.high_mm:g}"
+            )
 
 
 def _unseen(one: PlannedTrial, views: Sequence[View]) -> Iterator[Finding]:
@@ -164,8 +196,17 @@ def _unseen(one: PlannedTrial, views: Sequence[View]) -> Iterator[Finding]:
     for view in views:
         for teat, room_px in enumerate(view.room_px(phantom.ends_mm, radii)):
             if not room_px >= MARGIN_PX:
-                lack = "behind the camera" if np.isnan(room_px) else f"it lacks {MARGIN_PX - room_px:.0f} px to the edge"
-                yield Finding(one.name, "view", f"the end of {name_of(phantom, teat)} isn't whole in the {view.name} picture: {lack}")
+                lack = (
+                    "behind the camera"
+                    if np.isnan(room_px)
+                    else f"it lacks {MARGIN_PX - room_px:.0f} px to the edge"
+                )
+                yield Finding(
+                    one.name,
+                    "view",
+                    f"the end of {name_of(phantom, teat)} isn't whole in the {view.name} picture:"
+                    f" {lack}",
+                )
 
 
 def _collisions(one: PlannedTrial) -> Iterator[Finding]:
@@ -175,19 +216,33 @@ def _collisions(one: PlannedTrial) -> Iterator[Finding]:
         for i, j in combinations(range(len(teats)), 2):
             if (gap := clearance_mm(teats[i], teats[j])) < -PLAY_MM:
                 both = f"{name_of(phantom, i)} and {name_of(phantom, j)}"
-                yield Finding(one.name, "collision", f"{both} stand {-gap:.1f} mm inside each other")
-        yield from (Finding(one.name, "collision", text) for text in _struck(one, phantom, (*teats, *phantom.flange_hulls())))
+                yield Finding(
+                    one.name, "collision", f"{both} stand {-gap:.1f} mm inside each other"
+                )
+        yield from (
+            Finding(one.name, "collision", text)
+            for text in _struck(one, phantom, (*teats, *phantom.flange_hulls()))
+        )
 
 
 def _struck(one: PlannedTrial, phantom: Phantom, solids: Sequence[Hull]) -> Iterator[str]:
     """Which objects the phantom stands in: objects don't move with the plate."""
-    things = [*(make_object(**table) for table in one.trial.objects), *(one.scene.objects if one.scene else ())]
+    things = [
+        *(make_object(**table) for table in one.trial.objects),
+        *(one.scene.objects if one.scene else ()),
+    ]
     for number, thing in enumerate(things, 1):
-        gaps = [min((clearance_mm(solid, hull) for hull in thing.hulls), default=np.inf) for solid in solids]
+        gaps = [
+            min((clearance_mm(solid, hull) for hull in thing.hulls), default=np.inf)
+            for solid in solids
+        ]
         worst = int(np.argmin(gaps)) if gaps else 0
         if gaps and gaps[worst] < -PLAY_MM:
             part = "" if worst < len(phantom.teats) else "'s flange"
-            yield f"{name_of(phantom, worst % len(phantom.teats))}{part} stands {-gaps[worst]:.1f} mm inside object {number} ({thing.name})"
+            yield (
+                f"{name_of(phantom, worst % len(phantom.teats))}{part} stands {-gaps[worst]:.1f} mm"
+                f" inside object {number} ({thing.name})"
+            )
 
 
 def _out_of_reach(rig: LoadedRig, phantoms: Iterable[tuple[str, Phantom]]) -> Iterator[Finding]:
@@ -199,7 +254,11 @@ def _out_of_reach(rig: LoadedRig, phantoms: Iterable[tuple[str, Phantom]]) -> It
         for teat, end in enumerate(arm_from_world.apply(phantom.ends_mm)):
             if not reaches(unit, end, arm_from_world.R @ STYLUS_UP, upright_only=upright_only):
                 where = np.round(phantom.ends_mm[teat]).astype(int).tolist()
-                yield Finding(name, "reach", f"the arm doesn't reach the end of {name_of(phantom, teat)} at {where} mm")
+                yield Finding(
+                    name,
+                    "reach",
+                    f"the arm doesn't reach the end of {name_of(phantom, teat)} at {where} mm",
+                )
 
 
 def _world_from_arm(rig: LoadedRig) -> Motion:
@@ -210,7 +269,9 @@ def _world_from_arm(rig: LoadedRig) -> Motion:
 
 
 def reaches(unit: ArmIdentity, point_mm: Floats, stylus: Floats, *, upright_only: bool) -> bool:
-    """Whether the arm can hold its tip at ``point_mm`` (3,), arm's frame, upright or, unless ``upright_only``, in any way."""
+    """Whether the arm can hold its tip at ``point_mm`` (3,), arm's frame, upright or, unless
+    ``upright_only``, in any way.
+    """
     geometry, home = unit.geometry(), unit.home
     try:
         inverse(geometry, point_mm, stylus, start=home)

@@ -1,6 +1,8 @@
-"""Goes through a script on the twin of a rig: every trial is set up, moved to, settled, touched and stored, by the bench's own engine.
+"""Goes through a script on the twin of a rig: every trial is set up, moved to, settled, touched and
+stored, by the bench's own engine.
 
-It stops where the run would stop. Not gone through are most frames (`stand_in_cameras`), and all detections but one a detector.
+It stops where the run would stop. Not gone through are most frames (`stand_in_cameras`), and all
+detections but one a detector.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ from instruments.operators.operator import Operator
 from instruments.operators.prompted import PromptedOperator
 from instruments.stage.settings import StageSettings
 
-ON_CLOCK_S = 6 * 3600.0  # of prompts; where they take longer, the rest of each passes beside the clock
+# of prompts; where they take longer, the rest of each passes beside the clock
+ON_CLOCK_S = 6 * 3600.0
 
 
 class NoTwinError(Exception):
@@ -42,10 +45,12 @@ class NoTwinError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Rehearsal:
-    """What going through came to. ``trials`` were done of ``planned``; ``spent`` is the bench's time in s by `time_spent.KINDS`.
+    """What going through came to. ``trials`` were done of ``planned``; ``spent`` is the bench's
+    time in s by `time_spent.KINDS`.
 
-    ``prompts``: how often the operator was asked. ``disk_mb`` is for the run's record and frames. ``rendered``: frame sets that were.
-    ``on_clock`` is the share of the operator's time that the clock saw; ``got_over`` counts what the run got over by itself.
+    ``prompts``: how often the operator was asked. ``disk_mb`` is for the run's record and frames.
+    ``rendered``: frame sets that were. ``on_clock`` is the share of the operator's time that the
+    clock saw; ``got_over`` counts what the run got over by itself.
     """
 
     planned: int
@@ -66,7 +71,9 @@ class Rehearsal:
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How long the operator takes: a person ``seconds`` by what it is, emulated hands ``prompt_s``; ``on_clock`` is the clock's share."""
+    """How long the operator takes: a person ``seconds`` by what it is, emulated hands ``prompt_s``;
+    ``on_clock`` is the clock's share.
+    """
 
     seconds: Mapping[str, float]
     prompt_s: float
@@ -84,9 +91,11 @@ def rehearse(
     seed: int | None = None,
     shown: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> Rehearsal:
-    """Go through ``script`` on the twin of ``rig``; ``stage`` is what its controller says, ``learnt`` what earlier runs took.
+    """Go through ``script`` on the twin of ``rig``; ``stage`` is what its controller says,
+    ``learnt`` what earlier runs took.
 
-    ``shown`` gets how many trials are done, of how many. Raises NoTwinError, and KeyboardInterrupt where somebody ended it.
+    ``shown`` gets how many trials are done, of how many. Raises NoTwinError, and KeyboardInterrupt
+    where somebody ended it.
     """
     figures = {**ASSUMED, **(learnt or {})}
     pace = _pace(rig, script, figures)
@@ -98,13 +107,24 @@ def rehearse(
     with TemporaryDirectory(prefix="teatbench-dry-run-") as folder:
         run = Path(folder) / "run"
         with (
-            closing(RehearsalStore.begun(run, {"rig.toml": rig.text, SCRIPT_FILE: script.text})) as store,
-            _twin(twin_rig, clock, rig.rig.seed if seed is None else seed, by_hand=not rig.rig.emulated) as twin,
+            closing(
+                RehearsalStore.begun(run, {"rig.toml": rig.text, SCRIPT_FILE: script.text})
+            ) as store,
+            _twin(
+                twin_rig,
+                clock,
+                rig.rig.seed if seed is None else seed,
+                by_hand=not rig.rig.emulated,
+            ) as twin,
         ):
             store.heard = course.heard
-            cameras = StandInCameras(twin.cameras, twin_rig, course, to_render(script.planned), detectors, clock)
+            cameras = StandInCameras(
+                twin.cameras, twin_rig, course, to_render(script.planned), detectors, clock
+            )
             cameras.takes_s = 0.0 if rig.rig.emulated else figures["capture"]
-            hands = ReachingHands(twin, twin_rig.rig.emulation.arm_placed, course.met, leans=pace.in_person)
+            hands = ReachingHands(
+                twin, twin_rig.rig.emulation.arm_placed, course.met, leans=pace.in_person
+            )
             operator = TimedOperator(PromptedOperator(person, hands), person, spent, pace.seconds)
             _go_through(lenient(twin_rig), script, twin, store, cameras, operator, course)
         if course.interrupted:
@@ -124,14 +144,24 @@ def rehearse(
 
 
 def _go_through(
-    rig: LoadedRig, script: LoadedScript, twin: EmulatedRig, store: Store, cameras: Cameras, operator: Operator, course: Course
+    rig: LoadedRig,
+    script: LoadedScript,
+    twin: EmulatedRig,
+    store: Store,
+    cameras: Cameras,
+    operator: Operator,
+    course: Course,
 ) -> None:
-    """As a run, without detectors. What an instrument's fault or an abort ends is in the record, and heard by ``course``."""
+    """As a run, without detectors. What an instrument's fault or an abort ends is in the record,
+    and heard by ``course``.
+    """
     clock = twin.world.clock
     openers = driver_openers(rig, clock, twin.urls)
     with ExitStack() as stack:
         opened = {name: stack.enter_context(closing(openers[name]())) for name in openers}
-        devices = Devices(clock, opened["arm"], opened["bath"], opened.get("stage"), cameras, operator)
+        devices = Devices(
+            clock, opened["arm"], opened["bath"], opened.get("stage"), cameras, operator
+        )
         Engine(rig, script, devices, store, (), course, exact_ends=twin.world.ends_mm).run()
 
 
@@ -141,7 +171,9 @@ def _pace(rig: LoadedRig, script: LoadedScript, figures: Mapping[str, float]) ->
     seconds = {name: figures[name] if in_person else 0.0 for name in ("set-up", "placing", "touch")}
     prompt_s = rig.rig.emulation.prompt_s if rig.rig.emulated else 0.0
     wanted = needs(rig, script, figures)
-    busy_s = wanted.prompts * (seconds["touch"] + prompt_s) + (wanted.time.set_ups_s if in_person else 0.0)
+    busy_s = wanted.prompts * (seconds["touch"] + prompt_s) + (
+        wanted.time.set_ups_s if in_person else 0.0
+    )
     return Pace(seconds, prompt_s, min(1.0, ON_CLOCK_S / busy_s) if busy_s else 1.0, in_person)
 
 
@@ -153,16 +185,28 @@ def _slowed(twin: LoadedRig, pace: Pace) -> LoadedRig:
 
 def _person(rig: LoadedRig, clock: VirtualClock, pace: Pace, spent: TimeSpent) -> Person:
     url = rig.rig.operator.url
-    answers = load_answers(rig.path.parent / url.removeprefix(SCRIPT)) if url.startswith(SCRIPT) else None
-    return Person(clock, pace.seconds, spent, pace.on_clock, beside_s=pace.prompt_s * (1.0 - pace.on_clock), answers=answers)
+    answers = (
+        load_answers(rig.path.parent / url.removeprefix(SCRIPT)) if url.startswith(SCRIPT) else None
+    )
+    return Person(
+        clock,
+        pace.seconds,
+        spent,
+        pace.on_clock,
+        beside_s=pace.prompt_s * (1.0 - pace.on_clock),
+        answers=answers,
+    )
 
 
 @contextmanager
-def _twin(rig: LoadedRig, clock: VirtualClock, seed: int, *, by_hand: bool) -> Iterator[EmulatedRig]:
+def _twin(
+    rig: LoadedRig, clock: VirtualClock, seed: int, *, by_hand: bool
+) -> Iterator[EmulatedRig]:
     """``by_hand``: a pump that no instrument turns on is turned on by somebody, as in a lab."""
     try:
         twin = EmulatedRig(rig, clock, seed)
-    except ValueError as error:  # a calibration that nothing can be rendered with, a table that an emulator can't be made of
+    # a calibration that nothing can be rendered with, a table that an emulator can't be made of
+    except ValueError as error:
         raise NoTwinError(str(error)) from error
     if by_hand and rig.profile.capabilities.pump == "none" and rig.relay is None:
         twin.world.plant.pump = "on"
@@ -175,7 +219,9 @@ def _written(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
-def _as_learnt(spent: TimeSpent, rig: LoadedRig, script: LoadedScript, learnt: Mapping[str, float]) -> dict[str, float]:
+def _as_learnt(
+    spent: TimeSpent, rig: LoadedRig, script: LoadedScript, learnt: Mapping[str, float]
+) -> dict[str, float]:
     """The seconds, with the time that the real bath takes to heat where earlier runs told."""
     seconds, first_s = spent.seconds, spent.first_settling_s
     if "heating" in learnt and first_s is not None and not rig.rig.emulated:

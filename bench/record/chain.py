@@ -1,9 +1,12 @@
-"""A hash chain over everything that is written: each write is a link, and names the digest of all before it.
+"""A hash chain over everything that is written: each write is a link, and names the digest of all
+before it.
 
-A link covers the rows that one transaction added, table by table, with the SHA-256 of what SQLite holds of them. There are two digests:
-``digest`` leaves out real time, so that it repeats with the seed; ``wall_digest`` covers every column. A row that is changed, added or
-removed later, by a hand or by a rotting disk, breaks its link; whoever writes the whole chain anew gets another last digest than the one
-that the report names. Knows rows and digests only: no files, no threads, no transactions.
+A link covers the rows that one transaction added, table by table, with the SHA-256 of what SQLite
+holds of them. There are two digests: ``digest`` leaves out real time, so that it repeats with the
+seed; ``wall_digest`` covers every column. A row that is changed, added or removed later, by a hand
+or by a rotting disk, breaks its link; whoever writes the whole chain anew gets another last digest
+than the one that the report names. Knows rows and digests only: no files, no threads, no
+transactions.
 """
 
 from __future__ import annotations
@@ -18,14 +21,17 @@ from typing import Any
 from bench.record.schema import LATER_WORD
 
 ZERO = "0" * 64
-VARYING_FACTS = ("wall", "command", "recorded to")  # keys that begin like this hold what doesn't repeat with the seed
+# keys that begin like this hold what doesn't repeat with the seed
+VARYING_FACTS = ("wall", "command", "recorded to")
 
 Spans = Mapping[str, tuple[int, int]]  # table -> first and last rowid
 
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """The last link: its number, counted from 1, and the digests of all that was written up to it."""
+    """The last link: its number, counted from 1, and the digests
+    of all that was written up to it.
+    """
 
     number: int = 0
     digest: str = ZERO
@@ -34,7 +40,9 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """One write. ``covers`` and ``wall_covers`` are JSON: table -> [first rowid, last rowid, SHA-256]; facts: key -> SHA-256."""
+    """One write. ``covers`` and ``wall_covers`` are JSON: table -> [first rowid, last rowid,
+    SHA-256]; facts: key -> SHA-256.
+    """
 
     covers: str
     wall_covers: str
@@ -43,7 +51,9 @@ class Link:
 
 def head_of(db: sqlite3.Connection) -> Head:
     """The last link in ``db``."""
-    row = db.execute("SELECT number, digest, wall_digest FROM chain ORDER BY number DESC LIMIT 1").fetchone()
+    row = db.execute(
+        "SELECT number, digest, wall_digest FROM chain ORDER BY number DESC LIMIT 1"
+    ).fetchone()
     return Head(*row) if row else Head()
 
 
@@ -59,25 +69,44 @@ def add_link(db: sqlite3.Connection, spans: Spans, facts: Collection[str]) -> No
         covers[LATER_WORD] = {key: plain for key, (plain, _) in prints.items() if plain is not None}
         wall_covers[LATER_WORD] = {key: whole for key, (_, whole) in prints.items()}
     link = linked(head_of(db), _text(covers), _text(wall_covers))
-    values = (link.head.number, link.covers, link.head.digest, link.wall_covers, link.head.wall_digest)
-    db.execute("INSERT INTO chain (number, covers, digest, wall_covers, wall_digest) VALUES (?, ?, ?, ?, ?)", values)
+    values = (
+        link.head.number,
+        link.covers,
+        link.head.digest,
+        link.wall_covers,
+        link.head.wall_digest,
+    )
+    db.execute(
+        "INSERT INTO chain (number, covers, digest, wall_covers, wall_digest) VALUES (?, ?, ?,"
+        " ?, ?)",
+        values,
+    )
 
 
 def linked(before: Head, covers: str, wall_covers: str) -> Link:
     """The link that follows ``before``."""
     digest = _sha256(f"{before.digest}\n{covers}")
-    return Link(covers, wall_covers, Head(before.number + 1, digest, _sha256(f"{before.wall_digest}\n{digest}\n{wall_covers}")))
+    return Link(
+        covers,
+        wall_covers,
+        Head(before.number + 1, digest, _sha256(f"{before.wall_digest}\n{digest}\n{wall_covers}")),
+    )
 
 
 def fingerprint(db: sqlite3.Connection, table: str, first: int, last: int) -> tuple[str, str]:
-    """SHA-256 of the rows from ``first`` to ``last``: without the columns of real time, and of all columns."""
-    cursor = db.execute(f"SELECT * FROM {table} WHERE rowid BETWEEN ? AND ? ORDER BY rowid", (first, last))  # noqa: S608 - our names
+    """SHA-256 of the rows from ``first`` to ``last``: without the columns of real time, and of all
+    columns.
+    """
+    query = f"SELECT * FROM {table} WHERE rowid BETWEEN ? AND ? ORDER BY rowid"  # noqa: S608
+    cursor = db.execute(query, (first, last))
     names = [column[0] for column in cursor.description]
     return _prints(table, names, cursor.fetchall())
 
 
 def fact_fingerprint(db: sqlite3.Connection, key: str) -> tuple[str | None, str]:
-    """SHA-256 of what is said under ``key``; the first is None where that doesn't repeat with the seed."""
+    """SHA-256 of what is said under ``key``; the first is None where that doesn't repeat with the
+    seed.
+    """
     cursor = db.execute("SELECT * FROM facts WHERE key = ?", (key,))
     names = [column[0] for column in cursor.description]
     plain, whole = _prints(LATER_WORD, names, cursor.fetchall())

@@ -1,6 +1,8 @@
-"""Looks whether a run is as it was written: database, foreign keys, chain, files. Reads only; says all that is wrong, in sentences.
+"""Looks whether a run is as it was written: database, foreign keys, chain, files. Reads only; says
+all that is wrong, in sentences.
 
-What a run that died leaves behind, the frames of a trial that never finished, is told but is no damage.
+What a run that died leaves behind, the frames of a trial that never finished, is told but is no
+damage.
 """
 
 from __future__ import annotations
@@ -58,7 +60,9 @@ class Checked:
 
 
 def check_run(folder: Path, digest: str | None = None) -> Checked:
-    """Look at everything; ``digest`` is one that a report names, of either kind. Raises ConfigError where it is no run."""
+    """Look at everything; ``digest`` is one that a report names, of either kind. Raises ConfigError
+    where it is no run.
+    """
     with as_written(folder) as db:
         db.execute("BEGIN")  # all of one moment: the run may be under way
         version = known_version(db, folder)
@@ -71,7 +75,10 @@ def check_run(folder: Path, digest: str | None = None) -> Checked:
             ):  # fmt: skip
                 for finding in part:
                     findings.append(finding)
-            counts |= {name: int(db.execute(f"SELECT count(*) FROM {name}").fetchone()[0]) for name in COUNTED}  # noqa: S608 - our names
+            counts |= {
+                name: int(db.execute(f"SELECT count(*) FROM {name}").fetchone()[0])  # noqa: S608
+                for name in COUNTED
+            }
         except (sqlite3.Error, ValueError, TypeError, RecursionError) as error:
             findings.append(_damage(f"{DATABASE} can't be read to its end: {error}"))
     head = Head(links[-1][0], links[-1][2], links[-1][4]) if links else Head()
@@ -82,7 +89,8 @@ def check_run(folder: Path, digest: str | None = None) -> Checked:
 def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[tuple[str, ...]]:
     """Checks these runs, then gives what is damaged, in sentences, to what is done with them.
 
-    Raises ConfigError where something is and ``despite_damage`` isn't set; where it is, for what fails since the record is damaged.
+    Raises ConfigError where something is and ``despite_damage`` isn't set; where it is, for what
+    fails since the record is damaged.
     """
     checked = {folder: check_run(folder) for folder in dict.fromkeys(folders)}
     damage = tuple(
@@ -92,7 +100,10 @@ def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[
         if finding.weight is Weight.DAMAGE
     )
     if damage and not despite_damage:
-        hint = "'teatbench store check RUN' lists all of it; --despite-damage goes on all the same, and says so in what it writes."
+        hint = (
+            "'teatbench store check RUN' lists all of it; --despite-damage goes on all the same,"
+            " and says so in what it writes."
+        )
         raise ConfigError.plain(f"{NOT_AS_WRITTEN}, and is refused. {shortened(damage)}\n{hint}")
     try:
         yield damage
@@ -101,25 +112,48 @@ def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[
     except Exception as error:  # whatever a damaged record makes of the code that reads it
         if all(one.whole and one.head.number for one in checked.values()):
             raise
-        why = shortened(damage) if damage else "It has no chain, so that nothing tells whether it is as it was written."
-        told = f"this can't be made of a record that is damaged so ({type(error).__name__}: {error})"
+        why = (
+            shortened(damage)
+            if damage
+            else "It has no chain, so that nothing tells whether it is as it was written."
+        )
+        told = (
+            f"this can't be made of a record that is damaged so ({type(error).__name__}: {error})"
+        )
         raise ConfigError.plain(f"{told}. {why}") from error
 
 
 def shortened(damage: Sequence[str]) -> str:
     """The first few."""
-    return "; ".join(damage[:SHOWN]) + (f"; and {len(damage) - SHOWN} more" if len(damage) > SHOWN else "") + "."
+    return (
+        "; ".join(damage[:SHOWN])
+        + (f"; and {len(damage) - SHOWN} more" if len(damage) > SHOWN else "")
+        + "."
+    )
 
 
-def _provenance(db: sqlite3.Connection, folder: Path, version: int, digest: str | None, links: list[tuple[Any, ...]]) -> Iterator[Finding]:
+def _provenance(
+    db: sqlite3.Connection,
+    folder: Path,
+    version: int,
+    digest: str | None,
+    links: list[tuple[Any, ...]],
+) -> Iterator[Finding]:
     """What the chain and the copied files say; ``links`` gets the chain's."""
     if version < CHAINED_SINCE:
         if "chain" in tables_of(db):
-            yield _damage(f"{DATABASE} says that it has schema {version}, which has no chain, and it has one")
+            yield _damage(
+                f"{DATABASE} says that it has schema {version}, which has no chain, and it has one"
+            )
         else:
-            yield _note(f"the run is of an older bench (schema {version}): it has no chain, so that later edits can't be told")
+            yield _note(
+                f"the run is of an older bench (schema {version}): it has no chain, so that later"
+                " edits can't be told"
+            )
         return
-    links += db.execute("SELECT number, covers, digest, wall_covers, wall_digest FROM chain ORDER BY number")
+    links += db.execute(
+        "SELECT number, covers, digest, wall_covers, wall_digest FROM chain ORDER BY number"
+    )
     yield from _chain(db, links)
     yield from _files(db, folder)
     yield from _printed(folder, links, digest)
@@ -143,9 +177,15 @@ def _frames(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
         if file.is_dir() or path.as_posix() in kept:
             continue
         if path.parts[1] in trials and file.suffix != ".part":
-            yield _damage(f"{path.as_posix()} is in no row of the record: it came later, or its row was removed")
+            yield _damage(
+                f"{path.as_posix()} is in no row of the record: it came later, or its row was"
+                " removed"
+            )
         else:
-            yield _note(f"{path.as_posix()} belongs to no finished trial: the bench died or gave the trial up while it was written")
+            yield _note(
+                f"{path.as_posix()} belongs to no finished trial: the bench died or gave the trial"
+                " up while it was written"
+            )
 
 
 def _files(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
@@ -163,16 +203,23 @@ def _file(folder: Path, name: Any, sha256: Any) -> Iterator[Finding]:
         yield _damage(f"{name} can't be read: {getattr(error, 'strerror', None) or error}")
         return
     if found != sha256:
-        yield _damage(f"{name} is not as it was written: its SHA-256 is {found}, the record says {sha256}")
+        yield _damage(
+            f"{name} is not as it was written: its SHA-256 is {found}, the record says {sha256}"
+        )
 
 
 def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[Finding]:
-    """Each link follows from the one before, covers the rows that follow those before, and they are as it says."""
+    """Each link follows from the one before, covers the rows that follow those before, and they are
+    as it says.
+    """
     before, ends, facts = Head(), dict.fromkeys(_chained(db), 0), dict[str, str]()
     for number, covers, digest, wall_covers, wall_digest in links:
         given = Head(number, digest, wall_digest)
         if linked(before, covers, wall_covers).head != given:
-            yield _damage(f"link {number} of the chain doesn't follow from the one before: links were changed, added or removed")
+            yield _damage(
+                f"link {number} of the chain doesn't follow from the one before: links were"
+                " changed, added or removed"
+            )
         before = given
         try:
             plain, whole = json.loads(covers), json.loads(wall_covers)
@@ -185,17 +232,32 @@ def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[Fin
     for table, end in ends.items():
         (last,) = db.execute(f"SELECT coalesce(max(rowid), 0) FROM {table}").fetchone()  # noqa: S608 - our names
         if last > end:
-            yield _damage(f"table {table}, rows {end + 1} to {last} are in no link of the chain: they were added later")
+            yield _damage(
+                f"table {table}, rows {end + 1} to {last} are in no link of the chain: they were"
+                " added later"
+            )
 
 
-def _rows(db: sqlite3.Connection, number: int, covers: dict[str, Any], wall: dict[str, Any], ends: dict[str, int]) -> Iterator[Finding]:
+def _rows(
+    db: sqlite3.Connection,
+    number: int,
+    covers: dict[str, Any],
+    wall: dict[str, Any],
+    ends: dict[str, int],
+) -> Iterator[Finding]:
     for table, (first, last, plain) in covers.items():
         if first != ends[table] + 1:
-            yield _damage(f"link {number} of the chain begins with row {first} of {table}; {ends[table] + 1} was to come")
+            yield _damage(
+                f"link {number} of the chain begins with row {first} of {table}; {ends[table] + 1}"
+                " was to come"
+            )
         ends[table] = last
         if fingerprint(db, table, first, last) != (plain, wall[table][2]):
             rows = f"row {first} is" if first == last else f"rows {first} to {last} are"
-            yield _damage(f"table {table}, {rows} not as written (link {number}{_whose(db, table, first)}): changed, added or removed")
+            yield _damage(
+                f"table {table}, {rows} not as written (link {number}{_whose(db, table, first)}):"
+                " changed, added or removed"
+            )
 
 
 def _facts(db: sqlite3.Connection, said: Mapping[str, str]) -> Iterator[Finding]:
@@ -210,17 +272,27 @@ def _facts(db: sqlite3.Connection, said: Mapping[str, str]) -> Iterator[Finding]
 
 
 def _printed(folder: Path, links: list[tuple[Any, ...]], digest: str | None) -> Iterator[Finding]:
-    """The chain has to pass through what a report named: nothing else tells that its end was cut off, or all of it made anew."""
+    """The chain has to pass through what a report named: nothing else tells that its end was cut
+    off, or all of it made anew.
+    """
     known = {value: row[0] for row in links for value in (row[2], row[4])}
     if digest is not None and digest.lower() not in known:
-        yield _damage(f"the chain doesn't pass through {digest}: the record was cut off or made anew since that was printed")
+        yield _damage(
+            f"the chain doesn't pass through {digest}: the record was cut off or made anew since"
+            " that was printed"
+        )
     try:
         printed = printed_chain(folder)
         if printed and known.get(printed["wall_digest"]) != printed["links"]:
             why = "the record was cut off or made anew since"
-            yield _damage(f"the chain doesn't pass through the digest of {PRINTED.as_posix()}: {why}")
+            yield _damage(
+                f"the chain doesn't pass through the digest of {PRINTED.as_posix()}: {why}"
+            )
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        yield _damage(f"{PRINTED.as_posix()} can't be read: {error!r}. Without the folder report, 'teatbench report' makes it anew")
+        yield _damage(
+            f"{PRINTED.as_posix()} can't be read: {error!r}. Without the folder report, 'teatbench"
+            " report' makes it anew"
+        )
 
 
 def printed_chain(folder: Path) -> Any:

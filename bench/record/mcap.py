@@ -1,26 +1,34 @@
-"""As much of Protocol Buffers as writing takes: values of a message to bytes, and messages described to whoever reads those bytes.
+"""As much of Protocol Buffers as writing takes: values of a message to bytes, and messages
+described to whoever reads those bytes.
 
-A message is a table of fields; the messages that describe messages (descriptor.proto) are such tables themselves, so that one encoder
-does for both. Fields that hold their kind's zero are left out, as proto3 does. Source: protobuf.dev, "Encoding" and "Proto3 specification";
-numbers of descriptor.proto from protobuf's own. Pure; knows no message but those that describe.
+A message is a table of fields; the messages that describe messages (descriptor.proto) are such
+tables themselves, so that one encoder does for both. Fields that hold their kind's zero are left
+out, as proto3 does. Source: protobuf.dev, "Encoding" and "Proto3 specification"; numbers of
+descriptor.proto from protobuf's own. Pure; knows no message but those that describe.
 
-What messages of an exported time line look like: Foxglove's published schemas, and a few of our own.
+What messages of an exported time line look like: Foxglove's published schemas, and a few of our
+own.
 
-Foxglove's are the Protobuf ones, which Foxglove, Lichtblick and rerun all read (rerun draws no others): names, numbers and kinds of
-fields as published (github.com/foxglove/foxglove-sdk, schemas/proto/foxglove; numbers don't follow the order there). Of ours every viewer
-can draw the numbers: NaN is what was not measured, an empty text what was not said. No field is an `int64`, which viewers in a browser
-read as something other than a number. Pure tables.
+Foxglove's are the Protobuf ones, which Foxglove, Lichtblick and rerun all read (rerun draws no
+others): names, numbers and kinds of fields as published (github.com/foxglove/foxglove-sdk,
+schemas/proto/foxglove; numbers don't follow the order there). Of ours every viewer can draw the
+numbers: NaN is what was not measured, an empty text what was not said. No field is an `int64`,
+which viewers in a browser read as something other than a number. Pure tables.
 
 Rows of a run as the messages that `schemas` describes: values by field, ready to be encoded.
 
-Lengths are metres here, as those schemas ask, and only here; frames of reference are those of the bench (`world`, `stage`, `left`, `right`,
-`thermal`). A pose without a direction has the unit quaternion. Pure: rows in, values out.
+Lengths are metres here, as those schemas ask, and only here; frames of reference are those of the
+bench (`world`, `stage`, `left`, `right`, `thermal`). A pose without a direction has the unit
+quaternion. Pure: rows in, values out.
 
-A run as one MCAP file (mcap.dev/spec): frames, bath, stage, arm, truth, detections and events on one time line.
+A run as one MCAP file (mcap.dev/spec): frames, bath, stage, arm, truth, detections and events on
+one time line.
 
-The time line is the bench's own clock, set to the time of day at which its session began, so that intervals are the bench's; what has no
-time on that clock stands at its time of day. Frames are checked against their SHA-256; those of 8 bits go in byte for byte. Messages are
-Protocol Buffers, for that is what all three viewers draw: Lichtblick takes JSON only with simple schemas, rerun not at all.
+The time line is the bench's own clock, set to the time of day at which its session began, so that
+intervals are the bench's; what has no time on that clock stands at its time of day. Frames are
+checked against their SHA-256; those of 8 bits go in byte for byte. Messages are Protocol Buffers,
+for that is what all three viewers draw: Lichtblick takes JSON only with simple schemas, rerun not
+at all.
 """
 
 from __future__ import annotations
@@ -67,7 +75,13 @@ class Kind(IntEnum):
     ENUM = 14
 
 
-WIRE = {Kind.DOUBLE: EIGHT_BYTES, Kind.FIXED32: FOUR_BYTES, Kind.STRING: COUNTED, Kind.BYTES: COUNTED, Kind.MESSAGE: COUNTED}
+WIRE = {
+    Kind.DOUBLE: EIGHT_BYTES,
+    Kind.FIXED32: FOUR_BYTES,
+    Kind.STRING: COUNTED,
+    Kind.BYTES: COUNTED,
+    Kind.MESSAGE: COUNTED,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +94,9 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field of a message. ``of`` is the message or the enumeration that it holds; ``always``: written even where it is zero."""
+    """A field of a message. ``of`` is the message or the enumeration that it holds; ``always``:
+    written even where it is zero.
+    """
 
     name: str
     number: int
@@ -115,7 +131,8 @@ class MessageType:
 
 
 def encoded(kind: MessageType, values: Values) -> bytes:
-    """The message with these ``values`` by field; what is missing has its default. Raises KeyError for a value that no field has.
+    """The message with these ``values`` by field; what is missing has its default. Raises KeyError
+    for a value that no field has.
 
     Fields go in the order of their numbers, as other encoders write them.
     """
@@ -123,12 +140,19 @@ def encoded(kind: MessageType, values: Values) -> bytes:
     if unknown:
         raise KeyError(f"{kind.full_name} has no {', '.join(sorted(unknown))}")
     in_order = sorted(kind.fields, key=lambda field: field.number)
-    return b"".join(part for field in in_order if field.name in values for part in _field(field, values[field.name]))
+    return b"".join(
+        part
+        for field in in_order
+        if field.name in values
+        for part in _field(field, values[field.name])
+    )
 
 
 def described(kind: MessageType) -> bytes:
     """A FileDescriptorSet with the message and all that it holds, each after what it needs."""
-    files = [{"name": one.file, "package": one.package, **_contents(one)} for one in _with_needs(kind)]
+    files = [
+        {"name": one.file, "package": one.package, **_contents(one)} for one in _with_needs(kind)
+    ]
     return encoded(FILE_SET, {"file": files})
 
 
@@ -185,14 +209,30 @@ def _with_needs(kind: MessageType) -> list[MessageType]:
 def _contents(kind: MessageType) -> Values:
     needs = sorted({field.of.file for field in kind.fields if isinstance(field.of, MessageType)})
     choices = [field.of for field in kind.fields if isinstance(field.of, Choice)]
-    enums = [{"name": one.name, "value": [{"name": name, "number": n} for name, n in one.numbers.items()]} for one in choices]
-    message = {"name": kind.name, "field": [_about(kind, field) for field in kind.fields], "enum_type": enums}
+    enums = [
+        {
+            "name": one.name,
+            "value": [{"name": name, "number": n} for name, n in one.numbers.items()],
+        }
+        for one in choices
+    ]
+    message = {
+        "name": kind.name,
+        "field": [_about(kind, field) for field in kind.fields],
+        "enum_type": enums,
+    }
     return {"dependency": needs, "message_type": [message], "syntax": "proto3"}
 
 
 def _about(kind: MessageType, field: Field) -> Values:
     label = REPEATED if field.repeated else OPTIONAL
-    about = {"name": field.name, "number": field.number, "label": label, "type": int(field.kind), "json_name": _camel(field.name)}
+    about = {
+        "name": field.name,
+        "number": field.number,
+        "label": label,
+        "type": int(field.kind),
+        "json_name": _camel(field.name),
+    }
     if isinstance(field.of, MessageType):
         return {**about, "type_name": f".{field.of.full_name}"}
     return {**about, "type_name": f".{kind.full_name}.{field.of.name}"} if field.of else about
@@ -220,19 +260,36 @@ def _numbers(fields: Sequence[tuple[str, int]]) -> list[Field]:
 
 
 _NUMBERS_OF_FIELD = _numbers((("number", 3), ("label", 4), ("type", 5)))
-FIELD = _described("FieldDescriptorProto", _texts("name", 1), *_NUMBERS_OF_FIELD, _texts("type_name", 6), _texts("json_name", 10))
+FIELD = _described(
+    "FieldDescriptorProto",
+    _texts("name", 1),
+    *_NUMBERS_OF_FIELD,
+    _texts("type_name", 6),
+    _texts("json_name", 10),
+)
 ENUM_VALUE = _described("EnumValueDescriptorProto", _texts("name", 1), *_numbers([("number", 2)]))
 ENUM = _described("EnumDescriptorProto", _texts("name", 1), _messages("value", 2, ENUM_VALUE))
-MESSAGE = _described("DescriptorProto", _texts("name", 1), _messages("field", 2, FIELD), _messages("enum_type", 4, ENUM))
+MESSAGE = _described(
+    "DescriptorProto",
+    _texts("name", 1),
+    _messages("field", 2, FIELD),
+    _messages("enum_type", 4, ENUM),
+)
 FILE = _described(
-    "FileDescriptorProto", _texts("name", 1), _texts("package", 2), Field("dependency", 3, Kind.STRING, repeated=True),
-    _messages("message_type", 4, MESSAGE), _texts("syntax", 12),
-)  # fmt: skip
+    "FileDescriptorProto",
+    _texts("name", 1),
+    _texts("package", 2),
+    Field("dependency", 3, Kind.STRING, repeated=True),
+    _messages("message_type", 4, MESSAGE),
+    _texts("syntax", 12),
+)
 FILE_SET = _described("FileDescriptorSet", _messages("file", 1, FILE))
 
 
 def _message(name: str, *fields: tuple[str, int, Kind] | Field) -> MessageType:
-    return MessageType(name, tuple(field if isinstance(field, Field) else Field(*field) for field in fields))
+    return MessageType(
+        name, tuple(field if isinstance(field, Field) else Field(*field) for field in fields)
+    )
 
 
 def _holds(name: str, number: int, of: MessageType, *, repeated: bool = False) -> Field:
@@ -243,56 +300,128 @@ def _rows(name: str, number: int) -> Field:
     return Field(name, number, Kind.DOUBLE, repeated=True)
 
 
-TIMESTAMP = _message("google.protobuf.Timestamp", ("seconds", 1, Kind.INT64), ("nanos", 2, Kind.INT32))
+TIMESTAMP = _message(
+    "google.protobuf.Timestamp", ("seconds", 1, Kind.INT64), ("nanos", 2, Kind.INT32)
+)
 _TIME = _holds("timestamp", 1, TIMESTAMP)
-VECTOR = _message("foxglove.Vector3", ("x", 1, Kind.DOUBLE), ("y", 2, Kind.DOUBLE), ("z", 3, Kind.DOUBLE))
-QUATERNION = _message("foxglove.Quaternion", *((name, number, Kind.DOUBLE) for number, name in enumerate("xyzw", 1)))
-POSE = _message("foxglove.Pose", _holds("position", 1, VECTOR), _holds("orientation", 2, QUATERNION))
+VECTOR = _message(
+    "foxglove.Vector3", ("x", 1, Kind.DOUBLE), ("y", 2, Kind.DOUBLE), ("z", 3, Kind.DOUBLE)
+)
+QUATERNION = _message(
+    "foxglove.Quaternion", *((name, number, Kind.DOUBLE) for number, name in enumerate("xyzw", 1))
+)
+POSE = _message(
+    "foxglove.Pose", _holds("position", 1, VECTOR), _holds("orientation", 2, QUATERNION)
+)
 LEVEL = Choice("Level", {"UNKNOWN": 0, "DEBUG": 1, "INFO": 2, "WARNING": 3, "ERROR": 4, "FATAL": 5})
 
 COMPRESSED_IMAGE = _message(
-    "foxglove.CompressedImage", _TIME, ("frame_id", 4, Kind.STRING), ("data", 2, Kind.BYTES), ("format", 3, Kind.STRING)
+    "foxglove.CompressedImage",
+    _TIME,
+    ("frame_id", 4, Kind.STRING),
+    ("data", 2, Kind.BYTES),
+    ("format", 3, Kind.STRING),
 )
 RAW_IMAGE = _message(
-    "foxglove.RawImage", _TIME, ("frame_id", 7, Kind.STRING), ("width", 2, Kind.FIXED32), ("height", 3, Kind.FIXED32),
-    ("encoding", 4, Kind.STRING), ("step", 5, Kind.FIXED32), ("data", 6, Kind.BYTES),
-)  # fmt: skip
+    "foxglove.RawImage",
+    _TIME,
+    ("frame_id", 7, Kind.STRING),
+    ("width", 2, Kind.FIXED32),
+    ("height", 3, Kind.FIXED32),
+    ("encoding", 4, Kind.STRING),
+    ("step", 5, Kind.FIXED32),
+    ("data", 6, Kind.BYTES),
+)
 CAMERA_CALIBRATION = _message(
-    "foxglove.CameraCalibration", _TIME, ("frame_id", 9, Kind.STRING), ("width", 2, Kind.FIXED32), ("height", 3, Kind.FIXED32),
-    ("distortion_model", 4, Kind.STRING), _rows("D", 5), _rows("K", 6), _rows("R", 7), _rows("P", 8),
-)  # fmt: skip
+    "foxglove.CameraCalibration",
+    _TIME,
+    ("frame_id", 9, Kind.STRING),
+    ("width", 2, Kind.FIXED32),
+    ("height", 3, Kind.FIXED32),
+    ("distortion_model", 4, Kind.STRING),
+    _rows("D", 5),
+    _rows("K", 6),
+    _rows("R", 7),
+    _rows("P", 8),
+)
 FRAME_TRANSFORM = _message(
-    "foxglove.FrameTransform", _TIME, ("parent_frame_id", 2, Kind.STRING), ("child_frame_id", 3, Kind.STRING),
-    _holds("translation", 4, VECTOR), _holds("rotation", 5, QUATERNION),
-)  # fmt: skip
-FRAME_TRANSFORMS = _message("foxglove.FrameTransforms", _holds("transforms", 1, FRAME_TRANSFORM, repeated=True))
-POSE_IN_FRAME = _message("foxglove.PoseInFrame", _TIME, ("frame_id", 2, Kind.STRING), _holds("pose", 3, POSE))
-POSES_IN_FRAME = _message("foxglove.PosesInFrame", _TIME, ("frame_id", 2, Kind.STRING), _holds("poses", 3, POSE, repeated=True))
+    "foxglove.FrameTransform",
+    _TIME,
+    ("parent_frame_id", 2, Kind.STRING),
+    ("child_frame_id", 3, Kind.STRING),
+    _holds("translation", 4, VECTOR),
+    _holds("rotation", 5, QUATERNION),
+)
+FRAME_TRANSFORMS = _message(
+    "foxglove.FrameTransforms", _holds("transforms", 1, FRAME_TRANSFORM, repeated=True)
+)
+POSE_IN_FRAME = _message(
+    "foxglove.PoseInFrame", _TIME, ("frame_id", 2, Kind.STRING), _holds("pose", 3, POSE)
+)
+POSES_IN_FRAME = _message(
+    "foxglove.PosesInFrame",
+    _TIME,
+    ("frame_id", 2, Kind.STRING),
+    _holds("poses", 3, POSE, repeated=True),
+)
 LOG = _message(
-    "foxglove.Log", _TIME, Field("level", 2, Kind.ENUM, LEVEL), ("message", 3, Kind.STRING), ("name", 4, Kind.STRING),
-    ("file", 5, Kind.STRING), ("line", 6, Kind.FIXED32),
-)  # fmt: skip
+    "foxglove.Log",
+    _TIME,
+    Field("level", 2, Kind.ENUM, LEVEL),
+    ("message", 3, Kind.STRING),
+    ("name", 4, Kind.STRING),
+    ("file", 5, Kind.STRING),
+    ("line", 6, Kind.FIXED32),
+)
 
 BATH = _message(
-    "teatbench.Bath", _TIME, ("temp_c", 2, Kind.DOUBLE), ("external_c", 3, Kind.DOUBLE), ("power_percent", 4, Kind.DOUBLE),
+    "teatbench.Bath",
+    _TIME,
+    ("temp_c", 2, Kind.DOUBLE),
+    ("external_c", 3, Kind.DOUBLE),
+    ("power_percent", 4, Kind.DOUBLE),
     ("state", 5, Kind.STRING),
-)  # fmt: skip
+)
 ANSWER = _message(
-    "teatbench.Answer", _TIME, ("trial", 2, Kind.STRING), ("detector", 3, Kind.STRING), ("outcome", 4, Kind.STRING),
-    ("hidden", 5, Kind.UINT32), ("reason", 6, Kind.STRING), ("seconds", 7, Kind.DOUBLE), ("success", 8, Kind.DOUBLE),
+    "teatbench.Answer",
+    _TIME,
+    ("trial", 2, Kind.STRING),
+    ("detector", 3, Kind.STRING),
+    ("outcome", 4, Kind.STRING),
+    ("hidden", 5, Kind.UINT32),
+    ("reason", 6, Kind.STRING),
+    ("seconds", 7, Kind.DOUBLE),
+    ("success", 8, Kind.DOUBLE),
     ("max_error_mm", 9, Kind.DOUBLE),
-)  # fmt: skip
+)
 TRIAL = _message(
-    "teatbench.Trial", _TIME, ("id", 2, Kind.STRING), ("number", 3, Kind.UINT32), ("name", 4, Kind.STRING), ("situation", 5, Kind.STRING),
-    ("repeat", 6, Kind.UINT32), ("bath_c", 7, Kind.DOUBLE), ("bath_state", 8, Kind.STRING), ("invalid", 9, Kind.STRING),
-)  # fmt: skip
+    "teatbench.Trial",
+    _TIME,
+    ("id", 2, Kind.STRING),
+    ("number", 3, Kind.UINT32),
+    ("name", 4, Kind.STRING),
+    ("situation", 5, Kind.STRING),
+    ("repeat", 6, Kind.UINT32),
+    ("bath_c", 7, Kind.DOUBLE),
+    ("bath_state", 8, Kind.STRING),
+    ("invalid", 9, Kind.STRING),
+)
 
 SCHEMAS = {
     kind.full_name: kind
     for kind in (
-        COMPRESSED_IMAGE, RAW_IMAGE, CAMERA_CALIBRATION, FRAME_TRANSFORMS, POSE_IN_FRAME, POSES_IN_FRAME, LOG, BATH, ANSWER, TRIAL,
+        COMPRESSED_IMAGE,
+        RAW_IMAGE,
+        CAMERA_CALIBRATION,
+        FRAME_TRANSFORMS,
+        POSE_IN_FRAME,
+        POSES_IN_FRAME,
+        LOG,
+        BATH,
+        ANSWER,
+        TRIAL,
     )
-}  # fmt: skip
+}
 
 
 Row = Mapping[str, Any]
@@ -301,7 +430,14 @@ NS = 1_000_000_000
 MM_PER_M = 1000.0
 UNIT = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
-_LEVELS = {"trip": "ERROR", "fault": "ERROR", "aborted": "WARNING", "camera": "WARNING", "skipped": "WARNING", "repeated": "WARNING"}
+_LEVELS = {
+    "trip": "ERROR",
+    "fault": "ERROR",
+    "aborted": "WARNING",
+    "camera": "WARNING",
+    "skipped": "WARNING",
+    "repeated": "WARNING",
+}
 
 
 def stamp(time_ns: int) -> Message:
@@ -315,7 +451,8 @@ def image(time_ns: int, frame: str, png: bytes) -> Message:
 
 
 def raw_image(time_ns: int, frame: str, png: bytes) -> Message:
-    """A frame of 16 bits pixel by pixel: viewers let one choose what is black and what is white, which they don't for a PNG.
+    """A frame of 16 bits pixel by pixel: viewers let one choose what is black and what is white,
+    which they don't for a PNG.
 
     Raises ValueError where it is no picture of 16 bits.
     """
@@ -324,32 +461,56 @@ def raw_image(time_ns: int, frame: str, png: bytes) -> Message:
         raise ValueError("it is no grey picture of 16 bits")
     height, width = pixels.shape
     about = {"width": width, "height": height, "encoding": "mono16", "step": 2 * width}
-    return {"timestamp": stamp(time_ns), "frame_id": frame, **about, "data": pixels.astype("<u2").tobytes()}
+    return {
+        "timestamp": stamp(time_ns),
+        "frame_id": frame,
+        **about,
+        "data": pixels.astype("<u2").tobytes(),
+    }
 
 
 def camera(time_ns: int, frame: str, lens: Camera) -> Message:
-    """A camera as Bouguet, OpenCV and the ROS model plumb_bob have it: K row by row, D = (k1, k2, p1, p2, k3)."""
+    """A camera as Bouguet, OpenCV and the ROS model plumb_bob have it: K row by row, D = (k1, k2,
+    p1, p2, k3).
+    """
     (fx, fy), (cx, cy) = lens.fc, lens.cc
     rows = [[fx, lens.alpha_c * fx, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
     return {
-        "timestamp": stamp(time_ns), "frame_id": frame, "width": lens.image_size[0], "height": lens.image_size[1],
-        "distortion_model": "plumb_bob", "D": list(lens.kc), "K": [value for row in rows for value in row],
-        "R": np.eye(3).ravel().tolist(), "P": [value for row in rows for value in (*row, 0.0)],
-    }  # fmt: skip
+        "timestamp": stamp(time_ns),
+        "frame_id": frame,
+        "width": lens.image_size[0],
+        "height": lens.image_size[1],
+        "distortion_model": "plumb_bob",
+        "D": list(lens.kc),
+        "K": [value for row in rows for value in row],
+        "R": np.eye(3).ravel().tolist(),
+        "P": [value for row in rows for value in (*row, 0.0)],
+    }
 
 
 def frames_of_reference(time_ns: int, known: Calibration) -> Message:
-    """Where the cameras are in the world: the right one first, to which the left is tied, and the thermal one to that."""
+    """Where the cameras are in the world: the right one first, to which the left is tied, and the
+    thermal one to that.
+    """
     motions = [("world", "right", known.world_from_right), ("right", "left", known.right_from_left)]
     if known.thermal_from_left is not None:
         motions.append(("left", "thermal", known.thermal_from_left.inverse()))
-    return {"transforms": [_transform(time_ns, parent, child, motion) for parent, child, motion in motions]}
+    return {
+        "transforms": [
+            _transform(time_ns, parent, child, motion) for parent, child, motion in motions
+        ]
+    }
 
 
 def _transform(time_ns: int, parent: str, child: str, parent_from_child: Motion) -> Message:
     x, y, z, w = (float(value) for value in Rotation.from_matrix(parent_from_child.R).as_quat())
     ids = {"parent_frame_id": parent, "child_frame_id": child}
-    return {"timestamp": stamp(time_ns), **ids, "translation": _metres(parent_from_child.T), "rotation": {"x": x, "y": y, "z": z, "w": w}}
+    return {
+        "timestamp": stamp(time_ns),
+        **ids,
+        "translation": _metres(parent_from_child.T),
+        "rotation": {"x": x, "y": y, "z": z, "w": w},
+    }
 
 
 def point(time_ns: int, frame: str, at_mm: Sequence[float]) -> Message:
@@ -359,13 +520,22 @@ def point(time_ns: int, frame: str, at_mm: Sequence[float]) -> Message:
 
 def points(time_ns: int, frame: str, rows: Sequence[Row]) -> Message:
     """Places in ``frame``, of rows with x_mm, y_mm, z_mm."""
-    return {"timestamp": stamp(time_ns), "frame_id": frame, "poses": [_pose((row["x_mm"], row["y_mm"], row["z_mm"])) for row in rows]}
+    return {
+        "timestamp": stamp(time_ns),
+        "frame_id": frame,
+        "poses": [_pose((row["x_mm"], row["y_mm"], row["z_mm"])) for row in rows],
+    }
 
 
 def log(time_ns: int, event: Row) -> Message:
     """A row of ``events``."""
     level = LEVEL.numbers[_LEVELS.get(event["kind"], "INFO")]
-    return {"timestamp": stamp(time_ns), "level": level, "message": event["text"], "name": event["kind"]}
+    return {
+        "timestamp": stamp(time_ns),
+        "level": level,
+        "message": event["text"],
+        "name": event["kind"],
+    }
 
 
 def bath(time_ns: int, row: Row) -> Message:
@@ -408,7 +578,13 @@ def _metres(at_mm: Sequence[float] | np.ndarray[Any, Any]) -> Message:
     return {"x": x, "y": y, "z": z}
 
 
-FRAMES_OF = {"left": "left", "right": "right", "thermal": "thermal", "thermal_radiometric": "thermal"}  # pictures of cameras
+# pictures of cameras
+FRAMES_OF = {
+    "left": "left",
+    "right": "right",
+    "thermal": "thermal",
+    "thermal_radiometric": "thermal",
+}
 RADIOMETRIC = "thermal_radiometric"
 NAME, CALIBRATION = "run.mcap", "calibration.toml"
 
@@ -424,13 +600,18 @@ class TimedMessage:
 
 
 def export_mcap(run: Path, out: Path) -> list[Path]:
-    """Write ``out/run.mcap``; gives back the file. Raises ConfigError without the library or with a damaged frame; OSError."""
+    """Write ``out/run.mcap``; gives back the file. Raises ConfigError without the library or with a
+    damaged frame; OSError.
+    """
     library = needed("mcap.writer", "MCAP")
     known = read_calibration(run / CALIBRATION) if (run / CALIBRATION).is_file() else None
     with opened(run) as db:
         db.row_factory = sqlite3.Row
         found = sorted(_run_messages(db, run, _Times(db)), key=lambda message: message.time_ns)
-        facts = {row["key"]: row["value"] for row in db.execute("SELECT key, value FROM facts ORDER BY key")}
+        facts = {
+            row["key"]: row["value"]
+            for row in db.execute("SELECT key, value FROM facts ORDER BY key")
+        }
     first_ns = min((message.time_ns for message in found), default=0)
     found = [*_cameras(known, first_ns), *found] if known else found
     out.mkdir(parents=True, exist_ok=True)
@@ -452,11 +633,20 @@ def _write(writer: Any, found: list[TimedMessage], facts: Mapping[str, str]) -> 
     for message in found:
         name = message.kind.full_name
         if name not in numbers:
-            numbers[name] = writer.register_schema(name=name, encoding="protobuf", data=described(message.kind))
+            numbers[name] = writer.register_schema(
+                name=name, encoding="protobuf", data=described(message.kind)
+            )
         if message.topic not in channels:
-            channels[message.topic] = writer.register_channel(message.topic, "protobuf", numbers[name])
+            channels[message.topic] = writer.register_channel(
+                message.topic, "protobuf", numbers[name]
+            )
         data = encoded(message.kind, message.make(message.time_ns))
-        writer.add_message(channels[message.topic], log_time=message.time_ns, publish_time=message.time_ns, data=data)
+        writer.add_message(
+            channels[message.topic],
+            log_time=message.time_ns,
+            publish_time=message.time_ns,
+            data=data,
+        )
     writer.finish()
 
 
@@ -465,7 +655,9 @@ class _Times:
 
     def __init__(self, db: sqlite3.Connection) -> None:
         self._start_ns: dict[int, int] = {}
-        for session, t_s, wall in db.execute("SELECT session, t_s, wall_time FROM events WHERE t_s IS NOT NULL ORDER BY number"):
+        for session, t_s, wall in db.execute(
+            "SELECT session, t_s, wall_time FROM events WHERE t_s IS NOT NULL ORDER BY number"
+        ):
             self._start_ns.setdefault(session, _ns(wall) - round(t_s * NS))
 
     def of(self, session: int, t_s: float | None, wall: str | None) -> int:
@@ -483,10 +675,23 @@ def _ns(wall: str | None) -> int:
 
 def _run_messages(db: sqlite3.Connection, run: Path, times: _Times) -> Iterator[TimedMessage]:
     for row in db.execute("SELECT * FROM events"):
-        yield TimedMessage(times.of(row["session"], row["t_s"], row["wall_time"]), "/events", LOG, partial(log, event=row))
+        yield TimedMessage(
+            times.of(row["session"], row["t_s"], row["wall_time"]),
+            "/events",
+            LOG,
+            partial(log, event=row),
+        )
     for row in db.execute("SELECT * FROM bath"):
-        yield TimedMessage(times.of(row["session"], row["t_s"], row["wall_time"]), "/bath", BATH, partial(bath, row=row))
-    query = "SELECT trials.*, invalidated.reason AS invalid FROM trials LEFT JOIN invalidated ON invalidated.trial = trials.id"
+        yield TimedMessage(
+            times.of(row["session"], row["t_s"], row["wall_time"]),
+            "/bath",
+            BATH,
+            partial(bath, row=row),
+        )
+    query = (
+        "SELECT trials.*, invalidated.reason AS invalid FROM trials LEFT JOIN invalidated ON"
+        " invalidated.trial = trials.id"
+    )
     for head in db.execute(query).fetchall():
         captured = times.of(head["session"], head["captured_s"], head["wall_time"])
         yield TimedMessage(captured, "/trial", TRIAL, partial(trial, row=head))
@@ -501,7 +706,9 @@ def _run_messages(db: sqlite3.Connection, run: Path, times: _Times) -> Iterator[
 def _touches(db: sqlite3.Connection, head: sqlite3.Row, times: _Times) -> Iterator[TimedMessage]:
     for row in db.execute("SELECT * FROM touches WHERE trial = ?", (head["id"],)):
         make = partial(point, frame="world", at_mm=(row["x_mm"], row["y_mm"], row["z_mm"]))
-        yield TimedMessage(times.of(head["session"], row["t_s"], row["wall_time"]), "/arm", POSE_IN_FRAME, make)
+        yield TimedMessage(
+            times.of(head["session"], row["t_s"], row["wall_time"]), "/arm", POSE_IN_FRAME, make
+        )
 
 
 def _ends(db: sqlite3.Connection, trial: str, captured: int) -> Iterator[TimedMessage]:
@@ -512,20 +719,30 @@ def _ends(db: sqlite3.Connection, trial: str, captured: int) -> Iterator[TimedMe
         found = db.execute("SELECT * FROM found WHERE trial = ? AND detector = ?", key).fetchall()
         score = db.execute("SELECT * FROM scores WHERE trial = ? AND detector = ?", key).fetchone()
         places.append((f"/detections/{name}", found))
-        yield TimedMessage(captured, f"/answers/{name}", ANSWER, partial(answer, row=row, score=score))
+        yield TimedMessage(
+            captured, f"/answers/{name}", ANSWER, partial(answer, row=row, score=score)
+        )
     for topic, rows in places:
-        yield TimedMessage(captured, topic, POSES_IN_FRAME, partial(points, frame="world", rows=rows))
+        yield TimedMessage(
+            captured, topic, POSES_IN_FRAME, partial(points, frame="world", rows=rows)
+        )
 
 
-def _frames(db: sqlite3.Connection, run: Path, head: sqlite3.Row, times: _Times) -> Iterator[TimedMessage]:
-    """A detector's pictures of its stages have no frame of reference that is known; they go by their own name."""
+def _frames(
+    db: sqlite3.Connection, run: Path, head: sqlite3.Row, times: _Times
+) -> Iterator[TimedMessage]:
+    """A detector's pictures of its stages have no frame of reference that is known; they go by
+    their own name.
+    """
     for row in db.execute("SELECT * FROM frames WHERE trial = ?", (head["id"],)):
         picture = row["camera"]
         exposed_s = head["captured_s"] if row["exposed_s"] is None else row["exposed_s"]
         topic = f"/cameras/{picture}" if picture in FRAMES_OF else f"/stages/{picture}"
         kind = RAW_IMAGE if picture == RADIOMETRIC else COMPRESSED_IMAGE
         make = partial(_image, run=run, frame=FRAMES_OF.get(picture, picture), row=row)
-        yield TimedMessage(times.of(head["session"], exposed_s, head["wall_time"]), topic, kind, make)
+        yield TimedMessage(
+            times.of(head["session"], exposed_s, head["wall_time"]), topic, kind, make
+        )
 
 
 def _image(time_ns: int, run: Path, frame: str, row: sqlite3.Row) -> Message:
@@ -535,7 +752,9 @@ def _image(time_ns: int, run: Path, frame: str, row: sqlite3.Row) -> Message:
     except OSError as error:
         raise ConfigError.plain(f"{path} can't be read: {error.strerror or error}") from error
     if hashlib.sha256(data).hexdigest() != row["sha256"]:
-        raise ConfigError.plain(f"{path} is not as it was written: 'teatbench store check {run}' says what else is not")
+        raise ConfigError.plain(
+            f"{path} is not as it was written: 'teatbench store check {run}' says what else is not"
+        )
     try:
         return (raw_image if row["camera"] == RADIOMETRIC else image)(time_ns, frame, data)
     except ValueError as error:
@@ -543,9 +762,16 @@ def _image(time_ns: int, run: Path, frame: str, row: sqlite3.Row) -> Message:
 
 
 def _cameras(known: Calibration, time_ns: int) -> Iterator[TimedMessage]:
-    """The cameras' places and lenses, once, before all else. A mirrored picture has no lens that viewers could draw with."""
+    """The cameras' places and lenses, once, before all else. A mirrored picture has no lens that
+    viewers could draw with.
+    """
     yield TimedMessage(time_ns, "/tf", FRAME_TRANSFORMS, partial(frames_of_reference, known=known))
     thermal = None if known.thermal.mirrored else known.thermal.lens
     for name, lens in (("left", known.left), ("right", known.right), ("thermal", thermal)):
         if lens is not None:
-            yield TimedMessage(time_ns, f"/lenses/{name}", CAMERA_CALIBRATION, partial(camera, frame=name, lens=lens))
+            yield TimedMessage(
+                time_ns,
+                f"/lenses/{name}",
+                CAMERA_CALIBRATION,
+                partial(camera, frame=name, lens=lens),
+            )

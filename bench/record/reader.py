@@ -1,10 +1,12 @@
 """Opens a run's database for reading only, whatever bench wrote it, and never changes it.
 
-A run of an older bench is copied into memory and brought to today's tables there: what lies on the disk stays as it was written.
+A run of an older bench is copied into memory and brought to today's tables there: what lies on the
+disk stays as it was written.
 
 A run folder read back: everything that the verdicts, the report and the exports are made of.
 
-Opens a run of any state, also one whose bench was killed. It may not judge: scores are as they were stored.
+Opens a run of any state, also one whose bench was killed. It may not judge: scores are as they were
+stored.
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ from bench.scoring.scene import SceneScore, scene_from_dict
 
 @contextmanager
 def opened(folder: Path) -> Iterator[sqlite3.Connection]:
-    """The database in ``folder`` with today's tables, all reads from one moment. Raises ConfigError, where it is none of this bench's."""
+    """The database in ``folder`` with today's tables, all reads from one moment. Raises
+    ConfigError, where it is none of this bench's.
+    """
     with as_written(folder) as db:
         version = known_version(db, folder)
         if version == SCHEMA_VERSION:
@@ -43,15 +47,21 @@ def opened(folder: Path) -> Iterator[sqlite3.Connection]:
 
 @contextmanager
 def as_written(folder: Path) -> Iterator[sqlite3.Connection]:
-    """The database in ``folder`` with the tables that it was written with. Raises ConfigError where there is none, or it can't be read."""
+    """The database in ``folder`` with the tables that it was written with. Raises ConfigError where
+    there is none, or it can't be read.
+    """
     path = folder / DATABASE
     if not path.is_file():
-        raise ConfigError.plain(f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/.")
+        raise ConfigError.plain(
+            f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/."
+        )
     try:
         with closing(_connected(path)) as db:
             yield db
     except sqlite3.DatabaseError as error:
-        raise ConfigError.plain(f"{path} can't be read: {error}. Is it a copy without its -wal file?") from error
+        raise ConfigError.plain(
+            f"{path} can't be read: {error}. Is it a copy without its -wal file?"
+        ) from error
 
 
 def known_version(db: sqlite3.Connection, folder: Path) -> int:
@@ -61,12 +71,18 @@ def known_version(db: sqlite3.Connection, folder: Path) -> int:
         return version
     found = f"{folder / DATABASE} has schema {version}; this bench reads 1 to {SCHEMA_VERSION}"
     if version > SCHEMA_VERSION:
-        raise ConfigError.plain(f"{found}. A newer bench wrote it: update this one, or use that one.")
-    raise ConfigError.plain(f"{found}. No bench has finished making it: there is nothing in it to read.")
+        raise ConfigError.plain(
+            f"{found}. A newer bench wrote it: update this one, or use that one."
+        )
+    raise ConfigError.plain(
+        f"{found}. No bench has finished making it: there is nothing in it to read."
+    )
 
 
 def _connected(path: Path) -> sqlite3.Connection:
-    """A write-ahead log needs a folder that can be written to; without a log that matters, a write-protected copy opens as well."""
+    """A write-ahead log needs a folder that can be written to; without a log that matters, a
+    write-protected copy opens as well.
+    """
     address = f"{path.resolve().as_uri()}?mode=ro"
     try:
         return _asked(address)
@@ -115,24 +131,30 @@ class TrialRecord:
 
     @property
     def invalid(self) -> str | None:
-        """Why its truth doesn't hold; the trial then is in no count. None where nothing speaks against it."""
+        """Why its truth doesn't hold; the trial then is in no count. None where nothing speaks
+        against it.
+        """
         reason = self.head["invalid"]
         return None if reason is None else str(reason)
 
     @property
     def how(self) -> str | None:
-        """``touched`` or ``carried``; None where the truth came without that word, as in a recording."""
+        """``touched`` or ``carried``; None where the truth came without that word, as in a
+        recording.
+        """
         how = self.truth[0]["how"] if self.truth else None
         return None if how is None else str(how)
 
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
-    """A run as it stands on disk. ``facts`` hold for the whole run; ``bath`` has columns t_s, temp_c, power_percent (n, 3).
+    """A run as it stands on disk. ``facts`` hold for the whole run; ``bath`` has columns t_s,
+    temp_c, power_percent (n, 3).
 
-    ``external_c`` (n,) is not-a-number where there is no such sensor. ``guardian`` is what the guardian wrote when it acted.
-    ``head`` is the last link of the hash chain over all that was written; number 0 where an older bench made none. ``damage`` says what
-    isn't as it was written, where that was looked at: no verdict holds then.
+    ``external_c`` (n,) is not-a-number where there is no such sensor. ``guardian`` is what the
+    guardian wrote when it acted. ``head`` is the last link of the hash chain over all that was
+    written; number 0 where an older bench made none. ``damage`` says what isn't as it was written,
+    where that was looked at: no verdict holds then.
     """
 
     folder: Path
@@ -150,7 +172,9 @@ class RunRecord:
 
     @property
     def ending(self) -> str:
-        """``finished``, ``aborted`` or ``faulted``; ``interrupted`` where the bench died before it could say."""
+        """``finished``, ``aborted`` or ``faulted``; ``interrupted`` where the bench died before it
+        could say.
+        """
         return str(self.facts.get("ending", "interrupted"))
 
     @property
@@ -165,13 +189,18 @@ class RunRecord:
 
 
 def read_run(folder: Path, damage: tuple[str, ...] = ()) -> RunRecord:
-    """The run in ``folder``, of this bench or an older one. Raises ConfigError where it is none, or can't be read."""
+    """The run in ``folder``, of this bench or an older one. Raises ConfigError where it is none, or
+    can't be read.
+    """
     try:
         with opened(folder) as db:
             db.row_factory = sqlite3.Row
             record = _read(folder, db, damage)
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
-        why = f"{type(error).__name__}: {error}. 'teatbench store check {folder}' says what is damaged."
+        why = (
+            f"{type(error).__name__}: {error}. 'teatbench store check {folder}' says what is"
+            " damaged."
+        )
         raise ConfigError.plain(f"the record in {folder} can't be read: {why}") from error
     if "detectors" not in record.facts:
         why = "the bench died before it wrote down what is under test. Delete the folder."
@@ -180,8 +209,14 @@ def read_run(folder: Path, damage: tuple[str, ...] = ()) -> RunRecord:
 
 
 def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunRecord:
-    facts = {row["key"]: json.loads(row["value"]) for row in db.execute("SELECT key, value FROM facts")}
-    bath = list(db.execute("SELECT t_s, temp_c, power_percent, external_c, state FROM bath ORDER BY session, t_s"))
+    facts = {
+        row["key"]: json.loads(row["value"]) for row in db.execute("SELECT key, value FROM facts")
+    }
+    bath = list(
+        db.execute(
+            "SELECT t_s, temp_c, power_percent, external_c, state FROM bath ORDER BY session, t_s"
+        )
+    )
     columns = [[np.nan if row[k] is None else row[k] for k in range(4)] for row in bath]
     table = np.array(columns, dtype=np.float64).reshape(-1, 4)
     return RunRecord(
@@ -201,22 +236,32 @@ def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunR
 
 
 def _guardian(path: Path) -> Mapping[str, Any] | None:
-    """What the guardian wrote; it writes whole files only, so one that can't be read was not written by it."""
+    """What the guardian wrote; it writes whole files only, so one that can't be read was not
+    written by it.
+    """
     if not path.is_file():
         return None
     try:
         return dict(json.loads(path.read_text(encoding="utf-8")))
     except ValueError as error:
-        raise ConfigError.plain(f"{path} can't be read: {error}. Delete it to see the rest of the run.") from error
+        raise ConfigError.plain(
+            f"{path} can't be read: {error}. Delete it to see the rest of the run."
+        ) from error
 
 
 def _trials(db: sqlite3.Connection) -> Iterator[TrialRecord]:
     by_table = {table: _grouped(db, table) for table in OF_A_TRIAL}
-    heads = "SELECT trials.*, invalidated.reason AS invalid FROM trials LEFT JOIN invalidated ON invalidated.trial = trials.id"
+    heads = (
+        "SELECT trials.*, invalidated.reason AS invalid FROM trials LEFT JOIN invalidated ON"
+        " invalidated.trial = trials.id"
+    )
     for head in db.execute(f"{heads} ORDER BY trials.number"):
         rows = {table: tuple(grouped.get(head["id"], ())) for table, grouped in by_table.items()}
         scores = {
-            row["detector"]: scene_from_dict({**json.loads(row["score"]), **json.loads(row["wall_score"])}) for row in rows.pop("scores")
+            row["detector"]: scene_from_dict(
+                {**json.loads(row["score"]), **json.loads(row["wall_score"])}
+            )
+            for row in rows.pop("scores")
         }
         yield TrialRecord(dict(head), scores=scores, **rows)
 

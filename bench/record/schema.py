@@ -1,8 +1,9 @@
 """What a run's database holds, and how the tables of older benches become today's.
 
-Columns that begin with ``wall`` hold real time; all others repeat with the seed. ``t_s`` and all ``…_s`` are seconds of the bench's
-monotonic clock, which starts anew with each session: a run that was resumed has several. Rows are only ever added, but for ``facts``,
-where the last word on a key holds. A version's text never changes once a bench has written it.
+Columns that begin with ``wall`` hold real time; all others repeat with the seed. ``t_s`` and all
+``…_s`` are seconds of the bench's monotonic clock, which starts anew with each session: a run that
+was resumed has several. Rows are only ever added, but for ``facts``, where the last word on a key
+holds. A version's text never changes once a bench has written it.
 """
 
 from __future__ import annotations
@@ -108,7 +109,10 @@ def version_of(db: sqlite3.Connection) -> int:
 
 def tables_of(db: sqlite3.Connection) -> tuple[str, ...]:
     """All tables of ``db`` in the order in which they were made."""
-    return tuple(row[0] for row in db.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY rowid"))
+    return tuple(
+        row[0]
+        for row in db.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY rowid")
+    )
 
 
 def make_tables(db: sqlite3.Connection) -> None:
@@ -117,6 +121,8 @@ def make_tables(db: sqlite3.Connection) -> None:
 
 
 def migrate(db: sqlite3.Connection) -> None:
-    """Bring the tables of an older bench to today's schema, a version at a time; each step whole or not at all."""
+    """Bring the tables of an older bench to today's schema, a version at a time; each step whole or
+    not at all.
+    """
     for version in range(version_of(db) + 1, SCHEMA_VERSION + 1):
         db.executescript(f"BEGIN; {STEPS[version]} PRAGMA user_version = {version}; COMMIT;")

@@ -1,8 +1,11 @@
-"""Libraries that only an export needs: imported when asked for, and missed with a sentence that says what to do.
+"""Libraries that only an export needs: imported when asked for, and missed with a sentence that
+says what to do.
 
-Every table of a run as a file of its own: CSV for whoever has nothing else, Parquet with types, and the record's digest in its metadata.
+Every table of a run as a file of its own: CSV for whoever has nothing else, Parquet with types, and
+the record's digest in its metadata.
 
-An empty field of a CSV, and a null of Parquet, is what was not measured. Figures keep all their digits.
+An empty field of a CSV, and a null of Parquet, is what was not measured. Figures keep all their
+digits.
 """
 
 from __future__ import annotations
@@ -35,7 +38,9 @@ def needed(module: str, what: str) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table as it is stored: ``kinds`` are SQLite's words for its columns (TEXT, REAL, INTEGER)."""
+    """A table as it is stored: ``kinds`` are SQLite's words for
+    its columns (TEXT, REAL, INTEGER).
+    """
 
     name: str
     columns: tuple[str, ...]
@@ -44,7 +49,9 @@ class Table:
 
 
 def export_csv(run: Path, out: Path) -> list[Path]:
-    """Write ``out/<table>.csv`` for every table; gives back the files. Raises ConfigError, OSError."""
+    """Write ``out/<table>.csv`` for every table; gives back the
+    files. Raises ConfigError, OSError.
+    """
     written = []
     with opened(run) as db:
         for table in _tables(db):
@@ -54,18 +61,28 @@ def export_csv(run: Path, out: Path) -> list[Path]:
 
 
 def export_parquet(run: Path, out: Path) -> list[Path]:
-    """Write ``out/<table>.parquet`` for every table; gives back the files. Raises ConfigError where pyarrow is missing; OSError."""
+    """Write ``out/<table>.parquet`` for every table; gives back the files. Raises ConfigError where
+    pyarrow is missing; OSError.
+    """
     arrow, parquet = needed("pyarrow", "Parquet"), needed("pyarrow.parquet", "Parquet")
     types = {"TEXT": arrow.string(), "REAL": arrow.float64(), "INTEGER": arrow.int64()}
     written = []
     with opened(run) as db:
         about = {"run": run.name, "wall_digest": head_of(db).wall_digest}
         for table in _tables(db):
-            fields = [arrow.field(name, types[kind]) for name, kind in zip(table.columns, table.kinds, strict=True)]
+            fields = [
+                arrow.field(name, types[kind])
+                for name, kind in zip(table.columns, table.kinds, strict=True)
+            ]
             columns = list(zip(*table.rows, strict=True)) or [()] * len(fields)
-            arrays = [arrow.array(column, type=field.type) for column, field in zip(columns, fields, strict=True)]
+            arrays = [
+                arrow.array(column, type=field.type)
+                for column, field in zip(columns, fields, strict=True)
+            ]
             data = io.BytesIO()
-            parquet.write_table(arrow.Table.from_arrays(arrays, schema=arrow.schema(fields, metadata=about)), data)
+            parquet.write_table(
+                arrow.Table.from_arrays(arrays, schema=arrow.schema(fields, metadata=about)), data
+            )
             written.append(out / f"{table.name}.parquet")
             write_synced(written[-1], data.getvalue())
     return written

@@ -1,15 +1,19 @@
-"""Rows into the database: what waits and what comes, in one synced transaction with the link of the chain that covers it.
+"""Rows into the database: what waits and what comes, in one synced transaction with the link of the
+chain that covers it.
 
-A wrong row never holds up others, for the end of a run has to be written whatever came before; a disk at fault loses nothing that
-waits. Ctrl-C may come between any two lines. Not for several threads at once: the store sees to that.
+A wrong row never holds up others, for the end of a run has to be written whatever came before; a
+disk at fault loses nothing that waits. Ctrl-C may come between any two lines. Not for several
+threads at once: the store sees to that.
 
 The one writer of a run folder.
 
-What is durable when: a finished, skipped or checked trial, and whatever was said before it, when the call returns. An event or a fact
-when its call returns; within ``step`` when the step ends, or at `flush`, which has to come before a physical action counts as done.
-Events of `URGENT` kinds wait for nobody. Bath readings wait for any of these, at most `FLUSH_EVERY` of them. Durable means that SQLite
-has synced its log (``synchronous = FULL``), and for a frame that file and folder are synced before its row is written.
-Each such write is one transaction and one link of the chain. May not know what a trial consists of, nor how a run goes.
+What is durable when: a finished, skipped or checked trial, and whatever was said before it, when
+the call returns. An event or a fact when its call returns; within ``step`` when the step ends, or
+at `flush`, which has to come before a physical action counts as done. Events of `URGENT` kinds wait
+for nobody. Bath readings wait for any of these, at most `FLUSH_EVERY` of them. Durable means that
+SQLite has synced its log (``synchronous = FULL``), and for a frame that file and folder are synced
+before its row is written. Each such write is one transaction and one link of the chain. May not
+know what a trial consists of, nor how a run goes.
 """
 
 from __future__ import annotations
@@ -32,7 +36,14 @@ from bench import __version__
 from bench.config import ConfigError
 from bench.files import Picture, make_folder, sync_folder, write_pictures, write_synced
 from bench.record.chain import Head, Spans, add_link, head_of
-from bench.record.schema import DATABASE, LATER_WORD, OF_A_TRIAL, SCHEMA_VERSION, make_tables, version_of
+from bench.record.schema import (
+    DATABASE,
+    LATER_WORD,
+    OF_A_TRIAL,
+    SCHEMA_VERSION,
+    make_tables,
+    version_of,
+)
 from instruments.clock import wall_time as time_of_day
 
 Row = Mapping[str, Any]
@@ -43,7 +54,12 @@ class Transactions:
     """On ``db``, an open database of today's schema in autocommit."""
 
     def __init__(self, db: sqlite3.Connection) -> None:
-        for pragma in ("journal_mode = WAL", "synchronous = FULL", "fullfsync = ON", "foreign_keys = ON"):
+        for pragma in (
+            "journal_mode = WAL",
+            "synchronous = FULL",
+            "fullfsync = ON",
+            "foreign_keys = ON",
+        ):
             db.execute(f"PRAGMA {pragma}")
         self._db = db
         self._waiting: list[tuple[str, Row]] = []
@@ -58,7 +74,9 @@ class Transactions:
         self._waiting.append((table, row))
 
     def write(self, tables: Tables) -> None:
-        """What waits and ``tables``, all or nothing, durable on return. Raises sqlite3.Error; on OperationalError it goes on waiting."""
+        """What waits and ``tables``, all or nothing, durable on return. Raises sqlite3.Error; on
+        OperationalError it goes on waiting.
+        """
         waiting = _by_table(self._waiting)
         try:
             self._transaction([*waiting, *tables])
@@ -78,21 +96,27 @@ class Transactions:
             add_link(self._db, *self._inserted(tables))
             self._db.execute("COMMIT")
             self._waiting = []
-        except BaseException as why:  # Ctrl-C too: an open transaction would keep the run's end from being written
+        # Ctrl-C too: an open transaction would keep the run's end from being written
+        except BaseException as why:
             if self._db.in_transaction:
                 self._db.execute("ROLLBACK")
-            elif begun and not isinstance(why, sqlite3.Error):  # it came between the commit and the line behind
+            # it came between the commit and the line behind
+            elif begun and not isinstance(why, sqlite3.Error):
                 self._waiting = []
             raise
 
     def _inserted(self, tables: Tables) -> tuple[Spans, list[str]]:
-        """Insert all rows; gives back which there are now by rowid, and the keys of the facts as they came."""
+        """Insert all rows; gives back which there are now by rowid, and the keys of the facts as
+        they came.
+        """
         spans: dict[str, tuple[int, int]] = {}
         facts: dict[str, None] = {}  # in order, so that the same seed gives the same link
         for table, rows in tables:
             verb = "REPLACE" if table == LATER_WORD else "INSERT"
             for row in rows:
-                command = f"{verb} INTO {table} ({', '.join(row)}) VALUES ({', '.join('?' * len(row))})"
+                command = (
+                    f"{verb} INTO {table} ({', '.join(row)}) VALUES ({', '.join('?' * len(row))})"
+                )
                 at = self._db.execute(command, tuple(row.values())).lastrowid or 0
                 if table == LATER_WORD:
                     facts[row["key"]] = None
@@ -131,18 +155,29 @@ class FolderGoneError(OSError):
 
 
 class Store:
-    """An open run folder. Opening one that is there begins a further session, and clears away frames of trials that never finished.
+    """An open run folder. Opening one that is there begins a further session, and clears away
+    frames of trials that never finished.
 
-    ``session`` goes on in that session instead. Raises ConfigError where the tables are of another bench.
+    ``session`` goes on in that session instead. Raises ConfigError where the tables are of another
+    bench.
     """
 
-    def __init__(self, folder: Path, session: int | None = None, *, wall: Callable[[], datetime] = time_of_day) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        session: int | None = None,
+        *,
+        wall: Callable[[], datetime] = time_of_day,
+    ) -> None:
         self.folder = folder
         self._wall = wall
-        self._lock = threading.RLock()  # the watch writes on the clock's thread, all others on the main one
+        # the watch writes on the clock's thread, all others on the main one
+        self._lock = threading.RLock()
         self._steps = 0
         if not (folder / DATABASE).is_file():
-            raise ConfigError.plain(f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/.")
+            raise ConfigError.plain(
+                f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/."
+            )
         self._db = sqlite3.connect(folder / DATABASE, isolation_level=None, check_same_thread=False)
         try:
             _refuse_other(self._db, folder)
@@ -155,17 +190,21 @@ class Store:
 
     @classmethod
     def create(cls, folder: Path, files: Mapping[str, str]) -> Store:
-        """A new run folder with the texts in ``files``: there whole or not at all. Raises FileExistsError, OSError."""
+        """A new run folder with the texts in ``files``: there whole or not at all. Raises
+        FileExistsError, OSError.
+        """
         if folder.exists():
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(folder))
         part = folder.with_name(f".{folder.name}.{os.getpid()}.part")
         if part.exists():
             shutil.rmtree(part)  # of a process that had our number, and died
         try:
-            session = cls._made(part / folder.name, files)  # one floor down: who lists runs doesn't take it for one
+            # one floor down: who lists runs doesn't take it for one
+            session = cls._made(part / folder.name, files)
             (part / folder.name).rename(folder)
         finally:
-            shutil.rmtree(part, ignore_errors=True)  # why it could not be made says more than why it can't be cleared away
+            # why it could not be made says more than why it can't be cleared away
+            shutil.rmtree(part, ignore_errors=True)
         sync_folder(folder.parent)
         return cls(folder, session)
 
@@ -178,7 +217,10 @@ class Store:
         with closing(sqlite3.connect(folder / DATABASE, isolation_level=None)) as db:
             make_tables(db)
         store = cls(folder)
-        digests = [{"name": name, "sha256": hashlib.sha256(text.encode()).hexdigest()} for name, text in files.items()]
+        digests = [
+            {"name": name, "sha256": hashlib.sha256(text.encode()).hexdigest()}
+            for name, text in files.items()
+        ]
         store._write([("files", digests)])
         store.close()
         sync_folder(folder)
@@ -192,7 +234,9 @@ class Store:
 
     @contextmanager
     def step(self) -> Iterator[None]:
-        """What is said within is written in one go, and durable, when the step ends, however it ends. Steps may lie within steps."""
+        """What is said within is written in one go, and durable, when the step ends, however it
+        ends. Steps may lie within steps.
+        """
         with self._lock:
             self._steps += 1
         try:
@@ -204,18 +248,28 @@ class Store:
                     self.flush()
 
     def fact(self, key: str, value: Any) -> None:
-        """Write down (or over) something that holds for the whole run; ``value`` is kept as JSON."""
+        """Write down (or over) something that holds for the whole
+        run; ``value`` is kept as JSON.
+        """
         row = {"key": key, "value": json.dumps(value, ensure_ascii=False), "wall_time": self._now()}
         self._say(LATER_WORD, row, urgent=not self._steps)
 
     def event(self, t_s: float | None, kind: str, text: str, wall_time: datetime) -> None:
         """Write down what happened."""
-        row = {"session": self.session, "t_s": t_s, "kind": kind, "text": text, "wall_time": _told(wall_time)}
+        row = {
+            "session": self.session,
+            "t_s": t_s,
+            "kind": kind,
+            "text": text,
+            "wall_time": _told(wall_time),
+        }
         self._say("events", row, urgent=not self._steps or kind in URGENT)
 
     def bath(self, reading: Row) -> None:
         """Write down a bath reading; it waits for whatever is written next."""
-        self._say("bath", {**reading, "session": self.session, "wall_time": self._now()}, urgent=False)
+        self._say(
+            "bath", {**reading, "session": self.session, "wall_time": self._now()}, urgent=False
+        )
 
     def flush(self) -> None:
         """Make durable all that was said so far."""
@@ -224,14 +278,22 @@ class Store:
                 self._write([])
 
     def refuse_gone(self) -> None:
-        """Raise FolderGoneError where the folder or its database isn't the one that was opened: SQLite would go on writing unseen."""
+        """Raise FolderGoneError where the folder or its database isn't the one that was opened:
+        SQLite would go on writing unseen.
+        """
         try:
             gone = _place(self.folder) != self._place
         except OSError:
             gone = True
         if gone:
-            then = "what was recorded since the last finished trial may be lost. Put the folder back, then: teatbench resume"
-            raise FolderGoneError(f"the run's folder {self.folder} was deleted, moved or replaced: {then} {self.folder}")
+            then = (
+                "what was recorded since the last finished trial may be lost. Put the folder back,"
+                " then: teatbench resume"
+            )
+            raise FolderGoneError(
+                f"the run's folder {self.folder} was deleted, moved or replaced: {then}"
+                f" {self.folder}"
+            )
 
     def finished(self, done: FinishedTrial) -> None:
         """Write a whole trial in one transaction, durable on return."""
@@ -243,17 +305,24 @@ class Store:
         self._write([("skipped", [{**row, "session": self.session, "wall_time": self._now()}])])
 
     def checked(self, touches: Sequence[Row], invalid: Sequence[str], reason: str) -> None:
-        """Write down a check of the carried truth, and for which trials it takes their truth away, at once and durable."""
+        """Write down a check of the carried truth, and for which trials it takes their truth away,
+        at once and durable.
+        """
         now = self._now()
         lost = [{"trial": trial, "reason": reason, "wall_time": now} for trial in invalid]
-        self._write([("checks", [{**touch, "wall_time": now} for touch in touches]), ("invalidated", lost)])
+        self._write(
+            [("checks", [{**touch, "wall_time": now} for touch in touches]), ("invalidated", lost)]
+        )
 
     def frame(self, trial: str, camera: str, image: Picture, exposed_s: float | None) -> Row:
         """Write one frame as PNG; gives back its row for the trial."""
         return self.frames(trial, {camera: image}, {camera: exposed_s})[0]
 
-    def frames(self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]) -> list[Row]:
-        """Write pictures as PNG by camera, all synced and renamed on return; gives back their rows for the trial.
+    def frames(
+        self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]
+    ) -> list[Row]:
+        """Write pictures as PNG by camera, all synced and renamed on return; gives back their rows
+        for the trial.
 
         Raises FolderGoneError before it would make the folder anew.
         """
@@ -282,13 +351,19 @@ class Store:
                 self._db.close()
 
     def _begun(self) -> int:
-        number = int(self._db.execute("SELECT coalesce(max(number), 0) + 1 FROM sessions").fetchone()[0])
-        self._write([("sessions", [{"number": number, "bench": __version__, "wall_time": self._now()}])])
+        number = int(
+            self._db.execute("SELECT coalesce(max(number), 0) + 1 FROM sessions").fetchone()[0]
+        )
+        self._write(
+            [("sessions", [{"number": number, "bench": __version__, "wall_time": self._now()}])]
+        )
         self._clear_unfinished()
         return number
 
     def _clear_unfinished(self) -> None:
-        """A trial that died in flight is done again, and may leave other pictures then; of the old ones none may stay beside them."""
+        """A trial that died in flight is done again, and may leave other pictures then; of the old
+        ones none may stay beside them.
+        """
         finished = {row[0] for row in self._db.execute("SELECT id FROM trials")}
         for folder in (self.folder / "frames").glob("*"):
             if folder.name not in finished:
@@ -310,7 +385,8 @@ class Store:
 
 
 def new_run_folder(out: Path, name: str, wall_time: datetime) -> Path:
-    """A name for a run that nothing has yet: ``<out>/<time>-<name>``, with a number where two fall on one second.
+    """A name for a run that nothing has yet: ``<out>/<time>-<name>``, with a number where two fall
+    on one second.
 
     A long name is cut: a file system takes 255 bytes, and the folder is made under a longer name.
     """
@@ -324,7 +400,9 @@ def new_run_folder(out: Path, name: str, wall_time: datetime) -> Path:
 
 def _place(folder: Path) -> tuple[tuple[int, int], ...]:
     """What the system knows the folder and its database by (inodes; file indices on Windows)."""
-    return tuple((found.st_dev, found.st_ino) for found in (folder.stat(), (folder / DATABASE).stat()))
+    return tuple(
+        (found.st_dev, found.st_ino) for found in (folder.stat(), (folder / DATABASE).stat())
+    )
 
 
 def _told(moment: datetime) -> str:
@@ -340,4 +418,7 @@ def _refuse_other(db: sqlite3.Connection, folder: Path) -> None:
         if version < SCHEMA_VERSION
         else "a newer bench: update this one"
     )
-    raise ConfigError.plain(f"{folder / DATABASE} has schema {version}, this bench writes {SCHEMA_VERSION}. It is of {age}.")
+    raise ConfigError.plain(
+        f"{folder / DATABASE} has schema {version}, this bench writes {SCHEMA_VERSION}. It is of"
+        f" {age}."
+    )

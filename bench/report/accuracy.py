@@ -1,8 +1,11 @@
-"""The report's tables of accuracy: errors along axes, distances, and what the next pose stays below; pooled, by situation and by teat.
+"""The report's tables of accuracy: errors along axes, distances, and what the next pose stays
+below; pooled, by situation and by teat.
 
-May not judge: the verdict is on the distance, and stands with the requirements. What was never measured is "not measured".
+May not judge: the verdict is on the distance, and stands with the requirements. What was never
+measured is "not measured".
 
-The report's parts on repeats: ISO 9283 of poses and distances, ISO 5725's components, and the gage study of the truth itself.
+The report's parts on repeats: ISO 9283 of poses and distances, ISO 5725's components, and the gage
+study of the truth itself.
 
 What a run can't tell is "not measured", with what it would take. May not judge.
 """
@@ -20,7 +23,15 @@ from bench.report.tables import situations
 from bench.report.wording import NOT_MEASURED, number
 from bench.results.error_rows import ErrorRows, error_rows, run_precision, truth_gage
 from bench.results.verdicts import scored, truth_u_mm
-from bench.scoring.errors import AxisSummary, ErrorSummary, Floats, distribution_free_n, normal_k, quantile_bounds, summarise
+from bench.scoring.errors import (
+    AxisSummary,
+    ErrorSummary,
+    Floats,
+    distribution_free_n,
+    normal_k,
+    quantile_bounds,
+    summarise,
+)
 from bench.scoring.guard_band import acceptance_limit_mm, error_without_noise_mm, refusal_limit_mm
 from bench.scoring.pool import Pool
 from bench.scoring.precision import GageStudy, Precision, distance_accuracy, drift_mm, pose_accuracy
@@ -32,7 +43,9 @@ SHARES = (0.95, 0.99)  # of poses, that a tolerance limit covers
 CONFIDENCE = 0.95
 
 
-def accuracy_tables(run: RunRecord, detector: str, limit_mm: float, camera_from_world: Floats) -> Iterator[Part]:
+def accuracy_tables(
+    run: RunRecord, detector: str, limit_mm: float, camera_from_world: Floats
+) -> Iterator[Part]:
     """All of one detector; ``camera_from_world`` (3, 3) turns into the right camera's axes."""
     pool = scored(run, detector)
     u_mm = truth_u_mm([run], pool, detector)
@@ -44,7 +57,9 @@ def accuracy_tables(run: RunRecord, detector: str, limit_mm: float, camera_from_
     yield _tolerance(pool, detector)
 
 
-def _axes(pool: Pool, detector: str, limit_mm: float, u_mm: float | None, camera_from_world: Floats) -> Table:
+def _axes(
+    pool: Pool, detector: str, limit_mm: float, u_mm: float | None, camera_from_world: Floats
+) -> Table:
     accept = None if u_mm is None else acceptance_limit_mm(limit_mm, u_mm, "axis")
     refuse = refusal_limit_mm(limit_mm, u_mm or 0.0)
     columns = (
@@ -58,17 +73,21 @@ def _axes(pool: Pool, detector: str, limit_mm: float, u_mm: float | None, camera
     upto = "nothing can be" if accept is None else f"up to {accept:.3f} mm is"
     known = "u isn't stated" if u_mm is None else f"u = {u_mm:.3g} mm"
     note = (
-        "bias² + sd² = rms²; camera axes are the right camera's. "
-        f"Along one axis alone {upto} accepted and {refuse:.3f} mm or more refused (T = {limit_mm:g} mm, {known}); "
-        "the verdict is on the distance."
+        f"bias² + sd² = rms²; camera axes are the right camera's. Along one axis alone {upto}"
+        f" accepted and {refuse:.3f} mm or more refused (T = {limit_mm:g} mm, {known}); the verdict"
+        " is on the distance."
     )
     return Table(f"Errors along each axis, detector {detector}", columns, tuple(rows), note)
 
 
 def _axes_by_teat(rows: ErrorRows, detector: str, camera_from_world: Floats) -> Table:
     columns = (
-        Column("teat"), Column("axis"), Column("poses", "right"), Column("n", "right"), *(Column(name, "right", "mm") for name in MM)
-    )  # fmt: skip
+        Column("teat"),
+        Column("axis"),
+        Column("poses", "right"),
+        Column("n", "right"),
+        *(Column(name, "right", "mm") for name in MM),
+    )
     lines: list[tuple[str, ...]] = []
     for teat in rows.teat_names:
         own = rows.of_teat(teat)
@@ -80,13 +99,26 @@ def _axes_by_teat(rows: ErrorRows, detector: str, camera_from_world: Floats) -> 
 
 def _six(world: ErrorSummary, camera: ErrorSummary) -> list[tuple[str, AxisSummary]]:
     return [
-        *((f"world {name}", axis) for name, axis in (("x", world.x), ("y", world.y), ("z", world.z))),
-        *((f"camera {name}", axis) for name, axis in (("x (across)", camera.x), ("y (down)", camera.y), ("z (depth)", camera.z))),
+        *(
+            (f"world {name}", axis)
+            for name, axis in (("x", world.x), ("y", world.y), ("z", world.z))
+        ),
+        *(
+            (f"camera {name}", axis)
+            for name, axis in (
+                ("x (across)", camera.x),
+                ("y (down)", camera.y),
+                ("z (depth)", camera.z),
+            )
+        ),
     ]
 
 
 def _figures(axis: AxisSummary) -> Iterator[str]:
-    return (number(value) for value in (axis.bias_mm, axis.sd_mm, axis.rms_mm, axis.mean_abs_mm, axis.max_abs_mm))
+    return (
+        number(value)
+        for value in (axis.bias_mm, axis.sd_mm, axis.rms_mm, axis.mean_abs_mm, axis.max_abs_mm)
+    )
 
 
 def _against(largest: float | None, accept: float | None, refuse: float) -> Cell:
@@ -97,19 +129,34 @@ def _against(largest: float | None, accept: float | None, refuse: float) -> Cell
     return Cell("refused", "bad") if largest >= refuse else Cell("between", "warn")
 
 
-def _distances(run: RunRecord, rows: ErrorRows, pool: Pool, detector: str, u_mm: float | None) -> Table:
-    """Of the found teats, with GOSPA where whole scenes are meant, which charges for the others too."""
+def _distances(
+    run: RunRecord, rows: ErrorRows, pool: Pool, detector: str, u_mm: float | None
+) -> Table:
+    """Of the found teats, with GOSPA where whole scenes are meant, which charges for the others
+    too.
+    """
     columns = (
-        Column("of"), Column("n", "right"), *(Column(title, "right", "mm") for title in DISTANCES),
-        Column("GOSPA", "right", "mm a scene", hint="charges missed and false teats too; p = 2, c = the scene's gate"),
-    )  # fmt: skip
+        Column("of"),
+        Column("n", "right"),
+        *(Column(title, "right", "mm") for title in DISTANCES),
+        Column(
+            "GOSPA",
+            "right",
+            "mm a scene",
+            hint="charges missed and false teats too; p = 2, c = the scene's gate",
+        ),
+    )
     scenes = [("all", pool), *((name, scored(run, detector, name)) for name in situations(run))]
     lines = [(name, *_radial(part.summary()), _mm(_gospa(part))) for name, part in scenes]
     if len(rows.teat_names) > 1:
-        lines += [(f"teat {teat}", *_radial(summarise(rows.of_teat(teat).errors_mm)), "") for teat in rows.teat_names]
+        lines += [
+            (f"teat {teat}", *_radial(summarise(rows.of_teat(teat).errors_mm)), "")
+            for teat in rows.teat_names
+        ]
     note = (
-        "Distances are over found teats only; GOSPA, which also charges missed and false teats: "
-        f"mean {number(_gospa(pool), 'mm')} a scene. Percentiles are observed values.{_without_noise(pool, u_mm)}"
+        "Distances are over found teats only; GOSPA, which also charges missed and false teats:"
+        f" mean {number(_gospa(pool), 'mm')} a scene. Percentiles are observed"
+        f" values.{_without_noise(pool, u_mm)}"
     )
     return Table(f"Distance to the teat end, detector {detector}", columns, tuple(lines), note)
 
@@ -120,13 +167,26 @@ def _without_noise(pool: Pool, u_mm: float | None) -> str:
     if seen is None or not u_mm:
         return ""
     left = error_without_noise_mm(seen, u_mm)
-    rest = "the noise explains all that was seen" if left is None else f"without it the rms is {left:.2f} mm"
-    return f" The truth's noise alone would show {sqrt(3.0) * u_mm:.2f} mm rms (u = {u_mm:.3g} mm along an axis): {rest}."
+    rest = (
+        "the noise explains all that was seen"
+        if left is None
+        else f"without it the rms is {left:.2f} mm"
+    )
+    return (
+        f" The truth's noise alone would show {sqrt(3.0) * u_mm:.2f} mm rms (u = {u_mm:.3g} mm"
+        f" along an axis): {rest}."
+    )
 
 
 def _radial(summary: ErrorSummary) -> tuple[str, ...]:
     r = summary.radial
-    return (str(r.n), *(number(value) for value in (r.mean_mm, r.median_mm, r.rms_mm, r.p95_mm, r.p99_mm, r.max_mm)))
+    return (
+        str(r.n),
+        *(
+            number(value)
+            for value in (r.mean_mm, r.median_mm, r.rms_mm, r.p95_mm, r.p99_mm, r.max_mm)
+        ),
+    )
 
 
 def _mm(value: float | None) -> str:
@@ -142,21 +202,52 @@ def _tolerance(pool: Pool, detector: str) -> Part:
     worst = _worst_of_poses(pool.error_poses, np.linalg.norm(pool.errors_mm, axis=1))
     n = len(worst)
     if n < 2:
-        return Paragraph(f"Tolerance limits, {detector}: {NOT_MEASURED}; teats were found in {n} poses, and 2 are the least.")
+        return Paragraph(
+            f"Tolerance limits, {detector}: {NOT_MEASURED}; teats were found in {n} poses, and 2"
+            " are the least."
+        )
     columns = (
-        Column("covers"), Column("with"), Column("poses", "right"),
-        Column("any distribution", "right", "mm", hint="an order statistic of the poses' worst distances (ISO 16269-6)"),
-        Column("k", "right"), Column("if they were normal", "right", "mm", hint="mean + k sd of the poses' worst distances"),
-    )  # fmt: skip
+        Column("covers"),
+        Column("with"),
+        Column("poses", "right"),
+        Column(
+            "any distribution",
+            "right",
+            "mm",
+            hint="an order statistic of the poses' worst distances (ISO 16269-6)",
+        ),
+        Column("k", "right"),
+        Column(
+            "if they were normal", "right", "mm", hint="mean + k sd of the poses' worst distances"
+        ),
+    )
     lines = []
     for share in SHARES:
         _, upper = quantile_bounds(worst, share, CONFIDENCE)
         k = normal_k(n, share, CONFIDENCE)
-        free = f"{upper:.2f}" if upper is not None else f"{NOT_MEASURED}: {distribution_free_n(share, CONFIDENCE)} poses are the least"
+        free = (
+            f"{upper:.2f}"
+            if upper is not None
+            else f"{NOT_MEASURED}: {distribution_free_n(share, CONFIDENCE)} poses are the least"
+        )
         normal = f"{worst.mean() + k * worst.std(ddof=1):.2f}"
-        lines.append((f"{100 * share:g} % of poses", f"{100 * CONFIDENCE:g} % confidence", str(n), free, f"{k:.3f}", normal))
-    note = "Of poses where teats were found, each with its worst distance. Distances are seldom normal; that column is to compare with."
-    return Table(f"Tolerance limits of the distance, detector {detector}", columns, tuple(lines), note)
+        lines.append(
+            (
+                f"{100 * share:g} % of poses",
+                f"{100 * CONFIDENCE:g} % confidence",
+                str(n),
+                free,
+                f"{k:.3f}",
+                normal,
+            )
+        )
+    note = (
+        "Of poses where teats were found, each with its worst distance. Distances are seldom"
+        " normal; that column is to compare with."
+    )
+    return Table(
+        f"Tolerance limits of the distance, detector {detector}", columns, tuple(lines), note
+    )
 
 
 def _worst_of_poses(poses: Sequence[Hashable], distances: Floats) -> Floats:
@@ -168,7 +259,8 @@ def _worst_of_poses(poses: Sequence[Hashable], distances: Floats) -> Floats:
 
 CYCLES_FROM = 10  # repeats of a pose: ISO 9283 asks for 30, and fewer than these say nothing
 MOST_ROWS = 60
-Errors = Mapping[tuple[str, str], Mapping[str, Floats]]  # by pose and teat, then by trial: error and true place, (2, 3)
+# by pose and teat, then by trial: error and true place, (2, 3)
+Errors = Mapping[tuple[str, str], Mapping[str, Floats]]
 
 
 def precision_parts(run: RunRecord, detector: str) -> Iterator[Part]:
@@ -178,7 +270,10 @@ def precision_parts(run: RunRecord, detector: str) -> Iterator[Part]:
     ends = {key: of for key, of in _ends(rows).items() if len(of) >= CYCLES_FROM}
     if not ends:
         most = max((len(of) for of in _ends(rows).values()), default=0)
-        told = f"of one teat at one pose there are {most} finds at most, and {CYCLES_FROM} are the least (the standard asks for 30)."
+        told = (
+            f"of one teat at one pose there are {most} finds at most, and {CYCLES_FROM} are the"
+            " least (the standard asks for 30)."
+        )
         yield Paragraph(f"AP, RP, AD and RD (ISO 9283), {detector}: {NOT_MEASURED}; {told}")
         return
     yield _poses(ends, detector)
@@ -186,7 +281,9 @@ def precision_parts(run: RunRecord, detector: str) -> Iterator[Part]:
 
 
 def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
-    """Repeatability and reproducibility of the ground truth, where ends were touched in several set-ups; nothing without an arm."""
+    """Repeatability and reproducibility of the ground truth, where ends were touched in several
+    set-ups; nothing without an arm.
+    """
     if "arm" not in run.facts.get("identities", {}):
         return
     found = truth_gage([run])
@@ -194,77 +291,150 @@ def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
         yield Paragraph(f"Gage R&R of the ground truth: {NOT_MEASURED}; {found.why}.")
         return
     columns = (
-        Column("axis"), Column("ends", "right"), Column("set-ups", "right"), Column("touches", "right"),
+        Column("axis"),
+        Column("ends", "right"),
+        Column("set-ups", "right"),
+        Column("touches", "right"),
         Column("repeatability", "right", "mm", hint="touch after touch"),
-        Column("reproducibility", "right", "mm", hint="set-up after set-up, the interaction with the end included"),
-        Column("gage R&R", "right", "mm"), Column("between ends", "right", "mm"),
-        Column("of the tolerance", "right", "%", hint="6 gage over the whole width: below 10 % is good, above 30 % not acceptable"),
+        Column(
+            "reproducibility",
+            "right",
+            "mm",
+            hint="set-up after set-up, the interaction with the end included",
+        ),
+        Column("gage R&R", "right", "mm"),
+        Column("between ends", "right", "mm"),
+        Column(
+            "of the tolerance",
+            "right",
+            "%",
+            hint="6 gage over the whole width: below 10 % is good, above 30 % not acceptable",
+        ),
         Column("ndc", "right", hint="how many sizes of part it can tell apart"),
-    )  # fmt: skip
-    lines = tuple(_gage_row(axis, study, limit_mm) for axis, study in zip("xyz", found.studies, strict=True))
-    left = f" {found.left_out} ends had too few touches or set-ups, and are left out." if found.left_out else ""
+    )
+    lines = tuple(
+        _gage_row(axis, study, limit_mm) for axis, study in zip("xyz", found.studies, strict=True)
+    )
+    left = (
+        f" {found.left_out} ends had too few touches or set-ups, and are left out."
+        if found.left_out
+        else ""
+    )
     note = (
-        "Standard deviations, crossed analysis of variance (AIAG MSA, 4th edition; ISO 22514-7): an end at a pose is a part, a repeat of "
-        f"the pose a set-up. The tolerance is ± {limit_mm:g} mm.{left}"
+        "Standard deviations, crossed analysis of variance (AIAG MSA, 4th edition; ISO 22514-7):"
+        " an end at a pose is a part, a repeat of the pose a set-up. The tolerance is ±"
+        f" {limit_mm:g} mm.{left}"
     )
     yield Table("Gage R&R of the ground truth", columns, lines, note)
 
 
 def _gage_row(axis: str, study: GageStudy, limit_mm: float) -> tuple[str, ...]:
     sizes = (axis, str(study.parts), str(study.appraisers), str(study.repeats))
-    figures = (f"{value:.3f}" for value in (study.repeatability, study.reproducibility, study.gage, study.part))
-    return (*sizes, *figures, f"{100.0 * study.share_of_tolerance(2.0 * limit_mm):.1f}", str(study.distinct_categories))
+    figures = (
+        f"{value:.3f}"
+        for value in (study.repeatability, study.reproducibility, study.gage, study.part)
+    )
+    return (
+        *sizes,
+        *figures,
+        f"{100.0 * study.share_of_tolerance(2.0 * limit_mm):.1f}",
+        str(study.distinct_categories),
+    )
 
 
 def _components(rows: ErrorRows, detector: str) -> Part:
     along = run_precision(rows)
     if along[0].s_r is None:
-        return Paragraph(f"Repeatability and reproducibility (ISO 5725), {detector}: {NOT_MEASURED}; no teat was found twice at one pose.")
+        return Paragraph(
+            f"Repeatability and reproducibility (ISO 5725), {detector}: {NOT_MEASURED}; no teat was"
+            " found twice at one pose."
+        )
     columns = (
-        Column("axis"), Column("n", "right"), Column("teats at poses", "right"),
-        Column("s_r", "right", "mm", hint="repeatability: within a pose"), Column("s_L", "right", "mm", hint="between teats and poses"),
+        Column("axis"),
+        Column("n", "right"),
+        Column("teats at poses", "right"),
+        Column("s_r", "right", "mm", hint="repeatability: within a pose"),
+        Column("s_L", "right", "mm", hint="between teats and poses"),
         Column("s_R", "right", "mm", hint="reproducibility: the root of s_r² + s_L²"),
-    )  # fmt: skip
-    note = "Standard deviations of the error (ISO 5725-2, 7.4.5). A set-up is a teat at a pose; its repeats are taken without a change."
-    lines = tuple(_component_row(axis, found) for axis, found in zip(("world x", "world y", "world z"), along, strict=True))
+    )
+    note = (
+        "Standard deviations of the error (ISO 5725-2, 7.4.5). A set-up is a teat at a pose; its"
+        " repeats are taken without a change."
+    )
+    lines = tuple(
+        _component_row(axis, found)
+        for axis, found in zip(("world x", "world y", "world z"), along, strict=True)
+    )
     return Table(f"Repeatability and reproducibility, {detector} (ISO 5725)", columns, lines, note)
 
 
 def _component_row(axis: str, found: Precision) -> tuple[str, ...]:
-    return (axis, str(found.n), str(found.groups), *(number(value, digits=3) for value in (found.s_r, found.s_between, found.s_R)))
+    return (
+        axis,
+        str(found.n),
+        str(found.groups),
+        *(number(value, digits=3) for value in (found.s_r, found.s_between, found.s_R)),
+    )
 
 
 def _ends(rows: ErrorRows) -> Errors:
     """What was found, in order of time."""
     found: dict[tuple[str, str], dict[str, Floats]] = {}
     columns = (rows.of_found(rows.poses), rows.of_found(rows.teats), rows.of_found(rows.trials))
-    for pose, teat, trial, error, place in zip(*columns, rows.errors_mm, rows.places_mm[rows.found], strict=True):
+    for pose, teat, trial, error, place in zip(
+        *columns, rows.errors_mm, rows.places_mm[rows.found], strict=True
+    ):
         found.setdefault((pose, teat), {})[trial] = np.array([error, place])
     return dict(sorted(found.items()))
 
 
 def _poses(ends: Errors, detector: str) -> Table:
     columns = (
-        Column("pose"), Column("teat"), Column("n", "right"),
-        Column("AP", "right", "mm"), Column("AP along x", "right", "mm"), Column("along y", "right", "mm"),
+        Column("pose"),
+        Column("teat"),
+        Column("n", "right"),
+        Column("AP", "right", "mm"),
+        Column("AP along x", "right", "mm"),
+        Column("along y", "right", "mm"),
         Column("along z", "right", "mm"),
-        Column("RP", "right", "mm"), Column("drift of AP", "right", "mm"),
-    )  # fmt: skip
+        Column("RP", "right", "mm"),
+        Column("drift of AP", "right", "mm"),
+    )
     rows = []
     for (pose, teat), of in list(ends.items())[:MOST_ROWS]:
         errors = np.array([end[0] for end in of.values()])
         at = pose_accuracy(errors, np.zeros(3))
         drift = drift_mm(errors, np.zeros(3), max(2, len(errors) // 3))
         along = at.ap_xyz_mm or (None, None, None)
-        rows.append((pose, teat, str(at.n), number(at.ap_mm), *(number(value) for value in along), number(at.rp_mm), number(drift)))
-    note = "Of what was found, against the truth of the same trial. RP: mean distance from their own mean, and three standard deviations."
-    return Table(f"Pose accuracy and repeatability, {detector} (ISO 9283)", columns, tuple(rows), note + _left_out(len(ends)))
+        rows.append(
+            (
+                pose,
+                teat,
+                str(at.n),
+                number(at.ap_mm),
+                *(number(value) for value in along),
+                number(at.rp_mm),
+                number(drift),
+            )
+        )
+    note = (
+        "Of what was found, against the truth of the same trial. RP: mean distance from their own"
+        " mean, and three standard deviations."
+    )
+    return Table(
+        f"Pose accuracy and repeatability, {detector} (ISO 9283)",
+        columns,
+        tuple(rows),
+        note + _left_out(len(ends)),
+    )
 
 
 def _distance_parts(ends: Errors, detector: str) -> Iterator[Part]:
     """Of two teats in one scene; of one teat between two poses, cycle by cycle."""
     several = len({teat for _, teat in ends}) > 1
-    pairs = [(a, b) for a, b in combinations(ends, 2) if (a[0] == b[0] if several else a[1] == b[1])]
+    pairs = [
+        (a, b) for a, b in combinations(ends, 2) if (a[0] == b[0] if several else a[1] == b[1])
+    ]
     lines = []
     for a, b in pairs[:MOST_ROWS]:
         off = _distance_errors(ends[a], ends[b], same_trial=several)
@@ -274,16 +444,40 @@ def _distance_parts(ends: Errors, detector: str) -> Iterator[Part]:
         what = f"{a[0]}: teat {a[1]} to {b[1]}" if several else f"{a[0]} to {b[0]}"
         lines.append((what, str(found.n), number(found.ad_mm), number(found.rd_mm)))
     if not lines:
-        yield Paragraph(f"AD and RD (ISO 9283), {detector}: {NOT_MEASURED}; no distance was found {CYCLES_FROM} times.")
+        yield Paragraph(
+            f"AD and RD (ISO 9283), {detector}: {NOT_MEASURED}; no distance was found {CYCLES_FROM}"
+            " times."
+        )
         return
-    columns = (Column("distance"), Column("n", "right"), Column("AD", "right", "mm"), Column("RD", "right", "mm"))
-    note = "The distance found less the true one of the same trials; AD is the amount of its mean, RD three standard deviations."
-    yield Table(f"Distance accuracy and repeatability, {detector} (ISO 9283)", columns, tuple(lines), note + _left_out(len(pairs)))
+    columns = (
+        Column("distance"),
+        Column("n", "right"),
+        Column("AD", "right", "mm"),
+        Column("RD", "right", "mm"),
+    )
+    note = (
+        "The distance found less the true one of the same trials; AD is the amount of its mean, RD"
+        " three standard deviations."
+    )
+    yield Table(
+        f"Distance accuracy and repeatability, {detector} (ISO 9283)",
+        columns,
+        tuple(lines),
+        note + _left_out(len(pairs)),
+    )
 
 
-def _distance_errors(a: Mapping[str, Floats], b: Mapping[str, Floats], *, same_trial: bool) -> Floats:
-    """Distance found less true distance (n,), of the same trials, or of the k-th of one and the k-th of the other."""
-    both = [(a[trial], b[trial]) for trial in a if trial in b] if same_trial else list(zip(a.values(), b.values(), strict=False))
+def _distance_errors(
+    a: Mapping[str, Floats], b: Mapping[str, Floats], *, same_trial: bool
+) -> Floats:
+    """Distance found less true distance (n,), of the same trials, or of the k-th of one and the
+    k-th of the other.
+    """
+    both = (
+        [(a[trial], b[trial]) for trial in a if trial in b]
+        if same_trial
+        else list(zip(a.values(), b.values(), strict=False))
+    )
     ends = np.array(both, dtype=np.float64).reshape(-1, 2, 2, 3)  # pair, a or b, error or place
     true = np.linalg.norm(ends[:, 0, 1] - ends[:, 1, 1], axis=1)
     seen = np.linalg.norm(ends.sum(axis=2)[:, 0] - ends.sum(axis=2)[:, 1], axis=1)

@@ -1,4 +1,6 @@
-"""What the report says of the bath: its curve, the temperatures at every capture, the teats' surface, interlocks, and who watched."""
+"""What the report says of the bath: its curve, the temperatures at every capture, the teats'
+surface, interlocks, and who watched.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +31,16 @@ def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         return
     captures = [t.head["captured_s"] for t in run.trials if t.head["captured_s"] is not None]
     band_k = rules.bath.leave_k if isinstance(rules, Script) else 0.15
-    svg = bath_curve(run.bath[:, 0], run.bath[:, 1], set_point, band_k, captures, _stable_spans(run))
+    svg = bath_curve(
+        run.bath[:, 0], run.bath[:, 1], set_point, band_k, captures, _stable_spans(run)
+    )
     caption = "Bath temperature over the run's time; captures are marked"
     yield Figure(svg, caption, f"{len(run.bath)} readings, {len(captures)} captures", wide=True)
     temps = [t.head["bath_c"] for t in run.trials if t.head["bath_c"] is not None]
-    entries: list[tuple[str, object]] = [("set point", number(set_point, "°C")), ("readings", len(run.bath))]
+    entries: list[tuple[str, object]] = [
+        ("set point", number(set_point, "°C")),
+        ("readings", len(run.bath)),
+    ]
     room = run.facts.get("bath figures", {}).get("room_c")
     entries.append(("room, of the rig file", None if room is None else number(room, "°C")))
     if temps:
@@ -55,7 +62,9 @@ def surface_at(run: RunRecord, trial: TrialRecord) -> Surface | None:
 
 
 def capture_told(run: RunRecord, trial: TrialRecord) -> str:
-    """The bath at a trial's capture: what the gate saw, the range of the readings about then, and its state."""
+    """The bath at a trial's capture: what the gate saw, the range of the readings about then, and
+    its state.
+    """
     told = number(trial.head["bath_c"], "°C")
     readings = _readings(run, trial)[0] if trial.head["captured_s"] is not None else []
     if readings:
@@ -65,7 +74,11 @@ def capture_told(run: RunRecord, trial: TrialRecord) -> str:
 
 def surface_told(found: Surface | None) -> str:
     """``32.68 ± 0.35 °C (plant model)``; twice the standard uncertainty."""
-    return NOT_MEASURED if found is None else f"{found.temp_c:.2f} ± {2 * found.u_k:.2f} °C ({found.how})"
+    return (
+        NOT_MEASURED
+        if found is None
+        else f"{found.temp_c:.2f} ± {2 * found.u_k:.2f} °C ({found.how})"
+    )
 
 
 def _readings(run: RunRecord, trial: TrialRecord) -> tuple[list[float], list[float]]:
@@ -92,27 +105,42 @@ def _capture_parts(run: RunRecord) -> Iterator[Part]:
         Column("teats' surface", "right", "°C"),
         Column("±", "right", "K", hint="twice the standard uncertainty"),
     )
-    note = f"Readings within {AROUND_S:g} s of each capture. The bath is not the stimulus: the teats' surface is.{left_out}"
+    note = (
+        f"Readings within {AROUND_S:g} s of each capture. The bath is not the stimulus: the teats'"
+        f" surface is.{left_out}"
+    )
     yield Table("Temperatures at the captures", columns, tuple(rows), note)
     last = next((surface for surface in reversed(found.values()) if surface), None)
     if last:
         budget = [(c.name, f"{c.u_k:.3f}", c.source) for c in last.components]
         budget.append(("combined", f"{last.u_k:.3f}", "root of the sum of squares"))
         title = f"Uncertainty budget of the teats' surface, by {last.how} (last capture)"
-        yield Table(title, (Column("component"), Column("u", "right", "K"), Column("source")), tuple(budget))
+        yield Table(
+            title, (Column("component"), Column("u", "right", "K"), Column("source")), tuple(budget)
+        )
 
 
 def _farthest(run: RunRecord, taken: Sequence[TrialRecord]) -> tuple[Sequence[TrialRecord], str]:
-    """The captures that a table shows, in their order: of many those farthest from the set point; and a sentence that says so."""
+    """The captures that a table shows, in their order: of many those farthest from the set point;
+    and a sentence that says so.
+    """
     if len(taken) <= MOST_ROWS:
         return taken, ""
     off = [abs((trial.head["bath_c"] or 0.0) - run.facts["set_point_c"]) for trial in taken]
     chosen = sorted(sorted(range(len(taken)), key=lambda k: -off[k])[:MOST_ROWS])
-    return [taken[k] for k in chosen], f" The {MOST_ROWS} of {len(taken)} captures farthest from the set point; each trial has its own."
+    return (
+        [taken[k] for k in chosen],
+        (
+            f" The {MOST_ROWS} of {len(taken)} captures farthest from the set point; each trial has"
+            " its own."
+        ),
+    )
 
 
 def _stability_table(run: RunRecord, set_point_c: float, window_s: float) -> Table:
-    """Stability and uniformity, which are two things (ASTM E2488): over time at one place, and between places at one time."""
+    """Stability and uniformity, which are two things (ASTM E2488): over time at one place, and
+    between places at one time.
+    """
     columns = (
         Column("trial"),
         Column("readings", "right"),
@@ -122,17 +150,21 @@ def _stability_table(run: RunRecord, set_point_c: float, window_s: float) -> Tab
         Column("teats' sensor, slope", "right", "K/min"),
         Column("bath to teats' sensor", "right", "K"),
     )
-    shown, left_out = _farthest(run, [trial for trial in run.trials if trial.head["captured_s"] is not None])
+    shown, left_out = _farthest(
+        run, [trial for trial in run.trials if trial.head["captured_s"] is not None]
+    )
     rows = tuple(_stability_row(run, trial, set_point_c, window_s) for trial in shown)
     note = (
-        "Stability is what varies in these readings at one place. Uniformity, from teat to teat and from root to tip, is not measured: "
-        "there is one sensor at the teats at most; what it may be is in the uncertainty of the teats' surface."
-        f"{left_out}"
+        "Stability is what varies in these readings at one place. Uniformity, from teat to teat"
+        " and from root to tip, is not measured: there is one sensor at the teats at most; what it"
+        f" may be is in the uncertainty of the teats' surface.{left_out}"
     )
     return Table(f"The {window_s:g} s before each capture", columns, rows, note)
 
 
-def _stability_row(run: RunRecord, trial: TrialRecord, set_point_c: float, window_s: float) -> tuple[str, ...]:
+def _stability_row(
+    run: RunRecord, trial: TrialRecord, set_point_c: float, window_s: float
+) -> tuple[str, ...]:
     end_s = trial.head["captured_s"]
     inside = (run.bath[:, 0] >= end_s - window_s) & (run.bath[:, 0] <= end_s)
     t_s, bath_c, teats_c = run.bath[inside, 0], run.bath[inside, 1], run.external_c[inside]
@@ -145,7 +177,11 @@ def _stability_row(run: RunRecord, trial: TrialRecord, set_point_c: float, windo
         _slope_k_per_min(t_s[told], teats_c[told]),
         away_k,
     )
-    return (trial.id, str(len(bath_c)), *(NOT_MEASURED if figure is None else f"{figure:+.4f}" for figure in figures))
+    return (
+        trial.id,
+        str(len(bath_c)),
+        *(NOT_MEASURED if figure is None else f"{figure:+.4f}" for figure in figures),
+    )
 
 
 def _slope_k_per_min(t_s: NDArray[np.float64], temp_c: NDArray[np.float64]) -> float | None:
@@ -156,8 +192,15 @@ def _slope_k_per_min(t_s: NDArray[np.float64], temp_c: NDArray[np.float64]) -> f
 def _capture_row(run: RunRecord, trial: TrialRecord, found: Surface | None) -> tuple[str, ...]:
     bath, external = _readings(run, trial)
     figures = [_mean(bath), min(bath, default=None), max(bath, default=None), _mean(external)]
-    estimate = (NOT_MEASURED, "") if found is None else (f"{found.temp_c:.2f}", f"{2 * found.u_k:.2f}")
-    return (trial.id, *(number(value) for value in figures), str(trial.head["bath_state"] or NOT_MEASURED), *estimate)
+    estimate = (
+        (NOT_MEASURED, "") if found is None else (f"{found.temp_c:.2f}", f"{2 * found.u_k:.2f}")
+    )
+    return (
+        trial.id,
+        *(number(value) for value in figures),
+        str(trial.head["bath_state"] or NOT_MEASURED),
+        *estimate,
+    )
 
 
 def _care_parts(run: RunRecord) -> Iterator[Part]:
@@ -165,8 +208,14 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
     facts = run.facts
     if "safe states" not in facts:
         return  # a run of before, or one that never had the instruments
-    entries: list[tuple[str, object]] = [(f"safe state, {name}", state) for name, state in facts["safe states"].items()]
-    entries += [("pump", facts["pump"]), ("when the computer dies", COMMS_LOSS[facts["comms loss"]]), ("guardian", facts["guardian"])]
+    entries: list[tuple[str, object]] = [
+        (f"safe state, {name}", state) for name, state in facts["safe states"].items()
+    ]
+    entries += [
+        ("pump", facts["pump"]),
+        ("when the computer dies", COMMS_LOSS[facts["comms loss"]]),
+        ("guardian", facts["guardian"]),
+    ]
     if tested := facts.get("cut-out tested"):
         entries.append(("independent cut-out tested on", tested))
     yield tables.key_values("Care", entries)
@@ -175,14 +224,27 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
     asleep = set(facts["interlocks asleep"])
     trip = facts.get("trip", {})
     rows = [(r.name, r.trips, r.resets, _state(r.name, asleep, trip.get("rule"))) for r in RULES]
-    columns = (Column("interlock"), Column("trips"), Column("resets, once acknowledged"), Column("in this run"))
-    yield Table("Interlocks", columns, tuple(rows), "None of this is a safety function; the bath's independent cut-out is.")
+    columns = (
+        Column("interlock"),
+        Column("trips"),
+        Column("resets, once acknowledged"),
+        Column("in this run"),
+    )
+    yield Table(
+        "Interlocks",
+        columns,
+        tuple(rows),
+        "None of this is a safety function; the bath's independent cut-out is.",
+    )
     if trip:
         yield _trip_table(trip)
 
 
 COMMS_LOSS = {
-    "hold": "the controller holds its last set point: the bath stays hot until the guardian or a person switches it off",
+    "hold": (
+        "the controller holds its last set point: the bath stays hot until the guardian or a person"
+        " switches it off"
+    ),
     "stop": "the controller stops by itself when it hears nothing",
     "safe_setpoint": "the controller goes to its own safe set point when it hears nothing",
     "unknown": "not known for this controller: take it that the bath stays hot",
@@ -197,13 +259,25 @@ def _state(name: str, asleep: set[str], tripped: str | None) -> str:
 
 def _trip_table(trip: dict[str, Any]) -> Table:
     values: Sequence[dict[str, Any]] = trip["values"]
-    names = ("t_s", "temp_c", "external_c", "safety_c", "set_point_c", "power_percent", "running", "alarm")
+    names = (
+        "t_s",
+        "temp_c",
+        "external_c",
+        "safety_c",
+        "set_point_c",
+        "power_percent",
+        "running",
+        "alarm",
+    )
     titles = ("time", "bath", "external", "safety", "set point", "output", "runs", "alarm")
     units = ("s", "°C", "°C", "°C", "°C", "%", "", "")
     columns = tuple(Column(title, "right", unit) for title, unit in zip(titles, units, strict=True))
     rows = tuple(tuple(_cell(row.get(name)) for name in names) for row in values)
     return Table(
-        f"Readings that led to the trip: {trip['rule']}", columns, rows, f"{trip['why']}. {'; '.join(trip['done'])}. {trip['then']}"
+        f"Readings that led to the trip: {trip['rule']}",
+        columns,
+        rows,
+        f"{trip['why']}. {'; '.join(trip['done'])}. {trip['then']}",
     )
 
 

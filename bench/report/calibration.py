@@ -1,4 +1,5 @@
-"""The quality page of a calibration step: what was found with its uncertainty, how it was shown, what is wrong with it by name.
+"""The quality page of a calibration step: what was found with its uncertainty, how it was shown,
+what is wrong with it by name.
 
 May not know how any of it was computed; it gets results and says them.
 
@@ -53,9 +54,17 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
     good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
     pairs = len(result.views.pairs())
     sections = (
-        Section("findings", "What was found wrong", tuple(finding_parts(result.findings, still_missing(result.coverage)))),
+        Section(
+            "findings",
+            "What was found wrong",
+            tuple(finding_parts(result.findings, still_missing(result.coverage))),
+        ),
         Section("parameters", "Parameters", tuple(parameter_parts(result))),
-        Section("residuals", "Where corners miss", tuple(residual_parts({"left": result.joint, "right": result.joint}, result.views))),
+        Section(
+            "residuals",
+            "Where corners miss",
+            tuple(residual_parts({"left": result.joint, "right": result.joint}, result.views)),
+        ),
         Section("held-out", "Measured again, from views not used", tuple(held_out_parts(result))),
         Section("worth", "What a point is worth", tuple(worth_parts(result, (near, far)))),
         Section("coverage", "What the views show", tuple(coverage_parts(result.coverage))),
@@ -66,9 +75,14 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
         kind="computed",
         verdict=_verdict(result.findings),
         tested=f"Stereo pair from {pairs} pairs of views of a {_board(result.views)}.",
-        sentence=f"Good to {good_mm:.2f} mm at {at_mm / 1000:.2f} m (k = 2, worst direction, one point, corners as noisy as these).",
+        sentence=(
+            f"Good to {good_mm:.2f} mm at {at_mm / 1000:.2f} m (k = 2, worst direction, one point,"
+            " corners as noisy as these)."
+        ),
         confidence=_halves_sentence(result),
-        next_action=_next(result.findings, still_missing(result.coverage), "teatbench calibrate world"),
+        next_action=_next(
+            result.findings, still_missing(result.coverage), "teatbench calibrate world"
+        ),
     )
     return Page("Calibration of the stereo pair", f"made {record.made}", banner, sections)
 
@@ -78,21 +92,44 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
     fit = result.joint.fit
     place = [sd_text(fit.sd("thermal", name), 2) for name in POSE[3:]]
     sections = (
-        Section("findings", "What was found wrong", tuple(finding_parts((), {"thermal": result.coverage}))),
-        Section("parameters", "Parameters", (parameters(result.joint, "thermal", result.joint.fit.rig.cameras["thermal"].kc),)),
-        Section("residuals", "Where points miss", tuple(residual_parts({"thermal": result.joint}, result.views))),
-        Section("homographies", "Homographies for the thesis's algorithm", tuple(homography_parts(result))),
-        Section("coverage", "What the views show", tuple(coverage_parts({"thermal": result.coverage}))),
+        Section(
+            "findings",
+            "What was found wrong",
+            tuple(finding_parts((), {"thermal": result.coverage})),
+        ),
+        Section(
+            "parameters",
+            "Parameters",
+            (parameters(result.joint, "thermal", result.joint.fit.rig.cameras["thermal"].kc),),
+        ),
+        Section(
+            "residuals",
+            "Where points miss",
+            tuple(residual_parts({"thermal": result.joint}, result.views)),
+        ),
+        Section(
+            "homographies",
+            "Homographies for the thesis's algorithm",
+            tuple(homography_parts(result)),
+        ),
+        Section(
+            "coverage", "What the views show", tuple(coverage_parts({"thermal": result.coverage}))
+        ),
         Section("pictures", "Pictures", tuple(picture_parts(result.views, result.joint))),
         Section("provenance", "Provenance", tuple(provenance_parts(record, command))),
     )
     banner = Banner(
         kind="computed",
         verdict="no verdict",
-        tested=f"Thermal camera from {len(result.joint.view_rms_px('thermal'))} views of a heated {result.views.board.kind}.",
+        tested=(
+            f"Thermal camera from {len(result.joint.view_rms_px('thermal'))} views of a heated"
+            f" {result.views.board.kind}."
+        ),
         sentence=f"Points miss by {fit.rms_px:.2f} px rms over both cameras.",
         confidence=f"Its place is known to {', '.join(place)} mm (x, y, z; 1 sd).",
-        next_action=_next((), still_missing({"thermal": result.coverage}), "teatbench calibrate world"),
+        next_action=_next(
+            (), still_missing({"thermal": result.coverage}), "teatbench calibrate world"
+        ),
     )
     return Page("Calibration of the thermal camera", f"made {record.made}", banner, sections)
 
@@ -103,7 +140,10 @@ def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
         Table(
             f"Pairs, thermal to {side}",
             (Column("pair", "right"), Column("misses by", "right", "px"), Column("counts")),
-            tuple((str(n), f"{missed:.2f}", "yes" if kept else Cell("no: outlier", "warn")) for n, (missed, kept) in enumerate(rows, 1)),
+            tuple(
+                (str(n), f"{missed:.2f}", "yes" if kept else Cell("no: outlier", "warn"))
+                for n, (missed, kept) in enumerate(rows, 1)
+            ),
         )
         for side, mapped in (("left", result.left), ("right", result.right))
         for rows in [list(zip(mapped.missed_px, mapped.inliers, strict=True))]
@@ -113,11 +153,23 @@ def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
         kind="computed",
         verdict="no verdict",
         tested=f"Homographies from {len(result.left.inliers)} point pairs.",
-        sentence=f"{kept[0]} and {kept[1]} pairs count; they miss by {result.left.rms_px:.2f} and {result.right.rms_px:.2f} px rms.",
-        confidence="A homography is right on the plane of its points only; off it, it misses the more the farther.",
-        next_action="Calibrate the thermal camera on a heated board where you can: it then holds at every distance.",
+        sentence=(
+            f"{kept[0]} and {kept[1]} pairs count; they miss by {result.left.rms_px:.2f} and"
+            f" {result.right.rms_px:.2f} px rms."
+        ),
+        confidence=(
+            "A homography is right on the plane of its points only; off it, it misses the more the"
+            " farther."
+        ),
+        next_action=(
+            "Calibrate the thermal camera on a heated board where you can: it then holds at every"
+            " distance."
+        ),
     )
-    sections = (Section("pairs", "Point pairs", tables), Section("provenance", "Provenance", tuple(provenance_parts(record, command))))
+    sections = (
+        Section("pairs", "Point pairs", tables),
+        Section("provenance", "Provenance", tuple(provenance_parts(record, command))),
+    )
     return Page("Homographies from point pairs", f"made {record.made}", banner, sections)
 
 
@@ -128,30 +180,50 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
     held_out = comparison.held_out_mm["rigid"]
     models = Table(
         "Fits of triangulated to touched points; rigid is used, the others are a diagnosis",
-        (Column("fit"), Column("residual", "right", "mm rms"), Column("held out", "right", "mm rms"), Column("singular values", "right")),
+        (
+            Column("fit"),
+            Column("residual", "right", "mm rms"),
+            Column("held out", "right", "mm rms"),
+            Column("singular values", "right"),
+        ),
         tuple(
-            (f.model, f"{f.fre_mm:.3f}", mm_text(comparison.held_out_mm[f.model]), ", ".join(f"{v:.4f}" for v in f.singular_values))
+            (
+                f.model,
+                f"{f.fre_mm:.3f}",
+                mm_text(comparison.held_out_mm[f.model]),
+                ", ".join(f"{v:.4f}" for v in f.singular_values),
+            )
             for f in comparison.fits
         ),
         note="Where affine is much better, the stereo calibration is off.",
     )
-    columns = (Column("point", "right"), *(Column(f"d{axis}", "right", "mm") for axis in "xyz"), Column("distance", "right", "mm"))
+    columns = (
+        Column("point", "right"),
+        *(Column(f"d{axis}", "right", "mm") for axis in "xyz"),
+        Column("distance", "right", "mm"),
+    )
     residuals = Table(
         "Touched less mapped",
         columns,
         tuple(
-            (str(n), *(f"{v:+.3f}" for v in row), f"{np.linalg.norm(row):.3f}") for n, row in enumerate(comparison.rigid.residuals_mm, 1)
+            (str(n), *(f"{v:+.3f}" for v in row), f"{np.linalg.norm(row):.3f}")
+            for n, row in enumerate(comparison.rigid.residuals_mm, 1)
         ),
     )
     volume = working_volume_mm(fit.touched_mm)
     there = fit.target_error_mm(volume)
-    near = f"Expected target error {target.min():.2f} to {target.max():.2f} mm at the touched places"
+    near = (
+        f"Expected target error {target.min():.2f} to {target.max():.2f} mm at the touched places"
+    )
     worst = f"{near}, up to {there.max():.2f} mm in the working volume."
     banner = Banner(
         kind="computed",
         verdict=_verdict(result.findings),
         tested=f"World from {len(fit.touched_mm)} points that the arm touched.",
-        sentence=f"Mapped points miss the arm's by {comparison.rigid.fre_mm:.3f} mm rms, a point left out by {mm_text(held_out)} mm rms.",
+        sentence=(
+            f"Mapped points miss the arm's by {comparison.rigid.fre_mm:.3f} mm rms, a point left"
+            f" out by {mm_text(held_out)} mm rms."
+        ),
         confidence=worst,
         next_action=_next(result.findings, (), "teatbench calibrate merge"),
     )
@@ -181,27 +253,51 @@ def _depths_m(result: CamerasResult) -> tuple[float, float]:
 
 def _halves_sentence(result: CamerasResult) -> str:
     if result.halves is None:
-        return "Too few pairs of views for a split-half comparison (10 are needed): nothing was held out."
+        return (
+            "Too few pairs of views for a split-half comparison (10 are needed): nothing was held"
+            " out."
+        )
     pairs = result.views.pairs()
-    apart = np.concatenate([result.halves.disagree_mm(pair.left_px, pair.right_px) for pair in pairs])
-    return f"Two calibrations, each from half of the views, place the board's points {np.sqrt(np.mean(apart**2)):.2f} mm apart (rms)."
+    apart = np.concatenate(
+        [result.halves.disagree_mm(pair.left_px, pair.right_px) for pair in pairs]
+    )
+    return (
+        "Two calibrations, each from half of the views, place the board's points"
+        f" {np.sqrt(np.mean(apart**2)):.2f} mm apart (rms)."
+    )
 
 
 def _board(views: BoardViews) -> str:
     return f"{views.board.columns} x {views.board.rows} {views.board.kind}"
 
 
-def check_page(again: Remeasured, findings: Sequence[Finding], record: Record, command: str) -> Page:
+def check_page(
+    again: Remeasured, findings: Sequence[Finding], record: Record, command: str
+) -> Page:
     """Of `calibrate check`: an existing calibration against a board seen today."""
-    figures = f"spacing {again.spacing_rms_mm:.3f} mm, flatness {again.flatness_rms_mm:.3f} mm, rows {again.epipolar_rms_px:.2f} px"
-    sentence = "It still holds." if not findings else "It no longer holds: " + "; ".join(f.name for f in findings) + "."
+    figures = (
+        f"spacing {again.spacing_rms_mm:.3f} mm, flatness {again.flatness_rms_mm:.3f} mm, rows"
+        f" {again.epipolar_rms_px:.2f} px"
+    )
+    sentence = (
+        "It still holds."
+        if not findings
+        else "It no longer holds: " + "; ".join(f.name for f in findings) + "."
+    )
     banner = Banner(
         kind="computed",
         verdict="met" if not findings else "not met",
         tested=f"An existing calibration on {len(again.views)} views of a board.",
         sentence=sentence,
         confidence=f"Rms: {figures}.",
-        next_action="Nothing." if not findings else "Calibrate anew (teatbench calibrate cameras), after looking at what is named below.",
+        next_action=(
+            "Nothing."
+            if not findings
+            else (
+                "Calibrate anew (teatbench calibrate cameras), after looking at what is named"
+                " below."
+            )
+        ),
     )
     sections = (
         Section("findings", "What was found wrong", tuple(finding_parts(findings, ()))),
@@ -211,23 +307,47 @@ def check_page(again: Remeasured, findings: Sequence[Finding], record: Record, c
     return Page("Check of a calibration", f"checked {record.made}", banner, sections)
 
 
-def check_points_page(again: PointsAgain, findings: Sequence[Finding], record: Record, command: str) -> Page:
-    """Of `calibrate check --points`: an existing calibration against points that the arm touched today."""
+def check_points_page(
+    again: PointsAgain, findings: Sequence[Finding], record: Record, command: str
+) -> Page:
+    """Of `calibrate check --points`: an existing calibration against points that the arm touched
+    today.
+    """
     rms = float(np.sqrt(np.mean(np.sum(again.missed_mm**2, axis=1))))
     x, y, z = again.missed_mm.mean(axis=0)
-    columns = (Column("point", "right"), *(Column(f"d{axis}", "right", "mm") for axis in "xyz"), Column("expected", "right", "mm"))
+    columns = (
+        Column("point", "right"),
+        *(Column(f"d{axis}", "right", "mm") for axis in "xyz"),
+        Column("expected", "right", "mm"),
+    )
     rows = tuple(
         (str(n), *(f"{v:+.2f}" for v in row), f"{expected:.2f}")
         for n, (row, expected) in enumerate(zip(again.missed_mm, again.expected_mm, strict=True), 1)
     )
-    table = Table("Measured less touched", columns, rows, note="Expected: root of the summed variances of calibration, pixels and touch.")
+    table = Table(
+        "Measured less touched",
+        columns,
+        rows,
+        note="Expected: root of the summed variances of calibration, pixels and touch.",
+    )
     banner = Banner(
         kind="computed",
         verdict="met" if not findings else "not met",
         tested=f"An existing calibration on {len(again.missed_mm)} points that the arm touched.",
-        sentence="It still holds." if not findings else "It no longer holds: " + "; ".join(f.name for f in findings) + ".",
-        confidence=f"Points are missed by {rms:.2f} mm rms; on the mean by {x:+.2f}, {y:+.2f}, {z:+.2f} mm.",
-        next_action="Nothing." if not findings else "Look at what is named below, then make the world's step again (calibrate world).",
+        sentence=(
+            "It still holds."
+            if not findings
+            else "It no longer holds: " + "; ".join(f.name for f in findings) + "."
+        ),
+        confidence=(
+            f"Points are missed by {rms:.2f} mm rms; on the mean by {x:+.2f}, {y:+.2f},"
+            f" {z:+.2f} mm."
+        ),
+        next_action=(
+            "Nothing."
+            if not findings
+            else "Look at what is named below, then make the world's step again (calibrate world)."
+        ),
     )
     sections = (
         Section("findings", "What was found wrong", tuple(finding_parts(findings, ()))),

@@ -1,8 +1,10 @@
-"""What a run's report says of the calibration that it used: its record with its age, and the limit that it sets at each distance.
+"""What a run's report says of the calibration that it used: its record with its age, and the limit
+that it sets at each distance.
 
 May not know how a calibration is made.
 
-The parts of a calibration's quality page: tables, figures and notes, each from one result. Which page has which is `calibration`'s.
+The parts of a calibration's quality page: tables, figures and notes, each from one result. Which
+page has which is `calibration`'s.
 """
 
 from __future__ import annotations
@@ -33,24 +35,43 @@ MOST_ROWS = 6
 
 
 def record_parts(run: RunRecord) -> Iterator[Part]:
-    """Who calibrated the cameras, when and with what; nothing for a run that didn't write it down."""
+    """Who calibrated the cameras, when and with what; nothing for
+    a run that didn't write it down.
+    """
     fact = run.facts.get(CALIBRATION_FACT)
     if fact is None:
         return
     if fact["made"] is None:
-        made_from = " The emulated cameras are made from it." if fact["emulated"] else " Its age is not known."
+        made_from = (
+            " The emulated cameras are made from it."
+            if fact["emulated"]
+            else " Its age is not known."
+        )
         yield Paragraph(
-            f"The calibration has no record of who made it, when and with what.{made_from}", tone="plain" if fact["emulated"] else "warn"
+            f"The calibration has no record of who made it, when and with what.{made_from}",
+            tone="plain" if fact["emulated"] else "warn",
         )
         return
     age = f"{fact['age_days']} days on the day of the run"
-    entries: list[tuple[str, object]] = [("made", fact["made"]), ("age", age), ("by", fact["by"] or None), ("with", fact["with_what"])]
-    yield key_values("Calibration", [*entries, *((f"{name} camera", who) for name, who in fact["cameras"].items())])
+    entries: list[tuple[str, object]] = [
+        ("made", fact["made"]),
+        ("age", age),
+        ("by", fact["by"] or None),
+        ("with", fact["with_what"]),
+    ]
+    yield key_values(
+        "Calibration",
+        [*entries, *((f"{name} camera", who) for name, who in fact["cameras"].items())],
+    )
 
 
 def limit_parts(run: RunRecord, calibration: Calibration) -> Iterator[Part]:
-    """What no detector on this rig and calibration can do better, by the distance of this run's teat ends."""
-    ends = np.array([[row["x_mm"], row["y_mm"], row["z_mm"]] for trial in run.trials for row in trial.truth]).reshape(-1, 3)
+    """What no detector on this rig and calibration can do better, by the distance of this run's
+    teat ends.
+    """
+    ends = np.array(
+        [[row["x_mm"], row["y_mm"], row["z_mm"]] for trial in run.trials for row in trial.truth]
+    ).reshape(-1, 3)
     if not len(ends):
         yield Paragraph(f"What the geometry allows: {NOT_MEASURED}.")
         return
@@ -68,21 +89,49 @@ def limit_table(ends_mm: Array, calibration: Calibration) -> Table:
     rows = []
     for number in np.unique(bins):
         at = bins == number
-        texts = (f"{depth[at].min():.0f} to {depth[at].max():.0f}", str(int(at.sum())), f"{per_px[at].max():.1f}")
-        rows.append((*texts, f"{own[at].max():.2f}" if known else NOT_MEASURED, f"{seen[at].max():.2f}"))
+        texts = (
+            f"{depth[at].min():.0f} to {depth[at].max():.0f}",
+            str(int(at.sum())),
+            f"{per_px[at].max():.1f}",
+        )
+        rows.append(
+            (*texts, f"{own[at].max():.2f}" if known else NOT_MEASURED, f"{seen[at].max():.2f}")
+        )
     columns = (
-        Column("distance", "right", "mm"), Column("teat ends", "right"),
+        Column("distance", "right", "mm"),
+        Column("teat ends", "right"),
         Column("one pixel of disparity", "right", "mm", hint="of depth: Z² / (f B)"),
-        Column("calibration alone", "right", "mm", hint="expanded uncertainty (k = 2) of a point, along its worst direction"),
-        Column(f"with {PIXEL_SD_PX:g} px noise", "right", "mm", hint="the same with noise of the pixels besides"),
-    )  # fmt: skip
-    told = "" if known else " This calibration states no uncertainty, so that its own share is not in it."
-    note = f"What can be reached on this rig at best: k = 2, worst direction, the farthest of each row.{told}"
-    return Table("Limit of what can be reached, by distance from the cameras", columns, tuple(rows), note)
+        Column(
+            "calibration alone",
+            "right",
+            "mm",
+            hint="expanded uncertainty (k = 2) of a point, along its worst direction",
+        ),
+        Column(
+            f"with {PIXEL_SD_PX:g} px noise",
+            "right",
+            "mm",
+            hint="the same with noise of the pixels besides",
+        ),
+    )
+    told = (
+        ""
+        if known
+        else " This calibration states no uncertainty, so that its own share is not in it."
+    )
+    note = (
+        "What can be reached on this rig at best: k = 2, worst direction, the farthest of each"
+        f" row.{told}"
+    )
+    return Table(
+        "Limit of what can be reached, by distance from the cameras", columns, tuple(rows), note
+    )
 
 
 def _worst_mm(calibration: Calibration, ends_mm: Array, pixel_sd_px: float) -> Array:
-    """Expanded uncertainty (n,) along each point's worst direction; 0 for a point that a camera can't see."""
+    """Expanded uncertainty (n,) along each point's worst direction; 0 for a point that a camera
+    can't see.
+    """
     found = np.nan_to_num(calibration.covariance_of(ends_mm, pixel_sd_px))
     return np.asarray(2.0 * np.sqrt(np.clip(np.linalg.eigvalsh(found)[:, -1], 0.0, None)))
 
@@ -94,15 +143,22 @@ DISTANCES_M = np.linspace(0.7, 1.8, 23)
 
 def still_missing(shown: Mapping[str, Coverage]) -> tuple[str, ...]:
     """What views of each camera still lack, as instructions."""
-    return tuple(f"{camera}: {text}" for camera, coverage in shown.items() for text in coverage.missing)
+    return tuple(
+        f"{camera}: {text}" for camera, coverage in shown.items() for text in coverage.missing
+    )
 
 
-def finding_parts(findings: Sequence[Finding], missing: Mapping[str, Coverage] | Sequence[str]) -> Iterator[Part]:
+def finding_parts(
+    findings: Sequence[Finding], missing: Mapping[str, Coverage] | Sequence[str]
+) -> Iterator[Part]:
     """What is wrong by name, and what the views lack."""
     if findings:
         yield Notes("Named", tuple(f"{finding.name}: {finding.sentence}" for finding in findings))
     else:
-        yield Paragraph("Nothing: no fault left a mark that is both significant and large enough to matter.", tone="good")
+        yield Paragraph(
+            "Nothing: no fault left a mark that is both significant and large enough to matter.",
+            tone="good",
+        )
     texts = still_missing(missing) if isinstance(missing, Mapping) else tuple(missing)
     if texts:
         yield Notes("What the views don't show yet", texts)
@@ -111,28 +167,65 @@ def finding_parts(findings: Sequence[Finding], missing: Mapping[str, Coverage] |
 def parameter_parts(result: CamerasResult) -> Iterator[Part]:
     """Both lenses and the motion between them, with standard deviations."""
     for camera in PAIR:
-        yield parameters(result.joint, camera, result.joint.fit.rig.cameras[camera].kc, alone=result.alone[camera])
+        yield parameters(
+            result.joint,
+            camera,
+            result.joint.fit.rig.cameras[camera].kc,
+            alone=result.alone[camera],
+        )
     motion = result.pair.right_from_left
     rows = []
     for name, value in zip(POSE, (*motion.om, *motion.T), strict=True):
         fixed, joint = result.fixed.fit, result.joint.fit
-        other = dict(zip(POSE, (*fixed.rig.from_reference["right"].om, *fixed.rig.from_reference["right"].T), strict=True))[name]
+        other = dict(
+            zip(
+                POSE,
+                (*fixed.rig.from_reference["right"].om, *fixed.rig.from_reference["right"].T),
+                strict=True,
+            )
+        )[name]
         digits = 3 if name.startswith("T") else 5
-        rows.append((name, UNITS[name[:-1]], f"{value:.{digits}f}", sd_text(joint.sd("right", name), digits), f"{other:.{digits}f}"))
-    columns = (Column("parameter"), Column("unit"), Column("joint", "right"), Column("sd", "right"), Column("with lenses fixed", "right"))
+        rows.append(
+            (
+                name,
+                UNITS[name[:-1]],
+                f"{value:.{digits}f}",
+                sd_text(joint.sd("right", name), digits),
+                f"{other:.{digits}f}",
+            )
+        )
+    columns = (
+        Column("parameter"),
+        Column("unit"),
+        Column("joint", "right"),
+        Column("sd", "right"),
+        Column("with lenses fixed", "right"),
+    )
     joint_px, fixed_px = result.joint.fit.rms_px, result.fixed.fit.rms_px
-    note = f"Corners miss by {joint_px:.3f} px rms jointly, by {fixed_px:.3f} px with the lenses as each camera alone has them."
-    yield Table("Right camera against left: X_right = R(om) X_left + T", columns, tuple(rows), note=note)
+    note = (
+        f"Corners miss by {joint_px:.3f} px rms jointly, by {fixed_px:.3f} px with the lenses as"
+        " each camera alone has them."
+    )
+    yield Table(
+        "Right camera against left: X_right = R(om) X_left + T", columns, tuple(rows), note=note
+    )
 
 
-def parameters(fit: Calibrated, camera: str, kc: Sequence[float], alone: Calibrated | None = None) -> Table:
+def parameters(
+    fit: Calibrated, camera: str, kc: Sequence[float], alone: Calibrated | None = None
+) -> Table:
     """One camera's lens; beside it what the camera alone gave, where that is told."""
     lens = fit.fit.rig.cameras[camera]
     values = dict(zip(LENS, (*lens.fc, *lens.cc, *kc), strict=True))
     rows = []
     for name, value in values.items():
         digits = 5 if name[0] in "kp" else 3
-        row: tuple[str | Cell, ...] = (name, UNITS.get(name, ""), f"{value:.{digits}f}", sd_text(fit.fit.sd(camera, name), digits))
+        row: tuple[str | Cell, ...] = (
+            name,
+            UNITS.get(name, ""),
+            f"{value:.{digits}f}",
+            sd_text(fit.fit.sd(camera, name), digits),
+        )
         if alone is not None:
             other = alone.fit.rig.cameras[camera]
             single = dict(zip(LENS, (*other.fc, *other.cc, *other.kc), strict=True))[name]
@@ -141,7 +234,13 @@ def parameters(fit: Calibrated, camera: str, kc: Sequence[float], alone: Calibra
     more = (Column("alone", "right"),) if alone is not None else ()
     return Table(
         f"Lens of the {camera} camera",
-        (Column("parameter"), Column("unit"), Column("value", "right"), Column("sd", "right"), *more),
+        (
+            Column("parameter"),
+            Column("unit"),
+            Column("value", "right"),
+            Column("sd", "right"),
+            *more,
+        ),
         tuple(rows),
     )
 
@@ -159,21 +258,38 @@ def mm_text(value: float | None) -> str:
 def residual_parts(fits: Mapping[str, Calibrated], views: BoardViews) -> Iterator[Part]:
     """Where the corners lie, and which way they miss."""
     for camera, fit in fits.items():
-        pairs = [(s.pixels_px, r) for s, r in zip(fit.sightings, fit.fit.residuals_px, strict=True) if s.camera == camera]
+        pairs = [
+            (s.pixels_px, r)
+            for s, r in zip(fit.sightings, fit.fit.residuals_px, strict=True)
+            if s.camera == camera
+        ]
         at, miss = (np.concatenate(arrays) for arrays in zip(*pairs, strict=True))
-        svg = residual_field(at[:, 0], at[:, 1], miss[:, 0], miss[:, 1], views.image_size[camera], name=f"residuals-{camera}")
+        svg = residual_field(
+            at[:, 0],
+            at[:, 1],
+            miss[:, 0],
+            miss[:, 1],
+            views.image_size[camera],
+            name=f"residuals-{camera}",
+        )
         yield Figure(svg, f"Corners of the {camera} camera: seen less predicted", _misses(miss))
 
 
 def _misses(miss: Array) -> str:
     rms = np.sqrt(np.mean(np.sum(miss**2, axis=1)))
-    return f"{len(miss)} points, rms {rms:.3f} px, mean {miss[:, 0].mean():+.3f}, {miss[:, 1].mean():+.3f} px"
+    return (
+        f"{len(miss)} points, rms {rms:.3f} px, mean {miss[:, 0].mean():+.3f},"
+        f" {miss[:, 1].mean():+.3f} px"
+    )
 
 
 def held_out_parts(result: CamerasResult) -> Iterator[Part]:
     """Spacing, flatness and rows from views not used."""
     if result.held_out is None:
-        yield Paragraph("Not measured: fewer than 10 pairs of views, so that none could be held out.", tone="warn")
+        yield Paragraph(
+            "Not measured: fewer than 10 pairs of views, so that none could be held out.",
+            tone="warn",
+        )
         return
     again = result.held_out
     scale, scale_sd = again.scale
@@ -181,30 +297,53 @@ def held_out_parts(result: CamerasResult) -> Iterator[Part]:
     row, row_sd = again.epipolar
     entries = (
         ("lengths against the print", f"{scale:.5f} ± {scale_sd:.5f} (1 sd)"),
-        ("distance of neighbours", f"{again.spacing_rms_mm:.3f} mm rms from {again.board.pitch_mm:g} mm"),
+        (
+            "distance of neighbours",
+            f"{again.spacing_rms_mm:.3f} mm rms from {again.board.pitch_mm:g} mm",
+        ),
         ("flatness", f"{again.flatness_rms_mm:.3f} mm rms"),
         ("bend of the board", f"{bend:+.3f} ± {bend_sd:.3f} mm, middle over rim"),
-        ("rows against each other", f"{row:+.3f} ± {row_sd:.3f} px, {again.epipolar_rms_px:.3f} px rms"),
+        (
+            "rows against each other",
+            f"{row:+.3f} ± {row_sd:.3f} px, {again.epipolar_rms_px:.3f} px rms",
+        ),
     )
-    yield KeyValues("Each half of the views, measured with the calibration that the other half made", entries)
+    yield KeyValues(
+        "Each half of the views, measured with the calibration that the other half made", entries
+    )
     if result.halves is not None:
         apart = np.sqrt(np.mean(np.array(list(result.halves.differences.values())) ** 2))
-        yield Paragraph(f"The two halves' parameters differ by {apart:.2f} of their combined standard deviations (rms; 1 is expected).")
+        yield Paragraph(
+            f"The two halves' parameters differ by {apart:.2f} of their combined standard"
+            " deviations (rms; 1 is expected)."
+        )
     yield measured_table(again)
 
 
 def measured_table(again: Remeasured) -> Table:
     """A board measured again, view by view."""
     columns = (
-        Column("view"), Column("distance", "right", "mm"), Column("scale", "right"), Column("spacing", "right", "mm rms"),
-        Column("flatness", "right", "mm rms"), Column("rows", "right", "px rms"),
-    )  # fmt: skip
+        Column("view"),
+        Column("distance", "right", "mm"),
+        Column("scale", "right"),
+        Column("spacing", "right", "mm rms"),
+        Column("flatness", "right", "mm rms"),
+        Column("rows", "right", "px rms"),
+    )
 
     def rms(values: Array) -> str:
         return f"{np.sqrt(np.mean(values**2)):.3f}"
 
     rows = tuple(
-        (v.name, f"{v.depth_mm:.0f}", f"{v.scale:.5f}", rms(v.spacing_mm), rms(v.off_plane_mm), rms(v.epipolar_px)) for v in again.views
+        (
+            v.name,
+            f"{v.depth_mm:.0f}",
+            f"{v.scale:.5f}",
+            rms(v.spacing_mm),
+            rms(v.off_plane_mm),
+            rms(v.epipolar_px),
+        )
+        for v in again.views
     )
     return Table("View by view", columns, rows, searchable=True)
 
@@ -212,22 +351,50 @@ def measured_table(again: Remeasured) -> Table:
 def worth_parts(result: CamerasResult, seen_m: tuple[float, float]) -> Iterator[Part]:
     """What a point is good to by distance, and what a pixel of disparity is worth."""
     good = result.good_to_mm(1000.0 * DISTANCES_M)
-    words = "; ".join(f"{good[i]:.2f} mm at {DISTANCES_M[i]:.2f} m" for i in (0, len(good) // 2, len(good) - 1))
-    yield Figure(precision_by_distance(DISTANCES_M, good, seen_m), "What one triangulated point is good to", words, wide=True)
+    words = "; ".join(
+        f"{good[i]:.2f} mm at {DISTANCES_M[i]:.2f} m" for i in (0, len(good) // 2, len(good) - 1)
+    )
+    yield Figure(
+        precision_by_distance(DISTANCES_M, good, seen_m),
+        "What one triangulated point is good to",
+        words,
+        wide=True,
+    )
     pair = result.pair
-    focal, baseline = 0.5 * (pair.left.fc[0] + pair.right.fc[0]), float(np.linalg.norm(pair.right_from_left.T))
-    per_px = [f"{z:.1f} m: {(1000 * z) ** 2 / (focal * baseline):.1f} mm" for z in (1.0, 1.2, 1.5, 1.75)]
-    yield Paragraph("One pixel of disparity is worth, in depth: " + ", ".join(per_px) + ". No method on this pair does better a pixel.")
+    focal, baseline = (
+        0.5 * (pair.left.fc[0] + pair.right.fc[0]),
+        float(np.linalg.norm(pair.right_from_left.T)),
+    )
+    per_px = [
+        f"{z:.1f} m: {(1000 * z) ** 2 / (focal * baseline):.1f} mm" for z in (1.0, 1.2, 1.5, 1.75)
+    ]
+    yield Paragraph(
+        "One pixel of disparity is worth, in depth: "
+        + ", ".join(per_px)
+        + ". No method on this pair does better a pixel."
+    )
 
 
 def coverage_parts(shown: Mapping[str, Coverage]) -> Iterator[Part]:
     """Corners by part of the picture, tilts and distances."""
     for camera, coverage in shown.items():
         rows = tuple(tuple(str(int(count)) for count in row) for row in coverage.corners)
-        columns = tuple(Column(name, "right") for name in ("far left", "left", "right", "far right"))
-        tilts = ", ".join(f"{count} {side.split(' edge')[0].removeprefix('its ')}" for side, count in _sides(coverage))
-        span = "unknown" if coverage.distances_mm is None else "{:.0f} to {:.0f} mm".format(*coverage.distances_mm)
-        note = f"{coverage.views} views; distances {span}; tilted towards the cameras by an edge: {tilts}."
+        columns = tuple(
+            Column(name, "right") for name in ("far left", "left", "right", "far right")
+        )
+        tilts = ", ".join(
+            f"{count} {side.split(' edge')[0].removeprefix('its ')}"
+            for side, count in _sides(coverage)
+        )
+        span = (
+            "unknown"
+            if coverage.distances_mm is None
+            else "{:.0f} to {:.0f} mm".format(*coverage.distances_mm)
+        )
+        note = (
+            f"{coverage.views} views; distances {span}; tilted towards the cameras by an edge:"
+            f" {tilts}."
+        )
         yield Table(f"Corners by part of the {camera} picture", columns, rows, note=note)
 
 
@@ -242,7 +409,15 @@ def picture_parts(views: BoardViews, fit: Calibrated) -> Iterator[Part]:
         errors = fit.view_rms_px(camera)
         for name, found in views.found[camera].items():
             edges = "" if found.edges_px is None else "{:.1f}, {:.1f}".format(*found.edges_px)
-            rows.append((camera, name, str(len(found.ids)), edges, f"{errors[name]:.3f}" if name in errors else NOT_MEASURED))
+            rows.append(
+                (
+                    camera,
+                    name,
+                    str(len(found.ids)),
+                    edges,
+                    f"{errors[name]:.3f}" if name in errors else NOT_MEASURED,
+                )
+            )
     columns = (
         Column("camera"),
         Column("view"),
@@ -252,40 +427,72 @@ def picture_parts(views: BoardViews, fit: Calibrated) -> Iterator[Part]:
     )
     yield Table("Views used", columns, tuple(rows), searchable=True)
     left_out = tuple(f"{r.camera} {r.view}: {r.reason}" for r in views.refused)
-    yield Notes("Left out", left_out) if left_out else Paragraph("No picture was left out.", tone="good")
+    yield (
+        Notes("Left out", left_out)
+        if left_out
+        else Paragraph("No picture was left out.", tone="good")
+    )
 
 
 def working_volume_mm(touched_mm: Array) -> Array:
-    """Points (27, 3) over the box of the touched places, `MARGIN_MM` larger on every side: where teats may stand."""
+    """Points (27, 3) over the box of the touched places, `MARGIN_MM` larger on every side: where
+    teats may stand.
+    """
     low, high = touched_mm.min(axis=0) - MARGIN_MM, touched_mm.max(axis=0) + MARGIN_MM
     grid = np.meshgrid(*np.linspace(low, high, 3).T, indexing="ij")
     return np.column_stack([axis.reshape(-1) for axis in grid])
 
 
 def target_table(volume_mm: Array, errors_mm: Array) -> Table:
-    """Expected target errors (27,) at the points of `working_volume_mm`: a row for each y and z, a column for each x."""
+    """Expected target errors (27,) at the points of `working_volume_mm`: a row for each y and z, a
+    column for each x.
+    """
     x = [volume_mm[9 * at, 0] for at in range(3)]
-    columns = (Column("y", "right", "mm"), Column("z", "right", "mm"), *(Column(f"x = {value:.0f} mm", "right", "mm") for value in x))
+    columns = (
+        Column("y", "right", "mm"),
+        Column("z", "right", "mm"),
+        *(Column(f"x = {value:.0f} mm", "right", "mm") for value in x),
+    )
     rows = tuple(
-        (f"{volume_mm[at, 1]:.0f}", f"{volume_mm[at, 2]:.0f}", *(f"{errors_mm[9 * across + at]:.2f}" for across in range(3)))
+        (
+            f"{volume_mm[at, 1]:.0f}",
+            f"{volume_mm[at, 2]:.0f}",
+            *(f"{errors_mm[9 * across + at]:.2f}" for across in range(3)),
+        )
         for at in range(9)
     )
-    note = f"The box of the touched places, {MARGIN_MM:.0f} mm larger on every side. Fitzpatrick, West and Maurer 1998, eq. 46."
+    note = (
+        f"The box of the touched places, {MARGIN_MM:.0f} mm larger on every side. Fitzpatrick, West"
+        " and Maurer 1998, eq. 46."
+    )
     return Table("Expected target error, rms", columns, rows, note=note)
 
 
 def homography_parts(result: ThermalResult) -> Iterator[Part]:
     """The homographies and the plane they hold on."""
     maps = result.homographies
-    text = f"Derived at a plane {maps.plane_depth_mm or 0.0:.0f} mm before the right camera, parallel to its picture; wrong elsewhere."
+    text = (
+        f"Derived at a plane {maps.plane_depth_mm or 0.0:.0f} mm before the right camera, parallel"
+        " to its picture; wrong elsewhere."
+    )
     yield Paragraph(text)
     for side, H in (("left", maps.left), ("right", maps.right)):
-        yield Code(f"thermal to {side}", "\n".join("  ".join(f"{v: .6g}" for v in row) for row in H))
+        yield Code(
+            f"thermal to {side}", "\n".join("  ".join(f"{v: .6g}" for v in row) for row in H)
+        )
 
 
 def provenance_parts(record: Record, command: str) -> Iterator[Part]:
     """Who, when, with what, from which files, and the command."""
-    yield KeyValues("Made", (("day", record.made), ("by", record.by or "not told"), ("with", record.with_what), *record.cameras.items()))
+    yield KeyValues(
+        "Made",
+        (
+            ("day", record.made),
+            ("by", record.by or "not told"),
+            ("with", record.with_what),
+            *record.cameras.items(),
+        ),
+    )
     rows = tuple((name, Cell(digest, mono=True)) for name, digest in record.inputs.items())
     yield Table("Inputs", (Column("file"), Column("SHA-256")), rows)
     yield Code("The command that repeats it", command)

@@ -1,8 +1,10 @@
 """A comparison in words and plain numbers: one place, so that terminal, page and JSON say the same.
 
-A comparison as a page of its own: the gate's verdict, the differences by situation, and each scene that changed.
+A comparison as a page of its own: the gate's verdict, the differences by situation, and each scene
+that changed.
 
-The report's chapters that compare: a run against an older one of the same scenes, and the detectors of one run against its first.
+The report's chapters that compare: a run against an older one of the same scenes, and the detectors
+of one run against its first.
 """
 
 from __future__ import annotations
@@ -40,7 +42,15 @@ SUCCESS = (
     ("false", ""),
     ("missed", ""),
 )
-DISTANCE = (("situation", ""), ("teats", ""), ("change", "mm"), ("p", ""), ("|x|", "mm"), ("|y|", "mm"), ("|z|", "mm"))
+DISTANCE = (
+    ("situation", ""),
+    ("teats", ""),
+    ("change", "mm"),
+    ("p", ""),
+    ("|x|", "mm"),
+    ("|y|", "mm"),
+    ("|z|", "mm"),
+)
 LEGEND = (
     "All differences are new less old, with their intervals. Lost and won: poses that only the old "
     "or only the new one got right (exact McNemar; the interval is Tango's). Distance: mean over "
@@ -49,9 +59,19 @@ LEGEND = (
     "|x|, |y|, |z|: of the absolute error along the world's axes. The p-values of situations are "
     "adjusted after Holm."
 )
-DIFFER = {"kind": "kind", "rig": "rig", "script": "script", "seed": "seed", "calibration": "calibration_sha256"}
+DIFFER = {
+    "kind": "kind",
+    "rig": "rig",
+    "script": "script",
+    "seed": "seed",
+    "calibration": "calibration_sha256",
+}
 NOT_KNOWN = "not known"
-WORDS: dict[Verdict, PageVerdict] = {Verdict.MET: "not worse", Verdict.NOT_MET: "worse", Verdict.INCONCLUSIVE: "inconclusive"}
+WORDS: dict[Verdict, PageVerdict] = {
+    Verdict.MET: "not worse",
+    Verdict.NOT_MET: "worse",
+    Verdict.INCONCLUSIVE: "inconclusive",
+}
 TOLD = {
     Verdict.MET: "The new one is not worse:",
     Verdict.NOT_MET: "THE NEW ONE IS WORSE:",
@@ -75,14 +95,26 @@ def notes(comparison: Comparison) -> Iterator[str]:
     if comparison.same_frames == n:
         yield f"{n} scenes, each in the very same frames."
     else:
-        yield f"{n} scenes; {n - comparison.same_frames} of them in different frames of the same pose, so their noise differs as well."
+        yield (
+            f"{n} scenes; {n - comparison.same_frames} of them in different frames of the same"
+            " pose, so their noise differs as well."
+        )
     if comparison.only_old or comparison.only_new:
-        yield f"Without a counterpart, and not compared: {comparison.only_old} trials of the old run, {comparison.only_new} of the new."
+        yield (
+            f"Without a counterpart, and not compared: {comparison.only_old} trials of the old run,"
+            f" {comparison.only_new} of the new."
+        )
     if comparison.elsewhere:
-        yield f"{comparison.elsewhere} trials of the old run have a namesake in the new one with its teats elsewhere: not compared."
+        yield (
+            f"{comparison.elsewhere} trials of the old run have a namesake in the new one with its"
+            " teats elsewhere: not compared."
+        )
     yield from _unlike(comparison)
     yield from _truth(comparison)
-    yield f"Intervals: {100 * comparison.compared.confidence:g} %. Margin: {comparison.compared.gate.margin_mm:g} mm."
+    yield (
+        f"Intervals: {100 * comparison.compared.confidence:g} %. Margin:"
+        f" {comparison.compared.gate.margin_mm:g} mm."
+    )
 
 
 def _unlike(comparison: Comparison) -> Iterator[str]:
@@ -95,7 +127,9 @@ def _unlike(comparison: Comparison) -> Iterator[str]:
 
 
 def _truth(comparison: Comparison) -> Iterator[str]:
-    """How well the truth of the two runs agrees, where their ends were touched: each run is a set-up."""
+    """How well the truth of the two runs agrees, where their ends were touched: each run is a
+    set-up.
+    """
     old, new = comparison.old.run, comparison.new.run
     found = truth_gage((old, new)) if old.folder.resolve() != new.folder.resolve() else None
     if found is None or found.studies is None:
@@ -111,8 +145,9 @@ def _truth(comparison: Comparison) -> Iterator[str]:
         )
     )
     yield (
-        f"The truth itself (gage R&R along x, y, z; {first.parts} ends touched {first.repeats} times in each run): repeatability "
-        f"{within} mm, reproducibility {between} mm, setting the phantom up again included; {share} % of the tolerance of {width_mm:g} mm."
+        f"The truth itself (gage R&R along x, y, z; {first.parts} ends touched {first.repeats}"
+        f" times in each run): repeatability {within} mm, reproducibility {between} mm, setting the"
+        f" phantom up again included; {share} % of the tolerance of {width_mm:g} mm."
     )
 
 
@@ -127,14 +162,27 @@ def success_rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
         won, p = row.success, row.success.p_value if row.success_holm is None else row.success_holm
         counts = (f"{row.new.false - row.old.false:+d}", f"{row.new.missed - row.old.missed:+d}")
         name = row.situation or "all"
-        yield (name, str(row.poses), str(won.only_old), str(won.only_new), _percent_points(row, confidence), _p(p), *counts)
+        yield (
+            name,
+            str(row.poses),
+            str(won.only_old),
+            str(won.only_new),
+            _percent_points(row, confidence),
+            _p(p),
+            *counts,
+        )
 
 
 def distance_rows(comparison: Comparison, *, wide: bool = False) -> Iterator[tuple[str, ...]]:
-    """The rows under DISTANCE: all, then each situation. ``wide`` gives the axes their intervals too."""
+    """The rows under DISTANCE: all, then each situation. ``wide`` gives the axes their intervals
+    too.
+    """
     for row in _rows(comparison):
         p = row.radial.p_value if row.radial_holm is None else row.radial_holm
-        axes = (difference_told(axis if wide else replace(axis, low=None, high=None)) for axis in row.axes)
+        axes = (
+            difference_told(axis if wide else replace(axis, low=None, high=None))
+            for axis in row.axes
+        )
         yield (row.situation or "all", str(row.teats), difference_told(row.radial), _p(p), *axes)
 
 
@@ -168,13 +216,21 @@ def _one(comparison: Comparison) -> dict[str, Any]:
         "only_new": comparison.only_new,
         "elsewhere": comparison.elsewhere,
         "confidence": found.confidence,
-        "gate": {"verdict": WORDS[found.gate.verdict], "reasons": list(found.gate.reasons), "margin_mm": found.gate.margin_mm},
+        "gate": {
+            "verdict": WORDS[found.gate.verdict],
+            "reasons": list(found.gate.reasons),
+            "margin_mm": found.gate.margin_mm,
+        },
         "rows": [_numbers(row, found.confidence) for row in (found.pooled, *found.situations)],
     }
 
 
 def _numbers(row: Row, confidence: float) -> dict[str, Any]:
-    success = {"difference": row.success.difference, "interval": row.success.interval(confidence), "p_value": row.success.p_value}
+    success = {
+        "difference": row.success.difference,
+        "interval": row.success.interval(confidence),
+        "p_value": row.success.p_value,
+    }
     return {**asdict(row), "success": {**asdict(row.success), **success}}
 
 
@@ -193,17 +249,29 @@ def _p(value: float | None) -> str:
 
 NEXT = {
     Verdict.MET: "The new one may replace the old one as far as these scenes go.",
-    Verdict.NOT_MET: "Look at the scenes below that changed, in the report of the new run, before the new one is used.",
+    Verdict.NOT_MET: (
+        "Look at the scenes below that changed, in the report of the new run, before the new one is"
+        " used."
+    ),
     Verdict.INCONCLUSIVE: "Compare on more poses, as many as the reasons name.",
 }
-TONES: dict[Verdict, Tone] = {Verdict.MET: "good", Verdict.NOT_MET: "bad", Verdict.INCONCLUSIVE: "warn"}
+TONES: dict[Verdict, Tone] = {
+    Verdict.MET: "good",
+    Verdict.NOT_MET: "bad",
+    Verdict.INCONCLUSIVE: "warn",
+}
 
 
 def write_comparison(found: Sequence[Comparison], folder: Path) -> Path:
-    """Write ``index.html`` and ``comparison.json`` into ``folder``; gives back the page's path. Raises ConfigError where it can't."""
+    """Write ``index.html`` and ``comparison.json`` into ``folder``; gives back the page's path.
+    Raises ConfigError where it can't.
+    """
     try:
         path = write_report(comparison_page(found), folder)
-        write_synced(folder / "comparison.json", (json.dumps(as_json(found), indent=1, ensure_ascii=False) + "\n").encode())
+        write_synced(
+            folder / "comparison.json",
+            (json.dumps(as_json(found), indent=1, ensure_ascii=False) + "\n").encode(),
+        )
     except OSError as error:
         raise ConfigError.plain(f"{folder}: the comparison can't be written: {error}") from error
     return path
@@ -223,38 +291,83 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
         next_action=NEXT[verdict],
     )
     sections = tuple(
-        Section(f"comparison-{number}", heading(one) if len(found) > 1 else "Differences", tuple(comparison_parts(one)))
+        Section(
+            f"comparison-{number}",
+            heading(one) if len(found) > 1 else "Differences",
+            tuple(comparison_parts(one)),
+        )
         for number, one in enumerate(found, 1)
     )
-    alarm = f"{NOT_AS_WRITTEN}: no figure below holds." if any(one.old.run.damage or one.new.run.damage for one in found) else ""
-    return Page("Comparison of detectors", "Paired differences on the same scenes", banner, sections, alarm=alarm)
+    alarm = (
+        f"{NOT_AS_WRITTEN}: no figure below holds."
+        if any(one.old.run.damage or one.new.run.damage for one in found)
+        else ""
+    )
+    return Page(
+        "Comparison of detectors",
+        "Paired differences on the same scenes",
+        banner,
+        sections,
+        alarm=alarm,
+    )
 
 
 def comparison_parts(comparison: Comparison) -> Iterator[Part]:
     """What a page says of one comparison; a run's report can take the same."""
     gate = comparison.compared.gate
     yield Paragraph(f"{verdict_told(comparison)} {_listed(gate.reasons)}", tone=TONES[gate.verdict])
-    yield Table("Success of poses, and what was counted", _columns(SUCCESS), tuple(success_rows(comparison)), LEGEND)
-    yield Table("Distance to the teat end", _columns(DISTANCE), tuple(distance_rows(comparison, wide=True)))
+    yield Table(
+        "Success of poses, and what was counted",
+        _columns(SUCCESS),
+        tuple(success_rows(comparison)),
+        LEGEND,
+    )
+    yield Table(
+        "Distance to the teat end", _columns(DISTANCE), tuple(distance_rows(comparison, wide=True))
+    )
     yield Notes("Of this comparison", tuple(notes(comparison)))
     yield _changed(comparison)
-    yield key_values("Compared", [("old run", comparison.old.run.folder.name), ("new run", comparison.new.run.folder.name)])
+    yield key_values(
+        "Compared",
+        [("old run", comparison.old.run.folder.name), ("new run", comparison.new.run.folder.name)],
+    )
 
 
 def _columns(titles: Sequence[tuple[str, str]]) -> tuple[Column, ...]:
-    return tuple(Column(title, "right" if number else "left", unit) for number, (title, unit) in enumerate(titles))
+    return tuple(
+        Column(title, "right" if number else "left", unit)
+        for number, (title, unit) in enumerate(titles)
+    )
 
 
 def _changed(comparison: Comparison) -> Table:
     """Scenes whose outcome changed, and those whose error changed most."""
-    columns = (Column("scene"), Column("situation"), Column("old"), Column("new"), Column("change of the largest error", "right", "mm"))
-    by_change = sorted(comparison.pairs, key=lambda pair: (pair.old.success == pair.new.success, -abs(_growth(pair) or 0.0)))
-    shown = [pair for pair in by_change if pair.old.success != pair.new.success or _growth(pair)][:50]
+    columns = (
+        Column("scene"),
+        Column("situation"),
+        Column("old"),
+        Column("new"),
+        Column("change of the largest error", "right", "mm"),
+    )
+    by_change = sorted(
+        comparison.pairs,
+        key=lambda pair: (pair.old.success == pair.new.success, -abs(_growth(pair) or 0.0)),
+    )
+    shown = [pair for pair in by_change if pair.old.success != pair.new.success or _growth(pair)][
+        :50
+    ]
     cells = tuple(
-        (pair.scene, pair.situation, _outcome(pair.old), _outcome(pair.new), _growth_told(pair)) for pair in shown
-    )  # fmt: skip
+        (pair.scene, pair.situation, _outcome(pair.old), _outcome(pair.new), _growth_told(pair))
+        for pair in shown
+    )
     note = "" if cells else "No scene's outcome changed, and no error."
-    return Table("Scenes that changed (at most 50, changed outcomes first)", columns, cells, note, searchable=len(cells) > 10)
+    return Table(
+        "Scenes that changed (at most 50, changed outcomes first)",
+        columns,
+        cells,
+        note,
+        searchable=len(cells) > 10,
+    )
 
 
 def _growth(pair: ScenePair) -> float | None:
@@ -285,16 +398,28 @@ def _listed(reasons: Sequence[str], most: int = 5) -> str:
 
 
 def baseline_section(baseline: Path, folder: Path, damage: tuple[str, ...] = ()) -> Section:
-    """The run in ``folder`` (new) against that in ``baseline`` (old). Raises ConfigError where they have nothing in common."""
+    """The run in ``folder`` (new) against that in ``baseline`` (old). Raises ConfigError where they
+    have nothing in common.
+    """
     found = compare_folders([baseline, folder], damage=damage)
-    parts = tuple(part for number, one in enumerate(found, 1) for part in (*_figure(one, number), *comparison_parts(one)))
+    parts = tuple(
+        part
+        for number, one in enumerate(found, 1)
+        for part in (*_figure(one, number), *comparison_parts(one))
+    )
     return Section("baseline", "Against the baseline", parts)
 
 
 def detectors_section(run: RunRecord) -> tuple[Section, ...]:
-    """Each later detector against the first, on the same frames; none where there are no two that were scored."""
+    """Each later detector against the first, on the same frames; none where there are no two that
+    were scored.
+    """
     first, *others = (Side(run, name) for name in run.detectors)
-    compared = [compare_sides(first, other) for other in others if {t.id for t in first.trials} & {t.id for t in other.trials}]
+    compared = [
+        compare_sides(first, other)
+        for other in others
+        if {t.id for t in first.trials} & {t.id for t in other.trials}
+    ]
     if not compared:
         return ()
     parts = tuple(part for one in compared for part in _of_one_run(one))
@@ -304,7 +429,9 @@ def detectors_section(run: RunRecord) -> tuple[Section, ...]:
 def _of_one_run(found: Comparison) -> Iterator[Part]:
     """Without a filter, since that of the trials is the page's, and without the runs' names."""
     old, new = found.old.detector, found.new.detector
-    yield Paragraph(f"{new} against {old}, in the same frames: {old} is the old one, {new} the new.")
+    yield Paragraph(
+        f"{new} against {old}, in the same frames: {old} is the old one, {new} the new."
+    )
     for part in comparison_parts(found):
         if isinstance(part, Table):
             yield replace(part, caption=f"{part.caption}: {new} against {old}", searchable=False)
@@ -313,11 +440,22 @@ def _of_one_run(found: Comparison) -> Iterator[Part]:
 
 
 def _figure(found: Comparison, number: int) -> Iterator[Part]:
-    both = [(max(p.old.radial_mm), max(p.new.radial_mm), p.new.limit_mm) for p in found.pairs if p.old.radial_mm and p.new.radial_mm]
+    both = [
+        (max(p.old.radial_mm), max(p.new.radial_mm), p.new.limit_mm)
+        for p in found.pairs
+        if p.old.radial_mm and p.new.radial_mm
+    ]
     if not both:
         return
     old, new, limits = zip(*both, strict=True)
     svg = change_scatter(old, new, max(limits), name=f"change-{number}")
     worse = sum(b > a for a, b in zip(old, new, strict=True))
-    alt = f"{len(both)} scenes that both found teats in: the largest error grew in {worse}, shrank in {sum(b < a for a, b, _ in both)}"
-    yield Figure(svg, f"Largest error of each scene, now against the baseline, {found.new.detector}. {alt}.", alt)
+    alt = (
+        f"{len(both)} scenes that both found teats in: the largest error grew in {worse}, shrank in"
+        f" {sum(b < a for a, b, _ in both)}"
+    )
+    yield Figure(
+        svg,
+        f"Largest error of each scene, now against the baseline, {found.new.detector}. {alt}.",
+        alt,
+    )

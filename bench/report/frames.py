@@ -1,6 +1,8 @@
-"""The pictures of a trial for the report: JPEG of the frames, cut to the teats at first sight, with what is drawn over them.
+"""The pictures of a trial for the report: JPEG of the frames, cut to the teats at first sight, with
+what is drawn over them.
 
-The originals stay where they are and are linked. Pictures can be made again at any time, so nothing is synced to the disk here.
+The originals stay where they are and are linked. Pictures can be made again at any time, so nothing
+is synced to the disk here.
 """
 
 from __future__ import annotations
@@ -23,9 +25,14 @@ CAMERAS = ("left", "right", "thermal")
 IMAGES = "images"
 
 
-def pictures(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path) -> Iterator[ImageView]:
+def pictures(
+    run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path
+) -> Iterator[ImageView]:
     """Every view of a trial; its files are written into ``folder``/images, which must be there."""
-    truth = project_all(calibration, np.array([[r["x_mm"], r["y_mm"], r["z_mm"]] for r in trial.truth]).reshape(-1, 3))
+    truth = project_all(
+        calibration,
+        np.array([[r["x_mm"], r["y_mm"], r["z_mm"]] for r in trial.truth]).reshape(-1, 3),
+    )
     paths = {row["camera"]: row["path"] for row in trial.frames}
     for camera in CAMERAS:
         image = grey(run.folder / paths[camera]) if camera in paths else None
@@ -67,12 +74,26 @@ def _edges(run: RunRecord, trial: TrialRecord, detector: str, folder: Path) -> I
     detection = next(d for d in trial.detections if d["detector"] == detector)
     height, width = image.shape
     label = f"{detector}: edges in the thermal frame"
-    yield ImageView(label, name, width, height, f"{label}, trial {trial.id}", stage_overlays(detection), original=f"../{path}")
+    yield ImageView(
+        label,
+        name,
+        width,
+        height,
+        f"{label}, trial {trial.id}",
+        stage_overlays(detection),
+        original=f"../{path}",
+    )
 
 
 def round_teats(points: Points | None, width: int, height: int) -> tuple[int, int, int, int] | None:
-    """A 4:3 part of the frame with the teat ends and what hangs on them; the whole frame where none is in it."""
-    if points is None or not np.isfinite(points).all() or not ((points >= 0) & (points < (width, height))).all(axis=1).any():
+    """A 4:3 part of the frame with the teat ends and what hangs on them; the whole frame where none
+    is in it.
+    """
+    if (
+        points is None
+        or not np.isfinite(points).all()
+        or not ((points >= 0) & (points < (width, height))).all(axis=1).any()
+    ):
         return None
     low, high = points.min(axis=0) - MARGIN_PX, points.max(axis=0) + MARGIN_PX
     view_width = int(min(width, max(high[0] - low[0], (high[1] - low[1]) * 4 / 3)))
@@ -86,7 +107,9 @@ def round_teats(points: Points | None, width: int, height: int) -> tuple[int, in
 
 
 def grey(path: Path) -> NDArray[np.uint8] | None:
-    """A frame as 8-bit grey; None where it is gone, or is none. Read through memory: OpenCV opens only ASCII paths on Windows."""
+    """A frame as 8-bit grey; None where it is gone, or is none. Read through memory: OpenCV opens
+    only ASCII paths on Windows.
+    """
     if not path.is_file():
         return None
     data = np.frombuffer(path.read_bytes(), np.uint8)

@@ -1,7 +1,9 @@
-"""What is drawn over the frames of a trial: truth, nominations, regions, models, final points with their regions of confidence.
+"""What is drawn over the frames of a trial: truth, nominations, regions, models, final points with
+their regions of confidence.
 
-Strategy: a stage of a detector's trace that has `left_px`, `right_px` or `thermal_px` (n, 2) is drawn by its name, so any detector can
-show its stages; what two detectors of the bench keep besides is read by the names of their stages. Coordinates are the image's pixels.
+Strategy: a stage of a detector's trace that has `left_px`, `right_px` or `thermal_px` (n, 2) is
+drawn by its name, so any detector can show its stages; what two detectors of the bench keep besides
+is read by the names of their stages. Coordinates are the image's pixels.
 """
 
 from __future__ import annotations
@@ -23,46 +25,77 @@ from reports.frames import Circle, Cross, Ellipse, Label, LayerTone, Overlay, Po
 Points = NDArray[np.float64]
 Project = Callable[[Points], Points]
 
-CHI2_95_OF_2 = 5.991  # 95 % of a plane's normal distribution lies within this Mahalanobis distance squared
+# 95 % of a plane's normal distribution lies within this Mahalanobis distance squared
+CHI2_95_OF_2 = 5.991
 OUTLINE = Outline.of(60.0, 4, 9)  # of a model, as far as it is drawn
 STEP_MM = 0.05  # for the slope of a projection
 NAMES: dict[LayerTone, str] = {
-    "truth": "truth", "nomination": "thermal nomination", "region": "search region", "point": "final point",
-    "model": "fitted model", "spread": "95 % region stated", "other": "other stages",
-}  # fmt: skip
+    "truth": "truth",
+    "nomination": "thermal nomination",
+    "region": "search region",
+    "point": "final point",
+    "model": "fitted model",
+    "spread": "95 % region stated",
+    "other": "other stages",
+}
 FINAL = {"ends"}  # stages that repeat the answer
 
 
 def project_all(calibration: Calibration, world_mm: Points) -> dict[str, Points | None]:
-    """Pixels (n, 2) of world points (n, 3) in each camera; None for a thermal camera without a pose. Thermal ones are un-mirrored."""
+    """Pixels (n, 2) of world points (n, 3) in each camera; None for a thermal camera without a
+    pose. Thermal ones are un-mirrored.
+    """
     left, right = calibration.project(world_mm)
     in_right = calibration.world_from_right.inverse().apply(world_mm)
     lens, pose = calibration.thermal.lens, calibration.thermal_from_right
-    return {"left": left, "right": right, "thermal": lens.project(pose.apply(in_right)) if lens and pose else None}
+    return {
+        "left": left,
+        "right": right,
+        "thermal": lens.project(pose.apply(in_right)) if lens and pose else None,
+    }
 
 
-def overlays(trial: TrialRecord, camera: str, truth_px: Points | None, calibration: Calibration) -> tuple[Overlay, ...]:
-    """All layers over one camera's frame; ``truth_px`` (n, 2) is where the trial's truth lies in it."""
+def overlays(
+    trial: TrialRecord, camera: str, truth_px: Points | None, calibration: Calibration
+) -> tuple[Overlay, ...]:
+    """All layers over one camera's frame; ``truth_px`` (n, 2) is where the trial's truth lies in
+    it.
+    """
     shapes: dict[LayerTone, list[Shape]] = {tone: [] for tone in NAMES}
     shapes["truth"] += _truth(trial, truth_px)
     for detection in trial.detections:
         trace, name = json.loads(detection["trace"]), str(detection["detector"])
-        for tone, shape in (*_stages(trace, camera, name), *_models(trace, camera, calibration, name)):
+        for tone, shape in (
+            *_stages(trace, camera, name),
+            *_models(trace, camera, calibration, name),
+        ):
             shapes[tone].append(shape)
         for row in trial.found:
             if row["detector"] == name:
                 shapes["point"] += _final(row, camera)
                 shapes["spread"] += _spread(row, camera, calibration)
-    return tuple(Overlay(tone, NAMES[tone], tuple(found)) for tone, found in shapes.items() if found)
+    return tuple(
+        Overlay(tone, NAMES[tone], tuple(found)) for tone, found in shapes.items() if found
+    )
 
 
 def stage_overlays(detection: Row) -> tuple[Overlay, ...]:
-    """Over the thesis's picture of edges: the points that were taken from it, and those nominated."""
+    """Over the thesis's picture of edges: the points that were
+    taken from it, and those nominated.
+    """
     trace = json.loads(detection["trace"])
-    taken = [(stage, p) for stage in ("vertical ends", "horizontal middles") for p in points_of(trace, stage, "points_px")]
-    other = Overlay("other", NAMES["other"], tuple(Circle(p[0], p[1], 4, stage) for stage, p in taken))
+    taken = [
+        (stage, p)
+        for stage in ("vertical ends", "horizontal middles")
+        for p in points_of(trace, stage, "points_px")
+    ]
+    other = Overlay(
+        "other", NAMES["other"], tuple(Circle(p[0], p[1], 4, stage) for stage, p in taken)
+    )
     ends = points_of(trace, "teat ends", "points_px")
-    nominated = Overlay("nomination", NAMES["nomination"], tuple(Cross(x, y, 6, title="nominated") for x, y in ends))
+    nominated = Overlay(
+        "nomination", NAMES["nomination"], tuple(Cross(x, y, 6, title="nominated") for x, y in ends)
+    )
     return tuple(layer for layer in (other, nominated) if layer.shapes)
 
 
@@ -73,7 +106,9 @@ def points_of(trace: Mapping[str, Any], stage: str, key: str) -> Points:
 
 
 def _rows(value: Any, width: int) -> Points:
-    """A stage's numbers as rows (n, width); none where they aren't such, for any detector names its stages as it likes."""
+    """A stage's numbers as rows (n, width); none where they aren't such, for any detector names its
+    stages as it likes.
+    """
     try:
         array = np.array(value if isinstance(value, list) else [], dtype=np.float64)
     except (TypeError, ValueError):  # text, or rows of different lengths
@@ -90,8 +125,12 @@ def _truth(trial: TrialRecord, at: Points | None) -> Iterator[Shape]:
             yield Label(x + 9, y - 5, str(row["teat"]))
 
 
-def _stages(trace: Mapping[str, Any], camera: str, detector: str) -> Iterator[tuple[LayerTone, Shape]]:
-    """Points that stages put into this camera's picture; the thesis's thermal ones and regions by their own names."""
+def _stages(
+    trace: Mapping[str, Any], camera: str, detector: str
+) -> Iterator[tuple[LayerTone, Shape]]:
+    """Points that stages put into this camera's picture; the thesis's thermal ones and regions by
+    their own names.
+    """
     for stage in trace:
         tone: LayerTone = "nomination" if stage == "nominations" else "other"
         if stage not in FINAL:
@@ -105,11 +144,24 @@ def _stages(trace: Mapping[str, Any], camera: str, detector: str) -> Iterator[tu
     if isinstance(region, dict) and len(region["shape"]) >= 2:
         rows, columns = region["shape"][-2:]
         for x, y in points_of(trace, "nominations", f"{camera}_px"):
-            yield "region", Rect(np.round(x) - columns / 2, np.round(y) - rows / 2, columns, rows, f"{detector}: search region")
+            yield (
+                "region",
+                Rect(
+                    np.round(x) - columns / 2,
+                    np.round(y) - rows / 2,
+                    columns,
+                    rows,
+                    f"{detector}: search region",
+                ),
+            )
 
 
-def _models(trace: Mapping[str, Any], camera: str, calibration: Calibration, detector: str) -> Iterator[tuple[LayerTone, Shape]]:
-    """The outlines of fused's fitted teats, in the right camera's frame, with the reason of those that it rejected; its thermal ends."""
+def _models(
+    trace: Mapping[str, Any], camera: str, calibration: Calibration, detector: str
+) -> Iterator[tuple[LayerTone, Shape]]:
+    """The outlines of fused's fitted teats, in the right camera's frame, with the reason of those
+    that it rejected; its thermal ends.
+    """
     if camera == "thermal":
         yield from _warm_ends(trace, calibration, detector)
     decided = trace.get("decisions", {})
@@ -120,7 +172,9 @@ def _models(trace: Mapping[str, Any], camera: str, calibration: Calibration, det
     lens, motion = _seen_by(camera, calibration)
     if lens is None or motion is None:
         return
-    for line, reason in zip(pixels_of(contours(teats, motion, OUTLINE).points, lens), reasons, strict=False):
+    for line, reason in zip(
+        pixels_of(contours(teats, motion, OUTLINE).points, lens), reasons, strict=False
+    ):
         if np.isfinite(line).all():
             told = f"{detector}: rejected, {reason}" if reason else f"{detector}: fitted teat"
             tone: LayerTone = "other" if reason else "model"
@@ -136,12 +190,22 @@ def _seen_by(camera: str, calibration: Calibration) -> tuple[Any, Motion | None]
     }[camera]
 
 
-def _warm_ends(trace: Mapping[str, Any], calibration: Calibration, detector: str) -> Iterator[tuple[LayerTone, Shape]]:
+def _warm_ends(
+    trace: Mapping[str, Any], calibration: Calibration, detector: str
+) -> Iterator[tuple[LayerTone, Shape]]:
     """fused nominates in the sensor's pixels, of which the picture may have several each."""
     size = calibration.thermal.image_size[0] / calibration.thermal.sensor_size[0]
     for what in ("end", "bar"):
         for x, y in points_of(trace, "thermal", f"{what}_px"):
-            yield "nomination", Cross((x + 0.5) * size - 0.5, (y + 0.5) * size - 0.5, 6, title=f"{detector}: warm {what}")
+            yield (
+                "nomination",
+                Cross(
+                    (x + 0.5) * size - 0.5,
+                    (y + 0.5) * size - 0.5,
+                    6,
+                    title=f"{detector}: warm {what}",
+                ),
+            )
 
 
 def _final(row: Row, camera: str) -> Iterator[Shape]:
@@ -153,18 +217,27 @@ def _final(row: Row, camera: str) -> Iterator[Shape]:
 
 
 def _spread(row: Row, camera: str, calibration: Calibration) -> Iterator[Shape]:
-    """The stated covariance, seen by the camera: an ellipse that holds the end in 95 % of cases, if it is as stated."""
+    """The stated covariance, seen by the camera: an ellipse that holds the end in 95 % of cases, if
+    it is as stated.
+    """
     if row["covariance_mm2"] is None:
         return
     end = np.array([row["x_mm"], row["y_mm"], row["z_mm"]])
     around = np.vstack([end, end + STEP_MM * np.eye(3), end - STEP_MM * np.eye(3)])
     seen = project_all(calibration, around)[camera]
     covariance = np.array(json.loads(row["covariance_mm2"]), dtype=np.float64)
-    if seen is None or not np.isfinite(seen).all() or covariance.shape != (3, 3) or not np.isfinite(covariance).all():
+    if (
+        seen is None
+        or not np.isfinite(seen).all()
+        or covariance.shape != (3, 3)
+        or not np.isfinite(covariance).all()
+    ):
         return
     slope = (seen[1:4] - seen[4:7]).T / (2 * STEP_MM)  # px / mm, (2, 3)
     sizes, directions = np.linalg.eigh(slope @ covariance @ slope.T)
     minor, major = np.sqrt(CHI2_95_OF_2 * np.clip(sizes, 0.0, None))
     turn_deg = np.degrees(np.arctan2(directions[1, 1], directions[0, 1]))
     told = f"{row['detector']}: stated 95 % region, {major:.1f} by {minor:.1f} px"
-    yield Ellipse(float(seen[0, 0]), float(seen[0, 1]), float(major), float(minor), float(turn_deg), told)
+    yield Ellipse(
+        float(seen[0, 0]), float(seen[0, 1]), float(major), float(minor), float(turn_deg), told
+    )

@@ -1,4 +1,6 @@
-"""The whole report of a run as a page: banner, requirements, results, accuracy, latency, bath, provenance, trials."""
+"""The whole report of a run as a page: banner, requirements, results, accuracy, latency, bath,
+provenance, trials.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,13 @@ from bench.scoring.guard_band import acceptance_limit_mm
 from bench.scoring.rates import zero_failure_n
 from bench.script.model import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement
 from detector.calibration import Calibration
-from reports.figures import error_histogram, error_scatter, found_bars, latency_strip, per_axis_errors
+from reports.figures import (
+    error_histogram,
+    error_scatter,
+    found_bars,
+    latency_strip,
+    per_axis_errors,
+)
 from reports.mail import write_single_file
 from reports.page import Banner, Page, Section
 from reports.parts import Column, Figure, Paragraph, Part, Table
@@ -50,14 +58,19 @@ class Extras:
 PLAIN = Extras()
 
 
-def write_run_report(folder: Path, extras: Extras = PLAIN, damage: tuple[str, ...] = ()) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
-    """(Re)write the report and the exports of the run in ``folder``; gives back the page's path. Raises ConfigError for no run."""
+def write_run_report(
+    folder: Path, extras: Extras = PLAIN, damage: tuple[str, ...] = ()
+) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
+    """(Re)write the report and the exports of the run in ``folder``; gives back the page's path.
+    Raises ConfigError for no run.
+    """
     run = read_run(folder, damage)
     rules = stored_rules(folder)
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
     calibration = read_calibration(folder / "calibration.toml")
     page = build_page(run, rules, judgements, calibration, folder / REPORT, extras.chapters)
-    for told_before in (SINGLE_FILE, PDF):  # by another reading of the run: it may not stand beside this one
+    # by another reading of the run: it may not stand beside this one
+    for told_before in (SINGLE_FILE, PDF):
         (folder / REPORT / told_before).unlink(missing_ok=True)
     path = write_report(page, folder / REPORT)
     write_exports(run, judgements, folder / REPORT)
@@ -69,7 +82,11 @@ def write_run_report(folder: Path, extras: Extras = PLAIN, damage: tuple[str, ..
 def stored_rules(folder: Path) -> Rules:
     """The script as the run used it, or the rules that a recording was scored by."""
     script = folder / SCRIPT
-    return read_config(script, Script, stored=True) if script.is_file() else read_config(folder / RULES, Rules, stored=True)
+    return (
+        read_config(script, Script, stored=True)
+        if script.is_file()
+        else read_config(folder / RULES, Rules, stored=True)
+    )
 
 
 def build_page(
@@ -80,8 +97,11 @@ def build_page(
     folder: Path,
     chapters: tuple[Section, ...] = (),
 ) -> Page:
-    """The page; the trials' pictures are written into ``folder``/images on the way. ``chapters`` stand after the results."""
-    from bench.report.comparison import detectors_section  # late: what compares is itself made of this package's tables
+    """The page; the trials' pictures are written into ``folder``/images on the way. ``chapters``
+    stand after the results.
+    """
+    # late: what compares is itself made of this package's tables
+    from bench.report.comparison import detectors_section
 
     verdict, why, then = headline(run, judgements)
     facts = run.facts
@@ -89,15 +109,19 @@ def build_page(
     banner = Banner(
         kind=facts["kind"],
         verdict=verdict,
-        tested=f"{facts['title']}: teat detector {', '.join(run.detectors)} "
-        f"on {len(run.counted)} frame sets of {poses} poses{_left_out(run)}.",
+        tested=(
+            f"{facts['title']}: teat detector {', '.join(run.detectors)} "
+            f"on {len(run.counted)} frame sets of {poses} poses{_left_out(run)}."
+        ),
         sentence=why,
         confidence=_confidence(run, rules, poses),
         next_action=then,
     )
     sections = (
         Section("requirements", "Requirements", tuple(_requirement_parts(judgements, rules))),
-        Section("results", "Results by situation", (*_result_parts(run, rules), *attribution_parts(run))),
+        Section(
+            "results", "Results by situation", (*_result_parts(run, rules), *attribution_parts(run))
+        ),
         *thesis_chapter(run, rules, calibration),
         *chapters,
         *detectors_section(run),
@@ -105,11 +129,18 @@ def build_page(
         Section("poses", "Poses", tuple(pose_parts(run, rules.visible_within_mm, anchors_of(run)))),
         Section("latency", "Time", tuple(_latency_parts(run, rules))),
         Section("environment", "Bath and environment", tuple(bath_parts(run, rules))),
-        Section("deviations", "Deviations and exclusions", (*deviation_parts(run), *fault_parts(run))),
+        Section(
+            "deviations", "Deviations and exclusions", (*deviation_parts(run), *fault_parts(run))
+        ),
         Section(
             "reference",
             "Measurand and reference",
-            (*truth_parts(run), *gage_parts(run, rules.visible_within_mm), *arm_parts(run), *record_parts(run)),
+            (
+                *truth_parts(run),
+                *gage_parts(run, rules.visible_within_mm),
+                *arm_parts(run),
+                *record_parts(run),
+            ),
         ),
         Section("provenance", "Provenance", tuple(provenance_parts(run))),
         Section("trial-list", "Trials", _list_parts(run)),
@@ -121,7 +152,11 @@ def build_page(
         sections=sections,
         trials=trial_parts(run, calibration, folder),
         worst=worst_trials(run),
-        alarm=f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}" if run.damage else "",
+        alarm=(
+            f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}"
+            if run.damage
+            else ""
+        ),
         footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),
     )
 
@@ -142,16 +177,30 @@ def _left_out(run: RunRecord) -> str:
 
 
 def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
-    claims = [(r.rate, r.confidence) for r in rules.requirements if isinstance(r, ErrorRequirement | SuccessRequirement)]
+    claims = [
+        (r.rate, r.confidence)
+        for r in rules.requirements
+        if isinstance(r, ErrorRequirement | SuccessRequirement)
+    ]
     if not claims:
         return f"{poses} poses."
     rate, confidence = claims[0]
     needed = zero_failure_n(rate, confidence)
     if not poses:
-        return f"No pose was tried; {needed} without a failure would show {100 * rate:g} % with {100 * confidence:g} % confidence."
+        return (
+            f"No pose was tried; {needed} without a failure would show {100 * rate:g} % with"
+            f" {100 * confidence:g} % confidence."
+        )
     best = (1.0 - confidence) ** (1.0 / poses)
-    shown = f"{poses} poses were tried: at best they show a success rate of {100 * best:.1f} %, with {100 * confidence:g} % confidence."
-    more = "" if poses >= needed else f" To show {100 * rate:g} % takes {needed} poses without a failure."
+    shown = (
+        f"{poses} poses were tried: at best they show a success rate of {100 * best:.1f} %, with"
+        f" {100 * confidence:g} % confidence."
+    )
+    more = (
+        ""
+        if poses >= needed
+        else f" To show {100 * rate:g} % takes {needed} poses without a failure."
+    )
     return f"{shown}{more}{_truth_told(run)}"
 
 
@@ -173,9 +222,19 @@ def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     for detector in run.detectors:
         counts = [scored(run, detector, name).counts for name in names]
         theirs = [published[name][0] if name in published else None for name in names]
-        svg = found_bars(names, [c.matched for c in counts], [c.visible for c in counts], theirs, name=f"found-{id_of(detector)}")
-        alt = "; ".join(f"{n}: {c.matched} of {c.visible}" for n, c in zip(names, counts, strict=True))
-        yield Figure(svg, f"Teats found by {detector}, beside the thesis's own count", alt or "not measured")
+        svg = found_bars(
+            names,
+            [c.matched for c in counts],
+            [c.visible for c in counts],
+            theirs,
+            name=f"found-{id_of(detector)}",
+        )
+        alt = "; ".join(
+            f"{n}: {c.matched} of {c.visible}" for n, c in zip(names, counts, strict=True)
+        )
+        yield Figure(
+            svg, f"Teats found by {detector}, beside the thesis's own count", alt or "not measured"
+        )
         yield tables.found_by_situation(run, detector, published)
         yield tables.rates(run, detector)
         if len(names) > 1:
@@ -192,22 +251,52 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
         camera = pool.errors_mm @ camera_from_world.T
         radial = np.linalg.norm(pool.errors_mm, axis=1)
         accept_mm = _accepted_mm(run, rules, detector)
-        links = [f"#{trial_id(t)}" for t in run.counted if detector in t.scores for _ in t.scores[detector].errors_mm]
+        links = [
+            f"#{trial_id(t)}"
+            for t in run.counted
+            if detector in t.scores
+            for _ in t.scores[detector].errors_mm
+        ]
         lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
-        scatter = error_scatter(lateral, camera[:, 2], limit_mm, accept_mm=accept_mm, links=links, name=f"scatter-{id_of(detector)}")
-        yield Figure(scatter, f"Depth error against lateral error, {detector}; each point opens its trial", f"{len(radial)} points")
-        histogram = error_histogram(radial, limit_mm, accept_mm=accept_mm, name=f"histogram-{id_of(detector)}")
+        scatter = error_scatter(
+            lateral,
+            camera[:, 2],
+            limit_mm,
+            accept_mm=accept_mm,
+            links=links,
+            name=f"scatter-{id_of(detector)}",
+        )
+        yield Figure(
+            scatter,
+            f"Depth error against lateral error, {detector}; each point opens its trial",
+            f"{len(radial)} points",
+        )
+        histogram = error_histogram(
+            radial, limit_mm, accept_mm=accept_mm, name=f"histogram-{id_of(detector)}"
+        )
         within = f"{int((radial <= limit_mm).sum())} of {len(radial)} within the limit"
         yield Figure(histogram, f"Distance to the teat end, {detector}", within)
-        strips = per_axis_errors(names, [scored(run, detector, n).errors_mm for n in names], limit_mm, name=f"axes-{id_of(detector)}")
-        yield Figure(strips, f"Errors along the world's axes by situation, {detector}", "strips of signed errors", wide=True)
+        strips = per_axis_errors(
+            names,
+            [scored(run, detector, n).errors_mm for n in names],
+            limit_mm,
+            name=f"axes-{id_of(detector)}",
+        )
+        yield Figure(
+            strips,
+            f"Errors along the world's axes by situation, {detector}",
+            "strips of signed errors",
+            wide=True,
+        )
         yield from spread_parts(run, detector, limit_mm, anchors_of(run), camera_from_world)
     yield Paragraph(tables.depth_limit(run, calibration))
     yield from limit_parts(run, calibration)
 
 
 def _accepted_mm(run: RunRecord, rules: Rules, detector: str) -> float | None:
-    """The acceptance limit of the error's requirement, where it has the limit that the figures show."""
+    """The acceptance limit of the error's requirement, where it has the limit that the figures
+    show.
+    """
     u_mm = truth_u_mm([run], scored(run, detector), detector)
     limits = [rule.limit_mm for rule in rules.requirements if isinstance(rule, ErrorRequirement)]
     if u_mm is None or rules.visible_within_mm not in limits:
@@ -222,13 +311,30 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         times = latency_of(run, detector)
         seconds = times.seconds
         yield Figure(
-            latency_strip(seconds, limits, name=f"latency-{id_of(detector)}"), f"Detection time, {detector}", f"{len(seconds)} detections"
+            latency_strip(seconds, limits, name=f"latency-{id_of(detector)}"),
+            f"Detection time, {detector}",
+            f"{len(seconds)} detections",
         )
         if times.starved:
             yield Paragraph(f"{detector}: {times.starved}", tone="warn")
-        told = [times.median_s, times.p95_s, times.p99_s, max(seconds, default=None), max(times.cold_s, default=None), times.start_up_s]
+        told = [
+            times.median_s,
+            times.p95_s,
+            times.p99_s,
+            max(seconds, default=None),
+            max(times.cold_s, default=None),
+            times.start_up_s,
+        ]
         over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]
-        rows.append((detector, str(len(seconds)), *(number(value, digits=3) for value in told), *over, failures_told(times)))
+        rows.append(
+            (
+                detector,
+                str(len(seconds)),
+                *(number(value, digits=3) for value in told),
+                *over,
+                failures_told(times),
+            )
+        )
     titles = ("median", "p95", "p99", "max", "first call (cold)", "start-up")
     columns = (
         Column("detector"),

@@ -1,6 +1,8 @@
-"""The report of the sensitivity test: what each known pixel offset does to a known point, beside what the thesis printed.
+"""The report of the sensitivity test: what each known pixel offset does to a known point, beside
+what the thesis printed.
 
-The job behind ``teatbench run`` for a sensitivity script: a run folder with what was used, and the report. Opens no instrument.
+The job behind ``teatbench run`` for a sensitivity script: a run folder with what was used, and the
+report. Opens no instrument.
 """
 
 from __future__ import annotations
@@ -17,10 +19,22 @@ from bench.config import ConfigError, read_calibration, read_text
 from bench.files import write_synced
 from bench.record.schema import SCRIPT
 from bench.record.writer import new_run_folder
-from bench.report.thesis import components_table, elsewhere_table, first_test_table, second_test_table
+from bench.report.thesis import (
+    components_table,
+    elsewhere_table,
+    first_test_table,
+    second_test_table,
+)
 from bench.results.thesis_figures import Thesis, thesis
 from bench.rig.loading import LoadedRig
-from bench.script.pixel_offsets import LoadedOffsets, Offset, Outcome, is_offset_script, load_offsets, outcomes
+from bench.script.pixel_offsets import (
+    LoadedOffsets,
+    Offset,
+    Outcome,
+    is_offset_script,
+    load_offsets,
+    outcomes,
+)
 from instruments.clock import wall_time
 from reports.figures import error_histogram
 from reports.page import Banner, Page, Section
@@ -40,11 +54,19 @@ def offset_page(loaded: LoadedOffsets, found: Sequence[Outcome], calibration_sha
     script = loaded.script
     sections = (
         Section("requirements", "Requirements", (_requirements(loaded, found),)),
-        Section("results", "What the offsets do", (_table(loaded, found), *_figures(loaded, found))),
+        Section(
+            "results", "What the offsets do", (_table(loaded, found), *_figures(loaded, found))
+        ),
         Section("published", "Beside the thesis", tuple(_published(loaded, found))),
         Section("provenance", "How it was done", tuple(_method(loaded, calibration_sha256))),
     )
-    return Page(script.title, script.about, _banner(loaded, found), sections, footer=(f"teatbench {__version__}",))
+    return Page(
+        script.title,
+        script.about,
+        _banner(loaded, found),
+        sections,
+        footer=(f"teatbench {__version__}",),
+    )
 
 
 def _banner(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Banner:
@@ -54,12 +76,20 @@ def _banner(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Banner:
     return Banner(
         kind="computed",
         verdict=verdict,
-        tested=f"{loaded.script.title}: {len(found)} offsets of known points, {tried} directions in all.",
-        sentence=f"{offset_told(worst.offset)} moves teat {worst.offset.teat} by up to {worst.worst_mm:.1f} mm; the limit is {limit:g} mm.",
+        tested=(
+            f"{loaded.script.title}: {len(found)} offsets of known points, {tried} directions in"
+            " all."
+        ),
+        sentence=(
+            f"{offset_told(worst.offset)} moves teat {worst.offset.teat} by up to"
+            f" {worst.worst_mm:.1f} mm; the limit is {limit:g} mm."
+        ),
         confidence="Computed from the calibration alone: no noise, no chance, nothing to repeat.",
-        next_action="Choose longer lenses, a wider base, or a detector that picks to a fraction of a pixel."
-        if verdict == "not met"
-        else "A picking error of this size is no reason to change the cameras.",
+        next_action=(
+            "Choose longer lenses, a wider base, or a detector that picks to a fraction of a pixel."
+            if verdict == "not met"
+            else "A picking error of this size is no reason to change the cameras."
+        ),
     )
 
 
@@ -84,18 +114,37 @@ def _requirements(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Requiremen
 def _table(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Table:
     limit = loaded.script.limit_mm
     columns = (
-        Column("teat", "right"), Column("offset"), Column("directions", "right"),
-        Column("least", "right", "mm"), Column("median", "right", "mm"), Column("most", "right", "mm"),
-        Column("most along x", "right", "mm"), Column("along y", "right", "mm"), Column("along z", "right", "mm"),
+        Column("teat", "right"),
+        Column("offset"),
+        Column("directions", "right"),
+        Column("least", "right", "mm"),
+        Column("median", "right", "mm"),
+        Column("most", "right", "mm"),
+        Column("most along x", "right", "mm"),
+        Column("along y", "right", "mm"),
+        Column("along z", "right", "mm"),
         Column(f"above {limit:g} mm", "right"),
-    )  # fmt: skip
+    )
     rows = []
     for one in found:
         far = one.distances_mm
         figures = (far.min(), np.median(far), far.max(), *one.most_mm)
         above = f"{int((far > limit).sum())} of {len(far)}"
-        rows.append((str(one.offset.teat), offset_told(one.offset), str(len(far)), *(f"{value:.2f}" for value in figures), above))
-    return Table("Errors over all directions, world frame", columns, tuple(rows), "Each axis in its own worst direction.")
+        rows.append(
+            (
+                str(one.offset.teat),
+                offset_told(one.offset),
+                str(len(far)),
+                *(f"{value:.2f}" for value in figures),
+                above,
+            )
+        )
+    return Table(
+        "Errors over all directions, world frame",
+        columns,
+        tuple(rows),
+        "Each axis in its own worst direction.",
+    )
 
 
 def _figures(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Figure]:
@@ -112,20 +161,25 @@ def _figures(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Figure
 def _published(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Part]:
     figures = thesis()
     columns = (
-        Column("teat", "right"), Column("offset"),
-        Column("published: x, y, z", "right", "mm"), Column("most possible: x, y, z", "right", "mm"),
+        Column("teat", "right"),
+        Column("offset"),
+        Column("published: x, y, z", "right", "mm"),
+        Column("most possible: x, y, z", "right", "mm"),
         Column("published against the truth", "right", "mm"),
         Column("beyond every direction"),
-    )  # fmt: skip
+    )
     rows = [_published_row(loaded, one) for one in found]
-    note = "Published: the point with the offset less the point without, both as printed. Most possible: each axis in its worst direction."
+    note = (
+        "Published: the point with the offset less the point without, both as printed. Most"
+        " possible: each axis in its worst direction."
+    )
     yield Table("The thesis's figures", columns, tuple(rows), note)
     beyond = [one.offset.teat for one in found if beyond_axes(one)]
     if beyond:
         teats = ", ".join(str(teat) for teat in beyond)
         yield Paragraph(
-            f"For teat {teats} no direction of the stated offset gives what was printed, under this calibration; "
-            "other causes than the offset must have been in those figures.",
+            f"For teat {teats} no direction of the stated offset gives what was printed, under this"
+            " calibration; other causes than the offset must have been in those figures.",
             tone="info",
         )
     if _of_thesis(loaded, figures):
@@ -137,13 +191,21 @@ def _published(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Part
 
 
 def _of_thesis(loaded: LoadedOffsets, figures: Thesis) -> bool:
-    """Whether the script puts off what the thesis put off, as far as it: its own printed ends, all of them."""
-    return tuple(one.published_mm for one in loaded.script.offsets) == figures.test_2.triangulated_mm
+    """Whether the script puts off what the thesis put off, as far as it: its own printed ends, all
+    of them.
+    """
+    return (
+        tuple(one.published_mm for one in loaded.script.offsets) == figures.test_2.triangulated_mm
+    )
 
 
 def _one_pixel(figures: Thesis, found: Sequence[Outcome]) -> Table:
     """Section 6.1's figure beside every offset of one pixel in one picture."""
-    one = [outcome for outcome in found if {outcome.offset.left_px, outcome.offset.right_px} == {0.0, 1.0}]
+    one = [
+        outcome
+        for outcome in found
+        if {outcome.offset.left_px, outcome.offset.right_px} == {0.0, 1.0}
+    ]
     columns = (
         Column("figure"),
         Column("section"),
@@ -152,25 +214,44 @@ def _one_pixel(figures: Thesis, found: Sequence[Outcome]) -> Table:
         Column("most", "right", "mm"),
     )
     rows = tuple(
-        (f"teat {outcome.offset.teat}, {offset_told(outcome.offset)}", figures.one_pixel.section, f"{figures.one_pixel.error_mm:g}",
-         f"{outcome.median_mm:.2f}", f"{outcome.worst_mm:.2f}")
+        (
+            f"teat {outcome.offset.teat}, {offset_told(outcome.offset)}",
+            figures.one_pixel.section,
+            f"{figures.one_pixel.error_mm:g}",
+            f"{outcome.median_mm:.2f}",
+            f"{outcome.worst_mm:.2f}",
+        )
         for outcome in one
-    )  # fmt: skip
-    return Table("What one pixel is worth, over all directions", columns, rows, figures.one_pixel.wrong)
+    )
+    return Table(
+        "What one pixel is worth, over all directions", columns, rows, figures.one_pixel.wrong
+    )
 
 
 def _published_row(loaded: LoadedOffsets, one: Outcome) -> tuple[str, ...]:
     moved, end = published_move_mm(one.offset), one.offset.published_mm
-    against = NOT_SAID if end is None else f"{float(np.linalg.norm(np.subtract(end, loaded.points_mm[one.offset.teat - 1]))):.2f}"
+    against = (
+        NOT_SAID
+        if end is None
+        else f"{float(np.linalg.norm(np.subtract(end, loaded.points_mm[one.offset.teat - 1]))):.2f}"
+    )
     printed = NOT_SAID if moved is None else ", ".join(f"{value:+.1f}" for value in moved)
     possible = ", ".join(f"{value:.1f}" for value in one.most_mm)
-    return str(one.offset.teat), offset_told(one.offset), printed, possible, against, ", ".join(beyond_axes(one)) or "no"
+    return (
+        str(one.offset.teat),
+        offset_told(one.offset),
+        printed,
+        possible,
+        against,
+        ", ".join(beyond_axes(one)) or "no",
+    )
 
 
 def _method(loaded: LoadedOffsets, calibration_sha256: str) -> Iterator[Part]:
     yield Paragraph(
-        "Each known point is projected into both pictures, its pixels are put off, and the pair is triangulated with the same calibration: "
-        "what differs is the offset's doing alone. All directions are tried, since the thesis doesn't state its own."
+        "Each known point is projected into both pictures, its pixels are put off, and the pair is"
+        " triangulated with the same calibration: what differs is the offset's doing alone. All"
+        " directions are tried, since the thesis doesn't state its own."
     )
     columns = (Column("what"), Column("value"))
     rows = (
@@ -183,7 +264,9 @@ def _method(loaded: LoadedOffsets, calibration_sha256: str) -> Iterator[Part]:
 
 
 def published_move_mm(offset: Offset) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None:
-    """What the printed offset moved the printed point by, (3,) mm; None where the script doesn't say."""
+    """What the printed offset moved the printed point by, (3,) mm; None where the script doesn't
+    say.
+    """
     if offset.published_mm is None or offset.published_plain_mm is None:
         return None
     return np.subtract(offset.published_mm, offset.published_plain_mm)
@@ -194,12 +277,20 @@ def beyond_axes(one: Outcome) -> list[str]:
     moved = published_move_mm(one.offset)
     if moved is None:
         return []
-    return [axis for axis, value, most in zip("xyz", np.abs(moved), one.most_mm, strict=True) if value > most]
+    return [
+        axis
+        for axis, value, most in zip("xyz", np.abs(moved), one.most_mm, strict=True)
+        if value > most
+    ]
 
 
 def offset_told(offset: Offset) -> str:
     """``1 px left and 1 px right``."""
-    parts = [f"{px:g} px {name}" for name, px in (("left", offset.left_px), ("right", offset.right_px)) if px]
+    parts = [
+        f"{px:g} px {name}"
+        for name, px in (("left", offset.left_px), ("right", offset.right_px))
+        if px
+    ]
     return " and ".join(parts)
 
 
@@ -212,10 +303,16 @@ def is_offset_run(folder: Path) -> bool:
 
 
 def run_offsets(rig: LoadedRig, path: Path, out: Path) -> Path:
-    """Run the script at ``path`` on the rig's calibration; gives back the run's folder. Raises ConfigError."""
+    """Run the script at ``path`` on the rig's calibration; gives back the run's folder. Raises
+    ConfigError.
+    """
     loaded = load_offsets(path)
     outcomes(loaded, rig.calibration)  # what can't be computed is told before there is a folder
-    files = {SCRIPT: loaded.text, "rig.toml": rig.text, CALIBRATION: read_text(rig.calibration_path)}
+    files = {
+        SCRIPT: loaded.text,
+        "rig.toml": rig.text,
+        CALIBRATION: read_text(rig.calibration_path),
+    }
     if loaded.script.layout.endswith(".toml"):
         files[loaded.script.layout] = read_text(path.parent / loaded.script.layout)
     try:
@@ -224,12 +321,17 @@ def run_offsets(rig: LoadedRig, path: Path, out: Path) -> Path:
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
-        raise ConfigError.plain(f"a run can't be kept in {out}: {error.strerror or error}. Name another folder with --out.") from error
+        raise ConfigError.plain(
+            f"a run can't be kept in {out}: {error.strerror or error}. Name another folder with"
+            " --out."
+        ) from error
     return folder
 
 
 def report_offsets(folder: Path) -> tuple[Path, LoadedOffsets, tuple[Outcome, ...], Verdict]:
-    """(Re)compute and (re)write the report of such a run; gives back the page's path. Raises ConfigError."""
+    """(Re)compute and (re)write the report of such a run; gives back the page's path. Raises
+    ConfigError.
+    """
     loaded = load_offsets(folder / SCRIPT)
     found = outcomes(loaded, read_calibration(folder / CALIBRATION))
     digest = hashlib.sha256((folder / CALIBRATION).read_bytes()).hexdigest()
@@ -239,7 +341,9 @@ def report_offsets(folder: Path) -> tuple[Path, LoadedOffsets, tuple[Outcome, ..
     return path, loaded, found, verdict
 
 
-def _json(loaded: LoadedOffsets, found: Sequence[Outcome], verdict: Verdict, calibration_sha256: str) -> str:
+def _json(
+    loaded: LoadedOffsets, found: Sequence[Outcome], verdict: Verdict, calibration_sha256: str
+) -> str:
     rows = [
         {
             **one.offset.model_dump(),
@@ -251,5 +355,10 @@ def _json(loaded: LoadedOffsets, found: Sequence[Outcome], verdict: Verdict, cal
         }
         for one in found
     ]
-    whole = {"title": loaded.script.title, "verdict": verdict, "limit_mm": loaded.script.limit_mm, "calibration_sha256": calibration_sha256}
+    whole = {
+        "title": loaded.script.title,
+        "verdict": verdict,
+        "limit_mm": loaded.script.limit_mm,
+        "calibration_sha256": calibration_sha256,
+    }
     return json.dumps({**whole, "offsets": rows}, indent=1)

@@ -1,4 +1,6 @@
-"""What a report has to hold so that others can check and repeat it: item, bench, run, raw data with checksums, faults, the command."""
+"""What a report has to hold so that others can check and repeat it: item, bench, run, raw data with
+checksums, faults, the command.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +17,17 @@ from reports.parts import Cell, Code, Column, KeyValues, Notes, Part, Table
 CAMERA_FAULTS, RETRIES = "camera faults", "retries"
 MOST_EVENTS = 60  # at either end
 FILES = (
-    (SCRIPT, "the trials and the rules, as used"), (RULES, "the rules, as used"), ("rig.toml", "the rig, as used"),
+    (SCRIPT, "the trials and the rules, as used"),
+    (RULES, "the rules, as used"),
+    ("rig.toml", "the rig, as used"),
     ("calibration.toml", "the calibration, as used"),
-)  # fmt: skip
+)
 BESIDE = (
     ("../run.sqlite", "every reading, touch, detection, score and event; its digest stands above"),
-    ("trials.csv", "a line a trial and detector"), ("run.json", "facts, verdicts and scores"), ("junit.xml", "a test case a requirement"),
-)  # fmt: skip
+    ("trials.csv", "a line a trial and detector"),
+    ("run.json", "facts, verdicts and scores"),
+    ("junit.xml", "a test case a requirement"),
+)
 
 
 def provenance_parts(run: RunRecord) -> Iterator[Part]:
@@ -53,16 +59,26 @@ def provenance_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def fault_parts(run: RunRecord) -> Iterator[Part]:
-    """Frames that had to be taken again, and asks that had to be repeated; nothing where there were none."""
+    """Frames that had to be taken again, and asks that had to be repeated; nothing where there were
+    none.
+    """
     faults, retries = run.facts.get(CAMERA_FAULTS), run.facts.get(RETRIES)
     if faults:
-        yield Notes("Frames that were refused and taken again", tuple(f"{name}: {count} times" for name, count in sorted(faults.items())))
+        yield Notes(
+            "Frames that were refused and taken again",
+            tuple(f"{name}: {count} times" for name, count in sorted(faults.items())),
+        )
     if retries:
-        yield Notes("Asks that were repeated", tuple(f"{name}: {count} times" for name, count in sorted(retries.items())))
+        yield Notes(
+            "Asks that were repeated",
+            tuple(f"{name}: {count} times" for name, count in sorted(retries.items())),
+        )
 
 
 def _chain_rows(run: RunRecord) -> list[tuple[str, str]]:
-    """By these `teatbench store check` tells whether the record is still the one that this page was made of."""
+    """By these `teatbench store check` tells whether the record is still the one that this page was
+    made of.
+    """
     if run.head is None or not run.head.number:
         return [("record's digest", "none: the bench that wrote the record made no chain")]
     return [
@@ -73,7 +89,9 @@ def _chain_rows(run: RunRecord) -> list[tuple[str, str]]:
 
 
 def _files(run: RunRecord) -> Table:
-    """Each file that the run used, with its checksum as it stands now; the frames' are in the record and in its chain."""
+    """Each file that the run used, with its checksum as it stands now; the frames' are in the
+    record and in its chain.
+    """
     rows = [
         (Cell(name, href=f"../{name}"), what, Cell(_sha256(run.folder / name), mono=True))
         for name, what in FILES
@@ -81,13 +99,25 @@ def _files(run: RunRecord) -> Table:
     ]
     at_start = run.facts["calibration_sha256"]
     frames = sum(len(trial.frames) for trial in run.trials)
-    note = f"The calibration's at the start was {at_start}. {frames} pictures of frames and stages: each one's SHA-256 is in the record."
-    return Table("Files as used", (Column("file"), Column("what"), Column("SHA-256")), tuple(rows), note)
+    note = (
+        f"The calibration's at the start was {at_start}. {frames} pictures of frames and stages:"
+        " each one's SHA-256 is in the record."
+    )
+    return Table(
+        "Files as used", (Column("file"), Column("what"), Column("SHA-256")), tuple(rows), note
+    )
 
 
 def _beside(run: RunRecord) -> KeyValues:
-    there = [(path, what) for path, what in BESIDE if not path.startswith("..") or (run.folder / path.removeprefix("../")).is_file()]
-    return KeyValues("Raw data and exports", tuple((what, Cell(path.removeprefix("../"), href=path)) for path, what in there))
+    there = [
+        (path, what)
+        for path, what in BESIDE
+        if not path.startswith("..") or (run.folder / path.removeprefix("../")).is_file()
+    ]
+    return KeyValues(
+        "Raw data and exports",
+        tuple((what, Cell(path.removeprefix("../"), href=path)) for path, what in there),
+    )
 
 
 def _sha256(path: Path) -> str:

@@ -1,4 +1,6 @@
-"""What was measured as files: a figure for each quantity, the numbers as CSV, and a table in Markdown. May not know how it was measured."""
+"""What was measured as files: a figure for each quantity, the numbers as CSV, and a table in
+Markdown. May not know how it was measured.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,21 @@ from reports.figures.sensitivity import MOST_CURVES, Bound, Curve, sensitivity
 from reports.sanitize import csv_text
 
 COLUMNS = (
-    "quantity", "value", "detector", "visible", "found", "false", "no_answer", "median_mm", "p95_mm", "max_mm",
-    "limit_median_mm", "limit_p95_mm", "disparity_mm", "limit_share",
-)  # fmt: skip
+    "quantity",
+    "value",
+    "detector",
+    "visible",
+    "found",
+    "false",
+    "no_answer",
+    "median_mm",
+    "p95_mm",
+    "max_mm",
+    "limit_median_mm",
+    "limit_p95_mm",
+    "disparity_mm",
+    "limit_share",
+)
 POINTS, PAGE = "points.csv", "measured.md"
 Results = Mapping[str, Sequence[Measured]]
 Row = Mapping[str, str]
@@ -23,9 +37,14 @@ NOT_MEASURED = "not measured"
 
 
 def check_curves(names: Sequence[str]) -> None:
-    """Raises ConfigError where a figure can't show so many detectors: before hours are spent on them."""
+    """Raises ConfigError where a figure can't show so many detectors: before hours are spent on
+    them.
+    """
     if len(names) > MOST_CURVES:
-        raise ConfigError.plain(f"a figure shows {MOST_CURVES} detectors at most, {len(names)} are asked for: {', '.join(names)}")
+        raise ConfigError.plain(
+            f"a figure shows {MOST_CURVES} detectors at most, {len(names)} are asked for:"
+            f" {', '.join(names)}"
+        )
 
 
 def no_answers(frame_sets: int) -> str:
@@ -36,20 +55,35 @@ def no_answers(frame_sets: int) -> str:
 def write_figure(folder: Path, quantity: Quantity, points: Sequence[Measured]) -> Path:
     """The quantity's SVG, to stand alone. Raises ConfigError where it can't be written."""
     start, rest = figure_of(quantity, points).split(">", 1)
-    paper = f'<rect width="100%" height="100%" fill="{COLOURS["paper"]}"/>'  # a page brings its own paper and letters, a file must
-    return _written(folder / f"{quantity.name}.svg", f'{start} font-family="system-ui, sans-serif">{paper}{rest}\n')
+    # a page brings its own paper and letters, a file must
+    paper = f'<rect width="100%" height="100%" fill="{COLOURS["paper"]}"/>'
+    return _written(
+        folder / f"{quantity.name}.svg",
+        f'{start} font-family="system-ui, sans-serif">{paper}{rest}\n',
+    )
 
 
-def write_numbers(folder: Path, quantities: Sequence[Quantity], results: Results, made_with: str) -> None:
-    """All numbers as CSV and as a page; ``made_with`` says in a sentence what they were measured with. Raises ConfigError."""
-    rows = [dict(zip(COLUMNS, row, strict=True)) for quantity in quantities for row in _rows(quantity, results[quantity.name])]
+def write_numbers(
+    folder: Path, quantities: Sequence[Quantity], results: Results, made_with: str
+) -> None:
+    """All numbers as CSV and as a page; ``made_with`` says in a sentence what they were measured
+    with. Raises ConfigError.
+    """
+    rows = [
+        dict(zip(COLUMNS, row, strict=True))
+        for quantity in quantities
+        for row in _rows(quantity, results[quantity.name])
+    ]
     _written(folder / POINTS, csv_text([COLUMNS, *([*row.values()] for row in rows)]))
     _written(folder / PAGE, numbers_page(quantities, rows, made_with))
 
 
 def numbers_page(quantities: Sequence[Quantity], rows: Sequence[Row], made_with: str) -> str:
     """The page of ``rows``, as they stand in the CSV file."""
-    tables = [_table(quantity, [row for row in rows if row["quantity"] == quantity.name]) for quantity in quantities]
+    tables = [
+        _table(quantity, [row for row in rows if row["quantity"] == quantity.name])
+        for quantity in quantities
+    ]
     return "\n\n".join(["# Sensitivity as measured", made_with, *tables]) + "\n"
 
 
@@ -66,12 +100,22 @@ def figure_of(quantity: Quantity, points: Sequence[Measured]) -> str:
         *zip(*shares, strict=True),
     )
     curves = [_curve(name, points) for name in names]
-    return sensitivity(curves, bound, quantity.label, logarithmic=quantity.logarithmic, name=f"sensitivity-{quantity.name}")
+    return sensitivity(
+        curves,
+        bound,
+        quantity.label,
+        logarithmic=quantity.logarithmic,
+        name=f"sensitivity-{quantity.name}",
+    )
 
 
 def _curve(name: str, points: Sequence[Measured]) -> Curve:
-    summaries = [(point.value, summarise_radial(point.tallies[name].distances_mm)) for point in points]
-    found = [(value, summary.median_mm, summary.p95_mm) for value, summary in summaries if summary.n]
+    summaries = [
+        (point.value, summarise_radial(point.tallies[name].distances_mm)) for point in points
+    ]
+    found = [
+        (value, summary.median_mm, summary.p95_mm) for value, summary in summaries if summary.n
+    ]
     shown = [point for point in points if point.visible]
     shares = [len(point.tallies[name].distances_mm) / point.visible for point in shown]
     return Curve(
@@ -87,19 +131,41 @@ def _curve(name: str, points: Sequence[Measured]) -> Curve:
 def _rows(quantity: Quantity, points: Sequence[Measured]) -> Iterator[tuple[str, ...]]:
     for point in points:
         limit = point.limit
-        allowed = (limit.median_mm, limit.p95_mm, limit.disparity_mm, limit.share) if limit else (None, None, None, None)
+        allowed = (
+            (limit.median_mm, limit.p95_mm, limit.disparity_mm, limit.share)
+            if limit
+            else (None, None, None, None)
+        )
         for name, tally in point.tallies.items():
             errors = summarise_radial(tally.distances_mm)
-            counts = (str(count) for count in (point.visible, len(tally.distances_mm), tally.false, tally.failures))
+            counts = (
+                str(count)
+                for count in (point.visible, len(tally.distances_mm), tally.false, tally.failures)
+            )
             numbers = (errors.median_mm, errors.p95_mm, errors.max_mm, *allowed)
-            yield (quantity.name, f"{point.value:g}", name, *counts, *("" if number is None else f"{number:.4f}" for number in numbers))
+            yield (
+                quantity.name,
+                f"{point.value:g}",
+                name,
+                *counts,
+                *("" if number is None else f"{number:.4f}" for number in numbers),
+            )
 
 
 def _table(quantity: Quantity, rows: Sequence[Row]) -> str:
     """One quantity in Markdown: a row a value, three columns a detector."""
     names = list(dict.fromkeys(row["detector"] for row in rows))
     heads = [f"{name}: {what}" for name in names for what in ("found", "false", "median, p95 (mm)")]
-    lines = [_line([quantity.label, *heads, "limit: median, p95 (mm)", *(["limit: found"] if quantity.thermal else [])])]
+    lines = [
+        _line(
+            [
+                quantity.label,
+                *heads,
+                "limit: median, p95 (mm)",
+                *(["limit: found"] if quantity.thermal else []),
+            ]
+        )
+    ]
     lines.append("|" + "---|" * (lines[0].count("|") - 1))
     for value in dict.fromkeys(row["value"] for row in rows):
         of_value = [row for row in rows if row["value"] == value]
@@ -117,7 +183,11 @@ def _cells(row: Row) -> tuple[str, str, str]:
 
 
 def _pair(row: Row, first: str, second: str, digits: int) -> str:
-    return f"{float(row[first]):.{digits}f}, {float(row[second]):.{digits}f}" if row[first] else NOT_MEASURED
+    return (
+        f"{float(row[first]):.{digits}f}, {float(row[second]):.{digits}f}"
+        if row[first]
+        else NOT_MEASURED
+    )
 
 
 def _line(cells: Sequence[str]) -> str:

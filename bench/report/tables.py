@@ -1,8 +1,10 @@
 """The report's tables: requirements, results per situation, errors, rates, provenance.
 
-Situations by detectors as one table for a terminal and for a README: found, false, errors, time. Pure: a run's record in, text out.
+Situations by detectors as one table for a terminal and for a README: found, false, errors, time.
+Pure: a run's record in, text out.
 
-The report's table of whose it is that a teat was missed, off, or not judged. It says nothing that `bench.attribution` doesn't.
+The report's table of whose it is that a teat was missed, off, or not judged. It says nothing that
+`bench.attribution` doesn't.
 """
 
 from __future__ import annotations
@@ -30,11 +32,22 @@ def requirements(judgement: Judgement, rules: Rules) -> Requirements:
     """One row a requirement: rule, n, measured, limit, margin, verdict."""
     sources = {rule.name: rule.source for rule in rules.requirements}
     rows = tuple(
-        Requirement(d.name, d.rule, d.n, measured(d), limit(d), margin(d), d.verdict.value, sources.get(d.name, ""))
+        Requirement(
+            d.name,
+            d.rule,
+            d.n,
+            measured(d),
+            limit(d),
+            margin(d),
+            d.verdict.value,
+            sources.get(d.name, ""),
+        )
         for d in judgement.decisions
     )
     note = " ".join(d.sentence for d in judgement.decisions)
-    return Requirements(f"Requirements, detector {judgement.detector}: {judgement.verdict.value}", rows, note)
+    return Requirements(
+        f"Requirements, detector {judgement.detector}: {judgement.verdict.value}", rows, note
+    )
 
 
 def situations(run: RunRecord) -> list[str]:
@@ -42,8 +55,12 @@ def situations(run: RunRecord) -> list[str]:
     return list(dict.fromkeys(str(trial.head["situation"]) for trial in run.trials))
 
 
-def found_by_situation(run: RunRecord, detector: str, published: Mapping[str, tuple[int, int]]) -> Table:
-    """Found of visible in each situation, over all repeats, beside the thesis's own: found and present by situation."""
+def found_by_situation(
+    run: RunRecord, detector: str, published: Mapping[str, tuple[int, int]]
+) -> Table:
+    """Found of visible in each situation, over all repeats, beside the thesis's own: found and
+    present by situation.
+    """
     rows: list[tuple[str | Cell, ...]] = []
     for situation in situations(run):
         pool = scored(run, detector, situation)
@@ -66,13 +83,19 @@ def found_by_situation(run: RunRecord, detector: str, published: Mapping[str, tu
         Column("found of visible", "right"),
         Column("missed", "right"),
         Column("false", "right"),
-        Column("hidden ends", "right", hint="ends that a camera can't see: neither missed nor false"),
-        Column("scene success", "right", hint="every visible end found within the limit, nothing false, in time"),
+        Column(
+            "hidden ends", "right", hint="ends that a camera can't see: neither missed nor false"
+        ),
+        Column(
+            "scene success",
+            "right",
+            hint="every visible end found within the limit, nothing false, in time",
+        ),
         Column("thesis found", "right"),
     )
     note = (
-        "A teat is found when an answer lies within the gate of its end (25 mm, or half the least spacing). "
-        "The thesis judged by eye, one picture a situation."
+        "A teat is found when an answer lies within the gate of its end (25 mm, or half the least"
+        " spacing). The thesis judged by eye, one picture a situation."
     )
     return Table(f"Teats found, detector {detector}", columns, tuple(rows), note)
 
@@ -80,20 +103,33 @@ def found_by_situation(run: RunRecord, detector: str, published: Mapping[str, tu
 def rates(run: RunRecord, detector: str) -> Table:
     """Rates over poses with their exact intervals."""
     rows = tuple(
-        (name, str(rate.successes), str(rate.trials), _rate(rate), _interval(rate)) for name, rate in _rates(run, detector).items()
-    )  # fmt: skip
-    columns = (Column("rate"), Column("of", "right"), Column("n", "right"), Column("value", "right"), Column("95 % interval", "right"))
+        (name, str(rate.successes), str(rate.trials), _rate(rate), _interval(rate))
+        for name, rate in _rates(run, detector).items()
+    )
+    columns = (
+        Column("rate"),
+        Column("of", "right"),
+        Column("n", "right"),
+        Column("value", "right"),
+        Column("95 % interval", "right"),
+    )
     note = (
-        "Exact (Clopper-Pearson) intervals. A pose succeeds when all its repeats do; teats of one scene are not independent, "
-        "so the intervals of recall and precision are optimistic."
+        "Exact (Clopper-Pearson) intervals. A pose succeeds when all its repeats do; teats of one"
+        " scene are not independent, so the intervals of recall and precision are optimistic."
     )
     return Table(f"Rates, detector {detector}", columns, rows, note)
 
 
 def rates_by_situation(run: RunRecord, detector: str) -> Table:
     """The same rates, a row a situation."""
-    rows = [(situation, *(_cell(rate) for rate in _rates(run, detector, situation).values())) for situation in situations(run)]
-    columns = (Column("situation"), *(Column(name, "right", "k of n, interval") for name in _rates(run, detector)))
+    rows = [
+        (situation, *(_cell(rate) for rate in _rates(run, detector, situation).values()))
+        for situation in situations(run)
+    ]
+    columns = (
+        Column("situation"),
+        *(Column(name, "right", "k of n, interval") for name in _rates(run, detector)),
+    )
     return Table(f"Rates by situation, detector {detector}", columns, tuple(rows), NARROW)
 
 
@@ -112,22 +148,37 @@ def _rates(run: RunRecord, detector: str, situation: str | None = None) -> dict[
 def _answered(run: RunRecord, detector: str, situation: str | None) -> Rate:
     """Poses at which no call timed out, of the poses."""
     trials = [trial for trial in run.counted if situation in (None, trial.head["situation"])]
-    calls = [(trial.pose, row["outcome"]) for trial in trials for row in trial.detections if row["detector"] == detector]
-    return pose_successes([pose for pose, _ in calls], [outcome != Outcome.TIMEOUT.value for _, outcome in calls])
+    calls = [
+        (trial.pose, row["outcome"])
+        for trial in trials
+        for row in trial.detections
+        if row["detector"] == detector
+    ]
+    return pose_successes(
+        [pose for pose, _ in calls], [outcome != Outcome.TIMEOUT.value for _, outcome in calls]
+    )
 
 
 def depth_limit(run: RunRecord, calibration: Calibration) -> str:
     """What no stereo method on this rig can beat a pixel, at this run's teats."""
-    ends = np.array([[row["x_mm"], row["y_mm"], row["z_mm"]] for trial in run.trials for row in trial.truth]).reshape(-1, 3)
+    ends = np.array(
+        [[row["x_mm"], row["y_mm"], row["z_mm"]] for trial in run.trials for row in trial.truth]
+    ).reshape(-1, 3)
     if not len(ends):
         return NOT_MEASURED
     per_px = calibration.depth_per_disparity_px_mm(ends)
-    return f"One pixel of disparity is {per_px.min():.1f} to {per_px.max():.1f} mm of depth at these teats (Z² / f B)."
+    return (
+        f"One pixel of disparity is {per_px.min():.1f} to {per_px.max():.1f} mm of depth at these"
+        " teats (Z² / f B)."
+    )
 
 
 def key_values(title: str, entries: Sequence[tuple[str, object]]) -> KeyValues:
     """A list of names and values as text."""
-    return KeyValues(title, tuple((name, NOT_MEASURED if value is None else str(value)) for name, value in entries))
+    return KeyValues(
+        title,
+        tuple((name, NOT_MEASURED if value is None else str(value)) for name, value in entries),
+    )
 
 
 def _rate(rate: Rate) -> str:
@@ -145,12 +196,21 @@ def _cell(rate: Rate) -> str:
     if span is None:
         return NOT_MEASURED
     low, high = (f"{100 * bound:.0f}" for bound in span)
-    return f"{rate.successes} of {rate.trials} ({low} to {high} %)".replace(" ", "\u00a0").replace("\u00a0(", " (")
+    return f"{rate.successes} of {rate.trials} ({low} to {high} %)".replace(" ", "\u00a0").replace(
+        "\u00a0(", " ("
+    )
 
 
 HEAD = (
-    "situation", "detector", "frame sets", "found of visible", "false", "mean, p95, max error (mm)", "median, p99 time (ms)", "no answer",
-)  # fmt: skip
+    "situation",
+    "detector",
+    "frame sets",
+    "found of visible",
+    "false",
+    "mean, p95, max error (mm)",
+    "median, p99 time (ms)",
+    "no answer",
+)
 ALL = "all"
 
 
@@ -158,7 +218,14 @@ def score_table(run: RunRecord) -> str:
     """The table in Markdown, with what it says below it; without truth, a sentence."""
     if not any(trial.scores for trial in run.trials):
         return "There is no truth, so nothing was scored."
-    rows = [HEAD, *(_row(run, situation, detector) for situation in _situations(run) for detector in run.detectors)]
+    rows = [
+        HEAD,
+        *(
+            _row(run, situation, detector)
+            for situation in _situations(run)
+            for detector in run.detectors
+        ),
+    ]
     widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]
     lines = [_line(row, widths) for row in rows]
     rule = "|" + "|".join("-" * (width + 2) for width in widths) + "|"
@@ -173,14 +240,33 @@ def _situations(run: RunRecord) -> list[str | None]:
 def _row(run: RunRecord, situation: str | None, detector: str) -> tuple[str, ...]:
     pool, times = scored(run, detector, situation), latency_of(run, detector, situation)
     counts, radial = pool.counts, pool.summary().radial
-    errors = "not measured" if radial.n == 0 else f"{radial.mean_mm:.2f}, {radial.p95_mm:.2f}, {radial.max_mm:.2f}"
-    time = "not measured" if times.median_s is None or times.p99_s is None else f"{1e3 * times.median_s:.0f}, {1e3 * times.p99_s:.0f}"
+    errors = (
+        "not measured"
+        if radial.n == 0
+        else f"{radial.mean_mm:.2f}, {radial.p95_mm:.2f}, {radial.max_mm:.2f}"
+    )
+    time = (
+        "not measured"
+        if times.median_s is None or times.p99_s is None
+        else f"{1e3 * times.median_s:.0f}, {1e3 * times.p99_s:.0f}"
+    )
     found = f"{counts.matched} of {counts.visible}"
-    return (_unmarked(situation or ALL), detector, str(len(pool.scores)), found, str(counts.false), errors, time, failures_told(times))
+    return (
+        _unmarked(situation or ALL),
+        detector,
+        str(len(pool.scores)),
+        found,
+        str(counts.false),
+        errors,
+        time,
+        failures_told(times),
+    )
 
 
 def _line(row: Sequence[str], widths: Sequence[int]) -> str:
-    return "| " + " | ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) + " |"
+    return (
+        "| " + " | ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) + " |"
+    )
 
 
 def _unmarked(text: str) -> str:
@@ -192,15 +278,20 @@ def _notes(run: RunRecord) -> Iterator[str]:
     for detector in run.detectors:
         times = latency_of(run, detector)
         cold = ", ".join(f"{1e3 * seconds:.0f}" for seconds in times.cold_s) or "not measured"
-        start = f", start-up {1e3 * times.start_up_s:.0f} ms at most" if times.start_up_s is not None else ""
+        start = (
+            f", start-up {1e3 * times.start_up_s:.0f} ms at most"
+            if times.start_up_s is not None
+            else ""
+        )
         yield f"{detector}: first call {cold} ms{start}. {times.starved}".strip()
     yield f"Errors are of found teats only. {LATENCY_RULE}"
 
 
 NOTE = (
-    "Each missed or wrong teat is one party's. Truth: within the guard band of its uncertainty, or it was taken back. Bench: "
-    "taken while the bath was not stable, or not come to. Not visible: some camera can't see the end; the detector need not find it. "
-    "Verdicts count as their rules say; this table says where to look first."
+    "Each missed or wrong teat is one party's. Truth: within the guard band of its uncertainty, or"
+    " it was taken back. Bench: taken while the bath was not stable, or not come to. Not visible:"
+    " some camera can't see the end; the detector need not find it. Verdicts count as their rules"
+    " say; this table says where to look first."
 )
 
 
@@ -212,7 +303,9 @@ def attribution_parts(run: RunRecord) -> Iterator[Part]:
         rows = tuple((what.value, *(str(counts[what, cause]) for cause in Cause)) for what in What)
         columns = (Column("what"), *(Column(cause.value, "right") for cause in Cause))
         yield Table(f"Whose it is, detector {detector}", columns, rows, NOTE)
-        others = tuple(_told(one) for one in found if one.cause not in (Cause.DETECTOR, Cause.NOT_VISIBLE))
+        others = tuple(
+            _told(one) for one in found if one.cause not in (Cause.DETECTOR, Cause.NOT_VISIBLE)
+        )
         if others:
             yield Notes(f"Not the detector's, {detector}", others)
 

@@ -1,4 +1,6 @@
-"""The report's part for each trial: its frames with what is drawn over them, its teats, its readings; and which trials are the worst."""
+"""The report's part for each trial: its frames with what is drawn over them, its teats, its
+readings; and which trials are the worst.
+"""
 
 from __future__ import annotations
 
@@ -37,14 +39,20 @@ def trial_parts(run: RunRecord, calibration: Calibration, folder: Path) -> tuple
 
 
 def worst_trials(run: RunRecord) -> tuple[str, ...]:
-    """The anchors of the trials to look at first: those that failed, by what they missed and made up, then by their largest error."""
+    """The anchors of the trials to look at first: those that failed, by what they missed and made
+    up, then by their largest error.
+    """
 
     def fault(trial: TrialRecord) -> tuple[int, float]:
         scores = list(trial.scores.values())
         wrong = max((score.counts.missed + score.counts.false for score in scores), default=0)
-        return wrong, max((distance for score in scores for distance in score.radial_mm), default=0.0)
+        return wrong, max(
+            (distance for score in scores for distance in score.radial_mm), default=0.0
+        )
 
-    failed = [trial for trial in run.counted if any(not score.success for score in trial.scores.values())]
+    failed = [
+        trial for trial in run.counted if any(not score.success for score in trial.scores.values())
+    ]
     return tuple(trial_id(trial) for trial in sorted(failed, key=fault, reverse=True)[:MOST_WORST])
 
 
@@ -83,10 +91,16 @@ def trial_table(run: RunRecord) -> Table:
 def first_looks(run: RunRecord) -> KeyValues | None:
     """Links to the trials that are worth the first look; None where none failed."""
     by_anchor = {trial_id(trial): trial for trial in run.trials}
-    entries = [(by_anchor[anchor].id, anchor, _statuses(by_anchor[anchor])) for anchor in worst_trials(run)[:FIRST_LOOKS]]
+    entries = [
+        (by_anchor[anchor].id, anchor, _statuses(by_anchor[anchor]))
+        for anchor in worst_trials(run)[:FIRST_LOOKS]
+    ]
     if not entries:
         return None
-    return KeyValues("Look at these first", tuple((name, Cell(*status, href=f"#{anchor}")) for name, anchor, status in entries))
+    return KeyValues(
+        "Look at these first",
+        tuple((name, Cell(*status, href=f"#{anchor}")) for name, anchor, status in entries),
+    )
 
 
 def _statuses(trial: TrialRecord) -> tuple[str, Tone]:
@@ -118,7 +132,10 @@ def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: 
         tone=tone,
         summary=summary,
         images=tuple(pictures(run, trial, calibration, folder)),
-        tables=(*(_teats(trial, d["detector"]) for d in trial.detections), *((budget,) if budget else ())),
+        tables=(
+            *(_teats(trial, d["detector"]) for d in trial.detections),
+            *((budget,) if budget else ()),
+        ),
         notes=notes,
     )
 
@@ -128,7 +145,10 @@ def _time_told(detection: Row) -> str:
     outcome = "" if detection["outcome"] == Outcome.ANSWERED.value else f", {detection['outcome']}"
     start_up_s = detection["wall_start_up_s"]
     start = "" if start_up_s is None else f" after a start-up of {start_up_s:.3f} s"
-    return f"{detection['wall_seconds']:.3f} s{' (first call)' if detection['cold'] else ''}{start}{outcome}"
+    return (
+        f"{detection['wall_seconds']:.3f}"
+        f" s{' (first call)' if detection['cold'] else ''}{start}{outcome}"
+    )
 
 
 def _notes(detection: Row) -> Iterator[str]:
@@ -149,8 +169,14 @@ def _status(score: SceneScore | None) -> tuple[str, Tone]:
     if score.success:
         return "scene success", "good"
     counts = score.counts
-    parts = [f"{counts.missed} missed" if counts.missed else "", f"{counts.false} false" if counts.false else ""]
-    parts += ["beyond the limit" if any(d > score.limit_mm for d in score.radial_mm) else "", "" if score.in_time else "too slow"]
+    parts = [
+        f"{counts.missed} missed" if counts.missed else "",
+        f"{counts.false} false" if counts.false else "",
+    ]
+    parts += [
+        "beyond the limit" if any(d > score.limit_mm for d in score.radial_mm) else "",
+        "" if score.in_time else "too slow",
+    ]
     return ", ".join(part for part in parts if part), "bad"
 
 
@@ -159,27 +185,69 @@ def _teats(trial: TrialRecord, detector: str) -> Table:
     score = trial.scores.get(detector)
     found = [row for row in trial.found if row["detector"] == detector]
     columns = (
-        Column("teat"), Column("truth x, y, z", "right", "mm"), Column("u", "right", "mm"), Column("found x, y, z", "right", "mm"),
-        Column("dx", "right", "mm"), Column("dy", "right", "mm"), Column("dz", "right", "mm"),
-        Column("distance", "right", "mm"), Column("is"),
-    )  # fmt: skip
-    pairs = {truth: (answer, k) for k, (answer, truth) in enumerate(score.match.pairs)} if score else {}
+        Column("teat"),
+        Column("truth x, y, z", "right", "mm"),
+        Column("u", "right", "mm"),
+        Column("found x, y, z", "right", "mm"),
+        Column("dx", "right", "mm"),
+        Column("dy", "right", "mm"),
+        Column("dz", "right", "mm"),
+        Column("distance", "right", "mm"),
+        Column("is"),
+    )
+    pairs = (
+        {truth: (answer, k) for k, (answer, truth) in enumerate(score.match.pairs)} if score else {}
+    )
     rows: list[tuple[str | Cell, ...]] = []
     for index, row in enumerate(trial.truth):
         place, u = _xyz(row), "" if row["u_mm"] is None else f"{row['u_mm']:.2f}"
         if score and index in pairs:
             answer, k = pairs[index]
             distance = score.radial_mm[k]
-            word = Cell("found", "good") if distance <= score.limit_mm else Cell("found, beyond the limit", "warn")
+            word = (
+                Cell("found", "good")
+                if distance <= score.limit_mm
+                else Cell("found, beyond the limit", "warn")
+            )
             rows.append(
-                (str(row["teat"]), place, u, _xyz(found[answer]), *(f"{e:+.2f}" for e in score.errors_mm[k]), f"{distance:.2f}", word)
+                (
+                    str(row["teat"]),
+                    place,
+                    u,
+                    _xyz(found[answer]),
+                    *(f"{e:+.2f}" for e in score.errors_mm[k]),
+                    f"{distance:.2f}",
+                    word,
+                )
             )
         else:
             rows.append(
-                (str(row["teat"]), place, u, "", "", "", "", "", Cell("missed", "bad") if row["visible"] else Cell("hidden", "muted"))
+                (
+                    str(row["teat"]),
+                    place,
+                    u,
+                    "",
+                    "",
+                    "",
+                    "",
+                    "",
+                    Cell("missed", "bad") if row["visible"] else Cell("hidden", "muted"),
+                )
             )
     for answer in score.match.false if score else range(len(found)):
-        rows.append(("", "", "", _xyz(found[answer]), "", "", "", "", Cell("false", "bad") if score else Cell("not scored", "muted")))
+        rows.append(
+            (
+                "",
+                "",
+                "",
+                _xyz(found[answer]),
+                "",
+                "",
+                "",
+                "",
+                Cell("false", "bad") if score else Cell("not scored", "muted"),
+            )
+        )
     return Table(f"Teat ends, detector {detector}", columns, tuple(rows))
 
 

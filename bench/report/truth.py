@@ -1,7 +1,8 @@
-"""The report's part on the arm: its table frame, its dated verification, and the checks before and after the trials.
+"""The report's part on the arm: its table frame, its dated verification, and the checks before and
+after the trials.
 
-The report's parts on the truth: what is measured, each kind of truth with its worst budget, the stage's registration, the check touches;
-and what is in no count, with the reason.
+The report's parts on the truth: what is measured, each kind of truth with its worst budget, the
+stage's registration, the check touches; and what is in no count, with the reason.
 """
 
 from __future__ import annotations
@@ -29,7 +30,12 @@ from reports.parts import Cell, Column, Notes, Paragraph, Part, Table
 COLUMNS = (
     Column("divot"),
     Column("touches", "right"),
-    Column("largest deviation", "right", "mm", hint="from the mean of the touches: articulated location error, ASME B89.4.22"),
+    Column(
+        "largest deviation",
+        "right",
+        "mm",
+        hint="from the mean of the touches: articulated location error, ASME B89.4.22",
+    ),
     Column("2 sd", "right", "mm"),
     Column("least sphere", "right", "mm", hint="its diameter, the form of ISO 10360-12"),
     Column("swing", "right", "°", hint="largest angle between two stylus directions"),
@@ -46,19 +52,27 @@ def arm_parts(run: RunRecord) -> Iterator[Part]:
     if dated:
         yield from _verification(run, from_dict(dated))
     else:
-        yield Paragraph("The rig names no dated verification of the arm ('teatbench arm verify').", tone="warn")
+        yield Paragraph(
+            "The rig names no dated verification of the arm ('teatbench arm verify').", tone="warn"
+        )
     yield from _arm_checks(run)
 
 
 def _frame(fact: dict[str, Any] | None) -> Part:
     if fact is None:
-        return Paragraph("World frame: the arm's own (the rig names no table frame), so the arm must not be moved on the table.")
+        return Paragraph(
+            "World frame: the arm's own (the rig names no table frame), so the arm must not be"
+            " moved on the table."
+        )
     residuals = ", ".join(f"{name} {value:.2f} mm" for name, value in fact["residuals_mm"].items())
     entries: list[tuple[str, object]] = [
         ("file", fact["file"]),
         ("made", fact["made"]),
         ("arm", fact["serial_number"]),
-        ("largest residual of a check point", None if fact["residual_mm"] is None else number(fact["residual_mm"], "mm")),
+        (
+            "largest residual of a check point",
+            None if fact["residual_mm"] is None else number(fact["residual_mm"], "mm"),
+        ),
         ("residuals", residuals or None),
         ("om, rad", ", ".join(f"{v:.6f}" for v in fact["om"])),
         ("T, mm", ", ".join(f"{v:.3f}" for v in fact["T"])),
@@ -68,32 +82,66 @@ def _frame(fact: dict[str, Any] | None) -> Part:
 
 def _verification(run: RunRecord, dated: Verification) -> Iterator[Part]:
     rows = tuple(_row(test, None) for test in dated.locations)
-    caption = f"Verification of arm {dated.serial_number} on {dated.made:%Y-%m-%d}, {age_of(dated, run.facts).days} days before the run"
-    yield Table(caption, COLUMNS, rows, "The tip in one divot at each distance while wrist and elbow swing.")
+    caption = (
+        f"Verification of arm {dated.serial_number} on {dated.made:%Y-%m-%d},"
+        f" {age_of(dated, run.facts).days} days before the run"
+    )
+    yield Table(
+        caption, COLUMNS, rows, "The tip in one divot at each distance while wrist and elbow swing."
+    )
     if not dated.lengths:
         yield Paragraph("No calibrated length was measured in it.", tone="warn")
         return
-    columns = (Column("direction"), Column("calibrated", "right", "mm"), Column("measured", "right", "mm"), Column("error", "right", "mm"))
-    lengths = tuple((t.where, f"{t.calibrated_mm:.3f}", f"{t.measured_mm:.2f}", f"{t.error_mm:+.2f}") for t in dated.lengths)
-    note = f"Largest error {number(dated.length_mm, 'mm')}; 2 rms {number(dated.length_two_rms_mm, 'mm')}."
+    columns = (
+        Column("direction"),
+        Column("calibrated", "right", "mm"),
+        Column("measured", "right", "mm"),
+        Column("error", "right", "mm"),
+    )
+    lengths = tuple(
+        (t.where, f"{t.calibrated_mm:.3f}", f"{t.measured_mm:.2f}", f"{t.error_mm:+.2f}")
+        for t in dated.lengths
+    )
+    note = (
+        f"Largest error {number(dated.length_mm, 'mm')}; 2 rms"
+        f" {number(dated.length_two_rms_mm, 'mm')}."
+    )
     yield Table("A calibrated length, measured in several directions", columns, lengths, note)
 
 
 def _arm_checks(run: RunRecord) -> Iterator[Part]:
-    facts = {when: run.facts[CHECK_FACT.format(when)] for when in (BEFORE, AFTER) if CHECK_FACT.format(when) in run.facts}
+    facts = {
+        when: run.facts[CHECK_FACT.format(when)]
+        for when in (BEFORE, AFTER)
+        if CHECK_FACT.format(when) in run.facts
+    }
     if not facts:
-        yield Paragraph("The arm was not checked before and after the trials: the rig names no check point.", tone="warn")
+        yield Paragraph(
+            "The arm was not checked before and after the trials: the rig names no check point.",
+            tone="warn",
+        )
         return
-    rows = tuple(_row(location_of(fact, f"check point, {when} the trials"), shift_mm(fact)) for when, fact in facts.items())
+    rows = tuple(
+        _row(location_of(fact, f"check point, {when} the trials"), shift_mm(fact))
+        for when, fact in facts.items()
+    )
     note = ""
     if len(facts) == 2:
         first, last = (location_of(fact, when).centre_mm for when, fact in facts.items())
-        note = f"Between the two the check point moved by {float(np.linalg.norm(last - first)):.2f} mm."
+        note = (
+            "Between the two the check point moved by"
+            f" {float(np.linalg.norm(last - first)):.2f} mm."
+        )
     yield Table("The arm before and after the trials", COLUMNS, rows, note)
 
 
 def _row(test: LocationTest, shift: float | None) -> tuple[str, ...]:
-    figures = (f"{test.largest_mm:.2f}", f"{test.two_sd_mm:.2f}", f"{test.sphere_mm:.2f}", f"{test.swing_deg:.0f}")
+    figures = (
+        f"{test.largest_mm:.2f}",
+        f"{test.two_sd_mm:.2f}",
+        f"{test.sphere_mm:.2f}",
+        f"{test.swing_deg:.0f}",
+    )
     return (test.where, str(test.n), *figures, "" if shift is None else f"{shift:.2f}")
 
 
@@ -104,7 +152,11 @@ U_NOTE = "standard uncertainties along one axis; the carry's is that of its wors
 def truth_parts(run: RunRecord) -> Iterator[Part]:
     """Definition, budgets, registration and checks."""
     yield Paragraph(f"Measurand: {DEFINITION}")
-    yield Paragraph("An answer that triangulates silhouettes measures another point; this report does not correct for it.", tone="info")
+    yield Paragraph(
+        "An answer that triangulates silhouettes measures another point; this report does not"
+        " correct for it.",
+        tone="info",
+    )
     yield from _budgets(run)
     registration = registration_from_facts(run.facts)
     if registration is not None:
@@ -116,7 +168,9 @@ def truth_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def deviation_parts(run: RunRecord) -> Iterator[Part]:
-    """What was not done as the script says, and what left the counts; a sentence where there is nothing."""
+    """What was not done as the script says, and what left the counts; a sentence where there is
+    nothing.
+    """
     left_out = [_skipped(row) for row in run.skipped]
     if left_out:
         yield Notes("Deviations from the script; what was skipped is in no count", tuple(left_out))
@@ -131,13 +185,22 @@ def deviation_parts(run: RunRecord) -> Iterator[Part]:
     since = [*state.unconfirmed, *state.since]
     if since:
         yield Paragraph(
-            f"{counted(len(since))} confirmed by no check touch after them, and count all the same: {', '.join(since)}.", tone="warn"
+            f"{counted(len(since))} confirmed by no check touch after them, and count all the same:"
+            f" {', '.join(since)}.",
+            tone="warn",
         )
-    refused = [f"{trial.id}, teat {row['teat']}: {row['refused']}" for trial in run.trials for row in trial.touches if row["refused"]]
+    refused = [
+        f"{trial.id}, teat {row['teat']}: {row['refused']}"
+        for trial in run.trials
+        for row in trial.touches
+        if row["refused"]
+    ]
     if refused:
         yield Notes("Touches that were refused and asked for again", tuple(refused))
     if not (left_out or why or since or refused):
-        yield Paragraph("None: every trial of the script was done and counts, and no touch was refused.")
+        yield Paragraph(
+            "None: every trial of the script was done and counts, and no touch was refused."
+        )
 
 
 def trial_truth(trial: TrialRecord) -> Table | None:
@@ -146,12 +209,27 @@ def trial_truth(trial: TrialRecord) -> Table | None:
     if not rows:
         return None
     names = [line["name"] for line in rows[0][1]["components"]]
-    columns = (Column("teat"), Column("truth"), *(Column(name, "right", "mm") for name in names), Column("combined", "right", "mm"))
+    columns = (
+        Column("teat"),
+        Column("truth"),
+        *(Column(name, "right", "mm") for name in names),
+        Column("combined", "right", "mm"),
+    )
     table = [
-        (str(row["teat"]), str(row["how"]), *(f"{line['u_mm']:.3f}" for line in budget["components"]), f"{budget['u_mm']:.3f}")
+        (
+            str(row["teat"]),
+            str(row["how"]),
+            *(f"{line['u_mm']:.3f}" for line in budget["components"]),
+            f"{budget['u_mm']:.3f}",
+        )
         for row, budget in rows
     ]
-    return Table("Uncertainty of the truth", columns, tuple(table), f"Sources stand under Measurand and reference; {U_NOTE}.")
+    return Table(
+        "Uncertainty of the truth",
+        columns,
+        tuple(table),
+        f"Sources stand under Measurand and reference; {U_NOTE}.",
+    )
 
 
 def _skipped(row: Mapping[str, Any]) -> str:
@@ -164,19 +242,24 @@ def _skipped(row: Mapping[str, Any]) -> str:
 def _budgets(run: RunRecord) -> Iterator[Part]:
     counted_rows = [row for trial in run.counted for row in trial.truth]
     for how in How:
-        budgets = [json.loads(row["budget"]) for row in counted_rows if row["how"] == how and row["budget"]]
+        budgets = [
+            json.loads(row["budget"]) for row in counted_rows if row["how"] == how and row["budget"]
+        ]
         if not budgets:
             continue
         worst = max(budgets, key=lambda budget: budget["u_mm"])
         lines = [(c["name"], f"{c['u_mm']:.3f}", c["source"]) for c in worst["components"]]
-        lines.append(("combined, along one axis", f"{worst['u_mm']:.3f}", "root of the sum of squares"))
+        lines.append(
+            ("combined, along one axis", f"{worst['u_mm']:.3f}", "root of the sum of squares")
+        )
         columns = (Column("component"), Column("u", "right", "mm"), Column("source"))
         caption = f"Uncertainty budget of the {how} truth: the worst of {len(budgets)} ends"
         yield Table(caption, columns, tuple(lines), f"Each trial has its own, per teat; {U_NOTE}.")
     known = [row["u_mm"] for row in counted_rows if row["u_mm"] is not None]
     if known:
         yield Paragraph(
-            f"Every decision's guard band is that of the largest uncertainty in the run: u = {max(known):.3f} mm along an axis."
+            "Every decision's guard band is that of the largest uncertainty in the run: u ="
+            f" {max(known):.3f} mm along an axis."
         )
 
 
@@ -190,7 +273,10 @@ def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
         ("positions touched", f"{n}, teat {found.teat}"),
         (
             "residual of the rigid fit (FRE)",
-            f"{fits.rigid.fre_mm:.2f} mm rms; {found.expected_fre_mm:.2f} mm expected of touches as stated",
+            (
+                f"{fits.rigid.fre_mm:.2f} mm rms; {found.expected_fre_mm:.2f} mm expected of"
+                " touches as stated"
+            ),
         ),
         ("target error (TRE) at the run's poses", _target_errors(run, found)),
         ("om, rad", ", ".join(f"{v:.6f}" for v in found.world_from_stage.om)),
@@ -198,32 +284,57 @@ def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
         ("chance of these axes, if as stated", f"{found.p_value:.2g}"),
     ]
     yield key_values("Registration of the stage, X_world = R(om) X_stage + T", entries)
-    columns = (Column("fit"), Column("residual", "right", "mm"), Column("held out", "right", "mm"), Column("singular values", "right"))
+    columns = (
+        Column("fit"),
+        Column("residual", "right", "mm"),
+        Column("held out", "right", "mm"),
+        Column("singular values", "right"),
+    )
     rows = [
-        (f.model, f"{f.fre_mm:.3f}", number(fits.held_out_mm[f.model], "", 3), ", ".join(f"{v:.4f}" for v in f.singular_values))
+        (
+            f.model,
+            f"{f.fre_mm:.3f}",
+            number(fits.held_out_mm[f.model], "", 3),
+            ", ".join(f"{v:.4f}" for v in f.singular_values),
+        )
         for f in fits.fits
     ]
-    note = "The rigid fit carries. Where affine is much better, held out too, the stage's axes or the arm are off."
+    note = (
+        "The rigid fit carries. Where affine is much better, held out too, the stage's axes or the"
+        " arm are off."
+    )
     yield Table("Fits of the touched positions", columns, tuple(rows), note)
     yield _diagnostics(found)
 
 
 def _diagnostics(found: Registration) -> Table:
     rows = [
-        (d.name, f"{1e3 * d.value:+.2f}", f"{1e3 * d.u:.2f}", f"{d.value / d.u:+.1f}", Cell("yes", "warn") if d.significant else Cell("no"))
+        (
+            d.name,
+            f"{1e3 * d.value:+.2f}",
+            f"{1e3 * d.u:.2f}",
+            f"{d.value / d.u:+.1f}",
+            Cell("yes", "warn") if d.significant else Cell("no"),
+        )
         for d in found.diagnostics
     ]
     columns = (
-        Column("axes"), Column("off by", "right", "mm/m"), Column("u", "right", "mm/m"), Column("off by / u", "right"),
+        Column("axes"),
+        Column("off by", "right", "mm/m"),
+        Column("u", "right", "mm/m"),
+        Column("off by / u", "right"),
         Column("significant", hint="beyond 2.58 u: touch noise explains it in one of 100 cases"),
-    )  # fmt: skip
+    )
     stated = found.stated
     note = (
-        f"Diagnostics, not corrections; squareness is in mrad. The rig file states u = {1e3 * stated.scale_u:g} mm/m of scale and "
-        f"{1e3 * stated.squareness_u_rad:g} mrad of squareness"
+        "Diagnostics, not corrections; squareness is in mrad. The rig file states u ="
+        f" {1e3 * stated.scale_u:g} mm/m of scale and {1e3 * stated.squareness_u_rad:g} mrad of"
+        " squareness"
     )
     more = (
-        "; what was found here is added, since it casts doubt on that." if found.doubted else ", which the carry's uncertainty is made of."
+        "; what was found here is added, since it casts doubt on that."
+        if found.doubted
+        else ", which the carry's uncertainty is made of."
     )
     return Table("The stage's axes", columns, tuple(rows), note + more)
 
@@ -240,16 +351,28 @@ def _check_touches(run: RunRecord) -> Iterator[Part]:
     if not run.checks:
         return
     columns = (
-        Column("check", "right"), Column("after trial"), Column("teat"), Column("touched x, y, z", "right", "mm"),
-        Column("carried x, y, z", "right", "mm"), Column("apart", "right", "mm"), Column("limit", "right", "mm"), Column("carry"),
-    )  # fmt: skip
+        Column("check", "right"),
+        Column("after trial"),
+        Column("teat"),
+        Column("touched x, y, z", "right", "mm"),
+        Column("carried x, y, z", "right", "mm"),
+        Column("apart", "right", "mm"),
+        Column("limit", "right", "mm"),
+        Column("carry"),
+    )
     rows = [
         (
-            str(row["number"]), str(row["after_trial"]), str(row["teat"]), _xyz(row, ""), _xyz(row, "carried_"),
-            f"{row['off_mm']:.2f}", f"{row['limit_mm']:g}", Cell("held", "good") if row["held"] else Cell("lost", "bad"),
+            str(row["number"]),
+            str(row["after_trial"]),
+            str(row["teat"]),
+            _xyz(row, ""),
+            _xyz(row, "carried_"),
+            f"{row['off_mm']:.2f}",
+            f"{row['limit_mm']:g}",
+            Cell("held", "good") if row["held"] else Cell("lost", "bad"),
         )
         for row in run.checks
-    ]  # fmt: skip
+    ]
     yield Table("Check touches of the carried truth", columns, tuple(rows))
 
 
@@ -264,13 +387,20 @@ def _truth_error(run: RunRecord) -> str:
         return ""
     distances = np.array([_off_mm(row) for row in rows])
     return (
-        f"Emulated rig: the scene's exact teat ends are kept aside. The truth is {distances.mean():.2f} mm from them on the mean, "
-        f"{distances.max():.2f} mm at most ({len(rows)} ends){_held(rows)}. Scores are against the measured truth, as in a laboratory."
+        "Emulated rig: the scene's exact teat ends are kept aside. The truth is"
+        f" {distances.mean():.2f} mm from them on the mean, {distances.max():.2f} mm at most"
+        f" ({len(rows)} ends){_held(rows)}. Scores are against the measured truth, as in a"
+        " laboratory."
     )
 
 
 def _off_mm(row: Mapping[str, Any]) -> float:
-    return float(np.linalg.norm(np.array([row["x_mm"], row["y_mm"], row["z_mm"]]) - np.array(json.loads(row["exact_mm"]))))
+    return float(
+        np.linalg.norm(
+            np.array([row["x_mm"], row["y_mm"], row["z_mm"]])
+            - np.array(json.loads(row["exact_mm"]))
+        )
+    )
 
 
 def _held(rows: Sequence[Mapping[str, Any]]) -> str:

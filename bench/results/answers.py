@@ -1,11 +1,14 @@
-"""What an answer must be before it is scored: an answer is taken whole or not at all. May not know which detector gave it.
+"""What an answer must be before it is scored: an answer is taken whole or not at all. May not know
+which detector gave it.
 
-A detector may be anyone's: nothing of its answer is believed before it was looked at, for it goes into record, scores and report.
+A detector may be anyone's: nothing of its answer is believed before it was looked at, for it goes
+into record, scores and report.
 
 Runs a detector on a frame set and scores its answer, for runs and recordings alike.
 
-A detector that fails, gives nonsense or is too slow is scored as what it did; it never stops a run. The same stopwatch stands around the
-same call for every detector, in the bench's process or in one of its own: `detect`, and nothing else.
+A detector that fails, gives nonsense or is too slow is scored as what it did; it never stops a run.
+The same stopwatch stands around the same call for every detector, in the bench's process or in one
+of its own: `detect`, and nothing else.
 """
 
 from __future__ import annotations
@@ -21,7 +24,16 @@ from numpy.typing import NDArray
 
 from bench.scoring.scene import SceneScore, score_scene
 from detector.calibration import Calibration
-from detector.protocol import Detection, DetectionFailure, Detector, Frames, Outcome, Served, Stage, Teat
+from detector.protocol import (
+    Detection,
+    DetectionFailure,
+    Detector,
+    Frames,
+    Outcome,
+    Served,
+    Stage,
+    Teat,
+)
 from instruments.clock import load_per_processor, processor_s, stopwatch_s
 from reports.sanitize import sanitized
 
@@ -29,7 +41,8 @@ WORKING_VOLUME_MM = 2000.0  # no teat of any rig is further from the table's ori
 MOST_TEATS = 16  # four, and what else a detector may take for one; each costs the scorer time
 LONGEST_REASON = 500
 LEAST_SD_MM, MOST_SD_MM = 1e-6, 1e6  # beyond, figures made of it are no longer numbers
-MOST_STAGES, LONGEST_NAME, MOST_PICTURE_PX = 64, 60, 8192  # what a run keeps of the trace of one answer
+# what a run keeps of the trace of one answer
+MOST_STAGES, LONGEST_NAME, MOST_PICTURE_PX = 64, 60, 8192
 _SYMMETRY = 1e-6  # of the greatest entry: six printed digits
 _PIXELS = ("left_px", "right_px", "thermal_px")
 
@@ -39,15 +52,28 @@ def checked(detection: Any) -> Detection:
     if not isinstance(detection, Detection):
         raise DetectionFailure(f"its answer is a {type(detection).__name__}, not a Detection")
     hidden = detection.hidden
-    if isinstance(hidden, bool) or not isinstance(hidden, int | np.integer) or not 0 <= hidden <= MOST_TEATS:
-        raise DetectionFailure(f"its answer counts {hidden!r} teats as hidden; a whole number from 0 to {MOST_TEATS} is asked for")
+    if (
+        isinstance(hidden, bool)
+        or not isinstance(hidden, int | np.integer)
+        or not 0 <= hidden <= MOST_TEATS
+    ):
+        raise DetectionFailure(
+            f"its answer counts {hidden!r} teats as hidden; a whole number from 0 to {MOST_TEATS}"
+            " is asked for"
+        )
     if not isinstance(detection.teats, tuple | list):
-        raise DetectionFailure(f"the teats of its answer are a {type(detection.teats).__name__}, not a tuple of Teat")
+        raise DetectionFailure(
+            f"the teats of its answer are a {type(detection.teats).__name__}, not a tuple of Teat"
+        )
     if len(detection.teats) > MOST_TEATS:
-        raise DetectionFailure(f"its answer has {len(detection.teats)} teats; {MOST_TEATS} are taken at most")
+        raise DetectionFailure(
+            f"its answer has {len(detection.teats)} teats; {MOST_TEATS} are taken at most"
+        )
     teats = tuple(_teat(number, teat) for number, teat in enumerate(detection.teats, 1))
     trace, lost = _trace(detection.trace)
-    reason = "; ".join(one_line(str(part)) for part in (detection.reason, lost) if part is not None)[:LONGEST_REASON]
+    reason = "; ".join(
+        one_line(str(part)) for part in (detection.reason, lost) if part is not None
+    )[:LONGEST_REASON]
     return Detection(teats, int(hidden), reason or None, trace)
 
 
@@ -58,15 +84,25 @@ def one_line(text: str) -> str:
 
 def _teat(number: int, teat: Any) -> Teat:
     if not isinstance(teat, Teat):
-        raise DetectionFailure(f"teat {number} of its answer is a {type(teat).__name__}, not a Teat")
+        raise DetectionFailure(
+            f"teat {number} of its answer is a {type(teat).__name__}, not a Teat"
+        )
     seen = {
-        name: None if getattr(teat, name) is None else _numbers(getattr(teat, name), (2,), f"{name} of teat {number}", "two finite numbers")
+        name: (
+            None
+            if getattr(teat, name) is None
+            else _numbers(
+                getattr(teat, name), (2,), f"{name} of teat {number}", "two finite numbers"
+            )
+        )
         for name in _PIXELS
     }
     point = _numbers(teat.world_mm, (3,), f"teat {number} of its answer", "three finite numbers")
     if np.abs(point).max() > WORKING_VOLUME_MM:
         where = ", ".join(f"{value:.4g}" for value in point)
-        raise DetectionFailure(f"teat {number} of its answer is at ({where}) mm, outside of the working volume")
+        raise DetectionFailure(
+            f"teat {number} of its answer is at ({where}) mm, outside of the working volume"
+        )
     spread = None if teat.covariance_mm2 is None else _covariance(number, teat.covariance_mm2)
     return replace(teat, world_mm=point, covariance_mm2=spread, **seen)
 
@@ -77,13 +113,19 @@ def _covariance(number: int, given: Any) -> Any:
     if np.abs(matrix - matrix.T).max() > _SYMMETRY * np.abs(matrix).max():
         raise DetectionFailure(f"{what} is not symmetric")
     if np.abs(matrix).max() > MOST_SD_MM**2:
-        raise DetectionFailure(f"{what} has an entry of {np.abs(matrix).max():.3g} mm2; at most {MOST_SD_MM**2:g} are taken")
+        raise DetectionFailure(
+            f"{what} has an entry of {np.abs(matrix).max():.3g} mm2; at most {MOST_SD_MM**2:g} are"
+            " taken"
+        )
     matrix = 0.5 * (matrix + matrix.T)
     least = float(np.linalg.eigvalsh(matrix).min())
     if least <= 0.0:
         raise DetectionFailure(f"{what} is not positive definite")
     if least < LEAST_SD_MM**2:
-        raise DetectionFailure(f"{what} claims a standard deviation of {np.sqrt(least):.3g} mm; at least {LEAST_SD_MM:g} mm are taken")
+        raise DetectionFailure(
+            f"{what} claims a standard deviation of {np.sqrt(least):.3g} mm; at least"
+            f" {LEAST_SD_MM:g} mm are taken"
+        )
     return matrix
 
 
@@ -92,34 +134,62 @@ def _numbers(given: Any, shape: tuple[int, ...], what: str, wanted: str) -> Any:
         found = np.ma.asarray(given) if isinstance(given, np.ma.MaskedArray) else np.asarray(given)
     except (TypeError, ValueError, OverflowError):
         raise DetectionFailure(f"{what} is {_short(given)}, not {wanted}") from None
-    if found.shape != shape or found.dtype.kind not in "iuf" or np.ma.is_masked(found) or not np.isfinite(found).all():
+    if (
+        found.shape != shape
+        or found.dtype.kind not in "iuf"
+        or np.ma.is_masked(found)
+        or not np.isfinite(found).all()
+    ):
         raise DetectionFailure(f"{what} is {_short(found.tolist())}, not {wanted}")
     return np.array(found, dtype=np.float64)
 
 
 def _trace(trace: Any) -> tuple[tuple[Stage, ...], str | None]:
-    """The stages that the record can hold; a trace is only for the reader, so what is wrong with it costs nobody an answer."""
+    """The stages that the record can hold; a trace is only for the reader, so what is wrong with it
+    costs nobody an answer.
+    """
     stages = trace if isinstance(trace, tuple | list) else (trace,)
-    kept = {stage.name.casefold().replace(" ", "-"): stage for stage in reversed(stages[:MOST_STAGES]) if _holds(stage)}
+    kept = {
+        stage.name.casefold().replace(" ", "-"): stage
+        for stage in reversed(stages[:MOST_STAGES])
+        if _holds(stage)
+    }
     lost = len(stages) - len(kept)
     why = "a stage has a plain name of its own, and arrays of numbers or text by name"
-    return tuple(reversed(kept.values())), f"{lost} of its stages can't be kept: {why}" if lost else None
+    return tuple(reversed(kept.values())), (
+        f"{lost} of its stages can't be kept: {why}" if lost else None
+    )
 
 
 def _holds(stage: Any) -> bool:
-    if not isinstance(stage, Stage) or not isinstance(stage.name, str) or not isinstance(stage.data, Mapping):
+    if (
+        not isinstance(stage, Stage)
+        or not isinstance(stage.name, str)
+        or not isinstance(stage.data, Mapping)
+    ):
         return False
-    plain = stage.name.replace(" ", "").replace("-", "").isalnum() and len(stage.name) <= LONGEST_NAME
-    return plain and all(isinstance(key, str) and key.isprintable() and _keeps(value) for key, value in stage.data.items())
+    plain = (
+        stage.name.replace(" ", "").replace("-", "").isalnum() and len(stage.name) <= LONGEST_NAME
+    )
+    return plain and all(
+        isinstance(key, str) and key.isprintable() and _keeps(value)
+        for key, value in stage.data.items()
+    )
 
 
 def _keeps(value: Any) -> bool:
-    """Whether record and report can show an array: a mask becomes a picture, text stands on a page."""
+    """Whether record and report can show an array: a mask becomes a
+    picture, text stands on a page.
+    """
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "biufU":
         return False
     if value.dtype.kind == "U":
         return all(text.isprintable() for text in value.ravel().tolist())
-    return value.dtype.kind != "b" or value.ndim != 2 or 0 < min(value.shape) <= max(value.shape) <= MOST_PICTURE_PX
+    return (
+        value.dtype.kind != "b"
+        or value.ndim != 2
+        or 0 < min(value.shape) <= max(value.shape) <= MOST_PICTURE_PX
+    )
 
 
 def _short(value: Any) -> str:
@@ -134,9 +204,11 @@ TIMEOUT_S = 30.0  # a slower answer counts as none; a rig says its own (limits.d
 class Answer:
     """What a detector said of one frame set, and how long it took (real seconds).
 
-    cold: the detector's first call since it was made, or since its process was started; no latency is taken from it. start_up_s: what a
-    process took to start before this call, not part of ``seconds``. stderr: what it wrote to its standard error. cpu_s: seconds of
-    processors that the bench's process used meanwhile, None where the detector isn't in it; load: of the machine, a processor.
+    cold: the detector's first call since it was made, or since its process was started; no latency
+    is taken from it. start_up_s: what a process took to start before this call, not part of
+    ``seconds``. stderr: what it wrote to its standard error. cpu_s: seconds of processors that the
+    bench's process used meanwhile, None where the detector isn't in it; load: of the machine, a
+    processor.
     """
 
     detector: str
@@ -161,7 +233,9 @@ class TruthRow:
 
 
 class Examiner:
-    """Asks detectors, and knows which of them has been asked before. An answer slower than ``timeout_s`` counts as none."""
+    """Asks detectors, and knows which of them has been asked before. An answer slower than
+    ``timeout_s`` counts as none.
+    """
 
     def __init__(self, calibration: Calibration, timeout_s: float = TIMEOUT_S) -> None:
         self._calibration, self._timeout_s = calibration, timeout_s
@@ -174,8 +248,17 @@ class Examiner:
         return examine(detector, frames, self._calibration, first=first, timeout_s=self._timeout_s)
 
 
-def examine(detector: Detector, frames: Frames, calibration: Calibration, *, first: bool = False, timeout_s: float = TIMEOUT_S) -> Answer:
-    """Detect, timed. Whatever the detector does but answer well becomes an answer without teats that gives it as the reason."""
+def examine(
+    detector: Detector,
+    frames: Frames,
+    calibration: Calibration,
+    *,
+    first: bool = False,
+    timeout_s: float = TIMEOUT_S,
+) -> Answer:
+    """Detect, timed. Whatever the detector does but answer well becomes an answer without teats
+    that gives it as the reason.
+    """
     served = detector if isinstance(detector, Served) else None
     shown = _Shown(frames)
     seconds, used_s, outcome = 0.0, 0.0, Outcome.ANSWERED
@@ -189,7 +272,9 @@ def examine(detector: Detector, frames: Frames, calibration: Calibration, *, fir
         finally:
             seconds, used_s = stopwatch_s() - start_s, processor_s() - used_before_s
         if seconds > timeout_s:
-            raise DetectionFailure(f"it answered after {timeout_s:g} s, which counts as no answer", Outcome.TIMEOUT)
+            raise DetectionFailure(
+                f"it answered after {timeout_s:g} s, which counts as no answer", Outcome.TIMEOUT
+            )
         detection = checked(given)
         if served:
             served.check()
@@ -197,11 +282,22 @@ def examine(detector: Detector, frames: Frames, calibration: Calibration, *, fir
         outcome, detection = failure.outcome, _nothing(failure)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # anyone's code: it may fail in any way, and not every library's errors are Exceptions
+    # anyone's code: it may fail in any way, and not every library's errors are Exceptions
+    except BaseException as error:
         outcome, detection = Outcome.FAILED, _nothing(_named(error))
     start_up_s, stderr = (served.start_up_s, served.said()) if served else (None, "")
     cpu_s, load = None if served else used_s, load_per_processor()
-    return Answer(detector.name, detection, seconds, outcome, first or start_up_s is not None, start_up_s, stderr, cpu_s, load)
+    return Answer(
+        detector.name,
+        detection,
+        seconds,
+        outcome,
+        first or start_up_s is not None,
+        start_up_s,
+        stderr,
+        cpu_s,
+        load,
+    )
 
 
 def close_detectors(detectors: Iterable[Detector]) -> None:
@@ -211,8 +307,12 @@ def close_detectors(detectors: Iterable[Detector]) -> None:
             detector.close()
 
 
-def score_answer(answer: Answer, truth: Sequence[TruthRow], *, limit_mm: float, time_limit_s: float) -> SceneScore:
-    """The score of one answer against the teats of its scene. No answer is no success, also where there was nothing to be found."""
+def score_answer(
+    answer: Answer, truth: Sequence[TruthRow], *, limit_mm: float, time_limit_s: float
+) -> SceneScore:
+    """The score of one answer against the teats of its scene. No answer is no success, also where
+    there was nothing to be found.
+    """
     known = [row.u_mm for row in truth if row.u_mm is not None]
     score = score_scene(
         points_of(answer.detection),
@@ -226,7 +326,9 @@ def score_answer(answer: Answer, truth: Sequence[TruthRow], *, limit_mm: float, 
     )
     if answer.outcome is Outcome.ANSWERED:
         return score
-    return replace(score, success=False, in_time=score.in_time and answer.outcome is not Outcome.TIMEOUT)
+    return replace(
+        score, success=False, in_time=score.in_time and answer.outcome is not Outcome.TIMEOUT
+    )
 
 
 def points_of(detection: Detection) -> NDArray[np.float64]:
@@ -247,7 +349,9 @@ def _named(error: BaseException) -> str:
 
 
 class _Shown:
-    """A frame set as a detector sees it: it can't change the pictures under those that are asked after it, nor what is stored."""
+    """A frame set as a detector sees it: it can't change the pictures under those that are asked
+    after it, nor what is stored.
+    """
 
     def __init__(self, frames: Frames) -> None:
         self.left, self.right = _fixed(frames.left), _fixed(frames.right)

@@ -1,7 +1,9 @@
-"""Whose it is that a teat was missed, was off, or was never judged: detector, truth, bench, operator, or nobody's since it can't be seen.
+"""Whose it is that a teat was missed, was off, or was never judged: detector, truth, bench,
+operator, or nobody's since it can't be seen.
 
-Pure, from the record alone. A fault of the bench is never a failure of the detector: what lies in the truth's guard band is the truth's,
-what was captured while the bath was out of its band is the bench's, what was left out is whoever's it was that it was left out.
+Pure, from the record alone. A fault of the bench is never a failure of the detector: what lies in
+the truth's guard band is the truth's, what was captured while the bath was out of its band is the
+bench's, what was left out is whoever's it was that it was left out.
 """
 
 from __future__ import annotations
@@ -39,7 +41,9 @@ class What(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Attributed:
-    """One thing that is not as it should be; ``teat`` is its name, empty for a false finding or a whole trial."""
+    """One thing that is not as it should be; ``teat`` is its name, empty for a false finding or a
+    whole trial.
+    """
 
     trial: str
     detector: str
@@ -50,8 +54,13 @@ class Attributed:
 
 
 def attributed(run: RunRecord, detector: str) -> tuple[Attributed, ...]:
-    """Everything of ``detector`` in ``run``, in the order of the trials; then the trials that nobody judged."""
-    return (*(one for trial in run.trials for one in _of_trial(trial, detector)), *_not_judged(run, detector))
+    """Everything of ``detector`` in ``run``, in the order of the trials; then the trials that
+    nobody judged.
+    """
+    return (
+        *(one for trial in run.trials for one in _of_trial(trial, detector)),
+        *_not_judged(run, detector),
+    )
 
 
 def counted(found: tuple[Attributed, ...]) -> Counter[tuple[What, Cause]]:
@@ -67,15 +76,32 @@ def _of_trial(trial: TrialRecord, detector: str) -> Iterator[Attributed]:
         if trial.invalid is not None:
             cause, why = Cause.TRUTH, trial.invalid
         elif trial.head["bath_state"] not in (None, State.STABLE.value) and cause is Cause.DETECTOR:
-            cause, why = Cause.BENCH, f"the bath was {trial.head['bath_state']}, not stable, when the frames were taken"
+            cause, why = (
+                Cause.BENCH,
+                f"the bath was {trial.head['bath_state']}, not stable, when the frames were taken",
+            )
         yield Attributed(trial.id, detector, teat, what, cause, why)
 
 
-def _wrong(trial: TrialRecord, score: SceneScore, detector: str) -> Iterator[tuple[What, str, Cause, str]]:
+def _wrong(
+    trial: TrialRecord, score: SceneScore, detector: str
+) -> Iterator[tuple[What, str, Cause, str]]:
     names = [str(row["teat"]) for row in trial.truth]
-    reason = next((str(row["reason"]) for row in trial.detections if row["detector"] == detector and row["reason"]), "")
+    reason = next(
+        (
+            str(row["reason"])
+            for row in trial.detections
+            if row["detector"] == detector and row["reason"]
+        ),
+        "",
+    )
     for teat in score.match.missed:
-        yield What.MISSED, names[teat], Cause.DETECTOR, reason or "it was visible and nothing was found within the gate"
+        yield (
+            What.MISSED,
+            names[teat],
+            Cause.DETECTOR,
+            reason or "it was visible and nothing was found within the gate",
+        )
     for (_, teat), distance in zip(score.match.pairs, score.radial_mm, strict=True):
         if distance > score.limit_mm:
             near = teat in score.doubtful
@@ -92,13 +118,30 @@ def _wrong(trial: TrialRecord, score: SceneScore, detector: str) -> Iterator[tup
 
 def _not_judged(run: RunRecord, detector: str) -> Iterator[Attributed]:
     """Trials that were left out, and those that the run did not come to."""
-    by_operator = {event["text"].split(":")[0] for event in run.events if event["kind"] == "skipped" and OPERATORS_EVENT in event["text"]}
+    by_operator = {
+        event["text"].split(":")[0]
+        for event in run.events
+        if event["kind"] == "skipped" and OPERATORS_EVENT in event["text"]
+    }
     for row in run.skipped:
         trial, reason = str(row["trial"]), str(row["reason"])
-        cause = Cause.OPERATOR if trial in by_operator else Cause.BENCH if "the bench died in it" in reason else Cause.TRUTH
+        cause = (
+            Cause.OPERATOR
+            if trial in by_operator
+            else Cause.BENCH
+            if "the bench died in it" in reason
+            else Cause.TRUTH
+        )
         yield Attributed(trial, detector, "", What.NOT_JUDGED, cause, reason)
     known = {trial.id for trial in run.trials} | {str(row["trial"]) for row in run.skipped}
     cause = Cause.OPERATOR if run.ending == "aborted" else Cause.BENCH
     for pose in run.facts.get("pose set", {}).get("poses", ()):
         if str(pose[0]) not in known:
-            yield Attributed(str(pose[0]), detector, "", What.NOT_JUDGED, cause, f"the run was {run.ending} before it")
+            yield Attributed(
+                str(pose[0]),
+                detector,
+                "",
+                What.NOT_JUDGED,
+                cause,
+                f"the run was {run.ending} before it",
+            )

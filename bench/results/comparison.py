@@ -1,13 +1,17 @@
-"""Runs side by side: which detector of which run is held against which, and which of their trials show the same scene.
+"""Runs side by side: which detector of which run is held against which, and which of their trials
+show the same scene.
 
-Two trials are a pair where their frames are the same files, byte by byte; else where they have the same pose and repeat, as two runs of
-one script have, and the truth has the same teats at the same places: names alone would pair poses that were drawn by two seeds. What
-was scored by two sets of limits isn't compared at all. The first run is the old one. May not judge: that is `bench.scoring.comparison`.
+Two trials are a pair where their frames are the same files, byte by byte; else where they have the
+same pose and repeat, as two runs of one script have, and the truth has the same teats at the same
+places: names alone would pair poses that were drawn by two seeds. What was scored by two sets of
+limits isn't compared at all. The first run is the old one. May not judge: that is
+`bench.scoring.comparison`.
 
-Several runs judged as one: their counts, errors and times side by side, held against the same requirements. No average is averaged.
+Several runs judged as one: their counts, errors and times side by side, held against the same
+requirements. No average is averaged.
 
-A pose that several runs share is one pose, with all of them for repeats. What the bench itself has to meet (bath, arm, calibration) holds
-for a run, and stands in that run's report.
+A pose that several runs share is one pose, with all of them for repeats. What the bench itself has
+to meet (bath, arm, calibration) holds for a run, and stands in that run's report.
 """
 
 from __future__ import annotations
@@ -24,14 +28,21 @@ from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord, TrialRecord, read_run
 from bench.record.schema import RULES, SCRIPT
 from bench.results.latency import Latency, latency_of
-from bench.results.verdicts import DetectorRequirement, Judgement, decide_detector, held_back, truth_u_mm
+from bench.results.verdicts import (
+    DetectorRequirement,
+    Judgement,
+    decide_detector,
+    held_back,
+    truth_u_mm,
+)
 from bench.scoring.comparison import Compared, Gate, ScenePair, compare
 from bench.scoring.decisions import Verdict
 from bench.scoring.pool import Pool
 from bench.script.model import Rules, Script
 
 SAME_PLACE_MM = 10.0  # a hand sets a phantom up within a few mm; scripts move it by 25 mm
-CAMERAS = frozenset({"left", "right", "thermal", "thermal_radiometric"})  # other pictures are a detector's own
+# other pictures are a detector's own
+CAMERAS = frozenset({"left", "right", "thermal", "thermal_radiometric"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +56,9 @@ class Side:
     def label(self) -> str:
         """The detector, its version, and its run's folder."""
         version = self.run.facts["items"].get(self.detector, {}).get("version")
-        return f"{self.detector}{f' {version}' if version else ''} in {self.run.folder.resolve().name}"
+        return (
+            f"{self.detector}{f' {version}' if version else ''} in {self.run.folder.resolve().name}"
+        )
 
     @property
     def trials(self) -> tuple[TrialRecord, ...]:
@@ -55,7 +68,8 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two sides compared. `same_frames` of the pairs were detected in identical frames; `only_old` and `only_new` had no counterpart.
+    """Two sides compared. `same_frames` of the pairs were detected in identical frames; `only_old`
+    and `only_new` had no counterpart.
 
     `elsewhere` trials had one by name, but its teats stood at other places.
     """
@@ -71,10 +85,11 @@ class Comparison:
 
 
 def scored_together(runs: Sequence[RunRecord], detector: str) -> Pool:
-    """The scores of one detector over several runs as one: counts and errors side by side, so nothing is an average of averages.
+    """The scores of one detector over several runs as one: counts and errors side by side, so
+    nothing is an average of averages.
 
-    A pose of one script, or of one recording, is the same pose in every run of it, and succeeds when it does in all; poses of two scripts
-    differ.
+    A pose of one script, or of one recording, is the same pose in every run of it, and succeeds
+    when it does in all; poses of two scripts differ.
     """
     sides = [(Side(run, detector), poses_of(run)) for run in runs]
     rows = [((poses, trial.pose), trial) for side, poses in sides for trial in side.trials]
@@ -90,59 +105,108 @@ def compare_folders(
     seed: int = 0,
     damage: tuple[str, ...] = (),
 ) -> tuple[Comparison, ...]:
-    """Compare each later run with the first, or the detectors of one run with its first; ``damage`` is that of their records.
+    """Compare each later run with the first, or the detectors of one run with its first; ``damage``
+    is that of their records.
 
     Raises ConfigError where nothing can be compared.
     """
     runs = [read_run(folder, damage) for folder in folders]
-    return tuple(compare_sides(old, new, margin_mm=margin_mm, confidence=confidence, seed=seed) for old, new in sides(runs, detectors))
+    return tuple(
+        compare_sides(old, new, margin_mm=margin_mm, confidence=confidence, seed=seed)
+        for old, new in sides(runs, detectors)
+    )
 
 
-def compare_sides(old: Side, new: Side, *, margin_mm: float | None = None, confidence: float = 0.95, seed: int = 0) -> Comparison:
-    """Compare two detectors on the trials that both have. Raises ConfigError where they have none in common, or other limits."""
+def compare_sides(
+    old: Side, new: Side, *, margin_mm: float | None = None, confidence: float = 0.95, seed: int = 0
+) -> Comparison:
+    """Compare two detectors on the trials that both have. Raises ConfigError where they have none
+    in common, or other limits.
+    """
     check_limits(old, new)
     matched, elsewhere = _paired(old.trials, new.trials)
     if not matched:
-        moved = f" {elsewhere} have the same name, but their teats stood at other places." if elsewhere else ""
+        moved = (
+            f" {elsewhere} have the same name, but their teats stood at other places."
+            if elsewhere
+            else ""
+        )
         hint = "Run both on one recording, or one script on one seed."
-        raise ConfigError.plain(f"{old.label} and {new.label} have no scored trial in common.{moved} {hint}")
-    pairs = tuple(ScenePair(a.id, a.pose, str(a.head["situation"]), a.scores[old.detector], b.scores[new.detector]) for a, b, _ in matched)
+        raise ConfigError.plain(
+            f"{old.label} and {new.label} have no scored trial in common.{moved} {hint}"
+        )
+    pairs = tuple(
+        ScenePair(
+            a.id, a.pose, str(a.head["situation"]), a.scores[old.detector], b.scores[new.detector]
+        )
+        for a, b, _ in matched
+    )
     only_old, only_new = len(old.trials) - len(matched), len(new.trials) - len(matched)
     found = compare(pairs, margin_mm=margin_mm, confidence=confidence, seed=seed, unpaired=only_old)
     if damage := new.run.damage or old.run.damage:
-        found = replace(found, gate=Gate(Verdict.INCONCLUSIVE, (f"{NOT_AS_WRITTEN}: {shortened(damage)}",), found.gate.margin_mm))
-    return Comparison(old, new, pairs, sum(same for _, _, same in matched), only_old, only_new, found, elsewhere)
+        found = replace(
+            found,
+            gate=Gate(
+                Verdict.INCONCLUSIVE,
+                (f"{NOT_AS_WRITTEN}: {shortened(damage)}",),
+                found.gate.margin_mm,
+            ),
+        )
+    return Comparison(
+        old, new, pairs, sum(same for _, _, same in matched), only_old, only_new, found, elsewhere
+    )
 
 
 def sides(runs: Sequence[RunRecord], detectors: Sequence[str] = ()) -> Iterator[tuple[Side, Side]]:
-    """Who is held against whom; `detectors` restricts to these names. Raises ConfigError where it isn't clear."""
+    """Who is held against whom; `detectors` restricts to these names. Raises ConfigError where it
+    isn't clear.
+    """
     for run in runs:
         for name in detectors:
             if len(runs) == 1 and name not in run.detectors:
-                raise ConfigError.plain(f"{run.folder} has no detector {name!r}{did_you_mean(name, run.detectors)}")
+                raise ConfigError.plain(
+                    f"{run.folder} has no detector {name!r}{did_you_mean(name, run.detectors)}"
+                )
     first, *others = runs
     if not others:
         names = detectors or first.detectors
         if len(names) < 2:
-            raise ConfigError.plain(f"{first.folder} has one detector, {names[0]}: name a second run to compare it with")
+            raise ConfigError.plain(
+                f"{first.folder} has one detector, {names[0]}: name a second run to compare it with"
+            )
         yield from ((Side(first, names[0]), Side(first, name)) for name in names[1:])
     for run in others:
         yield from _between(first, run, detectors)
 
 
-def _between(old: RunRecord, new: RunRecord, detectors: Sequence[str]) -> Iterator[tuple[Side, Side]]:
-    shared = [name for name in new.detectors if name in old.detectors and (not detectors or name in detectors)]
+def _between(
+    old: RunRecord, new: RunRecord, detectors: Sequence[str]
+) -> Iterator[tuple[Side, Side]]:
+    shared = [
+        name
+        for name in new.detectors
+        if name in old.detectors and (not detectors or name in detectors)
+    ]
     if shared:
         yield from ((Side(old, name), Side(new, name)) for name in shared)
     elif len(old.detectors) == len(new.detectors) == 1 and not detectors:
         yield Side(old, old.detectors[0]), Side(new, new.detectors[0])
     else:
-        there = f"{old.folder} has {', '.join(old.detectors)}; {new.folder} has {', '.join(new.detectors)}"
-        raise ConfigError.plain(f"no detector{' of those named' if detectors else ''} is in both runs: {there}")
+        there = (
+            f"{old.folder} has {', '.join(old.detectors)}; {new.folder} has"
+            f" {', '.join(new.detectors)}"
+        )
+        raise ConfigError.plain(
+            f"no detector{' of those named' if detectors else ''} is in both runs: {there}"
+        )
 
 
-def _paired(old: Sequence[TrialRecord], new: Sequence[TrialRecord]) -> tuple[list[tuple[TrialRecord, TrialRecord, bool]], int]:
-    """Trials of one scene, in the old one's order, and whether their frames are identical; and how many had only the name in common."""
+def _paired(
+    old: Sequence[TrialRecord], new: Sequence[TrialRecord]
+) -> tuple[list[tuple[TrialRecord, TrialRecord, bool]], int]:
+    """Trials of one scene, in the old one's order, and whether their frames are identical; and how
+    many had only the name in common.
+    """
     by_frames, by_name = _unique(new, _frames), _unique(new, _name)
     ours = Counter(_frames(trial) for trial in old)
     taken: set[str] = set()
@@ -162,20 +226,30 @@ def _paired(old: Sequence[TrialRecord], new: Sequence[TrialRecord]) -> tuple[lis
 
 def _same_place(one: TrialRecord, other: TrialRecord) -> bool:
     """Whether the truths of both have the same teats, each end within SAME_PLACE_MM."""
-    ends = [[(str(row["teat"]), (row["x_mm"], row["y_mm"], row["z_mm"])) for row in trial.truth] for trial in (one, other)]
+    ends = [
+        [(str(row["teat"]), (row["x_mm"], row["y_mm"], row["z_mm"])) for row in trial.truth]
+        for trial in (one, other)
+    ]
     return len(ends[0]) == len(ends[1]) and all(
         a == b and math.dist(p, q) <= SAME_PLACE_MM for (a, p), (b, q) in zip(*ends, strict=True)
     )  # fmt: skip
 
 
 def check_limits(old: Side, new: Side) -> None:
-    """Raises ConfigError where success means two things: another limit of the error, or of the time."""
+    """Raises ConfigError where success means two things: another limit of the error, or of the
+    time.
+    """
     for what, limits_of in (("mm", _error_limits_mm), ("s", _time_limits_s)):
         a, b = limits_of(old), limits_of(new)
         if a and b and a != b:
-            told = " and ".join(", ".join(f"{limit:g}" for limit in sorted(limits)) for limits in (a, b))
+            told = " and ".join(
+                ", ".join(f"{limit:g}" for limit in sorted(limits)) for limits in (a, b)
+            )
             hint = "success would mean two things. Run or score both by the same rules."
-            raise ConfigError.plain(f"{old.label} and {new.label} were held against different limits ({told} {what}): {hint}")
+            raise ConfigError.plain(
+                f"{old.label} and {new.label} were held against different limits ({told} {what}):"
+                f" {hint}"
+            )
 
 
 def _error_limits_mm(side: Side) -> set[float]:
@@ -183,7 +257,9 @@ def _error_limits_mm(side: Side) -> set[float]:
 
 
 def _time_limits_s(side: Side) -> set[float]:
-    """The limit that the run's scenes were held against; none where the run's rules aren't in its folder."""
+    """The limit that the run's scenes were held against; none where the run's rules aren't in its
+    folder.
+    """
     for name, kind in ((SCRIPT, Script), (RULES, Rules)):
         if (side.run.folder / name).is_file():
             return {read_config(side.run.folder / name, kind, stored=True).time_limit_s}
@@ -191,19 +267,25 @@ def _time_limits_s(side: Side) -> set[float]:
 
 
 def poses_of(run: RunRecord) -> str:
-    """What its poses belong to: a script as it was written, or a recording by its path; else the run alone."""
+    """What its poses belong to: a script as it was written, or a recording by its path; else the
+    run alone.
+    """
     script = run.folder / SCRIPT
     text = hashlib.sha256(script.read_bytes()).hexdigest() if script.is_file() else ""
     return f"{run.facts.get('script') or run.facts.get('about') or run.folder} {text}"
 
 
-def _unique(trials: Sequence[TrialRecord], key: Callable[[TrialRecord], Hashable]) -> dict[Hashable, TrialRecord]:
+def _unique(
+    trials: Sequence[TrialRecord], key: Callable[[TrialRecord], Hashable]
+) -> dict[Hashable, TrialRecord]:
     times = Counter(key(trial) for trial in trials)
     return {key(trial): trial for trial in trials if times[key(trial)] == 1}
 
 
 def _frames(trial: TrialRecord) -> Hashable:
-    return tuple(sorted((row["camera"], row["sha256"]) for row in trial.frames if row["camera"] in CAMERAS))
+    return tuple(
+        sorted((row["camera"], row["sha256"]) for row in trial.frames if row["camera"] in CAMERAS)
+    )
 
 
 def _name(trial: TrialRecord) -> Hashable:
@@ -211,19 +293,33 @@ def _name(trial: TrialRecord) -> Hashable:
     return trial.id.partition("-")[2]
 
 
-def judge_folders(folders: Sequence[Path], detectors: Sequence[str] = (), damage: tuple[str, ...] = ()) -> tuple[Judgement, ...]:
-    """Each detector that all runs have (of those named, if any), judged by the first run's requirements.
+def judge_folders(
+    folders: Sequence[Path], detectors: Sequence[str] = (), damage: tuple[str, ...] = ()
+) -> tuple[Judgement, ...]:
+    """Each detector that all runs have (of those named, if any), judged by the first run's
+    requirements.
 
-    ``damage`` is that of their records. Raises ConfigError where there is none, or where the runs were held against other limits.
+    ``damage`` is that of their records. Raises ConfigError where there is none, or where the runs
+    were held against other limits.
     """
     runs = [read_run(folder, damage) for folder in folders]
-    names = [name for name in runs[0].detectors if all(name in run.detectors for run in runs) and (not detectors or name in detectors)]
+    names = [
+        name
+        for name in runs[0].detectors
+        if all(name in run.detectors for run in runs) and (not detectors or name in detectors)
+    ]
     if not names:
         there = "; ".join(f"{run.folder} has {', '.join(run.detectors)}" for run in runs)
-        raise ConfigError.plain(f"no detector{' of those named' if detectors else ''} is in all runs: {there}")
+        raise ConfigError.plain(
+            f"no detector{' of those named' if detectors else ''} is in all runs: {there}"
+        )
     folder = runs[0].folder
     script = folder / SCRIPT
-    rules = read_config(script, Script, stored=True) if script.is_file() else read_config(folder / RULES, Rules, stored=True)
+    rules = (
+        read_config(script, Script, stored=True)
+        if script.is_file()
+        else read_config(folder / RULES, Rules, stored=True)
+    )
     return tuple(_judged(runs, rules, name) for name in names)
 
 
@@ -234,7 +330,10 @@ def _judged(runs: Sequence[RunRecord], rules: Rules, detector: str) -> Judgement
     scores, timed = scored_together(runs, detector), timed_together(runs, detector)
     u_mm = truth_u_mm(runs, scores, detector)
     held = [rule for rule in rules.requirements if isinstance(rule, DetectorRequirement)]
-    return Judgement(detector, held_back((decide_detector(rule, scores, timed, u_mm) for rule in held), first.run.damage))
+    return Judgement(
+        detector,
+        held_back((decide_detector(rule, scores, timed, u_mm) for rule in held), first.run.damage),
+    )
 
 
 def timed_together(runs: Sequence[RunRecord], detector: str) -> Latency:

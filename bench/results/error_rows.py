@@ -1,12 +1,16 @@
-"""What the error of a run depends on: each found teat with its place, time, bath temperature and tilt, for `bench.scoring` to look through.
+"""What the error of a run depends on: each found teat with its place, time, bath temperature and
+tilt, for `bench.scoring` to look through.
 
-Time and temperature are asked within each teat at each pose where the script repeats its poses, for then the pose's own error falls out;
-without repeats they are asked over the poses, where they can't be told from place. May not judge, and may not word.
+Time and temperature are asked within each teat at each pose where the script repeats its poses, for
+then the pose's own error falls out; without repeats they are asked over the poses, where they can't
+be told from place. May not judge, and may not word.
 
-Gage R&R of the ground truth from the record: each teat end touched several times, and set up again, in one run or in several.
+Gage R&R of the ground truth from the record: each teat end touched several times, and set up again,
+in one run or in several.
 
-A part is a teat at a pose. With several runs of one script each run is an appraiser, with one run each repeat of the pose. The analysis
-wants every cell full, so what was touched less often than the rest is left out, and told. May not judge, and may not word.
+A part is a teat at a pose. With several runs of one script each run is an appraiser, with one run
+each repeat of the pose. The analysis wants every cell full, so what was touched less often than the
+rest is left out, and told. May not judge, and may not word.
 """
 
 from __future__ import annotations
@@ -22,7 +26,16 @@ from bench.record.reader import RunRecord
 from bench.record.schema import SCRIPT
 from bench.scoring.errors import Bools, Floats
 from bench.scoring.precision import GageStudy, Precision, gage_study, precision
-from bench.scoring.regions import BiasTest, Cell, Ellipsoid, bias_ellipsoid, bias_test, error_map, pose_means, prediction_ellipsoid
+from bench.scoring.regions import (
+    BiasTest,
+    Cell,
+    Ellipsoid,
+    bias_ellipsoid,
+    bias_test,
+    error_map,
+    pose_means,
+    prediction_ellipsoid,
+)
 from bench.scoring.trends import Trend, trends
 from bench.script.model import Script, layouts_of, planned_of
 
@@ -33,8 +46,8 @@ WITHIN = ("time_s", "bath_c")
 class ErrorRows:
     """One row a visible teat and trial of one detector, in order of time.
 
-    ``places_mm`` (n, 3) is the true end; ``found`` (n,); ``errors_mm`` (k, 3) belong to the found rows. The rest is (n,), not-a-number
-    where it isn't known.
+    ``places_mm`` (n, 3) is the true end; ``found`` (n,); ``errors_mm`` (k, 3) belong to the found
+    rows. The rest is (n,), not-a-number where it isn't known.
     """
 
     places_mm: Floats
@@ -57,15 +70,30 @@ class ErrorRows:
         return self._kept(np.array([name == teat for name in self.teats], dtype=np.bool_))
 
     def _kept(self, rows: Bools) -> ErrorRows:
-        names = ([n for n, kept in zip(column, rows, strict=True) if kept] for column in (self.poses, self.trials, self.teats))
+        names = (
+            [n for n, kept in zip(column, rows, strict=True) if kept]
+            for column in (self.poses, self.trials, self.teats)
+        )
         poses, trials, teats = (tuple(column) for column in names)
         columns = (self.time_s[rows], self.bath_c[rows], self.tilt_deg[rows])
-        return ErrorRows(self.places_mm[rows], self.found[rows], self.errors_mm[rows[self.found]], *columns, poses, trials, teats)
+        return ErrorRows(
+            self.places_mm[rows],
+            self.found[rows],
+            self.errors_mm[rows[self.found]],
+            *columns,
+            poses,
+            trials,
+            teats,
+        )
 
     @property
     def quantities(self) -> dict[str, Floats]:
         """What the errors may depend on, for the found rows."""
-        columns = {"x_mm": self.places_mm[:, 0], "y_mm": self.places_mm[:, 1], "z_mm": self.places_mm[:, 2]}
+        columns = {
+            "x_mm": self.places_mm[:, 0],
+            "y_mm": self.places_mm[:, 1],
+            "z_mm": self.places_mm[:, 2],
+        }
         columns |= {"time_s": self.time_s, "bath_c": self.bath_c, "tilt_deg": self.tilt_deg}
         return {name: column[self.found] for name, column in columns.items()}
 
@@ -76,8 +104,8 @@ class ErrorRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TeatErrors:
-    """One teat over its poses (p of them), each counted once: the mean error (p, 3) of the repeats that found it, the trial with the worst
-    of them, and the ellipsoids of those means.
+    """One teat over its poses (p of them), each counted once: the mean error (p, 3) of the repeats
+    that found it, the trial with the worst of them, and the ellipsoids of those means.
     """
 
     teat: str
@@ -88,9 +116,11 @@ class TeatErrors:
 
 @dataclass(frozen=True, slots=True)
 class PosePlace:
-    """One teat at one pose: where its end was (mean of the repeats), how often it was to be found and was, and its worst distance.
+    """One teat at one pose: where its end was (mean of the repeats), how often it was to be found
+    and was, and its worst distance.
 
-    ``worst_trial`` is the trial of that distance, ``missed_trial`` the first that missed it; None where there is no such trial.
+    ``worst_trial`` is the trial of that distance, ``missed_trial`` the first that missed it; None
+    where there is no such trial.
     """
 
     teat: str
@@ -105,7 +135,9 @@ class PosePlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bias:
-    """Over the means of poses: where the next error will be, where the bias is (95 % both), and whether it is one."""
+    """Over the means of poses: where the next error will be, where the bias is (95 % both), and
+    whether it is one.
+    """
 
     next_error: Ellipsoid | None
     bias: Ellipsoid | None
@@ -128,14 +160,32 @@ def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> E
                 continue
             place = (truth["x_mm"], truth["y_mm"], truth["z_mm"])
             tilt = tilts.get((trial.id, str(truth["teat"])))
-            rows.append((*place, _known(trial.head["captured_s"]), _known(trial.head["bath_c"]), _known(tilt), float(index in at)))
+            rows.append(
+                (
+                    *place,
+                    _known(trial.head["captured_s"]),
+                    _known(trial.head["bath_c"]),
+                    _known(tilt),
+                    float(index in at),
+                )
+            )
             names.append((trial.pose, trial.id, str(truth["teat"])))
             if index in at:
                 errors.append(score.errors_mm[at[index]])
     table = np.array(rows, dtype=np.float64).reshape(-1, 7)
     poses, trials, teats = zip(*names, strict=True) if names else ((), (), ())
     found = np.array(errors, dtype=np.float64).reshape(-1, 3)
-    return ErrorRows(table[:, :3], table[:, 6] > 0.5, found, table[:, 3], table[:, 4], table[:, 5], poses, trials, teats)
+    return ErrorRows(
+        table[:, :3],
+        table[:, 6] > 0.5,
+        found,
+        table[:, 3],
+        table[:, 4],
+        table[:, 5],
+        poses,
+        trials,
+        teats,
+    )
 
 
 def run_trends(rows: ErrorRows) -> tuple[Trend, ...]:
@@ -162,14 +212,18 @@ def _bias(means_mm: Floats) -> Bias:
 
 
 def teat_errors(rows: ErrorRows) -> tuple[TeatErrors, ...]:
-    """Each teat's errors pose by pose, in the order of its poses; a teat that was never found has none."""
+    """Each teat's errors pose by pose, in the order of its poses; a teat that was never found has
+    none.
+    """
     return tuple(_teat_errors(teat, rows.of_teat(teat)) for teat in rows.teat_names)
 
 
 def _teat_errors(teat: str, rows: ErrorRows) -> TeatErrors:
     worst: dict[str, tuple[float, str]] = {}
     distances = np.linalg.norm(rows.errors_mm, axis=1).tolist()
-    for pose, trial, distance in zip(rows.of_found(rows.poses), rows.of_found(rows.trials), distances, strict=True):
+    for pose, trial, distance in zip(
+        rows.of_found(rows.poses), rows.of_found(rows.trials), distances, strict=True
+    ):
         worst[pose] = max(worst.get(pose, (-1.0, "")), (distance, trial))
     means = pose_means(rows.errors_mm, rows.of_found(rows.poses))
     return TeatErrors(teat, means, tuple(trial for _, trial in worst.values()), _bias(means))
@@ -182,32 +236,60 @@ def pose_places(rows: ErrorRows) -> tuple[PosePlace, ...]:
         at.setdefault(key, []).append(row)
     distances = np.full(len(rows.found), np.nan)
     distances[rows.found] = np.linalg.norm(rows.errors_mm, axis=1)
-    return tuple(_pose_place(rows, key, at[key], distances) for key in sorted(at, key=lambda key: (key[0], at[key][0])))
+    return tuple(
+        _pose_place(rows, key, at[key], distances)
+        for key in sorted(at, key=lambda key: (key[0], at[key][0]))
+    )
 
 
-def _pose_place(rows: ErrorRows, key: tuple[str, str], at: list[int], distances: Floats) -> PosePlace:
-    found, missed = [row for row in at if rows.found[row]], [row for row in at if not rows.found[row]]
+def _pose_place(
+    rows: ErrorRows, key: tuple[str, str], at: list[int], distances: Floats
+) -> PosePlace:
+    found, missed = (
+        [row for row in at if rows.found[row]],
+        [row for row in at if not rows.found[row]],
+    )
     worst = max(found, key=lambda row: float(distances[row]), default=None)
-    worst_mm, worst_trial = (None, None) if worst is None else (float(distances[worst]), rows.trials[worst])
+    worst_mm, worst_trial = (
+        (None, None) if worst is None else (float(distances[worst]), rows.trials[worst])
+    )
     x, y, z = rows.places_mm[at].mean(axis=0).tolist()
-    return PosePlace(*key, (x, y, z), len(at), len(found), worst_mm, worst_trial, rows.trials[missed[0]] if missed else None)
+    return PosePlace(
+        *key,
+        (x, y, z),
+        len(at),
+        len(found),
+        worst_mm,
+        worst_trial,
+        rows.trials[missed[0]] if missed else None,
+    )
 
 
 def run_precision(rows: ErrorRows) -> tuple[Precision, Precision, Precision]:
-    """ISO 5725 along x, y and z: s_r of the repeats of a teat at a pose, s_R over all teats and poses."""
+    """ISO 5725 along x, y and z: s_r of the repeats of a teat at a pose, s_R over all teats and
+    poses.
+    """
     groups: dict[tuple[str, str], list[Floats]] = {}
-    for pose, teat, error in zip(rows.of_found(rows.poses), rows.of_found(rows.teats), rows.errors_mm, strict=True):
+    for pose, teat, error in zip(
+        rows.of_found(rows.poses), rows.of_found(rows.teats), rows.errors_mm, strict=True
+    ):
         groups.setdefault((pose, teat), []).append(error)
-    x, y, z = (precision([[error[axis] for error in group] for group in groups.values()]) for axis in range(3))
+    x, y, z = (
+        precision([[error[axis] for error in group] for group in groups.values()])
+        for axis in range(3)
+    )
     return x, y, z
 
 
 def teat_tilts_deg(run: RunRecord) -> dict[tuple[str, str], float]:
-    """How far each teat leans from the vertical, by trial and teat (its number or its name); nothing for a recording: it has no phantom."""
+    """How far each teat leans from the vertical, by trial and teat (its number or its name);
+    nothing for a recording: it has no phantom.
+    """
     path = run.folder / SCRIPT
     if not path.is_file():
         return {}
-    script = read_config(path, Script, stored=True)  # a detector that isn't at hand any more is no hindrance
+    # a detector that isn't at hand any more is no hindrance
+    script = read_config(path, Script, stored=True)
     tilts: dict[tuple[str, str], float] = {}
     for planned in planned_of(script, layouts_of(script, run.folder)):
         for number, teat in enumerate(planned.phantom.teats, 1):
@@ -227,7 +309,8 @@ Touches = dict[Part, dict[str, list[tuple[float, float, float]]]]
 
 @dataclass(frozen=True, slots=True)
 class TruthGage:
-    """The studies along the world's x, y and z, mm; None where the record doesn't hold one, and ``why`` then says why not.
+    """The studies along the world's x, y and z, mm; None where the record doesn't hold one, and
+    ``why`` then says why not.
 
     ``left_out`` parts had too few touches or set-ups.
     """
@@ -242,11 +325,19 @@ def truth_gage(runs: Sequence[RunRecord]) -> TruthGage:
     touches = _touches(runs)
     if not touches:
         return TruthGage(None, why="no teat end was touched")
-    cells = {part: [points for points in by.values() if len(points) > 1] for part, by in touches.items()}
+    cells = {
+        part: [points for points in by.values() if len(points) > 1] for part, by in touches.items()
+    }
     sizes = Counter(len(full) for full in cells.values() if len(full) > 1)
     if not sizes:
-        return TruthGage(None, len(cells), "no end was touched twice in each of two set-ups; repeat the poses, or give a second run")
-    appraisers = max(sizes, key=lambda size: (sizes[size] * size, size))  # as many set-ups as keep the most of what was measured
+        return TruthGage(
+            None,
+            len(cells),
+            "no end was touched twice in each of two set-ups; repeat the poses, or give a"
+            " second run",
+        )
+    # as many set-ups as keep the most of what was measured
+    appraisers = max(sizes, key=lambda size: (sizes[size] * size, size))
     parts = [full[:appraisers] for full in cells.values() if len(full) >= appraisers]
     if len(parts) < 2:
         return TruthGage(None, len(cells), "only one end was touched in several set-ups")

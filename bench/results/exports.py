@@ -1,4 +1,6 @@
-"""A run for other programs: ``trials.csv``, ``run.json`` and ``junit.xml`` (a test case is a requirement)."""
+"""A run for other programs: ``trials.csv``, ``run.json`` and ``junit.xml`` (a test case is a
+requirement).
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,29 @@ from bench.scoring.decisions import Decision, Verdict
 from reports.sanitize import csv_text, sanitized
 
 COLUMNS = (
-    "trial", "situation", "repeat", "detector", "teats", "visible", "found", "missed", "false", "hidden_claimed", "hidden",
-    "max_error_mm", "mean_error_mm", "gospa_mm", "success", "seconds", "cold", "outcome", "reason", "bath_c", "truth", "invalid",
-)  # fmt: skip
+    "trial",
+    "situation",
+    "repeat",
+    "detector",
+    "teats",
+    "visible",
+    "found",
+    "missed",
+    "false",
+    "hidden_claimed",
+    "hidden",
+    "max_error_mm",
+    "mean_error_mm",
+    "gospa_mm",
+    "success",
+    "seconds",
+    "cold",
+    "outcome",
+    "reason",
+    "bath_c",
+    "truth",
+    "invalid",
+)
 
 
 def write_exports(run: RunRecord, judgements: Sequence[Judgement], folder: Path) -> None:
@@ -36,8 +58,23 @@ def trials_csv(run: RunRecord) -> str:
         for detection in trial.detections:
             score = trial.scores.get(detection["detector"])
             radial = score.radial_mm if score else ()
-            head = [trial.id, trial.head["situation"], trial.head["repeat"], detection["detector"], len(trial.truth)]
-            counts = [score.counts.visible, score.counts.matched, score.counts.missed, score.counts.false] if score else ["", "", "", ""]
+            head = [
+                trial.id,
+                trial.head["situation"],
+                trial.head["repeat"],
+                detection["detector"],
+                len(trial.truth),
+            ]
+            counts = (
+                [
+                    score.counts.visible,
+                    score.counts.matched,
+                    score.counts.missed,
+                    score.counts.false,
+                ]
+                if score
+                else ["", "", "", ""]
+            )
             hidden = [detection["hidden"], score.match.hidden if score else ""]
             errors = [max(radial), sum(radial) / len(radial)] if radial else ["", ""]
             tail = [score.gospa_mm if score else "", int(score.success) if score else ""]
@@ -69,13 +106,21 @@ def run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
         **({"damage": list(run.damage)} if run.damage else {}),
         "verdict": run_verdict(judgements).value,
         "judgements": [
-            {"detector": j.detector, "verdict": j.verdict.value, "requirements": [d.as_dict() for d in j.decisions]} for j in judgements
+            {
+                "detector": j.detector,
+                "verdict": j.verdict.value,
+                "requirements": [d.as_dict() for d in j.decisions],
+            }
+            for j in judgements
         ],
         "trials": [
             {
                 **trial.head,
                 "truth": [dict(row) for row in trial.truth],
-                "detections": [{key: value for key, value in row.items() if key != "trace"} for row in trial.detections],
+                "detections": [
+                    {key: value for key, value in row.items() if key != "trace"}
+                    for row in trial.detections
+                ],
                 "found": [dict(row) for row in trial.found],
                 "scores": {name: score.as_dict() for name, score in trial.scores.items()},
             }
@@ -86,27 +131,46 @@ def run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
 
 
 def _chain(run: RunRecord) -> Any:
-    """Its last link. That of a damaged record isn't named: what the last report named stays, so that its damage is found again."""
+    """Its last link. That of a damaged record isn't named: what the last report named stays, so
+    that its damage is found again.
+    """
     if run.damage:
         with suppress(OSError, ValueError, AttributeError, RecursionError):
             return printed_chain(run.folder)
         return None
-    return {"links": run.head.number, "digest": run.head.digest, "wall_digest": run.head.wall_digest} if run.head else None
+    return (
+        {"links": run.head.number, "digest": run.head.digest, "wall_digest": run.head.wall_digest}
+        if run.head
+        else None
+    )
 
 
 def junit_xml(run: RunRecord, judgements: Sequence[Judgement]) -> str:
-    """A test case a requirement: not met is a failure, what could not be decided is skipped with its reason."""
+    """A test case a requirement: not met is a failure, what could not be decided is skipped with
+    its reason.
+    """
     root = ET.Element("testsuites", name=str(run.facts.get("title", run.folder.name)))
     for judgement in judgements:
         decisions = judgement.decisions
         failures = sum(d.verdict is Verdict.NOT_MET for d in decisions)
-        undecided = sum(d.verdict in (Verdict.INCONCLUSIVE, Verdict.NOT_MEASURED) for d in decisions)
-        numbers = {"tests": str(len(decisions)), "failures": str(failures), "skipped": str(undecided), "errors": "0"}
+        undecided = sum(
+            d.verdict in (Verdict.INCONCLUSIVE, Verdict.NOT_MEASURED) for d in decisions
+        )
+        numbers = {
+            "tests": str(len(decisions)),
+            "failures": str(failures),
+            "skipped": str(undecided),
+            "errors": "0",
+        }
         suite = ET.SubElement(root, "testsuite", {"name": judgement.detector, **numbers})
         for decision in decisions:
             _case(suite, judgement.detector, decision)
     ET.indent(root)
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + sanitized(ET.tostring(root, encoding="unicode")) + "\n"
+    return (
+        '<?xml version="1.0" encoding="utf-8"?>\n'
+        + sanitized(ET.tostring(root, encoding="unicode"))
+        + "\n"
+    )
 
 
 def _case(suite: ET.Element, detector: str, decision: Decision) -> None:

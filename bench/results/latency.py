@@ -1,4 +1,6 @@
-"""How long a detector took, out of a run's record: one rule of what counts, for verdicts, report and table."""
+"""How long a detector took, out of a run's record: one rule of what counts, for verdicts, report
+and table.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +13,8 @@ from bench.scoring.errors import percentile
 from detector.protocol import Outcome
 
 LATENCY_RULE = (
-    "Answers and time-outs count; the first call of each process (cold) and its start-up stand apart, failures have no time. "
-    "Percentiles are observed values."
+    "Answers and time-outs count; the first call of each process (cold) and its start-up stand"
+    " apart, failures have no time. Percentiles are observed values."
 )
 STARVED_BELOW = 0.7  # share of a processor
 LEAST_TIMED_S = 0.2  # in all: a system may count a process's time in steps of 16 ms
@@ -21,11 +23,11 @@ _TIMED = (Outcome.ANSWERED.value, Outcome.TIMEOUT.value)
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """seconds: what counts, in the order of the trials, and ``poses`` the pose of each. cold_s: first calls. start_up_s: the longest start
-    of a process, None for none.
+    """seconds: what counts, in the order of the trials, and ``poses`` the pose of each. cold_s:
+    first calls. start_up_s: the longest start of a process, None for none.
 
-    unanswered: how often each outcome but an answer came about, of ``asked`` calls. cpu_s and loads: as in `Answer`,
-    for each of ``seconds``.
+    unanswered: how often each outcome but an answer came about, of ``asked`` calls. cpu_s and
+    loads: as in `Answer`, for each of ``seconds``.
     """
 
     seconds: tuple[float, ...] = ()
@@ -44,7 +46,9 @@ class Latency:
 
     @property
     def failed(self) -> int:
-        """Calls that have no time either: crashes, answers that can't be used, and what followed when it was switched off."""
+        """Calls that have no time either: crashes, answers that can't be used, and what followed
+        when it was switched off.
+        """
         return self.silent - self.unanswered.get(Outcome.TIMEOUT.value, 0)
 
     @property
@@ -64,27 +68,51 @@ class Latency:
 
     @property
     def starved(self) -> str:
-        """A sentence where the machine gave the detector less than `STARVED_BELOW` of a processor; empty where it didn't, or none can tell.
+        """A sentence where the machine gave the detector less than `STARVED_BELOW` of a processor;
+        empty where it didn't, or none can tell.
 
-        In the bench's process that is seconds of processors over seconds passed; of another process only the machine's load tells.
+        In the bench's process that is seconds of processors over seconds passed; of another process
+        only the machine's load tells.
         """
-        used = [(cpu_s, seconds) for cpu_s, seconds in zip(self.cpu_s, self.seconds, strict=True) if cpu_s is not None]
-        loads = [load for load, cpu_s in zip(self.loads, self.cpu_s, strict=True) if load is not None and cpu_s is None]
+        used = [
+            (cpu_s, seconds)
+            for cpu_s, seconds in zip(self.cpu_s, self.seconds, strict=True)
+            if cpu_s is not None
+        ]
+        loads = [
+            load
+            for load, cpu_s in zip(self.loads, self.cpu_s, strict=True)
+            if load is not None and cpu_s is None
+        ]
         cpu_s, wall_s = (sum(column) for column in zip(*used, strict=True)) if used else (0.0, 0.0)
         if wall_s >= LEAST_TIMED_S and cpu_s < STARVED_BELOW * wall_s:
-            why = f"in {wall_s:.1f} s of detection it had a processor for {cpu_s:.1f} s; it waited for one, or for something else"
+            why = (
+                f"in {wall_s:.1f} s of detection it had a processor for {cpu_s:.1f} s; it waited"
+                " for one, or for something else"
+            )
         elif loads and percentile(loads, 50) > 1.0 / STARVED_BELOW:
-            why = f"half of the time {percentile(loads, 50):.1f} or more processes wanted each processor"
+            why = (
+                f"half of the time {percentile(loads, 50):.1f} or more processes wanted each"
+                " processor"
+            )
         else:
             return ""
-        return f"THE MACHINE WAS TOO BUSY FOR THESE TIMES TO HOLD: {why}. On an idle machine they may be shorter."
+        return (
+            f"THE MACHINE WAS TOO BUSY FOR THESE TIMES TO HOLD: {why}. On an idle machine they may"
+            " be shorter."
+        )
 
 
 def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> Latency:
     """The times of one detector over the trials that count; of one situation where named."""
     trials = [trial for trial in run.counted if situation in (None, trial.head["situation"])]
     rows = [row for trial in trials for row in trial.detections if row["detector"] == detector]
-    poses = [trial.pose for trial in trials for row in trial.detections if row["detector"] == detector and row["outcome"] in _TIMED]
+    poses = [
+        trial.pose
+        for trial in trials
+        for row in trial.detections
+        if row["detector"] == detector and row["outcome"] in _TIMED
+    ]
     timed = [row for row in rows if row["outcome"] in _TIMED]
     warm = [row for row in timed if not row["cold"]]
     starts = [row["wall_start_up_s"] for row in rows if row["wall_start_up_s"] is not None]
@@ -102,4 +130,7 @@ def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> L
 
 def failures_told(latency: Latency) -> str:
     """``3 timeout, 1 failure``; ``none``."""
-    return ", ".join(f"{count} {outcome}" for outcome, count in sorted(latency.unanswered.items())) or "none"
+    return (
+        ", ".join(f"{count} {outcome}" for outcome, count in sorted(latency.unanswered.items()))
+        or "none"
+    )

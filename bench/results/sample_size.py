@@ -1,4 +1,6 @@
-"""What a number of poses can show, as a plan in values and in words. Knows no script: only counts, rates and lengths."""
+"""What a number of poses can show, as a plan in values and in words. Knows no script: only counts,
+rates and lengths.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,13 @@ from bench.scoring.sample_size import (
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A rate to be shown. ``poses_needed`` for 0, 1, 2, … failures; the rest is about the poses that there are, None where none were named.
+    """A rate to be shown. ``poses_needed`` for 0, 1, 2, … failures; the rest is about the poses
+    that there are, None where none were named.
 
-    ``failures_allowed`` is None too where no number of successes in them shows the rate. Where limit and uncertainty of the error were
-    named: ``at_the_edge`` poses show it up to the acceptance limit (None: no number does), and the poses that there are, else the fewest
-    without a failure, up to ``error_shown_mm``.
+    ``failures_allowed`` is None too where no number of successes in them shows the rate. Where
+    limit and uncertainty of the error were named: ``at_the_edge`` poses show it up to the
+    acceptance limit (None: no number does), and the poses that there are, else the fewest without a
+    failure, up to ``error_shown_mm``.
     """
 
     rate: float
@@ -40,7 +44,9 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Claims, and what a comparison of two detectors on the same poses can show. Lengths in mm, the rest from 0 to 1."""
+    """Claims, and what a comparison of two detectors on the same poses can show. Lengths in mm, the
+    rest from 0 to 1.
+    """
 
     confidence: float
     claims: tuple[Claim, ...]
@@ -73,9 +79,11 @@ def make_plan(
     limit_mm: float | None = None,
     u_mm: float | None = None,
 ) -> Plan:
-    """The plan for showing ``rates``, and for comparing with the chance ``power`` at the two-sided level 1 - ``confidence``.
+    """The plan for showing ``rates``, and for comparing with the chance ``power`` at the two-sided
+    level 1 - ``confidence``.
 
-    ``limit_mm`` of the error with ``u_mm``, the truth's standard uncertainty along an axis: what poses near the limit need.
+    ``limit_mm`` of the error with ``u_mm``, the truth's standard uncertainty along an axis: what
+    poses near the limit need.
     """
     alpha = round(1.0 - confidence, 12)
     there = poses or None
@@ -83,7 +91,11 @@ def make_plan(
     error = None if limit_mm is None or u_mm is None else (limit_mm, u_mm)
     return Plan(
         confidence=confidence,
-        claims=tuple(claims if error is None else [_with_error(claim, confidence, there, *error) for claim in claims]),
+        claims=tuple(
+            claims
+            if error is None
+            else [_with_error(claim, confidence, there, *error) for claim in claims]
+        ),
         limit_mm=limit_mm,
         u_mm=u_mm,
         accept_mm=None if error is None else acceptance_limit_mm(*error),
@@ -97,11 +109,15 @@ def make_plan(
         sd_mm=sd_mm,
         shift_shown_mm=detectable_shift(there, sd_mm, power, alpha) if there and sd_mm else None,
         shift_mm=shift_mm,
-        poses_for_shift=poses_for_shift(shift_mm, sd_mm, power, alpha) if shift_mm and sd_mm else None,
+        poses_for_shift=(
+            poses_for_shift(shift_mm, sd_mm, power, alpha) if shift_mm and sd_mm else None
+        ),
     )
 
 
-def _claim(rate: float, confidence: float, failures: int, poses: int | None, true_rate: float | None) -> Claim:
+def _claim(
+    rate: float, confidence: float, failures: int, poses: int | None, true_rate: float | None
+) -> Claim:
     needed = tuple(trials_needed(count, rate, confidence) for count in range(failures + 1))
     if poses is None:
         return Claim(rate, needed)
@@ -109,9 +125,15 @@ def _claim(rate: float, confidence: float, failures: int, poses: int | None, tru
     return Claim(rate, needed, failures_allowed(poses, rate, confidence), chance)
 
 
-def _with_error(claim: Claim, confidence: float, poses: int | None, limit_mm: float, u_mm: float) -> Claim:
+def _with_error(
+    claim: Claim, confidence: float, poses: int | None, limit_mm: float, u_mm: float
+) -> Claim:
     accept = acceptance_limit_mm(limit_mm, u_mm)
-    edge = None if accept is None else guarded_n(0, claim.rate, confidence, leak(accept, limit_mm, u_mm))
+    edge = (
+        None
+        if accept is None
+        else guarded_n(0, claim.rate, confidence, leak(accept, limit_mm, u_mm))
+    )
     shown = shown_error_mm(poses or claim.poses_needed[0], claim.rate, limit_mm, u_mm, confidence)
     return replace(claim, at_the_edge=edge, error_shown_mm=shown)
 
@@ -120,26 +142,41 @@ def plan_lines(plan: Plan) -> Iterator[str]:
     """The plan as lines of text."""
     sure = f"{exact_percent(plan.confidence)} confidence"
     for claim in plan.claims:
-        with_failures = ", ".join(f"{needed} with {count}" for count, needed in enumerate(claim.poses_needed) if count)
+        with_failures = ", ".join(
+            f"{needed} with {count}" for count, needed in enumerate(claim.poses_needed) if count
+        )
         more = f" ({with_failures} failed)" if with_failures else ""
-        yield f"A rate of {exact_percent(claim.rate)} with {sure}: {claim.poses_needed[0]} poses without a failure{more}."
-    yield "Poses count, not frames: repeats of one pose are one trial. The largest error of so many poses bounds the same share of errors."
+        yield (
+            f"A rate of {exact_percent(claim.rate)} with {sure}: {claim.poses_needed[0]} poses"
+            f" without a failure{more}."
+        )
+    yield (
+        "Poses count, not frames: repeats of one pose are one trial. The largest error of so many"
+        " poses bounds the same share of errors."
+    )
     if plan.poses is not None:
         yield from _told_of_poses(plan, sure)
     if plan.limit_mm is not None and plan.u_mm is not None:
         yield from _told_of_error(plan)
     alpha = exact_percent(plan.alpha)
-    yield f"Two detectors on the same poses: at least {plan.discordant_needed} must be lost, and none won, for p < {alpha} (exact McNemar)."
+    yield (
+        f"Two detectors on the same poses: at least {plan.discordant_needed} must be lost, and none"
+        f" won, for p < {alpha} (exact McNemar)."
+    )
     if plan.poses_for_shift:
         yield (
-            f"A difference of {plan.shift_mm:g} mm in their mean distance, where it varies by {plan.sd_mm:g} mm from pose to pose: "
-            f"{plan.poses_for_shift} poses show it with a chance of {exact_percent(plan.power)}."
+            f"A difference of {plan.shift_mm:g} mm in their mean distance, where it varies by"
+            f" {plan.sd_mm:g} mm from pose to pose: {plan.poses_for_shift} poses show it with a"
+            f" chance of {exact_percent(plan.power)}."
         )
 
 
 def _told_of_error(plan: Plan) -> Iterator[str]:
     """How near to its limit the largest error may lie."""
-    truth = f"An error below {plan.limit_mm:g} mm, against a truth of u = {plan.u_mm:g} mm along an axis"
+    truth = (
+        f"An error below {plan.limit_mm:g} mm, against a truth of u = {plan.u_mm:g} mm along an"
+        " axis"
+    )
     if plan.accept_mm is None:
         yield f"{truth}: no error can be accepted; the truth is too uncertain."
         return
@@ -147,9 +184,16 @@ def _told_of_error(plan: Plan) -> Iterator[str]:
     for claim in plan.claims:
         poses = plan.poses or claim.poses_needed[0]
         most = claim.error_shown_mm
-        shown = "don't show it" if most is None else f"show it where the largest is at most {floor(1000 * most) / 1000:.3f} mm"
+        shown = (
+            "don't show it"
+            if most is None
+            else f"show it where the largest is at most {floor(1000 * most) / 1000:.3f} mm"
+        )
         edge = "no number" if claim.at_the_edge is None else str(claim.at_the_edge)
-        yield f"  {exact_percent(claim.rate)}: {poses_told(poses)} {shown}; {edge} up to the acceptance limit."
+        yield (
+            f"  {exact_percent(claim.rate)}: {poses_told(poses)} {shown}; {edge} up to the"
+            " acceptance limit."
+        )
 
 
 def _told_of_poses(plan: Plan, sure: str) -> Iterator[str]:
@@ -158,19 +202,38 @@ def _told_of_poses(plan: Plan, sure: str) -> Iterator[str]:
         return
     shown = percent_apart(plan.rate_shown, *(claim.rate for claim in plan.claims))
     there = plan.poses or 0
-    yield f"{poses_told(there)} without a failure {'shows' if there == 1 else 'show'} {shown} with {sure}."
+    yield (
+        f"{poses_told(there)} without a failure {'shows' if there == 1 else 'show'} {shown} with"
+        f" {sure}."
+    )
     for claim in plan.claims:
         if claim.failures_allowed is None:
             missing = claim.poses_needed[0] - there
-            yield f"  {exact_percent(claim.rate)}: can't be shown; {missing} more {'is' if missing == 1 else 'are'} needed."
+            yield (
+                f"  {exact_percent(claim.rate)}: can't be shown; {missing} more"
+                f" {'is' if missing == 1 else 'are'} needed."
+            )
             continue
         chance = (
             ""
             if claim.chance is None
-            else f"; one that truly does {exact_percent(plan.true_rate or 0.0)} shows it with {percent(claim.chance)}"
+            else (
+                f"; one that truly does {exact_percent(plan.true_rate or 0.0)} shows it with"
+                f" {percent(claim.chance)}"
+            )
         )
-        yield f"  {exact_percent(claim.rate)}: shown with up to {claim.failures_allowed} failed{chance}."
-    loss = "no loss at all" if plan.loss_shown is None else f"a loss of {percent(plan.loss_shown)} of poses"
+        yield (
+            f"  {exact_percent(claim.rate)}: shown with up to {claim.failures_allowed}"
+            f" failed{chance}."
+        )
+    loss = (
+        "no loss at all"
+        if plan.loss_shown is None
+        else f"a loss of {percent(plan.loss_shown)} of poses"
+    )
     yield f"  Two detectors on them: {loss} shows with a chance of {exact_percent(plan.power)}."
     if plan.shift_shown_mm is not None:
-        yield f"  A difference of {plan.shift_shown_mm:.3g} mm in mean distance shows with that chance (it varies by {plan.sd_mm:g} mm)."
+        yield (
+            f"  A difference of {plan.shift_shown_mm:.3g} mm in mean distance shows with that"
+            f" chance (it varies by {plan.sd_mm:g} mm)."
+        )

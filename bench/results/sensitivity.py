@@ -1,10 +1,14 @@
-"""What is varied, and what was measured at one of its values. Values only; may not know how scenes are made or detectors asked.
+"""What is varied, and what was measured at one of its values. Values only; may not know how scenes
+are made or detectors asked.
 
-Detectors asked in scenes in which one quantity is varied. Draws, asks, counts; may not know how it is shown.
+Detectors asked in scenes in which one quantity is varied. Draws, asks, counts; may not know how it
+is shown.
 
-The same members, the same noise and the same errors of calibration at every value of a quantity, so that what differs is the quantity.
+The same members, the same noise and the same errors of calibration at every value of a quantity, so
+that what differs is the quantity.
 
-The scenes of each quantity: a member of the family `ideal`, in which one thing is set to a value and all else stays as it was drawn.
+The scenes of each quantity: a member of the family `ideal`, in which one thing is set to a value
+and all else stays as it was drawn.
 
 May not know a detector, nor what a calibration says beyond where the cameras stand (`EYES_MM`).
 
@@ -64,10 +68,12 @@ def true_calibration(_value: float, _seed: int, calibration: Calibration) -> Cal
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One quantity: its ``name`` as a file's, ``label`` with its unit, the ``values`` it takes, ``about`` in one sentence.
+    """One quantity: its ``name`` as a file's, ``label`` with its unit, the ``values`` it takes,
+    ``about`` in one sentence.
 
-    ``set_up`` gives the scene of a value and a member's seed, ``optics`` the sensors, ``told`` the calibration that detectors are handed.
-    ``thermal``: whether the limit of nomination belongs beside it.
+    ``set_up`` gives the scene of a value and a member's seed, ``optics`` the sensors, ``told`` the
+    calibration that detectors are handed. ``thermal``: whether the limit of nomination belongs
+    beside it.
     """
 
     name: str
@@ -90,13 +96,18 @@ class Tally:
     failures: int = 0
 
     def __add__(self, other: Tally) -> Tally:
-        return Tally(self.distances_mm + other.distances_mm, self.false + other.false, self.failures + other.failures)
+        return Tally(
+            self.distances_mm + other.distances_mm,
+            self.false + other.false,
+            self.failures + other.failures,
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What physics allows at one value: 3-D error by the pictures' noise with the calibration that was told, the depth error of a disparity
-    that is good to a fixed share of a pixel (median), and the share of ends that a thermal picture can show (None where that isn't asked).
+    """What physics allows at one value: 3-D error by the pictures' noise with the calibration that
+    was told, the depth error of a disparity that is good to a fixed share of a pixel (median), and
+    the share of ends that a thermal picture can show (None where that isn't asked).
     """
 
     median_mm: float
@@ -107,7 +118,9 @@ class Limit:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One value: how many ends every camera could see, what each detector found of them, and the limit (None where none was visible)."""
+    """One value: how many ends every camera could see, what each detector found of them, and the
+    limit (None where none was visible).
+    """
 
     value: float
     visible: int
@@ -116,13 +129,16 @@ class Measured:
 
 
 QUANTILES = (0.5, 0.95)
-DISPARITY_PX = 0.03  # what sub-pixel methods reach on real edges: 0.2 to 0.3 mm of depth on the thesis's geometry
+# what sub-pixel methods reach on real edges: 0.2 to 0.3 mm of depth on the thesis's geometry
+DISPARITY_PX = 0.03
 MEDIAN_OF_NORMAL = 0.6745  # of |e|, in standard deviations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
-    """What stays the same: the rig whose cameras are emulated, the detectors, the members' seeds, the seed of noise and cameras."""
+    """What stays the same: the rig whose cameras are emulated, the detectors, the members' seeds,
+    the seed of noise and cameras.
+    """
 
     rig: LoadedRig
     detectors: Sequence[Detector]
@@ -131,7 +147,8 @@ class Bench:
 
 
 def measure(bench: Bench, quantity: Quantity) -> Iterator[Measured]:
-    """What every detector does at each value, one by one. Cameras are made anew only where their sensors change.
+    """What every detector does at each value, one by one. Cameras are made anew only where their
+    sensors change.
 
     Raises ConfigError for a scene that can't be set up before these cameras.
     """
@@ -143,13 +160,17 @@ def measure(bench: Bench, quantity: Quantity) -> Iterator[Measured]:
         wanted = quantity.optics(value, usual)
         if renderer is None or wanted != optics:
             optics = wanted
-            renderer = Renderer.from_calibration(table, bench.seed, optical=wanted.optical, thermal=wanted.thermal)
+            renderer = Renderer.from_calibration(
+                table, bench.seed, optical=wanted.optical, thermal=wanted.thermal
+            )
         yield _at(bench, quantity, value, renderer)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    """One member at one value: what stands there, which ends every camera sees, what the cameras took, what detectors are told."""
+    """One member at one value: what stands there, which ends every camera sees, what the cameras
+    took, what detectors are told.
+    """
 
     state: SceneState
     teats: list[int]
@@ -166,32 +187,51 @@ def _at(bench: Bench, quantity: Quantity, value: float, renderer: Renderer) -> M
             tallies[detector.name] += _asked(detector, scene)
         if scene.teats:
             bounds.append(_bounds(scene, renderer, bench.rig.calibration, thermal=quantity.thermal))
-    return Measured(value, sum(len(bound.shifts_mm) for bound in bounds), tallies, _limit(bounds) if bounds else None)
+    return Measured(
+        value,
+        sum(len(bound.shifts_mm) for bound in bounds),
+        tallies,
+        _limit(bounds) if bounds else None,
+    )
 
 
-def _drawn(bench: Bench, quantity: Quantity, value: float, member: int, renderer: Renderer) -> _Scene:
+def _drawn(
+    bench: Bench, quantity: Quantity, value: float, member: int, renderer: Renderer
+) -> _Scene:
     try:
         state = warm(quantity.set_up(value, member, renderer))
-        taken = renderer.render(state, np.random.default_rng([bench.seed, member, *quantity.name.encode()]))
+        taken = renderer.render(
+            state, np.random.default_rng([bench.seed, member, *quantity.name.encode()])
+        )
     except ValueError as error:
         raise ConfigError.plain(
-            f"{quantity.name} {value:g} can't be set up for member {member}: {error}; choose others by --first"
+            f"{quantity.name} {value:g} can't be set up for member {member}: {error}; choose others"
+            " by --first"
         ) from error
     teats = np.flatnonzero(renderer.visible_ends(state).all(axis=1))
     frames = FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)
-    return _Scene(state, teats.tolist(), frames, quantity.told(value, member, bench.rig.calibration))
+    return _Scene(
+        state, teats.tolist(), frames, quantity.told(value, member, bench.rig.calibration)
+    )
 
 
 def _asked(detector: Detector, scene: _Scene) -> Tally:
     ends = scene.state.phantom.ends_mm
     answer = examine(detector, scene.frames, scene.told)
-    found = match(points_of(answer.detection), ends, [i in scene.teats for i in range(len(ends))], gate_mm(ends))
+    found = match(
+        points_of(answer.detection),
+        ends,
+        [i in scene.teats for i in range(len(ends))],
+        gate_mm(ends),
+    )
     return Tally(found.distances_mm, len(found.false), int(answer.outcome is not Outcome.ANSWERED))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bounds:
-    """For each visible end of a scene: least covariance (n, 3, 3), shift (n, 3), depth a pixel of disparity (n,), share nominated."""
+    """For each visible end of a scene: least covariance (n, 3, 3), shift (n, 3), depth a pixel of
+    disparity (n,), share nominated.
+    """
 
     covariances_mm2: Array
     shifts_mm: Array
@@ -202,19 +242,35 @@ class _Bounds:
 def _bounds(scene: _Scene, renderer: Renderer, truth: Calibration, *, thermal: bool) -> _Bounds:
     ends = scene.state.phantom.ends_mm[scene.teats]
     covariances = sensitivity_limits.end_covariances(renderer, scene.state, scene.teats)
-    share = sensitivity_limits.nominated_share(renderer, scene.state, scene.teats) if thermal else None
-    return _Bounds(covariances, shifts_mm(truth, scene.told, ends), truth.depth_per_disparity_px_mm(ends), share)
+    share = (
+        sensitivity_limits.nominated_share(renderer, scene.state, scene.teats) if thermal else None
+    )
+    return _Bounds(
+        covariances,
+        shifts_mm(truth, scene.told, ends),
+        truth.depth_per_disparity_px_mm(ends),
+        share,
+    )
 
 
 def shifts_mm(calibration: Calibration, told: Calibration, ends_mm: Array) -> Array:
-    """How far (n, 3) the ends' own pixels, free of any error, are triangulated from where the ends are, by the calibration told."""
+    """How far (n, 3) the ends' own pixels, free of any error, are triangulated from where the ends
+    are, by the calibration told.
+    """
     return told.pair.place(*calibration.pair.see(ends_mm)) - ends_mm
 
 
 def _limit(bounds: Sequence[_Bounds]) -> Limit:
-    covariances, shifts = (np.concatenate(each) for each in zip(*((b.covariances_mm2, b.shifts_mm) for b in bounds), strict=True))
+    covariances, shifts = (
+        np.concatenate(each)
+        for each in zip(*((b.covariances_mm2, b.shifts_mm) for b in bounds), strict=True)
+    )
     median, p95 = sensitivity_limits.error_quantiles_mm(covariances, shifts, QUANTILES)
-    disparity = MEDIAN_OF_NORMAL * DISPARITY_PX * float(np.median(np.concatenate([b.depth_per_px_mm for b in bounds])))
+    disparity = (
+        MEDIAN_OF_NORMAL
+        * DISPARITY_PX
+        * float(np.median(np.concatenate([b.depth_per_px_mm for b in bounds])))
+    )
     shares = [(len(b.shifts_mm), b.share) for b in bounds if b.share is not None]
     share = sum(n * one for n, one in shares) / sum(n for n, _ in shares) if shares else None
     return Limit(median, p95, disparity, share)
@@ -225,7 +281,8 @@ ATTEMPTS = 1000
 CLEAR_MM = 4.0  # between teats as any camera sees them
 FAR_BOARD_MM = 1250.0  # behind teats at 1.75 m
 BOARD_ALBEDO, EVEN_LIGHT = 0.5, 2.2  # together a board at 0.7 of white
-BEHIND_MM = 45.0  # the covered teat behind the covering one: near, so that all cameras see about the same of it
+# the covered teat behind the covering one: near, so that all cameras see about the same of it
+BEHIND_MM = 45.0
 ARM_ABOVE_MM, ELBOW_MM, WRIST_MM = 15.0, 50.0, 32.0
 
 
@@ -235,19 +292,29 @@ def plain(_value: float, seed: int, _renderer: Renderer) -> Situation:
 
 
 def at_range(range_m: float, seed: int, renderer: Renderer) -> Situation:
-    """The phantom moved away until its ends are so far along the right camera's axis, in the mean."""
+    """The phantom moved away until its ends are so far along the
+    right camera's axis, in the mean.
+    """
     found = situation(FAMILY, seed)
     depth = renderer.cameras[1].camera_from_world(found.phantom.ends_mm)[:, 2]
     away = PlatePose(y_mm=float(1e3 * range_m - depth.mean()))
-    return replace(found, phantom=found.phantom.moved(away), backdrop=replace(found.backdrop, board_y_mm=FAR_BOARD_MM))
+    return replace(
+        found,
+        phantom=found.phantom.moved(away),
+        backdrop=replace(found.backdrop, board_y_mm=FAR_BOARD_MM),
+    )
 
 
 def of_contrast(contrast: float, seed: int, _renderer: Renderer) -> Situation:
-    """Teats darker than the board by this share of its grey. In light from everywhere, what stands upright is as bright as its paint."""
+    """Teats darker than the board by this share of its grey. In light from everywhere, what stands
+    upright is as bright as its paint.
+    """
     found = situation(FAMILY, seed)
     board = replace(found.backdrop, board_albedo=BOARD_ALBEDO, board_texture=0.0)
     even = Lighting(lamps=(), ambient=EVEN_LIGHT)
-    return replace(found, backdrop=board, lighting=even, teat_paint=Paint(BOARD_ALBEDO * (1.0 - contrast)))
+    return replace(
+        found, backdrop=board, lighting=even, teat_paint=Paint(BOARD_ALBEDO * (1.0 - contrast))
+    )
 
 
 def leaning(lean_deg: float, seed: int, _renderer: Renderer) -> Situation:
@@ -258,11 +325,16 @@ def leaning(lean_deg: float, seed: int, _renderer: Renderer) -> Situation:
         drawn = replace(found, phantom=phantom)
         if apart(phantom, EYES_MM) >= CLEAR_MM and not any(collisions(drawn)):
             return drawn
-    raise ValueError(f"no udder whose teats lean by {lean_deg:g} degrees and stand apart was found in {ATTEMPTS} draws")
+    raise ValueError(
+        f"no udder whose teats lean by {lean_deg:g} degrees and stand apart was found in {ATTEMPTS}"
+        " draws"
+    )
 
 
 def overlapping(share: float, seed: int, _renderer: Renderer) -> Situation:
-    """Each far teat is moved behind a near one, which covers this share of its width as seen from midway; below zero is a gap."""
+    """Each far teat is moved behind a near one, which covers this share of its width as seen from
+    midway; below zero is a gap.
+    """
     found = situation(FAMILY, seed)
     teats = found.phantom.teats
     outwards = (-1.0, 1.0)  # the two pairs move apart, not into each other
@@ -272,29 +344,46 @@ def overlapping(share: float, seed: int, _renderer: Renderer) -> Situation:
 
 
 def _behind(near: Teat, far: Teat, share: float, way: float) -> Teat:
-    """The far teat upright behind the near one: bearings x / y from midway, radii as seen at their distances."""
+    """The far teat upright behind the near one: bearings x / y from midway, radii as seen at their
+    distances.
+    """
     eye_x, eye_y, _ = EYES_MM[2]
     near_y = near.base_mm[1] - eye_y
     far_y = near_y + BEHIND_MM
     touching = near.shape.radius_mm / near_y + far.shape.radius_mm / far_y
-    bearing = (near.base_mm[0] - eye_x) / near_y + way * (touching - 2.0 * share * far.shape.radius_mm / far_y)
-    return replace(far, base_mm=(float(eye_x + bearing * far_y), float(far_y + eye_y)), tilt_rad=(0.0, 0.0))
+    bearing = (near.base_mm[0] - eye_x) / near_y + way * (
+        touching - 2.0 * share * far.shape.radius_mm / far_y
+    )
+    return replace(
+        far, base_mm=(float(eye_x + bearing * far_y), float(far_y + eye_y)), tilt_rad=(0.0, 0.0)
+    )
 
 
 def before_arm(gap_mm: float, seed: int, _renderer: Renderer) -> Situation:
-    """A bare forearm level behind the ends, its nearest skin this far behind the farthest teat; elbow left or right by turns."""
+    """A bare forearm level behind the ends, its nearest skin this far behind the farthest teat;
+    elbow left or right by turns.
+    """
     found = situation(FAMILY, seed)
     ends = found.phantom.ends_mm
-    farthest = max(hull.radius_b_mm + max(hull.a_mm[1], hull.b_mm[1]) for hull in found.phantom.teat_hulls())
+    farthest = max(
+        hull.radius_b_mm + max(hull.a_mm[1], hull.b_mm[1]) for hull in found.phantom.teat_hulls()
+    )
     arm = make_object(
-        "warm_arm", y_mm=farthest + gap_mm + ELBOW_MM, z_mm=float(ends[:, 2].mean()) + ARM_ABOVE_MM,
-        elbow_radius_mm=ELBOW_MM, wrist_radius_mm=WRIST_MM, rise_deg=0.0, turn_deg=180.0 * (seed % 2),
-    )  # fmt: skip
+        "warm_arm",
+        y_mm=farthest + gap_mm + ELBOW_MM,
+        z_mm=float(ends[:, 2].mean()) + ARM_ABOVE_MM,
+        elbow_radius_mm=ELBOW_MM,
+        wrist_radius_mm=WRIST_MM,
+        rise_deg=0.0,
+        turn_deg=180.0 * (seed % 2),
+    )
     return replace(found, objects=(arm,))
 
 
 def _noisy(noise_dn: float, usual: Optics) -> Optics:
-    return replace(usual, optical=replace(usual.optical, read_noise_e=noise_dn / usual.optical.gain_dn_per_e))
+    return replace(
+        usual, optical=replace(usual.optical, read_noise_e=noise_dn / usual.optical.gain_dn_per_e)
+    )
 
 
 def _warm_noise(netd_k: float, usual: Optics) -> Optics:
@@ -305,38 +394,72 @@ QUANTITIES = {
     quantity.name: quantity
     for quantity in (
         Quantity(
-            "pixel-noise", "read noise (grey levels)", "Noise of the optical pixels that light doesn't bring; shot noise comes on top.",
-            (0.4, 1.0, 2.0, 4.0, 8.0, 16.0), plain, optics=_noisy, logarithmic=True,
+            "pixel-noise",
+            "read noise (grey levels)",
+            "Noise of the optical pixels that light doesn't bring; shot noise comes on top.",
+            (0.4, 1.0, 2.0, 4.0, 8.0, 16.0),
+            plain,
+            optics=_noisy,
+            logarithmic=True,
         ),
         Quantity(
-            "calibration", "calibration error (px of the principal points)",
-            "Standard deviation of each principal point that detectors are told; the stereo turn is off by as many pixels' angle about "
-            f"each axis, the baseline by {sensitivity_limits.BASELINE_MM_PER_PX:g} mm a pixel along each.",
-            (0.0, 0.1, 0.2, 0.3, 0.4, 0.5), plain, told=sensitivity_limits.told,
+            "calibration",
+            "calibration error (px of the principal points)",
+            "Standard deviation of each principal point that detectors are told; the stereo turn"
+            " is off by as many pixels' angle about each axis, the baseline by"
+            f" {sensitivity_limits.BASELINE_MM_PER_PX:g} mm a pixel along each.",
+            (0.0, 0.1, 0.2, 0.3, 0.4, 0.5),
+            plain,
+            told=sensitivity_limits.told,
         ),
         Quantity(
-            "range", "range (m)", "Mean distance of the ends along the right camera's axis.",
-            (1.0, 1.15, 1.3, 1.45, 1.6, 1.75), at_range,
+            "range",
+            "range (m)",
+            "Mean distance of the ends along the right camera's axis.",
+            (1.0, 1.15, 1.3, 1.45, 1.6, 1.75),
+            at_range,
         ),
         Quantity(
-            "contrast", "contrast (share of the board's grey)", "How much darker the teats' sides are than the board, both in even light.",
-            (0.03, 0.06, 0.12, 0.25, 0.5, 0.85), of_contrast, logarithmic=True,
+            "contrast",
+            "contrast (share of the board's grey)",
+            "How much darker the teats' sides are than the board, both in even light.",
+            (0.03, 0.06, 0.12, 0.25, 0.5, 0.85),
+            of_contrast,
+            logarithmic=True,
         ),
         Quantity(
-            "netd", "NETD (K)", "Fresh noise of the thermal pixels.",
-            (0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0), plain, optics=_warm_noise, thermal=True, logarithmic=True,
+            "netd",
+            "NETD (K)",
+            "Fresh noise of the thermal pixels.",
+            (0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0),
+            plain,
+            optics=_warm_noise,
+            thermal=True,
+            logarithmic=True,
         ),
-        Quantity("tilt", "lean (degrees)", "Lean of every teat, each another way.", (0.0, 5.0, 10.0, 14.0, 18.0, 22.0), leaning),
         Quantity(
-            "overlap", "covered share of a far teat's width", "Two pairs of teats, one 45 mm behind the other; below zero is a gap.",
-            (-0.4, -0.1, 0.05, 0.2, 0.35, 0.5), overlapping,
+            "tilt",
+            "lean (degrees)",
+            "Lean of every teat, each another way.",
+            (0.0, 5.0, 10.0, 14.0, 18.0, 22.0),
+            leaning,
         ),
         Quantity(
-            "arm-gap", "gap to the arm (mm)", "From the farthest teat to a bare forearm behind the ends, at the elbow.",
-            (10.0, 30.0, 60.0, 100.0, 180.0, 300.0), before_arm,
+            "overlap",
+            "covered share of a far teat's width",
+            "Two pairs of teats, one 45 mm behind the other; below zero is a gap.",
+            (-0.4, -0.1, 0.05, 0.2, 0.35, 0.5),
+            overlapping,
+        ),
+        Quantity(
+            "arm-gap",
+            "gap to the arm (mm)",
+            "From the farthest teat to a bare forearm behind the ends, at the elbow.",
+            (10.0, 30.0, 60.0, 100.0, 180.0, 300.0),
+            before_arm,
         ),
     )
-}  # fmt: skip
+}
 
 
 def chosen(names: Sequence[str]) -> tuple[Quantity, ...]:
@@ -345,5 +468,7 @@ def chosen(names: Sequence[str]) -> tuple[Quantity, ...]:
         if name not in QUANTITIES:
             close = difflib.get_close_matches(name, QUANTITIES, n=1)
             hint = f"; did you mean {close[0]!r}?" if close else ""
-            raise ConfigError.plain(f"there is no quantity {name!r}{hint} (known: {', '.join(QUANTITIES)})")
+            raise ConfigError.plain(
+                f"there is no quantity {name!r}{hint} (known: {', '.join(QUANTITIES)})"
+            )
     return tuple(QUANTITIES[name] for name in dict.fromkeys(names)) or tuple(QUANTITIES.values())

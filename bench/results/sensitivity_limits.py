@@ -1,19 +1,25 @@
-"""A teat's outline as a camera sees it: where its edge runs in the picture, which way it faces, and the grey levels on both sides.
+"""A teat's outline as a camera sees it: where its edge runs in the picture, which way it faces, and
+the grey levels on both sides.
 
-From the scene's own solids and its noise-free picture; no detector's code. May not know what is made of it.
+From the scene's own solids and its noise-free picture; no detector's code. May not know what is
+made of it.
 
-What no method could beat: the information that edges hold about an end's place, and the heat that a thermal picture holds of a teat.
+What no method could beat: the information that edges hold about an end's place, and the heat that a
+thermal picture holds of a teat.
 
-Strategy: Cramer and Rao's bound (Kay, Fundamentals of Statistical Signal Processing I, 3.9). An edge of contrast C, blurred by a
-Gaussian of sigma_b and seen under white noise sigma_n, tells of its place along its normal with C^2 / (2 sqrt(pi) sigma_b sigma_n^2) for
-each pixel of its length: the integral of the squared slope over the noise. Summed along the outline in both pictures, and carried to the
-world by the derivatives of the projection, that is the information on where the end is, for one who knows the teat's shape, lean and
-grey. For an upright teat it comes to Z^2 / (f B) times the noise of the disparity. May not know any detector.
+Strategy: Cramer and Rao's bound (Kay, Fundamentals of Statistical Signal Processing I, 3.9). An
+edge of contrast C, blurred by a Gaussian of sigma_b and seen under white noise sigma_n, tells of
+its place along its normal with C^2 / (2 sqrt(pi) sigma_b sigma_n^2) for each pixel of its length:
+the integral of the squared slope over the noise. Summed along the outline in both pictures, and
+carried to the world by the derivatives of the projection, that is the information on where the end
+is, for one who knows the teat's shape, lean and grey. For an upright teat it comes to Z^2 / (f B)
+times the noise of the disparity. May not know any detector.
 
 Calibrations that are a little wrong: what detectors are told is changed, the scene is not.
 
-Strategy: one size for all errors, in pixels of the principal point, and every other parameter wrong by what moves a picture about as far.
-Errors are drawn once a member and scaled, so that a curve shows the size of the errors and not another draw.
+Strategy: one size for all errors, in pixels of the principal point, and every other parameter wrong
+by what moves a picture about as far. Errors are drawn once a member and scaled, so that a curve
+shows the size of the errors and not another draw.
 """
 
 from __future__ import annotations
@@ -40,8 +46,9 @@ CAP_STEPS = 32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
-    """Pieces of an outline: ``normal`` (n, 2) outwards, unit, ``length_px`` (n,), grey levels ``inside`` and ``outside`` (n,) in DN,
-    and how far below the rounded end's middle each piece lies, ``below_mm`` (n,), 0 on the end.
+    """Pieces of an outline: ``normal`` (n, 2) outwards, unit, ``length_px`` (n,), grey levels
+    ``inside`` and ``outside`` (n,) in DN, and how far below the rounded end's middle each piece
+    lies, ``below_mm`` (n,), 0 on the end.
     """
 
     normal: Floats
@@ -52,7 +59,9 @@ class Outline:
 
 
 def outline_of(phantom: Phantom, teat: int, camera: CameraModel, picture: Image) -> Outline:
-    """The outline of teat number ``teat``: both sides down to the flange and the round of the end. ``picture`` is free of noise."""
+    """The outline of teat number ``teat``: both sides down to the flange and the round of the end.
+    ``picture`` is free of noise.
+    """
     points, outward, below = _pieces(phantom, teat, camera)
     at = camera.project(points)
     normal = camera.project(points + 0.01 * outward) - at
@@ -65,7 +74,9 @@ def outline_of(phantom: Phantom, teat: int, camera: CameraModel, picture: Image)
 
 
 def _pieces(phantom: Phantom, teat: int, camera: CameraModel) -> tuple[Floats, Floats, Floats]:
-    """Points (n, 3) mm up one side, over the end and down the other, the way (n, 3) each faces, and how far below the end's middle."""
+    """Points (n, 3) mm up one side, over the end and down the other, the way (n, 3) each faces, and
+    how far below the end's middle.
+    """
     end, axis = phantom.ends_mm[teat], phantom.axes[teat]
     shape = phantom.teats[teat].shape
     middle = end - shape.radius_mm * axis
@@ -77,7 +88,9 @@ def _pieces(phantom: Phantom, teat: int, camera: CameraModel) -> tuple[Floats, F
     down = np.arange(0.0, shape.length_mm - shape.radius_mm - FLANGE_HEIGHT_MM, OUTLINE_STEP_MM)
     turn = np.linspace(0.0, np.pi, CAP_STEPS)[1:-1]
     cap = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * up
-    outward = np.concatenate([np.tile(across, (len(down), 1)), cap, np.tile(-across, (len(down), 1))])
+    outward = np.concatenate(
+        [np.tile(across, (len(down), 1)), cap, np.tile(-across, (len(down), 1))]
+    )
     below = np.concatenate([down[::-1], np.zeros(len(cap)), down])
     return middle - below[:, None] * axis + shape.radius_mm * outward, outward, below
 
@@ -85,7 +98,17 @@ def _pieces(phantom: Phantom, teat: int, camera: CameraModel) -> tuple[Floats, F
 def _grey(picture: Image, at: Floats) -> Floats:
     """Grey levels (n,) at pixels (n, 2), bilinear; NaN off the picture."""
     x, y = (at[:, i].astype(np.float32)[None, :] for i in (0, 1))
-    return np.asarray(cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))[0], np.float64)
+    return np.asarray(
+        cv2.remap(
+            picture,
+            x,
+            y,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=float("nan"),
+        )[0],
+        np.float64,
+    )
 
 
 PIXEL_VARIANCE = 1.0 / 12.0  # of a pixel's own width, px^2, and of rounding, DN^2
@@ -94,14 +117,18 @@ GRADIENT_STEP_MM = 0.01
 
 
 def edge_information(outline: Outline, sigma_px: float, noise_dn: Floats) -> Floats:
-    """Fisher information (2, 2), 1/px^2, on a shift of an outline; ``noise_dn`` (n,) is the noise of the pixels along it."""
+    """Fisher information (2, 2), 1/px^2, on a shift of an outline; ``noise_dn`` (n,) is the noise
+    of the pixels along it.
+    """
     contrast = outline.outside - outline.inside
     weight = contrast**2 / (2.0 * np.sqrt(np.pi) * sigma_px * noise_dn**2) * outline.length_px
     return np.asarray(np.einsum("n,ni,nj->ij", weight, outline.normal, outline.normal))
 
 
 def noise_dn(sensor: OpticalSensor, grey_dn: Floats, gain: float) -> Floats:
-    """Standard deviation (n,) of pixels of that grey level, DN: EMVA 1288's model, and the fixed pattern, which is noise to one frame."""
+    """Standard deviation (n,) of pixels of that grey level, DN: EMVA 1288's model, and the fixed
+    pattern, which is noise to one frame.
+    """
     k = sensor.gain_dn_per_e * gain
     signal_e = np.maximum(grey_dn - sensor.offset_dn, 0.0) / k
     electrons = signal_e + sensor.read_noise_e**2 + sensor.dsnu_e**2 + (sensor.prnu * signal_e) ** 2
@@ -115,17 +142,24 @@ def edge_sigma_px(sensor: OpticalSensor, depth_mm: float, focal_px: float) -> fl
 
 
 def end_covariances(renderer: Renderer, state: SceneState, teats: Sequence[int]) -> Floats:
-    """Least covariances (n, 3, 3) mm^2 of the ends of these teats, world axes, from both optical pictures as drawn without noise."""
+    """Least covariances (n, 3, 3) mm^2 of the ends of these teats, world axes, from both optical
+    pictures as drawn without noise.
+    """
     shadows = renderer.shadows(state)
     information = np.zeros((len(teats), 3, 3))
-    for eye, camera in ((renderer.left, renderer.cameras[0]), (renderer.right, renderer.cameras[1])):
+    for eye, camera in (
+        (renderer.left, renderer.cameras[0]),
+        (renderer.right, renderer.cameras[1]),
+    ):
         picture, sensor = eye.expected(state, shadows), eye.readout.sensor
         for i, teat in enumerate(teats):
             end = state.phantom.ends_mm[teat]
             outline = outline_of(state.phantom, teat, camera, picture)
             depth = float(camera.camera_from_world(end[None])[0, 2])
             noise = noise_dn(sensor, 0.5 * (outline.inside + outline.outside), state.exposure.gain)
-            seen = edge_information(outline, edge_sigma_px(sensor, depth, float(camera.fc.mean())), noise)
+            seen = edge_information(
+                outline, edge_sigma_px(sensor, depth, float(camera.fc.mean())), noise
+            )
             slope = _pixels_per_mm(camera, end)
             information[i] += slope.T @ seen @ slope
     return np.asarray(np.linalg.inv(information), dtype=np.float64)
@@ -134,23 +168,31 @@ def end_covariances(renderer: Renderer, state: SceneState, teats: Sequence[int])
 def _pixels_per_mm(camera: CameraModel, point_mm: Floats) -> Floats:
     """How pixels move with a point, (2, 3)."""
     steps = GRADIENT_STEP_MM * np.eye(3)
-    return np.asarray((camera.project(point_mm + steps) - camera.project(point_mm - steps)).T / (2.0 * GRADIENT_STEP_MM))
+    return np.asarray(
+        (camera.project(point_mm + steps) - camera.project(point_mm - steps)).T
+        / (2.0 * GRADIENT_STEP_MM)
+    )
 
 
-def error_quantiles_mm(covariances: Floats, shifts_mm: Floats, shares: Sequence[float]) -> tuple[float, ...]:
-    """Quantiles of the distance |e| of normal errors with these covariances (n, 3, 3) and means (n, 3), all alike often; always the same
-    draws.
+def error_quantiles_mm(
+    covariances: Floats, shifts_mm: Floats, shares: Sequence[float]
+) -> tuple[float, ...]:
+    """Quantiles of the distance |e| of normal errors with these covariances (n, 3, 3) and means (n,
+    3), all alike often; always the same draws.
     """
     units = np.random.Generator(np.random.PCG64(1288)).standard_normal((DRAWS, 3))
-    errors = np.einsum("nij,dj->ndi", np.linalg.cholesky(covariances), units) + shifts_mm[:, None, :]
+    errors = (
+        np.einsum("nij,dj->ndi", np.linalg.cholesky(covariances), units) + shifts_mm[:, None, :]
+    )
     return tuple(float(q) for q in np.quantile(np.linalg.norm(errors, axis=2), shares))
 
 
 def nominated_share(renderer: Renderer, state: SceneState, teats: Sequence[int]) -> float:
-    """Share of these teats that a matched filter finds in a thermal frame at one false alarm a frame (Neyman and Pearson).
+    """Share of these teats that a matched filter finds in a thermal frame at one false alarm a
+    frame (Neyman and Pearson).
 
-    A teat that covers N pixels, dT warmer than the room, has a signal of dT sqrt(N) / sigma; one of as many places as there are pixels
-    gets past the threshold by noise alone.
+    A teat that covers N pixels, dT warmer than the room, has a signal of dT sqrt(N) / sigma; one of
+    as many places as there are pixels gets past the threshold by noise alone.
     """
     sensor, camera = renderer.thermal.readout.sensor, renderer.cameras[2]
     threshold = float(norm.isf(1.0 / (sensor.width_px * sensor.height_px)))
@@ -158,9 +200,16 @@ def nominated_share(renderer: Renderer, state: SceneState, teats: Sequence[int])
     return float(np.mean(norm.sf(threshold - np.array(signal))))
 
 
-def _thermal_signal(sensor: ThermalSensor, camera: CameraModel, state: SceneState, teat: int) -> float:
+def _thermal_signal(
+    sensor: ThermalSensor, camera: CameraModel, state: SceneState, teat: int
+) -> float:
     shape, end = state.phantom.teats[teat].shape, state.phantom.ends_mm[teat]
-    px_a_mm = float(camera.fc.mean()) * sensor.width_px / camera.width_px / float(camera.camera_from_world(end[None])[0, 2])
+    px_a_mm = (
+        float(camera.fc.mean())
+        * sensor.width_px
+        / camera.width_px
+        / float(camera.camera_from_world(end[None])[0, 2])
+    )
     pixels = 2.0 * shape.radius_mm * shape.length_mm * px_a_mm**2
     warmer_k = abs(state.teat_temps_c[teat] - state.ambient_c) * state.teat_paint.emissivity
     return float(warmer_k * np.sqrt(pixels) / np.hypot(sensor.netd_k, sensor.fixed_k))
@@ -179,9 +228,17 @@ SPREAD_PER_PX = {
 
 
 def told(size_px: float, seed: int, calibration: Calibration) -> Calibration:
-    """The calibration with errors of that size, in the same directions for one seed. The thermal camera keeps its place to the left."""
-    drawn = np.random.Generator(np.random.PCG64([seed, *b"miscalibration"])).standard_normal(len(SPREAD_PER_PX))
+    """The calibration with errors of that size, in the same directions for one seed. The thermal
+    camera keeps its place to the left.
+    """
+    drawn = np.random.Generator(np.random.PCG64([seed, *b"miscalibration"])).standard_normal(
+        len(SPREAD_PER_PX)
+    )
     pair = calibration.pair
-    for (owner, name), one, unit in zip(SPREAD_PER_PX, SPREAD_PER_PX.values(), drawn.tolist(), strict=True):
+    for (owner, name), one, unit in zip(
+        SPREAD_PER_PX, SPREAD_PER_PX.values(), drawn.tolist(), strict=True
+    ):
         pair = pair.moved(owner, name, size_px * one * unit)
-    return replace(calibration, left=pair.left, right=pair.right, right_from_left=pair.right_from_left)
+    return replace(
+        calibration, left=pair.left, right=pair.right, right_from_left=pair.right_from_left
+    )

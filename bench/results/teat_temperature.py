@@ -1,8 +1,9 @@
-"""How warm the teats' surface is, which is the stimulus: the bath isn't. From a sensor at the phantom, or from the plant model.
+"""How warm the teats' surface is, which is the stimulus: the bath isn't. From a sensor at the
+phantom, or from the plant model.
 
-Pure. The model is the plant's own at rest (water-bath fact sheet, sections 4.3 and 5): the water cools a little in the hose,
-and a teat sits between water and room as its inner film and its outer surface divide the way. What is not known of a real
-phantom is in the uncertainty, the film first.
+Pure. The model is the plant's own at rest (water-bath fact sheet, sections 4.3 and 5): the water
+cools a little in the hose, and a teat sits between water and room as its inner film and its outer
+surface divide the way. What is not known of a real phantom is in the uncertainty, the film first.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from instruments.world.plant import HEAT_CAPACITY_J_PER_L_K, PlantConstants
 FILM_W_PER_M2K = 600.0  # what the plant's teat_in_w_per_k stands for
 FILM_SPAN_W_PER_M2K = (300.0, 1500.0)  # slow and fast flow inside the teat (section 4.3)
 ROOM_SPAN_K = 3.0  # how far the room may be from the rig file's figure
-SENSOR_SPAN_K = 0.2  # how far a sensor at the phantom may be from the mean surface: root to tip, teat to teat
+# how far a sensor at the phantom may be from the mean surface: root to tip, teat to teat
+SENSOR_SPAN_K = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +32,9 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """The teats' mean surface temperature, ``how`` it was found, and what its uncertainty is made of."""
+    """The teats' mean surface temperature, ``how`` it was found, and what its uncertainty is made
+    of.
+    """
 
     temp_c: float
     how: str
@@ -51,8 +55,12 @@ class Figures:
     external_accuracy_k: float = 0.1
 
 
-def surface(bath_c: Sequence[float], external_c: Sequence[float], figures: Figures) -> Surface | None:
-    """From readings about one moment: of the sensor at the phantom where there is one, else from the bath's. None without either."""
+def surface(
+    bath_c: Sequence[float], external_c: Sequence[float], figures: Figures
+) -> Surface | None:
+    """From readings about one moment: of the sensor at the phantom where there is one, else from
+    the bath's. None without either.
+    """
     if external_c:
         return _from_sensor(external_c, figures)
     return _from_model(bath_c, figures) if bath_c else None
@@ -74,8 +82,14 @@ def hose_drop_k(water_c: float, room_c: float) -> float:
 
 def _from_sensor(external_c: Sequence[float], figures: Figures) -> Surface:
     components = (
-        Component("sensor at the phantom", figures.external_accuracy_k, "rig file, external_accuracy_k"),
-        Component("the sensor's place", _rectangular(SENSOR_SPAN_K), f"± {SENSOR_SPAN_K:g} K, root to tip and teat to teat"),
+        Component(
+            "sensor at the phantom", figures.external_accuracy_k, "rig file, external_accuracy_k"
+        ),
+        Component(
+            "the sensor's place",
+            _rectangular(SENSOR_SPAN_K),
+            f"± {SENSOR_SPAN_K:g} K, root to tip and teat to teat",
+        ),
         _steadiness(external_c),
     )
     return Surface(_mean(external_c), "external sensor at the phantom", components)
@@ -96,7 +110,11 @@ def _from_model(bath_c: Sequence[float], figures: Figures) -> Surface:
 
 
 def _steadiness(readings_c: Sequence[float]) -> Component:
-    return Component("change during the capture", _rectangular((max(readings_c) - min(readings_c)) / 2), f"{len(readings_c)} readings")
+    return Component(
+        "change during the capture",
+        _rectangular((max(readings_c) - min(readings_c)) / 2),
+        f"{len(readings_c)} readings",
+    )
 
 
 def _mean(values: Sequence[float]) -> float:

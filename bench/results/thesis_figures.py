@@ -1,4 +1,5 @@
-"""The thesis's published figures as values: read from the file beside this one, with what can be worked out from them.
+"""The thesis's published figures as values: read from the file beside this one, with what can be
+worked out from them.
 
 Facts of somebody else's, defects included, each with its section. May not know any run.
 """
@@ -141,7 +142,9 @@ class Thesis(Section):
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Of the same errors what the thesis calls an average error, and what it hides. Lengths in mm; None where nothing was measured."""
+    """Of the same errors what the thesis calls an average error, and what it hides. Lengths in mm;
+    None where nothing was measured.
+    """
 
     n: int
     signed_mean: float | None
@@ -157,10 +160,19 @@ def thesis() -> Thesis:
 
 
 def statistics(errors_mm: Floats) -> Statistics:
-    """Of errors (n, 3): over the 3 n components as the thesis averages them, and over the n distances."""
+    """Of errors (n, 3): over the 3 n components as the thesis averages them, and over the n
+    distances.
+    """
     found: ErrorSummary = summarise(errors_mm)
     pooled, radial = found.components, found.radial
-    return Statistics(found.n, pooled.bias_mm, pooled.mean_abs_mm, pooled.max_abs_mm, radial.mean_mm, radial.max_mm)
+    return Statistics(
+        found.n,
+        pooled.bias_mm,
+        pooled.mean_abs_mm,
+        pooled.max_abs_mm,
+        radial.mean_mm,
+        radial.max_mm,
+    )
 
 
 def errors_of_test_mm(figures: Thesis, number: Literal[1, 2]) -> Floats:

@@ -1,7 +1,9 @@
-"""Was the arm verified? The requirement of a script held against what the run knows of its arm: the checks before and after the
-trials, and the dated verification that the rig names. Pure: facts in, a `Decision` out.
+"""Was the arm verified? The requirement of a script held against what the run knows of its arm: the
+checks before and after the trials, and the dated verification that the rig names. Pure: facts in, a
+`Decision` out.
 
-From a run's record to its decisions: each requirement of the script or rules held against the scores of one detector.
+From a run's record to its decisions: each requirement of the script or rules held against the
+scores of one detector.
 """
 
 from __future__ import annotations
@@ -18,7 +20,16 @@ from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
 from bench.results.latency import Latency, latency_of
 from bench.rig.arm_verification import Limits, Verification, broken_by, from_dict, gaps_of
-from bench.scoring.decisions import Decision, Verdict, decide_condition, decide_count, decide_error, decide_rate, decide_time, overall
+from bench.scoring.decisions import (
+    Decision,
+    Verdict,
+    decide_condition,
+    decide_count,
+    decide_error,
+    decide_rate,
+    decide_time,
+    overall,
+)
 from bench.scoring.pool import Pool, pool
 from bench.script.calibration_age import decide_calibration
 from bench.script.model import (
@@ -38,23 +49,45 @@ VERIFICATION_FACT = "arm verification"
 
 
 def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
-    """Met where both checks and the dated verification keep every limit; not met where one breaks any; inconclusive where one of
-    them is missing or shows too little; not measured where the rig names neither.
+    """Met where both checks and the dated verification keep every limit; not met where one breaks
+    any; inconclusive where one of them is missing or shows too little; not measured where the rig
+    names neither.
 
     There is no guard band: the figure is the arm's own error, with the divot's in it.
     """
-    checks = {when: facts[CHECK_FACT.format(when)] for when in (BEFORE, AFTER) if CHECK_FACT.format(when) in facts}
+    checks = {
+        when: facts[CHECK_FACT.format(when)]
+        for when in (BEFORE, AFTER)
+        if CHECK_FACT.format(when) in facts
+    }
     dated = from_dict(facts[VERIFICATION_FACT]) if VERIFICATION_FACT in facts else None
     n = sum(len(fact["touches"]) for fact in checks.values())
     if not checks and not dated:
-        sentence = "The rig names neither a check point nor a verification of the arm (keys check_point_mm and verification)."
+        sentence = (
+            "The rig names neither a check point nor a verification of the arm (keys check_point_mm"
+            " and verification)."
+        )
         return _decision(rule, 0, None, Verdict.NOT_MEASURED, sentence)
-    found = [location_of(fact, when).largest_mm for when, fact in checks.items()] + ([dated.location_mm] if dated else [])
-    against = [*chain.from_iterable(_check_faults(rule, fact, when) for when, fact in checks.items()), *_drift_faults(rule, checks)]
+    found = [location_of(fact, when).largest_mm for when, fact in checks.items()] + (
+        [dated.location_mm] if dated else []
+    )
+    against = [
+        *chain.from_iterable(_check_faults(rule, fact, when) for when, fact in checks.items()),
+        *_drift_faults(rule, checks),
+    ]
     against += _dated_faults(rule, dated, facts) if dated else []
-    missing = [f"the arm was not checked {when} the trials" for when in (BEFORE, AFTER) if when not in checks]
-    missing += chain.from_iterable(gaps_of(location_of(fact, _called(when)), rule.least_touches) for when, fact in checks.items())
-    missing += [f"in the dated verification, {gap}" for gap in dated.gaps(_limits(rule))] if dated else []
+    missing = [
+        f"the arm was not checked {when} the trials"
+        for when in (BEFORE, AFTER)
+        if when not in checks
+    ]
+    missing += chain.from_iterable(
+        gaps_of(location_of(fact, _called(when)), rule.least_touches)
+        for when, fact in checks.items()
+    )
+    missing += (
+        [f"in the dated verification, {gap}" for gap in dated.gaps(_limits(rule))] if dated else []
+    )
     if not dated and rule.dated_required:
         missing.append("the rig names no dated verification")
     touches = n + (sum(test.n for test in dated.locations) if dated else 0)
@@ -63,20 +96,29 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
     return _decision(rule, touches, max(found), verdict, sentence)
 
 
-def _decision(rule: ArmRequirement, n: int, measured: float | None, verdict: Verdict, sentence: str) -> Decision:
+def _decision(
+    rule: ArmRequirement, n: int, measured: float | None, verdict: Verdict, sentence: str
+) -> Decision:
     limit = rule.location_limit_mm
     margin = None if measured is None else limit - measured
-    return Decision(rule.name, _rule(rule), n, measured, "mm", limit, margin, None, verdict, sentence)
+    return Decision(
+        rule.name, _rule(rule), n, measured, "mm", limit, margin, None, verdict, sentence
+    )
 
 
 def _rule(rule: ArmRequirement) -> str:
-    lengths = "" if rule.length_limit_mm is None else f", a calibrated length within {rule.length_limit_mm:g} mm"
+    lengths = (
+        ""
+        if rule.length_limit_mm is None
+        else f", a calibrated length within {rule.length_limit_mm:g} mm"
+    )
     dated = "required" if rule.dated_required else "where the rig names one"
     return (
-        f"before and after the trials, touches of one divot within {rule.location_limit_mm:g} mm of their mean (articulated location, "
-        f"ASME B89.4.22, ISO 10360-12), their mean within {rule.shift_limit_mm:g} mm of its place and moved by at most "
-        f"{rule.drift_limit_mm:g} mm; a dated verification ({dated}) of this arm "
-        f"at most {rule.max_age_days:g} days old{lengths}"
+        f"before and after the trials, touches of one divot within {rule.location_limit_mm:g} mm of"
+        " their mean (articulated location, ASME B89.4.22, ISO 10360-12), their mean within"
+        f" {rule.shift_limit_mm:g} mm of its place and moved by at most {rule.drift_limit_mm:g} mm;"
+        f" a dated verification ({dated}) of this arm at most {rule.max_age_days:g} days"
+        f" old{lengths}"
     )
 
 
@@ -85,8 +127,9 @@ def _check_faults(rule: ArmRequirement, fact: Mapping[str, Any], when: str) -> l
     shift = shift_mm(fact)
     if shift > rule.shift_limit_mm:
         faults.append(
-            f"the check point was found {shift:.2f} mm from its place {when} the trials, limit {rule.shift_limit_mm:g} mm: "
-            "was the arm homed, and was arm or table moved since the frame was made?"
+            f"the check point was found {shift:.2f} mm from its place {when} the trials, limit"
+            f" {rule.shift_limit_mm:g} mm: was the arm homed, and was arm or table moved since the"
+            " frame was made?"
         )
     return faults
 
@@ -98,14 +141,21 @@ def _drift_faults(rule: ArmRequirement, checks: Mapping[str, Mapping[str, Any]])
     drift = float(np.linalg.norm(last - first))
     if drift <= rule.drift_limit_mm:
         return []
-    return [f"the check point moved by {drift:.2f} mm during the run, limit {rule.drift_limit_mm:g} mm: was arm or table pushed?"]
+    return [
+        (
+            f"the check point moved by {drift:.2f} mm during the run, limit"
+            f" {rule.drift_limit_mm:g} mm: was arm or table pushed?"
+        )
+    ]
 
 
 def _dated_faults(rule: ArmRequirement, dated: Verification, facts: Mapping[str, Any]) -> list[str]:
     faults = [f"in the dated verification, {text}" for text in dated.broken(_limits(rule))]
     serial = facts.get("identities", {}).get("arm", {}).get("serial_number")
     if serial is not None and dated.serial_number != serial:
-        faults.append(f"the verification is of the arm {dated.serial_number}, but the run used {serial}")
+        faults.append(
+            f"the verification is of the arm {dated.serial_number}, but the run used {serial}"
+        )
     age = age_of(dated, facts)
     if age > timedelta(days=rule.max_age_days):
         faults.append(f"the verification was {age.days} days old, limit {rule.max_age_days:g} days")
@@ -130,7 +180,9 @@ def age_of(dated: Verification, facts: Mapping[str, Any]) -> timedelta:
 def _shown(checks: Mapping[str, Mapping[str, Any]], dated: Verification | None) -> str:
     largest = {when: location_of(fact, when).largest_mm for when, fact in checks.items()}
     checked = " and ".join(f"{value:.2f} mm {when}" for when, value in largest.items())
-    return f"one divot read within {checked}" + (f"; verified on {dated.made:%Y-%m-%d}" if dated else "; no dated verification is named")
+    return f"one divot read within {checked}" + (
+        f"; verified on {dated.made:%Y-%m-%d}" if dated else "; no dated verification is named"
+    )
 
 
 def _sentence(text: str) -> str:
@@ -142,7 +194,8 @@ DetectorRequirement = ErrorRequirement | TimeRequirement | SuccessRequirement | 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """One detector's decisions, in the order of the script's requirements, and the verdict that they add up to.
+    """One detector's decisions, in the order of the script's requirements, and the verdict that
+    they add up to.
 
     ``of_bench`` names the requirements that the bench has to meet, not the detector.
     """
@@ -162,7 +215,14 @@ def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
     bench = ArmRequirement | BathRequirement | CalibrationRequirement
     of_bench = frozenset(rule.name for rule in rules.requirements if isinstance(rule, bench))
     return tuple(
-        Judgement(name, held_back((_decide(rule, run, scored(run, name), name) for rule in rules.requirements), run.damage), of_bench)
+        Judgement(
+            name,
+            held_back(
+                (_decide(rule, run, scored(run, name), name) for rule in rules.requirements),
+                run.damage,
+            ),
+            of_bench,
+        )
         for name in run.detectors
     )
 
@@ -171,7 +231,10 @@ def held_back(decisions: Iterable[Decision], damage: Sequence[str]) -> tuple[Dec
     """The decisions; where the record is damaged, all of them inconclusive."""
     if not damage:
         return tuple(decisions)
-    return tuple(replace(d, verdict=Verdict.INCONCLUSIVE, sentence=f"{NOT_AS_WRITTEN}. {d.sentence}") for d in decisions)
+    return tuple(
+        replace(d, verdict=Verdict.INCONCLUSIVE, sentence=f"{NOT_AS_WRITTEN}. {d.sentence}")
+        for d in decisions
+    )
 
 
 def run_verdict(judgements: Sequence[Judgement]) -> Verdict:
@@ -181,7 +244,9 @@ def run_verdict(judgements: Sequence[Judgement]) -> Verdict:
 
 def scored(run: RunRecord, detector: str, situation: str | None = None) -> Pool:
     """The scores of one detector, with the pose of each; of one situation where named."""
-    trials = [t for t in run.counted if detector in t.scores and situation in (None, t.head["situation"])]
+    trials = [
+        t for t in run.counted if detector in t.scores and situation in (None, t.head["situation"])
+    ]
     return pool([t.scores[detector] for t in trials], [t.pose for t in trials])
 
 
@@ -194,13 +259,19 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
         case CalibrationRequirement():
             return decide_calibration(rule, run.facts)
         case _:
-            return decide_detector(rule, scores, latency_of(run, detector), truth_u_mm([run], scores, detector))
+            return decide_detector(
+                rule, scores, latency_of(run, detector), truth_u_mm([run], scores, detector)
+            )
 
 
-def decide_detector(rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None) -> Decision:
-    """What a detector has to meet, held against its scores and times, of one run or of several; ``u_mm`` as ``truth_u_mm`` gives it.
+def decide_detector(
+    rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None
+) -> Decision:
+    """What a detector has to meet, held against its scores and times, of one run or of several;
+    ``u_mm`` as ``truth_u_mm`` gives it.
 
-    Nothing is met by silence: a frame set without an answer shows no error, no false teat and no time.
+    Nothing is met by silence: a frame set without an answer shows no error, no false teat and no
+    time.
     """
     decision = _decided(rule, scores, timed, u_mm)
     silent = timed.silent if isinstance(rule, ErrorRequirement | FalseRequirement) else timed.failed
@@ -214,7 +285,9 @@ def decide_detector(rule: DetectorRequirement, scores: Pool, timed: Latency, u_m
     return decision
 
 
-def _decided(rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None) -> Decision:
+def _decided(
+    rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None
+) -> Decision:
     match rule:
         case ErrorRequirement():
             return decide_error(
@@ -231,22 +304,41 @@ def _decided(rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: floa
         case SuccessRequirement():
             rate, sure = rule.rate, rule.confidence
             shown, possible = scores.surely_succeeded(rate, sure), scores.perhaps_succeeded
-            decision = decide_rate(rule.name, scores.success, required=rate, confidence=sure, shown=shown, possible=possible)
+            decision = decide_rate(
+                rule.name,
+                scores.success,
+                required=rate,
+                confidence=sure,
+                shown=shown,
+                possible=possible,
+            )
         case FalseRequirement():
             of, false = len(scores.scores), scores.counts.false
-            return decide_count(rule.name, false, scenes=of, confidence=rule.confidence, per_pose=scores.worst_false)
+            return decide_count(
+                rule.name, false, scenes=of, confidence=rule.confidence, per_pose=scores.worst_false
+            )
         case TimeRequirement():
             how, rate_of, sure = rule.statistic, rule.rate, rule.confidence
             decision = decide_time(
-                rule.name, timed.seconds, limit_s=rule.limit_s, statistic=how, rate=rate_of, confidence=sure, poses=timed.poses
+                rule.name,
+                timed.seconds,
+                limit_s=rule.limit_s,
+                statistic=how,
+                rate=rate_of,
+                confidence=sure,
+                poses=timed.poses,
             )
     return replace(decision, sentence=f"{decision.sentence} {timed.starved}".strip())
 
 
 def truth_u_mm(runs: Sequence[RunRecord], scores: Pool, detector: str) -> float | None:
-    """The largest uncertainty of a truth that the detector was scored against; None where one of them states none."""
+    """The largest uncertainty of a truth that the detector was scored against; None where one of
+    them states none.
+    """
     trials = [trial for run in runs for trial in run.counted if detector in trial.scores]
-    stated = all(row["u_mm"] is not None for trial in trials for row in trial.truth if row["visible"])
+    stated = all(
+        row["u_mm"] is not None for trial in trials for row in trial.truth if row["visible"]
+    )
     return max((score.u_mm for score in scores.scores), default=0.0) if stated else None
 
 
@@ -254,4 +346,9 @@ def _bath(rule: BathRequirement, run: RunRecord) -> Decision:
     set_point_c = run.facts.get("set_point_c")
     temps = [trial.head["bath_c"] for trial in run.trials if trial.head["bath_c"] is not None]
     held = sum(abs(temp - set_point_c) <= rule.band_k for temp in temps)
-    return decide_condition(rule.name, f"bath within {rule.band_k:g} K of the set point at every capture", held=held, of=len(temps))
+    return decide_condition(
+        rule.name,
+        f"bath within {rule.band_k:g} K of the set point at every capture",
+        held=held,
+        of=len(temps),
+    )

@@ -1,7 +1,9 @@
-"""The two dated files about an arm: where it stands (`arm-frame.toml`), and how good it is (`arm-verification.toml`).
+"""The two dated files about an arm: where it stands (`arm-frame.toml`), and how good it is
+(`arm-verification.toml`).
 
-Both hold what was touched, and beside it what follows from it, for people and other programs. Reading works the figures out again
-from the touches and refuses a file whose figures don't follow: it was changed by hand. A file of another arm is refused too.
+Both hold what was touched, and beside it what follows from it, for people and other programs.
+Reading works the figures out again from the touches and refuses a file whose figures don't follow:
+it was changed by hand. A file of another arm is refused too.
 """
 
 from __future__ import annotations
@@ -23,9 +25,11 @@ from detector.geometry import Motion
 
 FOLLOWS_MM = 1e-3  # what is written follows from the touches to better than this
 FRAME_HEADING = """Where the arm stands on the table, made by 'teatbench arm frame'. Lengths in mm.
-X_world = R(om) X_arm + T, om in rad. Make it anew when the arm or the table was moved, or another arm is used."""
-VERIFICATION_HEADING = """How good the arm was on this day, made by 'teatbench arm verify'. Lengths in mm.
-Figures after ASME B89.4.22 and ISO 10360-12. A run holds these figures against the limits of its own script."""
+X_world = R(om) X_arm + T, om in rad. Make it anew when the arm or the
+table was moved, or another arm is used."""
+VERIFICATION_HEADING = """How good the arm was on this day, made by 'teatbench arm verify'.
+Lengths in mm. Figures after ASME B89.4.22 and ISO 10360-12. A run holds these figures
+against the limits of its own script."""
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -99,23 +103,44 @@ def frame_text(frame: TableFrame) -> str:
         for point in frame.points
     ]
     motion = frame.world_from_arm
-    head = {"made": frame.made, "serial_number": frame.serial_number, "om": motion.om.tolist(), "T": motion.T.tolist()}
+    head = {
+        "made": frame.made,
+        "serial_number": frame.serial_number,
+        "om": motion.om.tolist(),
+        "T": motion.T.tolist(),
+    }
     return toml_text({**head, "residual_mm": frame.residual_mm, "points": points}, FRAME_HEADING)
 
 
 def load_frame(path: Path, *, serial_number: str | None = None) -> TableFrame:
-    """The frame at ``path``, of the arm ``serial_number`` where given. Raises ConfigError with all faults, each in its place."""
+    """The frame at ``path``, of the arm ``serial_number`` where given. Raises ConfigError with all
+    faults, each in its place.
+    """
     file = read_config(path, _FrameFile)
-    _refuse_other_arm(path, file.serial_number, serial_number, "Make the frame anew with this arm: 'teatbench arm frame'")
-    points = [TouchedPoint(point.name, point.arm_mm, point.spread_mm, point.world_mm) for point in file.points]
+    _refuse_other_arm(
+        path,
+        file.serial_number,
+        serial_number,
+        "Make the frame anew with this arm: 'teatbench arm frame'",
+    )
+    points = [
+        TouchedPoint(point.name, point.arm_mm, point.spread_mm, point.world_mm)
+        for point in file.points
+    ]
     try:
         frame = TableFrame.from_touches(file.made, file.serial_number, points)
     except FrameError as error:
         raise located(path, read_text(path), [(("points",), str(error), False)]) from error
     written, follows = Motion.from_vectors(file.om, file.T), frame.world_from_arm
-    faults: list[tuple[KeyPath, bool]] = [(("om",), _near(1000.0 * written.R, 1000.0 * follows.R)), (("T",), _near(written.T, follows.T))]
+    faults: list[tuple[KeyPath, bool]] = [
+        (("om",), _near(1000.0 * written.R, 1000.0 * follows.R)),
+        (("T",), _near(written.T, follows.T)),
+    ]
     faults.append((("residual_mm",), _same(file.residual_mm, frame.residual_mm)))
-    faults += [(("points", i, "residual_mm"), _same(p.residual_mm, frame.residuals_mm.get(p.name))) for i, p in enumerate(file.points)]
+    faults += [
+        (("points", i, "residual_mm"), _same(p.residual_mm, frame.residuals_mm.get(p.name)))
+        for i, p in enumerate(file.points)
+    ]
     _refuse_changed(path, faults)
     return frame
 
@@ -133,47 +158,86 @@ def verification_text(verification: Verification, limits: Limits) -> str:
     }
     locations = [_location_table(test) for test in verification.locations]
     lengths = [
-        {"where": t.where, "calibrated_mm": t.calibrated_mm, "error_mm": t.error_mm, "a_mm": t.a_mm.tolist(), "b_mm": t.b_mm.tolist()}
+        {
+            "where": t.where,
+            "calibrated_mm": t.calibrated_mm,
+            "error_mm": t.error_mm,
+            "a_mm": t.a_mm.tolist(),
+            "b_mm": t.b_mm.tolist(),
+        }
         for t in verification.lengths
     ]
-    return toml_text({**head, "location": locations, "length": lengths or None}, VERIFICATION_HEADING)
+    return toml_text(
+        {**head, "location": locations, "length": lengths or None}, VERIFICATION_HEADING
+    )
 
 
 def load_verification(path: Path, *, serial_number: str | None = None) -> Verification:
-    """The verification at ``path``, of the arm ``serial_number`` where given. Raises ConfigError with all faults, each in its place."""
+    """The verification at ``path``, of the arm ``serial_number`` where given. Raises ConfigError
+    with all faults, each in its place.
+    """
     file = read_config(path, _VerificationFile)
-    _refuse_other_arm(path, file.serial_number, serial_number, "Verify this arm: 'teatbench arm verify'")
+    _refuse_other_arm(
+        path, file.serial_number, serial_number, "Verify this arm: 'teatbench arm verify'"
+    )
     text = read_text(path)
-    uneven = [(("location", i, "axes"), "must have a row for each of tips_mm", False) for i, t in enumerate(file.location) if not _even(t)]
+    uneven = [
+        (("location", i, "axes"), "must have a row for each of tips_mm", False)
+        for i, t in enumerate(file.location)
+        if not _even(t)
+    ]
     if uneven:
         raise located(path, text, uneven)
-    locations = tuple(LocationTest(t.where, np.array(t.tips_mm), np.array(t.axes)) for t in file.location)
-    lengths = tuple(LengthTest(t.where, np.array(t.a_mm), np.array(t.b_mm), t.calibrated_mm) for t in file.length)
+    locations = tuple(
+        LocationTest(t.where, np.array(t.tips_mm), np.array(t.axes)) for t in file.location
+    )
+    lengths = tuple(
+        LengthTest(t.where, np.array(t.a_mm), np.array(t.b_mm), t.calibrated_mm)
+        for t in file.length
+    )
     found = Verification(file.made, file.serial_number, locations, lengths)
     limits = Limits(file.limits.location_mm, file.limits.length_mm)
     faults: list[tuple[KeyPath, bool]] = [(("passed",), file.passed == (not found.faults(limits)))]
-    faults += [((key,), _same(getattr(file, key), getattr(found, key))) for key in ("location_mm", "length_mm", "length_two_rms_mm")]
+    faults += [
+        ((key,), _same(getattr(file, key), getattr(found, key)))
+        for key in ("location_mm", "length_mm", "length_two_rms_mm")
+    ]
     for i, (written, test) in enumerate(zip(file.location, locations, strict=True)):
         keys = ("n", "largest_mm", "two_sd_mm", "sphere_mm", "swing_deg")
-        faults += [(("location", i, key), _same(getattr(written, key), getattr(test, key))) for key in keys]
+        faults += [
+            (("location", i, key), _same(getattr(written, key), getattr(test, key))) for key in keys
+        ]
     faults += [
-        (("length", i, "error_mm"), _same(w.error_mm, t.error_mm)) for i, (w, t) in enumerate(zip(file.length, lengths, strict=True))
+        (("length", i, "error_mm"), _same(w.error_mm, t.error_mm))
+        for i, (w, t) in enumerate(zip(file.length, lengths, strict=True))
     ]
     _refuse_changed(path, faults)
     return found
 
 
 def write_file(path: Path, text: str) -> None:
-    """Write ``text`` so that it is there whole or not at all. Raises ConfigError where the folder can't be written."""
+    """Write ``text`` so that it is there whole or not at all. Raises ConfigError where the folder
+    can't be written.
+    """
     try:
         write_synced(path, text.encode("utf-8"))
     except OSError as error:
-        raise ConfigError.plain(f"{path} can't be written: {error.strerror or error}. Name another place with --out.") from error
+        raise ConfigError.plain(
+            f"{path} can't be written: {error.strerror or error}. Name another place with --out."
+        ) from error
 
 
 def _location_table(test: LocationTest) -> dict[str, Any]:
-    figures = {key: getattr(test, key) for key in ("n", "largest_mm", "two_sd_mm", "sphere_mm", "swing_deg")}
-    return {"where": test.where, **figures, "tips_mm": test.tips_mm.tolist(), "axes": test.axes.tolist()}
+    figures = {
+        key: getattr(test, key)
+        for key in ("n", "largest_mm", "two_sd_mm", "sphere_mm", "swing_deg")
+    }
+    return {
+        "where": test.where,
+        **figures,
+        "tips_mm": test.tips_mm.tolist(),
+        "axes": test.axes.tolist(),
+    }
 
 
 def _even(test: _Location) -> bool:

@@ -1,4 +1,6 @@
-"""The description of a calibration board, as a person writes it. Reading it may not open an instrument."""
+"""The description of a calibration board, as a person writes it. Reading it may not open an
+instrument.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ BOARDS = Path(__file__).parents[1] / "boards"
 
 
 class BoardFile(Section):
-    """``columns`` and ``rows`` count points: inner corners of squares, or circles. ``pitch_mm`` is what the print measures.
+    """``columns`` and ``rows`` count points: inner corners of squares, or circles. ``pitch_mm`` is
+    what the print measures.
 
     ``pitch_u_mm`` is its standard uncertainty.
     """
@@ -37,7 +40,15 @@ class BoardFile(Section):
     @property
     def board(self) -> Board:
         """The board itself."""
-        return Board(self.kind, self.columns, self.rows, self.pitch_mm, self.marker_mm, self.dictionary, self.circle_mm)
+        return Board(
+            self.kind,
+            self.columns,
+            self.rows,
+            self.pitch_mm,
+            self.marker_mm,
+            self.dictionary,
+            self.circle_mm,
+        )
 
 
 def find_board_file(name: str) -> Path:

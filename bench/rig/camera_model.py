@@ -1,4 +1,5 @@
-"""The rig file's `[cameras]`: a table for each camera, or one URL for all; what a frame set must pass; what the rig's cameras become of it.
+"""The rig file's `[cameras]`: a table for each camera, or one URL for all; what a frame set must
+pass; what the rig's cameras become of it.
 
 May not open anything.
 """
@@ -8,7 +9,14 @@ from __future__ import annotations
 import re
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from bench.config import Positive, Section
 from instruments.camera.conversion import Channel, Conversion, Flip, Radiometry, Turn
@@ -24,8 +32,9 @@ def _all_url(url: str) -> str:
     if url in ("", "emulator:") or re.match(r"(opencv|recording):\S+", url):
         return url
     raise ValueError(
-        'not a camera; allowed: "emulator:", "opencv:LEFT,RIGHT,THERMAL" (device numbers, files or streams), "recording:FOLDER", '
-        "or a table for each camera: [cameras.left], [cameras.right], [cameras.thermal]"
+        'not a camera; allowed: "emulator:", "opencv:LEFT,RIGHT,THERMAL" (device numbers, files or'
+        ' streams), "recording:FOLDER", or a table for each camera: [cameras.left],'
+        " [cameras.right], [cameras.thermal]"
     )
 
 
@@ -34,8 +43,9 @@ def camera_url(url: str) -> str:
     if re.match(r"opencv:\S", url) or re.match(r"genicam:", url):
         return url
     raise ValueError(
-        'not a camera; allowed: "opencv:0" (a device number, a file, "http://…" or "rtsp://…" behind it), "genicam:NAME" '
-        "(as `teatbench camera list` prints it, a serial number or an address)"
+        'not a camera; allowed: "opencv:0" (a device number, a file, "http://…" or "rtsp://…"'
+        ' behind it), "genicam:NAME" (as `teatbench camera list` prints it, a serial number or an'
+        " address)"
     )
 
 
@@ -66,16 +76,24 @@ class OneCamera(Section):
         known = {*Setting.__args__, *info.data.get("features", {})}  # type: ignore[attr-defined]
         wrong = [name for name in tries if name not in known] if isinstance(tries, tuple) else []
         if wrong:
-            raise ValueError(f'"{wrong[0]}" is no setting; try = true tries all, or name some of {", ".join(sorted(known))}')
+            raise ValueError(
+                f'"{wrong[0]}" is no setting; try = true tries all, or name some of'
+                f" {', '.join(sorted(known))}"
+            )
         return tries
 
     @model_validator(mode="after")
     def _fits(self) -> OneCamera:
         given = [
-            name for name in GENICAM_ONLY if getattr(self, name) != type(self).model_fields[name].get_default(call_default_factory=True)
+            name
+            for name in GENICAM_ONLY
+            if getattr(self, name)
+            != type(self).model_fields[name].get_default(call_default_factory=True)
         ]
         if given and not self.url.startswith("genicam:"):
-            raise ValueError(f'{given[0]} is for cameras of the kind "genicam:", this one is {self.url}')
+            raise ValueError(
+                f'{given[0]} is for cameras of the kind "genicam:", this one is {self.url}'
+            )
         return self
 
     @property
@@ -102,7 +120,9 @@ class ThermalTable(OneCamera):
     radiometric: RadiometricTable | None = None
 
     def calibrated(self, *, mirrored: bool, hot_is_black: bool) -> Conversion:
-        """To the picture as the calibration has it, which its arguments tell, or to temperatures, which are never mirrored."""
+        """To the picture as the calibration has it, which its arguments tell, or to temperatures,
+        which are never mirrored.
+        """
         comes_mirrored = mirrored if self.mirrored is None else self.mirrored
         comes_black = hot_is_black if self.polarity is None else self.polarity == "hot_is_black"
         r = self.radiometric
@@ -154,7 +174,10 @@ class Cameras(Section):
     def _one_way(self) -> Cameras:
         tables = [name for name, table in self.tables.items() if table is not None]
         if self.url and tables:
-            raise ValueError(f"either url for all cameras or a table for each, not both (here: url and [cameras.{tables[0]}])")
+            raise ValueError(
+                "either url for all cameras or a table for each, not both (here: url and"
+                f" [cameras.{tables[0]}])"
+            )
         missing = [name for name in ("left", "right") if name not in tables]
         if not self.url and missing:
             raise ValueError(f"no url for all cameras, and no [cameras.{missing[0]}]")
@@ -163,7 +186,11 @@ class Cameras(Section):
     @property
     def tables(self) -> dict[str, OneCamera]:
         """Each camera that has a table of its own."""
-        return {name: table for name in ("left", "right", "thermal") if (table := getattr(self, name)) is not None}
+        return {
+            name: table
+            for name in ("left", "right", "thermal")
+            if (table := getattr(self, name)) is not None
+        }
 
     @property
     def told(self) -> str:

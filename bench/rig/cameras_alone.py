@@ -1,6 +1,8 @@
-"""Cameras without a run: those of a rig, or one to three by their URLs; looked at, focused, and grabbed into a recording.
+"""Cameras without a run: those of a rig, or one to three by their URLs; looked at, focused, and
+grabbed into a recording.
 
-A rig's cameras come as frame sets through its own declarations; cameras by URL are taken as they are. May not know how anything is printed.
+A rig's cameras come as frame sets through its own declarations; cameras by URL are taken as they
+are. May not know how anything is printed.
 """
 
 from __future__ import annotations
@@ -40,7 +42,9 @@ ONE = "single"  # what one camera without a place in a rig is called
 
 @dataclass(frozen=True, slots=True)
 class Alone:
-    """Open cameras. ``look`` gives each camera's picture; ``frame_set`` is None for one camera alone, which makes no set."""
+    """Open cameras. ``look`` gives each camera's picture; ``frame_set`` is None for one camera
+    alone, which makes no set.
+    """
 
     clock: Clock
     identity: Callable[[], Mapping[str, str]]
@@ -52,21 +56,38 @@ class Alone:
     @property
     def checks(self) -> FrameChecks:
         """The rig's looks; a phantom that is still cold is no fault here."""
-        return FrameChecks(self.table.checks, self.table.max_skew_s, self.rig.made_calibration if self.rig else None, flat=False)
+        return FrameChecks(
+            self.table.checks,
+            self.table.max_skew_s,
+            self.rig.made_calibration if self.rig else None,
+            flat=False,
+        )
 
 
 @contextmanager
 def open_alone(sources: Sequence[str]) -> Iterator[Alone]:
-    """A rig's cameras by its name or file (the emulated one for none), or cameras by URL. Raises ConfigError, InstrumentError."""
+    """A rig's cameras by its name or file (the emulated one for none), or cameras by URL. Raises
+    ConfigError, InstrumentError.
+    """
     if any(source.partition(":")[0] in ("opencv", "genicam") for source in sources):
         with _by_url(sources) as alone:
             yield alone
         return
     if len(sources) > 1:
-        raise ConfigError.plain(f"one rig, or one to three cameras by URL (opencv:…, genicam:…); got {' '.join(sources)}")
+        raise ConfigError.plain(
+            "one rig, or one to three cameras by URL (opencv:…, genicam:…); got"
+            f" {' '.join(sources)}"
+        )
     rig = load_rig(find_rig(sources[0] if sources else None))
     with _of_rig(rig) as (cameras, clock):
-        yield Alone(clock, lambda: cameras.identity, patient(lambda: pictures(cameras.capture())), cameras, rig.rig.cameras, rig)
+        yield Alone(
+            clock,
+            lambda: cameras.identity,
+            patient(lambda: pictures(cameras.capture())),
+            cameras,
+            rig.rig.cameras,
+            rig,
+        )
 
 
 @contextmanager
@@ -87,7 +108,9 @@ def _of_rig(rig: LoadedRig) -> Iterator[tuple[Cameras, Clock]]:
 @contextmanager
 def _by_url(sources: Sequence[str]) -> Iterator[Alone]:
     if len(sources) > len(KNOWN):
-        raise ConfigError.plain(f"at most {len(KNOWN)} cameras: {', '.join(KNOWN)}; got {len(sources)}")
+        raise ConfigError.plain(
+            f"at most {len(KNOWN)} cameras: {', '.join(KNOWN)}; got {len(sources)}"
+        )
     names = (ONE,) if len(sources) == 1 else KNOWN
     tables = {name: _table(source) for name, source in zip(names, sources, strict=False)}
     with _real_time() as clock:
@@ -95,12 +118,28 @@ def _by_url(sources: Sequence[str]) -> Iterator[Alone]:
         if len(sources) == 1:
             with _opened(openers[ONE]) as camera:
                 rules = CamerasTable(url="emulator:")
-                yield Alone(clock, lambda: {ONE: camera.identity}, patient(lambda: {ONE: _picture(camera)}), None, rules, None)
+                yield Alone(
+                    clock,
+                    lambda: {ONE: camera.identity},
+                    patient(lambda: {ONE: _picture(camera)}),
+                    None,
+                    rules,
+                    None,
+                )
             return
         cameras = CameraSet(openers, {})
         try:
-            rules = CamerasTable.model_validate({name: {"url": table.url} for name, table in tables.items()})
-            yield Alone(clock, lambda: cameras.identity, patient(lambda: pictures(cameras.capture())), cameras, rules, None)
+            rules = CamerasTable.model_validate(
+                {name: {"url": table.url} for name, table in tables.items()}
+            )
+            yield Alone(
+                clock,
+                lambda: cameras.identity,
+                patient(lambda: pictures(cameras.capture())),
+                cameras,
+                rules,
+                None,
+            )
         finally:
             cameras.close()
 
@@ -148,16 +187,24 @@ def _picture(camera: Camera) -> Grey:
 
 
 def pictures(frames: FrameSet) -> dict[str, Grey]:
-    """Each camera's picture in 8-bit grey; temperatures are stretched over the range where the camera delivers nothing else."""
+    """Each camera's picture in 8-bit grey; temperatures are stretched over the range where the
+    camera delivers nothing else.
+    """
     thermal = frames.thermal
     if thermal is None and frames.thermal_ck is not None:
         thermal = _stretched(frames.thermal_ck)
-    return {"left": frames.left, "right": frames.right, **({} if thermal is None else {"thermal": thermal})}
+    return {
+        "left": frames.left,
+        "right": frames.right,
+        **({} if thermal is None else {"thermal": thermal}),
+    }
 
 
 def _stretched(counts: NDArray[np.uint16]) -> Grey:
     low, high = np.percentile(counts, [0.5, 99.5])
-    stretched: Grey = np.clip(np.rint((counts - low) * (255.0 / max(1.0, high - low))), 0.0, 255.0).astype(np.uint8)
+    stretched: Grey = np.clip(
+        np.rint((counts - low) * (255.0 / max(1.0, high - low))), 0.0, 255.0
+    ).astype(np.uint8)
     return stretched
 
 
@@ -179,9 +226,14 @@ def calibration_text(alone: Alone) -> str | None:
 
 
 def attached() -> Iterator[tuple[str, str]]:
-    """URL and name of each camera that this machine can see. Devices of OpenCV are told by the system's list, and not opened."""
+    """URL and name of each camera that this machine can see. Devices of OpenCV are told by the
+    system's list, and not opened.
+    """
     for device in sorted(Path("/sys/class/video4linux").glob("video*")):
-        yield f"opencv:{device.name.removeprefix('video')}", (device / "name").read_text(encoding="utf-8").strip()
+        yield (
+            f"opencv:{device.name.removeprefix('video')}",
+            (device / "name").read_text(encoding="utf-8").strip(),
+        )
     try:
         aravis = load_aravis()
     except DeviceError as error:
@@ -189,8 +241,16 @@ def attached() -> Iterator[tuple[str, str]]:
         return
     aravis.update_device_list()
     for i in range(aravis.get_n_devices()):
-        told = (aravis.get_device_vendor(i), aravis.get_device_model(i), aravis.get_device_serial_nbr(i), aravis.get_device_protocol(i))
-        yield f"genicam:{aravis.get_device_id(i)}", f"{' '.join(str(part) for part in told)} at {aravis.get_device_address(i)}"
+        told = (
+            aravis.get_device_vendor(i),
+            aravis.get_device_model(i),
+            aravis.get_device_serial_nbr(i),
+            aravis.get_device_protocol(i),
+        )
+        yield (
+            f"genicam:{aravis.get_device_id(i)}",
+            f"{' '.join(str(part) for part in told)} at {aravis.get_device_address(i)}",
+        )
 
 
 def of_rig(name: str) -> Iterator[tuple[str, str]]:

@@ -1,4 +1,6 @@
-"""Connects to every instrument of a rig, one by one: who it is and one reading, or what is wrong. Nothing moves or heats."""
+"""Connects to every instrument of a rig, one by one: who it is and one reading, or what is wrong.
+Nothing moves or heats.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError
 
 
-def check_rig(rig: LoadedRig, capture: Captures = NO_CAPTURE) -> Iterator[tuple[str, bool, list[str]]]:
+def check_rig(
+    rig: LoadedRig, capture: Captures = NO_CAPTURE
+) -> Iterator[tuple[str, bool, list[str]]]:
     """For each instrument: its name, whether it has a fault, and lines to print."""
     if rig.rig.emulated:
         clock = VirtualClock()
@@ -32,13 +36,25 @@ def check_rig(rig: LoadedRig, capture: Captures = NO_CAPTURE) -> Iterator[tuple[
 
 
 def _check_all(
-    rig: LoadedRig, clock: Clock, urls: dict[str, str], more: dict[str, Callable[[], Any]], capture: Captures
+    rig: LoadedRig,
+    clock: Clock,
+    urls: dict[str, str],
+    more: dict[str, Callable[[], Any]],
+    capture: Captures,
 ) -> Iterator[tuple[str, bool, list[str]]]:
     for name, opener in {**driver_openers(rig, clock, urls, capture), **more}.items():
         try:
             device = opener()
             try:
-                yield name, False, [*(f"{key}: {value}" for key, value in _READ[name](device)), *_identity(device), *_safe_state(device)]
+                yield (
+                    name,
+                    False,
+                    [
+                        *(f"{key}: {value}" for key, value in _READ[name](device)),
+                        *_identity(device),
+                        *_safe_state(device),
+                    ],
+                )
             finally:
                 device.close()
         except InstrumentError as error:
@@ -46,7 +62,11 @@ def _check_all(
 
 
 def _identity(device: Any) -> list[str]:
-    identity = asdict(device.identity) if is_dataclass(device.identity) and not isinstance(device.identity, type) else dict(device.identity)
+    identity = (
+        asdict(device.identity)
+        if is_dataclass(device.identity) and not isinstance(device.identity, type)
+        else dict(device.identity)
+    )
     return [f"{key}: {value}" for key, value in identity.items()]
 
 

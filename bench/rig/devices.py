@@ -1,4 +1,6 @@
-"""The instruments of an open rig, and the two things that concern all of them: who they are, and going to safe."""
+"""The instruments of an open rig, and the two things that concern all of them: who they are, and
+going to safe.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ class Cameras(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """All that is open. ``stage`` is None on a rig without one; an operator then moves the phantom."""
+    """All that is open. ``stage`` is None on a rig without one; an
+    operator then moves the phantom.
+    """
 
     clock: Clock
     arm: MicroScribe
@@ -48,9 +52,16 @@ class Devices:
     def safe_states(self) -> dict[str, str]:
         """What safe is, as each driver declares it."""
         stage = {"stage": self.stage.safe_state} if self.stage else {}
-        return {"bath": self.bath.safe_state, **stage, "arm": self.arm.safe_state, "cameras": "nothing to make safe"}
+        return {
+            "bath": self.bath.safe_state,
+            **stage,
+            "arm": self.arm.safe_state,
+            "cameras": "nothing to make safe",
+        }
 
-    def make_safe(self, tell: Callable[[str], None], cut_short: Callable[[], bool] = lambda: False) -> tuple[str, ...]:
+    def make_safe(
+        self, tell: Callable[[str], None], cut_short: Callable[[], bool] = lambda: False
+    ) -> tuple[str, ...]:
         """Bath to standby, stage still, arm's session ended; returns who could not be made safe.
 
         Each step is tried whatever another one raised, an interrupt included. ``cut_short`` ends
@@ -59,7 +70,10 @@ class Devices:
         steps: dict[str, Callable[[], object]] = {"bath": lambda: heater_off(self.bath)}
         if self.stage:
             steps["stage"] = self.stage.safe
-        steps |= {"arm": self.arm.safe, "pump": lambda: run_pump_on(self.bath, self.clock.sleep, cut_short)}
+        steps |= {
+            "arm": self.arm.safe,
+            "pump": lambda: run_pump_on(self.bath, self.clock.sleep, cut_short),
+        }
         unsafe: list[str] = []
         for name, step in steps.items():
             try:

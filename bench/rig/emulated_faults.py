@@ -1,8 +1,9 @@
-"""Faults of emulated instruments, as a rig file names them: which there are, and how each instrument is told.
+"""Faults of emulated instruments, as a rig file names them: which there are, and how each
+instrument is told.
 
-The instruments' emulators have words of their own for it; here they become two actions, one that breaks something and one
-that mends it. Emulators are imported only where a file names a fault: a real rig needs none. It may not know what a fault
-does, nor when it is time for it.
+The instruments' emulators have words of their own for it; here they become two actions, one that
+breaks something and one that mends it. Emulators are imported only where a file names a fault: a
+real rig needs none. It may not know what a fault does, nor when it is time for it.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ Actions = tuple[Callable[[], None], Callable[[], None]]
 
 
 class Wish(Protocol):
-    """One fault of a rig file. ``times`` and ``amount`` are None where the file leaves them to the emulator."""
+    """One fault of a rig file. ``times`` and ``amount`` are None where the file leaves them to the
+    emulator.
+    """
 
     @property
     def name(self) -> str: ...
@@ -39,7 +42,9 @@ class Wish(Protocol):
 
 
 def fault_names(instrument: str) -> tuple[str, ...]:
-    """What can go wrong with the emulated "arm", "bath", "pump" (its relay), "cameras" or "stage"."""
+    """What can go wrong with the emulated "arm", "bath", "pump"
+    (its relay), "cameras" or "stage".
+    """
     if instrument == "arm":
         return tuple(arm_faults.Fault)
     if instrument == "cameras":
@@ -62,9 +67,15 @@ def check_wish(instrument: str, wish: Wish) -> None:
     known = fault_names(instrument)
     if wish.name not in known:
         has = "have" if instrument == "cameras" else "has"
-        raise ValueError(f'the {instrument} {has} no fault "{wish.name}"{did_you_mean(wish.name, known)} (there are: {", ".join(known)})')
+        raise ValueError(
+            f'the {instrument} {has} no fault "{wish.name}"{did_you_mean(wish.name, known)} (there'
+            f" are: {', '.join(known)})"
+        )
     if wish.times is not None and instrument not in ("arm", "cameras"):
-        raise ValueError(f'"times" is for faults of the arm and the cameras; one of the {instrument} lasts until for_s have passed')
+        raise ValueError(
+            f'"times" is for faults of the arm and the cameras; one of the {instrument} lasts until'
+            " for_s have passed"
+        )
     if wish.camera is not None and instrument != "cameras":
         raise ValueError(f'"camera" is for faults of the cameras, the {instrument} has none')
     if instrument == "arm":
@@ -75,20 +86,28 @@ def check_wish(instrument: str, wish: Wish) -> None:
     elif instrument == "stage":
         _check_stage_amount(wish)
     elif instrument in ("bath", "pump") and wish.amount is not None and wish.name != LATE_ANSWER:
-        raise ValueError(f'of the {instrument}\'s faults only "{LATE_ANSWER}" has an amount, in seconds')
+        raise ValueError(
+            f'of the {instrument}\'s faults only "{LATE_ANSWER}" has an amount, in seconds'
+        )
 
 
 def arm_actions(arm: ArmEmulator, wish: Wish) -> Actions:
     """``amount`` is what `instruments.microscribe.faults.AMOUNTS` says."""
     times = arm_faults.FOREVER if wish.times is None else wish.times
-    return lambda: arm.faults.inject(wish.name, times, amount=wish.amount), lambda: arm.faults.clear(wish.name)
+    return lambda: arm.faults.inject(
+        wish.name, times, amount=wish.amount
+    ), lambda: arm.faults.clear(wish.name)
 
 
 def camera_actions(cameras: EmulatedCameras, wish: Wish) -> Actions:
-    """``amount`` is what `instruments.camera.emulator_faults.AMOUNTS` says, ``times`` counts frame sets."""
+    """``amount`` is what `instruments.camera.emulator_faults.AMOUNTS` says, ``times`` counts frame
+    sets.
+    """
     times = camera_faults.FOREVER if wish.times is None else wish.times
     faults = cameras.faults
-    return lambda: faults.inject(wish.name, times, camera=wish.camera, amount=wish.amount), lambda: faults.clear(wish.name)
+    return lambda: faults.inject(
+        wish.name, times, camera=wish.camera, amount=wish.amount
+    ), lambda: faults.clear(wish.name)
 
 
 def bath_actions(bath: BathEmulator, wish: Wish) -> Actions:
@@ -116,7 +135,9 @@ def stage_actions(stage: StageEmulator, wish: Wish) -> Actions:
 
     fault, amount = Fault(wish.name), wish.amount
     if fault is Fault.LOST_STEP:
-        return lambda: stage.inject(fault, lost_mm=LOST_MM if amount is None else amount), lambda: stage.cure(fault)
+        return lambda: stage.inject(
+            fault, lost_mm=LOST_MM if amount is None else amount
+        ), lambda: stage.cure(fault)
     after_s = amount if amount is not None else LATE_S if fault is Fault.LATE_OK else 0.0
     return lambda: stage.inject(fault, after_s), lambda: stage.cure(fault)
 

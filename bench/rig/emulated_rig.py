@@ -1,4 +1,6 @@
-"""Stands up an emulated rig in this process: one world, and an emulator for each instrument, on a loopback port or a pty."""
+"""Stands up an emulated rig in this process: one world, and an emulator for each instrument, on a
+loopback port or a pty.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import located, read_text
-from bench.rig.emulated_faults import Actions, arm_actions, bath_actions, camera_actions, pump_actions, stage_actions
+from bench.rig.emulated_faults import (
+    Actions,
+    arm_actions,
+    bath_actions,
+    camera_actions,
+    pump_actions,
+    stage_actions,
+)
 from bench.rig.emulation_model import EmulatedFault, EmulatedStage, make_renderer
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage
@@ -42,22 +51,40 @@ class PlacedHand:
         if target is None:
             return None
         point, axis = target
-        return self._arm_from_world.apply(point), None if axis is None else np.asarray(self._arm_from_world.R @ axis)
+        return self._arm_from_world.apply(point), (
+            None if axis is None else np.asarray(self._arm_from_world.R @ axis)
+        )
 
 
 class EmulatedRig:
-    """The emulators of ``rig``; ``urls`` says where each listens. To be closed, or used with ``with``.
+    """The emulators of ``rig``; ``urls`` says where each listens. To be closed, or used with
+    ``with``.
 
-    With ``pty``, what has a serial port is on a pseudo-terminal; with ``paced``, it speaks at the rig's rate in real time.
-    Raises OSError for an address that can't be had, ValueError for either under virtual time, and ConfigError for a fault
-    that the bath can't have there.
+    With ``pty``, what has a serial port is on a pseudo-terminal; with ``paced``, it speaks at the
+    rig's rate in real time. Raises OSError for an address that can't be had, ValueError for either
+    under virtual time, and ConfigError for a fault that the bath can't have there.
     """
 
-    def __init__(self, rig: LoadedRig, clock: Clock, seed: int, *, host: str = "127.0.0.1", pty: bool = False, paced: bool = False) -> None:
+    def __init__(
+        self,
+        rig: LoadedRig,
+        clock: Clock,
+        seed: int,
+        *,
+        host: str = "127.0.0.1",
+        pty: bool = False,
+        paced: bool = False,
+    ) -> None:
         emulation = rig.rig.emulation
         table = tomllib.loads(read_text(rig.calibration_path))
         renderer = make_renderer(table, seed, emulation.optical, emulation.thermal)
-        self.world = World(clock, seed, renderer, ambient_c=emulation.ambient_c, bath_start_c=emulation.bath_start_c)
+        self.world = World(
+            clock,
+            seed,
+            renderer,
+            ambient_c=emulation.ambient_c,
+            bath_start_c=emulation.bath_start_c,
+        )
         self.cameras = EmulatedCameras(self.world)
         self.operator = EmulatedOperator(
             self.world,
@@ -72,9 +99,17 @@ class EmulatedRig:
         self._clock = clock
         self._host, self._pty, self._paced = host, pty, paced
         self._listeners: dict[str, Listener | PtyListener] = {}
-        hand = PlacedHand(self.world, Motion.from_vectors(emulation.arm_placed.om, emulation.arm_placed.T))
-        unit, accuracy_mm, tremor_mm = rig.arm_unit, emulation.arm_accuracy_mm, emulation.hand_tremor_mm
-        arm = self.arm = ArmEmulator(hand, clock, unit=unit, seed=seed, accuracy_mm=accuracy_mm, tremor_mm=tremor_mm)
+        hand = PlacedHand(
+            self.world, Motion.from_vectors(emulation.arm_placed.om, emulation.arm_placed.T)
+        )
+        unit, accuracy_mm, tremor_mm = (
+            rig.arm_unit,
+            emulation.arm_accuracy_mm,
+            emulation.hand_tremor_mm,
+        )
+        arm = self.arm = ArmEmulator(
+            hand, clock, unit=unit, seed=seed, accuracy_mm=accuracy_mm, tremor_mm=tremor_mm
+        )
         framing: Framing | None = "rtu" if pty and "rtu" in rig.profile.transports else None
         bath = self.bath = BathEmulator(self.world.plant, rig.profile, clock, framing=framing)
         pump = self.pump = self._relay(rig)
@@ -95,10 +130,17 @@ class EmulatedRig:
 
     @property
     def urls(self) -> dict[str, str]:
-        """What a driver opens, by instrument. One on a pseudo-terminal moves when the instrument itself hangs up."""
+        """What a driver opens, by instrument. One on a pseudo-terminal moves when the instrument
+        itself hangs up.
+        """
         spoken = {"bath": self.bath.framing, **({"pump": self.pump.framing} if self.pump else {})}
-        scheme = {name: "tcp://" if framing == "tcp" else "rtu+tcp://" for name, framing in spoken.items()}
-        return {name: listener.url.replace("socket://", scheme.get(name, "socket://")) for name, listener in self._listeners.items()}
+        scheme = {
+            name: "tcp://" if framing == "tcp" else "rtu+tcp://" for name, framing in spoken.items()
+        }
+        return {
+            name: listener.url.replace("socket://", scheme.get(name, "socket://"))
+            for name, listener in self._listeners.items()
+        }
 
     def close(self) -> None:
         """Close all listeners, and the world behind them."""
@@ -109,16 +151,30 @@ class EmulatedRig:
     def __enter__(self) -> EmulatedRig:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
     def _stage(self, said: Stage, errors: EmulatedStage) -> StageEmulator:
-        """A stage that carries the world's phantom; at its reference place the phantom stands as its layout says."""
-        axes, dialect = 4 if "A" in said.axes else 3, GRBL_HAL if errors.dialect == "grblHAL" else CLASSIC
+        """A stage that carries the world's phantom; at its reference place the phantom stands as
+        its layout says.
+        """
+        axes, dialect = (
+            4 if "A" in said.axes else 3,
+            (GRBL_HAL if errors.dialect == "grblHAL" else CLASSIC),
+        )
         play_mm = (*errors.backlash_mm, errors.backlash_deg)[:axes]
-        stage = StageEmulator(self._clock, settings=errors.settings, dialect=dialect, axes=axes, play_mm=play_mm)
+        stage = StageEmulator(
+            self._clock, settings=errors.settings, dialect=dialect, axes=axes, play_mm=play_mm
+        )
         reference = (*said.reference_mm, said.reference_z_mm, said.reference_a_deg)
-        mounting = Mounting(said.axes, reference, errors.scale_errors, errors.squareness_rad, errors.yaw_rad)
+        mounting = Mounting(
+            said.axes, reference, errors.scale_errors, errors.squareness_rad, errors.yaw_rad
+        )
 
         def pose() -> PlatePose:
             with self.world.lock:
@@ -134,22 +190,30 @@ class EmulatedRig:
         return stage
 
     def _relay(self, rig: LoadedRig) -> RelayEmulator | None:
-        """The relay that switches the pump, on a port of its own; without one, and with a controller that turns none, the pump stands."""
+        """The relay that switches the pump, on a port of its own; without one, and with a
+        controller that turns none, the pump stands.
+        """
         if rig.relay is None:
             return None
         framing: Framing | None = "rtu" if self._pty and "rtu" in rig.relay.transports else None
         return RelayEmulator(self.world.plant, rig.relay, self._clock, framing=framing)
 
     def _listen(self, name: str, device: Device, serial_baud: int | None) -> None:
-        """``serial_baud`` is the rate of the instrument's serial port; None where it has none, but a network."""
+        """``serial_baud`` is the rate of the instrument's serial port; None where it has none, but
+        a network.
+        """
         clock, lock, baud = self._clock, self.world.lock, serial_baud if self._paced else None
         if self._pty and serial_baud is not None:
             self._listeners[name] = PtyListener(device, clock, lock=lock, name=name, baud=baud)
         else:
-            self._listeners[name] = Listener(device, clock, lock=lock, name=name, host=self._host, baud=baud)
+            self._listeners[name] = Listener(
+                device, clock, lock=lock, name=name, host=self._host, baud=baud
+            )
 
     def _check_faults(self, rig: LoadedRig) -> None:
-        """Raise ConfigError, in its place, for a fault that a bath of this profile, or its relay, can't have on this port."""
+        """Raise ConfigError, in its place, for a fault that a bath of this profile, or its relay,
+        can't have on this port.
+        """
         modbus = {"bath": self.bath, "pump": self.pump}
         for at, fault in enumerate(rig.rig.emulation.faults):
             device = modbus.get(fault.instrument)
@@ -157,10 +221,16 @@ class EmulatedRig:
                 try:
                     device.check_fault(fault.name)
                 except ValueError as error:
-                    raise located(rig.path, rig.text, [(("emulation", "faults", at, "name"), str(error), False)]) from error
+                    raise located(
+                        rig.path,
+                        rig.text,
+                        [(("emulation", "faults", at, "name"), str(error), False)],
+                    ) from error
 
     def _plan(self, fault: EmulatedFault) -> None:
-        """Have a fault come at its time, and go where it is said when; one that is there from the start comes at once."""
+        """Have a fault come at its time, and go where it is said when; one that is there from the
+        start comes at once.
+        """
         break_it, mend_it = self._actions(fault)
         if fault.at_s:
             self._later(fault.at_s, break_it)

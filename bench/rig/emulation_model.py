@@ -1,10 +1,14 @@
-"""What a rig file says of the emulated cameras' sensors and lenses. Values only; a real rig has no use for them.
+"""What a rig file says of the emulated cameras' sensors and lenses. Values only; a real rig has no
+use for them.
 
-What is left out is as in `OpticalSensor` and `ThermalSensor`, and the thermal camera's size and form as in the calibration.
+What is left out is as in `OpticalSensor` and `ThermalSensor`, and the thermal camera's size and
+form as in the calibration.
 
-What a rig file says of the emulated stage: its firmware and its errors. Values only; a real rig has no use for it.
+What a rig file says of the emulated stage: its firmware and its errors. Values only; a real rig has
+no use for it.
 
-A rig file's `[emulation]`: what the emulated world is like, and what goes wrong in it. A real rig has no use for it.
+A rig file's `[emulation]`: what the emulated world is like, and what goes wrong in it. A real rig
+has no use for it.
 """
 
 from __future__ import annotations
@@ -46,7 +50,9 @@ class EmulatedOptical(Section):
     def sensor(self) -> OpticalSensor:
         """The sensor with its lens."""
         said = self.model_dump(exclude_none=True)
-        focus = Focus(said.pop("aperture_mm", Focus().aperture_mm), said.pop("focus_mm", Focus().distance_mm))
+        focus = Focus(
+            said.pop("aperture_mm", Focus().aperture_mm), said.pop("focus_mm", Focus().distance_mm)
+        )
         return replace(OpticalSensor(), focus=focus, **said)
 
 
@@ -83,9 +89,13 @@ class EmulatedThermal(Section):
         return sensor if size is None else replace(sensor, width_px=size[0], height_px=size[1])
 
 
-def make_renderer(table: Mapping[str, Any], seed: int, optical: EmulatedOptical, thermal: EmulatedThermal) -> Renderer:
+def make_renderer(
+    table: Mapping[str, Any], seed: int, optical: EmulatedOptical, thermal: EmulatedThermal
+) -> Renderer:
     """The three cameras of a calibration ``table``. Raises ValueError for a table that is wrong."""
-    return Renderer.from_calibration(table, seed, optical=optical.sensor(), thermal=thermal.sensor(table))
+    return Renderer.from_calibration(
+        table, seed, optical=optical.sensor(), thermal=thermal.sensor(table)
+    )
 
 
 _Scale = Annotated[float, Field(ge=-0.1, le=0.1)]
@@ -95,9 +105,11 @@ _Play = Annotated[float, Field(ge=0, le=5)]
 
 
 class EmulatedStage(Section):
-    """``[emulation.stage]``. Axes in the order X Y Z A; an axis that the stage doesn't have moves nothing.
+    """``[emulation.stage]``. Axes in the order X Y Z A; an axis that the stage doesn't have moves
+    nothing.
 
-    ``settings`` are the controller's, by number without the dollar sign; those that aren't named are as `store.DEFAULTS` has them.
+    ``settings`` are the controller's, by number without the dollar sign; those that aren't named
+    are as `store.DEFAULTS` has them.
     """
 
     dialect: Literal["grbl", "grblHAL"] = "grbl"
@@ -111,7 +123,10 @@ class EmulatedStage(Section):
     def fault(self, axes: str) -> str | None:
         """What is wrong with it for a stage of ``axes``, as a sentence; None if nothing."""
         if "A" in axes and self.dialect == "grbl":
-            return 'the firmware "grbl" has no axis A: set dialect = "grblHAL", or declare [stage] axes without A'
+            return (
+                'the firmware "grbl" has no axis A: set dialect = "grblHAL", or declare [stage]'
+                " axes without A"
+            )
         return self._settings_fault(axes) if self.settings else None
 
     def _settings_fault(self, axes: str) -> str | None:
@@ -122,7 +137,11 @@ class EmulatedStage(Section):
         from instruments.stage.emulator.store import Store
 
         try:
-            Store(self.settings, dialect=GRBL_HAL if self.dialect == "grblHAL" else CLASSIC, axes=4 if "A" in axes else 3)
+            Store(
+                self.settings,
+                dialect=GRBL_HAL if self.dialect == "grblHAL" else CLASSIC,
+                axes=4 if "A" in axes else 3,
+            )
         except ValueError as error:
             return f"[emulation.stage] settings: {error}"
         return None
@@ -136,7 +155,9 @@ class Placed(Section):
 
 
 class EmulatedFault(Section):
-    """Something that goes wrong ``at_s`` after the emulators started, for ``for_s``, or for good where that is left out."""
+    """Something that goes wrong ``at_s`` after the emulators started, for ``for_s``, or for good
+    where that is left out.
+    """
 
     instrument: Literal["arm", "bath", "pump", "stage", "cameras"]
     name: str

@@ -1,6 +1,8 @@
-"""Takes a frame set that may be measured with: looks at each, takes it again where something is wrong, and at last refuses.
+"""Takes a frame set that may be measured with: looks at each, takes it again where something is
+wrong, and at last refuses.
 
-Every fault is an event of the record and counted, also one that the next try cured. May not know what a fault looks like.
+Every fault is an event of the record and counted, also one that the next try cured. May not know
+what a fault looks like.
 """
 
 from __future__ import annotations
@@ -21,12 +23,17 @@ HINTS: Mapping[FrameFault, str] = {
     FrameFault.DROPPED: "Look at the camera's cable and power.",
     FrameFault.LOST_PACKETS: "Lower the frame rate, or raise packet size and socket buffers.",
     FrameFault.LATE: "Use a common trigger, or allow more skew in the rig file if nothing moves.",
-    FrameFault.WRONG_SIZE: "Set the camera's resolution, or turn the picture, in the rig file; or calibrate anew.",
+    FrameFault.WRONG_SIZE: (
+        "Set the camera's resolution, or turn the picture, in the rig file; or calibrate anew."
+    ),
     FrameFault.FROZEN: "Restart the camera.",
     FrameFault.BLACK: "Take the lens cap off, or switch the light on.",
     FrameFault.SATURATED: "Expose shorter, or dim the light.",
     FrameFault.HALF: "Look at the camera's cable; its link may be too slow.",
-    FrameFault.FLAT_FIELD: "Wait for the camera to finish its correction, or let it wait longer between tries (retry_s).",
+    FrameFault.FLAT_FIELD: (
+        "Wait for the camera to finish its correction, or let it wait longer between tries"
+        " (retry_s)."
+    ),
     FrameFault.OUT_OF_FOCUS: "Set the lens with 'teatbench camera focus'.",
     FrameFault.SWAPPED: "Exchange the left and the right camera's addresses in the rig file.",
 }
@@ -35,7 +42,8 @@ HINTS: Mapping[FrameFault, str] = {
 class FrameTaker:
     """``wait`` lets time pass between tries, ``tell`` writes an event down (its kind and text).
 
-    A recording is not asked twice: its next frame is another trial's. ``checks`` are the table's where none are given.
+    A recording is not asked twice: its next frame is another trial's. ``checks`` are the table's
+    where none are given.
     """
 
     def __init__(
@@ -51,7 +59,9 @@ class FrameTaker:
         recorded = table.url.startswith("recording:")
         self._cameras = cameras
         self._recorded = recorded
-        self._checks = checks or FrameChecks(table.checks, table.max_skew_s, calibration, flat=not recorded)
+        self._checks = checks or FrameChecks(
+            table.checks, table.max_skew_s, calibration, flat=not recorded
+        )
         self._retries = 0 if recorded else table.retries
         self._retry_s = table.retry_s
         self._wait = wait
@@ -59,7 +69,9 @@ class FrameTaker:
         self.counts: Counter[str] = Counter()
 
     def take(self) -> FrameSet:
-        """A frame set without a fault. Raises DeviceError after the last try, and what the cameras raise when they are gone."""
+        """A frame set without a fault. Raises DeviceError after the last try, and what the cameras
+        raise when they are gone.
+        """
         for left in range(self._retries, -1, -1):
             frames, noticed = self._try()
             if frames is not None and not noticed:
@@ -72,7 +84,9 @@ class FrameTaker:
         raise _refused(noticed, self._retries + 1)
 
     def look(self) -> None:
-        """See whether the cameras give a usable frame set now, which is not kept; a recording is not asked. Raises as ``take``."""
+        """See whether the cameras give a usable frame set now, which is not kept; a recording is
+        not asked. Raises as ``take``.
+        """
         if self._recorded:
             return
         frames, noticed = self._try()
@@ -95,5 +109,8 @@ def _next(left: int) -> str:
 
 def _refused(noticed: Sequence[Noticed], tries: int) -> DeviceError:
     hints = dict.fromkeys(HINTS[one.fault] for one in noticed)
-    what = f"no usable frame set in {tries} {'try' if tries == 1 else 'tries'}: {'; '.join(str(one) for one in noticed)}"
+    what = (
+        f"no usable frame set in {tries} {'try' if tries == 1 else 'tries'}:"
+        f" {'; '.join(str(one) for one in noticed)}"
+    )
     return DeviceError("cameras", what, asked="a frame set", hint=" ".join(hints))

@@ -1,7 +1,9 @@
-"""Whether a frame set may be measured with: every fault that pictures and times show, by name, with a sentence.
+"""Whether a frame set may be measured with: every fault that pictures and times show, by name, with
+a sentence.
 
-Strategy: each look gives what it noticed; nothing is refused here. Looks that compare need the set before. The looks' limits are the rig
-file's. May not know where the frames came from, nor what is done about a fault.
+Strategy: each look gives what it noticed; nothing is refused here. Looks that compare need the set
+before. The looks' limits are the rig file's. May not know where the frames came from, nor what is
+done about a fault.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from instruments.camera.frame import FrameSet
 from instruments.camera.quality import edge_blur_px, level_dn, missing_rows, saturated_share, spread
 
 NEARLY_ALL = 0.995
-THERMAL_BLACK_DN = 2  # a thermal picture's grey says nothing of its light: only what is plainly nothing counts
+# a thermal picture's grey says nothing of its light: only what is plainly nothing counts
+THERMAL_BLACK_DN = 2
 THERMAL_FULL = 0.9
 RADIOMETRIC = "thermal_ck"
 PARTS = {"left": "left", "right": "right", "thermal": "thermal", RADIOMETRIC: "thermal"}
@@ -40,12 +43,20 @@ class Noticed:
 
 
 class FrameChecks:
-    """The looks of one rig, with the set that was seen last. Without a calibration neither size nor order is looked at.
+    """The looks of one rig, with the set that was seen last. Without a calibration neither size nor
+    order is looked at.
 
     ``flat`` False where nothing warm need stand before the thermal camera.
     """
 
-    def __init__(self, checks: Checks, max_skew_s: float, calibration: Calibration | None, *, flat: bool = True) -> None:
+    def __init__(
+        self,
+        checks: Checks,
+        max_skew_s: float,
+        calibration: Calibration | None,
+        *,
+        flat: bool = True,
+    ) -> None:
         self._checks = checks
         self._max_skew_s = max_skew_s
         self._calibration = calibration
@@ -60,7 +71,9 @@ class FrameChecks:
         for part, camera in PARTS.items():
             image = getattr(frames, part)
             if image is not None:
-                found += self._picture(part, camera, image, None if last is None else getattr(last, part))
+                found += self._picture(
+                    part, camera, image, None if last is None else getattr(last, part)
+                )
         found += self._thermal_flat(frames)
         if self._checks.swapped and not any(one.camera in ("left", "right") for one in found):
             found += self._swapped(frames)
@@ -72,7 +85,10 @@ class FrameChecks:
         latest = max(frames.exposed_s, key=lambda name: frames.exposed_s[name])
         skew_s = frames.exposed_s[latest] - min(frames.exposed_s.values())
         if skew_s > self._max_skew_s:
-            said = f"exposed {skew_s:.3f} s after the first of its set, limit {self._max_skew_s:g} s: what moves would be scored wrongly"
+            said = (
+                f"exposed {skew_s:.3f} s after the first of its set, limit {self._max_skew_s:g} s:"
+                " what moves would be scored wrongly"
+            )
             yield Noticed(FrameFault.LATE, latest, said)
 
     def _sizes(self, frames: FrameSet) -> Iterator[Noticed]:
@@ -88,12 +104,22 @@ class FrameChecks:
         for part, (width, height) in wanted.items():
             image = getattr(frames, part)
             if image is not None and image.shape != (height, width):
-                said = f"{image.shape[1]} x {image.shape[0]}, the calibration is for {width} x {height}"
+                said = (
+                    f"{image.shape[1]} x {image.shape[0]}, the calibration is for {width} x"
+                    f" {height}"
+                )
                 yield Noticed(FrameFault.WRONG_SIZE, PARTS[part], said)
 
-    def _picture(self, part: str, camera: str, image: NDArray[Any], last: NDArray[Any] | None) -> Iterator[Noticed]:
+    def _picture(
+        self, part: str, camera: str, image: NDArray[Any], last: NDArray[Any] | None
+    ) -> Iterator[Noticed]:
         """The first that is wrong with one picture: a black one is not called frozen too."""
-        looks = (self._black(part, image), self._saturated(part, image), self._frozen(image, last), self._half(image, last))
+        looks = (
+            self._black(part, image),
+            self._saturated(part, image),
+            self._frozen(image, last),
+            self._half(image, last),
+        )
         for fault, said in (*looks, self._out_of_focus(part, image)):
             if said:
                 yield Noticed(fault, camera, said)
@@ -104,12 +130,22 @@ class FrameChecks:
             return FrameFault.BLACK, "every count is zero" if not image.any() else ""
         limit = THERMAL_BLACK_DN if part == "thermal" else self._checks.black_dn
         level = level_dn(image, NEARLY_ALL)
-        return FrameFault.BLACK, f"99.5 % of it is no brighter than {level}, limit {limit}" if level <= limit else ""
+        return FrameFault.BLACK, (
+            f"99.5 % of it is no brighter than {level}, limit {limit}" if level <= limit else ""
+        )
 
     def _saturated(self, part: str, image: NDArray[Any]) -> tuple[FrameFault, str]:
         limit = self._checks.saturated_share if part in ("left", "right") else THERMAL_FULL
-        share = float(np.mean(image == np.iinfo(image.dtype).max)) if part == RADIOMETRIC else saturated_share(image)
-        return FrameFault.SATURATED, f"{100 * share:.0f} % of it is white, limit {100 * limit:.0f} %" if share > limit else ""
+        share = (
+            float(np.mean(image == np.iinfo(image.dtype).max))
+            if part == RADIOMETRIC
+            else saturated_share(image)
+        )
+        return FrameFault.SATURATED, (
+            f"{100 * share:.0f} % of it is white, limit {100 * limit:.0f} %"
+            if share > limit
+            else ""
+        )
 
     def _frozen(self, image: NDArray[Any], last: NDArray[Any] | None) -> tuple[FrameFault, str]:
         same = self._checks.frozen and last is not None and np.array_equal(image, last)
@@ -118,7 +154,11 @@ class FrameChecks:
     def _half(self, image: NDArray[Any], last: NDArray[Any] | None) -> tuple[FrameFault, str]:
         share = missing_rows(image, last if self._checks.frozen else None)
         many = share > self._checks.missing_rows_share
-        return FrameFault.HALF, f"{100 * share:.0f} % of its rows at an edge are empty or the last frame's" if many else ""
+        return FrameFault.HALF, (
+            f"{100 * share:.0f} % of its rows at an edge are empty or the last frame's"
+            if many
+            else ""
+        )
 
     def _out_of_focus(self, part: str, image: NDArray[Any]) -> tuple[FrameFault, str]:
         reference_px = None if part == RADIOMETRIC else getattr(self._checks.focus_px, part)
@@ -128,7 +168,10 @@ class FrameChecks:
         if blur_px is None:
             return FrameFault.OUT_OF_FOCUS, "it has no edge that could be measured"
         limit_px = self._checks.focus_times * reference_px
-        said = f"its edges are blurred by {blur_px:.1f} px, limit {limit_px:.1f} px ({self._checks.focus_times:g} times the reference)"
+        said = (
+            f"its edges are blurred by {blur_px:.1f} px, limit {limit_px:.1f} px"
+            f" ({self._checks.focus_times:g} times the reference)"
+        )
         return FrameFault.OUT_OF_FOCUS, said if blur_px > limit_px else ""
 
     def _thermal_flat(self, frames: FrameSet) -> Iterator[Noticed]:
@@ -138,10 +181,17 @@ class FrameChecks:
             span_k = spread(frames.thermal_ck) / 100.0
             if span_k < self._checks.flat_k:
                 yield Noticed(
-                    FrameFault.FLAT_FIELD, "thermal", f"all of it within {span_k:.2f} K, though something warm is there: its shutter?"
+                    FrameFault.FLAT_FIELD,
+                    "thermal",
+                    f"all of it within {span_k:.2f} K, though something warm is there: its"
+                    " shutter?",
                 )
         elif frames.thermal is not None and spread(frames.thermal) < self._checks.flat_dn:
-            yield Noticed(FrameFault.FLAT_FIELD, "thermal", f"all of it within {spread(frames.thermal):.0f} grey levels: its shutter?")
+            yield Noticed(
+                FrameFault.FLAT_FIELD,
+                "thermal",
+                f"all of it within {spread(frames.thermal):.0f} grey levels: its shutter?",
+            )
 
     def _swapped(self, frames: FrameSet) -> Iterator[Noticed]:
         if self._calibration is None:
@@ -151,7 +201,7 @@ class FrameChecks:
         order = self._order.judge(frames.left, frames.right)
         if order.swapped:
             said = (
-                f"exchanged with the right one: the calibration fits {order.exchanged:.2f} when they are changed back, "
-                f"{order.as_is:.2f} as they are"
+                f"exchanged with the right one: the calibration fits {order.exchanged:.2f} when"
+                f" they are changed back, {order.as_is:.2f} as they are"
             )
             yield Noticed(FrameFault.SWAPPED, "left", said)

@@ -1,6 +1,7 @@
 """The rig file: which instruments, at which addresses, with which calibration and limits.
 
-An emulated rig and a real one have the same keys; what differs are the URLs. Reading it may not open anything.
+An emulated rig and a real one have the same keys; what differs are the URLs. Reading it may not
+open anything.
 """
 
 from __future__ import annotations
@@ -8,7 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench.config import ConfigError, did_you_mean, located, read_calibration, read_config, read_text
+from bench.config import (
+    ConfigError,
+    did_you_mean,
+    located,
+    read_calibration,
+    read_config,
+    read_text,
+)
 from bench.rig.arm_files import load_frame, load_verification
 from bench.rig.arm_frame import TableFrame
 from bench.rig.arm_verification import Verification
@@ -72,31 +80,41 @@ class LoadedRig:
         """The text of the script of answers, by its name; none where something else answers."""
         url = self.rig.operator.url
         name = url.removeprefix(SCRIPT)
-        return {Path(name).name: read_text(self.path.parent / name)} if url.startswith(SCRIPT) else {}
+        return (
+            {Path(name).name: read_text(self.path.parent / name)} if url.startswith(SCRIPT) else {}
+        )
 
     @property
     def arm_files(self) -> dict[str, str]:
-        """The text of each file about the arm that the rig names, by its name; for the run's folder."""
+        """The text of each file about the arm that the rig names, by its name; for the run's
+        folder.
+        """
         names = [name for name in (self.rig.arm.frame, self.rig.arm.verification) if name]
         return {Path(name).name: read_text(self.path.parent / name) for name in names}
 
 
 def find_rig(name: str | None) -> Path:
-    """The file of a shipped rig by name, or of any rig by path; the emulated one for None. Raises ConfigError."""
+    """The file of a shipped rig by name, or of any rig by path; the emulated one for None. Raises
+    ConfigError.
+    """
     if name == TO_COPY.stem:
         return TO_COPY
     return find_shipped(name or "emulated", RIGS, "rig", exclude=NO_RIGS)
 
 
 def find_shipped(name: str, folder: Path, kind: str, exclude: tuple[str, ...] = ()) -> Path:
-    """``name`` as a path, or as the name of a file in ``folder``. Raises ConfigError that lists what ships."""
+    """``name`` as a path, or as the name of a file in ``folder``. Raises ConfigError that lists
+    what ships.
+    """
     if name.endswith(".toml") or Path(name).is_file():
         return Path(name)
     known = [stem for stem in shipped(folder) if stem not in exclude]
     if name in known:
         return folder / f"{name}.toml"
     near, there = did_you_mean(name, known) or ".", ", ".join(known)
-    raise ConfigError.plain(f'no {kind} "{name}"{near} Shipped: {there}; or give the path of a .toml file.')
+    raise ConfigError.plain(
+        f'no {kind} "{name}"{near} Shipped: {there}; or give the path of a .toml file.'
+    )
 
 
 def shipped(folder: Path) -> list[str]:
@@ -112,26 +130,47 @@ def load_rig(path: Path) -> LoadedRig:
     rig = read_config(path, Rig)
     text = read_text(path)
     profile = _profile(path, text, rig)
-    real = set(rig.urls) - set(rig.emulated) - (set() if rig.operator.url == EMULATED else {"operator"})  # a person may rehearse
+    # a person may rehearse
+    real = (
+        set(rig.urls)
+        - set(rig.emulated)
+        - (set() if rig.operator.url == EMULATED else {"operator"})
+    )
     if rig.emulated and real:
-        message = f"emulated and real instruments don't mix: they would not share one world (real here: {', '.join(sorted(real))})"
+        message = (
+            "emulated and real instruments don't mix: they would not share one world (real here:"
+            f" {', '.join(sorted(real))})"
+        )
         raise located(path, text, [((name, "url"), message, False) for name in rig.emulated])
     calibration_path = path.parent / rig.calibration
     there = {*rig.urls, *(["pump"] if rig.bath.pump_url else [])}
-    if rig.stage and rig.stage.url == EMULATED and (wrong := rig.emulation.stage.fault(rig.stage.axes)):
+    if (
+        rig.stage
+        and rig.stage.url == EMULATED
+        and (wrong := rig.emulation.stage.fault(rig.stage.axes))
+    ):
         raise located(path, text, [(("stage", "axes"), wrong, False)])
     homeless = [i for i, fault in enumerate(rig.emulation.faults) if fault.instrument not in there]
     if homeless:
         missing = "this rig has no such instrument"
-        raise located(path, text, [(("emulation", "faults", i, "instrument"), missing, False) for i in homeless])
+        raise located(
+            path,
+            text,
+            [(("emulation", "faults", i, "instrument"), missing, False) for i in homeless],
+        )
     frame = load_frame(path.parent / rig.arm.frame) if rig.arm.frame else None
-    verification = load_verification(path.parent / rig.arm.verification) if rig.arm.verification else None
+    verification = (
+        load_verification(path.parent / rig.arm.verification) if rig.arm.verification else None
+    )
     unit = _arm_unit(path.parent / rig.emulation.arm_unit) if rig.emulation.arm_unit else None
     relay = _relay(path, text, rig, profile)
     if rig.operator.url.startswith(SCRIPT):
-        load_answers(path.parent / rig.operator.url.removeprefix(SCRIPT))  # its faults are told before anything is opened
+        # its faults are told before anything is opened
+        load_answers(path.parent / rig.operator.url.removeprefix(SCRIPT))
     calibration = read_calibration(calibration_path) if calibration_path.is_file() else None
-    loaded = LoadedRig(path, text, rig, profile, calibration_path, calibration, frame, verification, unit, relay)
+    loaded = LoadedRig(
+        path, text, rig, profile, calibration_path, calibration, frame, verification, unit, relay
+    )
     if rig.emulated:
         _ = loaded.calibration  # the emulated cameras are made from it
     return loaded
@@ -141,7 +180,9 @@ def _arm_unit(path: Path) -> ArmIdentity:
     try:
         return load_unit(path)
     except UnitError as error:
-        raise located(path, read_text(path), [(key, message, False) for key, message in error.located]) from error
+        raise located(
+            path, read_text(path), [(key, message, False) for key, message in error.located]
+        ) from error
 
 
 def _profile(path: Path, text: str, rig: Rig) -> Profile:
@@ -163,19 +204,32 @@ def _relay(path: Path, text: str, rig: Rig, profile: Profile) -> RelayProfile | 
     key = "pump_url" if bath.pump_url else "pump_profile"
     wrong = ""
     if not (bath.pump_url and bath.pump_profile):
-        wrong = f"{'pump_profile' if bath.pump_url else 'pump_url'} is missing: a pump's relay has both, or there is none"
+        wrong = (
+            f"{'pump_profile' if bath.pump_url else 'pump_url'} is missing: a pump's relay has"
+            " both, or there is none"
+        )
     elif (bath.url == EMULATED) != (bath.pump_url == EMULATED):
-        wrong = f'bath and pump are both emulated or both real: "{EMULATED}" stands in url and in pump_url, or in neither'
+        wrong = (
+            f'bath and pump are both emulated or both real: "{EMULATED}" stands in url and in'
+            " pump_url, or in neither"
+        )
     elif profile.capabilities.pump != "none":
         wrong = f"{profile.family} has a pump of its own: leave pump_url and pump_profile out"
     if wrong:
         raise located(path, text, [(("bath", key), wrong, False)])
     try:
-        return load_relay(path.parent / bath.pump_profile if bath.pump_profile.endswith(".toml") else bath.pump_profile)
+        return load_relay(
+            path.parent / bath.pump_profile
+            if bath.pump_profile.endswith(".toml")
+            else bath.pump_profile
+        )
     except ProfileError as error:
         raise _profile_faults(error) from error
 
 
 def _profile_faults(error: ProfileError) -> ConfigError:
-    faults = [(tuple(int(k) if k.isdigit() else k for k in key.split(".")), message, False) for key, message in error.faults]
+    faults = [
+        (tuple(int(k) if k.isdigit() else k for k in key.split(".")), message, False)
+        for key, message in error.faults
+    ]
     return located(Path(error.path), read_text(Path(error.path)), faults)

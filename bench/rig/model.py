@@ -1,4 +1,6 @@
-"""The tables of a rig file: what may stand in them, and what is wrong where it can't be. Values only; reads no other file."""
+"""The tables of a rig file: what may stand in them, and what is wrong where it can't be. Values
+only; reads no other file.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,16 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 from bench.config import Millimetres, Point, Positive, Section, did_you_mean
 from bench.rig.camera_model import Cameras
 from bench.rig.emulation_model import Emulation
-from bench.rig.urls import ELSEWHERE, EMULATED, bath_url, beside, beside_if_named, operator_url, relay_url, serial_url
+from bench.rig.urls import (
+    ELSEWHERE,
+    EMULATED,
+    bath_url,
+    beside,
+    beside_if_named,
+    operator_url,
+    relay_url,
+    serial_url,
+)
 from instruments.bath.profile import profile_names, relay_names
 from instruments.world.phantom import PlatePose
 
@@ -39,7 +50,10 @@ def _relay_profile(name: str, info: ValidationInfo) -> str:
     if not name or name in known:
         return name
     if not name.endswith(".toml"):
-        raise ValueError(f"no such profile{did_you_mean(name, known)} (shipped: {', '.join(known)}; or a path that ends in .toml)")
+        raise ValueError(
+            f"no such profile{did_you_mean(name, known)} (shipped: {', '.join(known)}; or a path"
+            " that ends in .toml)"
+        )
     return beside(name, info)
 
 
@@ -66,7 +80,10 @@ class Bath(Section):
     def _known(cls, name: str) -> str:
         known = profile_names()
         if name not in known and not name.endswith(".toml"):
-            raise ValueError(f"no such profile{did_you_mean(name, known)} (shipped: {', '.join(known)}; or a path that ends in .toml)")
+            raise ValueError(
+                f"no such profile{did_you_mean(name, known)} (shipped: {', '.join(known)}; or a"
+                " path that ends in .toml)"
+            )
         return name
 
 
@@ -83,10 +100,15 @@ class Stage(Section):
     repeatability_mm: Annotated[float, Field(ge=0, le=10)] = 0.02
 
     def machine(self, pose: PlatePose) -> dict[str, float]:
-        """Where the stage's axes are when the plate stands at ``pose``: arguments of `Stage.move_to`, of the axes that there are."""
+        """Where the stage's axes are when the plate stands at ``pose``: arguments of
+        `Stage.move_to`, of the axes that there are.
+        """
         x, y = self.reference_mm
         there = {"x_mm": x + pose.x_mm, "y_mm": y + pose.y_mm}
-        more = {"Z": ("z_mm", self.reference_z_mm + pose.z_mm), "A": ("a_deg", self.reference_a_deg + math.degrees(pose.yaw_rad))}
+        more = {
+            "Z": ("z_mm", self.reference_z_mm + pose.z_mm),
+            "A": ("a_deg", self.reference_a_deg + math.degrees(pose.yaw_rad)),
+        }
         return there | dict(more[axis] for axis in self.axes[2:])
 
 
@@ -103,7 +125,8 @@ class Limits(Section):
     bath_silence_s: Positive = 5.0
     sensors_differ_k: Positive = 2.0
     detection_timeout_s: Positive = 30.0
-    away_s: Annotated[float, Field(ge=0, le=86400)] = 600.0  # how long an instrument that dropped out is waited for; 0: not at all
+    # how long an instrument that dropped out is waited for; 0: not at all
+    away_s: Annotated[float, Field(ge=0, le=86400)] = 600.0
 
     @field_validator("set_point_c", "bath_plausible_c")
     @classmethod
@@ -115,7 +138,10 @@ class Limits(Section):
     @model_validator(mode="after")
     def _headroom(self) -> Limits:
         if self.set_point_c[1] >= self.bath_max_c:
-            raise ValueError(f"set_point_c allows {self.set_point_c[1]:g} degC, which bath_max_c = {self.bath_max_c:g} would trip on")
+            raise ValueError(
+                f"set_point_c allows {self.set_point_c[1]:g} degC, which bath_max_c ="
+                f" {self.bath_max_c:g} would trip on"
+            )
         return self
 
 
@@ -135,7 +161,13 @@ class Rig(Section):
     def urls(self) -> dict[str, str]:
         """Each instrument's URL by its name."""
         stage = {"stage": self.stage.url} if self.stage else {}
-        return {"arm": self.arm.url, "bath": self.bath.url, **stage, "cameras": self.cameras.told, "operator": self.operator.url}
+        return {
+            "arm": self.arm.url,
+            "bath": self.bath.url,
+            **stage,
+            "cameras": self.cameras.told,
+            "operator": self.operator.url,
+        }
 
     @property
     def emulated(self) -> tuple[str, ...]:

@@ -1,10 +1,12 @@
-"""A pedal press as an answer at the terminal: watched in short turns, so that the keyboard is heard too, and none is lost between two.
+"""A pedal press as an answer at the terminal: watched in short turns, so that the keyboard is heard
+too, and none is lost between two.
 
 It may not know what the press answers.
 
 Opens the cameras that a rig file names: all by one URL, or each by its table, set and read back.
 
-Connects the drivers of a rig by URL. A bring-up that fails names every instrument that failed, not only the first.
+Connects the drivers of a rig by URL. A bring-up that fails names every instrument that failed, not
+only the first.
 """
 
 from __future__ import annotations
@@ -59,9 +61,11 @@ class PolledArm(Protocol):
 
 
 def pedal_watch(arm: PolledArm, clock: Clock) -> Callable[[float], bool]:
-    """For one prompt: what watches the pedals for some seconds, and says whether one was pressed since the first time it was asked.
+    """For one prompt: what watches the pedals for some seconds, and says whether one was pressed
+    since the first time it was asked.
 
-    A foot that is down at first has to come up before its press counts. What is given back raises as polling does.
+    A foot that is down at first has to come up before its press counts. What is given back raises
+    as polling does.
     """
     debouncer = Debouncer()
 
@@ -77,8 +81,12 @@ def pedal_watch(arm: PolledArm, clock: Clock) -> Callable[[float], bool]:
     return pressed
 
 
-def open_cameras(tables: Tables, calibration: Calibration | None, folder: Path, clock: Clock) -> Cameras:
-    """The cameras of a rig file in ``folder``; paths are taken from there. Raises InstrumentError, RecordingError."""
+def open_cameras(
+    tables: Tables, calibration: Calibration | None, folder: Path, clock: Clock
+) -> Cameras:
+    """The cameras of a rig file in ``folder``; paths are taken from there. Raises InstrumentError,
+    RecordingError.
+    """
     kind, _, rest = tables.url.partition(":")
     if kind == "recording":
         return RecordingCameras(Recording(folder / rest))
@@ -86,17 +94,26 @@ def open_cameras(tables: Tables, calibration: Calibration | None, folder: Path, 
         openers = _one_line(rest, folder, clock)
         return CameraSet(openers, {})
     conversions = {name: conversion_of(table, calibration) for name, table in tables.tables.items()}
-    return CameraSet({name: opener_of(name, table, folder, clock) for name, table in tables.tables.items()}, conversions)
+    return CameraSet(
+        {name: opener_of(name, table, folder, clock) for name, table in tables.tables.items()},
+        conversions,
+    )
 
 
 def conversion_of(table: OneCamera, calibration: Calibration | None) -> Conversion:
-    """What becomes of a camera's frames so that they are as the calibration has them; as delivered without one."""
+    """What becomes of a camera's frames so that they are as the calibration has them; as delivered
+    without one.
+    """
     if not isinstance(table, ThermalTable):
         return table.conversion()
     if calibration is None:
-        return table.calibrated(mirrored=bool(table.mirrored), hot_is_black=table.polarity == "hot_is_black")
+        return table.calibrated(
+            mirrored=bool(table.mirrored), hot_is_black=table.polarity == "hot_is_black"
+        )
     thermal = calibration.thermal
-    return table.calibrated(mirrored=thermal.mirrored, hot_is_black=thermal.polarity == "hot_is_black")
+    return table.calibrated(
+        mirrored=thermal.mirrored, hot_is_black=thermal.polarity == "hot_is_black"
+    )
 
 
 def opener_of(name: str, table: OneCamera, folder: Path, clock: Clock) -> Callable[[], Camera]:
@@ -111,7 +128,11 @@ def _one_line(rest: str, folder: Path, clock: Clock) -> dict[str, Callable[[], C
     sources = rest.split(",")
     if not 2 <= len(sources) <= len(KNOWN):
         hint = "Correct the cameras in the rig file."
-        raise DeviceError("OpenCV cameras", f"needs two or three sources for left, right and thermal, got {rest!r}", hint=hint)
+        raise DeviceError(
+            "OpenCV cameras",
+            f"needs two or three sources for left, right and thermal, got {rest!r}",
+            hint=hint,
+        )
 
     def opener(name: str, source: str) -> Callable[[], Camera]:
         return lambda: OpenCvCamera(name, _source(source, folder), clock)
@@ -120,7 +141,9 @@ def _one_line(rest: str, folder: Path, clock: Clock) -> dict[str, Callable[[], C
 
 
 def _source(text: str, folder: Path) -> int | str:
-    """A device's number, or a URL, or a path; a file that stands beside the rig file is taken from there."""
+    """A device's number, or a URL, or a path; a file that stands beside the rig file is taken from
+    there.
+    """
     if text.isdecimal():
         return int(text)
     beside = folder / text
@@ -149,7 +172,9 @@ class Hookup:
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """Some instruments of a rig: its cameras, the arm where it was asked for, and who is asked to hold and to touch."""
+    """Some instruments of a rig: its cameras, the arm where it was asked for, and who is asked to
+    hold and to touch.
+    """
 
     clock: Clock
     cameras: Cameras
@@ -158,15 +183,24 @@ class Parts:
 
 
 @contextmanager
-def open_parts(rig: LoadedRig, *, seed: int, arm: bool = False, capture: Captures = NO_CAPTURE) -> Iterator[Parts]:
-    """The cameras of ``rig``, and its ``arm`` where asked for; nothing else of it is looked for. Raises BringUpError, ConfigError."""
+def open_parts(
+    rig: LoadedRig, *, seed: int, arm: bool = False, capture: Captures = NO_CAPTURE
+) -> Iterator[Parts]:
+    """The cameras of ``rig``, and its ``arm`` where asked for; nothing else of it is looked for.
+    Raises BringUpError, ConfigError.
+    """
     emulated = rig.rig.cameras.url == EMULATED
     clock: Clock = VirtualClock() if emulated and rig.rig.operator.url != CONSOLE else RealClock()
     answerer = _answerer(rig, clock, nullcontext)
     try:
         if emulated:
-            with EmulatedRig(rig, clock, seed) as twin, _opened(_wanted(rig, clock, twin.urls, arm, capture)) as opened:
-                yield Parts(clock, twin.cameras, _operator(rig, answerer, twin.operator), opened.get("arm"))
+            with (
+                EmulatedRig(rig, clock, seed) as twin,
+                _opened(_wanted(rig, clock, twin.urls, arm, capture)) as opened,
+            ):
+                yield Parts(
+                    clock, twin.cameras, _operator(rig, answerer, twin.operator), opened.get("arm")
+                )
         else:
             with _opened(_wanted(rig, clock, rig.rig.urls, arm, capture)) as opened:
                 found: MicroScribe | None = opened.get("arm")
@@ -180,9 +214,15 @@ def open_parts(rig: LoadedRig, *, seed: int, arm: bool = False, capture: Capture
             clock.close()
 
 
-def _wanted(rig: LoadedRig, clock: Clock, urls: dict[str, str], arm: bool, capture: Captures) -> dict[str, Callable[[], Any]]:
+def _wanted(
+    rig: LoadedRig, clock: Clock, urls: dict[str, str], arm: bool, capture: Captures
+) -> dict[str, Callable[[], Any]]:
     openers = driver_openers(rig, clock, urls, capture)
-    return {name: opener for name, opener in openers.items() if name in ("cameras", "operator") or (arm and name == "arm")}
+    return {
+        name: opener
+        for name, opener in openers.items()
+        if name in ("cameras", "operator") or (arm and name == "arm")
+    }
 
 
 @contextmanager
@@ -195,7 +235,8 @@ def open_rig(
     screen: Screen = nullcontext,
     start_s: float = 0.0,
 ) -> Iterator[Hookup]:
-    """The drivers of ``rig``, with its emulators where it is an emulated one; ``capture`` taps links. Raises BringUpError.
+    """The drivers of ``rig``, with its emulators where it is an emulated one; ``capture`` taps
+    links. Raises BringUpError.
 
     ``screen`` is entered around each question at the terminal. Real time goes on from ``start_s``.
     """
@@ -220,7 +261,9 @@ def open_rig(
 
 
 def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
-    """Whether a run on ``rig`` need not wait: all is emulated, and nobody takes part in person, who lives in real time."""
+    """Whether a run on ``rig`` need not wait: all is emulated, and nobody takes part in person, who
+    lives in real time.
+    """
     return bool(rig.rig.emulated) and not realtime and rig.rig.operator.url != CONSOLE
 
 
@@ -237,12 +280,16 @@ def _connected(
         openers["cameras"] = lambda: twin.cameras
     with _opened(openers) as opened:
         operator = _operator(rig, answerer, twin.operator if twin else opened.get("operator"))
-        yield Devices(clock, opened["arm"], opened["bath"], opened.get("stage"), opened["cameras"], operator)
+        yield Devices(
+            clock, opened["arm"], opened["bath"], opened.get("stage"), opened["cameras"], operator
+        )
 
 
 @contextmanager
 def _opened(openers: dict[str, Callable[[], Any]]) -> Iterator[dict[str, Any]]:
-    """All of them open; closed again at the end. Raises BringUpError that names each that did not come up."""
+    """All of them open; closed again at the end. Raises BringUpError that names each that did not
+    come up.
+    """
     opened, faults = {}, {}
     for name, opener in openers.items():
         try:
@@ -259,16 +306,20 @@ def _opened(openers: dict[str, Callable[[], Any]]) -> Iterator[dict[str, Any]]:
 
 
 def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> Answerer | None:
-    """Who answers prompts; None where an emulated operator acts without being asked. Raises ConfigError."""
+    """Who answers prompts; None where an emulated operator acts without being asked. Raises
+    ConfigError.
+    """
     url = rig.rig.operator.url
-    out = getattr(sys.stdout, "rich_proxied_file", sys.stdout)  # a progress bar's stand-in ends each question with a line
+    # a progress bar's stand-in ends each question with a line
+    out = getattr(sys.stdout, "rich_proxied_file", sys.stdout)
     if url == CONSOLE:
         return Console(sys.stdin, out, clock, screen=screen, remind_s=rig.rig.operator.remind_s)
     if url.startswith(EMULATED):
         return None
 
     def show(text: str) -> None:
-        sys.stdout.write(f"{sanitized(text)}\n")  # rich reads colours out of what is written under its bar
+        # rich reads colours out of what is written under its bar
+        sys.stdout.write(f"{sanitized(text)}\n")
 
     return load_answers(rig.path.parent / url.removeprefix(SCRIPT), show)
 
@@ -281,18 +332,31 @@ def _operator(rig: LoadedRig, answerer: Answerer | None, hands: Operator | None 
     return hands
 
 
-def driver_openers(rig: LoadedRig, clock: Clock, urls: dict[str, str], capture: Captures = NO_CAPTURE) -> dict[str, Callable[[], Any]]:
-    """For each instrument of the rig, what opens its driver, with a tap of ``capture``; each may raise InstrumentError."""
+def driver_openers(
+    rig: LoadedRig, clock: Clock, urls: dict[str, str], capture: Captures = NO_CAPTURE
+) -> dict[str, Callable[[], Any]]:
+    """For each instrument of the rig, what opens its driver, with a tap of ``capture``; each may
+    raise InstrumentError.
+    """
     r = rig.rig
 
     def link(name: str, baud: int) -> Link:
         return Link(urls[name], clock, who=name, baud=baud, tap=capture.tap(name, clock))
 
-    pump = PumpAt(urls.get("pump", r.bath.pump_url), rig.relay, capture.tap("pump", clock)) if rig.relay else None
+    pump = (
+        PumpAt(urls.get("pump", r.bath.pump_url), rig.relay, capture.tap("pump", clock))
+        if rig.relay
+        else None
+    )
     openers: dict[str, Callable[[], Any]] = {
         "arm": lambda: MicroScribe(link("arm", r.arm.baud), clock, answer_s=r.arm.answer_s),
         "bath": lambda: Bath(
-            urls["bath"], rig.profile, clock, allow_inferred=r.bath.allow_inferred, tap=capture.tap("bath", clock), pump=pump
+            urls["bath"],
+            rig.profile,
+            clock,
+            allow_inferred=r.bath.allow_inferred,
+            tap=capture.tap("bath", clock),
+            pump=pump,
         ),
     }
     if r.stage:
@@ -302,5 +366,7 @@ def driver_openers(rig: LoadedRig, clock: Clock, urls: dict[str, str], capture: 
         port = r.operator.url.replace(ELSEWHERE, "socket://")
         openers["operator"] = lambda: RemoteOperator(port, clock)
     if r.cameras.url != EMULATED:
-        openers["cameras"] = lambda: open_cameras(r.cameras, rig.made_calibration, rig.path.parent, clock)
+        openers["cameras"] = lambda: open_cameras(
+            r.cameras, rig.made_calibration, rig.path.parent, clock
+        )
     return openers

@@ -1,6 +1,8 @@
-"""Scenes without instruments: members of the situation families drawn by the emulated cameras, as a contact sheet or as a recording.
+"""Scenes without instruments: members of the situation families drawn by the emulated cameras, as a
+contact sheet or as a recording.
 
-A recording's truth is exact: where each end is, and whether every camera can see it. May not know a detector.
+A recording's truth is exact: where each end is, and whether every camera can see it. May not know a
+detector.
 """
 
 from __future__ import annotations
@@ -39,28 +41,50 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
         if name not in SITUATIONS:
             close = difflib.get_close_matches(name, SITUATIONS, n=1)
             hint = f"; did you mean {close[0]!r}?" if close else ""
-            raise ConfigError.plain(f"there is no situation {name!r}{hint} (known: {', '.join(SITUATIONS)})")
+            raise ConfigError.plain(
+                f"there is no situation {name!r}{hint} (known: {', '.join(SITUATIONS)})"
+            )
     return tuple(dict.fromkeys(names)) or tuple(SITUATIONS)
 
 
 def rig_renderer(rig: LoadedRig, seed: int) -> Renderer:
     """The cameras of a rig file as emulated; ``seed`` is theirs."""
-    return make_renderer(tomllib.loads(read_text(rig.calibration_path)), seed, rig.rig.emulation.optical, rig.rig.emulation.thermal)
+    return make_renderer(
+        tomllib.loads(read_text(rig.calibration_path)),
+        seed,
+        rig.rig.emulation.optical,
+        rig.rig.emulation.thermal,
+    )
 
 
 def warm(found: Situation) -> SceneState:
-    """A situation with its bath settled, at temperatures that vary from member to member as from day to day."""
+    """A situation with its bath settled, at temperatures that vary from member to member as from
+    day to day.
+    """
     rng = np.random.Generator(np.random.PCG64([found.seed, *found.name.encode(), *b"warmth"]))
     constants = PlantConstants()
     water_c, ambient_c = float(rng.uniform(32.5, 33.5)), float(rng.uniform(17.0, 24.0))
     share = constants.teat_in_w_per_k / (constants.teat_in_w_per_k + constants.teat_out_w_per_k)
-    teats_c = ambient_c + share * (water_c - ambient_c) + rng.normal(0.0, 0.15, len(found.phantom.teats))
-    return found.state(tuple(float(v) for v in teats_c), water_c - 0.02, ambient_c, time_s=float(rng.uniform(0.0, 3600.0)))
+    teats_c = (
+        ambient_c + share * (water_c - ambient_c) + rng.normal(0.0, 0.15, len(found.phantom.teats))
+    )
+    return found.state(
+        tuple(float(v) for v in teats_c),
+        water_c - 0.02,
+        ambient_c,
+        time_s=float(rng.uniform(0.0, 3600.0)),
+    )
 
 
-def write_sheet(rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], path: Path, seed: int) -> None:
-    """One PNG with a row for each family and each of ``seeds``. Raises ConfigError where it can't be written."""
-    states = {f"{name} {one}": warm(situation(name, one)) for name in chosen(names) for one in seeds}
+def write_sheet(
+    rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], path: Path, seed: int
+) -> None:
+    """One PNG with a row for each family and each of ``seeds``. Raises ConfigError where it can't
+    be written.
+    """
+    states = {
+        f"{name} {one}": warm(situation(name, one)) for name in chosen(names) for one in seeds
+    }
     good, data = cv2.imencode(".png", contact_sheet(states, rig_renderer(rig, seed), seed))
     if not good:
         raise ConfigError.plain(f"{path}: the sheet is too large for a PNG: ask for fewer seeds")
@@ -70,10 +94,14 @@ def write_sheet(rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], path
         raise ConfigError.plain(f"{path}: can't be written: {error}") from error
 
 
-def record(rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], folder: Path, seed: int) -> Iterator[str]:
-    """Add a frame for each family and seed to a recording; yields each frame's name once it is written.
+def record(
+    rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], folder: Path, seed: int
+) -> Iterator[str]:
+    """Add a frame for each family and seed to a recording; yields each frame's name once it is
+    written.
 
-    Raises ConfigError where the folder can't be written, RecordingError for a frame that is there already.
+    Raises ConfigError where the folder can't be written, RecordingError for a frame that is there
+    already.
     """
     families = chosen(names)
     renderer = rig_renderer(rig, seed)
@@ -83,13 +111,27 @@ def record(rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], folder: P
         for name in families:
             for one in seeds:
                 frame = f"{name}-{one:04d}"
-                _add(writer, frame, renderer, warm(situation(name, one)), name, np.random.default_rng([seed, one, *name.encode()]))
+                _add(
+                    writer,
+                    frame,
+                    renderer,
+                    warm(situation(name, one)),
+                    name,
+                    np.random.default_rng([seed, one, *name.encode()]),
+                )
                 yield frame
     except OSError as error:
         raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
 
 
-def _add(writer: RecordingWriter, frame: str, renderer: Renderer, state: SceneState, name: str, rng: np.random.Generator) -> None:
+def _add(
+    writer: RecordingWriter,
+    frame: str,
+    renderer: Renderer,
+    state: SceneState,
+    name: str,
+    rng: np.random.Generator,
+) -> None:
     taken = renderer.render(state, rng)
     visible = [bool(row.all()) for row in renderer.visible_ends(state)]
     writer.add(frame, FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck))
@@ -101,12 +143,21 @@ def _add(writer: RecordingWriter, frame: str, renderer: Renderer, state: SceneSt
 
 
 def record_boards(
-    rig: LoadedRig, board: Path, cameras: Sequence[str], poses: int, folder: Path, seed: int, *, warmer_k: float = 0.0
+    rig: LoadedRig,
+    board: Path,
+    cameras: Sequence[str],
+    poses: int,
+    folder: Path,
+    seed: int,
+    *,
+    warmer_k: float = 0.0,
 ) -> Iterator[str]:
-    """Pictures of a calibration board in ``poses`` poses that ``cameras`` see whole: a recording without truth, for `teatbench calibrate`.
+    """Pictures of a calibration board in ``poses`` poses that ``cameras`` see whole: a recording
+    without truth, for `teatbench calibrate`.
 
-    What is dark on the board is ``warmer_k`` warmer than the room. Yields each frame's name once it is written. Raises ConfigError for
-    a board that is wrong or too large, or a folder that can't be written.
+    What is dark on the board is ``warmer_k`` warmer than the room. Yields each frame's name once it
+    is written. Raises ConfigError for a board that is wrong or too large, or a folder that can't be
+    written.
     """
     pattern = printed(load_board(board))
     renderer = rig_renderer(rig, seed)
@@ -117,19 +168,40 @@ def record_boards(
         writer = RecordingWriter(folder)
         writer.add_calibration(read_text(rig.calibration_path))
         for number, one in enumerate(held):
-            state = SceneState(Phantom(()), (), ambient_c, ambient_c, boards=(replace(one, light=ambient_c, dark=ambient_c + warmer_k),))
+            state = SceneState(
+                Phantom(()),
+                (),
+                ambient_c,
+                ambient_c,
+                boards=(replace(one, light=ambient_c, dark=ambient_c + warmer_k),),
+            )
             taken = renderer.render(state, np.random.default_rng([seed, number, *b"boards"]))
-            writer.add(f"pose-{number:02d}", FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck))
+            writer.add(
+                f"pose-{number:02d}",
+                FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck),
+            )
             yield f"pose-{number:02d}"
     except ValueError as error:
-        raise error if isinstance(error, RecordingError) else ConfigError.plain(f"{board}: {error}") from error
+        raise (
+            error if isinstance(error, RecordingError) else ConfigError.plain(f"{board}: {error}")
+        ) from error
     except OSError as error:
         raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
 
 
 def printed(said: BoardFile) -> Pattern:
-    """What the scene draws for a board's description, which counts points: a chessboard has a square more than corners each way."""
+    """What the scene draws for a board's description, which counts points: a chessboard has a
+    square more than corners each way.
+    """
     more = 0 if said.kind == "circles" else 1
     feature_mm = said.marker_mm or said.circle_mm or 0.0
     dictionary = DICTIONARIES[said.dictionary] if said.dictionary else Pattern().dictionary
-    return Pattern(said.kind, said.columns + more, said.rows + more, said.pitch_mm, 0.3 * said.pitch_mm, dictionary, feature_mm)
+    return Pattern(
+        said.kind,
+        said.columns + more,
+        said.rows + more,
+        said.pitch_mm,
+        0.3 * said.pitch_mm,
+        dictionary,
+        feature_mm,
+    )

@@ -1,4 +1,5 @@
-"""Reads a script of answers for an operator: a TOML file, or a text file with a line for each answer.
+"""Reads a script of answers for an operator: a TOML file, or a text file with a line for each
+answer.
 
 # a text file
 otherwise homing: go
@@ -20,8 +21,14 @@ from bench.config import ConfigError, Fault, Section, did_you_mean, read_config,
 from instruments.operators.operator import Kind
 from instruments.operators.script import KINDS, ScriptedAnswer, ScriptedAnswers, check_answer
 
-LINE = re.compile(r"(?P<otherwise>otherwise\s+)?(?P<to>[a-z ]+?)\s*(\((?P<says>[^)]*)\))?\s*:\s*(?P<answer>.*?)(\s+x(?P<times>[1-9]\d*))?$")
-FORM = 'a line is "KIND: ANSWER", "KIND (WORDS OF THE PROMPT): ANSWER", "KIND: ANSWER x5" or "otherwise KIND: ANSWER"'
+LINE = re.compile(
+    r"(?P<otherwise>otherwise\s+)?(?P<to>[a-z"
+    r" ]+?)\s*(\((?P<says>[^)]*)\))?\s*:\s*(?P<answer>.*?)(\s+x(?P<times>[1-9]\d*))?$"
+)
+FORM = (
+    'a line is "KIND: ANSWER", "KIND (WORDS OF THE PROMPT): ANSWER", "KIND: ANSWER x5" or'
+    ' "otherwise KIND: ANSWER"'
+)
 
 
 class AnswerTable(Section):
@@ -51,10 +58,15 @@ class AnswerFile(Section):
 
 
 def load_answers(path: Path, show: Callable[[str], None] = lambda _: None) -> ScriptedAnswers:
-    """The script of answers at ``path``; ``show`` gets each prompt with its answer. Raises ConfigError."""
+    """The script of answers at ``path``; ``show`` gets each prompt with its answer. Raises
+    ConfigError.
+    """
     if path.suffix.lower() == ".toml":
         read = read_config(path, AnswerFile)
-        listed = [ScriptedAnswer(**table.model_dump(), where=f"answer {n}") for n, table in enumerate(read.answers, 1)]
+        listed = [
+            ScriptedAnswer(**table.model_dump(), where=f"answer {n}")
+            for n, table in enumerate(read.answers, 1)
+        ]
         return ScriptedAnswers(listed, read.otherwise, path.name, show=show)
     answers: list[ScriptedAnswer] = []
     otherwise: dict[Kind, str] = {}
@@ -70,18 +82,30 @@ def load_answers(path: Path, show: Callable[[str], None] = lambda _: None) -> Sc
     return ScriptedAnswers(answers, otherwise, path.name, show=show)
 
 
-def _take(words: str, where: str, answers: list[ScriptedAnswer], otherwise: dict[Kind, str]) -> None:
+def _take(
+    words: str, where: str, answers: list[ScriptedAnswer], otherwise: dict[Kind, str]
+) -> None:
     """Add what a line says. Raises ValueError for one that says nothing."""
     parts = LINE.match(words)
     if not parts:
         raise ValueError(f"not understood: {FORM}")
     kind = next((kind for kind in KINDS if kind == parts["to"]), None)
     if kind is None:
-        raise ValueError(f'no prompt is of the kind "{parts["to"]}"{did_you_mean(parts["to"], KINDS) or "."} There are: {", ".join(KINDS)}')
+        raise ValueError(
+            f'no prompt is of the kind "{parts["to"]}"{did_you_mean(parts["to"], KINDS) or "."}'
+            f" There are: {', '.join(KINDS)}"
+        )
     if not parts["otherwise"]:
-        answers.append(ScriptedAnswer(kind, parts["answer"], parts["says"] or "", int(parts["times"] or 1), where))
+        answers.append(
+            ScriptedAnswer(
+                kind, parts["answer"], parts["says"] or "", int(parts["times"] or 1), where
+            )
+        )
         return
     if parts["says"] or parts["times"]:
-        raise ValueError('"otherwise" is for all prompts of a kind: leave the words in brackets and the times out')
+        raise ValueError(
+            '"otherwise" is for all prompts of a kind: leave the words in brackets and the'
+            " times out"
+        )
     check_answer(kind, parts["answer"])
     otherwise[kind] = parts["answer"]

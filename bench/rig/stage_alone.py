@@ -1,6 +1,8 @@
-"""One stage without a script: opened by its port or by a rig file, looked at, homed, moved and jogged.
+"""One stage without a script: opened by its port or by a rig file, looked at, homed, moved and
+jogged.
 
-Opening the port resets most controllers, and nothing moves before homing: who wants to move homes first, each time.
+Opening the port resets most controllers, and nothing moves before homing: who wants to move homes
+first, each time.
 """
 
 from __future__ import annotations
@@ -38,18 +40,29 @@ def of_rig(name: str) -> StageAt:
     rig = load_rig(find_rig(name))
     stage = rig.rig.stage
     if stage is None:
-        raise ConfigError.plain(f"{rig.path}: this rig has no stage; the operator moves its phantom")
+        raise ConfigError.plain(
+            f"{rig.path}: this rig has no stage; the operator moves its phantom"
+        )
     if stage.url == EMULATED:
-        raise ConfigError.plain(f"{rig.path}: its stage is emulated; 'teatbench emulate' serves one at a port, for --port")
+        raise ConfigError.plain(
+            f"{rig.path}: its stage is emulated; 'teatbench emulate' serves one at a port, for"
+            " --port"
+        )
     return StageAt(stage.url, stage.axes, stage.baud)
 
 
 @contextmanager
 def open_stage(at: StageAt, capture: Captures = NO_CAPTURE) -> Iterator[Stage]:
-    """The stage, met and in real time; brought to a stand whatever goes wrong. Raises InstrumentError."""
+    """The stage, met and in real time; brought to a stand whatever goes wrong. Raises
+    InstrumentError.
+    """
     clock = RealClock()
     try:
-        stage = Stage(Link(at.url, clock, who="stage", baud=at.baud, tap=capture.tap("stage", clock)), clock, at.axes)
+        stage = Stage(
+            Link(at.url, clock, who="stage", baud=at.baud, tap=capture.tap("stage", clock)),
+            clock,
+            at.axes,
+        )
         try:
             stage.connect()
             yield stage
@@ -71,7 +84,9 @@ def _stop(stage: Stage, error: BaseException) -> None:
 
 
 def described(stage: Stage) -> dict[str, object]:
-    """Who it is, its state, position and travel: plain text, numbers and lists; units are in the names."""
+    """Who it is, its state, position and travel: plain text, numbers and lists; units are in the
+    names.
+    """
     identity, settings, status = stage.identity, stage.settings, stage.status()
     return {
         "dialect": identity.dialect,
@@ -80,7 +95,10 @@ def described(stage: Stage) -> dict[str, object]:
         "state": status.name,
         "homed": stage.homed,
         **position(stage),
-        **{f"travel_{KEYS[axis]}": [limits.low_mm, limits.high_mm] for axis, limits in stage.limits.items()},
+        **{
+            f"travel_{KEYS[axis]}": [limits.low_mm, limits.high_mm]
+            for axis, limits in stage.limits.items()
+        },
         "homing": settings.homing,
         "soft_limits": settings.soft_limits,
         "hard_limits": settings.hard_limits,
@@ -89,7 +107,11 @@ def described(stage: Stage) -> dict[str, object]:
 
 def position(stage: Stage) -> dict[str, float]:
     """Where the controller believes the stage is, by axis with its unit, machine coordinates."""
-    return {KEYS[axis]: round(float(at), 3) for axis, at in zip("XYZA", stage.position(), strict=False) if axis in stage.axes}
+    return {
+        KEYS[axis]: round(float(at), 3)
+        for axis, at in zip("XYZA", stage.position(), strict=False)
+        if axis in stage.axes
+    }
 
 
 def shown(stage: Stage) -> str:
@@ -97,7 +119,9 @@ def shown(stage: Stage) -> str:
     return ", ".join(f"{key[0].upper()} {at:.3f} {key[2:]}" for key, at in position(stage).items())
 
 
-def check_target(stage: Stage, x_mm: float, y_mm: float, *, z_mm: float | None = None, a_deg: float | None = None) -> None:
+def check_target(
+    stage: Stage, x_mm: float, y_mm: float, *, z_mm: float | None = None, a_deg: float | None = None
+) -> None:
     """Raise LimitError for a place that the stage can't go to, before anything moves."""
     wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
     target = targets.declared(wanted, stage.axes, who="stage")
@@ -108,8 +132,14 @@ def step(text: str) -> dict[str, float]:
     """A way as ``X-5Y2.5``: arguments of `Stage.jog`. Raises ValueError."""
     found = _STEP.findall(text)
     axes = [axis.upper() for axis, _ in found]
-    if not found or "".join(axis + way for axis, way in found) != text or len(set(axes)) != len(axes):
-        raise ValueError(f"{text!r} is no way to go; write X-5, or X-5Y2.5 for both at once (mm, degrees for A)")
+    if (
+        not found
+        or "".join(axis + way for axis, way in found) != text
+        or len(set(axes)) != len(axes)
+    ):
+        raise ValueError(
+            f"{text!r} is no way to go; write X-5, or X-5Y2.5 for both at once (mm, degrees for A)"
+        )
     return {KEYS[axis]: float(way) for axis, (_, way) in zip(axes, found, strict=True)}
 
 

@@ -1,8 +1,9 @@
 """Whether the left and the right picture have changed places, told by the calibration.
 
-Strategy: rectify both ways, as they are and exchanged, and see with which one the pictures fit at a disparity that a thing in front of
-the cameras can have. Whole rows of edges are compared, not single features: that works on smooth teats, in dim light and in noise. May not
-know how the pictures were taken.
+Strategy: rectify both ways, as they are and exchanged, and see with which one the pictures fit at a
+disparity that a thing in front of the cameras can have. Whole rows of edges are compared, not
+single features: that works on smooth teats, in dim light and in noise. May not know how the
+pictures were taken.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """How well the pictures fit as they are and exchanged: correlation of their edges at the best disparity, 0 to 1."""
+    """How well the pictures fit as they are and exchanged: correlation of their edges at the best
+    disparity, 0 to 1.
+    """
 
     as_is: float
     exchanged: float
@@ -47,7 +50,9 @@ class StereoOrder:
         K, D = zip(*(_matrices(camera) for camera in (left, right)), strict=True)
         size = left.image_size
         T = motion.T.reshape(3, 1)
-        R1, R2, P1, P2, *_ = cv2.stereoRectify(K[0], D[0], K[1], D[1], size, motion.R, T, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0)
+        R1, R2, P1, P2, *_ = cv2.stereoRectify(
+            K[0], D[0], K[1], D[1], size, motion.R, T, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0
+        )
         self._upright = abs(P2[1, 3]) > abs(P2[0, 3])
         shift = float(P2[1 if self._upright else 0, 3])  # focal length times baseline
         self._sign = -1.0 if shift > 0 else 1.0
@@ -55,8 +60,20 @@ class StereoOrder:
         reduced = (size[0] // REDUCED, size[1] // REDUCED)
         scale = np.diag([1.0 / REDUCED, 1.0 / REDUCED, 1.0])
         self._maps: tuple[Maps, Maps] = (
-            _maps(K[0], D[0], np.asarray(R1, dtype=np.float64), scale @ np.asarray(P1[:, :3], dtype=np.float64), reduced),
-            _maps(K[1], D[1], np.asarray(R2, dtype=np.float64), scale @ np.asarray(P2[:, :3], dtype=np.float64), reduced),
+            _maps(
+                K[0],
+                D[0],
+                np.asarray(R1, dtype=np.float64),
+                scale @ np.asarray(P1[:, :3], dtype=np.float64),
+                reduced,
+            ),
+            _maps(
+                K[1],
+                D[1],
+                np.asarray(R2, dtype=np.float64),
+                scale @ np.asarray(P2[:, :3], dtype=np.float64),
+                reduced,
+            ),
         )
 
     def judge(self, left: Grey, right: Grey) -> Order:
@@ -64,8 +81,13 @@ class StereoOrder:
         return Order(self._fit(left, right), self._fit(right, left))
 
     def _fit(self, left: Grey, right: Grey) -> float:
-        """Correlation (normalised, summed over all rows) of the pictures' edges at the best disparity of a thing in front."""
-        edges = [self._edges(picture, maps) for picture, maps in zip((left, right), self._maps, strict=True)]
+        """Correlation (normalised, summed over all rows) of the pictures' edges at the best
+        disparity of a thing in front.
+        """
+        edges = [
+            self._edges(picture, maps)
+            for picture, maps in zip((left, right), self._maps, strict=True)
+        ]
         size = 2 * edges[0].shape[1]
         spectra = [np.fft.rfft(edge, size, axis=1) for edge in edges]
         correlation = np.fft.irfft(np.sum(spectra[0] * np.conj(spectra[1]), axis=0), size)
@@ -75,8 +97,15 @@ class StereoOrder:
         return float(correlation[shifts].max() / norm) if norm > 0 else 0.0
 
     def _edges(self, picture: Grey, maps: Maps) -> Array:
-        small = cv2.resize(picture, None, fx=1.0 / REDUCED, fy=1.0 / REDUCED, interpolation=cv2.INTER_AREA)
-        even = cv2.remap(small, (maps[0] - (REDUCED - 1) / 2) / REDUCED, (maps[1] - (REDUCED - 1) / 2) / REDUCED, cv2.INTER_LINEAR)
+        small = cv2.resize(
+            picture, None, fx=1.0 / REDUCED, fy=1.0 / REDUCED, interpolation=cv2.INTER_AREA
+        )
+        even = cv2.remap(
+            small,
+            (maps[0] - (REDUCED - 1) / 2) / REDUCED,
+            (maps[1] - (REDUCED - 1) / 2) / REDUCED,
+            cv2.INTER_LINEAR,
+        )
         even = even.T if self._upright else even
         smooth = cv2.GaussianBlur(even.astype(np.float32), (0, 0), SIGMA_PX)
         gradient = np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1), dtype=np.float64)
@@ -85,7 +114,13 @@ class StereoOrder:
 
 
 def _matrices(camera: Camera) -> tuple[Array, Array]:
-    K = np.array([[camera.fc[0], camera.alpha_c * camera.fc[0], camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]])
+    K = np.array(
+        [
+            [camera.fc[0], camera.alpha_c * camera.fc[0], camera.cc[0]],
+            [0.0, camera.fc[1], camera.cc[1]],
+            [0.0, 0.0, 1.0],
+        ]
+    )
     return K, np.array(camera.kc)
 
 

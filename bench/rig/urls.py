@@ -1,4 +1,6 @@
-"""Where instruments are, as a rig file says it: links, baths, operators, and files beside the rig file. Checks words; opens nothing."""
+"""Where instruments are, as a rig file says it: links, baths, operators, and files beside the rig
+file. Checks words; opens nothing.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,16 @@ ELSEWHERE = "emulator://"  # the operator of another process, which emulates the
 
 def serial_url(url: str) -> str:
     """``url`` where it is a serial link's. Raises ValueError that says what is allowed."""
-    if url == EMULATED or re.match(r"(socket|rfc2217)://[^/:]+:\d+$", url) or re.match(r"(/dev/\S+|COM\d+)$", url):
+    if (
+        url == EMULATED
+        or re.match(r"(socket|rfc2217)://[^/:]+:\d+$", url)
+        or re.match(r"(/dev/\S+|COM\d+)$", url)
+    ):
         return url
-    raise ValueError('not a link; allowed: "emulator:", "/dev/ttyUSB0", "COM5", "socket://host:port", "rfc2217://host:port"')
+    raise ValueError(
+        'not a link; allowed: "emulator:", "/dev/ttyUSB0", "COM5", "socket://host:port",'
+        ' "rfc2217://host:port"'
+    )
 
 
 def bath_url(url: str) -> str:

@@ -1,4 +1,5 @@
-"""What every step of a run does beside its work: signs of life for the guardian, looks at the interlocks, the record's events.
+"""What every step of a run does beside its work: signs of life for the guardian, looks at the
+interlocks, the record's events.
 
 May not know what the steps are.
 """
@@ -20,9 +21,13 @@ READ_S = 1.0  # both clocks are read within microseconds
 
 
 class Attention:
-    """Time passes through ``wait`` only, so that no wait goes by without a look at the interlocks every second."""
+    """Time passes through ``wait`` only, so that no wait goes by without a look at the interlocks
+    every second.
+    """
 
-    def __init__(self, devices: Devices, store: Store, progress: Progress, pulse: Pulse, watch: Watch) -> None:
+    def __init__(
+        self, devices: Devices, store: Store, progress: Progress, pulse: Pulse, watch: Watch
+    ) -> None:
         self._clock = devices.clock
         self._store = store
         self._pulse = pulse
@@ -54,7 +59,8 @@ class Attention:
         self.look()
 
     def look(self) -> None:
-        """Raises InterlockTrip where an interlock has tripped, and what ``heed`` raises: somebody's wish.
+        """Raises InterlockTrip where an interlock has tripped, and what ``heed`` raises: somebody's
+        wish.
 
         No sign of life: for whoever waits for a person, and has said so.
         """
@@ -62,9 +68,11 @@ class Attention:
         self.heed()
 
     def long(self, what: str, at_most_s: float, *, silent: bool = False) -> None:
-        """``what`` may take ``at_most_s`` before the guardian takes the bench for hung: with signs of life, or where it must be in silence.
+        """``what`` may take ``at_most_s`` before the guardian takes the bench for hung: with signs
+        of life, or where it must be in silence.
 
-        Whatever waits on a clock or a link gives those signs; what computes, or is another's code, is ``silent``.
+        Whatever waits on a clock or a link gives those signs; what computes, or is another's code,
+        is ``silent``.
         """
         self._pulse.sign(what, at_most_s, silence_s=None if silent else BRIEF_S)
 
@@ -84,7 +92,9 @@ class Attention:
             self._heard(kind, text)
 
     def _see_steps_of_the_clock(self) -> None:
-        """Somebody may set the computer's clock amid a run. The bench's own time doesn't follow it, the record's wall times do."""
+        """Somebody may set the computer's clock amid a run. The bench's own time doesn't follow it,
+        the record's wall times do.
+        """
         before_s = stopwatch_s()
         behind_s = wall_time().timestamp() - before_s
         if stopwatch_s() - before_s > READ_S:
@@ -93,5 +103,7 @@ class Attention:
         if known_s is not None and abs(behind_s - known_s) > STEPPED_S:
             by_s = behind_s - known_s
             self._write(
-                "clock", f"the computer's clock was set {by_s:+.0f} s; wall times before and after don't compare, the bench's own do"
+                "clock",
+                f"the computer's clock was set {by_s:+.0f} s; wall times before and after don't"
+                " compare, the bench's own do",
             )

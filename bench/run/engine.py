@@ -1,7 +1,8 @@
-"""Runs a script on a rig: prepare, settle, and for each trial set up, capture, touch, detect, score, store.
+"""Runs a script on a rig: prepare, settle, and for each trial set up, capture, touch, detect,
+score, store.
 
-Every way out passes through safe. What the engine may not know: which instruments are emulated, who the operator
-is, and what the report will say.
+Every way out passes through safe. What the engine may not know: which instruments are emulated, who
+the operator is, and what the report will say.
 """
 
 from __future__ import annotations
@@ -55,10 +56,12 @@ class Ending(StrEnum):
 
 
 class Engine:
-    """One run. ``exact_ends`` gives the scene's exact truth where there is one; it is kept aside, never scored against.
+    """One run. ``exact_ends`` gives the scene's exact truth where there is one; it is kept aside,
+    never scored against.
 
-    ``pulse`` gets signs of life, ``lifeline`` is the guardian that looks at them where there is one. ``left`` is what the run's last
-    session left, where it goes on; ``typed`` gives lines that somebody typed, None while there is none; ``expected`` is how long it takes.
+    ``pulse`` gets signs of life, ``lifeline`` is the guardian that looks at them where there is
+    one. ``left`` is what the run's last session left, where it goes on; ``typed`` gives lines that
+    somebody typed, None while there is none; ``expected`` is how long it takes.
     """
 
     def __init__(
@@ -88,7 +91,9 @@ class Engine:
         self._progress = Unfailing(progress, self._not_shown)
         tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
         self._expected = expected
-        self._keeper = Keeper(rig, devices, gate_of(script), store, self._progress.warn, pulse, lifeline)
+        self._keeper = Keeper(
+            rig, devices, gate_of(script), store, self._progress.warn, pulse, lifeline
+        )
         self._watch = self._keeper.watch
         self._attention = Attention(devices, store, self._progress, pulse, self._watch)
         if isinstance(progress, WatchedProgress):
@@ -96,28 +101,47 @@ class Engine:
             self._attention.heard_by(progress.event)
             self._keeper.heard, self._keeper.seen = progress.event, progress.refresh
         self.states = RunStates(self._tell_state, devices.clock.now)
-        self.recovery = Recovery(self._devices, self._attention, self.states, rig.rig.limits.away_s, lambda: self._trials.look())
+        self.recovery = Recovery(
+            self._devices,
+            self._attention,
+            self.states,
+            rig.rig.limits.away_s,
+            lambda: self._trials.look(),
+        )
         self._wishes = Wishes(store.folder, typed, self._progress.warn)
         settled = sink.settled if sink else lambda _trials, _good: None
         before = left.run if left and not self._rehearsed else None
-        self._truth = choose_truth(rig, script, self._devices, tip, store, self._attention, settled, before=before)
+        self._truth = choose_truth(
+            rig, script, self._devices, tip, store, self._attention, settled, before=before
+        )
         self._trials = TrialRun(
             rig, script.script, self._devices, store, detectors, self._truth, self._attention,
             exact_ends=exact_ends, sink=sink, states=self.states,
         )  # fmt: skip
         self._attempts = Attempts(
-            self._trials.run, len(self._planned), self._devices.operator, devices.clock, store, self._attention,
-            through=self.recovery.run, away_s=lambda: self.states.away_s, poison=left.poison if left else {},
+            self._trials.run,
+            len(self._planned),
+            self._devices.operator,
+            devices.clock,
+            store,
+            self._attention,
+            through=self.recovery.run,
+            away_s=lambda: self.states.away_s,
+            poison=left.poison if left else {},
             each_s=expected.each_s(len(self._planned)) if expected else None,
-        )  # fmt: skip
+        )
         session = store.session if left and not self._rehearsed else 1
-        self._preparation = Preparation(rig, script.script, self._devices, store, tip, self._attention, self.recovery, session)
+        self._preparation = Preparation(
+            rig, script.script, self._devices, store, tip, self._attention, self.recovery, session
+        )
         self._pause = Pause(self._wishes, self.states, self._attention, devices.clock, store.folder)
         self._reserve = Reserve(store.folder)
         self.bath_is_safe = False  # until the run has ended and made it so
 
     def run(self) -> Ending:
-        """Everything, to the end or to safe. Faults of instruments and aborts are in the record, not raised."""
+        """Everything, to the end or to safe. Faults of instruments and aborts are in the record,
+        not raised.
+        """
         exits, ending = current(), Ending.FAULTED
         exits.at_close = self._keeper.heater_off
         try:
@@ -129,7 +153,9 @@ class Engine:
         else:
             exits.hold()
             ending = Ending.FINISHED
-        finally:  # from here nobody can be raised amid: each way in has called hold, or has just been raised itself
+        # from here nobody can be raised amid: each way in has called hold, or has just been raised
+        # itself
+        finally:
             with undisturbed():
                 ending = self._finish(ending)
             exits.let_go()
@@ -148,7 +174,9 @@ class Engine:
         self._go_live()  # where all trials had their result, and only the end was missing
         self._progress.trial(len(self._planned), len(self._planned), "")
         self.recovery.run("confirming the truth", self._truth.end)
-        self.recovery.run("the arm check after the trials", lambda: self._preparation.check_arm(AFTER))
+        self.recovery.run(
+            "the arm check after the trials", lambda: self._preparation.check_arm(AFTER)
+        )
         self._devices.operator.finish()
 
     def _one(self, trial: PlannedTrial) -> None:
@@ -176,10 +204,18 @@ class Engine:
         if self._rehearsed:
             self._rehearsed.go_live()
             seen = self._rehearsed.compared
-            told += f", gone through again on the emulated rig: {len(seen.same)} with the same touches"
+            told += (
+                f", gone through again on the emulated rig: {len(seen.same)} with the same touches"
+            )
             if seen.differ:
-                self._progress.warn(f"The emulated world is not the one that the run began in: touches differ in {', '.join(seen.differ)}.")
-                told += f", other touches in {', '.join(seen.differ)}: WHAT FOLLOWS IS NOT WHAT AN UNDISTURBED RUN WOULD GIVE"
+                self._progress.warn(
+                    "The emulated world is not the one that the run began in: touches differ in"
+                    f" {', '.join(seen.differ)}."
+                )
+                told += (
+                    f", other touches in {', '.join(seen.differ)}: WHAT FOLLOWS IS NOT WHAT AN"
+                    " UNDISTURBED RUN WOULD GIVE"
+                )
             self._attention.event(EVENT, self.states.current.value)
         self._attention.event("resumed", told)
 
@@ -188,7 +224,11 @@ class Engine:
         bath, left_s = self._watch.last, self._attempts.left_s
         if left_s is not None:
             left_s += self._watch.stable_in_s(self._expected.settling_s if self._expected else 0.0)
-        told = {} if bath is None else {"bath": f"bath {bath.temp_c:.2f} degC, {self._watch.state.value}"}
+        told = (
+            {}
+            if bath is None
+            else {"bath": f"bath {bath.temp_c:.2f} degC, {self._watch.state.value}"}
+        )
         return told | ({} if left_s is None else {"left": time_left(left_s)})
 
     def _not_shown(self, why: str) -> None:
@@ -199,20 +239,33 @@ class Engine:
         self._attention.event(EVENT, state.value)
 
     def _ended_by(self, why: BaseException) -> Ending:
-        """The ending that ``why`` means, written down; raises it again when it is a mistake of the bench."""
+        """The ending that ``why`` means, written down; raises it again when it is a mistake of the
+        bench.
+        """
         self._reserve.give_back()
         if self._rehearsed:
             self._rehearsed.go_live()
-        if isinstance(why, KeyboardInterrupt | OperatorAbort | OperatorSkip | OperatorRepeat) and self._watch.tripped is None:
+        if (
+            isinstance(why, KeyboardInterrupt | OperatorAbort | OperatorSkip | OperatorRepeat)
+            and self._watch.tripped is None
+        ):
             self._write_down("aborted", str(why) or "the run was interrupted (Ctrl-C)")
             return Ending.ABORTED
-        cause = self._watch.tripped or why  # a braked stage or an impatient operator may have come first
+        # a braked stage or an impatient operator may have come first
+        cause = self._watch.tripped or why
         if isinstance(cause, FolderGoneError):  # there is nothing that a report could be made of
             self._write_down("fault", str(cause))
             raise cause
         if isinstance(cause, RECORD_FAULTS):
-            then = f"Make room or make the folder writable, then: teatbench resume {self._store.folder}"
-            self._write_down("fault", f"the record could not be written: {type(cause).__name__}: {cause}. {then}", aloud=True)
+            then = (
+                "Make room or make the folder writable, then: teatbench resume"
+                f" {self._store.folder}"
+            )
+            self._write_down(
+                "fault",
+                f"the record could not be written: {type(cause).__name__}: {cause}. {then}",
+                aloud=True,
+            )
             return Ending.FAULTED
         if not isinstance(cause, InstrumentError | InterlockTrip):
             self._write_down("fault", f"a mistake of the bench: {type(cause).__name__}: {cause}")
@@ -232,7 +285,9 @@ class Engine:
         self.bath_is_safe = "bath" not in unsafe
         self._keeper.stop()
         if unsafe:
-            self._progress.warn(f"NOT SAFE: {', '.join(unsafe)}. {' '.join(told)} SWITCH IT OFF BY HAND.")
+            self._progress.warn(
+                f"NOT SAFE: {', '.join(unsafe)}. {' '.join(told)} SWITCH IT OFF BY HAND."
+            )
         for text in told:
             self._write_down("safe", text)
         if unsafe and ending is Ending.FINISHED:
@@ -241,7 +296,9 @@ class Engine:
         self._write_down("end", ending.value)
         self._kept(lambda: self._store.fact("retries", dict(self.recovery.counts)))
         self._kept(lambda: self._store.fact("ending", ending.value))
-        self._kept(lambda: self._store.fact("wall_ended", wall_time().isoformat(timespec="seconds")))
+        self._kept(
+            lambda: self._store.fact("wall_ended", wall_time().isoformat(timespec="seconds"))
+        )
         self._kept(self._store.flush)
         return ending
 

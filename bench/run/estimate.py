@@ -1,15 +1,19 @@
-"""What the time of a rehearsal goes to, by kind of step: told by the run's state and by what is being asked of the operator.
+"""What the time of a rehearsal goes to, by kind of step: told by the run's state and by what is
+being asked of the operator.
 
 Every second is one kind's, so the kinds add up to the whole. May not know trials.
 
-How long a script takes: settling, moves, set-ups, captures, touches. An estimate from the files alone; it opens nothing.
+How long a script takes: settling, moves, set-ups, captures, touches. An estimate from the files
+alone; it opens nothing.
 
-What a rig file doesn't say is assumed, and told with the figure. A person is slower than an emulated one; time is the bench's own, so
-an emulated run is over much sooner.
+What a rig file doesn't say is assumed, and told with the figure. A person is slower than an
+emulated one; time is the bench's own, so an emulated run is over much sooner.
 
-What runs really took, kept in their folders, so that the next estimate is better than what is assumed; and what a run will need.
+What runs really took, kept in their folders, so that the next estimate is better than what is
+assumed; and what a run will need.
 
-A figure is a running mean over the last runs on the same rig; the newest count most. May not open an instrument.
+A figure is a running mean over the last runs on the same rig; the newest count most. May not open
+an instrument.
 """
 
 from __future__ import annotations
@@ -34,7 +38,14 @@ from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.carrying import fixed_key
 from instruments.world.plant import Plant
 
-PREPARING, SETTLING, MOVES, SET_UPS, CAPTURES, TOUCHES = "preparing", "settling", "moves", "set-ups", "captures", "touches"
+PREPARING, SETTLING, MOVES, SET_UPS, CAPTURES, TOUCHES = (
+    "preparing",
+    "settling",
+    "moves",
+    "set-ups",
+    "captures",
+    "touches",
+)
 WAITING, SAFING = "waiting for instruments", "going to safe"
 KINDS = (PREPARING, SETTLING, MOVES, SET_UPS, CAPTURES, TOUCHES, WAITING, SAFING)
 STATES: Mapping[str, str] = MappingProxyType(
@@ -71,7 +82,9 @@ class TimeSpent:
                 self.first_settling_s = self._spent[SETTLING]
 
     def work(self, kind: str) -> None:
-        """The bench does something of ``kind`` now; before the trials all that it does is preparing."""
+        """The bench does something of ``kind`` now; before the trials all that it does is
+        preparing.
+        """
         self._to(kind if self._base == MOVES else self._base)
 
     def asking(self, kind: str) -> None:
@@ -126,12 +139,20 @@ class TimeEstimate:
         return (self.total_s - self.settling_s) / trials
 
 
-def estimate(rig: LoadedRig, script: LoadedScript, figures: Mapping[str, float] = ASSUMED) -> TimeEstimate:
-    """How long ``script`` takes on ``rig``, at the bench's own time, by ``figures`` as those assumed."""
+def estimate(
+    rig: LoadedRig, script: LoadedScript, figures: Mapping[str, float] = ASSUMED
+) -> TimeEstimate:
+    """How long ``script`` takes on ``rig``, at the bench's own time, by ``figures`` as those
+    assumed.
+    """
     r, planned = rig.rig, script.planned
     gate = script.script.bath
-    settling = gate.window_s + 60.0 * max(0.0, gate.set_point_c - r.bath.room_c) / figures["heating"]
-    touches = (script.script.truth.readings or r.arm.touches) * sum(len(planned[at].phantom.teats) for at in touched_trials(rig, script))
+    settling = (
+        gate.window_s + 60.0 * max(0.0, gate.set_point_c - r.bath.room_c) / figures["heating"]
+    )
+    touches = (script.script.truth.readings or r.arm.touches) * sum(
+        len(planned[at].phantom.teats) for at in touched_trials(rig, script)
+    )
     return TimeEstimate(
         settling_s=settling,
         moves_s=_moves_s(r.stage, planned, figures) if r.stage else 0.0,
@@ -147,9 +168,15 @@ def gate_of(script: LoadedScript) -> StabilityGate:
 
 
 def settling_of(rig: LoadedRig, script: LoadedScript) -> float:
-    """How long the emulated bath takes from its start until the gate opens, as a dry run finds it; at most what the script allows."""
+    """How long the emulated bath takes from its start until the gate opens, as a dry run finds it;
+    at most what the script allows.
+    """
     emulation, bath, gate = rig.rig.emulation, script.script.bath, gate_of(script)
-    room_c, start_c = (emulation.ambient_c, emulation.bath_start_c) if rig.rig.emulated else (max(0.0, rig.rig.bath.room_c),) * 2
+    room_c, start_c = (
+        (emulation.ambient_c, emulation.bath_start_c)
+        if rig.rig.emulated
+        else (max(0.0, rig.rig.bath.room_c),) * 2
+    )
     plant = Plant(rig.rig.seed, ambient_c=room_c, start_c=start_c)
     plant.pump = "on"
     plant.run(bath.set_point_c)
@@ -161,7 +188,9 @@ def settling_of(rig: LoadedRig, script: LoadedScript) -> float:
 
 
 def touched_trials(rig: LoadedRig, script: LoadedScript) -> list[int]:
-    """At which of the planned trials (from 0) teat ends are touched, once for each time: all, or those that a stage doesn't carry."""
+    """At which of the planned trials (from 0) teat ends are touched, once for each time: all, or
+    those that a stage doesn't carry.
+    """
     truth, stage = script.script.truth, rig.rig.stage
     if truth.mode == "carry" and stage:
         return carry_touches(script.planned, stage.axes, truth.check_every)
@@ -170,24 +199,41 @@ def touched_trials(rig: LoadedRig, script: LoadedScript) -> list[int]:
 
 def assumed_told() -> str:
     """What was assumed, as a sentence."""
-    return "Assumed: " + ", ".join(f"{what} {value:g} {UNITS.get(what, 's')}" for what, value in ASSUMED.items()) + "."
+    return (
+        "Assumed: "
+        + ", ".join(f"{what} {value:g} {UNITS.get(what, 's')}" for what, value in ASSUMED.items())
+        + "."
+    )
 
 
-def _moves_s(stage: Stage, planned: tuple[PlannedTrial, ...], figures: Mapping[str, float]) -> float:
-    places = [stage.machine(shared(pose, stage.axes)[0]) for one in planned for pose in (one.approach, one.pose) if pose is not None]
+def _moves_s(
+    stage: Stage, planned: tuple[PlannedTrial, ...], figures: Mapping[str, float]
+) -> float:
+    places = [
+        stage.machine(shared(pose, stage.axes)[0])
+        for one in planned
+        for pose in (one.approach, one.pose)
+        if pose is not None
+    ]
     ways = [math.dist(tuple(a.values()), tuple(b.values())) for a, b in pairwise(places)]
-    return figures["homing"] + sum(move_s(way, stage.feed_mm_per_min, figures["acceleration"]) for way in ways)
+    return figures["homing"] + sum(
+        move_s(way, stage.feed_mm_per_min, figures["acceleration"]) for way in ways
+    )
 
 
 def move_s(way_mm: float, feed_mm_per_min: float, accel_mm_s2: float) -> float:
-    """Seconds of a move from stand to stand: a trapezoid of speed, or a triangle where the way is short."""
+    """Seconds of a move from stand to stand: a trapezoid of speed, or a triangle where the way is
+    short.
+    """
     speed = feed_mm_per_min / 60.0
     if way_mm * accel_mm_s2 <= speed**2:
         return 2.0 * math.sqrt(way_mm / accel_mm_s2)
     return way_mm / speed + speed / accel_mm_s2
 
 
-def _set_ups_s(axes: str, planned: tuple[PlannedTrial, ...], figures: Mapping[str, float]) -> Iterator[float]:
+def _set_ups_s(
+    axes: str, planned: tuple[PlannedTrial, ...], figures: Mapping[str, float]
+) -> Iterator[float]:
     """What a person does between trials: a new scene, or the plate to another place."""
     before = None
     for one in planned:
@@ -208,7 +254,9 @@ LEAST_RISE_K = 1.0  # less says nothing of how fast a bath heats
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """What a run will need: time by parts, room on the disk at most, and how often a person is asked."""
+    """What a run will need: time by parts, room on the disk at most, and how often a person is
+    asked.
+    """
 
     time: TimeEstimate
     disk_mb: float
@@ -216,13 +264,17 @@ class Needs:
 
 
 def needs(rig: LoadedRig, script: LoadedScript, learnt: Mapping[str, float] | None = None) -> Needs:
-    """By what is ``learnt`` of the rig, and by what is assumed where nothing is; of what is emulated nothing needs to be assumed."""
+    """By what is ``learnt`` of the rig, and by what is assumed where nothing is; of what is
+    emulated nothing needs to be assumed.
+    """
     learnt, emulated = learnt or {}, bool(rig.rig.emulated)
     figures = {**ASSUMED, **learnt}
     if emulated:
         figures |= {"homing": 0.0, "capture": 0.0}
     if rig.rig.operator.url != CONSOLE:
-        figures |= dict.fromkeys(("set-up", "placing", "touch"), rig.rig.emulation.prompt_s if emulated else 0.0)
+        figures |= dict.fromkeys(
+            ("set-up", "placing", "touch"), rig.rig.emulation.prompt_s if emulated else 0.0
+        )
     time = estimate(rig, script, figures)
     if emulated or "heating" not in learnt:
         time = replace(time, settling_s=settling_of(rig, script))
@@ -230,7 +282,9 @@ def needs(rig: LoadedRig, script: LoadedScript, learnt: Mapping[str, float] | No
 
 
 def _disk_mb(rig: LoadedRig, script: LoadedScript) -> float:
-    """As if nothing could be compressed, with as much again for the pictures of the detectors' stages."""
+    """As if nothing could be compressed, with as much again for the pictures of the detectors'
+    stages.
+    """
     c = rig.calibration
     one = sum(w * h for w, h in (c.left.image_size, c.right.image_size, c.thermal.image_size))
     w, h = c.thermal.sensor_size
@@ -238,7 +292,9 @@ def _disk_mb(rig: LoadedRig, script: LoadedScript) -> float:
 
 
 def _prompts(rig: LoadedRig, script: LoadedScript) -> int:
-    """Homing, the arm check before and after, each set-up, each touch; carried trials need neither where the stage moves all."""
+    """Homing, the arm check before and after, each set-up, each touch; carried trials need neither
+    where the stage moves all.
+    """
     arm, planned = rig.rig.arm, script.planned
     each = script.script.truth.readings or arm.touches
     touches = sum(each * len(planned[at].phantom.teats) + 1 for at in touched_trials(rig, script))
@@ -248,13 +304,26 @@ def _prompts(rig: LoadedRig, script: LoadedScript) -> int:
 def took(run: RunRecord) -> dict[str, float]:
     """The seconds that a run took, by the same parts; what it doesn't tell is left out."""
     found: dict[str, float] = {}
-    heating = next((e["t_s"] for e in run.events if e["kind"] == "state" and e["text"].startswith("heating the bath")), None)
+    heating = next(
+        (
+            e["t_s"]
+            for e in run.events
+            if e["kind"] == "state" and e["text"].startswith("heating the bath")
+        ),
+        None,
+    )
     stable = next((e["t_s"] for e in run.events if e["kind"] == "stable"), None)
     if heating is not None and stable is not None:
         found["settling_s"] = stable - heating
-    timed = [trial.head for trial in run.trials if trial.head["started_s"] is not None and trial.head["note"] is None]
+    timed = [
+        trial.head
+        for trial in run.trials
+        if trial.head["started_s"] is not None and trial.head["note"] is None
+    ]
     if timed[1:]:
-        found["to_capture_s"] = sum(head["captured_s"] - head["started_s"] for head in timed[1:]) / len(timed[1:])
+        found["to_capture_s"] = sum(
+            head["captured_s"] - head["started_s"] for head in timed[1:]
+        ) / len(timed[1:])
     touches = sum(len(trial.touches) for trial in run.trials)
     if touches:
         found["touch_s"] = sum(head["ended_s"] - head["captured_s"] for head in timed) / touches
@@ -263,7 +332,9 @@ def took(run: RunRecord) -> dict[str, float]:
     return found
 
 
-def figures(run: RunRecord, rig: LoadedRig, script: LoadedScript, spent: Mapping[str, float]) -> dict[str, float]:
+def figures(
+    run: RunRecord, rig: LoadedRig, script: LoadedScript, spent: Mapping[str, float]
+) -> dict[str, float]:
     """What ``spent`` says of the figures that estimates assume, by their names."""
     learnt: dict[str, float] = {}
     gate = script.script.bath
@@ -279,7 +350,9 @@ def figures(run: RunRecord, rig: LoadedRig, script: LoadedScript, spent: Mapping
 
 
 def _set_ups(rig: LoadedRig, script: LoadedScript, to_capture_s: float) -> dict[str, float]:
-    """Set-ups and placings both, in the proportion that is assumed of them: the record doesn't tell one from the other."""
+    """Set-ups and placings both, in the proportion that is assumed of them: the record doesn't tell
+    one from the other.
+    """
     assumed, count = estimate(rig, script), len(script.planned)
     moving_s = max(0.0, assumed.moves_s - (ASSUMED["homing"] if rig.rig.stage else 0.0)) / count
     left_s = max(0.0, to_capture_s - rig.rig.cameras.settle_s - moving_s)
@@ -290,7 +363,9 @@ def _set_ups(rig: LoadedRig, script: LoadedScript, to_capture_s: float) -> dict[
 
 
 def read_learnt(folder: Path, rig: LoadedRig) -> dict[str, float]:
-    """The figures learnt of ``rig`` from the last runs in ``folder``: the newest counts half, the one before a quarter, and so on."""
+    """The figures learnt of ``rig`` from the last runs in ``folder``: the newest counts half, the
+    one before a quarter, and so on.
+    """
     known: dict[str, float] = {}
     for path in sorted(folder.glob(f"*/{FILE}"))[-LOOKS_BACK:]:
         for name, value in _read(path, rig).items():
@@ -299,23 +374,45 @@ def read_learnt(folder: Path, rig: LoadedRig) -> dict[str, float]:
 
 
 def _read(path: Path, rig: LoadedRig) -> dict[str, float]:
-    """Nothing where the run was another rig's, or the file can't be understood: an estimate isn't worth a fault."""
+    """Nothing where the run was another rig's, or the file can't be understood: an estimate isn't
+    worth a fault.
+    """
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
-        return {name: float(kept["figures"][name]) for name in ASSUMED if name in kept["figures"]} if kept["rig"] == _name(rig) else {}
+        return (
+            {name: float(kept["figures"][name]) for name in ASSUMED if name in kept["figures"]}
+            if kept["rig"] == _name(rig)
+            else {}
+        )
     except (OSError, ValueError, KeyError, TypeError):
         return {}
 
 
-def write_learnt(run: Path, rig: LoadedRig, expected: TimeEstimate, spent: Mapping[str, float], new: Mapping[str, float]) -> None:
-    """Keep in the folder of a ``run`` what was expected, what it took, and the figures that follow. Raises OSError."""
-    known = {"rig": _name(rig), "expected_s": {**asdict(expected), "total_s": expected.total_s}, "took": dict(spent), "figures": dict(new)}
+def write_learnt(
+    run: Path,
+    rig: LoadedRig,
+    expected: TimeEstimate,
+    spent: Mapping[str, float],
+    new: Mapping[str, float],
+) -> None:
+    """Keep in the folder of a ``run`` what was expected, what it took, and the figures that follow.
+    Raises OSError.
+    """
+    known = {
+        "rig": _name(rig),
+        "expected_s": {**asdict(expected), "total_s": expected.total_s},
+        "took": dict(spent),
+        "figures": dict(new),
+    }
     write_synced(run / FILE, json.dumps(known, indent=1).encode())
 
 
 def told(expected: TimeEstimate, spent: Mapping[str, float]) -> str:
     """``It took 20 min of the bench's time; 38 min were expected.``"""
-    return f"It took {spent['total_s'] / 60:.0f} min of the bench's time; {expected.total_s / 60:.0f} min were expected."
+    return (
+        f"It took {spent['total_s'] / 60:.0f} min of the bench's time; {expected.total_s / 60:.0f}"
+        " min were expected."
+    )
 
 
 def _name(rig: LoadedRig) -> str:
@@ -324,7 +421,9 @@ def _name(rig: LoadedRig) -> str:
 
 
 def carry_touches(planned: Sequence[PlannedTrial], axes: str, check_every: int) -> list[int]:
-    """At which trials a carried truth is touched: the first of each arrangement, and the last one before each check."""
+    """At which trials a carried truth is touched: the first of each arrangement, and the last one
+    before each check.
+    """
     at: list[int] = []
     standing, carried = None, 0
     for index, one in enumerate(planned):

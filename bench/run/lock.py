@@ -1,12 +1,16 @@
-"""Room on the disk that a run keeps for its last words: given back when the disk is full, so that the record can say how it ended.
+"""Room on the disk that a run keeps for its last words: given back when the disk is full, so that
+the record can say how it ended.
 
 May not know what the last words are.
 
-Keeps two benches off one rig: a file beside the rig file that a running bench holds, and that tells who it is.
+Keeps two benches off one rig: a file beside the rig file that a running bench holds, and that tells
+who it is.
 
-The system's own lock on the open file is what counts: it goes with the process, however that died, so a lock is never stale on its own
-machine. What is written in it is for people, and for a folder shared with another machine, where the system's lock may not reach. An
-emulated rig has none: each bench has emulators of its own. Two rig files for one rig have two locks. May not know what is locked.
+The system's own lock on the open file is what counts: it goes with the process, however that died,
+so a lock is never stale on its own machine. What is written in it is for people, and for a folder
+shared with another machine, where the system's lock may not reach. An emulated rig has none: each
+bench has emulators of its own. Two rig files for one rig have two locks. May not know what is
+locked.
 """
 
 from __future__ import annotations
@@ -51,8 +55,11 @@ class Reserve:
 
 ENDING, RUN_LOCK = ".lock.json", "bench.lock.json"
 TEXT_BYTES = 4096
-AT = 1 << 30  # the locked byte, far behind the text and whatever a reader reads at once: Windows keeps others from reading it
-TAKEN = (errno.EACCES, errno.EAGAIN)  # the system's words for "somebody has it"; any other means that it can't lock there
+# the locked byte, far behind the text and whatever a reader reads at once: Windows keeps others
+# from reading it
+AT = 1 << 30
+# the system's words for "somebody has it"; any other means that it can't lock there
+TAKEN = (errno.EACCES, errno.EAGAIN)
 
 
 class RigInUseError(LimitError):
@@ -60,7 +67,9 @@ class RigInUseError(LimitError):
 
 
 def run_lock(folder: Path) -> Path:
-    """Where the lock of a run is, whatever its rig: nobody may go on with a run that is under way."""
+    """Where the lock of a run is, whatever its rig: nobody may go
+    on with a run that is under way.
+    """
     return folder / RUN_LOCK
 
 
@@ -70,7 +79,9 @@ def lock_path(rig: LoadedRig) -> Path | None:
 
 
 class Msvcrt(Protocol):
-    """What of Windows's C library is used (Microsoft's `_locking`): it locks from where the file's own pointer stands."""
+    """What of Windows's C library is used (Microsoft's `_locking`): it locks from where the file's
+    own pointer stands.
+    """
 
     LK_NBLCK: int
     LK_UNLCK: int
@@ -91,7 +102,9 @@ class SystemLock(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class WindowsLock:
-    """By handle: a second one in the same process is refused too. What is unlocked has to be what was locked."""
+    """By handle: a second one in the same process is refused too. What is unlocked has to be what
+    was locked.
+    """
 
     library: Msvcrt
 
@@ -105,8 +118,15 @@ class WindowsLock:
 
 
 @contextmanager
-def locked(path: Path | None, what: str, tell: Callable[[str], None], who: str = "rig", lock: SystemLock | None = None) -> Iterator[None]:
-    """Hold the lock at ``path`` (None: there is none) for ``what``. ``tell`` hears where a dead bench's lock was taken over.
+def locked(
+    path: Path | None,
+    what: str,
+    tell: Callable[[str], None],
+    who: str = "rig",
+    lock: SystemLock | None = None,
+) -> Iterator[None]:
+    """Hold the lock at ``path`` (None: there is none) for ``what``. ``tell`` hears where a dead
+    bench's lock was taken over.
 
     Raises RigInUseError where another bench has it, ConfigError where the file can't be had at all.
     """
@@ -116,9 +136,12 @@ def locked(path: Path | None, what: str, tell: Callable[[str], None], who: str =
     lock = lock or SYSTEM
     try:
         path.touch()
-        file = FileIO(path, "r+")  # without a buffer, so that its pointer is the system's, and no more is read than asked for
+        # without a buffer, so that its pointer is the system's, and no more is read than asked for
+        file = FileIO(path, "r+")
     except OSError as error:
-        raise ConfigError.plain(f"{path}: the {who} can't be locked: {error.strerror or error}") from error
+        raise ConfigError.plain(
+            f"{path}: the {who} can't be locked: {error.strerror or error}"
+        ) from error
     with file:
         told = _told(file)
         try:
@@ -126,12 +149,22 @@ def locked(path: Path | None, what: str, tell: Callable[[str], None], who: str =
         except OSError as error:
             if error.errno in TAKEN:
                 raise _in_use(path, told, who) from error
-            raise ConfigError.plain(f"{path}: the {who} can't be locked: {error.strerror or error}") from error
+            raise ConfigError.plain(
+                f"{path}: the {who} can't be locked: {error.strerror or error}"
+            ) from error
         if told:
             if told.get("host") != platform.node():  # its process can't be seen from here
                 raise _in_use(path, told, who)
             tell(f"the lock of a bench that died ({_who(told)}) was taken over")
-        _write(file, {"host": platform.node(), "pid": os.getpid(), "since": wall_time().isoformat(timespec="seconds"), "run": what})
+        _write(
+            file,
+            {
+                "host": platform.node(),
+                "pid": os.getpid(),
+                "since": wall_time().isoformat(timespec="seconds"),
+                "run": what,
+            },
+        )
         try:
             yield
         finally:

@@ -1,6 +1,8 @@
-"""What a run writes down about its arm: where it stands on the table, and how it was verified, as the rig's files say.
+"""What a run writes down about its arm: where it stands on the table, and how it was verified, as
+the rig's files say.
 
-What a run writes down about itself before it starts: versions, machine, calibration, items under test, the command.
+What a run writes down about itself before it starts: versions, machine, calibration, items under
+test, the command.
 """
 
 from __future__ import annotations
@@ -32,7 +34,11 @@ def write_arm_facts(store: Store, rig: LoadedRig) -> None:
         frame = rig.frame
         figures = {"residual_mm": frame.residual_mm, "residuals_mm": frame.residuals_mm}
         where = {"om": frame.world_from_arm.om.tolist(), "T": frame.world_from_arm.T.tolist()}
-        head = {"file": rig.rig.arm.frame, "made": frame.made.isoformat(), "serial_number": frame.serial_number}
+        head = {
+            "file": rig.rig.arm.frame,
+            "made": frame.made.isoformat(),
+            "serial_number": frame.serial_number,
+        }
         store.fact(FRAME_FACT, {**head, **figures, **where})
     if rig.verification is not None:
         store.fact(VERIFICATION_FACT, as_dict(rig.verification))
@@ -41,7 +47,9 @@ def write_arm_facts(store: Store, rig: LoadedRig) -> None:
 LIBRARIES = ("numpy", "opencv-python-headless", "scipy", "pymodbus", "pyserial")
 
 
-def write_facts(store: Store, facts: Mapping[str, Any], detectors: Sequence[Detector], calibration: Path) -> None:
+def write_facts(
+    store: Store, facts: Mapping[str, Any], detectors: Sequence[Detector], calibration: Path
+) -> None:
     """Everything that holds for the whole run, into its store."""
     everything = {
         **facts,
@@ -62,11 +70,18 @@ def item(detector: Detector) -> dict[str, str]:
     """The item under test: name, version, a hash over its configuration, and the configuration."""
     parameters = json.dumps(dict(detector.parameters), sort_keys=True, default=str)
     digest = hashlib.sha256(f"{detector.name} {detector.version} {parameters}".encode()).hexdigest()
-    return {"name": detector.name, "version": detector.version, "configuration SHA-256": digest, "configuration": parameters}
+    return {
+        "name": detector.name,
+        "version": detector.version,
+        "configuration SHA-256": digest,
+        "configuration": parameters,
+    }
 
 
 def commit(git: Path) -> str | None:
-    """The commit that the bench's own working copy is at, without changes not committed; None where it runs from no copy."""
+    """The commit that the bench's own working copy is at, without changes not committed; None where
+    it runs from no copy.
+    """
     try:
         head = (git / "HEAD").read_text(encoding="ascii").strip()
         if not head.startswith("ref: "):
@@ -82,7 +97,11 @@ def commit(git: Path) -> str | None:
 
 def versions() -> dict[str, str]:
     """Of the bench, of Python, of the machine and of the libraries that figures depend on."""
-    found = {"teatbench": __version__, "python": platform.python_version(), "machine": f"{platform.system()} {platform.machine()}"}
+    found = {
+        "teatbench": __version__,
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+    }
     for name in LIBRARIES:
         try:
             found[name] = version(name)

@@ -1,7 +1,8 @@
-"""Before the first trial: arm signed on and homed, arm check, stage homed, bath started; each step again where an instrument drops out.
+"""Before the first trial: arm signed on and homed, arm check, stage homed, bath started; each step
+again where an instrument drops out.
 
-In a session that goes on all of it is done again; what it finds of the arm is kept apart from what the run began with. May not know
-trials.
+In a session that goes on all of it is done again; what it finds of the arm is kept apart from what
+the run began with. May not know trials.
 """
 
 from __future__ import annotations
@@ -61,7 +62,9 @@ class Preparation:
         self._attention.watch.heating()
 
     def check_arm(self, when: str) -> None:
-        """Touch the rig's check point, where it names one; what was found is a fact for the script's requirement."""
+        """Touch the rig's check point, where it names one; what was found is a fact for the
+        script's requirement.
+        """
         arm, d = self._loaded.rig.arm, self._devices
         if arm.check_point_mm is None:
             return

@@ -1,8 +1,11 @@
-"""Who shows what goes on. Showing may fail, as on a terminal that has gone; it has no say in what the bench does.
+"""Who shows what goes on. Showing may fail, as on a terminal that has gone; it has no say in what
+the bench does.
 
-What goes on as JSON lines, for others to watch (`--events FILE`): each line is whole when it is there, and flushed.
+What goes on as JSON lines, for others to watch (`--events FILE`): each line is whole when it is
+there, and flushed.
 
-It only watches: what fails here is told once and ends the lines, never the run. May not know what is done with the lines.
+It only watches: what fails here is told once and ends the lines, never the run. May not know what
+is done with the lines.
 """
 
 from __future__ import annotations
@@ -17,7 +20,8 @@ from typing import Any, Protocol, TextIO
 from bench.config import ConfigError
 from instruments.clock import wall_time
 
-FAILURES = (Exception, SystemExit)  # rich ends the program where the reader of its output has gone (`| head`)
+# rich ends the program where the reader of its output has gone (`| head`)
+FAILURES = (Exception, SystemExit)
 
 
 class Progress(Protocol):
@@ -41,7 +45,8 @@ class Progress(Protocol):
 
 
 class Unfailing:
-    """Shows on ``progress``; from its first failure on only what a person has to see at once is still tried there.
+    """Shows on ``progress``; from its first failure on only what a person has to see at once is
+    still tried there.
 
     ``told`` hears of that failure, once.
     """
@@ -89,7 +94,9 @@ LONGEST = 60  # of an error, in a line of the terminal
 
 
 class EventLines:
-    """Lines into ``file``: ``wall_time``, ``t_s`` (the bench's time, null before it has one), ``what``, and what belongs to it."""
+    """Lines into ``file``: ``wall_time``, ``t_s`` (the bench's time, null before it has one),
+    ``what``, and what belongs to it.
+    """
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
@@ -99,16 +106,22 @@ class EventLines:
     def write(self, what: str, **more: Any) -> None:
         """A line. Raises OSError, and ValueError once the file is closed."""
         with self._lock:
-            line = {"wall_time": wall_time().isoformat(timespec="milliseconds"), "t_s": self.now_s(), "what": what, **more}
+            line = {
+                "wall_time": wall_time().isoformat(timespec="milliseconds"),
+                "t_s": self.now_s(),
+                "what": what,
+                **more,
+            }
             self._file.write(json.dumps(line, ensure_ascii=False) + "\n")
             self._file.flush()
 
 
 class WatchedProgress:
-    """Shows on ``progress``, as one line: trial, what is done, bath, time left, last error; and tells ``lines``.
+    """Shows on ``progress``, as one line: trial, what is done, bath, time left, last error; and
+    tells ``lines``.
 
-    Neither can end what it shows, nor the other: of lines that fail the person at ``progress`` hears, of a screen that fails the lines, of
-    both whoever is ``fed_by``, once.
+    Neither can end what it shows, nor the other: of lines that fail the person at ``progress``
+    hears, of a screen that fails the lines, of both whoever is ``fed_by``, once.
     """
 
     def __init__(self, progress: Progress, lines: EventLines | None) -> None:
@@ -123,7 +136,9 @@ class WatchedProgress:
         self._tell("doing", text=text, **self._show())
 
     def refresh(self) -> None:
-        """The line once more, with the bath as it is now. From any thread; what goes wrong with it is nobody's trouble."""
+        """The line once more, with the bath as it is now. From any thread; what goes wrong with it
+        is nobody's trouble.
+        """
         with suppress(*FAILURES):
             self._show()
 
@@ -131,7 +146,12 @@ class WatchedProgress:
         """The line on the screen; gives back what stands there beside trial and text."""
         live = self._live()
         error = {"last error": self._error} if self._error else {}
-        parts = [self._name, self._text, *live.values(), *(f"last error: {said[:LONGEST]}" for said in error.values())]
+        parts = [
+            self._name,
+            self._text,
+            *live.values(),
+            *(f"last error: {said[:LONGEST]}" for said in error.values()),
+        ]
         self._progress.state("; ".join(part for part in parts if part))
         return {**live, **error}
 
@@ -156,9 +176,13 @@ class WatchedProgress:
         self._tell("event", kind=kind, text=text)
 
     def fed_by(
-        self, now_s: Callable[[], float], live: Callable[[], Mapping[str, str]], failed: Callable[[str], None] = lambda _: None
+        self,
+        now_s: Callable[[], float],
+        live: Callable[[], Mapping[str, str]],
+        failed: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """From now on lines have the bench's time, and the line in the terminal what ``live`` says: bath, time left.
+        """From now on lines have the bench's time, and the line in the terminal what ``live`` says:
+        bath, time left.
 
         ``failed`` hears what can't be shown any more.
         """
@@ -185,14 +209,18 @@ class WatchedProgress:
 
 @contextmanager
 def event_lines(path: Path | None) -> Iterator[EventLines | None]:
-    """Lines at the end of the file ``path``, None where none is asked for. Raises ConfigError where it can't be opened."""
+    """Lines at the end of the file ``path``, None where none is asked for. Raises ConfigError where
+    it can't be opened.
+    """
     if path is None:
         yield None
         return
     try:
         file = path.open("a", encoding="utf-8", newline="\n")
     except OSError as error:
-        raise ConfigError.plain(f"--events {path}: it can't be opened: {error.strerror or error}") from error
+        raise ConfigError.plain(
+            f"--events {path}: it can't be opened: {error.strerror or error}"
+        ) from error
     try:
         yield EventLines(file)
     finally:

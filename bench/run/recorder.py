@@ -1,7 +1,9 @@
-"""Writes a recording while a run goes on: frames, calibration and touched truth that `teatbench score` reads to the same scores.
+"""Writes a recording while a run goes on: frames, calibration and touched truth that `teatbench
+score` reads to the same scores.
 
-A recording only watches: where it can't be written that is told once, and the run goes on without. What it lacks of a run that goes on
-after a death is in the run's folder, and is put in first; so it ends as if nothing had been.
+A recording only watches: where it can't be written that is told once, and the run goes on without.
+What it lacks of a run that goes on after a death is in the run's folder, and is put in first; so it
+ends as if nothing had been.
 """
 
 from __future__ import annotations
@@ -24,12 +26,19 @@ RECORDED = "recorded to"  # fact: the recording's folder
 
 
 class Recorder:
-    """A recording in ``folder``, which must be empty or not there, or be what ``before``, a run that goes on, has recorded.
+    """A recording in ``folder``, which must be empty or not there, or be what ``before``, a run
+    that goes on, has recorded.
 
     ``warn`` hears where it can't be written any more. Raises ConfigError where it can't be begun.
     """
 
-    def __init__(self, folder: Path, calibration: Path, warn: Callable[[str], None], before: RunRecord | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        calibration: Path,
+        warn: Callable[[str], None],
+        before: RunRecord | None = None,
+    ) -> None:
         self._folder = folder
         self._warn = warn
         self._broken = False
@@ -45,9 +54,21 @@ class Recorder:
         except (OSError, RecordingError) as error:
             raise ConfigError.plain(f"--record {folder}: {error}.") from error
 
-    def trial(self, trial_id: str, situation: str, frames: FrameSet, truth: Sequence[TruthRow], *, confirmed: bool) -> None:
-        """Add a trial's frame set with its truth; truth that isn't confirmed waits for `settled`, the frames stay without until then."""
-        rows = [RecordedTruth(situation, row.teat, row.point_mm, row.visible, row.u_mm) for row in truth]
+    def trial(
+        self,
+        trial_id: str,
+        situation: str,
+        frames: FrameSet,
+        truth: Sequence[TruthRow],
+        *,
+        confirmed: bool,
+    ) -> None:
+        """Add a trial's frame set with its truth; truth that isn't confirmed waits for `settled`,
+        the frames stay without until then.
+        """
+        rows = [
+            RecordedTruth(situation, row.teat, row.point_mm, row.visible, row.u_mm) for row in truth
+        ]
         with self._watched():
             self._put(trial_id, frames, rows, confirmed)
 
@@ -58,8 +79,12 @@ class Recorder:
             for trial in rows if good and not self._broken else ():
                 self._writer.add_truth(trial, rows[trial])
 
-    def _put(self, trial: str, frames: FrameSet, rows: list[RecordedTruth], confirmed: bool) -> None:
-        """Once something went wrong nothing more is written: a recording with holes would be taken for a whole one."""
+    def _put(
+        self, trial: str, frames: FrameSet, rows: list[RecordedTruth], confirmed: bool
+    ) -> None:
+        """Once something went wrong nothing more is written: a recording with holes would be taken
+        for a whole one.
+        """
         if self._broken:
             return
         self._writer.add(trial, frames)
@@ -74,16 +99,25 @@ class Recorder:
             yield
         except (OSError, RecordingError) as error:
             self._broken = True
-            self._warn(f"the recording in {self._folder} ends here: {error}. The run goes on, and its own folder has all")
+            self._warn(
+                f"the recording in {self._folder} ends here: {error}. The run goes on, and its own"
+                " folder has all"
+            )
 
     def _catch_up(self, run: RunRecord) -> None:
-        """Put in what the bench had written down but not yet recorded when it died, and remember whose truth is still open."""
+        """Put in what the bench had written down but not yet recorded when it died, and remember
+        whose truth is still open.
+        """
         has_frames, has_truth = _has(self._folder)
         carried = resumed(run)
         for trial in run.trials:
             if trial.id not in has_frames:
                 self._writer.add(trial.id, Recording(run.folder).load(trial.id))
-            if trial.id in has_truth or trial.invalid is not None or trial.id in carried.unconfirmed:
+            if (
+                trial.id in has_truth
+                or trial.invalid is not None
+                or trial.id in carried.unconfirmed
+            ):
                 continue
             if trial.how == How.CARRIED and trial.id in carried.since:
                 self._open[trial.id] = _truth(trial)
@@ -91,8 +125,12 @@ class Recorder:
                 self._writer.add_truth(trial.id, _truth(trial))
 
 
-def recorder_again(run: RunRecord, calibration: Path, warn: Callable[[str], None]) -> Recorder | None:
-    """The recording of a run that goes on; None where it had none, or where it can't be gone on with, which is told."""
+def recorder_again(
+    run: RunRecord, calibration: Path, warn: Callable[[str], None]
+) -> Recorder | None:
+    """The recording of a run that goes on; None where it had none, or where it can't be gone on
+    with, which is told.
+    """
     where = run.facts.get(RECORDED)
     if where is None:
         return None
@@ -111,7 +149,9 @@ def _refuse_others(folder: Path, before: RunRecord | None) -> None:
         raise ConfigError.plain(f"--record {folder}: the folder is not empty. Name a new one.")
     others = sorted(_has(folder)[0] - {trial.id for trial in before.trials})
     if others:
-        raise ConfigError.plain(f"--record {folder}: has frames of another run, {others[0]} for one.")
+        raise ConfigError.plain(
+            f"--record {folder}: has frames of another run, {others[0]} for one."
+        )
 
 
 def _has(folder: Path) -> tuple[set[str], set[str]]:
@@ -122,6 +162,12 @@ def _has(folder: Path) -> tuple[set[str], set[str]]:
 
 def _truth(trial: TrialRecord) -> list[RecordedTruth]:
     return [
-        RecordedTruth(str(trial.head["situation"]), row["teat"], (row["x_mm"], row["y_mm"], row["z_mm"]), bool(row["visible"]), row["u_mm"])
+        RecordedTruth(
+            str(trial.head["situation"]),
+            row["teat"],
+            (row["x_mm"], row["y_mm"], row["z_mm"]),
+            bool(row["visible"]),
+            row["u_mm"],
+        )
         for row in trial.truth
     ]

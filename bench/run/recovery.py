@@ -1,13 +1,17 @@
-"""What the bench does about each kind of fault of an instrument: how often it tries again, and what a person has to check.
+"""What the bench does about each kind of fault of an instrument: how often it tries again, and what
+a person has to check.
 
-A table and a lookup, nothing else. What isn't in it ends the run at once: limits that were refused before anything was sent, a bath
-that says no, whatever is no instrument's. May not know how an instrument is brought back.
+A table and a lookup, nothing else. What isn't in it ends the run at once: limits that were refused
+before anything was sent, a bath that says no, whatever is no instrument's. May not know how an
+instrument is brought back.
 
-An instrument that drops out pauses the run; the operator hears what to check; it goes on when the instrument is back.
+An instrument that drops out pauses the run; the operator hears what to check; it goes on when the
+instrument is back.
 
-What was under way is done again whole by whoever asked: nothing half done is kept. How often, and for what, is `retries`' table;
-how long is waited is the rig's. Interlocks go on being looked at meanwhile, and may end the wait; so may somebody who gives up what waits:
-then what comes next waits on. May not know trials.
+What was under way is done again whole by whoever asked: nothing half done is kept. How often, and
+for what, is `retries`' table; how long is waited is the rig's. Interlocks go on being looked at
+meanwhile, and may end the wait; so may somebody who gives up what waits: then what comes next waits
+on. May not know trials.
 """
 
 from __future__ import annotations
@@ -30,7 +34,9 @@ GONE, GARBLED, REFUSES = "gone", "garbled", "refuses"
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """``times`` it is tried again in one trial, or one step of preparing, at most; ``check`` is for the person."""
+    """``times`` it is tried again in one trial, or one step of preparing, at most; ``check`` is for
+    the person.
+    """
 
     times: int
     check: str
@@ -40,9 +46,15 @@ POLICIES: Mapping[tuple[str, str], Policy] = MappingProxyType(
     {
         ("arm", GONE): Policy(3, "Check the arm's power and its cable."),
         ("arm", GARBLED): Policy(3, "Check the arm's cable and plugs, and what disturbs it."),
-        ("stage", GONE): Policy(3, "Check the stage's power and its cable; keep your hands off it, it will home."),
-        ("stage", GARBLED): Policy(3, "Check the stage's cable and what disturbs it; keep your hands off it, it will home."),
-        ("stage", REFUSES): Policy(1, "Look whether something is in the stage's way; keep your hands off it, it will home."),
+        ("stage", GONE): Policy(
+            3, "Check the stage's power and its cable; keep your hands off it, it will home."
+        ),
+        ("stage", GARBLED): Policy(
+            3, "Check the stage's cable and what disturbs it; keep your hands off it, it will home."
+        ),
+        ("stage", REFUSES): Policy(
+            1, "Look whether something is in the stage's way; keep your hands off it, it will home."
+        ),
         ("bath", GONE): Policy(3, "Check the bath's power and its cable."),
         ("bath", GARBLED): Policy(3, "Check the bath's cable, its address and what disturbs it."),
         ("cameras", GONE): Policy(3, "Check the cameras' power and cables."),
@@ -77,23 +89,47 @@ def policy_for(fault: InstrumentError) -> Policy | None:
 
 def table_text() -> str:
     """The table in Markdown."""
-    means = {GONE: "doesn't answer, link broken", GARBLED: "answers nonsense", REFUSES: "says no, or gives nothing usable"}
-    rows = [f"| {who} | {means[kind]} | {policy.times} | {policy.check} |" for (who, kind), policy in POLICIES.items()]
-    return "\n".join(["| instrument | fault | tries in a trial | what the operator is told |", "|---|---|---|---|", *rows])
+    means = {
+        GONE: "doesn't answer, link broken",
+        GARBLED: "answers nonsense",
+        REFUSES: "says no, or gives nothing usable",
+    }
+    rows = [
+        f"| {who} | {means[kind]} | {policy.times} | {policy.check} |"
+        for (who, kind), policy in POLICIES.items()
+    ]
+    return "\n".join(
+        [
+            "| instrument | fault | tries in a trial | what the operator is told |",
+            "|---|---|---|---|",
+            *rows,
+        ]
+    )
 
 
 EVERY_S = 2.0  # between attempts to reach it
-HOMING = "The arm was lost: put its stylus on its peg, see that it is switched on, and leave the stylus there."
+HOMING = (
+    "The arm was lost: put its stylus on its peg, see that it is switched on, and leave the stylus"
+    " there."
+)
 SETTLED_S = 1.0
 
 
 class Recovery:
-    """Runs work that instruments may interrupt. ``patience_s`` is how long one that has dropped out is waited for.
+    """Runs work that instruments may interrupt. ``patience_s`` is how long one that has dropped out
+    is waited for.
 
     ``look`` raises while the cameras give nothing usable.
     """
 
-    def __init__(self, devices: Devices, attention: Attention, states: RunStates, patience_s: float, look: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        devices: Devices,
+        attention: Attention,
+        states: RunStates,
+        patience_s: float,
+        look: Callable[[], None],
+    ) -> None:
         self._look = look
         self._devices = devices
         self._attention = attention
@@ -103,16 +139,21 @@ class Recovery:
         self.counts: Counter[str] = Counter()
 
     def run(self, what: str, work: Callable[[], None]) -> None:
-        """Do ``work`` until it is done. Raises a fault that has no policy, or came too often, or whose instrument does not come back."""
+        """Do ``work`` until it is done. Raises a fault that has no policy, or came too often, or
+        whose instrument does not come back.
+        """
         tried: Counter[str] = Counter()
-        if self._missing:  # whoever waited for it was told to do something else, and it may be back, but not where it was
+        # whoever waited for it was told to do something else, and it may be back, but not where it
+        # was
+        if self._missing:
             self._pause(what, *self._missing, "still away")
         while True:
             self._attention.check()
             try:
                 return work()
             except InstrumentError as fault:
-                self._attention.watch.check()  # a stage that a trip has braked is not to be homed again
+                # a stage that a trip has braked is not to be homed again
+                self._attention.watch.check()
                 policy = policy_for(fault)
                 kind = f"{instrument_of(fault)} {kind_of(fault)}"
                 tried[kind] += 1
@@ -131,27 +172,39 @@ class Recovery:
             self._devices.operator.release()
         with self._states.during(RunState.PAUSED):
             self._attention.event("dropped out", f"{what}: {fault} ({count})")
-            self._attention.progress.warn(f"{fault}\nThe run is paused. {policy.check} It goes on by itself when the {name} {are} back.")
+            self._attention.progress.warn(
+                f"{fault}\nThe run is paused. {policy.check} It goes on by itself when the {name}"
+                f" {are} back."
+            )
             while not self._back(name):
                 if self._attention.now_s() - started_s >= self._patience_s:
-                    self._attention.event("given up", f"the {name} did not come back within {self._patience_s:g} s")
+                    self._attention.event(
+                        "given up", f"the {name} did not come back within {self._patience_s:g} s"
+                    )
                     raise fault
                 self._attention.wait(EVERY_S)
             self._attention.check()
             away_s = self._attention.now_s() - started_s
-            self._attention.event("back", f"the {name} {are} back after {away_s:.1f} s; done again from its start: {what}")
+            self._attention.event(
+                "back",
+                f"the {name} {are} back after {away_s:.1f} s; done again from its start: {what}",
+            )
         self._missing = None
 
     def _back(self, name: str) -> bool:
         self._attention.progress.state(f"waiting for the {name}")
         try:
-            {"arm": self._arm, "stage": self._stage, "bath": self._bath, "cameras": self._cameras}[name]()
+            {"arm": self._arm, "stage": self._stage, "bath": self._bath, "cameras": self._cameras}[
+                name
+            ]()
         except InstrumentError:
             return False
         return True
 
     def _arm(self) -> None:
-        """Signed on again, and its home counts loaded on its peg: nobody can tell whether it kept its power, and where it stood then."""
+        """Signed on again, and its home counts loaded on its peg: nobody can tell whether it kept
+        its power, and where it stood then.
+        """
         arm = self._devices.arm
         self._attention.long("looking for the arm", 120.0)
         arm.recover(EVERY_S)
@@ -165,7 +218,8 @@ class Recovery:
             raise DeviceError("stage", "this rig has none")
         self._attention.long("homing the stage again", 600.0)
         stage.reconnect()
-        self._attention.look()  # that took its time, and a stage that a trip has braked meanwhile is not to move
+        # that took its time, and a stage that a trip has braked meanwhile is not to move
+        self._attention.look()
         stage.home()
 
     def _bath(self) -> None:

@@ -1,11 +1,15 @@
-"""What somebody wants of a run under way: pause, go on, skip or repeat the trial in flight, end. By a file in its folder, or typed.
+"""What somebody wants of a run under way: pause, go on, skip or repeat the trial in flight, end. By
+a file in its folder, or typed.
 
-`teatbench tell RUN WORDS` writes the file, from any other terminal, over SSH, on Windows as elsewhere; where no operator sits at the
-run's own terminal, the same words may be typed there. Looked at wherever the bench looks at its interlocks. A pause takes effect before
-the next trial, for a trial that stood around is none; the others at once, and the trial in flight leaves no trace. Each wish is answered
-in a line, for whoever sits at the run's terminal may not be the one who has it.
+`teatbench tell RUN WORDS` writes the file, from any other terminal, over SSH, on Windows as
+elsewhere; where no operator sits at the run's own terminal, the same words may be typed there.
+Looked at wherever the bench looks at its interlocks. A pause takes effect before the next trial,
+for a trial that stood around is none; the others at once, and the trial in flight leaves no trace.
+Each wish is answered in a line, for whoever sits at the run's terminal may not be the one who has
+it.
 
-A pause that somebody asked for: between two trials, until somebody says to go on. The bath is watched meanwhile, and may end it.
+A pause that somebody asked for: between two trials, until somebody says to go on. The bath is
+watched meanwhile, and may end it.
 """
 
 from __future__ import annotations
@@ -28,7 +32,9 @@ HELP = "pause, go on, skip REASON, repeat REASON, abort"
 
 
 def read_wish(words: str) -> tuple[str, str]:
-    """The wish and its reason. Raises ValueError for words that mean none, and for a skip or repeat without a reason."""
+    """The wish and its reason. Raises ValueError for words that mean none, and for a skip or repeat
+    without a reason.
+    """
     text = " ".join(words.split())
     for wish in (PAUSE, GO_ON, ABORT):
         if text.lower() in (wish, *(short for short, meant in SHORT.items() if meant == wish)):
@@ -43,18 +49,24 @@ def read_wish(words: str) -> tuple[str, str]:
 
 
 def leave_wish(folder: Path, words: str) -> None:
-    """Leave a wish for the run in ``folder``. Raises ConfigError for words that mean none, or where it can't be written."""
+    """Leave a wish for the run in ``folder``. Raises ConfigError for words that mean none, or where
+    it can't be written.
+    """
     try:
         wish, reason = read_wish(words)
         write_synced(folder / FILE, f"{wish} {reason}\n".encode())
     except ValueError as error:
         raise ConfigError.plain(str(error)) from error
     except OSError as error:
-        raise ConfigError.plain(f"{folder / FILE} can't be written: {error.strerror or error}") from error
+        raise ConfigError.plain(
+            f"{folder / FILE} can't be written: {error.strerror or error}"
+        ) from error
 
 
 def was_taken(folder: Path, clock: Clock, within_s: float) -> bool:
-    """Whether the run in ``folder`` took what was left for it, which it may need ``within_s`` for."""
+    """Whether the run in ``folder`` took what was left for it,
+    which it may need ``within_s`` for.
+    """
     until_s = clock.now() + within_s
     while (folder / FILE).exists():
         if clock.now() >= until_s:
@@ -66,7 +78,9 @@ def was_taken(folder: Path, clock: Clock, within_s: float) -> bool:
 class Wishes:
     """Those left in ``folder``, and those that ``typed`` gives as lines (None: nothing new)."""
 
-    def __init__(self, folder: Path, typed: Callable[[], str | None], tell: Callable[[str], None]) -> None:
+    def __init__(
+        self, folder: Path, typed: Callable[[], str | None], tell: Callable[[str], None]
+    ) -> None:
         self._path, self._taken = folder / FILE, folder / TAKEN
         self._typed = typed
         self._tell = tell
@@ -75,14 +89,20 @@ class Wishes:
     def forget(self) -> None:
         """What was left for a bench that died before it took it isn't this one's."""
         if words := self._left():
-            self._tell(f"Nobody took this in the last session, and it counts no more: {words.strip()}")
+            self._tell(
+                f"Nobody took this in the last session, and it counts no more: {words.strip()}"
+            )
 
     def look(self) -> None:
-        """Amid a trial. Raises OperatorSkip, OperatorRepeat and OperatorAbort; a pause is noted in ``paused``."""
+        """Amid a trial. Raises OperatorSkip, OperatorRepeat and OperatorAbort; a pause is noted in
+        ``paused``.
+        """
         self._look(amid=True)
 
     def look_between(self) -> None:
-        """While no trial is in flight there is none to skip or to repeat, and to say so is all. Raises OperatorAbort."""
+        """While no trial is in flight there is none to skip or to repeat, and to say so is all.
+        Raises OperatorAbort.
+        """
         self._look(amid=False)
 
     def _look(self, *, amid: bool) -> None:
@@ -118,7 +138,9 @@ class Wishes:
             self._path.replace(self._taken)
             words = self._taken.read_text(encoding="utf-8", errors="replace")
             self._taken.unlink()
-        except OSError:  # there is none, or it is just being written, on a system that locks files: the next look finds it
+        # there is none, or it is just being written, on a system that locks files: the next look
+        # finds it
+        except OSError:
             return None
         return words
 
@@ -128,9 +150,13 @@ REAL_S = 0.02  # of real time, for a second of virtual time
 
 
 class Pause:
-    """Pauses as ``wishes`` say; ``folder`` is the run's, as whoever asked for it has to name it to go on."""
+    """Pauses as ``wishes`` say; ``folder`` is the run's, as whoever asked for it has to name it to
+    go on.
+    """
 
-    def __init__(self, wishes: Wishes, states: RunStates, attention: Attention, clock: Clock, folder: Path) -> None:
+    def __init__(
+        self, wishes: Wishes, states: RunStates, attention: Attention, clock: Clock, folder: Path
+    ) -> None:
         self._wishes = wishes
         self._states = states
         self._attention = attention
@@ -144,9 +170,13 @@ class Pause:
         if not self._wishes.paused:
             return
         with self._states.during(RunState.PAUSED):
-            self._attention.progress.warn(f"Paused, as asked. To go on: teatbench tell {self._folder} go on (or type: go on)")
+            self._attention.progress.warn(
+                f"Paused, as asked. To go on: teatbench tell {self._folder} go on (or type: go on)"
+            )
             while self._wishes.paused:
                 self._attention.progress.state("paused, as asked")
                 if self._virtual:
-                    self._real.sleep(REAL_S)  # whoever pauses lives in real time, and the bath need not race through days meanwhile
+                    # whoever pauses lives in real time, and the bath need not race through days
+                    # meanwhile
+                    self._real.sleep(REAL_S)
                 self._attention.wait(PAUSE_POLL_S)

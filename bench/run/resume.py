@@ -1,8 +1,10 @@
-"""What a stopped run left, and how it goes on: at the first trial without a result, in the same folder, as its next session.
+"""What a stopped run left, and how it goes on: at the first trial without a result, in the same
+folder, as its next session.
 
-On a rig of emulators under virtual time the simulated world died with the bench. It is brought back by going through the finished
-trials once more, without detection and without a word to the record: then it stands where it stood, to the last bit, and what
-follows equals the run that nobody disturbed. Touches are compared with those on record; where they differ, the record says so. A rig
+On a rig of emulators under virtual time the simulated world died with the bench. It is brought back
+by going through the finished trials once more, without detection and without a word to the record:
+then it stands where it stood, to the last bit, and what follows equals the run that nobody
+disturbed. Touches are compared with those on record; where they differ, the record says so. A rig
 in real time needs no such thing, for its world went on. May not know instruments.
 """
 
@@ -32,7 +34,9 @@ IN_A_TRIAL = (RunState.RUNNING.value, RunState.PAUSED.value)
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What a run left: ``done`` have a result or a reason for none, ``deaths`` says in which trial it died, by its last event."""
+    """What a run left: ``done`` have a result or a reason for none, ``deaths`` says in which trial
+    it died, by its last event.
+    """
 
     run: RunRecord
     done: frozenset[str]
@@ -44,54 +48,83 @@ class Left:
         """Trials that aren't tried again, with the reason."""
         trials = list(self.deaths.values())
         why = "the bench died in it {} times, and doesn't try it again"
-        return {trial: why.format(trials.count(trial)) for trial in trials if trials.count(trial) >= POISON_DEATHS}
+        return {
+            trial: why.format(trials.count(trial))
+            for trial in trials
+            if trials.count(trial) >= POISON_DEATHS
+        }
 
 
 def what_is_left(folder: Path, planned: Sequence[str]) -> Left:
-    """For the run in ``folder`` whose trials are ``planned``. Raises ConfigError for a finished run."""
+    """For the run in ``folder`` whose trials are ``planned``. Raises ConfigError for a finished
+    run.
+    """
     run = read_run(folder)
     if run.ending == RunState.FINISHED:
-        raise ConfigError.plain(f"{folder} is finished: nothing is left to do. 'teatbench report' writes its report anew.")
+        raise ConfigError.plain(
+            f"{folder} is finished: nothing is left to do. 'teatbench report' writes its report"
+            " anew."
+        )
     skipped = {str(row["trial"]) for row in run.skipped}
     done = frozenset({trial.id for trial in run.trials} | skipped)
     deaths = dict(run.facts.get(DEATHS, {}))
     states = [event for event in run.events if event["kind"] == EVENT]
     first = next((trial for trial in planned if trial not in done), None)
     if states and states[-1]["text"] in IN_A_TRIAL and first is not None:
-        deaths[str(states[-1]["number"])] = first  # by the event's number: looked at twice it is still one death
-    times = [float(event["t_s"]) for event in run.events if event["t_s"] is not None] + ([float(run.bath[-1, 0])] if len(run.bath) else [])
+        # by the event's number: looked at twice it is still one death
+        deaths[str(states[-1]["number"])] = first
+    times = [float(event["t_s"]) for event in run.events if event["t_s"] is not None] + (
+        [float(run.bath[-1, 0])] if len(run.bath) else []
+    )
     return Left(run, done, deaths, max(times, default=0.0))
 
 
 def files_of(run: RunRecord) -> tuple[LoadedRig, LoadedScript]:
-    """Rig and script of a run, as they were. Raises ConfigError where they aren't there any more, or were changed since."""
+    """Rig and script of a run, as they were. Raises ConfigError where they aren't there any more,
+    or were changed since.
+    """
     asked = run.facts.get(ASKED)
     if not isinstance(asked, dict):
-        raise ConfigError.plain(f"{run.folder} can't be resumed: it doesn't say which rig and script it was run with.")
+        raise ConfigError.plain(
+            f"{run.folder} can't be resumed: it doesn't say which rig and script it was run with."
+        )
     rig = load_rig(_there(run.folder, Path(asked["rig"]), "rig.toml"))
-    script = load_script(_there(run.folder, Path(asked["script"]), SCRIPT), rig.rig.limits.set_point_c)
+    script = load_script(
+        _there(run.folder, Path(asked["script"]), SCRIPT), rig.rig.limits.set_point_c
+    )
     _refuse_changed(run.folder, rig.path, rig.text, "rig.toml")
     _refuse_changed(run.folder, script.path, script.text, SCRIPT)
     if read_text(rig.calibration_path) != read_text(run.folder / "calibration.toml"):
-        raise ConfigError.plain(f"{rig.calibration_path} has changed since the run in {run.folder} began. Start a new run.")
+        raise ConfigError.plain(
+            f"{rig.calibration_path} has changed since the run in {run.folder} began. Start a new"
+            " run."
+        )
     return rig, script
 
 
 def _there(folder: Path, path: Path, name: str) -> Path:
     if not path.is_file():
-        raise ConfigError.plain(f"{path} is not there any more; a copy of it is {folder / name}. Put it back to resume the run.")
+        raise ConfigError.plain(
+            f"{path} is not there any more; a copy of it is {folder / name}. Put it back to resume"
+            " the run."
+        )
     return path
 
 
 def _refuse_changed(folder: Path, path: Path, text: str, name: str) -> None:
     """The script of a Python file is what the file gives."""
     if text != read_text(folder / name):
-        raise ConfigError.plain(f"{path} has changed since the run in {folder} began. Put back {folder / name}, or start a new run.")
+        raise ConfigError.plain(
+            f"{path} has changed since the run in {folder} began. Put back {folder / name}, or"
+            " start a new run."
+        )
 
 
 @dataclass(slots=True)
 class Compared:
-    """Touches gone through again beside those on record: ``differ`` are the trials where they aren't the same."""
+    """Touches gone through again beside those on record: ``differ`` are the trials where they
+    aren't the same.
+    """
 
     record: Mapping[str, Sequence[Row]]
     same: list[str] = field(default_factory=list)
@@ -102,14 +135,20 @@ class Compared:
         trial = str(done.trial["id"])
         kept = self.record.get(trial)
         if kept is not None:
-            (self.same if [row["counts"] for row in kept] == [row["counts"] for row in done.touches] else self.differ).append(trial)
+            (
+                self.same
+                if [row["counts"] for row in kept] == [row["counts"] for row in done.touches]
+                else self.differ
+            ).append(trial)
 
 
 class RehearsedStore(Store):
-    """The store of a run whose finished trials are gone through again: it takes nothing that it has, until ``go_live``.
+    """The store of a run whose finished trials are gone through again: it takes nothing that it
+    has, until ``go_live``.
 
-    Bath readings that the dead bench had not yet written are taken; whatever else it does is known. A check of the carried truth comes
-    just before the trial that is new, so that the dead bench may have written it: it is taken once.
+    Bath readings that the dead bench had not yet written are taken; whatever else it does is known.
+    A check of the carried truth comes just before the trial that is new, so that the dead bench may
+    have written it: it is taken once.
     """
 
     def __init__(self, left: Left) -> None:
@@ -157,12 +196,16 @@ class RehearsedStore(Store):
     def frame(self, trial: str, camera: str, image: Picture, exposed_s: float | None) -> Row:
         return {} if self._silent else super().frame(trial, camera, image, exposed_s)
 
-    def frames(self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]) -> list[Row]:
+    def frames(
+        self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]
+    ) -> list[Row]:
         return [] if self._silent else super().frames(trial, images, exposed_s)
 
 
 def open_store(left: Left, *, rehearsed: bool) -> Store:
-    """The run's store, open again for a further session; its folder says from now on that it is under way."""
+    """The run's store, open again for a further session; its folder says from now on that it is
+    under way.
+    """
     folder = left.run.folder
     store = RehearsedStore(left) if rehearsed else Store(folder)
     if not rehearsed:
@@ -171,7 +214,9 @@ def open_store(left: Left, *, rehearsed: bool) -> Store:
 
 
 def note_deaths(store: Store, left: Left) -> None:
-    """Before anything else: what the last session died of, and that the run has no ending any more."""
+    """Before anything else: what the last session died of, and that
+    the run has no ending any more.
+    """
     with store.step():
         store.fact(DEATHS, left.deaths)
         store.fact("ending", "interrupted")

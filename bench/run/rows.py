@@ -1,6 +1,8 @@
-"""Values to rows: what a trial gave, as the store's tables hold it. The one place that knows both sides.
+"""Values to rows: what a trial gave, as the store's tables hold it. The one place that knows both
+sides.
 
-What depends on real time goes into columns that begin with ``wall``, so that all others repeat with the seed.
+What depends on real time goes into columns that begin with ``wall``, so that all others repeat with
+the seed.
 """
 
 from __future__ import annotations
@@ -22,37 +24,73 @@ from instruments.camera.frame import FrameSet
 WALL_KEYS = ("seconds", "in_time", "success")  # parts of a score that depend on real time
 
 
-def frame_rows(store: Store, trial_id: str, frames: FrameSet, answers: Sequence[Answer]) -> list[Row]:
-    """Write the frames of a trial, and the pictures that the detectors' stages left; gives back their rows."""
+def frame_rows(
+    store: Store, trial_id: str, frames: FrameSet, answers: Sequence[Answer]
+) -> list[Row]:
+    """Write the frames of a trial, and the pictures that the detectors' stages left; gives back
+    their rows.
+    """
     images: dict[str, Picture | None] = {"left": frames.left, "right": frames.right}
     images |= {"thermal": frames.thermal, "thermal_radiometric": frames.thermal_ck}
     for answer in answers:
         images |= stage_pictures(answer)
     there = {name: image for name, image in images.items() if image is not None}
-    return store.frames(trial_id, there, {name: frames.exposed_s.get(name.split("_")[0]) for name in there})
+    return store.frames(
+        trial_id, there, {name: frames.exposed_s.get(name.split("_")[0]) for name in there}
+    )
 
 
-def truth_row(trial_id: str, row: TruthRow, exact: NDArray[np.float64] | None = None, point: TruthPoint | None = None) -> Row:
-    """The row of the table ``truth``; ``point`` has the budget, where the truth is the bench's own."""
+def truth_row(
+    trial_id: str,
+    row: TruthRow,
+    exact: NDArray[np.float64] | None = None,
+    point: TruthPoint | None = None,
+) -> Row:
+    """The row of the table ``truth``; ``point`` has the budget,
+    where the truth is the bench's own.
+    """
     x, y, z = row.point_mm
     kept = None if exact is None else json.dumps([float(v) for v in exact])
-    place = {"x_mm": x, "y_mm": y, "z_mm": z, "u_mm": row.u_mm, "visible": int(row.visible), "exact_mm": kept}
-    known: Row = {} if point is None else {"how": point.how.value, "budget": json.dumps(point.uncertainty.as_dict())}
+    place = {
+        "x_mm": x,
+        "y_mm": y,
+        "z_mm": z,
+        "u_mm": row.u_mm,
+        "visible": int(row.visible),
+        "exact_mm": kept,
+    }
+    known: Row = (
+        {}
+        if point is None
+        else {"how": point.how.value, "budget": json.dumps(point.uncertainty.as_dict())}
+    )
     spread = None if point is None else _json(point.covariance_mm2)
     return {"trial": trial_id, "teat": row.teat, **place, **known, "covariance_mm2": spread}
 
 
 def judged(
-    trial_id: str, answers: Sequence[Answer], truth: Sequence[TruthRow], limit_mm: float, time_limit_s: float
+    trial_id: str,
+    answers: Sequence[Answer],
+    truth: Sequence[TruthRow],
+    limit_mm: float,
+    time_limit_s: float,
 ) -> tuple[list[Row], list[Row], list[Row]]:
-    """Rows of ``detections``, ``found`` and ``scores`` for all answers on one frame set; no scores without truth."""
+    """Rows of ``detections``, ``found`` and ``scores`` for all answers on one frame set; no scores
+    without truth.
+    """
     detections, found, scores = [], [], []
     for answer in answers:
         head, ends = detection_rows(trial_id, answer)
         detections.append(head)
         found.extend(ends)
         if truth:
-            scores.append(score_row(trial_id, answer.detector, score_answer(answer, truth, limit_mm=limit_mm, time_limit_s=time_limit_s)))
+            scores.append(
+                score_row(
+                    trial_id,
+                    answer.detector,
+                    score_answer(answer, truth, limit_mm=limit_mm, time_limit_s=time_limit_s),
+                )
+            )
     return detections, found, scores
 
 
@@ -66,7 +104,12 @@ def detection_rows(trial: str, answer: Answer) -> tuple[Row, list[Row]]:
         "reason": detection.reason,
         "outcome": answer.outcome.value,
         "cold": int(answer.cold),
-        "trace": json.dumps({stage.name: {key: _small(value) for key, value in stage.data.items()} for stage in detection.trace}),
+        "trace": json.dumps(
+            {
+                stage.name: {key: _small(value) for key, value in stage.data.items()}
+                for stage in detection.trace
+            }
+        ),
         "wall_seconds": answer.seconds,
         "wall_start_up_s": answer.start_up_s,
         "wall_stderr": answer.stderr or None,
@@ -76,15 +119,33 @@ def detection_rows(trial: str, answer: Answer) -> tuple[Row, list[Row]]:
     found: list[Row] = []
     for number, teat in enumerate(detection.teats, 1):
         x, y, z = (float(v) for v in teat.world_mm)
-        places = {"covariance_mm2": _json(teat.covariance_mm2), "left_px": _json(teat.left_px), "right_px": _json(teat.right_px)}
-        found.append({"trial": trial, "detector": answer.detector, "number": number, "x_mm": x, "y_mm": y, "z_mm": z, **places})
+        places = {
+            "covariance_mm2": _json(teat.covariance_mm2),
+            "left_px": _json(teat.left_px),
+            "right_px": _json(teat.right_px),
+        }
+        found.append(
+            {
+                "trial": trial,
+                "detector": answer.detector,
+                "number": number,
+                "x_mm": x,
+                "y_mm": y,
+                "z_mm": z,
+                **places,
+            }
+        )
     return head, found
 
 
 def stage_pictures(answer: Answer) -> dict[str, Picture]:
-    """The two-dimensional masks among a detector's stages as 8-bit pictures, by ``detector-stage``."""
+    """The two-dimensional masks among a detector's stages as 8-bit pictures, by
+    ``detector-stage``.
+    """
     return {
-        f"{answer.detector}-{stage.name.replace(' ', '-')}": np.where(mask, np.uint8(255), np.uint8(0))
+        f"{answer.detector}-{stage.name.replace(' ', '-')}": np.where(
+            mask, np.uint8(255), np.uint8(0)
+        )
         for stage in answer.detection.trace
         for mask in stage.data.values()
         if mask.dtype == np.bool_ and mask.ndim == 2
@@ -92,10 +153,17 @@ def stage_pictures(answer: Answer) -> dict[str, Picture]:
 
 
 def score_row(trial: str, detector: str, score: SceneScore) -> Row:
-    """The row of the table ``scores``: what depends on real time stands apart, so that the rest repeats with the seed."""
+    """The row of the table ``scores``: what depends on real time stands apart, so that the rest
+    repeats with the seed.
+    """
     whole = score.as_dict()
     wall = {key: whole.pop(key) for key in WALL_KEYS}
-    return {"trial": trial, "detector": detector, "score": json.dumps(whole), "wall_score": json.dumps(wall)}
+    return {
+        "trial": trial,
+        "detector": detector,
+        "score": json.dumps(whole),
+        "wall_score": json.dumps(wall),
+    }
 
 
 def _json(value: Any) -> str | None:
@@ -103,6 +171,12 @@ def _json(value: Any) -> str | None:
 
 
 def _small(value: Any) -> Any:
-    """Points and figures go into the record; pictures are told by their shape (masks are kept as files of their own)."""
+    """Points and figures go into the record; pictures are told by their shape (masks are kept as
+    files of their own).
+    """
     array = np.asarray(value)
-    return array.tolist() if array.size <= 400 else {"shape": list(array.shape), "type": str(array.dtype)}
+    return (
+        array.tolist()
+        if array.size <= 400
+        else {"shape": list(array.shape), "type": str(array.dtype)}
+    )

@@ -1,4 +1,6 @@
-"""The main jobs behind the commands: a run on a rig, and scoring a recording; both end in one run folder and one report."""
+"""The main jobs behind the commands: a run on a rig, and scoring a recording; both end in one run
+folder and one report.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,12 @@ from bench.run.truth_source import refuse_carry
 from bench.safety.guardian_client import Charge, guarded
 from bench.safety.latch import refuse_latched, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
-from bench.script.calibration_age import CALIBRATION_FACT, calibration_fact, refuse_old_calibration, refuse_other_cameras
+from bench.script.calibration_age import (
+    CALIBRATION_FACT,
+    calibration_fact,
+    refuse_old_calibration,
+    refuse_other_cameras,
+)
 from bench.script.detectors import make_detectors
 from bench.script.model import RECORDING_RULES, LoadedScript, Rules
 from bench.script.planned_trials import pose_set
@@ -39,14 +46,17 @@ from instruments.errors import InstrumentError
 from instruments.operators.operator import time_left
 
 BETWEEN_S = 1.0  # of the bench's time, between two sessions of a run
-SAME_POSE_MM = 1.5  # touches of one end scatter by less, and no bench sets a pose up again this well by chance
+# touches of one end scatter by less, and no bench sets a pose up again this well by chance
+SAME_POSE_MM = 1.5
 
 
 @dataclass(frozen=True, slots=True)
 class HowToRun:
-    """What a command line says of how a run is run. ``typed`` gives lines that somebody typed, None while there is none.
+    """What a command line says of how a run is run. ``typed`` gives lines that somebody typed, None
+    while there is none.
 
-    ``begun`` gets a line for the person at the terminal: where the run is kept, and how long it takes.
+    ``begun`` gets a line for the person at the terminal: where the run is kept, and how long it
+    takes.
     """
 
     detectors: Sequence[str] = ()
@@ -73,14 +83,19 @@ def run_script(
 ) -> tuple[Path, Ending]:
     """Run ``script`` on ``rig``; gives back the run's folder and how it ended.
 
-    Raises ConfigError before anything is opened, LatchedError where an interlock's trip has not been acknowledged, and RigInUseError.
+    Raises ConfigError before anything is opened, LatchedError where an interlock's trip has not
+    been acknowledged, and RigInUseError.
     """
     refuse_latched(rig)
     refuse_carry(rig, script)
     refuse_old_calibration(rig, script, wall_time().date())
     refuse_untested_cut_out(rig, wall_time().date())
     how = HowToRun(detectors, record, realtime, capture, typed, begun)
-    under_test = make_detectors(detectors) if detectors else make_detectors(script.script.detectors, script.path.parent)
+    under_test = (
+        make_detectors(detectors)
+        if detectors
+        else make_detectors(script.script.detectors, script.path.parent)
+    )
     used_seed = rig.rig.seed if seed is None else seed
     with locked(lock_path(rig), str(out.resolve()), progress.warn):
         recorder = Recorder(record, rig.calibration_path, progress.warn) if record else None
@@ -89,39 +104,87 @@ def run_script(
             return _run(rig, script, store, under_test, progress, used_seed, how, recorder)
 
 
-def resume_run(folder: Path, progress: Progress, how: HowToRun | None = None) -> tuple[Path, Ending]:
-    """Go on with the run in ``folder`` at its first trial without a result. Raises ConfigError, LatchedError, RigInUseError.
+def resume_run(
+    folder: Path, progress: Progress, how: HowToRun | None = None
+) -> tuple[Path, Ending]:
+    """Go on with the run in ``folder`` at its first trial without a result. Raises ConfigError,
+    LatchedError, RigInUseError.
 
     Seed, detectors, kind of time and where it is recorded are the run's own.
     """
     how = how or HowToRun()
     rig, script = files_of(run := read_run(folder))
     if rig.rig.cameras.url.startswith("recording:"):
-        raise ConfigError.plain(f"{folder} can't be resumed: its cameras play a recording, which would begin anew. Start a new run.")
+        raise ConfigError.plain(
+            f"{folder} can't be resumed: its cameras play a recording, which would begin anew."
+            " Start a new run."
+        )
     refuse_latched(rig)
     refuse_old_calibration(rig, script, wall_time().date())
     refuse_untested_cut_out(rig, wall_time().date())
     asked = run.facts[ASKED]
     names = tuple(asked["detectors"])
-    under_test = make_detectors(names) if names else make_detectors(script.script.detectors, script.path.parent)
+    under_test = (
+        make_detectors(names)
+        if names
+        else make_detectors(script.script.detectors, script.path.parent)
+    )
     how = replace(how, detectors=names, record=None, realtime=bool(asked["realtime"]))
     here = str(folder.resolve())
-    with locked(lock_path(rig), here, progress.warn), locked(run_lock(folder), here, lambda _: None, "run"):
+    with (
+        locked(lock_path(rig), here, progress.warn),
+        locked(run_lock(folder), here, lambda _: None, "run"),
+    ):
         left = what_is_left(folder, [trial.id for trial in script.planned])
         recorder = recorder_again(left.run, rig.calibration_path, progress.warn)
         store = open_store(left, rehearsed=in_virtual_time(rig, realtime=how.realtime))
-        return _run(rig, script, store, under_test, progress, int(run.facts["seed"]), how, recorder, left)
+        return _run(
+            rig, script, store, under_test, progress, int(run.facts["seed"]), how, recorder, left
+        )
 
 
-def _begun(rig: LoadedRig, script: LoadedScript, out: Path, under_test: Sequence[Detector], seed: int, how: HowToRun) -> Store:
+def _begun(
+    rig: LoadedRig,
+    script: LoadedScript,
+    out: Path,
+    under_test: Sequence[Detector],
+    seed: int,
+    how: HowToRun,
+) -> Store:
     """A new run folder that says what the run is."""
-    files = {**rig.arm_files, **rig.answer_files, **script.layout_files, **script.truth_files, **script.source_files}
+    files = {
+        **rig.arm_files,
+        **rig.answer_files,
+        **script.layout_files,
+        **script.truth_files,
+        **script.source_files,
+    }
     files |= {"rig.toml": rig.text, SCRIPT: script.text}
-    kind = "emulated" if rig.rig.all_emulated else "recorded" if rig.rig.cameras.url.startswith("recording:") else "real"
-    facts = {"kind": kind, "title": script.script.title, "about": script.script.about, "seed": seed, "rig": rig.rig.name}
-    facts |= {"script": script.name, "set_point_c": script.script.bath.set_point_c, "planned": len(script.planned)}
-    facts[CALIBRATION_FACT] = calibration_fact(rig.calibration, wall_time().date(), emulated=kind == "emulated")
-    facts["pose set"] = pose_set(script.script.trials, script.planned, seed=script.script.seed, order=script.script.order)
+    kind = (
+        "emulated"
+        if rig.rig.all_emulated
+        else "recorded"
+        if rig.rig.cameras.url.startswith("recording:")
+        else "real"
+    )
+    facts = {
+        "kind": kind,
+        "title": script.script.title,
+        "about": script.script.about,
+        "seed": seed,
+        "rig": rig.rig.name,
+    }
+    facts |= {
+        "script": script.name,
+        "set_point_c": script.script.bath.set_point_c,
+        "planned": len(script.planned),
+    }
+    facts[CALIBRATION_FACT] = calibration_fact(
+        rig.calibration, wall_time().date(), emulated=kind == "emulated"
+    )
+    facts["pose set"] = pose_set(
+        script.script.trials, script.planned, seed=script.script.seed, order=script.script.order
+    )
     paths = {"rig": str(rig.path.resolve()), "script": str(script.path.resolve())}
     asked = {**paths, "detectors": list(how.detectors), "realtime": how.realtime}
     if how.record:
@@ -152,27 +215,57 @@ def _run(
         try:
             current().heed()
             start_s = left.last_s + BETWEEN_S if left else 0.0
-            expected, trials = needs(rig, script, read_learnt(store.folder.parent, rig)).time, len(script.planned)
+            expected, trials = (
+                needs(rig, script, read_learnt(store.folder.parent, rig)).time,
+                len(script.planned),
+            )
             to_do = trials - len(left.done) if left else trials
             left_s = expected.settling_s + to_do * expected.each_s(trials)
-            how.begun(f"{to_do} trials, {time_left(left_s)} of the bench's time. Run folder: {store.folder}")
-            opened = open_rig(rig, seed=seed, realtime=how.realtime, capture=how.capture, screen=progress.aside, start_s=start_s)
+            how.begun(
+                f"{to_do} trials, {time_left(left_s)} of the bench's time. Run folder:"
+                f" {store.folder}"
+            )
+            opened = open_rig(
+                rig,
+                seed=seed,
+                realtime=how.realtime,
+                capture=how.capture,
+                screen=progress.aside,
+                start_s=start_s,
+            )
             with opened as hookup:
                 refuse_other_cameras(rig.calibration.record, hookup.devices.cameras.identity)
                 bath, clock = hookup.devices.bath, hookup.devices.clock
-                charge = Charge(bath.url, rig.profile_source, bath.pump_url, rig.relay_source, rig.rig.bath.allow_inferred)
+                charge = Charge(
+                    bath.url,
+                    rig.profile_source,
+                    bath.pump_url,
+                    rig.relay_source,
+                    rig.rig.bath.allow_inferred,
+                )
                 with guarded(charge, store.folder, clock) as (pulse, lifeline):
                     engine = Engine(
-                        rig, script, hookup.devices, store, under_test, progress,
-                        exact_ends=hookup.exact_ends, sink=recorder, pulse=pulse, lifeline=lifeline, left=left, typed=how.typed,
+                        rig,
+                        script,
+                        hookup.devices,
+                        store,
+                        under_test,
+                        progress,
+                        exact_ends=hookup.exact_ends,
+                        sink=recorder,
+                        pulse=pulse,
+                        lifeline=lifeline,
+                        left=left,
+                        typed=how.typed,
                         expected=expected,
-                    )  # fmt: skip
+                    )
                     try:
                         return store.folder, engine.run()
                     finally:
                         if lifeline and engine.bath_is_safe:
                             lifeline.done()
-        except (InstrumentError, KeyboardInterrupt) as error:  # before the engine had the instruments: nothing was switched on
+        # before the engine had the instruments: nothing was switched on
+        except (InstrumentError, KeyboardInterrupt) as error:
             return store.folder, _never_started(store, error)
     finally:
         close_detectors(under_test)
@@ -180,12 +273,19 @@ def _run(
 
 
 def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequence[str]) -> Path:
-    """Run detectors over a recording and score them; gives back the run's folder. Raises ConfigError, RecordingError."""
+    """Run detectors over a recording and score them; gives back the run's folder. Raises
+    ConfigError, RecordingError.
+    """
     under_test = make_detectors(detectors)
     recording = Recording(path)
     calibration = read_calibration(recording.calibration_path)
     rules = read_config(RECORDING_RULES, Rules)
-    store = _new_store(out, f"score-{path.resolve().name}", {RULES: read_text(RECORDING_RULES)}, recording.calibration_path)
+    store = _new_store(
+        out,
+        f"score-{path.resolve().name}",
+        {RULES: read_text(RECORDING_RULES)},
+        recording.calibration_path,
+    )
     facts = {
         "kind": "recorded",
         "title": f"Recording {path.resolve().name}",
@@ -206,7 +306,9 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
             head = _head(trial, number, poses[frame], situation)
             scored = judged(trial, answers, truth, rules.visible_within_mm, rules.time_limit_s)
             rows = [truth_row(trial, row) for row in truth]
-            store.finished(FinishedTrial(head, frame_rows(store, trial, frames, answers), [], rows, *scored))
+            store.finished(
+                FinishedTrial(head, frame_rows(store, trial, frames, answers), [], rows, *scored)
+            )
         progress.trial(len(recording.frames), len(recording.frames), "")
         _end(store, Ending.FINISHED)
         ended = True
@@ -219,21 +321,30 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
         try:
             store.close()
         finally:
-            if not ended:  # as by a frame that can't be read: the recording is still there, and half a run is of no use
+            # as by a frame that can't be read: the recording is still there, and half a run is of
+            # no use
+            if not ended:
                 shutil.rmtree(store.folder, ignore_errors=True)
     return store.folder
 
 
 def pose_names(recording: Recording) -> dict[str, str]:
-    """For each frame the first one that shows the same pose: frames of one pose are repeats, not independent trials.
+    """For each frame the first one that shows the same pose: frames of one pose are repeats, not
+    independent trials.
 
-    A recording has no word for it, so it is told by the truth: same situation, same teats, each end within SAME_POSE_MM.
+    A recording has no word for it, so it is told by the truth: same situation, same teats, each end
+    within SAME_POSE_MM.
     """
     names: dict[str, str] = {}
-    firsts: dict[tuple[tuple[str, str], ...], list[str]] = {}  # by situation and teats: only frames that share those are compared
+    # by situation and teats: only frames that share those are compared
+    firsts: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for frame in recording.frames:
-        known = firsts.setdefault(tuple((teat.situation, teat.teat) for teat in recording.truth.get(frame, ())), [])
-        names[frame] = next((first for first in known if _same_ends(recording, first, frame)), frame)
+        known = firsts.setdefault(
+            tuple((teat.situation, teat.teat) for teat in recording.truth.get(frame, ())), []
+        )
+        names[frame] = next(
+            (first for first in known if _same_ends(recording, first, frame)), frame
+        )
         if names[frame] == frame and frame in recording.truth:
             known.append(frame)
     return names
@@ -247,16 +358,26 @@ def _same_ends(recording: Recording, one: str, other: str) -> bool:
 def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -> Store:
     try:
         folder = new_run_folder(out, name, wall_time())
-        return Store.create(folder, {**files, "calibration.toml": calibration.read_text(encoding="utf-8")})
+        return Store.create(
+            folder, {**files, "calibration.toml": calibration.read_text(encoding="utf-8")}
+        )
     except OSError as error:
-        raise ConfigError.plain(f"a run can't be kept in {out}: {error.strerror or error}. Name another folder with --out.") from error
+        raise ConfigError.plain(
+            f"a run can't be kept in {out}: {error.strerror or error}. Name another folder with"
+            " --out."
+        ) from error
 
 
 def _never_started(store: Store, error: BaseException) -> Ending:
     aborted = isinstance(error, KeyboardInterrupt)
     if isinstance(store, RehearsedStore):
         store.go_live()
-    store.event(None, "aborted" if aborted else "fault", "interrupted (Ctrl-C)" if aborted else str(error), wall_time())
+    store.event(
+        None,
+        "aborted" if aborted else "fault",
+        "interrupted (Ctrl-C)" if aborted else str(error),
+        wall_time(),
+    )
     return _end(store, Ending.ABORTED if aborted else Ending.FAULTED)
 
 
@@ -271,4 +392,8 @@ def _head(trial: str, number: int, frame: str, situation: str) -> dict[str, obje
     """The row of a frame set that came without instruments: each is a pose of its own."""
     unknown = ("started_s", "ended_s", "captured_s", "bath_c", "bath_state", "note")
     head = {"id": trial, "number": number, "name": frame, "situation": situation, "repeat": 1}
-    return {**head, **dict.fromkeys(unknown), "wall_time": wall_time().isoformat(timespec="milliseconds")}
+    return {
+        **head,
+        **dict.fromkeys(unknown),
+        "wall_time": wall_time().isoformat(timespec="milliseconds"),
+    }

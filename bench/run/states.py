@@ -1,7 +1,8 @@
-"""The states of a run and which may follow which: one table, which a test walks pair by pair and docs/runs.md draws.
+"""The states of a run and which may follow which: one table, which a test walks pair by pair and
+docs/runs.md draws.
 
-Time spent away from the work (paused, or settling once more) is counted here, so that no figure of speed has it. May not know
-what is done in a state.
+Time spent away from the work (paused, or settling once more) is counted here, so that no figure of
+speed has it. May not know what is done in a state.
 """
 
 from __future__ import annotations
@@ -70,12 +71,15 @@ class RunStates:
         self.current = RunState.PLANNED
 
     def to(self, state: RunState) -> None:
-        """Change to ``state``; staying is no change. Raises ValueError for a change that the table doesn't have."""
+        """Change to ``state``; staying is no change. Raises ValueError for a change that the table
+        doesn't have.
+        """
         if state is self.current:
             return
         if state not in TABLE[self.current]:
             raise ValueError(
-                f"a run that is {self.current} can't be {state} next (only {', '.join(sorted(TABLE[self.current])) or 'nothing'})"
+                f"a run that is {self.current} can't be {state} next (only"
+                f" {', '.join(sorted(TABLE[self.current])) or 'nothing'})"
             )
         self._away_s, self._since_s = self.away_s, self._now_s()
         self.current = state
@@ -83,7 +87,9 @@ class RunStates:
 
     @contextmanager
     def during(self, state: RunState) -> Iterator[None]:
-        """In ``state`` while this lasts, then back; where it ends by an exception the state stays, for that is where it happened."""
+        """In ``state`` while this lasts, then back; where it ends by an exception the state stays,
+        for that is where it happened.
+        """
         before = self.current
         self.to(state)
         yield
@@ -98,12 +104,21 @@ class RunStates:
 def drawing() -> str:
     """The table as a Mermaid state diagram."""
     lines = ["stateDiagram-v2", "    [*] --> planned"]
-    lines += [f"    {state} --> {after}" for state in RunState for after in RunState if after in TABLE[state]]
+    lines += [
+        f"    {state} --> {after}"
+        for state in RunState
+        for after in RunState
+        if after in TABLE[state]
+    ]
     lines += [f"    {state} --> [*]" for state in RunState if state in ENDS]
     return "\n".join(lines)
 
 
 def table_text() -> str:
     """The table in Markdown: each state, what it means, and what may follow."""
-    rows = [f"| {state} | {WHY[state]} | {', '.join(after for after in RunState if after in TABLE[state]) or '-'} |" for state in RunState]
+    rows = [
+        f"| {state} | {WHY[state]} |"
+        f" {', '.join(after for after in RunState if after in TABLE[state]) or '-'} |"
+        for state in RunState
+    ]
     return "\n".join(["| state | what goes on | may be followed by |", "|---|---|---|", *rows])

@@ -1,9 +1,11 @@
-"""A trial as often as it takes: once, again from its set-up where somebody wants it or an instrument dropped out, or not at all.
+"""A trial as often as it takes: once, again from its set-up where somebody wants it or an
+instrument dropped out, or not at all.
 
-Tells the operator before each how far the run is. What is skipped leaves the counts and is kept with its reason; a trial in flight is
-done again whole. May not know what a trial consists of.
+Tells the operator before each how far the run is. What is skipped leaves the counts and is kept
+with its reason; a trial in flight is done again whole. May not know what a trial consists of.
 
-One trial: settle, move, set up, capture, touch, detect, score, store. It is whole in the store, or not there at all.
+One trial: settle, move, set up, capture, touch, detect, score, store. It is whole in the store, or
+not there at all.
 
 May not know how a run begins and ends, nor which instruments are emulated.
 """
@@ -43,8 +45,9 @@ from instruments.world.phantom import PlatePose
 class Attempts:
     """Runs ``planned`` trials, one for each call of ``run``, by ``once``.
 
-    ``through`` does a piece of work until no instrument has interrupted it; ``away_s`` tells the time that was no work at all.
-    ``poison`` are trials that aren't tried again, with the reason; ``each_s`` is what a trial is expected to take, where that is known.
+    ``through`` does a piece of work until no instrument has interrupted it; ``away_s`` tells the
+    time that was no work at all. ``poison`` are trials that aren't tried again, with the reason;
+    ``each_s`` is what a trial is expected to take, where that is known.
     """
 
     def __init__(
@@ -76,7 +79,9 @@ class Attempts:
         self._taken_s: list[float] = []
 
     def run(self, trial: PlannedTrial) -> None:
-        """Until the trial is in the store or has been skipped. Raises whatever else ``once`` raises."""
+        """Until the trial is in the store or has been skipped. Raises whatever else ``once``
+        raises.
+        """
         started_s = self._started_s = self._working_s()
         self._operator.next_trial(trial.number, self._planned, self.left_s)
         try:
@@ -99,7 +104,9 @@ class Attempts:
 
     @property
     def left_s(self) -> float | None:
-        """By the mean of the trials so far, but for the first, and until then by what was expected."""
+        """By the mean of the trials so far, but for the first, and
+        until then by what was expected.
+        """
         seen = self._taken_s[1:]
         each_s = sum(seen) / len(seen) if seen else self._each_s
         if each_s is None:
@@ -112,12 +119,21 @@ class Attempts:
         try:
             self._through(f"trial {trial.id}", lambda: self._once(trial))
         except OperatorRepeat as wish:
-            self._attention.event("repeated", f"{trial.id}: the operator asked for it again from its set-up{_because(wish)}")
+            self._attention.event(
+                "repeated",
+                f"{trial.id}: the operator asked for it again from its set-up{_because(wish)}",
+            )
             return True
         return False
 
     def _skipped(self, trial: PlannedTrial, told: str, reason: str) -> None:
-        row = {"trial": trial.id, "number": trial.number, "name": trial.name, "situation": trial.situation, "repeat": trial.repeat}
+        row = {
+            "trial": trial.id,
+            "number": trial.number,
+            "name": trial.name,
+            "situation": trial.situation,
+            "repeat": trial.repeat,
+        }
         self._store.skipped({**row, "t_s": self._clock.now(), "reason": reason})
         self._attention.event("skipped", f"{trial.id}: {told}")
 
@@ -131,14 +147,25 @@ def _because(wish: OperatorRepeat) -> str:
 
 
 class FrameSink(Protocol):
-    """Who else wants each frame set with its truth: the writer of a recording. Truth that isn't ``confirmed`` may still be taken back."""
+    """Who else wants each frame set with its truth: the writer of a recording. Truth that isn't
+    ``confirmed`` may still be taken back.
+    """
 
-    def trial(self, trial_id: str, situation: str, frames: FrameSet, truth: Sequence[TruthRow], *, confirmed: bool) -> None: ...
+    def trial(
+        self,
+        trial_id: str,
+        situation: str,
+        frames: FrameSet,
+        truth: Sequence[TruthRow],
+        *,
+        confirmed: bool,
+    ) -> None: ...
     def settled(self, trials: Sequence[str], good: bool) -> None: ...
 
 
 class TrialRun:
-    """The trials of one run. ``exact_ends`` gives the scene's exact truth where there is one; it is kept aside, never scored against.
+    """The trials of one run. ``exact_ends`` gives the scene's exact truth where there is one; it is
+    kept aside, never scored against.
 
     ``rehearsing``: all is done but the detection, for a trial that has its result already.
     """
@@ -172,10 +199,18 @@ class TrialRun:
         self._states = states or RunStates(lambda _: None, devices.clock.now)
         self.rehearsing = False
         self._examiner = Examiner(rig.calibration, rig.rig.limits.detection_timeout_s)
-        self._taker = FrameTaker(devices.cameras, rig.rig.cameras, rig.calibration, self._before_another_try, attention.event)
+        self._taker = FrameTaker(
+            devices.cameras,
+            rig.rig.cameras,
+            rig.calibration,
+            self._before_another_try,
+            attention.event,
+        )
 
     def run(self, trial: PlannedTrial) -> None:
-        """From settling to the trial's rows. Raises what an instrument, an interlock or the operator raises; nothing is stored then."""
+        """From settling to the trial's rows. Raises what an instrument, an interlock or the
+        operator raises; nothing is stored then.
+        """
         self._store.refuse_gone()
         started_s = self._devices.clock.now()
         trial_id = trial.id
@@ -196,7 +231,10 @@ class TrialRun:
         truth = self._truth.of_trial(there)
         self._attention.check()
         answers = self._detect(frames)
-        rows = [TruthRow(str(i), t.point_mm, placed.visible[i - 1], t.uncertainty.u_mm) for i, t in enumerate(truth.points, 1)]
+        rows = [
+            TruthRow(str(i), t.point_mm, placed.visible[i - 1], t.uncertainty.u_mm)
+            for i, t in enumerate(truth.points, 1)
+        ]
         head: Row = {
             "id": trial_id,
             "number": trial.number,
@@ -215,14 +253,18 @@ class TrialRun:
         self._store_trial(head, frames, rows, truth, answers)
         self._truth.stored(trial_id, truth)
         if self._sink and not self.rehearsing:
-            self._sink.trial(trial_id, trial.situation, frames, rows, confirmed=truth.how is How.TOUCHED)
+            self._sink.trial(
+                trial_id, trial.situation, frames, rows, confirmed=truth.how is How.TOUCHED
+            )
 
     def look(self) -> None:
         """See whether the cameras work. Raises where they don't."""
         self._taker.look()
 
     def _settle(self) -> None:
-        """Wait until the stability gate is open. Raises DeviceError where that takes longer than the script allows."""
+        """Wait until the stability gate is open. Raises DeviceError where that takes longer than
+        the script allows.
+        """
         gate, start = self._script.bath, self._devices.clock.now()
         waited = False
         if self._watch.state != State.STABLE:
@@ -233,20 +275,27 @@ class TrialRun:
             self._attention.wait(1.0)
             if self._devices.clock.now() - start > gate.timeout_s:
                 why = f"not stable within {gate.timeout_s:g} s: {self._watch.why_not_stable}"
-                raise DeviceError("bath", why, hint="Check level, lid and pump, or allow more time in the script.")
+                raise DeviceError(
+                    "bath", why, hint="Check level, lid and pump, or allow more time in the script."
+                )
         if waited:
             self._attention.event("stable", f"the bath is stable at {gate.set_point_c:g} degC")
 
     def _settle_again(self, trial_id: str) -> None:
-        """Just before the cameras: where the bath has left its band meanwhile, the trial is suspended until it is stable again."""
+        """Just before the cameras: where the bath has left its band meanwhile, the trial is
+        suspended until it is stable again.
+        """
         while self._watch.state != State.STABLE:
-            self._attention.event("suspended", f"{trial_id}: the bath left its band: {self._watch.why_not_stable}")
+            self._attention.event(
+                "suspended", f"{trial_id}: the bath left its band: {self._watch.why_not_stable}"
+            )
             self._settle()
             self._attention.wait(self._rig.cameras.settle_s)
         self._states.to(RunState.RUNNING)
 
     def _capture_settled(self, trial_id: str) -> FrameSet:
-        """Frames of a bath in its band, also where it leaves that while a camera lets us wait: they are taken again.
+        """Frames of a bath in its band, also where it leaves that while a camera lets us wait: they
+        are taken again.
 
         A recording isn't asked twice; what the bath was then is in the trial's row.
         """
@@ -262,7 +311,9 @@ class TrialRun:
         return self._rig.stage.axes if self._devices.stage and self._rig.stage else ""
 
     def _move(self, trial: PlannedTrial) -> None:
-        """By way of the place from which the pose is to be reached, where the script asks for one."""
+        """By way of the place from which the pose is to be reached,
+        where the script asks for one.
+        """
         if not self._axes:
             return
         self._progress.state(f"moving the phantom: {trial.name}")
@@ -297,20 +348,44 @@ class TrialRun:
         answers: list[Answer] = []
         for detector in () if self.rehearsing else self._detectors:
             self._progress.state(f"detecting with {detector.name}")
-            patience_s = detector.patience_s if isinstance(detector, Served) else 2.0 * self._rig.limits.detection_timeout_s
+            patience_s = (
+                detector.patience_s
+                if isinstance(detector, Served)
+                else 2.0 * self._rig.limits.detection_timeout_s
+            )
             self._attention.long(f"detecting with {detector.name}", 10.0 + patience_s, silent=True)
             answers.append(self._examiner.ask(detector, frames))
         return answers
 
-    def _store_trial(self, head: Row, frames: FrameSet, rows: list[TruthRow], truth: TrialTruth, answers: list[Answer]) -> None:
+    def _store_trial(
+        self,
+        head: Row,
+        frames: FrameSet,
+        rows: list[TruthRow],
+        truth: TrialTruth,
+        answers: list[Answer],
+    ) -> None:
         self._attention.long("writing the trial", 60.0, silent=True)
         trial_id = str(head["id"])
         exact = self._exact_ends() if self._exact_ends else None
         ends = [None] * len(rows) if exact is None else list(exact)
-        truth_rows = [truth_row(trial_id, row, end, point) for row, end, point in zip(rows, ends, truth.points, strict=True)]
-        detections, found, scores = judged(trial_id, answers, rows, self._script.visible_within_mm, self._script.time_limit_s)
+        truth_rows = [
+            truth_row(trial_id, row, end, point)
+            for row, end, point in zip(rows, ends, truth.points, strict=True)
+        ]
+        detections, found, scores = judged(
+            trial_id, answers, rows, self._script.visible_within_mm, self._script.time_limit_s
+        )
         self._store.finished(
-            FinishedTrial(head, frame_rows(self._store, trial_id, frames, answers), truth.touches, truth_rows, detections, found, scores)
+            FinishedTrial(
+                head,
+                frame_rows(self._store, trial_id, frames, answers),
+                truth.touches,
+                truth_rows,
+                detections,
+                found,
+                scores,
+            )
         )
 
 

@@ -1,6 +1,7 @@
 """Builds the truth source that a script asks for, from the rig's settings and the open instruments.
 
-The one module of this package that knows the bench's other parts; what a source does then is its own business.
+The one module of this package that knows the bench's other parts; what a source does then is its
+own business.
 """
 
 from __future__ import annotations
@@ -37,14 +38,21 @@ def refuse_carry(rig: LoadedRig, script: LoadedScript) -> None:
     """Raises ConfigError for a script that carries on a rig that has no stage to carry with."""
     if script.script.truth.mode == "carry" and rig.rig.stage is None:
         raise ConfigError.plain(
-            f'{script.path}: [truth] mode = "carry" needs a stage, and {rig.path} has none. Use mode = "touch", or a rig with a [stage].'
+            f'{script.path}: [truth] mode = "carry" needs a stage, and {rig.path} has none. Use'
+            ' mode = "touch", or a rig with a [stage].'
         )
 
 
 def shown(trial: PlannedTrial, axes: str) -> Shown:
-    """What stands there in ``trial`` when the stage's ``axes`` (of "XYZA", none without a stage) have moved it."""
+    """What stands there in ``trial`` when the stage's ``axes`` (of "XYZA", none without a stage)
+    have moved it.
+    """
     _, by_hand = shared(trial.pose, axes)
-    return Shown(trial.id, ends_of(trial.phantom.moved(trial.pose)), fixed_key(trial.phantom, by_hand, trial.pose.yaw_rad))
+    return Shown(
+        trial.id,
+        ends_of(trial.phantom.moved(trial.pose)),
+        fixed_key(trial.phantom, by_hand, trial.pose.yaw_rad),
+    )
 
 
 def choose_truth(
@@ -58,9 +66,11 @@ def choose_truth(
     *,
     before: RunRecord | None = None,
 ) -> TruthSource:
-    """The source for a run. ``settled`` is told which carried trials a check has confirmed (True) or invalidated.
+    """The source for a run. ``settled`` is told which carried trials a check has confirmed (True)
+    or invalidated.
 
-    ``before`` is what a stopped run left, where it is to go on: its registration and its reference are used further.
+    ``before`` is what a stopped run left, where it is to go on: its registration and its reference
+    are used further.
     """
     table, stage, arm = script.script.truth, devices.stage, rig.rig.arm
     toucher = Toucher(devices.operator, tip, arm, devices.clock, attention.check, table.readings)
@@ -102,7 +112,9 @@ class _Kept:
     def fact(self, key: str, value: object) -> None:
         self._store.fact(key, value)
 
-    def checked(self, touches: Sequence[Row], confirmed: Sequence[str], invalid: Sequence[str], reason: str) -> None:
+    def checked(
+        self, touches: Sequence[Row], confirmed: Sequence[str], invalid: Sequence[str], reason: str
+    ) -> None:
         self._store.checked(touches, invalid, reason)
         if confirmed:
             self._settled(confirmed, True)
@@ -111,7 +123,9 @@ class _Kept:
 
 
 class _Maker:
-    """Gives the registration that the script asks for: its file's, or one made now; either is a fact of the run."""
+    """Gives the registration that the script asks for: its file's, or one made now; either is a
+    fact of the run.
+    """
 
     def __init__(
         self,
@@ -134,7 +148,9 @@ class _Maker:
         self._attention = attention
 
     def registration(self) -> Registration:
-        """Raises LimitError where the file's doesn't hold any more, DeviceError where the touches give none, and as the instruments do."""
+        """Raises LimitError where the file's doesn't hold any more, DeviceError where the touches
+        give none, and as the instruments do.
+        """
         found = self._script.registration
         if found is None:
             found = self._made()
@@ -147,15 +163,24 @@ class _Maker:
     def _refuse_outdated(self, found: Registration) -> None:
         """The world that it was made in has to be the one that the arm gives now."""
         frame = self._rig.frame
-        why = found.outdated(self._devices.arm.identity.serial_number, frame.made if frame else None)
+        why = found.outdated(
+            self._devices.arm.identity.serial_number, frame.made if frame else None
+        )
         if why:
             name = self._script.script.truth.file
-            raise LimitError("stage", f"its registration {name} {why}", hint="Make it anew: 'teatbench calibrate stage'")
+            raise LimitError(
+                "stage",
+                f"its registration {name} {why}",
+                hint="Make it anew: 'teatbench calibrate stage'",
+            )
 
     def _made(self) -> Registration:
         first, arm, table = self._script.planned[0], self._rig.rig.arm, self._script.script.truth
         if table.registration_teat > len(first.phantom.teats):
-            what = f"registration_teat = {table.registration_teat}, but the first trial's phantom has {len(first.phantom.teats)} teats"
+            what = (
+                f"registration_teat = {table.registration_teat}, but the first trial's phantom has"
+                f" {len(first.phantom.teats)} teats"
+            )
             raise DeviceError("truth", what, hint="Name one of them in the script's [truth].")
         self._devices.operator.set_up(first.arrangement(self._settings.axes))
         try:
@@ -172,7 +197,9 @@ class _Maker:
                 tell=self._tell,
             )
         except RegistrationError as error:
-            raise DeviceError("stage", str(error), hint="Name other places in the script's registration_at_mm.") from error
+            raise DeviceError(
+                "stage", str(error), hint="Name other places in the script's registration_at_mm."
+            ) from error
         write_registration(self._store.folder / REGISTRATION_FILE, made)
         return made
 

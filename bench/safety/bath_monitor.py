@@ -1,13 +1,16 @@
-"""Reads the bath once a second through everything the bench does: feeds the stability gate, the interlocks and the record.
+"""Reads the bath once a second through everything the bench does: feeds the stability gate, the
+interlocks and the record.
 
-It is planned on the clock, so with virtual time it runs as time moves and with real time on the clock's own thread, which no
-prompt stops. A trip acts there and at once: ``act`` makes safe, and is called again every few seconds until it has; the
-engine learns of it with ``check``. Nothing is raised on the clock's thread.
+It is planned on the clock, so with virtual time it runs as time moves and with real time on the
+clock's own thread, which no prompt stops. A trip acts there and at once: ``act`` makes safe, and is
+called again every few seconds until it has; the engine learns of it with ``check``. Nothing is
+raised on the clock's thread.
 
-Keeps the bath out of trouble through a run: the watch with its interlocks, what a trip does, and the bench's signs of life.
+Keeps the bath out of trouble through a run: the watch with its interlocks, what a trip does, and
+the bench's signs of life.
 
-A trip acts on the thread that saw it, at once: heater off, stage braked, then the record, the latch and the operator. The
-engine only asks ``check``. May not know trials, cameras or detectors.
+A trip acts on the thread that saw it, at once: heater off, stage braked, then the record, the latch
+and the operator. The engine only asks ``check``. May not know trials, cameras or detectors.
 """
 
 from __future__ import annotations
@@ -22,7 +25,14 @@ from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
 from bench.safety.guardian_client import Lifeline
 from bench.safety.heartbeat import Pulse
-from bench.safety.interlocks import GUARDIAN, Interlocks, InterlockTrip, bath_of, moving_of, rule_named
+from bench.safety.interlocks import (
+    GUARDIAN,
+    Interlocks,
+    InterlockTrip,
+    bath_of,
+    moving_of,
+    rule_named,
+)
 from bench.safety.latch import latch_path, set_latch
 from bench.safety.stability import StabilityGate, State
 from instruments.bath.reading import BathReading
@@ -41,9 +51,10 @@ class ReadableBath(Protocol):
 class Watch:
     """Watches ``bath`` from ``start`` to ``stop``.
 
-    ``record`` gets each reading as a row. ``act`` gets the first trip, makes safe, and says whether it has. ``pump_on`` tells
-    whether the pump turns, None where nothing knows. ``also`` is asked with each reading what else there is to trip for;
-    ``moving`` tells what of a reading has to change for the gate to believe that the controller lives.
+    ``record`` gets each reading as a row. ``act`` gets the first trip, makes safe, and says whether
+    it has. ``pump_on`` tells whether the pump turns, None where nothing knows. ``also`` is asked
+    with each reading what else there is to trip for; ``moving`` tells what of a reading has to
+    change for the gate to believe that the controller lives.
     """
 
     def __init__(
@@ -88,7 +99,9 @@ class Watch:
         return "; ".join(self._gate.report.reasons)
 
     def stable_in_s(self, expected_s: float) -> float:
-        """How long until the gate opens, expected ``expected_s`` after heating began; once that is over, what it needs at the least."""
+        """How long until the gate opens, expected ``expected_s`` after heating began; once that is
+        over, what it needs at the least.
+        """
         if self.state is State.STABLE:
             return 0.0
         heated_s = 0.0 if self._heating_s is None else self._clock.now() - self._heating_s
@@ -113,7 +126,9 @@ class Watch:
             self._interlocks.heating(self._gate.set_point_c)
 
     def end(self) -> None:
-        """No further readings: the bath is about to be stopped. Doesn't wait for one that is under way; ``stop`` does."""
+        """No further readings: the bath is about to be stopped. Doesn't wait for one that is under
+        way; ``stop`` does.
+        """
         self._running = False
 
     def stop(self) -> None:
@@ -137,14 +152,16 @@ class Watch:
         with self._lock:
             if not self._running:
                 return
-            self._heard_s += self._clock.now() - self._planned_s  # while this process did not run, the bath was not silent
+            # while this process did not run, the bath was not silent
+            self._heard_s += self._clock.now() - self._planned_s
             try:
                 self._trip = self._trip or self._also()
                 self._look()
             except Exception as error:
                 self._trip = self._trip or error
             self._make_safe()
-        self._planned_s = max(self._planned_s + PERIOD_S, self._clock.now())  # from start to start, however long a reading takes
+        # from start to start, however long a reading takes
+        self._planned_s = max(self._planned_s + PERIOD_S, self._clock.now())
         self._clock.call_at(self._planned_s, self._tick)
 
     def _look(self) -> None:
@@ -153,7 +170,9 @@ class Watch:
             pump_on = self._pump_on(reading)
         except InstrumentError as error:
             silent_s = self._clock.now() - self._heard_s
-            trip = self._interlocks.silent(silent_s, error, answered=not isinstance(error, LinkError))
+            trip = self._interlocks.silent(
+                silent_s, error, answered=not isinstance(error, LinkError)
+            )
         else:
             if not self._running:
                 return  # the run has ended while we waited for it, and with it the heating
@@ -164,7 +183,9 @@ class Watch:
         self._heard_s = reading.t_s
         self.last = reading
         raw, teat_c = self._moving(reading), reading.external_c
-        state = self._gate.add(reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c)
+        state = self._gate.add(
+            reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c
+        )
         self._record(
             {
                 "t_s": reading.t_s,
@@ -189,13 +210,16 @@ class Watch:
 WATCH = "the watch"
 WATCHING = "beside the bench"
 NO_GUARDIAN = "none: under virtual time the emulated bath ends with the bench"
-READING_S = 60.0  # a reading of a bath that has gone, with all attempts to reach it and to make it safe
+# a reading of a bath that has gone, with all attempts to reach it and to make it safe
+READING_S = 60.0
 
 
 class Keeper:
-    """``watch`` is to be started and stopped by the engine; ``lifeline`` is None where nothing needs a guardian.
+    """``watch`` is to be started and stopped by the engine; ``lifeline`` is None where nothing
+    needs a guardian.
 
-    ``heard`` gets the event of a trip, its kind and text, once it is in the record; ``seen`` is called after each reading.
+    ``heard`` gets the event of a trip, its kind and text, once it is in the record; ``seen`` is
+    called after each reading.
     """
 
     def __init__(
@@ -220,7 +244,15 @@ class Keeper:
         interlocks = self._interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
         moving, pump_on, also = moving_of(rig.profile), self._pump_on, self._also
         self.watch = Watch(
-            devices.bath, devices.clock, gate, interlocks, self._record, self._act, pump_on=pump_on, also=also, moving=moving
+            devices.bath,
+            devices.clock,
+            gate,
+            interlocks,
+            self._record,
+            self._act,
+            pump_on=pump_on,
+            also=also,
+            moving=moving,
         )
         self._write_facts(rig, interlocks)
 
@@ -244,12 +276,17 @@ class Keeper:
         """With each reading: the watch is alive, and the guardian has to be too."""
         self._pulse.sign("reading the bath", READING_S, who=WATCH)
         lost = self._lifeline.lost if self._lifeline else None
-        return InterlockTrip(GUARDIAN, lost, rule_named(GUARDIAN).then, self._interlocks.values) if lost else None
+        return (
+            InterlockTrip(GUARDIAN, lost, rule_named(GUARDIAN).then, self._interlocks.values)
+            if lost
+            else None
+        )
 
     def _act(self, trip: Exception) -> bool:
         """Go to safe; True when heater and stage are. Called again until they are."""
         said: list[str] = []
-        stage = self._devices.stage  # first, for it takes a byte, and a bath that doesn't answer half a minute
+        # first, for it takes a byte, and a bath that doesn't answer half a minute
+        stage = self._devices.stage
         self._held = self._held or stage is None or _tried("stage", stage.brake, said, "is held")
         safe = _tried("heater", lambda: heater_off(self._devices.bath), said, "is in standby")
         if not self._told:
@@ -263,7 +300,9 @@ class Keeper:
         self._warn(f"{trip}\n{done}. The run ends; an open question needs no answer any more.")
         try:
             if isinstance(trip, InterlockTrip):
-                self._store.fact("trip", trip.as_dict() | {"t_s": self._devices.clock.now(), "done": said})
+                self._store.fact(
+                    "trip", trip.as_dict() | {"t_s": self._devices.clock.now(), "done": said}
+                )
             self._store.event(self._devices.clock.now(), "trip", f"{trip} ({done})", wall_time())
             self.heard("trip", f"{trip} ({done})")
         except sqlite3.Error as error:
@@ -283,7 +322,11 @@ class Keeper:
         self._store.fact("safe states", self._devices.safe_states())
         self._store.fact("guardian", WATCHING if self._lifeline else NO_GUARDIAN)
         room_c = rig.rig.emulation.ambient_c if rig.rig.emulated else rig.rig.bath.room_c
-        self._store.fact("bath figures", {"room_c": room_c} | rig.rig.bath.model_dump(include={"accuracy_k", "external_accuracy_k"}))
+        self._store.fact(
+            "bath figures",
+            {"room_c": room_c}
+            | rig.rig.bath.model_dump(include={"accuracy_k", "external_accuracy_k"}),
+        )
 
 
 def _tried(name: str, step: Callable[[], str | None], said: list[str], done: str) -> bool:

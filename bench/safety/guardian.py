@@ -1,14 +1,18 @@
-"""The guardian: a small process of its own that puts the bath into standby when the bench dies or hangs.
+"""The guardian: a small process of its own that puts the bath into standby when the bench dies or
+hangs.
 
-    python -m bench.safety.guardian --url tcp://host:502 --profile julabo-presto --record runs/…/guardian.json
+    python -m bench.safety.guardian --url tcp://host:502 --profile julabo-presto --record
+    runs/…/guardian.json
 
-The bench starts it and writes lines to its standard input: ``alive`` once a second, ``hung: …`` when its main thread makes no
-progress, ``done`` once it has made the bath safe itself, ``take over`` when it could not. The end of the input without a last
-word is the bench's death: it comes at once, however the bench died, on every system. Each ``alive`` is echoed on its standard
-output, so that the bench notices a guardian that is frozen. While the bench lives the guardian owns nothing: no link, no file.
-All that it needs is loaded before, and locked in memory where the system allows it, because a dying machine may have no disk
-any more. A pump with a switch of its own runs on for a minute behind the heater, and then stops; the ports are free meanwhile.
-It is no safety function: it dies with the computer.
+The bench starts it and writes lines to its standard input: ``alive`` once a second, ``hung: …``
+when its main thread makes no progress, ``done`` once it has made the bath safe itself, ``take
+over`` when it could not. The end of the input without a last word is the bench's death: it comes at
+once, however the bench died, on every system. Each ``alive`` is echoed on its standard output, so
+that the bench notices a guardian that is frozen. While the bench lives the guardian owns nothing:
+no link, no file. All that it needs is loaded before, and locked in memory where the system allows
+it, because a dying machine may have no disk any more. A pump with a switch of its own runs on for a
+minute behind the heater, and then stops; the ports are free meanwhile. It is no safety function: it
+dies with the computer.
 """
 
 from __future__ import annotations
@@ -41,13 +45,16 @@ PAUSE_S = 1.0  # between attempts, but for the first few
 GIVE_UP_S = 300.0  # then somebody has long been there, or never comes
 NICE = (-20, -10, -5)  # the first that the system grants
 MCL_CURRENT, MCL_ONFAULT = 1, 4  # mman.h of Linux
-IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")  # they are meant for the bench; the end of the input always ends us
+# they are meant for the bench; the end of the input always ends us
+IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
 class Ear:
-    """Hears the bench on a file descriptor, on a thread: not every system can wait for a pipe with a time limit.
+    """Hears the bench on a file descriptor, on a thread: not every system can wait for a pipe with
+    a time limit.
 
-    Signs of life are echoed to ``echo`` by the thread that waits for trouble. ``bench`` is the bench's process.
+    Signs of life are echoed to ``echo`` by the thread that waits for trouble. ``bench`` is the
+    bench's process.
     """
 
     def __init__(self, source: int, echo: int, bench: int) -> None:
@@ -57,7 +64,9 @@ class Ear:
         threading.Thread(target=self._listen, args=(source,), daemon=True).start()
 
     def wait_for_trouble(self) -> tuple[str, str, float] | None:
-        """What befell the bench (``died``, ``hung`` or ``gave up``), in what, and the stopwatch at its last sign; None when it is done."""
+        """What befell the bench (``died``, ``hung`` or ``gave up``), in what, and the stopwatch at
+        its last sign; None when it is done.
+        """
         last_s = stopwatch_s()
         while True:
             try:
@@ -91,7 +100,9 @@ class Ear:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Guard one bath; 0 when the bench needed nothing or the bath is in standby, 1 when it could not be reached."""
+    """Guard one bath; 0 when the bench needed nothing or the bath is in standby, 1 when it could
+    not be reached.
+    """
     given = _parser().parse_args(arguments)
     for name in IGNORED:
         if hasattr(signal, name):
@@ -99,7 +110,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     clock = RealClock()
     try:
         pump = PumpAt(given.pump_url, load_relay(given.pump_profile)) if given.pump_url else None
-        bath = Bath(given.url, load_profile(given.profile), clock, allow_inferred=given.allow_inferred, identify=False, pump=pump)
+        bath = Bath(
+            given.url,
+            load_profile(given.profile),
+            clock,
+            allow_inferred=given.allow_inferred,
+            identify=False,
+            pump=pump,
+        )
     except (ProfileError, InstrumentError) as error:
         sys.stderr.write(f"guardian: {error}\n")
         return 2
@@ -111,9 +129,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     cause, why, last_sign_s = trouble
     noticed, silent = wall_time(), timedelta(seconds=stopwatch_s() - last_sign_s)
-    record: dict[str, Any] = {"cause": cause, "why": why, "bath": given.url, "guardian": os.getpid()} | preferred
+    record: dict[str, Any] = {
+        "cause": cause,
+        "why": why,
+        "bath": given.url,
+        "guardian": os.getpid(),
+    } | preferred
     record |= {"wall_last_sign": _told(noticed - silent), "wall_noticed": _told(noticed)}
-    reached = _make_safe(bath, clock, given.record, record, bench=given.bench if cause == "hung" else None)
+    reached = _make_safe(
+        bath, clock, given.record, record, bench=given.bench if cause == "hung" else None
+    )
     if reached and has_own_pump(bath):
         _run_pump_on(bath, clock, given.record, record, given.overrun_s)
     bath.close()
@@ -121,7 +146,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _is_dying(process: int) -> bool:
-    """Whether the system is ending ``process``, or has: on a busy Linux seconds before its pipe closes.
+    """Whether the system is ending ``process``, or has: on a busy Linux seconds before its pipe
+    closes.
 
     A process that it has forked may hold the pipe open for good. False where there is no /proc.
     """
@@ -135,7 +161,9 @@ def _is_dying(process: int) -> bool:
 
 
 def _preferred() -> dict[str, Any]:
-    """Raises the priority and locks what is loaded in memory, as far as the system allows; what was got, for the record."""
+    """Raises the priority and locks what is loaded in memory, as far as the system allows; what was
+    got, for the record.
+    """
     got: dict[str, Any] = {"nice": None, "memory_locked": False}
     if sys.platform == "win32":
         return got  # the bench starts the process at high priority
@@ -149,8 +177,12 @@ def _preferred() -> dict[str, Any]:
     return got
 
 
-def _make_safe(bath: Bath, clock: RealClock, path: Path, record: dict[str, Any], *, bench: int | None) -> bool:
-    """Standby, tried until it is reached or GIVE_UP_S are over; the record follows. ``bench`` hangs and may hold the port."""
+def _make_safe(
+    bath: Bath, clock: RealClock, path: Path, record: dict[str, Any], *, bench: int | None
+) -> bool:
+    """Standby, tried until it is reached or GIVE_UP_S are over; the record follows. ``bench`` hangs
+    and may hold the port.
+    """
     start_s, tries = stopwatch_s(), 0
     while stopwatch_s() - start_s < GIVE_UP_S:
         tries += 1
@@ -163,14 +195,23 @@ def _make_safe(bath: Bath, clock: RealClock, path: Path, record: dict[str, Any],
                 bench = None
             clock.sleep(min(PAUSE_S, 0.1 * tries))
             continue
-        record |= {"standby": True, "tries": tries, "seconds": round(stopwatch_s() - start_s, 3), "wall_safe": _told(wall_time())}
+        record |= {
+            "standby": True,
+            "tries": tries,
+            "seconds": round(stopwatch_s() - start_s, 3),
+            "wall_safe": _told(wall_time()),
+        }
         _write(path, record)
         return True
     return False
 
 
-def _run_pump_on(bath: Bath, clock: RealClock, path: Path, record: dict[str, Any], overrun_s: float) -> None:
-    """Let the pump carry the heater's rest of heat away, then switch it off; the driver refuses where the bath is started again."""
+def _run_pump_on(
+    bath: Bath, clock: RealClock, path: Path, record: dict[str, Any], overrun_s: float
+) -> None:
+    """Let the pump carry the heater's rest of heat away, then switch it off; the driver refuses
+    where the bath is started again.
+    """
     try:
         bath.set(PUMP, ON)
         record["pump"] = f"runs on for {overrun_s:g} s"
@@ -185,7 +226,9 @@ def _run_pump_on(bath: Bath, clock: RealClock, path: Path, record: dict[str, Any
 
 
 def _kill(bench: int) -> bool:
-    """End a bench that hangs and keeps the port from us: what it has stored is whole at every moment."""
+    """End a bench that hangs and keeps the port from us: what it has stored is whole at every
+    moment.
+    """
     if bench != os.getppid():  # it has ended meanwhile, and its number may be another's
         return False
     with contextlib.suppress(OSError):
@@ -211,14 +254,24 @@ def _told(when: datetime) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="bench.safety.guardian", description="Puts a bath into standby when the bench that started it dies."
+        prog="bench.safety.guardian",
+        description="Puts a bath into standby when the bench that started it dies.",
     )
     parser.add_argument("--url", required=True)
     parser.add_argument("--profile", required=True)
-    parser.add_argument("--pump-url", default="", help="where the relay of a pump is that the controller doesn't turn")
+    parser.add_argument(
+        "--pump-url",
+        default="",
+        help="where the relay of a pump is that the controller doesn't turn",
+    )
     parser.add_argument("--pump-profile", default="")
     parser.add_argument("--allow-inferred", action="store_true")
-    parser.add_argument("--overrun-s", type=float, default=OVERRUN_S, help="how long the pump runs on behind the heater")
+    parser.add_argument(
+        "--overrun-s",
+        type=float,
+        default=OVERRUN_S,
+        help="how long the pump runs on behind the heater",
+    )
     parser.add_argument("--record", required=True, type=Path)
     parser.add_argument("--bench", required=True, type=int, help="the bench's process id")
     return parser

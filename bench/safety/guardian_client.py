@@ -1,4 +1,5 @@
-"""The bench's end of the guardian: starts it, exchanges signs of life, and tells it when the bath is safe without it.
+"""The bench's end of the guardian: starts it, exchanges signs of life, and tells it when the bath
+is safe without it.
 
 May not know the bath's protocol, or how the guardian does what it does.
 """
@@ -32,7 +33,9 @@ START_S = 30.0  # a loaded machine reads Python's modules slowly
 
 @dataclass(frozen=True, slots=True)
 class Charge:
-    """What a guardian has to put into standby: a bath, and the relay of its pump where it has one; profiles by name or whole path."""
+    """What a guardian has to put into standby: a bath, and the relay of its pump where it has one;
+    profiles by name or whole path.
+    """
 
     url: str
     profile: str
@@ -43,12 +46,25 @@ class Charge:
     @property
     def arguments(self) -> list[str]:
         """As the guardian's command line takes them."""
-        pump = ["--pump-url", self.pump_url, "--pump-profile", self.pump_profile] if self.pump_url else []
-        return ["--url", self.url, "--profile", self.profile, *pump, *(["--allow-inferred"] if self.allow_inferred else [])]
+        pump = (
+            ["--pump-url", self.pump_url, "--pump-profile", self.pump_profile]
+            if self.pump_url
+            else []
+        )
+        return [
+            "--url",
+            self.url,
+            "--profile",
+            self.profile,
+            *pump,
+            *(["--allow-inferred"] if self.allow_inferred else []),
+        ]
 
 
 class Lifeline:
-    """A running guardian for ``charge``, which keeps its record in ``folder``. Raises LinkError when it doesn't start."""
+    """A running guardian for ``charge``, which keeps its record in ``folder``. Raises LinkError
+    when it doesn't start.
+    """
 
     def __init__(self, charge: Charge, folder: Path, pulse: Pulse) -> None:
         self._pulse = pulse
@@ -91,13 +107,20 @@ class Lifeline:
         self._end(DONE)
 
     def hand_over(self) -> None:
-        """The bath could not be made safe: the guardian goes on trying, as if the bench had died."""
+        """The bath could not be made safe: the guardian goes on
+        trying, as if the bench had died.
+        """
         self._end(TAKE_OVER)
 
     def __enter__(self) -> Lifeline:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         """Left without ``done``, the guardian takes the bath over."""
         if not self._ended.is_set():
             self.hand_over()
@@ -125,7 +148,12 @@ class Lifeline:
         self._reader.join()
         self._pipe_in.close()
         said = self._log.read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
-        raise LinkError("guardian", "it did not start, so nothing is heated", seen=said or "nothing", hint=f"Its log is {self._log}.")
+        raise LinkError(
+            "guardian",
+            "it did not start, so nothing is heated",
+            seen=said or "nothing",
+            hint=f"Its log is {self._log}.",
+        )
 
     def _listen(self) -> None:
         """That it is ready, then an echo of each beat; on a thread, to its end."""
@@ -165,7 +193,9 @@ def _spawn(command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
 
 @contextmanager
 def guarded(charge: Charge, folder: Path, clock: Clock) -> Iterator[tuple[Pulse, Lifeline | None]]:
-    """Signs of life, and who looks at them: nobody under virtual time, for then the emulated bath ends with the bench."""
+    """Signs of life, and who looks at them: nobody under virtual time, for then the emulated bath
+    ends with the bench.
+    """
     pulse = Pulse()
     if isinstance(clock, VirtualClock):
         yield pulse, None

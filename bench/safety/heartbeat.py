@@ -1,8 +1,10 @@
-"""Signs of life of the bench's threads, for the guardian: each says what it does, how long that may take, and how long in silence.
+"""Signs of life of the bench's threads, for the guardian: each says what it does, how long that may
+take, and how long in silence.
 
-Whoever looks at the clock lives, so a long move shows life all the time, while a computation or a prompt may not. A thread that
-is silent for longer than it said hangs, and so does one that takes longer in all. Time is real time: a hung bench is hung in
-the world, whatever its clock says. May not know who looks.
+Whoever looks at the clock lives, so a long move shows life all the time, while a computation or a
+prompt may not. A thread that is silent for longer than it said hangs, and so does one that takes
+longer in all. Time is real time: a hung bench is hung in the world, whatever its clock says. May
+not know who looks.
 """
 
 from __future__ import annotations
@@ -38,17 +40,29 @@ class Pulse:
         self._lock = threading.Lock()
         self._doing: dict[str, _Doing] = {}
 
-    def sign(self, what: str, at_most_s: float = BRIEF_S, *, silence_s: float | None = None, who: str = "the main thread") -> None:
-        """``who`` is alive and now does ``what``, which takes ``at_most_s``; the next ``sign`` ends it.
+    def sign(
+        self,
+        what: str,
+        at_most_s: float = BRIEF_S,
+        *,
+        silence_s: float | None = None,
+        who: str = "the main thread",
+    ) -> None:
+        """``who`` is alive and now does ``what``, which takes ``at_most_s``; the next ``sign`` ends
+        it.
 
         With ``silence_s`` it has to be ``alive`` that often meanwhile.
         """
         now_s, quiet_s = stopwatch_s(), at_most_s if silence_s is None else silence_s
         with self._lock:
-            self._doing[who] = _Doing(what, threading.get_ident(), at_most_s, now_s + at_most_s, quiet_s, now_s + quiet_s)
+            self._doing[who] = _Doing(
+                what, threading.get_ident(), at_most_s, now_s + at_most_s, quiet_s, now_s + quiet_s
+            )
 
     def alive(self, asleep_s: float = 0.0) -> None:
-        """The calling thread lives, and will sleep for ``asleep_s``; no word where it has signed nothing."""
+        """The calling thread lives, and will sleep for ``asleep_s``; no word where it has signed
+        nothing.
+        """
         now_s, caller = stopwatch_s(), threading.get_ident()
         with self._lock:
             for doing in self._doing.values():
@@ -68,7 +82,9 @@ class Pulse:
                 if now > doing.until_s:
                     return f"{who} hangs: {doing.what} took more than {doing.at_most_s:g} s"
                 if now > doing.silent_until_s:
-                    return f"{who} hangs: {doing.what}, and no sign of life for {doing.silence_s:g} s"
+                    return (
+                        f"{who} hangs: {doing.what}, and no sign of life for {doing.silence_s:g} s"
+                    )
         return None
 
 
@@ -97,7 +113,9 @@ class AwaitedOperator:
         with self._waiting("the scene to be set up"):
             return self._operator.set_up(arrangement)
 
-    def touch(self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = "") -> None:
+    def touch(
+        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
+    ) -> None:
         with self._waiting(f"teat {teat} to be touched"):
             self._operator.touch(teat, of, number=number, numbers=numbers, again=again)
 

@@ -1,16 +1,21 @@
-"""What the interlocks look at, and what each of them sees in it: a sentence about what is wrong, or nothing.
+"""What the interlocks look at, and what each of them sees in it: a sentence about what is wrong, or
+nothing.
 
-Pure: a reading in its context in. When a condition becomes a trip is the table's business (`interlock_rules`). Figures:
-water-bath fact sheet, section 4.1.
+Pure: a reading in its context in. When a condition becomes a trip is the table's business
+(`interlock_rules`). Figures: water-bath fact sheet, section 4.1.
 
-The table of interlocks: what must never happen while the bath is hot, each with what trips it and what resets it.
+The table of interlocks: what must never happen while the bath is hot, each with what trips it and
+what resets it.
 
-Every trip latches: the bench goes to safe and stays there until a person acknowledges, which the rule's reset condition has to
-allow. None of this is a safety function; the bath's independent cut-out is. docs/safety.md shows the same table.
+Every trip latches: the bench goes to safe and stays there until a person acknowledges, which the
+rule's reset condition has to allow. None of this is a safety function; the bath's independent
+cut-out is. docs/safety.md shows the same table.
 
-Holds the table of interlocks against each reading of the bath, with what the rules have to remember.
+Holds the table of interlocks against each reading of the bath, with what the rules have to
+remember.
 
-Pure: readings with their times in, a trip or nothing out. Who acts on a trip is the watch's and the engine's business.
+Pure: readings with their times in, a trip or nothing out. Who acts on a trip is the watch's and the
+engine's business.
 """
 
 from __future__ import annotations
@@ -28,7 +33,8 @@ from instruments.bath.reading import BathReading
 RATE_SPAN_S = 30.0  # a rate from two readings a second apart would be all noise
 FROZEN_S, FROZEN_OUTPUT_PERCENT = 120.0, 20.0
 LOOP_BREAK_S, LOOP_BREAK_OUTPUT_PERCENT = 120.0, 90.0
-LOOP_RISE_K = 0.1  # the weakest bath of section 4.3 rises by 2.4 K in the time that the rule gives it
+# the weakest bath of section 4.3 rises by 2.4 K in the time that the rule gives it
+LOOP_RISE_K = 0.1
 DISAGREE_S = 10.0
 SAME_SET_POINT_K = 0.06  # a controller may show tenths
 
@@ -58,7 +64,9 @@ class Reading(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Bath:
-    """What the rules have to know of the bath itself: what its family tells, and the codes of its alarms."""
+    """What the rules have to know of the bath itself: what its family tells, and the codes of its
+    alarms.
+    """
 
     tells: frozenset[str] = frozenset({"output", "other sensor"})
     low_level: Callable[[int], bool] = lambda _: False
@@ -69,9 +77,10 @@ class Bath:
 class Look:
     """One reading in its context.
 
-    ``asked_c`` is the set point that the bath was started with, None before. ``since`` is the last reading with which the rule
-    was content, ``earlier`` one at least RATE_SPAN_S older than ``now``. ``pump_on`` is None where nothing tells whether the
-    pump is on; ``settled`` says that the other sensors have had time to follow.
+    ``asked_c`` is the set point that the bath was started with, None before. ``since`` is the last
+    reading with which the rule was content, ``earlier`` one at least RATE_SPAN_S older than
+    ``now``. ``pump_on`` is None where nothing tells whether the pump is on; ``settled`` says that
+    the other sensors have had time to follow.
     """
 
     now: Reading
@@ -86,8 +95,16 @@ class Look:
 
 def too_hot(look: Look) -> str | None:
     limit_c = look.limits.bath_max_c
-    seen = {"the bath": look.now.temp_c, "the safety sensor": look.now.safety_c, "the external sensor": look.now.external_c}
-    hot = [f"{name} is at {value:.2f} degC" for name, value in seen.items() if value is not None and value > limit_c]
+    seen = {
+        "the bath": look.now.temp_c,
+        "the safety sensor": look.now.safety_c,
+        "the external sensor": look.now.external_c,
+    }
+    hot = [
+        f"{name} is at {value:.2f} degC"
+        for name, value in seen.items()
+        if value is not None and value > limit_c
+    ]
     return f"{' and '.join(hot)}, above {limit_c:g} degC" if hot else None
 
 
@@ -97,7 +114,11 @@ def dry_heat(look: Look) -> str | None:
         return None
     if look.bath.low_level(look.now.alarm):
         return f"the heater is asked for {output:.0f} % while the level is low"
-    return f"the heater is asked for {output:.0f} % while the pump stands" if look.pump_on is False else None
+    return (
+        f"the heater is asked for {output:.0f} % while the pump stands"
+        if look.pump_on is False
+        else None
+    )
 
 
 def implausible(look: Look) -> str | None:
@@ -106,14 +127,21 @@ def implausible(look: Look) -> str | None:
 
 def implausible_c(now: Reading, limits: Limits) -> str | None:
     low, high = limits.bath_plausible_c
-    return None if low <= now.temp_c <= high else f"the bath reads {now.temp_c:.2f} degC, which no water bath has"
+    return (
+        None
+        if low <= now.temp_c <= high
+        else f"the bath reads {now.temp_c:.2f} degC, which no water bath has"
+    )
 
 
 def frozen(look: Look) -> str | None:
     output = look.now.power_percent
     if output is None or output <= FROZEN_OUTPUT_PERCENT or look.now.raw != look.since.raw:
         return None
-    return f"the reading has stood at {look.now.temp_c:.2f} degC for {_lasted(look):.0f} s with the output at {output:.0f} %"
+    return (
+        f"the reading has stood at {look.now.temp_c:.2f} degC for {_lasted(look):.0f} s with the"
+        f" output at {output:.0f} %"
+    )
 
 
 def too_fast(look: Look) -> str | None:
@@ -121,14 +149,21 @@ def too_fast(look: Look) -> str | None:
     if earlier is None:
         return None
     rate = 60.0 * (now.temp_c - earlier.temp_c) / (now.t_s - earlier.t_s)
-    return f"the bath changed by {rate:+.1f} K/min" if abs(rate) > look.limits.bath_rate_k_per_min else None
+    return (
+        f"the bath changed by {rate:+.1f} K/min"
+        if abs(rate) > look.limits.bath_rate_k_per_min
+        else None
+    )
 
 
 def loop_broken(look: Look) -> str | None:
     output, rise_k = look.now.power_percent, look.now.temp_c - look.since.temp_c
     if output is None or output <= LOOP_BREAK_OUTPUT_PERCENT or rise_k > LOOP_RISE_K:
         return None
-    return f"the bath went from {look.since.temp_c:.2f} to {look.now.temp_c:.2f} degC in {_lasted(look):.0f} s at {output:.0f} % output"
+    return (
+        f"the bath went from {look.since.temp_c:.2f} to {look.now.temp_c:.2f} degC in"
+        f" {_lasted(look):.0f} s at {output:.0f} % output"
+    )
 
 
 def sensors_disagree(look: Look) -> str | None:
@@ -136,7 +171,10 @@ def sensors_disagree(look: Look) -> str | None:
         return None
     for name, other_c in (("external", look.now.external_c), ("safety", look.now.safety_c)):
         if other_c is not None and abs(look.now.temp_c - other_c) > look.limits.sensors_differ_k:
-            return f"the bath reads {look.now.temp_c:.2f} degC and its {name} sensor {other_c:.2f} degC"
+            return (
+                f"the bath reads {look.now.temp_c:.2f} degC and its {name} sensor {other_c:.2f}"
+                " degC"
+            )
     return None
 
 
@@ -147,18 +185,29 @@ def changed(look: Look) -> str | None:
         return "the controller has stopped, and not for us"
     seen_c = look.now.set_point_c
     if seen_c is not None and abs(seen_c - look.asked_c) > SAME_SET_POINT_K:
-        return f"the controller's set point is {seen_c:.2f} degC, and {look.asked_c:.2f} degC was asked for"
+        return (
+            f"the controller's set point is {seen_c:.2f} degC, and {look.asked_c:.2f} degC was"
+            " asked for"
+        )
     return None
 
 
 def alarm(look: Look) -> str | None:
-    return f"the controller reports {look.bath.alarm_text(look.now.alarm)}" if look.now.alarm else None
+    return (
+        f"the controller reports {look.bath.alarm_text(look.now.alarm)}" if look.now.alarm else None
+    )
 
 
 def still_hot(now: Reading, limits: Limits) -> str | None:
-    hottest = max(value for value in (now.temp_c, now.safety_c, now.external_c) if value is not None)
+    hottest = max(
+        value for value in (now.temp_c, now.safety_c, now.external_c) if value is not None
+    )
     limit_c = limits.bath_max_c - 1.0
-    return f"it is still at {hottest:.2f} degC; it has to cool below {limit_c:g} degC" if hottest >= limit_c else None
+    return (
+        f"it is still at {hottest:.2f} degC; it has to cool below {limit_c:g} degC"
+        if hottest >= limit_c
+        else None
+    )
 
 
 def still_alarmed(now: Reading, _: Limits) -> str | None:
@@ -166,7 +215,11 @@ def still_alarmed(now: Reading, _: Limits) -> str | None:
 
 
 def still_heating(now: Reading, _: Limits) -> str | None:
-    return f"the heater is still asked for {now.power_percent:.0f} %" if now.power_percent and now.power_percent > 0 else None
+    return (
+        f"the heater is still asked for {now.power_percent:.0f} %"
+        if now.power_percent and now.power_percent > 0
+        else None
+    )
 
 
 def not_cold_and_plausible(now: Reading, limits: Limits) -> str | None:
@@ -187,10 +240,12 @@ def _lasted(look: Look) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A row of the table. Every row latches: what has tripped stays so, whatever the bath does, until a person acknowledges it.
+    """A row of the table. Every row latches: what has tripped stays so, whatever the bath does,
+    until a person acknowledges it.
 
-    ``wrong`` says what is wrong at this moment, or gives None; it trips ``after_s`` after the last reading that was right. ``not_yet``
-    says why a latched trip can't be reset, or gives None. ``needs`` names what the family has to tell, or the rule sleeps.
+    ``wrong`` says what is wrong at this moment, or gives None; it trips ``after_s`` after the last
+    reading that was right. ``not_yet`` says why a latched trip can't be reset, or gives None.
+    ``needs`` names what the family has to tell, or the rule sleeps.
     """
 
     name: str
@@ -204,7 +259,11 @@ class Rule:
 
 
 COLD_AND_PLAUSIBLE = "a plausible reading, and output 0 %"
-COMMUNICATIONS, IMPLAUSIBLE, GUARDIAN = "communications lost", "implausible reading", "guardian lost"
+COMMUNICATIONS, IMPLAUSIBLE, GUARDIAN = (
+    "communications lost",
+    "implausible reading",
+    "guardian lost",
+)
 
 RULES = (
     Rule(
@@ -213,7 +272,8 @@ RULES = (
         too_hot,
         "all sensors 1 K below bath_max_c",
         still_hot,
-        "Check the controller's set point and its heater relay, and that the cut-out works, before you start again.",
+        "Check the controller's set point and its heater relay, and that the cut-out works, before"
+        " you start again.",
     ),
     Rule(
         "heat without pump or level",
@@ -237,7 +297,11 @@ RULES = (
         f"identical raw value for {FROZEN_S:g} s with the output above {FROZEN_OUTPUT_PERCENT:g} %",
         frozen,
         "output at most 20 %",
-        lambda now, limits: still_heating(now, limits) if (now.power_percent or 0.0) > FROZEN_OUTPUT_PERCENT else None,
+        lambda now, limits: (
+            still_heating(now, limits)
+            if (now.power_percent or 0.0) > FROZEN_OUTPUT_PERCENT
+            else None
+        ),
         "Switch the controller off and on; check the sensor.",
         after_s=FROZEN_S,
         needs="output",
@@ -252,7 +316,8 @@ RULES = (
     ),
     Rule(
         "loop break",
-        f"output above {LOOP_BREAK_OUTPUT_PERCENT:g} % for {LOOP_BREAK_S:g} s and the bath has not risen by {LOOP_RISE_K:g} K",
+        f"output above {LOOP_BREAK_OUTPUT_PERCENT:g} % for {LOOP_BREAK_S:g} s and the bath has not"
+        f" risen by {LOOP_RISE_K:g} K",
         loop_broken,
         COLD_AND_PLAUSIBLE,
         not_cold_and_plausible,
@@ -296,7 +361,8 @@ RULES = (
     ),
     Rule(
         GUARDIAN,
-        "the guardian's process has ended, has not answered for 3 s, or has acted on a bench that hung",
+        "the guardian's process has ended, has not answered for 3 s, or has acted on a bench that"
+        " hung",
         nothing,  # no reading shows it: the keeper trips this row
         "a reading",
         nothing_more,
@@ -313,15 +379,20 @@ def rule_named(name: str) -> Rule:
     raise KeyError(name)
 
 
-SETTLED_WITHIN_K, SETTLED_S = 0.5, 120.0  # near the set point for so long, the teats have caught up with the water
+# near the set point for so long, the teats have caught up with the water
+SETTLED_WITHIN_K, SETTLED_S = 0.5, 120.0
 KEPT = 10  # readings that go into the record with a trip, beside those that the rule compares with
 COARSE_K = 0.05  # a temperature told in steps of more than this stands still in the best of baths
 
 
 class InterlockTrip(Exception):  # noqa: N818 - the field's word
-    """A rule is broken; the bench goes to safe and stays there. ``values`` are the readings that led to it, oldest first."""
+    """A rule is broken; the bench goes to safe and stays there. ``values`` are the readings that
+    led to it, oldest first.
+    """
 
-    def __init__(self, rule: str, why: str, then: str, values: tuple[Mapping[str, object], ...] = ()) -> None:
+    def __init__(
+        self, rule: str, why: str, then: str, values: tuple[Mapping[str, object], ...] = ()
+    ) -> None:
         self.rule = rule
         self.why = why
         self.then = then
@@ -351,7 +422,9 @@ class Interlocks:
         return tuple(rule.name for rule in RULES if rule not in self._awake)
 
     def heating(self, set_point_c: float) -> None:
-        """The bath has been started: the other sensors may lag again, and who stops it now is not the bench."""
+        """The bath has been started: the other sensors may lag again, and who stops it now is not
+        the bench.
+        """
         self._asked_c = set_point_c
         self._near_since_s = math.nan
 
@@ -361,7 +434,9 @@ class Interlocks:
         earlier = self._earlier(now)
         for rule in self._awake:
             since = self._since.setdefault(rule.name, now)
-            why = rule.wrong(Look(now, since, earlier, self._asked_c, pump_on, settled, self._limits, self._bath))
+            why = rule.wrong(
+                Look(now, since, earlier, self._asked_c, pump_on, settled, self._limits, self._bath)
+            )
             if why is None:
                 self._since[rule.name] = now
             elif now.t_s - since.t_s >= rule.after_s:
@@ -369,12 +444,16 @@ class Interlocks:
         return None
 
     def silent(self, silent_s: float, error: Exception, *, answered: bool) -> InterlockTrip | None:
-        """The trip that a missing reading means: nobody answers, or (``answered``) there is no temperature in the answer."""
+        """The trip that a missing reading means: nobody answers, or (``answered``) there is no
+        temperature in the answer.
+        """
         if silent_s < self._limits.bath_silence_s:
             return None
         rule = rule_named(IMPLAUSIBLE if answered else COMMUNICATIONS)
         what = "no usable reading" if answered else "no reading"
-        return InterlockTrip(rule.name, f"{what} for {silent_s:.0f} s ({error})", rule.then, self.values)
+        return InterlockTrip(
+            rule.name, f"{what} for {silent_s:.0f} s ({error})", rule.then, self.values
+        )
 
     @property
     def values(self) -> tuple[Mapping[str, object], ...]:
@@ -395,7 +474,9 @@ class Interlocks:
         return oldest if now.t_s - oldest.t_s >= RATE_SPAN_S else None
 
     def _has_settled(self, now: Reading) -> bool:
-        """Once settled it stays so, or a bath that is driven off its set point would switch its own interlock off."""
+        """Once settled it stays so, or a bath that is driven off its set point would switch its own
+        interlock off.
+        """
         if self._asked_c is None:
             return False
         if math.isnan(self._near_since_s) or now.t_s - self._near_since_s < SETTLED_S:
@@ -421,7 +502,9 @@ def bath_of(profile: Profile) -> Bath:
 
 
 def moving_of(profile: Profile) -> Callable[[BathReading], Hashable]:
-    """What of a reading has to change while the controller lives: the temperature, and where that is told coarsely the output too."""
+    """What of a reading has to change while the controller lives: the temperature, and where that
+    is told coarsely the output too.
+    """
     row = profile.row("temperature")
     if row.type == "f32" or row.scale <= COARSE_K:
         return lambda reading: reading.raw
@@ -429,5 +512,14 @@ def moving_of(profile: Profile) -> Callable[[BathReading], Hashable]:
 
 
 def _plain(reading: Reading) -> Mapping[str, object]:
-    names = ("t_s", "temp_c", "external_c", "safety_c", "power_percent", "alarm", "running", "set_point_c")
+    names = (
+        "t_s",
+        "temp_c",
+        "external_c",
+        "safety_c",
+        "power_percent",
+        "alarm",
+        "running",
+        "set_point_c",
+    )
     return {name: getattr(reading, name) for name in names} | {"raw": list(reading.raw)}

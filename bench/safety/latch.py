@@ -1,8 +1,8 @@
 """What keeps a run from starting: an interlock's latch, and a cut-out that nobody has tested.
 
-The latch is a file beside the rig file, until a person acknowledges it. It belongs to the bath, not to a run: another output
-folder, another script or a restart of the computer doesn't get round it. An emulated rig has none, for its bath is a new one in
-each run. May not know what tripped or why.
+The latch is a file beside the rig file, until a person acknowledges it. It belongs to the bath, not
+to a run: another output folder, another script or a restart of the computer doesn't get round it.
+An emulated rig has none, for its bath is a new one in each run. May not know what tripped or why.
 """
 
 from __future__ import annotations
@@ -43,7 +43,10 @@ class Latch:
         return str(self.told.get("rule", "unknown"))
 
     def __str__(self) -> str:
-        return f"interlock {self.rule} at {self.told.get('wall_time', 'an unknown time')}: {self.told.get('why', 'no reason can be read')}"
+        return (
+            f"interlock {self.rule} at {self.told.get('wall_time', 'an unknown time')}:"
+            f" {self.told.get('why', 'no reason can be read')}"
+        )
 
 
 def latch_path(rig: LoadedRig) -> Path | None:
@@ -52,10 +55,15 @@ def latch_path(rig: LoadedRig) -> Path | None:
 
 
 def set_latch(path: Path, trip: Exception, run: str) -> None:
-    """Keep ``trip`` of the run in folder ``run``. The first one stays. Raises OSError where the file can't be written."""
+    """Keep ``trip`` of the run in folder ``run``. The first one stays. Raises OSError where the
+    file can't be written.
+    """
     if path.exists():
         return
-    told: dict[str, object] = {"rule": "mistake of the bench", "why": f"{type(trip).__name__}: {trip}"}
+    told: dict[str, object] = {
+        "rule": "mistake of the bench",
+        "why": f"{type(trip).__name__}: {trip}",
+    }
     if isinstance(trip, InterlockTrip):
         told = trip.as_dict()
     told |= {"wall_time": wall_time().isoformat(timespec="seconds"), "run": run}
@@ -63,7 +71,9 @@ def set_latch(path: Path, trip: Exception, run: str) -> None:
 
 
 def read_latch(path: Path | None) -> Latch | None:
-    """The latch at ``path``, None where nothing is latched. A file that can't be understood is a latch all the same."""
+    """The latch at ``path``, None where nothing is latched. A file that can't be understood is a
+    latch all the same.
+    """
     if path is None or not path.exists():
         return None
     try:
@@ -83,28 +93,40 @@ def refuse_latched(rig: LoadedRig) -> None:
 
 
 def refuse_untested_cut_out(rig: LoadedRig, today: date) -> None:
-    """Raises ConfigError where the bath may stay hot without the bench, and the rig file has no day of a test of its cut-out."""
+    """Raises ConfigError where the bath may stay hot without the bench, and the rig file has no day
+    of a test of its cut-out.
+    """
     loss, tested = rig.profile.comms_loss, rig.rig.bath.cut_out_tested
     why = ""
     if not tested and loss in STAYS_HOT:
         why = (
-            "missing: nothing is heated before the bath's independent cut-out was tested, because the "
-            f'bath may stay hot when the computer dies (its profile says comms_loss = "{loss}"). Test it '
+            "missing: nothing is heated before the bath's independent cut-out was tested, because"
+            " the "
+            f'bath may stay hot when the computer dies (its profile says comms_loss = "{loss}").'
+            " Test it "
             f'as docs/safety.md says, then write the day: cut_out_tested = "{today.isoformat()}"'
         )
-    elif tested and date.fromisoformat(tested) > today + timedelta(days=1):  # it may be tomorrow already elsewhere
+    # it may be tomorrow already elsewhere
+    elif tested and date.fromisoformat(tested) > today + timedelta(days=1):
         why = "this day is still to come: is this machine's clock right?"
     if why and not rig.rig.all_emulated:
         raise located(rig.path, rig.text, [(("bath", "cut_out_tested"), why, False)])
 
 
 def acknowledge(rig: LoadedRig, latch: Latch, reading: BathReading) -> None:
-    """Take the latch away. Raises LatchedError while the rule's reset condition does not hold for ``reading``."""
+    """Take the latch away. Raises LatchedError while the rule's reset condition does not hold for
+    ``reading``.
+    """
     try:
         rule = rule_named(latch.rule)
     except KeyError:
         rule = None
     not_yet = rule.not_yet(reading, rig.rig.limits) if rule else None
     if rule and not_yet:
-        raise LatchedError("rig", f"not yet: {not_yet}", asked=f"acknowledge {latch.rule}", hint=f"It resets with: {rule.resets}.")
+        raise LatchedError(
+            "rig",
+            f"not yet: {not_yet}",
+            asked=f"acknowledge {latch.rule}",
+            hint=f"It resets with: {rule.resets}.",
+        )
     latch.path.unlink()

@@ -1,13 +1,17 @@
-"""A console window that is closed on Windows: the system tells of it on a thread of its own, and ends the program when that returns.
+"""A console window that is closed on Windows: the system tells of it on a thread of its own, and
+ends the program when that returns.
 
-What it tells and what is done about it is plain logic, and tested everywhere; only `windows_register` needs Windows. Elsewhere
-a terminal that closes sends SIGHUP, and nothing here is used. May not know what safe is.
+What it tells and what is done about it is plain logic, and tested everywhere; only
+`windows_register` needs Windows. Elsewhere a terminal that closes sends SIGHUP, and nothing here is
+used. May not know what safe is.
 
-The one place that hears who asks the bench to end: Ctrl-C, SIGTERM, a dropped connection (SIGHUP), a closed console window.
+The one place that hears who asks the bench to end: Ctrl-C, SIGTERM, a dropped connection (SIGHUP),
+a closed console window.
 
-The first request is raised in the main thread as `Interrupted`, so that every `finally` runs and the bench passes through
-safe; what comes while it is on its way there is only noted. The handler of the signals is itself the state, so nothing is
-global but what the system keeps. May not know what safe is: the engine brings it along.
+The first request is raised in the main thread as `Interrupted`, so that every `finally` runs and
+the bench passes through safe; what comes while it is on its way there is only noted. The handler of
+the signals is itself the state, so nothing is global but what the system keeps. May not know what
+safe is: the engine brings it along.
 """
 
 from __future__ import annotations
@@ -24,17 +28,30 @@ from types import FrameType
 
 from instruments.clock import RealClock, stopwatch_s
 
-CTRL_C_EVENT, CTRL_BREAK_EVENT, CTRL_CLOSE_EVENT, CTRL_LOGOFF_EVENT, CTRL_SHUTDOWN_EVENT = 0, 1, 2, 5, 6  # wincon.h
-ENDINGS = {CTRL_CLOSE_EVENT: "console closed", CTRL_LOGOFF_EVENT: "log-off", CTRL_SHUTDOWN_EVENT: "shutdown"}
+# wincon.h
+CTRL_C_EVENT, CTRL_BREAK_EVENT, CTRL_CLOSE_EVENT, CTRL_LOGOFF_EVENT, CTRL_SHUTDOWN_EVENT = (
+    0,
+    1,
+    2,
+    5,
+    6,
+)
+ENDINGS = {
+    CTRL_CLOSE_EVENT: "console closed",
+    CTRL_LOGOFF_EVENT: "log-off",
+    CTRL_SHUTDOWN_EVENT: "shutdown",
+}
 
 Handler = Callable[[int], bool]
 Register = Callable[[Handler, bool], None]
 
 
 def handler_for(ends: Callable[[str], None]) -> Handler:
-    """What Windows calls: ``ends`` is told what ends the program, and has made safe when it returns.
+    """What Windows calls: ``ends`` is told what ends the program, and has made safe when it
+    returns.
 
-    True says that the event is dealt with. Ctrl-C and Ctrl-Break are not: Python makes signals of them.
+    True says that the event is dealt with. Ctrl-C and Ctrl-Break are not: Python makes signals of
+    them.
     """
 
     def handler(event: int) -> bool:
@@ -49,7 +66,9 @@ def handler_for(ends: Callable[[str], None]) -> Handler:
 
 @contextmanager
 def console_heard(ends: Callable[[str], None], register: Register | None) -> Iterator[None]:
-    """Hear of a closed console while this lasts; ``register`` adds (True) or removes (False) a handler, None where nothing does."""
+    """Hear of a closed console while this lasts; ``register`` adds (True) or removes (False) a
+    handler, None where nothing does.
+    """
     if register is None:
         yield
         return
@@ -66,7 +85,9 @@ if sys.platform == "win32":
     from ctypes import wintypes
 
     def windows_register() -> Register | None:
-        """SetConsoleCtrlHandler of kernel32. What it gives back raises OSError where Windows refuses."""
+        """SetConsoleCtrlHandler of kernel32. What it gives back raises OSError where Windows
+        refuses.
+        """
         make = ctypes.WINFUNCTYPE(wintypes.BOOL, wintypes.DWORD)
         kernel32 = ctypes.WinDLL("kernel32", use_last_error=True)
         kept: dict[Handler, object] = {}  # Windows calls it at any time: it must not be collected
@@ -93,7 +114,9 @@ ASKED_BY = {
     "SIGHUP": "SIGHUP: the terminal or its connection has gone",
     "SIGBREAK": "Ctrl-Break",
 }
-ON_THE_WAY_S = 5.0  # a second Ctrl-C within this is the same wish; a later one is that of a person who sees nothing happen
+# a second Ctrl-C within this is the same wish; a later one is that of a person who sees nothing
+# happen
+ON_THE_WAY_S = 5.0
 AMID_A_LOCK = ("__enter__", "__exit__", "_release_save", "_acquire_restore", "notify", "notify_all")
 MOMENT_S = 0.001
 CLOSE_S = 4.5  # Windows ends a program 5 s after its console was closed, whatever it does
@@ -139,10 +162,14 @@ class Exits:
         """Raise what came while requests were held, where nobody has ended for it."""
         if self.asked and self._raised_s is None:
             self._raised_s = stopwatch_s()
-            raise Interrupted(f"the run was interrupted ({ASKED_BY.get(self.asked[0], self.asked[0])})")
+            raise Interrupted(
+                f"the run was interrupted ({ASKED_BY.get(self.asked[0], self.asked[0])})"
+            )
 
     def console_closed(self, how: str = "console closed") -> None:
-        """Windows ends the program: make safe in this thread, for the main one may be waiting for input for ever."""
+        """Windows ends the program: make safe in this thread, for the main one may be waiting for
+        input for ever.
+        """
         self.asked.append(how)
         if self.at_close is not None:
             work = threading.Thread(target=self.at_close, name="console closed", daemon=True)
@@ -159,7 +186,8 @@ class Exits:
 
 @contextmanager
 def installed(register: Register | None = None) -> Iterator[Exits]:
-    """Hear all requests to end while this lasts. What was ignored when the program started (`nohup`, `&`) stays ignored.
+    """Hear all requests to end while this lasts. What was ignored when the program started
+    (`nohup`, `&`) stays ignored.
 
     ``register`` stands in for the system's way to tell of a closed console window.
     """
@@ -168,7 +196,11 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
         yield exits
         return
     names = [name for name in ASKED_BY if hasattr(signal, name)]
-    numbers = [getattr(signal, name) for name in names if signal.getsignal(getattr(signal, name)) is not signal.SIG_IGN]
+    numbers = [
+        getattr(signal, name)
+        for name in names
+        if signal.getsignal(getattr(signal, name)) is not signal.SIG_IGN
+    ]
     before = {number: signal.signal(number, exits) for number in numbers}
     try:
         with console_heard(exits.console_closed, register or windows_register()):
@@ -180,13 +212,17 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
 
 def current() -> Exits:
     """Whoever is installed; one that hears nothing where none is."""
-    handlers = (signal.getsignal(getattr(signal, name)) for name in ASKED_BY if hasattr(signal, name))
+    handlers = (
+        signal.getsignal(getattr(signal, name)) for name in ASKED_BY if hasattr(signal, name)
+    )
     return next((handler for handler in handlers if isinstance(handler, Exits)), Exits())
 
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Requests to end are noted and not raised while this lasts: going to safe is short and bounded, and must not be cut off."""
+    """Requests to end are noted and not raised while this lasts: going to safe is short and
+    bounded, and must not be cut off.
+    """
     exits = current()
     exits.hold()
     try:
@@ -196,9 +232,11 @@ def undisturbed() -> Iterator[None]:
 
 
 def _amid_a_lock(frame: FrameType | None) -> bool:
-    """Whether Python's own code is just taking or giving back a lock: raised there, the lock would be held for ever.
+    """Whether Python's own code is just taking or giving back a lock: raised there, the lock would
+    be held for ever.
 
-    All callers count: a signal that comes again may find us still at the handler's own work, called amid a lock.
+    All callers count: a signal that comes again may find us still at the handler's own work, called
+    amid a lock.
     """
     while frame is not None:
         if frame.f_code.co_filename == threading.__file__ and frame.f_code.co_name in AMID_A_LOCK:
@@ -215,7 +253,8 @@ def _come_again(number: int) -> None:
         if sys.platform == "win32":
             _thread.interrupt_main(number)
         else:
-            signal.pthread_kill(threading.main_thread().ident or 0, number)  # also out of a call that waits
+            # also out of a call that waits
+            signal.pthread_kill(threading.main_thread().ident or 0, number)
 
     threading.Thread(target=later, name="signal", daemon=True).start()
 

@@ -1,13 +1,16 @@
 """A sliding window of readings with its mean, slope, extremes, and how many of them differ.
 
-Strategy: running sums for mean and slope, monotonic queues for the extremes, a count of distinct raw readings; a reading costs
-the same however long the window is. Pure; may not know what the figures are good for.
+Strategy: running sums for mean and slope, monotonic queues for the extremes, a count of distinct
+raw readings; a reading costs the same however long the window is. Pure; may not know what the
+figures are good for.
 
-When is the bath stable? A sliding window of readings against the gate of the script: heating, settling, stable.
+When is the bath stable? A sliding window of readings against the gate of the script: heating,
+settling, stable.
 
-The window's figures are `stability_window`'s. Criteria after ASTM E2488 practice: mean, half range and least-squares slope over the
-window, with hysteresis on leaving; a sensor at the teats, where there is one, has a slope of its own to keep. Knows no bath, no
-Modbus, no clock: a reading comes with its time. A frozen reading, a gap or an alarm is never evidence of stability.
+The window's figures are `stability_window`'s. Criteria after ASTM E2488 practice: mean, half range
+and least-squares slope over the window, with hysteresis on leaving; a sensor at the teats, where
+there is one, has a slope of its own to keep. Knows no bath, no Modbus, no clock: a reading comes
+with its time. A frozen reading, a gap or an alarm is never evidence of stability.
 """
 
 from __future__ import annotations
@@ -22,9 +25,22 @@ TIME_SLACK_S = 1e-6  # readings at 0.1 s steps add up to 599.9999999 s
 
 
 class Window:
-    """Deviations from the set point (K) over the last `span`: sums about a moving origin, and extremes in monotonic queues."""
+    """Deviations from the set point (K) over the last `span`: sums about a moving origin, and
+    extremes in monotonic queues.
+    """
 
-    __slots__ = ("_highs", "_lows", "_origin_s", "_raw", "_readings", "_since_sums", "_st", "_stt", "_sty", "_sy")
+    __slots__ = (
+        "_highs",
+        "_lows",
+        "_origin_s",
+        "_raw",
+        "_readings",
+        "_since_sums",
+        "_st",
+        "_stt",
+        "_sty",
+        "_sy",
+    )
 
     def __init__(self) -> None:
         self._readings: deque[tuple[float, float, Hashable]] = deque()
@@ -96,8 +112,9 @@ class Window:
         self._sty += sign * t * y
 
     def _sum_afresh(self) -> None:
-        """Rounding of added and dropped readings piles up, and the origin falls behind: start the sums again, at a cost spread over the
-        window."""
+        """Rounding of added and dropped readings piles up, and the origin falls behind: start the
+        sums again, at a cost spread over the window.
+        """
         self._origin_s, self._since_sums = self._readings[0][0], 0
         self._st = self._stt = self._sy = self._sty = 0.0
         for t_s, y, _ in self._readings:
@@ -108,7 +125,9 @@ FIGURES_FROM = 0.1  # of the window: figures of less are noise
 
 
 class State(StrEnum):
-    """`heating`: further from the set point than `leave_k`; `settling`: near it, not shown to be stable; `stable`."""
+    """`heating`: further from the set point than `leave_k`; `settling`: near it, not shown to be
+    stable; `stable`.
+    """
 
     HEATING = "heating"
     SETTLING = "settling"
@@ -117,8 +136,10 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class StabilityReport:
-    """The window as it stands. Figures are None before the first reading (the slope before the second); `near_s` is how long the bath
-    has been near its set point without a gap, at most the window; `reasons` says what is not fulfilled."""
+    """The window as it stands. Figures are None before the first reading (the slope before the
+    second); `near_s` is how long the bath has been near its set point without a gap, at most the
+    window; `reasons` says what is not fulfilled.
+    """
 
     state: State
     set_point_c: float
@@ -143,9 +164,10 @@ class StabilityReport:
 class StabilityGate:
     """Feed every reading to `add`; ask `state` and `report`. Limits are the script's.
 
-    `min_distinct` raw readings must differ within the window, and a raw reading may repeat for `frozen_s` at the most: a steady bath
-    shows one value of a 0.01 K step for a while, a dead controller shows it for ever. Where the temperature is so coarse that a good
-    bath shows one value only (0.1 K), pass another value that moves (heater output, a heartbeat) within `raw`.
+    `min_distinct` raw readings must differ within the window, and a raw reading may repeat for
+    `frozen_s` at the most: a steady bath shows one value of a 0.01 K step for a while, a dead
+    controller shows it for ever. Where the temperature is so coarse that a good bath shows one
+    value only (0.1 K), pass another value that moves (heater output, a heartbeat) within `raw`.
     """
 
     set_point_c: float
@@ -164,25 +186,40 @@ class StabilityGate:
     _raw_since_s: float = field(default=0.0, init=False, repr=False)
     _alarm: bool = field(default=False, init=False, repr=False)
     _window: Window = field(default_factory=Window, init=False, repr=False)
-    _near: Window = field(default_factory=Window, init=False, repr=False)  # of the window, what came after the last heating
+    # of the window, what came after the last heating
+    _near: Window = field(default_factory=Window, init=False, repr=False)
     _teats: Window = field(default_factory=Window, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        positive = ("window_s", "mean_k", "half_range_k", "slope_k_per_min", "teat_slope_k_per_min", "leave_k", "max_gap_s", "frozen_s")
+        positive = (
+            "window_s",
+            "mean_k",
+            "half_range_k",
+            "slope_k_per_min",
+            "teat_slope_k_per_min",
+            "leave_k",
+            "max_gap_s",
+            "frozen_s",
+        )
         for name in positive:
             value = getattr(self, name)
             if not (isfinite(value) and value > 0.0):
                 raise ValueError(f"stability gate: {name} = {value} must be finite and above 0")
         if self.leave_k < self.mean_k:
             raise ValueError(
-                f"stability gate: leave_k = {self.leave_k} is below mean_k = {self.mean_k}; a bath could leave the state it enters"
+                f"stability gate: leave_k = {self.leave_k} is below mean_k = {self.mean_k}; a bath"
+                " could leave the state it enters"
             )
         if self.min_distinct < 1:
-            raise ValueError(f"stability gate: min_distinct = {self.min_distinct} must be at least 1")
+            raise ValueError(
+                f"stability gate: min_distinct = {self.min_distinct} must be at least 1"
+            )
         self.restart(self.set_point_c)  # refuses a set point that is not finite
 
     def restart(self, set_point_c: float | None = None) -> None:
-        """Forget all readings; with a temperature, that is the new set point. To be called when the set point changes."""
+        """Forget all readings; with a temperature, that is the new set point. To be called when the
+        set point changes.
+        """
         if set_point_c is not None:
             if not isfinite(set_point_c):
                 raise ValueError(f"stability gate: set point {set_point_c} degC must be finite")
@@ -197,16 +234,32 @@ class StabilityGate:
         if set_point_c != self.set_point_c:
             self.restart(set_point_c)
 
-    def add(self, t_s: float, temp_c: float, *, raw: Hashable = None, alarm: bool = False, teat_c: float | None = None) -> State:
-        """One reading: time in seconds (increasing), bath temperature, the raw value as it came over the wire (else the temperature), any
-        alarm, and the temperature at the teats where a sensor tells it.
+    def add(
+        self,
+        t_s: float,
+        temp_c: float,
+        *,
+        raw: Hashable = None,
+        alarm: bool = False,
+        teat_c: float | None = None,
+    ) -> State:
+        """One reading: time in seconds (increasing), bath temperature, the raw value as it came
+        over the wire (else the temperature), any alarm, and the temperature at the teats where a
+        sensor tells it.
 
-        Raises ValueError where time doesn't advance or a number is not finite: a sensor fault is the caller's to handle.
+        Raises ValueError where time doesn't advance or a number is not finite: a sensor fault is
+        the caller's to handle.
         """
         if not (isfinite(t_s) and isfinite(temp_c)):
-            raise ValueError(f"stability gate: reading {temp_c} degC at {t_s} s is not finite; a sensor fault is no reading")
+            raise ValueError(
+                f"stability gate: reading {temp_c} degC at {t_s} s is not finite; a sensor fault is"
+                " no reading"
+            )
         if self._last is not None and t_s <= self._last[0]:
-            raise ValueError(f"stability gate: reading at {t_s} s after one at {self._last[0]} s; time has to advance")
+            raise ValueError(
+                f"stability gate: reading at {t_s} s after one at {self._last[0]} s; time has to"
+                " advance"
+            )
         gap = self._last is not None and t_s - self._last[0] > self.max_gap_s + TIME_SLACK_S
         value = temp_c if raw is None else raw
         if self._last is None or gap or value != self._raw:
@@ -238,7 +291,11 @@ class StabilityGate:
     @property
     def at_least_s(self) -> float:
         """How long it takes at the least until it opens; 0 where it is open."""
-        return 0.0 if self._state is State.STABLE else max(self.max_gap_s, self.window_s - self._near.span_s)
+        return (
+            0.0
+            if self._state is State.STABLE
+            else max(self.max_gap_s, self.window_s - self._near.span_s)
+        )
 
     @property
     def report(self) -> StabilityReport:
@@ -291,25 +348,50 @@ class StabilityGate:
         )
 
     def _unfulfilled(self) -> list[str]:
-        """By the readings near the set point: those of the way there say nothing of how steady it is."""
+        """By the readings near the set point: those of the way there say nothing of how steady it
+        is.
+        """
         w, last = self._near, self._last
         if self._alarm:
             return ["the bath has an alarm"]
         if self.frozen:
-            return [f"the reading has not changed for more than {self.frozen_s:g} s: is the controller alive?"]
+            return [
+                (
+                    f"the reading has not changed for more than {self.frozen_s:g} s: is"
+                    " the controller alive?"
+                )
+            ]
         if self._state is State.HEATING and last is not None:
             return [f"{last[1]:.2f} degC, needs {self.set_point_c:g} ± {self.leave_k:g}"]
         if len(w) < 2:
             return ["too few readings"]
-        time = (w.span_s < self.window_s - TIME_SLACK_S, f"stable for {_of(w.span_s, self.window_s)}")
+        time = (
+            w.span_s < self.window_s - TIME_SLACK_S,
+            f"stable for {_of(w.span_s, self.window_s)}",
+        )
         rows = [
-            (w.distinct < self.min_distinct, f"{w.distinct} distinct readings, needs {self.min_distinct}"),
-            (abs(w.mean) > self.mean_k, f"mean {w.mean:+.3f} K from the set point, needs {self.mean_k:g}"),
-            (w.half_range > self.half_range_k, f"half the range {w.half_range:.3f} K, needs {self.half_range_k:g}"),
-            (60 * abs(w.slope) > self.slope_k_per_min, f"slope {60 * w.slope:+.3f} K/min, needs {self.slope_k_per_min:g}"),
+            (
+                w.distinct < self.min_distinct,
+                f"{w.distinct} distinct readings, needs {self.min_distinct}",
+            ),
+            (
+                abs(w.mean) > self.mean_k,
+                f"mean {w.mean:+.3f} K from the set point, needs {self.mean_k:g}",
+            ),
+            (
+                w.half_range > self.half_range_k,
+                f"half the range {w.half_range:.3f} K, needs {self.half_range_k:g}",
+            ),
+            (
+                60 * abs(w.slope) > self.slope_k_per_min,
+                f"slope {60 * w.slope:+.3f} K/min, needs {self.slope_k_per_min:g}",
+            ),
             (
                 abs(self._teat_slope) > self.teat_slope_k_per_min,
-                f"slope at the teats {self._teat_slope:+.3f} K/min, needs {self.teat_slope_k_per_min:g}",
+                (
+                    f"slope at the teats {self._teat_slope:+.3f} K/min, needs"
+                    f" {self.teat_slope_k_per_min:g}"
+                ),
             ),
         ]
         told = w.span_s >= FIGURES_FROM * self.window_s
@@ -318,4 +400,8 @@ class StabilityGate:
 
 def _of(span_s: float, window_s: float) -> str:
     """``4 of 10 min``."""
-    return f"{span_s:.0f} of {window_s:g} s" if window_s < 120.0 else f"{span_s // 60:.0f} of {window_s / 60:g} min"
+    return (
+        f"{span_s:.0f} of {window_s:g} s"
+        if window_s < 120.0
+        else f"{span_s // 60:.0f} of {window_s / 60:g} min"
+    )

@@ -1,1 +1,3 @@
-"""Scores as pure functions: arrays in, values out. Every formula with its source: docs/scoring.md."""
+"""Scores as pure functions: arrays in, values out. Every formula with its source:
+docs/scoring.md.
+"""

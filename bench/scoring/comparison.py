@@ -1,19 +1,24 @@
-"""Two detectors, or two versions, on the same scenes: what differs, with an interval, and how likely chance alone does that.
+"""Two detectors, or two versions, on the same scenes: what differs, with an interval, and how
+likely chance alone does that.
 
-Only differences within a scene count, so what makes a scene hard falls out. Success is compared on the scenes where the two disagree
-(McNemar, Psychometrika 12, 1947), errors by their differences, pose by pose, since teats and repeats of one pose are not independent.
-Knows neither detectors nor runs: `old` and `new` are columns of the same rows.
+Only differences within a scene count, so what makes a scene hard falls out. Success is compared on
+the scenes where the two disagree (McNemar, Psychometrika 12, 1947), errors by their differences,
+pose by pose, since teats and repeats of one pose are not independent. Knows neither detectors nor
+runs: `old` and `new` are columns of the same rows.
 
-A new detector against an old one on the same scenes: paired differences by situation, and whether the new one is worse.
+A new detector against an old one on the same scenes: paired differences by situation, and whether
+the new one is worse.
 
-Success, false teats and misses are compared as they are counted; errors only on teats that both found, for a difference needs two. An
-error's change counts up to the limit: a teat farther off has failed, and failures are counted. The gate asks one thing, "is it worse?": a
-scene that passed and now fails, a false teat or a miss more, or a mean error larger by more than the margin is worse; the mean distance,
-and the mean absolute error along each axis too, for a large error along one axis hides a new one across it. It is shown to be no worse
-only where the upper bound of the distance's change over all poses stays within the margin (non-inferiority; ICH E9, 3.3.2), those
-included that weren't run; else it is inconclusive, however little changed in the poses that were. A situation whose mean distance grew by
-more than the margin is worse where chance doesn't explain it (adjusted for all situations), and leaves the gate open where it may. Knows
-neither runs nor frames.
+Success, false teats and misses are compared as they are counted; errors only on teats that both
+found, for a difference needs two. An error's change counts up to the limit: a teat farther off has
+failed, and failures are counted. The gate asks one thing, "is it worse?": a scene that passed and
+now fails, a false teat or a miss more, or a mean error larger by more than the margin is worse; the
+mean distance, and the mean absolute error along each axis too, for a large error along one axis
+hides a new one across it. It is shown to be no worse only where the upper bound of the distance's
+change over all poses stays within the margin (non-inferiority; ICH E9, 3.3.2), those included that
+weren't run; else it is inconclusive, however little changed in the poses that were. A situation
+whose mean distance grew by more than the margin is worse where chance doesn't explain it (adjusted
+for all situations), and leaves the gate open where it may. Knows neither runs nor frames.
 """
 
 from __future__ import annotations
@@ -51,7 +56,10 @@ class Discordance:
 
     def __add__(self, other: Discordance) -> Discordance:
         return Discordance(
-            self.both + other.both, self.only_old + other.only_old, self.only_new + other.only_new, self.neither + other.neither
+            self.both + other.both,
+            self.only_old + other.only_old,
+            self.only_new + other.only_new,
+            self.neither + other.neither,
         )
 
     @property
@@ -61,28 +69,42 @@ class Discordance:
 
     @property
     def difference(self) -> float | None:
-        """Success rate of the new one less that of the old one, from -1 to 1; None where nothing was compared."""
+        """Success rate of the new one less that of the old one, from -1 to 1; None where nothing
+        was compared.
+        """
         return (self.only_new - self.only_old) / self.n if self.n else None
 
     @property
     def p_value(self) -> float:
-        """Exact two-sided McNemar: the binomial test of the discordant scenes against one half; 1 where there are none."""
+        """Exact two-sided McNemar: the binomial test of the discordant scenes against one half; 1
+        where there are none.
+        """
         discordant = self.only_old + self.only_new
-        return min(1.0, 2.0 * float(bdtr(min(self.only_old, self.only_new), discordant, 0.5))) if discordant else 1.0
+        return (
+            min(1.0, 2.0 * float(bdtr(min(self.only_old, self.only_new), discordant, 0.5)))
+            if discordant
+            else 1.0
+        )
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float] | None:
-        """Score interval of `difference` (Tango, Statistics in Medicine 17, 1998); None where nothing was compared.
+        """Score interval of `difference` (Tango, Statistics in Medicine 17, 1998); None where
+        nothing was compared.
 
-        It has a width also where no scene is discordant. It is approximate, `p_value` is exact: where the two disagree, `p_value` decides.
+        It has a width also where no scene is discordant. It is approximate, `p_value` is exact:
+        where the two disagree, `p_value` decides.
         """
         estimate = self.difference
         if estimate is None:
             return None
         z = NormalDist().inv_cdf((1.0 + confidence) / 2.0)
-        return _crossing(lambda d: self._score(d) - z, -1.0, estimate), _crossing(lambda d: self._score(d) + z, estimate, 1.0)
+        return _crossing(lambda d: self._score(d) - z, -1.0, estimate), _crossing(
+            lambda d: self._score(d) + z, estimate, 1.0
+        )
 
     def _score(self, difference: float) -> float:
-        """Tango's statistic (b - c - n d) / sqrt(n (2 q + d (1 - d))), q the likeliest share of `only_old` under the difference d."""
+        """Tango's statistic (b - c - n d) / sqrt(n (2 q + d (1 - d))), q the likeliest share of
+        `only_old` under the difference d.
+        """
         n, b, c = self.n, self.only_new, self.only_old
         p = -b - c + (2 * n - b + c) * difference
         root = max(0.0, p * p + 8.0 * n * c * difference * (1.0 - difference))
@@ -96,7 +118,8 @@ class Discordance:
 
 @dataclass(frozen=True, slots=True)
 class PairedDifference:
-    """Mean over poses of new - old, in the values' unit; below 0 the new one is better where the values are errors.
+    """Mean over poses of new - old, in the values' unit; below 0 the new one is better where the
+    values are errors.
 
     A value's change counts at most `limit` either way. `low` and `high` are each one-sided bounds
     of confidence (1 + `confidence`) / 2 on the mean over all poses; None where none was compared.
@@ -111,11 +134,18 @@ class PairedDifference:
 
 
 def discordance(old: npt.ArrayLike, new: npt.ArrayLike) -> Discordance:
-    """Who succeeded in each scene: two columns (n,) of true and false. Raises ValueError where their lengths differ."""
+    """Who succeeded in each scene: two columns (n,) of true and false. Raises ValueError where
+    their lengths differ.
+    """
     a, b = np.asarray(old, dtype=np.bool_).ravel(), np.asarray(new, dtype=np.bool_).ravel()
     if a.shape != b.shape:
-        raise ValueError(f"paired successes: {len(a)} old and {len(b)} new ones; give both for the same scenes, in the same order")
-    return Discordance(int((a & b).sum()), int((a & ~b).sum()), int((~a & b).sum()), int((~a & ~b).sum()))
+        raise ValueError(
+            f"paired successes: {len(a)} old and {len(b)} new ones; give both for the same scenes,"
+            " in the same order"
+        )
+    return Discordance(
+        int((a & b).sum()), int((a & ~b).sum()), int((~a & b).sum()), int((~a & ~b).sum())
+    )
 
 
 def paired_difference(
@@ -127,7 +157,8 @@ def paired_difference(
     confidence: float = 0.95,
     seed: int = 0,
 ) -> PairedDifference:
-    """Mean difference new - old of errors (n,) of the same teats, with an interval (`upper_bound`) and the p-value of `sign_flip_p`.
+    """Mean difference new - old of errors (n,) of the same teats, with an interval (`upper_bound`)
+    and the p-value of `sign_flip_p`.
 
     Each pose counts once, with the mean of its differences.
     """
@@ -137,7 +168,9 @@ def paired_difference(
     tail = (1.0 + confidence) / 2.0
     low, high = -upper_bound(-differences, limit, tail), upper_bound(differences, limit, tail)
     p_value = sign_flip_p(differences, seed)
-    return PairedDifference(len(differences), float(differences.mean()), low, high, p_value, confidence)
+    return PairedDifference(
+        len(differences), float(differences.mean()), low, high, p_value, confidence
+    )
 
 
 def upper_bound(values: Floats, limit: float, confidence: float) -> float:
@@ -151,14 +184,24 @@ def upper_bound(values: Floats, limit: float, confidence: float) -> float:
     """
     n, chance = len(values), 1.0 - confidence
     share = -expm1(log(chance) / n)
-    low, high = (end + (limit - end) * share for end in (float(values.min()), float(values.max())))  # if all were as this one
+    # if all were as this one
+    low, high = (end + (limit - end) * share for end in (float(values.min()), float(values.max())))
     if high - low <= 1e-6 * limit:
         return high
-    return float(brentq(lambda mean: _chance_above(values, limit, mean, n) - chance, low, high, xtol=1e-9 * limit))
+    return float(
+        brentq(
+            lambda mean: _chance_above(values, limit, mean, n) - chance,
+            low,
+            high,
+            xtol=1e-9 * limit,
+        )
+    )
 
 
 def poses_to_show(values: Floats, limit: float, margin: float, confidence: float) -> int | None:
-    """Fewest poses with differences such as these `values` whose `upper_bound` is at most `margin`; None where MOST_POSES don't do."""
+    """Fewest poses with differences such as these `values` whose `upper_bound` is at most `margin`;
+    None where MOST_POSES don't do.
+    """
     low, high = 0, 1
     while _chance_above(values, limit, margin, high) > 1.0 - confidence:
         low, high = high, 2 * high
@@ -166,18 +209,30 @@ def poses_to_show(values: Floats, limit: float, margin: float, confidence: float
             return None
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (middle, high) if _chance_above(values, limit, margin, middle) > 1.0 - confidence else (low, middle)
+        low, high = (
+            (middle, high)
+            if _chance_above(values, limit, margin, middle) > 1.0 - confidence
+            else (low, middle)
+        )
     return high
 
 
 def _chance_above(values: Floats, limit: float, mean: float, n: int) -> float:
-    """The chance that a mean under random weights exceeds `mean`: of `n` values distributed like `values`, and of `limit`.
+    """The chance that a mean under random weights exceeds `mean`: of `n` values distributed like
+    `values`, and of `limit`.
 
     Such weights are shares of gamma variables, so this is the chance that a weighted sum of those
     exceeds 0: its characteristic function inverted (Davies, Applied Statistics 29, 1980).
     """
-    offsets, shapes = np.append(values, limit) - mean, np.append(np.full(len(values), n / len(values)), 1.0)
-    reach = abs(float(shapes @ offsets)) + 10.0 * sqrt(float(shapes @ offsets**2)) + 35.0 * float(np.abs(offsets).max())
+    offsets, shapes = (
+        np.append(values, limit) - mean,
+        np.append(np.full(len(values), n / len(values)), 1.0),
+    )
+    reach = (
+        abs(float(shapes @ offsets))
+        + 10.0 * sqrt(float(shapes @ offsets**2))
+        + 35.0 * float(np.abs(offsets).max())
+    )
     total, steps = 0.5, np.arange(64) + 0.5
     while True:
         turned = np.outer(2.0 * pi / reach * steps, offsets)
@@ -189,9 +244,11 @@ def _chance_above(values: Floats, limit: float, mean: float, n: int) -> float:
 
 
 def sign_flip_p(differences: Floats, seed: int = 0, flips: int = FLIPS) -> float:
-    """Two-sided p-value of a mean of 0: how often signs thrown at random give a mean as far from 0 (Fisher, The Design of Experiments, 21).
+    """Two-sided p-value of a mean of 0: how often signs thrown at random give a mean as far from 0
+    (Fisher, The Design of Experiments, 21).
 
-    All 2^n signs where they are at most `flips`, else that many at random and the one seen; for more than MANY values the normal limit.
+    All 2^n signs where they are at most `flips`, else that many at random and the one seen; for
+    more than MANY values the normal limit.
     """
     values = differences[differences != 0.0]
     n = len(values)
@@ -211,25 +268,39 @@ def sign_flip_p(differences: Floats, seed: int = 0, flips: int = FLIPS) -> float
     return (extreme + 1) / (flips + 1)
 
 
-def pose_differences(old: npt.ArrayLike, new: npt.ArrayLike, poses: Sequence[Hashable] | None = None, *, limit: float) -> Floats:
-    """The mean of new - old of each pose (p,), at most `limit` a row either way, poses in order of appearance.
+def pose_differences(
+    old: npt.ArrayLike, new: npt.ArrayLike, poses: Sequence[Hashable] | None = None, *, limit: float
+) -> Floats:
+    """The mean of new - old of each pose (p,), at most `limit` a row either way, poses in order of
+    appearance.
 
     Without `poses` each row is a pose of its own.
     """
     a, b = as_values(old, "old errors"), as_values(new, "new errors")
     if len(a) != len(b):
-        raise ValueError(f"paired errors: {len(a)} old and {len(b)} new ones; give both for the same teats, in the same order")
+        raise ValueError(
+            f"paired errors: {len(a)} old and {len(b)} new ones; give both for the same teats, in"
+            " the same order"
+        )
     changes = np.clip(b - a, -limit, limit)
     if poses is None:
         return changes
     if len(poses) != len(a):
-        raise ValueError(f"paired errors: {len(poses)} pose names for {len(a)} values; give the pose of each value")
+        raise ValueError(
+            f"paired errors: {len(poses)} pose names for {len(a)} values; give the pose of each"
+            " value"
+        )
     codes = numbered(poses)
-    return np.asarray(np.bincount(codes, changes) / np.bincount(codes), dtype=np.float64) if len(codes) else changes
+    return (
+        np.asarray(np.bincount(codes, changes) / np.bincount(codes), dtype=np.float64)
+        if len(codes)
+        else changes
+    )
 
 
 def holm(p_values: Sequence[float]) -> tuple[float, ...]:
-    """Adjusted p-values of several questions asked at once, in the given order (Holm, Scandinavian Journal of Statistics 6, 1979).
+    """Adjusted p-values of several questions asked at once, in the given order (Holm, Scandinavian
+    Journal of Statistics 6, 1979).
 
     A question whose adjusted value is below 0.05 is significant with 5 % for the whole family.
     """
@@ -245,7 +316,9 @@ def holm(p_values: Sequence[float]) -> tuple[float, ...]:
 
 
 def _crossing(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a falling function crosses 0 between `low` and `high`; the end that it doesn't leave where it doesn't."""
+    """Where a falling function crosses 0 between `low` and `high`; the end that it doesn't leave
+    where it doesn't.
+    """
     if low == high or function(low) <= 0.0:
         return low
     return high if function(high) >= 0.0 else float(brentq(function, low, high, xtol=1e-10))
@@ -268,10 +341,12 @@ class ScenePair:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What differs in one situation, or in all (`situation` None). Errors are of teats that both found, mm; `success` counts poses.
+    """What differs in one situation, or in all (`situation` None). Errors are of teats that both
+    found, mm; `success` counts poses.
 
-    `axes` are the differences of the mean absolute error along the world's x, y and z. The p-values adjusted by Holm are over the
-    situations of one comparison; None in the pooled row, which is one question.
+    `axes` are the differences of the mean absolute error along the world's x, y and z. The p-values
+    adjusted by Holm are over the situations of one comparison; None in the pooled row, which is one
+    question.
     """
 
     situation: str | None
@@ -289,7 +364,9 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Whether the new one is worse: NOT_MET says that it is, MET that it is shown to be no worse. One reason a line."""
+    """Whether the new one is worse: NOT_MET says that it is, MET that it is shown to be no worse.
+    One reason a line.
+    """
 
     verdict: Verdict
     reasons: tuple[str, ...]
@@ -307,40 +384,75 @@ class Compared:
 
 
 def compare(
-    pairs: Sequence[ScenePair], *, margin_mm: float | None = None, confidence: float = 0.95, seed: int = 0, unpaired: int = 0
+    pairs: Sequence[ScenePair],
+    *,
+    margin_mm: float | None = None,
+    confidence: float = 0.95,
+    seed: int = 0,
+    unpaired: int = 0,
 ) -> Compared:
     """Compare on `pairs`; `unpaired` scenes of the old one have no counterpart.
 
-    Raises ValueError for no pair, a margin below 0, or a scene that was scored with two limits: its success means two things then.
-    `margin_mm` is by default a twentieth of the limit that the scenes were scored with.
+    Raises ValueError for no pair, a margin below 0, or a scene that was scored with two limits: its
+    success means two things then. `margin_mm` is by default a twentieth of the limit that the
+    scenes were scored with.
     """
     if not pairs:
         raise ValueError("compare: the two have no scene in common")
     for pair in pairs:
         if pair.old.limit_mm != pair.new.limit_mm:
             limits = f"{pair.old.limit_mm:g} mm and {pair.new.limit_mm:g} mm"
-            raise ValueError(f"compare: {pair.scene} was scored within {limits}; score both by the same rules")
+            raise ValueError(
+                f"compare: {pair.scene} was scored within {limits}; score both by the same rules"
+            )
     margin = MARGIN_SHARE * _limit_mm(pairs) if margin_mm is None else margin_mm
     if not 0.0 <= margin < float("inf"):
         raise ValueError(f"margin: {margin} mm must be 0 or more")
     pooled = _row(None, pairs, confidence, seed)
     names = dict.fromkeys(pair.situation for pair in pairs)
-    rows = [_row(name, [pair for pair in pairs if pair.situation == name], confidence, seed) for name in names]
+    rows = [
+        _row(name, [pair for pair in pairs if pair.situation == name], confidence, seed)
+        for name in names
+    ]
     adjusted = _adjusted(rows)
-    return Compared(pooled, adjusted, gate(pairs, pooled, margin, unpaired, adjusted if len(adjusted) > 1 else ()), confidence)
+    return Compared(
+        pooled,
+        adjusted,
+        gate(pairs, pooled, margin, unpaired, adjusted if len(adjusted) > 1 else ()),
+        confidence,
+    )
 
 
-def gate(pairs: Sequence[ScenePair], pooled: Row, margin_mm: float, unpaired: int = 0, situations: Sequence[Row] = ()) -> Gate:
+def gate(
+    pairs: Sequence[ScenePair],
+    pooled: Row,
+    margin_mm: float,
+    unpaired: int = 0,
+    situations: Sequence[Row] = (),
+) -> Gate:
     """Is the new one worse on these scenes?"""
-    worse = [f"{pair.scene} passed and now fails: {why_failed(pair.new)}" for pair in pairs if pair.old.success and not pair.new.success]
-    worse += _more("false teat", pooled.old.false, pooled.new.false) + _more("missed teat", pooled.old.missed, pooled.new.missed)
+    worse = [
+        f"{pair.scene} passed and now fails: {why_failed(pair.new)}"
+        for pair in pairs
+        if pair.old.success and not pair.new.success
+    ]
+    worse += _more("false teat", pooled.old.false, pooled.new.false) + _more(
+        "missed teat", pooled.old.missed, pooled.new.missed
+    )
     mean, high = pooled.radial.mean, pooled.radial.high
     errors = (
         ("distance to the teat end", pooled.radial),
         *((f"error along {name}", axis) for name, axis in zip("xyz", pooled.axes, strict=True)),
     )
-    grown = [(what, found.mean) for what, found in errors if found.mean is not None and found.mean > margin_mm]
-    worse += [f"the mean {what} grew by {by:.3f} mm, more than the margin of {margin_mm:g} mm" for what, by in grown]
+    grown = [
+        (what, found.mean)
+        for what, found in errors
+        if found.mean is not None and found.mean > margin_mm
+    ]
+    worse += [
+        f"the mean {what} grew by {by:.3f} mm, more than the margin of {margin_mm:g} mm"
+        for what, by in grown
+    ]
     shown, perhaps = _grown_in(situations, margin_mm)
     worse += shown
     if worse:
@@ -367,9 +479,15 @@ def gate(pairs: Sequence[ScenePair], pooled: Row, margin_mm: float, unpaired: in
 def _hidden(pairs: Sequence[ScenePair], found: PairedDifference, margin_mm: float) -> str:
     """What the poses that were not run may hide, and how many poses would show that they don't."""
     limit_mm, (old, new, poses) = _limit_mm(pairs), _common(pairs)
-    changes = pose_differences(np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1), poses, limit=limit_mm)
+    changes = pose_differences(
+        np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1), poses, limit=limit_mm
+    )
     needed = poses_to_show(changes, limit_mm, margin_mm, (1.0 + found.confidence) / 2.0)
-    more = "no number of poses with such changes shows less" if needed is None else f"{needed} poses with such changes show less"
+    more = (
+        "no number of poses with such changes shows less"
+        if needed is None
+        else f"{needed} poses with such changes show less"
+    )
     return (
         f"the mean distance changed by {found.mean:+.3f} mm in {poses_told(found.poses)}; poses "
         f"that were not run may hide that it grew by {found.high:.3f} mm "
@@ -378,7 +496,9 @@ def _hidden(pairs: Sequence[ScenePair], found: PairedDifference, margin_mm: floa
 
 
 def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], list[str]]:
-    """Situations whose mean distance grew by more than the margin, which the mean over all may hide: shown, and perhaps by chance."""
+    """Situations whose mean distance grew by more than the margin, which the mean over all may
+    hide: shown, and perhaps by chance.
+    """
     shown: list[str] = []
     perhaps: list[str] = []
     for row in situations:
@@ -389,14 +509,20 @@ def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], l
         if p is not None and p < ALPHA:
             shown.append(f"{grew}, more than the margin of {margin_mm:g} mm (adjusted p = {p:.3f})")
         else:
-            perhaps.append(f"{grew}, which {row.poses} poses don't tell from chance: compare on more poses of it")
+            perhaps.append(
+                f"{grew}, which {row.poses} poses don't tell from chance: compare on more poses"
+                " of it"
+            )
     return shown, perhaps
 
 
 def why_failed(score: SceneScore) -> str:
     """What made a scene fail, in words."""
     counts, worst = score.counts, max(score.radial_mm, default=0.0)
-    parts = [f"{counts.missed} missed" if counts.missed else "", f"{counts.false} false" if counts.false else ""]
+    parts = [
+        f"{counts.missed} missed" if counts.missed else "",
+        f"{counts.false} false" if counts.false else "",
+    ]
     parts += [f"{worst:.2f} mm off (limit {score.limit_mm:g} mm)" if worst > score.limit_mm else ""]
     parts += ["" if score.in_time else f"too slow ({score.seconds:.2f} s)"]
     return ", ".join(part for part in parts if part) or "it succeeded"
@@ -425,7 +551,9 @@ def _row(situation: str | None, pairs: Sequence[ScenePair], confidence: float, s
     old, new, poses = _common(pairs)
 
     def differ(a: Floats, b: Floats) -> PairedDifference:
-        return paired_difference(a, b, poses, limit=_limit_mm(pairs), confidence=confidence, seed=seed)
+        return paired_difference(
+            a, b, poses, limit=_limit_mm(pairs), confidence=confidence, seed=seed
+        )
 
     x, y, z = (differ(np.abs(old[:, k]), np.abs(new[:, k])) for k in range(3))
     return Row(
@@ -454,10 +582,23 @@ def _successes(pairs: Iterable[ScenePair]) -> Discordance:
 def _adjusted(rows: Sequence[Row]) -> tuple[Row, ...]:
     success = holm([row.success.p_value for row in rows])
     asked = [row for row in rows if row.radial.p_value is not None]
-    radial = dict(zip((row.situation for row in asked), holm([row.radial.p_value or 0.0 for row in asked]), strict=True))
-    return tuple(replace(row, success_holm=p, radial_holm=radial.get(row.situation)) for row, p in zip(rows, success, strict=True))
+    radial = dict(
+        zip(
+            (row.situation for row in asked),
+            holm([row.radial.p_value or 0.0 for row in asked]),
+            strict=True,
+        )
+    )
+    return tuple(
+        replace(row, success_holm=p, radial_holm=radial.get(row.situation))
+        for row, p in zip(rows, success, strict=True)
+    )
 
 
 def _more(what: str, old: int, new: int) -> list[str]:
     more = new - old
-    return [f"{more} {what}{'s' if more > 1 else ''} more ({new} instead of {old})"] if more > 0 else []
+    return (
+        [f"{more} {what}{'s' if more > 1 else ''} more ({new} instead of {old})"]
+        if more > 0
+        else []
+    )

@@ -1,14 +1,18 @@
-"""The checks that every array passes on its way into a score, and names as numbers. Knows nothing but shapes.
+"""The checks that every array passes on its way into a score, and names as numbers. Knows nothing
+but shapes.
 
-Errors of matched teats: bias, spread and distance, per axis and radial. Knows neither teats nor poses: only difference vectors.
+Errors of matched teats: bias, spread and distance, per axis and radial. Knows neither teats nor
+poses: only difference vectors.
 
-No signed mean is ever called "the error": bias and spread stand side by side, rms^2 = bias^2 + sd^2 holds exactly (sd divides by n), and
-the distance has figures of its own. Percentiles are observed values (the smallest with at least that share at or below it), not
-interpolated.
+No signed mean is ever called "the error": bias and spread stand side by side, rms^2 = bias^2 + sd^2
+holds exactly (sd divides by n), and the distance has figures of its own. Percentiles are observed
+values (the smallest with at least that share at or below it), not interpolated.
 
-Tolerance limits: what covers a share of all errors with a stated confidence (ISO 16269-6). Knows only sorted numbers.
+Tolerance limits: what covers a share of all errors with a stated confidence (ISO 16269-6). Knows
+only sorted numbers.
 
-`rate` is the share that is covered, `confidence` how sure that is; "99/95" is a rate of 0.99 with a confidence of 0.95.
+`rate` is the share that is covered, `confidence` how sure that is; "99/95" is a rate of 0.99 with a
+confidence of 0.95.
 """
 
 from __future__ import annotations
@@ -28,20 +32,31 @@ Bools = npt.NDArray[np.bool_]
 
 
 def as_points(value: npt.ArrayLike, name: str) -> Floats:
-    """`value` as float64 (n, 3); anything empty becomes (0, 3). Raises ValueError on another shape or on a value that is not finite."""
+    """`value` as float64 (n, 3); anything empty becomes (0, 3). Raises ValueError on another shape
+    or on a value that is not finite.
+    """
     points = np.asarray(value, dtype=np.float64)
     if points.size == 0:
         return np.zeros((0, 3))
     if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"{name}: expected points of shape (n, 3) in mm, got shape {points.shape}; a single point is [[x, y, z]]")
-    if not isfinite(np.add.reduce(points, axis=None)) and not np.isfinite(points).all():  # the sum first: one look where all is well
+        raise ValueError(
+            f"{name}: expected points of shape (n, 3) in mm, got shape {points.shape}; a single"
+            " point is [[x, y, z]]"
+        )
+    # the sum first: one look where all is well
+    if not isfinite(np.add.reduce(points, axis=None)) and not np.isfinite(points).all():
         row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise ValueError(f"{name}: point {row} is {points[row].tolist()}, which is not finite; leave out a teat that was not found")
+        raise ValueError(
+            f"{name}: point {row} is {points[row].tolist()}, which is not finite; leave out a teat"
+            " that was not found"
+        )
     return points
 
 
 def as_values(value: npt.ArrayLike, name: str) -> Floats:
-    """`value` as float64 (n,). Raises ValueError on another shape or on a value that is not finite."""
+    """`value` as float64 (n,). Raises ValueError on another shape
+    or on a value that is not finite.
+    """
     values = np.asarray(value, dtype=np.float64)
     if values.size == 0:
         return np.zeros(0)
@@ -49,7 +64,10 @@ def as_values(value: npt.ArrayLike, name: str) -> Floats:
         raise ValueError(f"{name}: expected a list of numbers, got shape {values.shape}")
     if not np.isfinite(values).all():
         place = int(np.flatnonzero(~np.isfinite(values))[0])
-        raise ValueError(f"{name}: value {place} is {values[place]}, which is not finite; leave out what was not measured")
+        raise ValueError(
+            f"{name}: value {place} is {values[place]}, which is not finite; leave out what was not"
+            " measured"
+        )
     return values
 
 
@@ -89,7 +107,9 @@ class RadialSummary:
 
 @dataclass(frozen=True, slots=True)
 class ErrorSummary:
-    """Errors in one frame of reference. `components` pools the three axes (3 n values): what the thesis's "average error" averaged."""
+    """Errors in one frame of reference. `components` pools the three axes (3 n values): what the
+    thesis's "average error" averaged.
+    """
 
     n: int
     frame: str
@@ -126,7 +146,9 @@ def summarise_radial(distances_mm: npt.ArrayLike) -> RadialSummary:
     if not len(distances):
         return RadialSummary(0)
     if distances.min() < 0:
-        raise ValueError(f"distances: {distances.min()} mm is negative; give distances, not signed errors")
+        raise ValueError(
+            f"distances: {distances.min()} mm is negative; give distances, not signed errors"
+        )
     return RadialSummary(
         n=len(distances),
         mean_mm=float(distances.mean()),
@@ -138,8 +160,11 @@ def summarise_radial(distances_mm: npt.ArrayLike) -> RadialSummary:
     )
 
 
-def summarise(errors_mm: npt.ArrayLike, camera_from_world: npt.ArrayLike | None = None) -> ErrorSummary:
-    """Errors found - truth, (n, 3) in world axes; with a rotation (3, 3) the summary is along the camera's axes (z is depth).
+def summarise(
+    errors_mm: npt.ArrayLike, camera_from_world: npt.ArrayLike | None = None
+) -> ErrorSummary:
+    """Errors found - truth, (n, 3) in world axes; with a rotation (3, 3) the summary is along the
+    camera's axes (z is depth).
 
     Raises ValueError where the shape is wrong or the matrix is no proper rotation.
     """
@@ -159,7 +184,9 @@ def summarise(errors_mm: npt.ArrayLike, camera_from_world: npt.ArrayLike | None 
 
 
 def percentile(values: npt.ArrayLike, percent: float) -> float:
-    """The smallest of the values with at least `percent` of them at or below it. Raises ValueError where there are none."""
+    """The smallest of the values with at least `percent` of them at or below it. Raises ValueError
+    where there are none.
+    """
     given = as_values(values, "values")
     if not len(given):
         raise ValueError("percentile: there are no values; say 'not measured' instead")
@@ -169,14 +196,21 @@ def percentile(values: npt.ArrayLike, percent: float) -> float:
 def _as_rotation(matrix: npt.ArrayLike) -> Floats:
     rotation = np.asarray(matrix, dtype=np.float64)
     if rotation.shape != (3, 3):
-        raise ValueError(f"camera_from_world: expected a rotation matrix (3, 3), got shape {rotation.shape}")
+        raise ValueError(
+            f"camera_from_world: expected a rotation matrix (3, 3), got shape {rotation.shape}"
+        )
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
-        raise ValueError("camera_from_world: the matrix is no proper rotation, so it would change lengths; use a rigid fit")
+        raise ValueError(
+            "camera_from_world: the matrix is no proper rotation, so it would change lengths; use a"
+            " rigid fit"
+        )
     return rotation
 
 
 def normal_k(n: int, rate: float, confidence: float = 0.95) -> float:
-    """One-sided factor: mean + k sd (sd divides by n - 1) covers `rate` of a normal population. k(30; 95/95) = 2.220."""
+    """One-sided factor: mean + k sd (sd divides by n - 1) covers `rate` of a normal population.
+    k(30; 95/95) = 2.220.
+    """
     if n < 2:
         raise ValueError(f"tolerance factor: n = {n}; a spread needs at least 2 values")
     zero_failure_n(rate, confidence)  # refuses a rate or a confidence outside 0 to 1
@@ -185,20 +219,31 @@ def normal_k(n: int, rate: float, confidence: float = 0.95) -> float:
 
 
 def distribution_free_n(rate: float, confidence: float = 0.95) -> int:
-    """The n at which the largest of n values covers `rate` whatever the distribution: 59 for 95/95, 299 for 99/95."""
+    """The n at which the largest of n values covers `rate` whatever the distribution: 59 for 95/95,
+    299 for 99/95.
+    """
     return zero_failure_n(rate, confidence)
 
 
-def quantile_bounds(values: npt.ArrayLike, rate: float, confidence: float = 0.95) -> tuple[float | None, float | None]:
-    """One-sided lower and upper bound, each with `confidence`, of the population's quantile `rate`: two of the values, or None where n is
-    too small.
+def quantile_bounds(
+    values: npt.ArrayLike, rate: float, confidence: float = 0.95
+) -> tuple[float | None, float | None]:
+    """One-sided lower and upper bound, each with `confidence`, of the population's quantile `rate`:
+    two of the values, or None where n is too small.
 
-    Any distribution (David and Nagaraja, Order Statistics, section 7.1). The upper bound is the distribution-free tolerance limit.
+    Any distribution (David and Nagaraja, Order Statistics, section 7.1). The upper bound is the
+    distribution-free tolerance limit.
     """
     ordered = np.sort(as_values(values, "values"))
     n = len(ordered)
     zero_failure_n(rate, confidence)
-    at_most = bdtr(np.arange(n + 1), n, rate)  # P(at most k of n values lie below the quantile), k = 0 to n
-    upper = int(np.searchsorted(at_most, confidence))  # 0-based: P(at most `upper` values lie below the quantile) >= confidence
-    lower = int(np.searchsorted(at_most, 1.0 - confidence)) - 1  # P(at least `lower` + 1 values lie below it) >= confidence
-    return (float(ordered[lower]) if lower >= 0 else None, float(ordered[upper]) if upper < n else None)
+    # P(at most k of n values lie below the quantile), k = 0 to n
+    at_most = bdtr(np.arange(n + 1), n, rate)
+    # 0-based: P(at most `upper` values lie below the quantile) >= confidence
+    upper = int(np.searchsorted(at_most, confidence))
+    # P(at least `lower` + 1 values lie below it) >= confidence
+    lower = int(np.searchsorted(at_most, 1.0 - confidence)) - 1
+    return (
+        float(ordered[lower]) if lower >= 0 else None,
+        float(ordered[upper]) if upper < n else None,
+    )

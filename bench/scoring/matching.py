@@ -1,10 +1,11 @@
 """Which finding answers which teat: optimal assignment in 3-D under a gate, and the GOSPA distance.
 
-One assignment of all findings to all teats minimises the GOSPA cost (Rahmathullah, Garcia-Fernandez, Svensson, "Generalized optimal
-sub-pattern assignment metric", FUSION 2017; p = 2, alpha = 2, c = gate). A pair on a visible teat saves c^2 (a miss and a false finding);
-one on a hidden teat saves c^2 / 2, the false finding only, since a hidden teat may be absent for nothing. So a finding on a hidden teat
-is not false, it takes no visible teat that another finding is nearer to, and a visible teat loses its finding to a hidden one only where
-that is much nearer.
+One assignment of all findings to all teats minimises the GOSPA cost (Rahmathullah,
+Garcia-Fernandez, Svensson, "Generalized optimal sub-pattern assignment metric", FUSION 2017; p = 2,
+alpha = 2, c = gate). A pair on a visible teat saves c^2 (a miss and a false finding); one on a
+hidden teat saves c^2 / 2, the false finding only, since a hidden teat may be absent for nothing. So
+a finding on a hidden teat is not false, it takes no visible teat that another finding is nearer to,
+and a visible teat loses its finding to a hidden one only where that is much nearer.
 """
 
 from __future__ import annotations
@@ -23,14 +24,17 @@ from bench.scoring.errors import as_points
 from bench.scoring.rates import Rate
 
 GATE_CEILING_MM = 25.0
-LEAST_SPACING_MM = 5.0  # a teat is some 20 mm thick: two ends nearer than this are one end, touched or written down twice
+# a teat is some 20 mm thick: two ends nearer than this are one end, touched or written down twice
+LEAST_SPACING_MM = 5.0
 
 Points = list[list[float]]
 
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """What a match counted; adds field by field, so that scenes and runs merge without averaging averages."""
+    """What a match counted; adds field by field, so that scenes and runs merge without averaging
+    averages.
+    """
 
     visible: int = 0
     hidden: int = 0
@@ -54,7 +58,9 @@ class Counts:
 
     @property
     def precision(self) -> Rate:
-        """Findings that were a visible teat, of those that had to be one (findings on hidden teats count neither way)."""
+        """Findings that were a visible teat, of those that had to be one (findings on hidden teats
+        count neither way).
+        """
         return Rate(self.matched, self.matched + self.false)
 
 
@@ -69,7 +75,9 @@ def added(parts: Iterable[Counts]) -> Counts:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """The assignment of one scene. `pairs` and `hidden_pairs` are (found, truth) indices in order of truth; distances belong to `pairs`."""
+    """The assignment of one scene. `pairs` and `hidden_pairs` are (found, truth) indices in order
+    of truth; distances belong to `pairs`.
+    """
 
     pairs: tuple[tuple[int, int], ...]
     distances_mm: tuple[float, ...]
@@ -83,19 +91,30 @@ class Match:
     def counts(self) -> Counts:
         """The match as numbers that add."""
         n = len(self.pairs)
-        return Counts(n + len(self.missed), self.hidden, n, len(self.missed), len(self.false), len(self.hidden_pairs))
+        return Counts(
+            n + len(self.missed),
+            self.hidden,
+            n,
+            len(self.missed),
+            len(self.false),
+            len(self.hidden_pairs),
+        )
 
     @property
     def gospa_mm(self) -> float:
-        """sqrt(sum d^2 + c^2/2 (missed + false)), c = gate; hidden teats and the findings on them cost nothing."""
+        """sqrt(sum d^2 + c^2/2 (missed + false)), c = gate; hidden teats and the findings on them
+        cost nothing.
+        """
         outliers = len(self.missed) + len(self.false)
         return sqrt(sum(d * d for d in self.distances_mm) + self.gate_mm**2 / 2 * outliers)
 
 
 def gate_mm(truth_mm: npt.ArrayLike, ceiling_mm: float = GATE_CEILING_MM) -> float:
-    """The gate of a scene: min(25 mm, half the least spacing of its teats, the hidden ones too); `truth_mm` is (m, 3).
+    """The gate of a scene: min(25 mm, half the least spacing of its teats, the hidden ones too);
+    `truth_mm` is (m, 3).
 
-    Half the spacing, because then no finding lies within the gate of two teats. Raises ValueError where two ends are at one place.
+    Half the spacing, because then no finding lies within the gate of two teats. Raises ValueError
+    where two ends are at one place.
     """
     return gate_between(as_points(truth_mm, "truth").tolist(), ceiling_mm)
 
@@ -104,24 +123,41 @@ def gate_between(truth: Points, ceiling_mm: float = GATE_CEILING_MM) -> float:
     """`gate_mm` of points that are checked already."""
     least = min(starmap(dist, combinations(truth, 2)), default=inf)
     if least < LEAST_SPACING_MM:
-        i, j = min(combinations(range(len(truth)), 2), key=lambda two: dist(truth[two[0]], truth[two[1]]))
-        raise ValueError(f"truth: the ends of teats {i + 1} and {j + 1} are {least:.2f} mm apart, at {truth[i]} mm; one was touched twice")
+        i, j = min(
+            combinations(range(len(truth)), 2), key=lambda two: dist(truth[two[0]], truth[two[1]])
+        )
+        raise ValueError(
+            f"truth: the ends of teats {i + 1} and {j + 1} are {least:.2f} mm apart, at {truth[i]}"
+            " mm; one was touched twice"
+        )
     return min(ceiling_mm, least / 2)
 
 
-def match(found_mm: npt.ArrayLike, truth_mm: npt.ArrayLike, visible: npt.ArrayLike, gate_mm: float) -> Match:
-    """Assign findings (n, 3) to teats (m, 3); `visible` is (m,) true or false. A pair beyond the gate is a miss and a false finding.
+def match(
+    found_mm: npt.ArrayLike, truth_mm: npt.ArrayLike, visible: npt.ArrayLike, gate_mm: float
+) -> Match:
+    """Assign findings (n, 3) to teats (m, 3); `visible` is (m,) true or false. A pair beyond the
+    gate is a miss and a false finding.
 
     Raises ValueError on wrong shapes, values that are not finite, or a gate that is not above 0.
     """
     truth = as_points(truth_mm, "truth").tolist()
-    return assign(as_points(found_mm, "found").tolist(), truth, as_flags(visible, len(truth)), gate_mm)
+    return assign(
+        as_points(found_mm, "found").tolist(), truth, as_flags(visible, len(truth)), gate_mm
+    )
 
 
 def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Match:
-    """`match` of points and flags that are checked already: lists, since a scene has a handful of teats."""
+    """`match` of points and flags that are checked already: lists, since a scene has a handful of
+    teats.
+    """
     _check_gate(gate_mm)
-    within = {(i, j): d for j, b in enumerate(truth) for i, a in enumerate(found) if (d := dist(a, b)) <= gate_mm}
+    within = {
+        (i, j): d
+        for j, b in enumerate(truth)
+        for i, a in enumerate(found)
+        if (d := dist(a, b)) <= gate_mm
+    }
     near_found, near_truth = {i for i, _ in within}, {j for _, j in within}
     if len(near_found) == len(near_truth) == len(within):
         kept = list(within)  # nobody contends; in order of truth, as the pairs were looked at
@@ -143,13 +179,17 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
 
 
 def gospa_mm(a_mm: npt.ArrayLike, b_mm: npt.ArrayLike, gate_mm: float) -> float:
-    """GOSPA between two sets of points (n, 3) and (m, 3), p = 2, alpha = 2, c = gate: a metric for a fixed gate."""
+    """GOSPA between two sets of points (n, 3) and (m, 3), p = 2, alpha = 2, c = gate: a metric for
+    a fixed gate.
+    """
     b = as_points(b_mm, "b")
     return match(a_mm, b, np.ones(len(b), dtype=bool), gate_mm).gospa_mm
 
 
 def _apart(within: Mapping[tuple[int, int], float]) -> list[tuple[int, int]]:
-    """The optimum where no finding is within the gate of two teats: each teat takes the nearest. In order of truth."""
+    """The optimum where no finding is within the gate of two teats: each teat takes the nearest. In
+    order of truth.
+    """
     best: dict[int, tuple[float, int]] = {}
     for (i, j), d in within.items():
         if j not in best or (d, i) < best[j]:
@@ -157,7 +197,13 @@ def _apart(within: Mapping[tuple[int, int], float]) -> list[tuple[int, int]]:
     return [(i, j) for j, (_, i) in sorted(best.items())]
 
 
-def _crowded(found: Points, truth: Points, seen: list[bool], gate: float, within: Mapping[tuple[int, int], float]) -> list[tuple[int, int]]:
+def _crowded(
+    found: Points,
+    truth: Points,
+    seen: list[bool],
+    gate: float,
+    within: Mapping[tuple[int, int], float],
+) -> list[tuple[int, int]]:
     """The optimum where some finding is within the gate of several teats. In order of truth."""
     squared = ((np.array(found)[:, None, :] - np.array(truth)[None, :, :]) ** 2).sum(axis=2)
     gain = np.where(seen, 1.0, 0.5) * (np.minimum(squared, gate**2) - gate**2)
@@ -167,12 +213,16 @@ def _crowded(found: Points, truth: Points, seen: list[bool], gate: float, within
 
 
 def as_flags(visible: npt.ArrayLike, teats: int) -> list[bool]:
-    """A flag for each teat. Raises ValueError where there are more or fewer, or where one is neither true nor false."""
+    """A flag for each teat. Raises ValueError where there are more or fewer, or where one is
+    neither true nor false.
+    """
     given = np.asarray(visible)
     if given.size == 0 and teats == 0:
         return []
     if given.shape != (teats,):
-        raise ValueError(f"visible: expected one flag for each of the {teats} teats, got shape {given.shape}")
+        raise ValueError(
+            f"visible: expected one flag for each of the {teats} teats, got shape {given.shape}"
+        )
     flags: list[bool] = given.tolist()
     if given.dtype == np.bool_:
         return flags

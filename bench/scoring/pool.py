@@ -1,7 +1,8 @@
-"""Many scenes as one: counts and errors side by side, so that situations, detectors and runs merge by adding, never by averaging averages.
+"""Many scenes as one: counts and errors side by side, so that situations, detectors and runs merge
+by adding, never by averaging averages.
 
-A pose is named by the caller; frames of one pose are repeats, and every rate that gets an interval counts poses (a pose succeeds when all
-its repeats do).
+A pose is named by the caller; frames of one pose are repeats, and every rate that gets an interval
+counts poses (a pose succeeds when all its repeats do).
 """
 
 from __future__ import annotations
@@ -20,14 +21,19 @@ from bench.scoring.scene import SceneScore
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """Scenes with the name of the pose that each belongs to, in order. Adding two pools puts one behind the other."""
+    """Scenes with the name of the pose that each belongs to, in order. Adding two pools puts one
+    behind the other.
+    """
 
     scores: tuple[SceneScore, ...] = ()
     poses: tuple[Hashable, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.scores) != len(self.poses):
-            raise ValueError(f"pool: {len(self.scores)} scores with {len(self.poses)} pose names; name the pose of each score")
+            raise ValueError(
+                f"pool: {len(self.scores)} scores with {len(self.poses)} pose names; name the pose"
+                " of each score"
+            )
 
     def __add__(self, other: Pool) -> Pool:
         return Pool(self.scores + other.scores, self.poses + other.poses)
@@ -39,7 +45,9 @@ class Pool:
 
     @property
     def frames(self) -> Rate:
-        """Scenes that succeeded, of the scenes. Repeats are not independent: for an interval use `success`."""
+        """Scenes that succeeded, of the scenes. Repeats are not independent: for an interval use
+        `success`.
+        """
         return Rate(sum(s.success for s in self.scores), len(self.scores))
 
     @property
@@ -48,37 +56,55 @@ class Pool:
         return pose_successes(self.poses, [s.success for s in self.scores])
 
     def surely_succeeded(self, rate: float, confidence: float) -> Rate:
-        """Poses whose success the truth's uncertainty can't turn in any repeat, of the poses, where `rate` is to be shown.
+        """Poses whose success the truth's uncertainty can't turn in any repeat, of the poses, where
+        `rate` is to be shown.
 
-        Up to which distance a success is sure follows from the number of poses alone (`power.shown_error_mm`, for as many failures as
-        they may have), so that the claim is false in no more than 1 - `confidence` whatever the truth's errors; with poses too few for
-        the claim, and for enough of them, up to the acceptance limit.
+        Up to which distance a success is sure follows from the number of poses alone
+        (`power.shown_error_mm`, for as many failures as they may have), so that the claim is false
+        in no more than 1 - `confidence` whatever the truth's errors; with poses too few for the
+        claim, and for enough of them, up to the acceptance limit.
         """
         poses = len(set(self.poses))
         failures = failures_allowed(poses, rate, confidence)
         kinds = {(s.limit_mm, s.u_mm) for s in self.scores}
-        reach = {} if failures is None else {kind: shown_error_mm(poses, rate, *kind, confidence, failures) for kind in kinds}
+        reach = (
+            {}
+            if failures is None
+            else {kind: shown_error_mm(poses, rate, *kind, confidence, failures) for kind in kinds}
+        )
 
         def sure(score: SceneScore) -> bool:
             most = reach.get((score.limit_mm, score.u_mm), score.limit_mm)
-            return score.surely_succeeded and (not score.radial_mm or (most is not None and max(score.radial_mm) <= most))
+            return score.surely_succeeded and (
+                not score.radial_mm or (most is not None and max(score.radial_mm) <= most)
+            )
 
         return pose_successes(self.poses, [sure(s) for s in self.scores])
 
     @property
     def perhaps_succeeded(self) -> Rate:
-        """Poses that succeeded, or whose failures the truth's uncertainty could turn, of the poses."""
+        """Poses that succeeded, or whose failures the truth's
+        uncertainty could turn, of the poses.
+        """
         return pose_successes(self.poses, [not s.surely_failed for s in self.scores])
 
     @property
     def all_found(self) -> Rate:
-        """Poses whose visible teats were all found in all repeats, of the poses that have any: recall by pose, for an interval."""
-        seen = [(p, not s.match.missed) for p, s in zip(self.poses, self.scores, strict=True) if s.counts.visible]
+        """Poses whose visible teats were all found in all repeats, of the poses that have any:
+        recall by pose, for an interval.
+        """
+        seen = [
+            (p, not s.match.missed)
+            for p, s in zip(self.poses, self.scores, strict=True)
+            if s.counts.visible
+        ]
         return pose_successes([p for p, _ in seen], [found for _, found in seen])
 
     @property
     def nothing_false(self) -> Rate:
-        """Poses without a false finding in any repeat, of the poses: precision by pose, for an interval."""
+        """Poses without a false finding in any repeat, of the poses: precision by pose, for an
+        interval.
+        """
         return pose_successes(self.poses, [not s.match.false for s in self.scores])
 
     @property
@@ -91,8 +117,14 @@ class Pool:
 
     @property
     def hidden_right(self) -> Rate:
-        """Poses whose hidden teats were counted right in all repeats, of the poses where the detector made a claim."""
-        claims = [(p, s.hidden_right) for p, s in zip(self.poses, self.scores, strict=True) if s.hidden_right is not None]
+        """Poses whose hidden teats were counted right in all repeats, of the poses where the
+        detector made a claim.
+        """
+        claims = [
+            (p, s.hidden_right)
+            for p, s in zip(self.poses, self.scores, strict=True)
+            if s.hidden_right is not None
+        ]
         return pose_successes([p for p, _ in claims], [bool(right) for _, right in claims])
 
     @property
@@ -108,16 +140,25 @@ class Pool:
     @property
     def errors_mm(self) -> Floats:
         """found - truth of every matched teat, (n, 3), world axes."""
-        return np.concatenate([s.errors_mm for s in self.scores]) if self.scores else np.zeros((0, 3))
+        return (
+            np.concatenate([s.errors_mm for s in self.scores]) if self.scores else np.zeros((0, 3))
+        )
 
     @property
     def error_poses(self) -> tuple[Hashable, ...]:
         """The pose of each row of `errors_mm`."""
-        return tuple(p for p, s in zip(self.poses, self.scores, strict=True) for _ in range(len(s.errors_mm)))
+        return tuple(
+            p for p, s in zip(self.poses, self.scores, strict=True) for _ in range(len(s.errors_mm))
+        )
 
     def errors_of_teat(self, teat: int) -> Floats:
         """The errors (n, 3) of one teat, by its index in the truth."""
-        rows = [s.errors_mm[k] for s in self.scores for k, (_, j) in enumerate(s.match.pairs) if j == teat]
+        rows = [
+            s.errors_mm[k]
+            for s in self.scores
+            for k, (_, j) in enumerate(s.match.pairs)
+            if j == teat
+        ]
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def summary(self, camera_from_world: Floats | None = None) -> ErrorSummary:
@@ -126,5 +167,7 @@ class Pool:
 
 
 def pool(scores: Sequence[SceneScore], poses: Sequence[Hashable] | None = None) -> Pool:
-    """Scenes to a pool; without names each scene is a pose of its own (its name then is a new number, so don't add such pools)."""
+    """Scenes to a pool; without names each scene is a pose of its own (its name then is a new
+    number, so don't add such pools).
+    """
     return Pool(tuple(scores), tuple(range(len(scores))) if poses is None else tuple(poses))

@@ -1,12 +1,16 @@
-"""Repeatability and reproducibility of the bench itself: gage R&R of the ground truth, a crossed analysis of variance.
+"""Repeatability and reproducibility of the bench itself: gage R&R of the ground truth, a crossed
+analysis of variance.
 
-AIAG, Measurement Systems Analysis, 4th edition, chapter III (ANOVA method), and ISO 22514-7: parts are teat ends at poses, appraisers are
-set-ups (repeats of the pose, or runs), repeats are touches. A component below zero is zero. An interaction that isn't significant at
-25 % is pooled into the repeatability, as the manual does. Knows only numbers.
+AIAG, Measurement Systems Analysis, 4th edition, chapter III (ANOVA method), and ISO 22514-7: parts
+are teat ends at poses, appraisers are set-ups (repeats of the pose, or runs), repeats are touches.
+A component below zero is zero. An interaction that isn't significant at 25 % is pooled into the
+repeatability, as the manual does. Knows only numbers.
 
-Repeated poses: accuracy and repeatability (ISO 9283:1998, 7.2), distances (7.3), drift, and the components of spread (ISO 5725-2:1994).
+Repeated poses: accuracy and repeatability (ISO 9283:1998, 7.2), distances (7.3), drift, and the
+components of spread (ISO 5725-2:1994).
 
-Standard deviations divide by n - 1 here, as both standards do. Knows only points and numbers; a spread of one value is None.
+Standard deviations divide by n - 1 here, as both standards do. Knows only points and numbers; a
+spread of one value is None.
 """
 
 from __future__ import annotations
@@ -27,10 +31,12 @@ STUDY_SDS = 6.0  # a study variation is 6 standard deviations: 99.73 % of a norm
 
 @dataclass(frozen=True, slots=True)
 class GageStudy:
-    """Standard deviations along one axis, in the values' unit, and the analysis of variance that they come from.
+    """Standard deviations along one axis, in the values' unit, and the analysis of variance that
+    they come from.
 
-    `repeatability`: touch after touch. `reproducibility`: set-up after set-up, the interaction with the part included. `gage`: both.
-    `part`: between teat ends. `interaction_p` is None where it can't be tested.
+    `repeatability`: touch after touch. `reproducibility`: set-up after set-up, the interaction with
+    the part included. `gage`: both. `part`: between teat ends. `interaction_p` is None where it
+    can't be tested.
     """
 
     parts: int
@@ -61,18 +67,23 @@ class GageStudy:
         return max(1, floor(1.41 * self.part / self.gage)) if self.gage > 0.0 else 1
 
     def share_of_tolerance(self, tolerance: float) -> float:
-        """6 gage / tolerance; `tolerance` is the whole width (10 mm for +-5 mm). Below 0.1 is good, above 0.3 is not acceptable (AIAG)."""
+        """6 gage / tolerance; `tolerance` is the whole width (10 mm for +-5 mm). Below 0.1 is good,
+        above 0.3 is not acceptable (AIAG).
+        """
         if not tolerance > 0.0:
             raise ValueError(f"tolerance: {tolerance} is not above 0")
         return STUDY_SDS * self.gage / tolerance
 
 
 def gage_study(values: npt.ArrayLike) -> GageStudy:
-    """The study of `values` (parts, appraisers, repeats), every cell full; at least 2 of each. Raises ValueError on anything else."""
+    """The study of `values` (parts, appraisers, repeats), every cell full; at least 2 of each.
+    Raises ValueError on anything else.
+    """
     table = np.asarray(values, dtype=np.float64)
     if table.ndim != 3 or min(table.shape) < 2 or not np.isfinite(table).all():
         raise ValueError(
-            f"gage study: expected finite values (parts, appraisers, repeats) with at least 2 of each, got shape {table.shape}"
+            "gage study: expected finite values (parts, appraisers, repeats) with at least 2 of"
+            f" each, got shape {table.shape}"
         )
     p, a, r = table.shape
     mean, cell = table.mean(), table.mean(axis=2)
@@ -83,7 +94,9 @@ def gage_study(values: npt.ArrayLike) -> GageStudy:
     ss_within = float(np.square(table - cell[:, :, None]).sum())
     free_cross, free_within = (p - 1) * (a - 1), p * a * (r - 1)
     ms_cross, ms_within = ss_cross / free_cross, ss_within / free_within
-    p_value = float(fdtrc(free_cross, free_within, ms_cross / ms_within)) if ms_within > 0.0 else None
+    p_value = (
+        float(fdtrc(free_cross, free_within, ms_cross / ms_within)) if ms_within > 0.0 else None
+    )
     pooled = p_value is not None and p_value > POOL_ABOVE
     if pooled:
         ms_within = ms_cross = (ss_cross + ss_within) / (free_cross + free_within)
@@ -107,7 +120,9 @@ def gage_study(values: npt.ArrayLike) -> GageStudy:
 
 @dataclass(frozen=True, slots=True)
 class PoseAccuracy:
-    """AP = |mean - commanded| with its components, and RP = mean(l) + 3 sd(l), l_j = |p_j - mean|. RP is None for one repeat."""
+    """AP = |mean - commanded| with its components, and RP = mean(l) + 3 sd(l), l_j = |p_j - mean|.
+    RP is None for one repeat.
+    """
 
     n: int
     ap_mm: float | None = None
@@ -126,7 +141,9 @@ class DistanceAccuracy:
 
 @dataclass(frozen=True, slots=True)
 class Precision:
-    """Standard deviations: s_r within a pose or set-up, s_L between them, s_R = sqrt(s_r^2 + s_L^2). None where the groups don't tell."""
+    """Standard deviations: s_r within a pose or set-up, s_L between them, s_R = sqrt(s_r^2 +
+    s_L^2). None where the groups don't tell.
+    """
 
     n: int
     groups: int
@@ -161,23 +178,27 @@ def distance_accuracy(distances_mm: npt.ArrayLike, commanded_mm: float) -> Dista
 
 
 def drift_mm(points_mm: npt.ArrayLike, commanded_mm: npt.ArrayLike, repeats: int) -> float | None:
-    """Drift of AP: the largest |AP(first block) - AP(later block)|, blocks of `repeats` points (n, 3) in order of time. None below two
-    blocks."""
+    """Drift of AP: the largest |AP(first block) - AP(later block)|, blocks of `repeats` points (n,
+    3) in order of time. None below two blocks.
+    """
     points = as_points(points_mm, "points")
     if repeats < 1:
         raise ValueError(f"drift: blocks of {repeats} points; at least 1")
     blocks = [points[k : k + repeats] for k in range(0, len(points) - repeats + 1, repeats)]
     if len(blocks) < 2:
         return None
-    accuracy = [float(np.linalg.norm(block.mean(axis=0) - _as_point(commanded_mm))) for block in blocks]
+    accuracy = [
+        float(np.linalg.norm(block.mean(axis=0) - _as_point(commanded_mm))) for block in blocks
+    ]
     return max(abs(a - accuracy[0]) for a in accuracy[1:])
 
 
 def precision(groups: Sequence[npt.ArrayLike]) -> Precision:
-    """s_r and s_R of one quantity from groups of repeats (one-way analysis of variance; groups may differ in size, empty ones are left
-    out).
+    """s_r and s_R of one quantity from groups of repeats (one-way analysis of variance; groups may
+    differ in size, empty ones are left out).
 
-    ISO 5725-2, 7.4.5: s_L^2 = (MS_between - s_r^2) / n0, at least 0, with n0 = (N - sum n_i^2 / N) / (p - 1).
+    ISO 5725-2, 7.4.5: s_L^2 = (MS_between - s_r^2) / n0, at least 0, with n0 = (N - sum n_i^2 / N)
+    / (p - 1).
     """
     values = [v for v in (as_values(g, "group of repeats") for g in groups) if len(v)]
     n, p = sum(len(v) for v in values), len(values)

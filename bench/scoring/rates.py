@@ -1,6 +1,8 @@
-"""Rates as counts with exact intervals (Clopper and Pearson, Biometrika 26, 1934). Knows no scene: only successes and trials.
+"""Rates as counts with exact intervals (Clopper and Pearson, Biometrika 26, 1934). Knows no scene:
+only successes and trials.
 
-Intervals count poses, not frames: frames of one pose are not independent trials. An empty rate is "not measured".
+Intervals count poses, not frames: frames of one pose are not independent trials. An empty rate is
+"not measured".
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ class Rate:
 
     def __post_init__(self) -> None:
         if not 0 <= self.successes <= self.trials:
-            raise ValueError(f"rate: {self.successes} successes of {self.trials} trials is impossible")
+            raise ValueError(
+                f"rate: {self.successes} successes of {self.trials} trials is impossible"
+            )
 
     def __add__(self, other: Rate) -> Rate:
         return Rate(self.successes + other.successes, self.trials + other.trials)
@@ -38,14 +42,18 @@ class Rate:
         return self.successes / self.trials if self.trials else None
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float] | None:
-        """Two-sided exact interval (low, high) of the true rate, or None where nothing was tried."""
+        """Two-sided exact interval (low, high) of the true rate, or
+        None where nothing was tried.
+        """
         _check_open("confidence", confidence)
         tail = (1.0 + confidence) / 2.0
         low, high = self.lower_bound(tail), self.upper_bound(tail)
         return None if low is None or high is None else (low, high)
 
     def lower_bound(self, confidence: float = 0.95) -> float | None:
-        """One-sided exact lower bound: the true rate is at least this, with the confidence given. None where nothing was tried."""
+        """One-sided exact lower bound: the true rate is at least this, with the confidence given.
+        None where nothing was tried.
+        """
         _check_open("confidence", confidence)
         if not self.trials:
             return None
@@ -54,7 +62,9 @@ class Rate:
         return float(betaincinv(self.successes, self.failures + 1, 1.0 - confidence))
 
     def upper_bound(self, confidence: float = 0.95) -> float | None:
-        """One-sided exact upper bound: the true rate is at most this, with the confidence given. None where nothing was tried."""
+        """One-sided exact upper bound: the true rate is at most this, with the confidence given.
+        None where nothing was tried.
+        """
         _check_open("confidence", confidence)
         if not self.trials:
             return None
@@ -63,11 +73,17 @@ class Rate:
         return float(betaincinv(self.successes + 1, self.failures, confidence))
 
     def __str__(self) -> str:
-        return "not measured" if self.value is None else f"{self.successes} of {self.trials} ({percent(self.value)})"
+        return (
+            "not measured"
+            if self.value is None
+            else f"{self.successes} of {self.trials} ({percent(self.value)})"
+        )
 
 
 def percent(fraction: float) -> str:
-    """A fraction from 0 to 1 as text with one decimal; "100 %" and "0 %" only where exactly true ("> 99.9 %", "< 0.1 %" otherwise)."""
+    """A fraction from 0 to 1 as text with one decimal; "100 %" and "0 %" only where exactly true
+    ("> 99.9 %", "< 0.1 %" otherwise).
+    """
     if fraction in (0.0, 1.0):
         return f"{fraction * 100:.0f} %"
     if fraction > 0.999:
@@ -76,7 +92,9 @@ def percent(fraction: float) -> str:
 
 
 def percent_apart(fraction: float, *limits: float) -> str:
-    """`percent` with as many decimals as it takes to be read on the right side of each limit: 94.97 %, not 95.0 %, where 95 % is missed."""
+    """`percent` with as many decimals as it takes to be read on the right side of each limit: 94.97
+    %, not 95.0 %, where 95 % is missed.
+    """
     for decimals in range(1, 8):
         shown = round(100.0 * fraction, decimals)
         if all((fraction >= limit) == (shown >= round(100.0 * limit, 9)) for limit in limits):
@@ -90,17 +108,22 @@ def exact_percent(fraction: float) -> str:
 
 
 def zero_failure_n(rate: float, confidence: float = 0.95) -> int:
-    """Fewest trials, none failed, that show a success rate of at least `rate`: the least n with rate^n <= 1 - confidence."""
+    """Fewest trials, none failed, that show a success rate of at least `rate`: the least n with
+    rate^n <= 1 - confidence.
+    """
     _check_open("rate", rate)
     _check_open("confidence", confidence)
     return max(1, ceil(log1p(-confidence) / log(rate) - 1e-12))
 
 
 def trials_needed(failures: int, rate: float, confidence: float = 0.95) -> int:
-    """Fewest trials, `failures` of them failed, whose exact one-sided lower bound reaches `rate`."""
+    """Fewest trials, `failures` of them failed, whose exact
+    one-sided lower bound reaches `rate`.
+    """
     if failures < 0:
         raise ValueError(f"failures: {failures} is negative")
-    low = max(failures, zero_failure_n(rate, confidence) - 1)  # the bound is below `rate` here, and at `high` it is not
+    # the bound is below `rate` here, and at `high` it is not
+    low = max(failures, zero_failure_n(rate, confidence) - 1)
     high = 2 * (low + 1)
     while not _shows(failures, high, rate, confidence):
         low, high = high, 2 * high
@@ -110,10 +133,14 @@ def trials_needed(failures: int, rate: float, confidence: float = 0.95) -> int:
     return high
 
 
-def guarded_n(failures: int, rate: float, confidence: float = 0.95, leak: float = 0.0) -> int | None:
-    """`trials_needed` where a truth that isn't exact takes a bad pose for a good one with the chance `leak`; None where none are enough.
+def guarded_n(
+    failures: int, rate: float, confidence: float = 0.95, leak: float = 0.0
+) -> int | None:
+    """`trials_needed` where a truth that isn't exact takes a bad pose for a good one with the
+    chance `leak`; None where none are enough.
 
-    Fewest trials whose `shown_falsely` is at most 1 - confidence: 59 at 95/95 where nothing leaks, 91 where 4.1 % do.
+    Fewest trials whose `shown_falsely` is at most 1 - confidence: 59 at 95/95 where nothing leaks,
+    91 where 4.1 % do.
     """
     allowed = 1.0 - confidence
     if leak >= allowed - 1e-9:
@@ -126,19 +153,25 @@ def guarded_n(failures: int, rate: float, confidence: float = 0.95, leak: float 
         low, high = high, 2 * high
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (middle, high) if shown_falsely(failures, middle, rate, leak) > allowed else (low, middle)
+        low, high = (
+            (middle, high)
+            if shown_falsely(failures, middle, rate, leak) > allowed
+            else (low, middle)
+        )
     return high
 
 
 def shown_falsely(failures: int, trials: int, rate: float, leak: float) -> float:
     """Bound on the chance that a rate below `rate` gives at most `failures` failures that are seen.
 
-    P(B <= failures) + sum over b > failures of P(B = b) min(1, b leak / (b - failures)), B binomial over the bad poses: of b of them
-    b - failures have to leak at once, which by Markov's inequality is no likelier than that however the truth's errors depend on each
-    other from pose to pose. It matters since an arm's error is much the same all through a run.
+    P(B <= failures) + sum over b > failures of P(B = b) min(1, b leak / (b - failures)), B binomial
+    over the bad poses: of b of them b - failures have to leak at once, which by Markov's inequality
+    is no likelier than that however the truth's errors depend on each other from pose to pose. It
+    matters since an arm's error is much the same all through a run.
     """
     bad, few = 1.0 - rate, float(bdtr(failures, trials, 1.0 - rate))
-    most = min(trials, failures + 10 + int(trials * bad + 10.0 * sqrt(trials * bad)))  # beyond are hardly any, all counted as one there
+    # beyond are hardly any, all counted as one there
+    most = min(trials, failures + 10 + int(trials * bad + 10.0 * sqrt(trials * bad)))
     b = np.arange(failures, most + 1)
     below = bdtr(b, trials, bad)
     passed = np.minimum(1.0, b[1:] * leak / (b[1:] - failures))
@@ -146,7 +179,9 @@ def shown_falsely(failures: int, trials: int, rate: float, leak: float) -> float
 
 
 def pose_successes(poses: Sequence[Hashable], successes: Iterable[bool]) -> Rate:
-    """Frames to poses: `poses` names the pose of each frame. Rule: a pose succeeds when all its repeats do; one failed repeat fails it."""
+    """Frames to poses: `poses` names the pose of each frame. Rule: a pose succeeds when all its
+    repeats do; one failed repeat fails it.
+    """
     passed: dict[Hashable, bool] = {}
     for pose, success in zip(poses, successes, strict=True):
         passed[pose] = passed.get(pose, True) and bool(success)
@@ -161,5 +196,6 @@ def _shows(failures: int, trials: int, rate: float, confidence: float) -> bool:
 def _check_open(name: str, value: float) -> None:
     if not 0.0 < value < 1.0:
         raise ValueError(
-            f"{name}: {value} must lie between 0 and 1, both excluded (no number of trials shows 100 %; name a rate such as 0.95)"
+            f"{name}: {value} must lie between 0 and 1, both excluded (no number of trials shows"
+            " 100 %; name a rate such as 0.95)"
         )

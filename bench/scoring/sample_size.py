@@ -1,6 +1,8 @@
-"""Before a run: how many poses a claim needs, and how small a difference a comparison can show. Exact where the claim itself is.
+"""Before a run: how many poses a claim needs, and how small a difference a comparison can show.
+Exact where the claim itself is.
 
-Knows no script: only counts, rates and standard deviations. A power is the chance to show what is there.
+Knows no script: only counts, rates and standard deviations. A power is the chance to show what is
+there.
 """
 
 from __future__ import annotations
@@ -22,26 +24,41 @@ RARE = 1e-100  # a share so small is none: scipy's distributions overflow there
 
 
 def failures_allowed(trials: int, rate: float, confidence: float = 0.95) -> int | None:
-    """The most failures in `trials` poses that still show `rate`; None where not even all successes do."""
+    """The most failures in `trials` poses that still show `rate`; None where not even all successes
+    do.
+    """
     if trials < zero_failure_n(rate, confidence):
         return None
     low, high = 0, trials  # `low` failures are allowed, `high` are not
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (middle, high) if trials_needed(middle, rate, confidence) <= trials else (low, middle)
+        low, high = (
+            (middle, high) if trials_needed(middle, rate, confidence) <= trials else (low, middle)
+        )
     return low
 
 
 def shown_rate(trials: int, failures: int = 0, confidence: float = 0.95) -> float | None:
-    """The rate that `trials` poses with so many failures show (exact one-sided bound): 24 of 24 show 0.883. None for no trial."""
+    """The rate that `trials` poses with so many failures show (exact one-sided bound): 24 of 24
+    show 0.883. None for no trial.
+    """
     return Rate(trials - failures, trials).lower_bound(confidence)
 
 
-def shown_error_mm(trials: int, rate: float, limit_mm: float, u_mm: float, confidence: float = 0.95, failures: int = 0) -> float | None:
-    """The largest distance that so many poses, all but `failures` within it, show to be below `limit_mm` in a share `rate` of poses.
+def shown_error_mm(
+    trials: int,
+    rate: float,
+    limit_mm: float,
+    u_mm: float,
+    confidence: float = 0.95,
+    failures: int = 0,
+) -> float | None:
+    """The largest distance that so many poses, all but `failures` within it, show to be below
+    `limit_mm` in a share `rate` of poses.
 
-    At most the acceptance limit; below it where the poses leave less than that of the risk to the truth (`rates.shown_falsely`, solved for
-    the distance). None for too few poses, or a truth too uncertain.
+    At most the acceptance limit; below it where the poses leave less than that of the risk to the
+    truth (`rates.shown_falsely`, solved for the distance). None for too few poses, or a truth too
+    uncertain.
     """
     accept, allowed = acceptance_limit_mm(limit_mm, u_mm), 1.0 - confidence
 
@@ -50,7 +67,11 @@ def shown_error_mm(trials: int, rate: float, limit_mm: float, u_mm: float, confi
 
     if accept is None or trials < trials_needed(failures, rate, confidence) or risk(0.0) > 1e-12:
         return None
-    return accept if u_mm == 0.0 or risk(accept) <= 0.0 else float(brentq(risk, 0.0, accept, xtol=1e-9))
+    return (
+        accept
+        if u_mm == 0.0 or risk(accept) <= 0.0
+        else float(brentq(risk, 0.0, accept, xtol=1e-9))
+    )
 
 
 def power_of_rate(trials: int, true_rate: float, rate: float, confidence: float = 0.95) -> float:
@@ -60,41 +81,58 @@ def power_of_rate(trials: int, true_rate: float, rate: float, confidence: float 
 
 
 def discordant_needed(alpha: float = 0.05) -> int:
-    """Fewest scenes, all lost (or won) by one of two detectors, that exact McNemar calls significant: 6 for 5 %."""
+    """Fewest scenes, all lost (or won) by one of two detectors, that exact McNemar calls
+    significant: 6 for 5 %.
+    """
     _share("alpha", alpha)
-    return next(k for k in range(1, 1100) if 2.0 * 0.5**k < alpha)  # 0.5^1100 is 0: no alpha is left
+    # 0.5^1100 is 0: no alpha is left
+    return next(k for k in range(1, 1100) if 2.0 * 0.5**k < alpha)
 
 
 def mcnemar_power(trials: int, lost: float, won: float, alpha: float = 0.05) -> float:
-    """The chance that exact McNemar is significant, when a share `lost` of scenes only the old detector solves, and `won` only the new.
+    """The chance that exact McNemar is significant, when a share `lost` of scenes only the old
+    detector solves, and `won` only the new.
 
     Summed over all numbers of discordant scenes (Duffy, Biometrics 40, 1984).
     """
     if min(lost, won) < 0.0 or lost + won > 1.0:
-        raise ValueError(f"shares of discordant scenes: {lost} and {won} must not be negative, nor more than 1 together")
+        raise ValueError(
+            f"shares of discordant scenes: {lost} and {won} must not be negative, nor more than 1"
+            " together"
+        )
     if lost + won < RARE:
         return 0.0
     discordant = np.arange(trials + 1)
     chance = binom.pmf(discordant, trials, lost + won)
     critical = _critical(discordant, alpha)
     share = lost / (lost + won)
-    significant = np.where(critical >= 0, bdtr(critical, discordant, share) + bdtrc(discordant - critical - 1, discordant, share), 0.0)
+    significant = np.where(
+        critical >= 0,
+        bdtr(critical, discordant, share) + bdtrc(discordant - critical - 1, discordant, share),
+        0.0,
+    )
     return float(min(1.0, np.dot(chance, significant)))
 
 
 def detectable_loss(trials: int, power: float = 0.8, alpha: float = 0.05) -> float | None:
-    """The smallest share of scenes lost, none won, that a comparison over so many scenes shows with `power`; None where none can be."""
+    """The smallest share of scenes lost, none won, that a comparison over so many scenes shows with
+    `power`; None where none can be.
+    """
     _share("power", power)
     if trials < discordant_needed(alpha):
         return None
     return _rising_root(lambda lost: mcnemar_power(trials, lost, 0.0, alpha) - power, 1.0)
 
 
-def detectable_shift(poses: int, sd: float, power: float = 0.8, alpha: float = 0.05) -> float | None:
-    """The smallest mean difference of two detectors' errors, in the unit of `sd`, that so many poses show with `power`.
+def detectable_shift(
+    poses: int, sd: float, power: float = 0.8, alpha: float = 0.05
+) -> float | None:
+    """The smallest mean difference of two detectors' errors, in the unit of `sd`, that so many
+    poses show with `power`.
 
-    `sd` is the standard deviation of the differences between poses. None for fewer than 2 poses. Paired t, two-sided: noncentral t (Cohen,
-    Statistical Power Analysis, 1988, section 2.4); the sign-flip test of a comparison has nearly the same power.
+    `sd` is the standard deviation of the differences between poses. None for fewer than 2 poses.
+    Paired t, two-sided: noncentral t (Cohen, Statistical Power Analysis, 1988, section 2.4); the
+    sign-flip test of a comparison has nearly the same power.
     """
     _share("power", power)
     _positive_sd(sd)
@@ -102,7 +140,9 @@ def detectable_shift(poses: int, sd: float, power: float = 0.8, alpha: float = 0
         return None
     edge = float(stdtrit(poses - 1, 1.0 - alpha / 2.0))
     spread, weights = _sample_sd(poses - 1)
-    noncentrality = _rising_root(lambda d: _t_power(d, spread, weights, edge) - power, 20.0 + 10.0 * edge)
+    noncentrality = _rising_root(
+        lambda d: _t_power(d, spread, weights, edge) - power, 20.0 + 10.0 * edge
+    )
     return None if noncentrality is None else noncentrality * sd / sqrt(poses)
 
 
@@ -110,7 +150,10 @@ def poses_for_shift(shift: float, sd: float, power: float = 0.8, alpha: float = 
     """Fewest poses that show a mean difference of `shift`: the inverse of `detectable_shift`."""
     _positive_sd(sd)
     if shift <= 0.0:
-        raise ValueError(f"difference: {shift} must be above 0; no number of poses shows that two detectors are the same")
+        raise ValueError(
+            f"difference: {shift} must be above 0; no number of poses shows that two detectors are"
+            " the same"
+        )
     low, high = 1, 2
     while (found := detectable_shift(high, sd, power, alpha)) is None or found > shift:
         low, high = high, 2 * high
@@ -122,19 +165,27 @@ def poses_for_shift(shift: float, sd: float, power: float = 0.8, alpha: float = 
 
 
 def _critical(discordant: npt.NDArray[np.int64], alpha: float) -> npt.NDArray[np.int64]:
-    """For each number of discordant scenes the largest smaller count that is still significant; -1 where none is."""
+    """For each number of discordant scenes the largest smaller count that is still significant; -1
+    where none is.
+    """
     _share("alpha", alpha)
     at = binom.ppf(alpha / 2.0, discordant, 0.5).astype(np.int64)
     return np.asarray(np.where(2.0 * bdtr(at, discordant, 0.5) < alpha, at, at - 1), dtype=np.int64)
 
 
 def _t_power(noncentrality: float, spread: Floats, weights: Floats, edge: float) -> float:
-    """P(|T| > edge) of noncentral t: the mean of the normal chance over the sample's own standard deviation, which `spread` spans."""
-    return float(np.dot(weights, ndtr(noncentrality - edge * spread) + ndtr(-noncentrality - edge * spread)))
+    """P(|T| > edge) of noncentral t: the mean of the normal chance over the sample's own standard
+    deviation, which `spread` spans.
+    """
+    return float(
+        np.dot(weights, ndtr(noncentrality - edge * spread) + ndtr(-noncentrality - edge * spread))
+    )
 
 
 def _sample_sd(freedom: int) -> tuple[Floats, Floats]:
-    """Values and weights (Gauss-Legendre over its quantiles) of a sample's standard deviation, of a population's of 1."""
+    """Values and weights (Gauss-Legendre over its quantiles) of a sample's standard deviation, of a
+    population's of 1.
+    """
     nodes, weights = np.polynomial.legendre.leggauss(256)
     return np.sqrt(gammaincinv(freedom / 2.0, (nodes + 1.0) / 2.0) * 2.0 / freedom), weights / 2.0
 

@@ -1,8 +1,11 @@
-"""The score of one trial: what was found, how far off, and whether the scene as a whole succeeded. Knows neither script nor store.
+"""The score of one trial: what was found, how far off, and whether the scene as a whole succeeded.
+Knows neither script nor store.
 
-A scene succeeds when every visible teat was found within the limit, nothing false was found, and the answer came in time. The hidden
-count is scored beside it. Success is counted on the seen error as it stands; `doubtful` names the teats whose error lies in the guard
-band, where the truth's uncertainty could turn it, and a decision on a rate takes neither such successes nor such failures as shown.
+A scene succeeds when every visible teat was found within the limit, nothing false was found, and
+the answer came in time. The hidden count is scored beside it. Success is counted on the seen error
+as it stands; `doubtful` names the teats whose error lies in the guard band, where the truth's
+uncertainty could turn it, and a decision on a rate takes neither such successes nor such failures
+as shown.
 """
 
 from __future__ import annotations
@@ -23,8 +26,9 @@ from bench.scoring.matching import Counts, Match, as_flags, assign, gate_between
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneScore:
-    """`errors_mm` (k, 3) are found - truth in world axes, one row a pair of `match.pairs` (visible teats only); compare scores by
-    `as_dict()`."""
+    """`errors_mm` (k, 3) are found - truth in world axes, one row a pair of `match.pairs` (visible
+    teats only); compare scores by `as_dict()`.
+    """
 
     match: Match
     errors_mm: Floats
@@ -58,7 +62,9 @@ class SceneScore:
 
     @property
     def surely_failed(self) -> bool:
-        """A failure that the truth's uncertainty can't turn: something else than errors in the guard band made it one."""
+        """A failure that the truth's uncertainty can't turn: something else than errors in the
+        guard band made it one.
+        """
         if self.success:
             return False
         off = [d for d in self.radial_mm if d > self.limit_mm]
@@ -105,15 +111,22 @@ def score_scene(
     time_limit_s: float,
     hidden_claimed: int | None = None,
 ) -> SceneScore:
-    """Score findings (n, 3) against teats (m, 3) with flags (m,), world mm; u_mm is the truth's standard uncertainty along an axis.
+    """Score findings (n, 3) against teats (m, 3) with flags (m,), world mm; u_mm is the truth's
+    standard uncertainty along an axis.
 
-    A detection that failed or timed out is scored as no findings, with the time it took. Raises ValueError on impossible input.
+    A detection that failed or timed out is scored as no findings, with the time it took. Raises
+    ValueError on impossible input.
     """
     found, truth = as_points(found_mm, "found"), as_points(truth_mm, "truth")
     if not (isfinite(seconds) and seconds >= 0.0):
-        raise ValueError(f"seconds: {seconds} must be finite and not negative; a detection that timed out took its time limit or more")
+        raise ValueError(
+            f"seconds: {seconds} must be finite and not negative; a detection that timed out took"
+            " its time limit or more"
+        )
     if hidden_claimed is not None and hidden_claimed < 0:
-        raise ValueError(f"hidden_claimed: {hidden_claimed} teats; None says that the detector makes no claim")
+        raise ValueError(
+            f"hidden_claimed: {hidden_claimed} teats; None says that the detector makes no claim"
+        )
     answers, ends = found.tolist(), truth.tolist()
     result = assign(answers, ends, as_flags(visible, len(ends)), gate_between(ends))
     in_time = bool(seconds <= time_limit_s)
@@ -152,10 +165,15 @@ def scene_from_dict(stored: Mapping[str, Any]) -> SceneScore:
             u_mm=float(stored["u_mm"]),
             success=bool(stored["success"]),
             doubtful=tuple(int(j) for j in stored["doubtful"]),
-            hidden_claimed=None if stored["hidden_claimed"] is None else int(stored["hidden_claimed"]),
+            hidden_claimed=(
+                None if stored["hidden_claimed"] is None else int(stored["hidden_claimed"])
+            ),
         )
     except KeyError as missing:
-        raise ValueError(f"stored score: key {missing} is missing; the run was stored by another version, score it again") from missing
+        raise ValueError(
+            f"stored score: key {missing} is missing; the run was stored by another version, score"
+            " it again"
+        ) from missing
 
 
 def _errors(found: list[list[float]], truth: list[list[float]], result: Match) -> Floats:
@@ -168,7 +186,9 @@ def _doubtful(result: Match, limit_mm: float, u_mm: float) -> tuple[int, ...]:
     floor = -1.0 if accept is None else accept
     if all(d <= floor for d in result.distances_mm):
         return ()
-    return tuple(j for (_, j), d in zip(result.pairs, result.distances_mm, strict=True) if floor < d < refuse)
+    return tuple(
+        j for (_, j), d in zip(result.pairs, result.distances_mm, strict=True) if floor < d < refuse
+    )
 
 
 def _frozen(array: Floats) -> Floats:

@@ -1,9 +1,12 @@
-"""Does the error depend on something? Lines through errors against place, time, bath temperature or tilt, with their significance.
+"""Does the error depend on something? Lines through errors against place, time, bath temperature or
+tilt, with their significance.
 
-Rows of one pose share its error, so a row is not a trial: the slope's standard error is the jackknife over groups (poses; Efron and Stein,
-Annals of Statistics 9, 1981; as a cluster-robust variance, CV3 of MacKinnon, Nielsen and Webb, Journal of Applied Econometrics 38, 2023),
-with Student's t of groups - 1. What varies within poses (time, temperature) can be asked within them: each stratum then has a level of
-its own, which takes its pose's own error out. Knows only numbers and names; many questions at once are adjusted after Holm.
+Rows of one pose share its error, so a row is not a trial: the slope's standard error is the
+jackknife over groups (poses; Efron and Stein, Annals of Statistics 9, 1981; as a cluster-robust
+variance, CV3 of MacKinnon, Nielsen and Webb, Journal of Applied Econometrics 38, 2023), with
+Student's t of groups - 1. What varies within poses (time, temperature) can be asked within them:
+each stratum then has a level of its own, which takes its pose's own error out. Knows only numbers
+and names; many questions at once are adjusted after Holm.
 """
 
 from __future__ import annotations
@@ -26,9 +29,11 @@ LEAST_TREND_POSES = 5  # groups: fewer leave the spread of the slope itself unkn
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """Slope of a response (mm) per unit of a quantity, from rows in so many independent groups; `span` is the quantity's range.
+    """Slope of a response (mm) per unit of a quantity, from rows in so many independent groups;
+    `span` is the quantity's range.
 
-    All None where there are too few groups, or the quantity did not vary. `p_holm` is adjusted for all questions asked with it.
+    All None where there are too few groups, or the quantity did not vary. `p_holm` is adjusted for
+    all questions asked with it.
     """
 
     quantity: str
@@ -63,10 +68,12 @@ def trends(
     within_groups: Sequence[Hashable] | None = None,
     confidence: float = 0.95,
 ) -> tuple[Trend, ...]:
-    """Every quantity (n,) against the errors' x, y, z (signed) and distance; rows where a quantity is not-a-number are left out for it.
+    """Every quantity (n,) against the errors' x, y, z (signed) and distance; rows where a quantity
+    is not-a-number are left out for it.
 
-    `groups` names the independent unit (pose) of each row. `within` names, for a quantity, the strata (teat at a pose) to ask it within;
-    the independent unit then is that of `within_groups` (the frame set).
+    `groups` names the independent unit (pose) of each row. `within` names, for a quantity, the
+    strata (teat at a pose) to ask it within; the independent unit then is that of `within_groups`
+    (the frame set).
     """
     errors = as_points(errors_mm, "errors")
     responses = dict(zip(RESPONSES, (*errors.T, np.linalg.norm(errors, axis=1)), strict=True))
@@ -92,22 +99,31 @@ def trend(
     within: Sequence[Hashable] | None = None,
     confidence: float = 0.95,
 ) -> Trend:
-    """One line: `response` (n,) against `values` (n,), rows grouped by `groups` (n,), with a level for each of `within` (n,) if given."""
+    """One line: `response` (n,) against `values` (n,), rows grouped by `groups` (n,), with a level
+    for each of `within` (n,) if given.
+    """
     x, y = as_values(values, "values"), as_values(response, "response")
     if not len(x) == len(y) == len(groups) or (within is not None and len(within) != len(x)):
-        raise ValueError(f"trend: {len(x)} values, {len(y)} responses, {len(groups)} groups; give one of each for every row")
+        raise ValueError(
+            f"trend: {len(x)} values, {len(y)} responses, {len(groups)} groups; give one of each"
+            " for every row"
+        )
     group, stratum = numbered(groups), numbered(within if within is not None else [0] * len(x))
     count = int(group.max()) + 1 if len(x) else 0
     empty = Trend("", "", len(x), count, float(np.ptp(x)) if len(x) else 0.0)
     if count < LEAST_TREND_POSES:
         return empty
     sxx, sxy, less_xx, less_xy = _sums(x - x.mean(), y - y.mean(), group, stratum, count)
-    if sxx <= 1e-12 * max(1.0, float(np.square(x).max())) * len(x) or np.any(sxx - less_xx <= 1e-9 * sxx):
+    if sxx <= 1e-12 * max(1.0, float(np.square(x).max())) * len(x) or np.any(
+        sxx - less_xx <= 1e-9 * sxx
+    ):
         return empty  # it did not vary, or only in one group
     slope, without = sxy / sxx, (sxy - less_xy) / (sxx - less_xx)
     error = sqrt((count - 1) / count * float(np.square(without - without.mean()).sum()))
     reach = float(stdtrit(count - 1, (1.0 + confidence) / 2.0)) * error
-    p_value = 2.0 * float(stdtr(count - 1, -abs(slope) / error)) if error > 0.0 else float(slope == 0.0)
+    p_value = (
+        2.0 * float(stdtr(count - 1, -abs(slope) / error)) if error > 0.0 else float(slope == 0.0)
+    )
     return replace(empty, slope=slope, low=slope - reach, high=slope + reach, p_value=p_value)
 
 
@@ -121,18 +137,30 @@ def adjusted(found: Sequence[Trend]) -> tuple[Trend, ...]:
 def _sums(
     x: Floats, y: Floats, group: npt.NDArray[np.intp], stratum: npt.NDArray[np.intp], count: int
 ) -> tuple[float, float, Floats, Floats]:
-    """Sxx and Sxy about each stratum's means, and how much of them goes with each group when it is left out (strata's means then move)."""
-    blocks, block = (np.arange(count), group) if not stratum.any() else np.unique(stratum * count + group, return_inverse=True)
+    """Sxx and Sxy about each stratum's means, and how much of them goes with each group when it is
+    left out (strata's means then move).
+    """
+    blocks, block = (
+        (np.arange(count), group)
+        if not stratum.any()
+        else np.unique(stratum * count + group, return_inverse=True)
+    )
     block = block.ravel()
 
     def add(code: npt.NDArray[np.intp], size: int) -> tuple[Floats, ...]:
-        return tuple(np.bincount(code, w, minlength=size).astype(np.float64) for w in (np.ones_like(x), x, y, x * x, x * y))
+        return tuple(
+            np.bincount(code, w, minlength=size).astype(np.float64)
+            for w in (np.ones_like(x), x, y, x * x, x * y)
+        )
 
     whole, part = add(stratum, int(stratum.max()) + 1), add(block, len(blocks))
     of = blocks // count
     before = _about_mean(*whole)
     after = _about_mean(*(w[of] - p for w, p in zip(whole, part, strict=True)))
-    less = [np.bincount(blocks % count, b[of] - a, minlength=count).astype(np.float64) for b, a in zip(before, after, strict=True)]
+    less = [
+        np.bincount(blocks % count, b[of] - a, minlength=count).astype(np.float64)
+        for b, a in zip(before, after, strict=True)
+    ]
     return float(before[0].sum()), float(before[1].sum()), less[0], less[1]
 
 

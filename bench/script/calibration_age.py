@@ -1,6 +1,8 @@
-"""How old a rig's calibration is and whose cameras it is of: refused before a run, and judged after it.
+"""How old a rig's calibration is and whose cameras it is of: refused before a run, and judged after
+it.
 
-An emulated rig's cameras are made from its calibration, which can't be too old or of others. May not open anything.
+An emulated rig's cameras are made from its calibration, which can't be too old or of others. May
+not open anything.
 """
 
 from __future__ import annotations
@@ -23,23 +25,34 @@ AGAIN = "Calibrate again (docs/calibration.md: teatbench calibrate cameras, ther
 
 
 def refuse_old_calibration(rig: LoadedRig, script: LoadedScript, today: date) -> None:
-    """Raises ConfigError for a calibration that is older than the script allows, that doesn't say how old it is, or that isn't there."""
+    """Raises ConfigError for a calibration that is older than the script allows, that doesn't say
+    how old it is, or that isn't there.
+    """
     record = rig.calibration.record
     most = script.script.calibration.max_age_days
     if most is None or rig.rig.all_emulated:
         return
     allowed = f"{script.path} allows {most:g} days ([calibration] max_age_days)"
     if record is None:
-        raise ConfigError.plain(f"{rig.calibration_path} has no [record] that says when it was made; {allowed}. {AGAIN}.")
+        raise ConfigError.plain(
+            f"{rig.calibration_path} has no [record] that says when it was made; {allowed}."
+            f" {AGAIN}."
+        )
     age = _age_days(record.made, today)
     if age > most:
-        raise ConfigError.plain(f"{rig.calibration_path} was made on {record.made}, {age} days ago; {allowed}. {AGAIN}.")
+        raise ConfigError.plain(
+            f"{rig.calibration_path} was made on {record.made}, {age} days ago; {allowed}. {AGAIN}."
+        )
     if age < -1:  # a day's grace: it may be tomorrow already where it was made
-        raise ConfigError.plain(f"{rig.calibration_path} was made on {record.made}, which is still to come: is this machine's clock right?")
+        raise ConfigError.plain(
+            f"{rig.calibration_path} was made on {record.made}, which is still to come: is this"
+            " machine's clock right?"
+        )
 
 
 def refuse_other_cameras(record: Record | None, identity: Mapping[str, str]) -> None:
-    """Raises LimitError for a camera that isn't the one on record. ``identity`` is what each camera says of itself.
+    """Raises LimitError for a camera that isn't the one on record. ``identity`` is what each camera
+    says of itself.
 
     On record may stand all of it, or a part that only this camera has, as its serial number.
     """
@@ -47,29 +60,52 @@ def refuse_other_cameras(record: Record | None, identity: Mapping[str, str]) -> 
     for camera, recorded in on_record.items():
         seen = identity.get(camera)
         if seen is not None and recorded.strip().lower() not in seen.lower():
-            what = f"the calibration was made for the {camera} camera {recorded!r}, but the one that answers is {seen!r}"
-            raise LimitError("cameras", what, hint=f"Are cables or cameras changed? Put them back, or: {AGAIN}.")
+            what = (
+                f"the calibration was made for the {camera} camera {recorded!r}, but the one that"
+                f" answers is {seen!r}"
+            )
+            raise LimitError(
+                "cameras", what, hint=f"Are cables or cameras changed? Put them back, or: {AGAIN}."
+            )
 
 
 def calibration_fact(calibration: Calibration, today: date, *, emulated: bool) -> dict[str, Any]:
     """What a run keeps of its calibration's record. ``age_days`` is None where nobody knows it."""
     record = calibration.record
-    known: dict[str, Any] = {"made": None, "by": None, "with_what": None, "cameras": {}, "age_days": None}
+    known: dict[str, Any] = {
+        "made": None,
+        "by": None,
+        "with_what": None,
+        "cameras": {},
+        "age_days": None,
+    }
     if record is not None:
         age = _age_days(record.made, today)
-        known = {"made": record.made, "by": record.by, "with_what": record.with_what, "cameras": dict(record.cameras), "age_days": age}
+        known = {
+            "made": record.made,
+            "by": record.by,
+            "with_what": record.with_what,
+            "cameras": dict(record.cameras),
+            "age_days": age,
+        }
     return {**known, "emulated": emulated, "states_uncertainty": calibration.covariance is not None}
 
 
 def decide_calibration(rule: CalibrationRequirement, facts: Mapping[str, Any]) -> Decision:
-    """Was the calibration fresh? Not measured where its age isn't known; cameras that are made from it always are."""
+    """Was the calibration fresh? Not measured where its age isn't known; cameras that are made from
+    it always are.
+    """
     fact = facts.get(CALIBRATION_FACT)
     said = f"calibration at most {rule.max_age_days:g} days old on the day of the run"
     if fact is None or (fact["age_days"] is None and not fact["emulated"]):
         return decide_condition(rule.name, said, held=0, of=0)
     if fact["emulated"]:
-        return decide_condition(rule.name, f"{said} (emulated cameras are made from it)", held=1, of=1)
-    return decide_condition(rule.name, said, held=int(-1 <= fact["age_days"] <= rule.max_age_days), of=1)
+        return decide_condition(
+            rule.name, f"{said} (emulated cameras are made from it)", held=1, of=1
+        )
+    return decide_condition(
+        rule.name, said, held=int(-1 <= fact["age_days"] <= rule.max_age_days), of=1
+    )
 
 
 def _age_days(made: str, today: date) -> int:

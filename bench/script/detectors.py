@@ -1,6 +1,8 @@
-"""From what a person names to detectors: a registered name, ``exec:COMMAND``, or a file that declares a program (docs/detectors.md).
+"""From what a person names to detectors: a registered name, ``exec:COMMAND``, or a file that
+declares a program (docs/detectors.md).
 
-``detectors/NAME.toml`` beside where the bench is called can be named by NAME alone. Nothing is started here.
+``detectors/NAME.toml`` beside where the bench is called can be named by NAME alone. Nothing is
+started here.
 """
 
 from __future__ import annotations
@@ -28,13 +30,17 @@ _DEFAULT = Limits()
 
 
 class DetectorFile(Section):
-    """A program that is a detector: ``[detector]``'s keys. The command is run in the file's folder."""
+    """A program that is a detector: ``[detector]``'s keys. The
+    command is run in the file's folder.
+    """
 
     name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$")] = ""
     about: str = ""
     version: str = ""
     command: Annotated[tuple[str, ...], Field(min_length=1)]
-    environment: tuple[Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_()]*$")], ...] = ()
+    environment: tuple[
+        Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_()]*$")], ...
+    ] = ()
     start_limit_s: Positive = _DEFAULT.start_s
     time_limit_s: Positive = _DEFAULT.answer_s
     memory_limit_mib: Positive = _DEFAULT.memory_mib or 1024.0
@@ -44,30 +50,57 @@ class DetectorFile(Section):
     @property
     def limits(self) -> Limits:
         """As the detector takes them."""
-        return Limits(self.start_limit_s, self.time_limit_s, self.memory_limit_mib, self.restarts, self.faults_in_a_row)
+        return Limits(
+            self.start_limit_s,
+            self.time_limit_s,
+            self.memory_limit_mib,
+            self.restarts,
+            self.faults_in_a_row,
+        )
 
 
 def make_detectors(names: Sequence[str], folder: Path = Path()) -> list[Detector]:
-    """The detectors of these names; files are looked for in ``folder``. Raises ConfigError for one that isn't there, or can't be used."""
+    """The detectors of these names; files are looked for in ``folder``. Raises ConfigError for one
+    that isn't there, or can't be used.
+    """
     made = [_make(name, folder) for name in dict.fromkeys(names)]
     for detector in made:
         if sum(other.name == detector.name for other in made) > 1:
-            raise ConfigError.plain(f'two detectors are called "{detector.name}". Give one a file with a name of its own.')
+            raise ConfigError.plain(
+                f'two detectors are called "{detector.name}". Give one a file with a name of its'
+                " own."
+            )
     return made
 
 
 def check_named(names: Iterable[str]) -> None:
-    """Raises ValueError for a registered name that isn't there; what a command or a file holds shows when it is made."""
+    """Raises ValueError for a registered name that isn't there; what a command or a file holds
+    shows when it is made.
+    """
     known = list(registry.available())
     for name in names:
-        if not name.startswith(EXEC) and not name.endswith(FILE) and name not in known and not _declared(name):
+        if (
+            not name.startswith(EXEC)
+            and not name.endswith(FILE)
+            and name not in known
+            and not _declared(name)
+        ):
             there = ", ".join(known)
-            hint = f"; to run that file, write {EXEC}COMMAND" if Path(name).is_file() else did_you_mean(name, known)
-            raise ValueError(f"no detector {name!r}{hint} (there are: {there}; or {EXEC}COMMAND, or a {FILE} file)")
+            hint = (
+                f"; to run that file, write {EXEC}COMMAND"
+                if Path(name).is_file()
+                else did_you_mean(name, known)
+            )
+            raise ValueError(
+                f"no detector {name!r}{hint} (there are: {there}; or {EXEC}COMMAND, or a {FILE}"
+                " file)"
+            )
 
 
 def declared() -> dict[str, str]:
-    """Name -> one line, of the files in ``detectors`` where the bench is called; a faulty file's line says so."""
+    """Name -> one line, of the files in ``detectors`` where the bench is called; a faulty file's
+    line says so.
+    """
     found: dict[str, str] = {}
     for path in sorted(DECLARED.glob(f"*{FILE}")):
         try:
@@ -84,7 +117,11 @@ def _make(name: str, folder: Path) -> Detector:
         return _of_file(folder / name)
     try:
         check_named((name,))
-        return registry.create(name) if name in registry.available() else _of_file(DECLARED / f"{name}{FILE}")
+        return (
+            registry.create(name)
+            if name in registry.available()
+            else _of_file(DECLARED / f"{name}{FILE}")
+        )
     except ValueError as error:
         raise ConfigError.plain(str(error)) from error
 
@@ -93,7 +130,9 @@ def _of_command(text: str) -> Detector:
     try:
         command = taken_apart(text, windows=os.name == "nt")
     except ValueError as error:
-        raise ConfigError.plain(f"{EXEC}{text}: the command can't be taken apart: {error}") from error
+        raise ConfigError.plain(
+            f"{EXEC}{text}: the command can't be taken apart: {error}"
+        ) from error
     if not command:
         raise ConfigError.plain(f"{EXEC} needs a command, such as {EXEC}python3 my_detector.py")
     _find_program(command[0], Path())
@@ -101,16 +140,29 @@ def _of_command(text: str) -> Detector:
 
 
 def _called(command: Sequence[str]) -> str:
-    """A command's name: that of the first file among its words after the program, or of the module after -m, or of the program."""
+    """A command's name: that of the first file among its words after the program, or of the module
+    after -m, or of the program.
+    """
     file = next((Path(part).stem for part in command[1:] if Path(part).is_file()), None)
-    module = next((part.rpartition(".")[2] for before, part in pairwise(command) if before == "-m"), None)
+    module = next(
+        (part.rpartition(".")[2] for before, part in pairwise(command) if before == "-m"), None
+    )
     return re.sub(r"[^A-Za-z0-9_-]", "-", file or module or Path(command[0]).stem)
 
 
 def taken_apart(text: str, *, windows: bool) -> list[str]:
-    """The words of a command; on Windows a backslash is a letter. Raises ValueError for a quotation that doesn't end."""
+    """The words of a command; on Windows a backslash is a letter. Raises ValueError for a quotation
+    that doesn't end.
+    """
     words = shlex.split(text, posix=not windows)
-    return [word[1:-1] if windows and len(word) > 1 and word[0] == word[-1] and word[0] in "\"'" else word for word in words]
+    return [
+        (
+            word[1:-1]
+            if windows and len(word) > 1 and word[0] == word[-1] and word[0] in "\"'"
+            else word
+        )
+        for word in words
+    ]
 
 
 def _of_file(path: Path) -> Detector:
@@ -119,19 +171,34 @@ def _of_file(path: Path) -> Detector:
     _find_program(given.command[0], folder)
     name = given.name or re.sub(r"[^A-Za-z0-9_-]", "-", path.stem)
     if name in registry.available():
-        raise ConfigError.plain(f'{path}: "{name}" is the name of a detector that ships. Give yours another: name = "…".')
+        raise ConfigError.plain(
+            f'{path}: "{name}" is the name of a detector that ships. Give yours another: name ='
+            ' "…".'
+        )
     version = given.version or None
     return ExternalDetector(
-        name, given.command, stopwatch_s, folder=folder, limits=given.limits, version=version, environment=given.environment
+        name,
+        given.command,
+        stopwatch_s,
+        folder=folder,
+        limits=given.limits,
+        version=version,
+        environment=given.environment,
     )
 
 
 def _find_program(program: str, folder: Path) -> None:
     there = shutil.which(program) or shutil.which(str(folder / program))
     if there is None and (folder / program).is_file():
-        raise ConfigError.plain(f"{program!r} may not be run: make it executable, or name what runs it, as in python3 {program}")
+        raise ConfigError.plain(
+            f"{program!r} may not be run: make it executable, or name what runs it, as in python3"
+            f" {program}"
+        )
     if there is None:
-        raise ConfigError.plain(f"no program {program!r} is there that can be run: give its path, or look at the environment's PATH")
+        raise ConfigError.plain(
+            f"no program {program!r} is there that can be run: give its path, or look at the"
+            " environment's PATH"
+        )
 
 
 def _declared(name: str) -> bool:

@@ -1,4 +1,5 @@
-"""A script's `[truth]`: how the truth of its trials is had, fixed before the run. May not open anything.
+"""A script's `[truth]`: how the truth of its trials is had, fixed before the run. May not open
+anything.
 
 The trial script: what is to be shown, how it is decided, and the trials that show it.
 
@@ -29,18 +30,23 @@ Shift = Annotated[float, Field(ge=-2000, le=2000)]
 
 
 class TruthTable(Section):
-    """``touch``: every end in every trial. ``carry``: once, and by the stage from then on, with check touches.
+    """``touch``: every end in every trial. ``carry``: once, and by the stage from then on, with
+    check touches.
 
-    ``readings`` of each end, None for what the rig says. ``registration`` is a file of 'teatbench calibrate stage' beside the
-    script, or "first": made at the start of the run by touches of teat ``registration_teat`` at ``registration_at_mm`` (x, y from the
-    reference place; left out, at the corners and the middle of all the script's poses). A check after every ``check_every``
-    carried trials (0: only at the end, and before the phantom is rearranged), which may be off by ``check_limit_mm``.
+    ``readings`` of each end, None for what the rig says. ``registration`` is a file of 'teatbench
+    calibrate stage' beside the script, or "first": made at the start of the run by touches of teat
+    ``registration_teat`` at ``registration_at_mm`` (x, y from the reference place; left out, at the
+    corners and the middle of all the script's poses). A check after every ``check_every`` carried
+    trials (0: only at the end, and before the phantom is rearranged), which may be off by
+    ``check_limit_mm``.
     """
 
     mode: Literal["touch", "carry"] = "touch"
     readings: Annotated[int, Field(ge=1, le=20)] | None = None
     registration: str = ""
-    registration_at_mm: Annotated[tuple[tuple[Shift, Shift], ...], Field(min_length=3)] | None = None
+    registration_at_mm: Annotated[tuple[tuple[Shift, Shift], ...], Field(min_length=3)] | None = (
+        None
+    )
     registration_teat: Annotated[int, Field(ge=1, le=8)] = 1
     check_every: Annotated[int, Field(ge=0, le=100_000)] = 0
     check_limit_mm: Annotated[float, Field(gt=0, le=50)] = 1.5
@@ -50,18 +56,29 @@ class TruthTable(Section):
     def _there(cls, name: str, info: ValidationInfo) -> str:
         folder: Any = (info.context or {}).get("folder")
         if name not in ("", FIRST) and folder is not None and not (Path(folder) / name).is_file():
-            raise ValueError(f'no such file beside the script ({Path(folder) / name}); "{FIRST}" makes one at the start of the run')
+            raise ValueError(
+                f'no such file beside the script ({Path(folder) / name}); "{FIRST}" makes one at'
+                " the start of the run"
+            )
         return name
 
     @model_validator(mode="after")
     def _whole(self) -> TruthTable:
         given = self.model_fields_set - {"mode", "readings"}
         if self.mode == "touch" and given:
-            raise ValueError(f'{", ".join(sorted(given))}: only for mode = "carry"; here every end is touched in every trial')
+            raise ValueError(
+                f'{", ".join(sorted(given))}: only for mode = "carry"; here every end is touched in'
+                " every trial"
+            )
         if self.mode == "carry" and not self.registration:
-            raise ValueError(f'carry needs a registration: a file of "teatbench calibrate stage", or "{FIRST}"')
+            raise ValueError(
+                f'carry needs a registration: a file of "teatbench calibrate stage", or "{FIRST}"'
+            )
         if self.registration != FIRST and self.registration_at_mm:
-            raise ValueError(f'registration_at_mm is for registration = "{FIRST}"; the file has its own positions')
+            raise ValueError(
+                f'registration_at_mm is for registration = "{FIRST}"; the file has its own'
+                " positions"
+            )
         return self
 
     @property
@@ -76,10 +93,13 @@ Rate = Annotated[float, Field(gt=0, lt=1)]
 
 
 class BathGate(Section):
-    """Set point and stability gate; the defaults are those of the bench's bath sheet, section 4.2."""
+    """Set point and stability gate; the defaults are those of the
+    bench's bath sheet, section 4.2.
+    """
 
     set_point_c: float
-    window_s: Annotated[float, Field(ge=2, le=7200)] = 600.0  # far less than 600 s shows nothing: for trying a rig out
+    # far less than 600 s shows nothing: for trying a rig out
+    window_s: Annotated[float, Field(ge=2, le=7200)] = 600.0
     leave_k: Positive = 0.15
     mean_k: Annotated[Positive, Field(validate_default=True)] = 0.10
     half_range_k: Positive = 0.05
@@ -93,8 +113,8 @@ class BathGate(Section):
         leave_k = info.data.get("leave_k", mean_k)
         if mean_k > leave_k:
             raise ValueError(
-                f"{mean_k:g} K is above leave_k = {leave_k:g} K, so that a stable bath would count as "
-                "one that has left its set point: lower mean_k or raise leave_k"
+                f"{mean_k:g} K is above leave_k = {leave_k:g} K, so that a stable bath would count"
+                " as one that has left its set point: lower mean_k or raise leave_k"
             )
         return mean_k
 
@@ -110,7 +130,9 @@ class ErrorRequirement(Section):
 
 
 class TimeRequirement(Section):
-    """Decided on what was timed; with a rate only where so many poses show it for that share, with the confidence."""
+    """Decided on what was timed; with a rate only where so many poses show it for that share, with
+    the confidence.
+    """
 
     kind: Literal["time"]
     name: str
@@ -124,7 +146,9 @@ class TimeRequirement(Section):
     @classmethod
     def _of_the_statistic(cls, rate: float | None, info: ValidationInfo) -> float | None:
         if rate is not None and rate != 0.95 and info.data.get("statistic") == "p95":
-            raise ValueError('a p95 says it of 0.95 of the poses; for another rate the statistic is "max"')
+            raise ValueError(
+                'a p95 says it of 0.95 of the poses; for another rate the statistic is "max"'
+            )
         return rate
 
 
@@ -151,7 +175,9 @@ class BathRequirement(Section):
 
 
 class ArmRequirement(Section):
-    """The arm checked before and after the trials, and verified on a day not long ago (docs/arm.md). Limits in mm."""
+    """The arm checked before and after the trials, and verified on a day not long ago
+    (docs/arm.md). Limits in mm.
+    """
 
     kind: Literal["arm_verified"]
     name: str
@@ -175,19 +201,29 @@ class CalibrationRequirement(Section):
 
 
 class CalibrationTable(Section):
-    """``[calibration]``: a run with an older one, or one whose age nobody knows, is refused before anything is opened."""
+    """``[calibration]``: a run with an older one, or one whose age nobody knows, is refused before
+    anything is opened.
+    """
 
     max_age_days: Positive | None = None
 
 
 Requirement = Annotated[
-    ErrorRequirement | TimeRequirement | SuccessRequirement | FalseRequirement | BathRequirement | ArmRequirement | CalibrationRequirement,
+    ErrorRequirement
+    | TimeRequirement
+    | SuccessRequirement
+    | FalseRequirement
+    | BathRequirement
+    | ArmRequirement
+    | CalibrationRequirement,
     Field(discriminator="kind"),
 ]
 
 
 class Rules(Section):
-    """What detections are held against, with or without instruments: fixed before anything is run."""
+    """What detections are held against, with or without
+    instruments: fixed before anything is run.
+    """
 
     title: str
     about: str = ""
@@ -199,7 +235,8 @@ class Rules(Section):
     @field_validator("detectors")
     @classmethod
     def _detectors(cls, names: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
-        if not (info.context or {}).get("stored"):  # of a run that was done, also where its detectors aren't at hand any more
+        # of a run that was done, also where its detectors aren't at hand any more
+        if not (info.context or {}).get("stored"):
             check_named(names)
         return names
 
@@ -216,7 +253,9 @@ class Rules(Section):
 
 
 class Script(Rules):
-    """Rules, the bath, and the trials. ``seed`` draws poses, layouts and order: they are the same whatever the run's seed is."""
+    """Rules, the bath, and the trials. ``seed`` draws poses, layouts and order: they are the same
+    whatever the run's seed is.
+    """
 
     seed: Annotated[int, Field(ge=0)] = 1
     order: Literal["as written", "shuffled"] = "as written"
@@ -261,11 +300,17 @@ class LoadedScript:
     @property
     def layout_files(self) -> dict[str, str]:
         """The text of each layout of the script's own, by its name; for the run's folder."""
-        return {name: read_text(self.path.parent / name) for name in self.layouts if name.endswith(".toml")}
+        return {
+            name: read_text(self.path.parent / name)
+            for name in self.layouts
+            if name.endswith(".toml")
+        }
 
     @property
     def truth_files(self) -> dict[str, str]:
-        """The text of the stage's registration, where the script names one; for the run's folder."""
+        """The text of the stage's registration, where the script
+        names one; for the run's folder.
+        """
         name = self.script.truth.file
         return {Path(name).name: read_text(self.path.parent / name)} if name else {}
 
@@ -277,12 +322,16 @@ def _no_name_twice(names: list[str]) -> None:
 
 
 def find_script(name: str | None) -> Path:
-    """The file of a shipped script by name, or of any script by path; the six situations for None. Raises ConfigError."""
+    """The file of a shipped script by name, or of any script by path; the six situations for None.
+    Raises ConfigError.
+    """
     return find_shipped(name or "six-situations", TRIALS, "trial script")
 
 
 def load_script(path: Path, rig_limits_c: tuple[float, float] | None = None) -> LoadedScript:
-    """The script at ``path``, held against the rig's allowed set points where given. Raises ConfigError with all faults."""
+    """The script at ``path``, held against the rig's allowed set points where given. Raises
+    ConfigError with all faults.
+    """
     text = script_text(path)
     script = parse_config(path, text, Script)
     wanted = script.bath.set_point_c
@@ -296,10 +345,21 @@ def load_script(path: Path, rig_limits_c: tuple[float, float] | None = None) -> 
 
 
 def layouts_of(script: Script, folder: Path) -> dict[str, Layout]:
-    """The layouts that the trials name, those of the script's own out of ``folder``. Raises ConfigError."""
-    return {name: load_layout(find_layout(name, folder)) for name in {trial.layout for trial in script.trials if trial.layout}}
+    """The layouts that the trials name, those of the script's own out of ``folder``. Raises
+    ConfigError.
+    """
+    return {
+        name: load_layout(find_layout(name, folder))
+        for name in {trial.layout for trial in script.trials if trial.layout}
+    }
 
 
 def planned_of(script: Script, layouts: Mapping[str, Layout]) -> tuple[PlannedTrial, ...]:
     """The trials one by one, in the order of the run."""
-    return plan(script.trials, layouts, repeats=script.repeats, seed=script.seed, shuffled=script.order == "shuffled")
+    return plan(
+        script.trials,
+        layouts,
+        repeats=script.repeats,
+        seed=script.seed,
+        shuffled=script.order == "shuffled",
+    )

@@ -1,7 +1,9 @@
-"""Phantom description files: which teats stand where on their plate, read into a `Phantom`, or drawn within an envelope by a seed.
+"""Phantom description files: which teats stand where on their plate, read into a `Phantom`, or
+drawn within an envelope by a seed.
 
-A file either lists its teats or declares an envelope. What is drawn is checked as what is written: no two teats may share room.
-May not know of trials, rigs or cameras. Spacings of an envelope are between the axes where they leave the plate.
+A file either lists its teats or declares an envelope. What is drawn is checked as what is written:
+no two teats may share room. May not know of trials, rigs or cameras. Spacings of an envelope are
+between the axes where they leave the plate.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ Span = tuple[Length, Length]
 
 
 class TeatTable(Section):
-    """One teat: where its axis leaves the plate, how long it is from there to the apex, and how far it leans towards +x and +y."""
+    """One teat: where its axis leaves the plate, how long it is from there to the apex, and how far
+    it leans towards +x and +y.
+    """
 
     name: Name
     base_mm: tuple[Place, Place]
@@ -48,11 +52,15 @@ class TeatTable(Section):
     def teat(self) -> Teat:
         """The teat. Raises ValueError for a shape that can't be."""
         x, y = np.radians(self.tilt_deg)
-        return Teat(self.base_mm, TeatShape(self.length_mm, self.radius_mm), (float(x), float(y)), self.name)
+        return Teat(
+            self.base_mm, TeatShape(self.length_mm, self.radius_mm), (float(x), float(y)), self.name
+        )
 
 
 class Envelope(Section):
-    """Within what an udder is drawn: each figure evenly between its two ends, each teat for itself where it is a teat's."""
+    """Within what an udder is drawn: each figure evenly between its two ends, each teat for itself
+    where it is a teat's.
+    """
 
     middle_mm: tuple[Place, Place]
     front_spacing_mm: Span
@@ -64,7 +72,9 @@ class Envelope(Section):
     tilt_deg: Annotated[float, Field(ge=0, le=30)] = 0.0
     least_gap_mm: Annotated[float, Field(ge=0, le=100)] = 0.0
 
-    @field_validator("front_spacing_mm", "rear_spacing_mm", "front_to_rear_mm", "length_mm", "radius_mm")
+    @field_validator(
+        "front_spacing_mm", "rear_spacing_mm", "front_to_rear_mm", "length_mm", "radius_mm"
+    )
     @classmethod
     def _ordered(cls, span: Span) -> Span:
         if span[0] > span[1]:
@@ -72,26 +82,46 @@ class Envelope(Section):
         return span
 
     def draw(self, rng: np.random.Generator) -> tuple[Teat, ...]:
-        """LF, RF, LR, RR. Raises ValueError where none of `TRIES` draws keeps its teats ``least_gap_mm`` apart."""
+        """LF, RF, LR, RR. Raises ValueError where none of `TRIES` draws keeps its teats
+        ``least_gap_mm`` apart.
+        """
         for _ in range(TRIES):
             teats = tuple(self._teats(rng))
             if _nearest(teats)[0] >= self.least_gap_mm:
                 return teats
-        raise ValueError(f"{TRIES} udders were drawn, and in each two teats were nearer than {self.least_gap_mm:g} mm; widen the spacings")
+        raise ValueError(
+            f"{TRIES} udders were drawn, and in each two teats were nearer than"
+            f" {self.least_gap_mm:g} mm; widen the spacings"
+        )
 
     def _teats(self, rng: np.random.Generator) -> Iterator[Teat]:
         x, y = self.middle_mm
-        front, rear, deep = (rng.uniform(*span) / 2.0 for span in (self.front_spacing_mm, self.rear_spacing_mm, self.front_to_rear_mm))
-        corners: dict[Name, tuple[float, float]] = {"LF": (-front, deep), "RF": (front, deep), "LR": (-rear, -deep), "RR": (rear, -deep)}
+        front, rear, deep = (
+            rng.uniform(*span) / 2.0
+            for span in (self.front_spacing_mm, self.rear_spacing_mm, self.front_to_rear_mm)
+        )
+        corners: dict[Name, tuple[float, float]] = {
+            "LF": (-front, deep),
+            "RF": (front, deep),
+            "LR": (-rear, -deep),
+            "RR": (rear, -deep),
+        }
         for name, (dx, dy) in corners.items():
             sx, sy = rng.uniform(-self.shift_mm, self.shift_mm, 2)
             lean_x, lean_y = np.radians(rng.uniform(-self.tilt_deg, self.tilt_deg, 2))
             shape = TeatShape(rng.uniform(*self.length_mm), rng.uniform(*self.radius_mm))
-            yield Teat((float(x + dx + sx), float(y + dy + sy)), shape, (float(lean_x), float(lean_y)), name)
+            yield Teat(
+                (float(x + dx + sx), float(y + dy + sy)),
+                shape,
+                (float(lean_x), float(lean_y)),
+                name,
+            )
 
 
 class PhantomFile(Section):
-    """What a phantom description file says: ``teats``, or an ``envelope`` that they are drawn from."""
+    """What a phantom description file says: ``teats``, or an
+    ``envelope`` that they are drawn from.
+    """
 
     about: str
     emissivity: Annotated[float, Field(gt=0, le=1)] = 0.95
@@ -130,9 +160,15 @@ class Layout:
         return self.file.envelope is not None
 
     def phantom(self, *seed: int) -> Phantom:
-        """The phantom at its reference place; ``seed`` is for one that is drawn. Raises ValueError for a too tight envelope."""
+        """The phantom at its reference place; ``seed`` is for one that is drawn. Raises ValueError
+        for a too tight envelope.
+        """
         envelope = self.file.envelope
-        teats = envelope.draw(np.random.default_rng(seed)) if envelope else tuple(table.teat() for table in self.file.teats)
+        teats = (
+            envelope.draw(np.random.default_rng(seed))
+            if envelope
+            else tuple(table.teat() for table in self.file.teats)
+        )
         return Phantom(teats, name=self.name, emissivity=self.file.emissivity)
 
 
@@ -142,7 +178,9 @@ def layout_names() -> list[str]:
 
 
 def find_layout(name: str, folder: Path | None = None) -> Path:
-    """The file of a shipped layout by name, or of one that ends in ``.toml``, from ``folder``. Raises ValueError that lists what ships."""
+    """The file of a shipped layout by name, or of one that ends in ``.toml``, from ``folder``.
+    Raises ValueError that lists what ships.
+    """
     if name.endswith(".toml"):
         path = (folder or Path()) / name
         if not path.is_file():
@@ -150,7 +188,10 @@ def find_layout(name: str, folder: Path | None = None) -> Path:
         return path
     known = layout_names()
     if name not in known:
-        raise ValueError(f"no such layout{did_you_mean(name, known)} (shipped: {', '.join(known)}; or a file beside, ending in .toml)")
+        raise ValueError(
+            f"no such layout{did_you_mean(name, known)} (shipped: {', '.join(known)}; or a file"
+            " beside, ending in .toml)"
+        )
     return PHANTOMS / f"{name}.toml"
 
 
@@ -165,7 +206,9 @@ def load_layout(path: Path) -> Layout:
 
 
 def shipped_phantom(name: str) -> Phantom:
-    """A layout that ships and isn't drawn, at its reference place. Raises ValueError for a name that isn't known."""
+    """A layout that ships and isn't drawn, at its reference place. Raises ValueError for a name
+    that isn't known.
+    """
     return load_layout(find_layout(name)).phantom()
 
 

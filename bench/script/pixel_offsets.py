@@ -1,9 +1,11 @@
-"""The sensitivity of stereo to picking errors: known points, known pixel offsets, every direction (the thesis's section 5.1.2).
+"""The sensitivity of stereo to picking errors: known points, known pixel offsets, every direction
+(the thesis's section 5.1.2).
 
-A known point is projected into both pictures, put off by so many pixels, and triangulated again through the same calibration; what
-comes out differs by nothing but the offset. The thesis doesn't say in which direction its offsets lay, so all are tried: evenly
-spaced around each picture's point, and where both pictures are put off, each direction of one with each of the other.
-Pure but for reading the script. May not know of instruments or frames.
+A known point is projected into both pictures, put off by so many pixels, and triangulated again
+through the same calibration; what comes out differs by nothing but the offset. The thesis doesn't
+say in which direction its offsets lay, so all are tried: evenly spaced around each picture's point,
+and where both pictures are put off, each direction of one with each of the other. Pure but for
+reading the script. May not know of instruments or frames.
 """
 
 from __future__ import annotations
@@ -30,9 +32,11 @@ Point = tuple[Millimetres, Millimetres, Millimetres]
 
 
 class Offset(Section):
-    """How far one teat's picked points are put off in either picture, and what the thesis printed for it, where it did.
+    """How far one teat's picked points are put off in either picture, and what the thesis printed
+    for it, where it did.
 
-    ``published_mm`` is the end triangulated with the offset, ``published_plain_mm`` the same without, world frame.
+    ``published_mm`` is the end triangulated with the offset, ``published_plain_mm`` the same
+    without, world frame.
     """
 
     teat: Annotated[int, Field(ge=1)]
@@ -79,7 +83,9 @@ class LoadedOffsets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What one teat's offset does: errors (n, 3) mm in the world frame, a row for each direction or pair of directions."""
+    """What one teat's offset does: errors (n, 3) mm in the world frame, a row for each direction or
+    pair of directions.
+    """
 
     offset: Offset
     errors_mm: Floats
@@ -106,7 +112,9 @@ class Outcome:
 
 
 def is_offset_script(path: Path) -> bool:
-    """Whether the script at ``path`` says ``kind = "offsets"``. Raises ConfigError where it can't be read."""
+    """Whether the script at ``path`` says ``kind = "offsets"``. Raises ConfigError where it can't
+    be read.
+    """
     try:
         return tomllib.loads(read_text(path)).get("kind") == "offsets"
     except tomllib.TOMLDecodeError:
@@ -121,42 +129,69 @@ def load_offsets(path: Path) -> LoadedOffsets:
     text = read_text(path)
     wrong = [i for i, offset in enumerate(script.offsets) if offset.teat > len(points)]
     if wrong:
-        raise located(path, text, [(("offsets", i, "teat"), f"the layout has {len(points)} teats", False) for i in wrong])
+        raise located(
+            path,
+            text,
+            [(("offsets", i, "teat"), f"the layout has {len(points)} teats", False) for i in wrong],
+        )
     return LoadedOffsets(path, text, script, layout, points)
 
 
 def outcomes(loaded: LoadedOffsets, calibration: Calibration) -> tuple[Outcome, ...]:
-    """What each offset of the script does. Raises ConfigError for a point that a camera can't see."""
+    """What each offset of the script does. Raises ConfigError for
+    a point that a camera can't see.
+    """
     many = loaded.script.directions
     return tuple(
-        Outcome(one, offset_errors(calibration, loaded.points_mm[one.teat - 1], one.left_px, one.right_px, many))
+        Outcome(
+            one,
+            offset_errors(
+                calibration, loaded.points_mm[one.teat - 1], one.left_px, one.right_px, many
+            ),
+        )
         for one in loaded.script.offsets
     )
 
 
-def offset_errors(calibration: Calibration, point_mm: Floats, left_px: float, right_px: float, directions: int) -> Floats:
-    """Errors (n, 3) mm, world frame, of ``point_mm`` (3,) triangulated from points put off by so many pixels; n is every direction.
+def offset_errors(
+    calibration: Calibration, point_mm: Floats, left_px: float, right_px: float, directions: int
+) -> Floats:
+    """Errors (n, 3) mm, world frame, of ``point_mm`` (3,) triangulated from points put off by so
+    many pixels; n is every direction.
 
     Raises ConfigError for a point outside either picture, or an offset whose rays don't meet.
     """
     seen_right = calibration.world_from_right.inverse().apply(point_mm[None])
     seen_left = calibration.right_from_left.inverse().apply(seen_right)
     left, right = calibration.left.project(seen_left), calibration.right.project(seen_right)
-    for name, pixel, camera in (("left", left, calibration.left), ("right", right, calibration.right)):
+    for name, pixel, camera in (
+        ("left", left, calibration.left),
+        ("right", right, calibration.right),
+    ):
         if not bool(np.all((pixel >= -0.5) & (pixel <= np.array(camera.image_size) - 0.5))):
             where = f"pixel {pixel.round(1).tolist()[0]}"
-            raise ConfigError.plain(f"the point at {np.round(point_mm, 1).tolist()} mm is outside the {name} picture ({where})")
+            raise ConfigError.plain(
+                f"the point at {np.round(point_mm, 1).tolist()} mm is outside the {name} picture"
+                f" ({where})"
+            )
     a, b = _around(left, left_px, directions), _around(right, right_px, directions)
     pairs_left, pairs_right = np.repeat(a, len(b), axis=0), np.tile(b, (len(a), 1))
-    found, _ = triangulate(pairs_left, pairs_right, calibration.left, calibration.right, calibration.right_from_left)
+    found, _ = triangulate(
+        pairs_left, pairs_right, calibration.left, calibration.right, calibration.right_from_left
+    )
     errors = calibration.world_from_right.apply(found) - point_mm
     if not np.isfinite(errors).all():
-        raise ConfigError.plain(f"offsets of {left_px:g} and {right_px:g} px leave rays that don't meet before the cameras")
+        raise ConfigError.plain(
+            f"offsets of {left_px:g} and {right_px:g} px leave rays that don't meet before the"
+            " cameras"
+        )
     return np.asarray(errors)
 
 
 def _around(pixel: Floats, offset_px: float, directions: int) -> Floats:
-    """``pixel`` (1, 2) put off by ``offset_px`` in each direction, (directions, 2); itself alone where there is no offset."""
+    """``pixel`` (1, 2) put off by ``offset_px`` in each direction, (directions, 2); itself alone
+    where there is no offset.
+    """
     if offset_px == 0.0:
         return pixel
     angle = 2.0 * np.pi * np.arange(directions) / directions

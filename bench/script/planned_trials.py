@@ -1,7 +1,9 @@
-"""From a script's trial tables to the trials of a run, one by one: pure, the same script gives the same trials and names.
+"""From a script's trial tables to the trials of a run, one by one: pure, the same script gives the
+same trials and names.
 
-Poses are numbered as they are written, whatever order they are visited in, so that a name means one pose. All chance comes from the
-script's own seed, never from the run's: the poses are fixed before anything is run.
+Poses are numbered as they are written, whatever order they are visited in, so that a name means one
+pose. All chance comes from the script's own seed, never from the run's: the poses are fixed before
+anything is run.
 """
 
 from __future__ import annotations
@@ -18,17 +20,23 @@ from instruments.operators.operator import Arrangement
 from instruments.world.phantom import Phantom, PlatePose
 from instruments.world.situations import Situation, situation
 
-SIDES: Mapping[Side, tuple[float, float]] = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
+SIDES: Mapping[Side, tuple[float, float]] = {
+    "+x": (1.0, 0.0),
+    "-x": (-1.0, 0.0),
+    "+y": (0.0, 1.0),
+    "-y": (0.0, -1.0),
+}
 
 POSE_KEYS = ("id", "pose", "repeat", "x_mm", "y_mm", "z_mm", "yaw_deg", "from")
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedTrial:
-    """One frame set to come: the ``number``-th of the run (from 1), the ``repeat``-th at its pose (from 1).
+    """One frame set to come: the ``number``-th of the run (from 1), the ``repeat``-th at its pose
+    (from 1).
 
-    ``name`` is the pose's: repeats of one pose share it. ``phantom`` stands at its reference place; ``side`` is where the pose
-    is reached from, None for straight from the one before.
+    ``name`` is the pose's: repeats of one pose share it. ``phantom`` stands at its reference place;
+    ``side`` is where the pose is reached from, None for straight from the one before.
     """
 
     number: int
@@ -61,10 +69,16 @@ class PlannedTrial:
         if self.side is None:
             return None
         dx, dy = SIDES[self.side]
-        return replace(self.pose, x_mm=self.pose.x_mm + dx * self.trial.approach_mm, y_mm=self.pose.y_mm + dy * self.trial.approach_mm)
+        return replace(
+            self.pose,
+            x_mm=self.pose.x_mm + dx * self.trial.approach_mm,
+            y_mm=self.pose.y_mm + dy * self.trial.approach_mm,
+        )
 
     def arrangement(self, axes: Collection[str]) -> Arrangement:
-        """What the operator is asked to set up: the scene, and of the pose what the stage's ``axes`` (of "XYZA") don't do."""
+        """What the operator is asked to set up: the scene, and of the pose what the stage's
+        ``axes`` (of "XYZA") don't do.
+        """
         _, pose = shared(self.pose, axes)
         _, first = shared(self.approach or self.pose, axes)
         asked = [self.trial.set_up or (self.scene.about if self.scene else "")]
@@ -73,30 +87,55 @@ class PlannedTrial:
         if self.scene and self.scene.objects:
             asked.append(surrounded(self.scene))
         if first != pose:
-            asked.append(f"Move the plate to {told(first)} first, so that it comes from the {self.side} side.")
+            asked.append(
+                f"Move the plate to {told(first)} first, so that it comes from the {self.side}"
+                " side."
+            )
         if first != pose or pose != PlatePose() or "X" not in axes:
             asked.append(f"Move the plate to {told(pose)} from its reference place.")
-        return Arrangement(self.situation, self.phantom, self.trial.objects, " ".join(asked), pose, scene=self.scene)
+        return Arrangement(
+            self.situation,
+            self.phantom,
+            self.trial.objects,
+            " ".join(asked),
+            pose,
+            scene=self.scene,
+        )
 
 
 def shared(pose: PlatePose, axes: Collection[str]) -> tuple[PlatePose, PlatePose]:
-    """Which part of ``pose`` the stage's ``axes`` (of "XYZA") do, and which the operator: together they are the pose."""
+    """Which part of ``pose`` the stage's ``axes`` (of "XYZA") do, and which the operator: together
+    they are the pose.
+    """
     parts = {"X": "x_mm", "Y": "y_mm", "Z": "z_mm", "A": "yaw_rad"}
     by_stage = {part: getattr(pose, part) for axis, part in parts.items() if axis in axes}
     by_hand = {part: getattr(pose, part) for axis, part in parts.items() if axis not in axes}
     return PlatePose(**by_stage), PlatePose(**by_hand)
 
 
-def plan(trials: Sequence[Trial], layouts: Mapping[str, Layout], *, repeats: int, seed: int, shuffled: bool) -> tuple[PlannedTrial, ...]:
+def plan(
+    trials: Sequence[Trial],
+    layouts: Mapping[str, Layout],
+    *,
+    repeats: int,
+    seed: int,
+    shuffled: bool,
+) -> tuple[PlannedTrial, ...]:
     """All trials of a run in its order. ``repeats`` is for trials that don't say their own."""
-    planned = [one for trial in trials for one in _expanded(trial, layouts.get(trial.layout), trial.repeats or repeats, seed)]
+    planned = [
+        one
+        for trial in trials
+        for one in _expanded(trial, layouts.get(trial.layout), trial.repeats or repeats, seed)
+    ]
     if shuffled:
         order = np.random.default_rng([seed, *b"order"]).permutation(len(planned))
         planned = [planned[index] for index in order]
     return tuple(replace(one, number=number) for number, one in enumerate(planned, 1))
 
 
-def _expanded(trial: Trial, layout: Layout | None, repeats: int, seed: int) -> Iterator[PlannedTrial]:
+def _expanded(
+    trial: Trial, layout: Layout | None, repeats: int, seed: int
+) -> Iterator[PlannedTrial]:
     poses, visited = _poses(trial, seed)
     names = _names(trial.name, len(poses))
     phantoms, scenes = _udders(trial, layout, len(poses), [seed, *trial.name.encode()])
@@ -106,13 +145,29 @@ def _expanded(trial: Trial, layout: Layout | None, repeats: int, seed: int) -> I
             for turn, side in enumerate(sides):
                 first = (cycle * len(sides) + turn) * repeats + 1
                 for repeat in range(first, first + repeats):
-                    yield PlannedTrial(0, names[index], repeat, trial, phantoms[index], poses[index], side, scenes[index])
+                    yield PlannedTrial(
+                        0,
+                        names[index],
+                        repeat,
+                        trial,
+                        phantoms[index],
+                        poses[index],
+                        side,
+                        scenes[index],
+                    )
 
 
-def _udders(trial: Trial, layout: Layout | None, count: int, own: Sequence[int]) -> tuple[list[Phantom], list[Situation | None]]:
-    """The phantom of each pose, and the whole scene where it is a family's: the same for all, or another for each."""
+def _udders(
+    trial: Trial, layout: Layout | None, count: int, own: Sequence[int]
+) -> tuple[list[Phantom], list[Situation | None]]:
+    """The phantom of each pose, and the whole scene where it is a family's: the same for all, or
+    another for each.
+    """
     if layout is None:
-        members = [situation(trial.family, trial.member + (index if trial.redraw else 0)) for index in range(count)]
+        members = [
+            situation(trial.family, trial.member + (index if trial.redraw else 0))
+            for index in range(count)
+        ]
         return [member.phantom for member in members], [*members]
     same = None if trial.redraw else layout.phantom(*own)
     return [same or layout.phantom(*own, index) for index in range(count)], [None] * count
@@ -132,7 +187,11 @@ def _poses(trial: Trial, seed: int) -> tuple[list[PlatePose], Sequence[int]]:
 
 def _names(name: str, count: int) -> list[str]:
     """``name`` itself for one pose, else numbered from 1."""
-    return [name] if count == 1 else [f"{name}-{index:0{len(str(count))}d}" for index in range(1, count + 1)]
+    return (
+        [name]
+        if count == 1
+        else [f"{name}-{index:0{len(str(count))}d}" for index in range(1, count + 1)]
+    )
 
 
 def told(pose: PlatePose) -> str:
@@ -148,23 +207,53 @@ def described(phantom: Phantom) -> str:
     teats = []
     for number, teat in enumerate(phantom.teats, 1):
         (x, y), (lean_x, lean_y) = teat.base_mm, np.degrees(teat.tilt_rad)
-        lean = f", leaning {lean_x:+.1f} deg to x and {lean_y:+.1f} deg to y" if any(teat.tilt_rad) else ""
-        teats.append(f"{teat.name or number}: x {x:.1f}, y {y:.1f}, length {teat.shape.length_mm:.1f} mm{lean}")
+        lean = (
+            f", leaning {lean_x:+.1f} deg to x and {lean_y:+.1f} deg to y"
+            if any(teat.tilt_rad)
+            else ""
+        )
+        teats.append(
+            f"{teat.name or number}: x {x:.1f}, y {y:.1f}, length {teat.shape.length_mm:.1f}"
+            f" mm{lean}"
+        )
     return f"Teats: {'; '.join(teats)}."
 
 
 def surrounded(scene: Situation) -> str:
     """What else stands in a scene and where, for who puts it there."""
     things = [
-        f"{thing.name.replace('_', ' ')} at x {thing.hulls[0].a_mm[0]:.0f}, y {thing.hulls[0].a_mm[1]:.0f} mm" for thing in scene.objects
+        f"{thing.name.replace('_', ' ')} at x {thing.hulls[0].a_mm[0]:.0f}, y"
+        f" {thing.hulls[0].a_mm[1]:.0f} mm"
+        for thing in scene.objects
     ]
     return f"Around them: {'; '.join(things)}."
 
 
-def pose_set(trials: Sequence[Trial], planned: Sequence[PlannedTrial], *, seed: int, order: str) -> dict[str, Any]:
-    """What the record keeps of the poses: how they were chosen, and each trial with its place, in the order of `POSE_KEYS`."""
-    rows = [[one.id, one.name, one.repeat, one.pose.x_mm, one.pose.y_mm, one.pose.z_mm, one.yaw_deg, one.side] for one in planned]
-    return {"chosen": [chosen(trial) for trial in trials], "order": order, "seed": seed, "poses": rows}
+def pose_set(
+    trials: Sequence[Trial], planned: Sequence[PlannedTrial], *, seed: int, order: str
+) -> dict[str, Any]:
+    """What the record keeps of the poses: how they were chosen, and each trial with its place, in
+    the order of `POSE_KEYS`.
+    """
+    rows = [
+        [
+            one.id,
+            one.name,
+            one.repeat,
+            one.pose.x_mm,
+            one.pose.y_mm,
+            one.pose.z_mm,
+            one.yaw_deg,
+            one.side,
+        ]
+        for one in planned
+    ]
+    return {
+        "chosen": [chosen(trial) for trial in trials],
+        "order": order,
+        "seed": seed,
+        "poses": rows,
+    }
 
 
 def chosen(trial: Trial) -> str:
@@ -172,18 +261,33 @@ def chosen(trial: Trial) -> str:
     if grid := trial.grid:
         (x0, x1), (y0, y1), (dx, dy) = grid.x_mm, grid.y_mm, grid.step_mm
         spans = f"x {x0:g} to {x1:g} mm by {dx:g}, y {y0:g} to {y1:g} mm by {dy:g}"
-        how = f"a grid of {grid.columns} x {grid.rows} poses, {spans}, {grid.order} along {grid.along}"
+        how = (
+            f"a grid of {grid.columns} x {grid.rows} poses, {spans}, {grid.order} along"
+            f" {grid.along}"
+        )
     elif draw := trial.draw:
         drawn = {"x": draw.x_mm, "y": draw.y_mm, "z": draw.z_mm, "yaw": draw.yaw_deg}
-        within = ", ".join(f"{k} {a:g} to {b:g} {'deg' if k == 'yaw' else 'mm'}" for k, (a, b) in drawn.items() if (a, b) != (0.0, 0.0))
+        within = ", ".join(
+            f"{k} {a:g} to {b:g} {'deg' if k == 'yaw' else 'mm'}"
+            for k, (a, b) in drawn.items()
+            if (a, b) != (0.0, 0.0)
+        )
         how = f"{draw.count} poses drawn evenly within {within or 'the reference place alone'}"
     else:
         count = len(trial.poses or (1,))
         how = f"{count} pose{'s' if count > 1 else ''} as written"
     more = [f"layout {trial.layout}{', another udder for each pose' if trial.redraw else ''}"]
     if trial.family:
-        which = f"members from {trial.member} on, one for each pose" if trial.redraw else f"member {trial.member}"
+        which = (
+            f"members from {trial.member} on, one for each pose"
+            if trial.redraw
+            else f"member {trial.member}"
+        )
         more = [f"family {trial.family}, {which}"]
     more += [f"{trial.cycles} cycles"] if trial.cycles > 1 else []
-    more += [f"each reached from {', '.join(trial.approach)} ({trial.approach_mm:g} mm away)"] if trial.approach else []
+    more += (
+        [f"each reached from {', '.join(trial.approach)} ({trial.approach_mm:g} mm away)"]
+        if trial.approach
+        else []
+    )
     return f"{trial.name}: {'; '.join([how, *more])}."

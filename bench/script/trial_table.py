@@ -1,7 +1,9 @@
-"""A script's `[[trials]]`: which poses of which phantom, and what else is in the scene, as a person writes them.
+"""A script's `[[trials]]`: which poses of which phantom, and what else is in the scene, as a person
+writes them.
 
-A table names one pose, a list, a grid or a draw, and how often and from which sides each pose is reached. It says what is wanted;
-what that comes to, trial by trial, is `bench.planning.trials`'s business. May not open an instrument.
+A table names one pose, a list, a grid or a draw, and how often and from which sides each pose is
+reached. It says what is wanted; what that comes to, trial by trial, is `bench.planning.trials`'s
+business. May not open an instrument.
 """
 
 from __future__ import annotations
@@ -37,15 +39,22 @@ def _ordered(span: tuple[float, float]) -> tuple[float, float]:
 
 
 def layout_of(name: str, info: ValidationInfo) -> str:
-    """``name`` where it is a layout that can be read. Raises ValueError, and ConfigError for faults in its file."""
+    """``name`` where it is a layout that can be read. Raises ValueError, and ConfigError for faults
+    in its file.
+    """
     if Path(name).name != name or name in RUN_FILES:
-        raise ValueError("a layout is a shipped one's name, or the name of a file of its own in the script's folder")
+        raise ValueError(
+            "a layout is a shipped one's name, or the name of a file of its own in the script's"
+            " folder"
+        )
     load_layout(find_layout(name, (info.context or {}).get("folder")))
     return name
 
 
 class PoseTable(Section):
-    """Where the plate stands, from its reference place: shifted, and turned about the turntable's axis."""
+    """Where the plate stands, from its reference place: shifted, and turned about the turntable's
+    axis.
+    """
 
     x_mm: Shift = 0.0
     y_mm: Shift = 0.0
@@ -58,9 +67,11 @@ class PoseTable(Section):
 
 
 class Grid(Section):
-    """Every x with every y. Poses are numbered by rows along x, from the least y up, whatever way they are visited.
+    """Every x with every y. Poses are numbered by rows along x, from the least y up, whatever way
+    they are visited.
 
-    They are visited by rows ``along`` x or y; ``serpentine`` goes every other row backwards, so that no move is long.
+    They are visited by rows ``along`` x or y; ``serpentine`` goes every other row backwards, so
+    that no move is long.
     """
 
     x_mm: tuple[Shift, Shift]
@@ -78,7 +89,10 @@ class Grid(Section):
         for axis, span, step in zip("xy", (self.x_mm, self.y_mm), self.step_mm, strict=True):
             steps = (span[1] - span[0]) / step
             if abs(steps - round(steps)) > STEP_SLACK:
-                raise ValueError(f"{axis}_mm spans {span[1] - span[0]:g} mm, which is no whole number of steps of {step:g} mm")
+                raise ValueError(
+                    f"{axis}_mm spans {span[1] - span[0]:g} mm, which is no whole number of steps"
+                    f" of {step:g} mm"
+                )
         if (count := self.columns * self.rows) > MOST_POSES:
             raise ValueError(f"the grid has {count} poses; at most {MOST_POSES}")
         return self
@@ -97,7 +111,11 @@ class Grid(Section):
         """Row by row, each from the least x: the order by which poses are numbered."""
         x = np.linspace(*self.x_mm, self.columns).tolist()
         yaw = float(np.radians(self.yaw_deg))
-        return [PlatePose(at, y, self.z_mm, yaw) for y in np.linspace(*self.y_mm, self.rows).tolist() for at in x]
+        return [
+            PlatePose(at, y, self.z_mm, yaw)
+            for y in np.linspace(*self.y_mm, self.rows).tolist()
+            for at in x
+        ]
 
     def visited(self) -> list[int]:
         """In which order the poses are visited: indices into `poses`."""
@@ -109,7 +127,9 @@ class Grid(Section):
 
 
 class Draw(Section):
-    """``count`` poses drawn evenly within these spans, by the script's seed and the trial's name."""
+    """``count`` poses drawn evenly within these spans, by the
+    script's seed and the trial's name.
+    """
 
     count: Annotated[int, Field(ge=1, le=MOST_POSES)]
     x_mm: tuple[Shift, Shift] = (0.0, 0.0)
@@ -137,10 +157,11 @@ class Published(Section):
 class Trial(Section):
     """A phantom, its poses, and what else is in the scene. ``set_up`` tells a person what to do.
 
-    ``repeats`` takes that many frame sets at a pose before the next; ``cycles`` goes through all poses that many times.
-    ``approach`` reaches each pose from these sides, from ``approach_mm`` away. ``redraw``: another udder for each pose.
-    Instead of a layout a trial may show a ``family`` of situations (docs/scene.md): its ``member``, with ``redraw`` from that one on
-    another for each pose.
+    ``repeats`` takes that many frame sets at a pose before the next; ``cycles`` goes through all
+    poses that many times. ``approach`` reaches each pose from these sides, from ``approach_mm``
+    away. ``redraw``: another udder for each pose. Instead of a layout a trial may show a ``family``
+    of situations (docs/scene.md): its ``member``, with ``redraw`` from that one on another for each
+    pose.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$")]
@@ -180,14 +201,19 @@ class Trial(Section):
     @classmethod
     def _family(cls, name: str) -> str:
         if name and name not in SITUATIONS:
-            raise ValueError(f"no such family{did_you_mean(name, list(SITUATIONS))} (there are: {', '.join(SITUATIONS)})")
+            raise ValueError(
+                f"no such family{did_you_mean(name, list(SITUATIONS))} (there are:"
+                f" {', '.join(SITUATIONS)})"
+            )
         return name
 
     @model_validator(mode="after")
     def _one_source_of_scenes(self) -> Trial:
         if bool(self.layout) == bool(self.family):
             raise ValueError(
-                "has both layout and family; a trial has one of them" if self.layout else "has no layout, and no family either"
+                "has both layout and family; a trial has one of them"
+                if self.layout
+                else "has no layout, and no family either"
             )
         if self.layout and not self.set_up:
             raise ValueError("set_up is missing: it tells a person what to do")
@@ -197,7 +223,10 @@ class Trial(Section):
     def _one_kind_of_poses(self) -> Trial:
         given = [key for key in ("pose", "poses", "grid", "draw") if getattr(self, key) is not None]
         if len(given) > 1:
-            raise ValueError(f"has {' and '.join(given)}; a trial has one of pose, poses, grid and draw, or none for the reference place")
+            raise ValueError(
+                f"has {' and '.join(given)}; a trial has one of pose, poses, grid and draw, or none"
+                " for the reference place"
+            )
         if len(set(self.approach)) < len(self.approach):
             raise ValueError("approach names a side twice")
         return self

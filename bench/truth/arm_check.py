@@ -1,7 +1,9 @@
-"""The check of the arm before and after a run: the operator touches one known divot a few times, each time from another side.
+"""The check of the arm before and after a run: the operator touches one known divot a few times,
+each time from another side.
 
-Quick, and it catches what ruins a run without a sign: an arm that was not homed, a table or an arm that was pushed, a joint that
-slips. It may not judge: what was touched becomes a fact of the run, and the script's requirement decides.
+Quick, and it catches what ruins a run without a sign: an arm that was not homed, a table or an arm
+that was pushed, a joint that slips. It may not judge: what was touched becomes a fact of the run,
+and the script's requirement decides.
 """
 
 from __future__ import annotations
@@ -27,8 +29,12 @@ class CheckingOperator(Protocol):
     def release(self) -> None: ...
 
 
-def check_arm(operator: CheckingOperator, tip: TipReader, arm: Arm, clock: Clock, check: Callable[[], None]) -> dict[str, Any]:
-    """Touch the rig's check point; gives back the fact to store. ``check`` is called before each touch, and may raise."""
+def check_arm(
+    operator: CheckingOperator, tip: TipReader, arm: Arm, clock: Clock, check: Callable[[], None]
+) -> dict[str, Any]:
+    """Touch the rig's check point; gives back the fact to store. ``check`` is called before each
+    touch, and may raise.
+    """
     touches = []
     for touch in range(1, arm.check_touches + 1):
         check()
@@ -50,7 +56,9 @@ def check_arm(operator: CheckingOperator, tip: TipReader, arm: Arm, clock: Clock
 def location_of(fact: Mapping[str, Any], where: str) -> LocationTest:
     """The touches of a stored check, world frame."""
     touches = fact["touches"]
-    return LocationTest(where, np.array([t["tip_mm"] for t in touches]), np.array([t["axis"] for t in touches]))
+    return LocationTest(
+        where, np.array([t["tip_mm"] for t in touches]), np.array([t["axis"] for t in touches])
+    )
 
 
 def shift_mm(fact: Mapping[str, Any]) -> float:
@@ -62,6 +70,7 @@ def told(fact: Mapping[str, Any], when: str) -> str:
     """The sentence for the events."""
     test = location_of(fact, when)
     return (
-        f"arm check {when} the trials: {test.n} touches within {test.largest_mm:.2f} mm of their mean, which is "
-        f"{shift_mm(fact):.2f} mm from the check point; the stylus swung by {test.swing_deg:.0f} degrees"
+        f"arm check {when} the trials: {test.n} touches within {test.largest_mm:.2f} mm of their"
+        f" mean, which is {shift_mm(fact):.2f} mm from the check point; the stylus swung by"
+        f" {test.swing_deg:.0f} degrees"
     )

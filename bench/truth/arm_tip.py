@@ -1,4 +1,5 @@
-"""The arm's tip in the world: the one place where a reading, which is in the arm's own frame, becomes a point of the table.
+"""The arm's tip in the world: the one place where a reading, which is in the arm's own frame,
+becomes a point of the table.
 
 It may not know why a point is wanted, nor whose hand holds the arm.
 """
@@ -28,7 +29,9 @@ class ReadableArm(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorldTip:
-    """A reading in the world: ``point_mm`` (3,), ``axis`` (3,) from the tip up the stylus; the rest as the arm gave it."""
+    """A reading in the world: ``point_mm`` (3,), ``axis`` (3,) from the tip up the stylus; the rest
+    as the arm gave it.
+    """
 
     point_mm: NDArray[np.float64]
     axis: NDArray[np.float64]
@@ -38,7 +41,9 @@ class WorldTip:
 
 
 class TipReader:
-    """Reads ``arm`` as the rig says. Without a ``frame`` the arm's own frame is the world, as in the thesis."""
+    """Reads ``arm`` as the rig says. Without a ``frame`` the arm's own frame is the world, as in
+    the thesis.
+    """
 
     def __init__(self, arm: ReadableArm, settings: Arm, frame: TableFrame | None) -> None:
         self._arm = arm
@@ -46,11 +51,18 @@ class TipReader:
         self._frame = frame
 
     def refuse_other_arm(self) -> None:
-        """Raises LimitError where the frame is that of another arm; to be called once the arm has said who it is."""
+        """Raises LimitError where the frame is that of another arm; to be called once the arm has
+        said who it is.
+        """
         serial_number = self._arm.identity.serial_number
         if self._frame is not None and self._frame.serial_number != serial_number:
-            what = f"the rig's table frame is of the arm {self._frame.serial_number}, but the arm that answers is {serial_number}"
-            raise LimitError("arm", what, hint="Make the frame anew with this arm: 'teatbench arm frame'")
+            what = (
+                f"the rig's table frame is of the arm {self._frame.serial_number}, but the arm that"
+                f" answers is {serial_number}"
+            )
+            raise LimitError(
+                "arm", what, hint="Make the frame anew with this arm: 'teatbench arm frame'"
+            )
 
     def read(self) -> WorldTip:
         """One reading of a still arm. Raises as the driver does."""
@@ -62,5 +74,11 @@ class TipReader:
         return WorldTip(tip, np.asarray(axis), float(seen.spread_mm), seen.n, seen.counts)
 
     def u_registration_mm(self, point_mm: NDArray[np.float64]) -> float | None:
-        """What the frame adds to the uncertainty of ``point_mm``, along an axis; None where the world is the arm's frame."""
-        return None if self._frame is None else self._frame.u_registration_mm(point_mm, self._settings.accuracy_mm)
+        """What the frame adds to the uncertainty of ``point_mm``, along an axis; None where the
+        world is the arm's frame.
+        """
+        return (
+            None
+            if self._frame is None
+            else self._frame.u_registration_mm(point_mm, self._settings.accuracy_mm)
+        )

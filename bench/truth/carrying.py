@@ -1,14 +1,17 @@
-"""Truth that the stage carries: ends touched once at a reference position, computed at every later one.
+"""Truth that the stage carries: ends touched once at a reference position, computed at every later
+one.
 
-end(s) = touched + R (s - s_reference), with R the rigid registration's rotation and s the stage position as read back from the
-controller. Only shifts are carried: a phantom that was turned, rearranged or shifted by hand is another `fixed`, and is touched
-anew. Pure: it may not know files, instruments or persons.
+end(s) = touched + R (s - s_reference), with R the rigid registration's rotation and s the stage
+position as read back from the controller. Only shifts are carried: a phantom that was turned,
+rearranged or shifted by hand is another `fixed`, and is touched anew. Pure: it may not know files,
+instruments or persons.
 
 Truth that the stage carries: touched once for each thing that stands there, and checked by touch.
 
-Check touches come where the phantom still stands as it stood for the trials that they confirm: before it is rearranged, every n
-carried trials, and at the end. A check beyond its limit invalidates the carried trials since the last good one; its own touches then
-are the new reference. All state is in the store: `resumed` reads it back.
+Check touches come where the phantom still stands as it stood for the trials that they confirm:
+before it is rearranged, every n carried trials, and at the end. A check beyond its limit
+invalidates the carried trials since the last good one; its own touches then are the new reference.
+All state is in the store: `resumed` reads it back.
 """
 
 from __future__ import annotations
@@ -25,7 +28,15 @@ from bench.record.reader import RunRecord
 from bench.record.writer import Row
 from bench.truth.registration import Registration
 from bench.truth.touching import Ends, NoTruthError, Shown, Toucher, TrialTruth, rows_of
-from bench.truth.uncertainty import Component, How, Triple, TruthPoint, TruthUncertainty, moved, triple
+from bench.truth.uncertainty import (
+    Component,
+    How,
+    Triple,
+    TruthPoint,
+    TruthUncertainty,
+    moved,
+    triple,
+)
 from instruments.operators.operator import OperatorSkip
 from instruments.world.phantom import Phantom, PlatePose
 
@@ -34,7 +45,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Ends touched at one stage position (machine mm), with the teats' ``axes``; ``trial`` says when, ``fixed`` of what (`fixed_key`)."""
+    """Ends touched at one stage position (machine mm), with the teats' ``axes``; ``trial`` says
+    when, ``fixed`` of what (`fixed_key`).
+    """
 
     trial: str
     fixed: str
@@ -45,7 +58,13 @@ class Reference:
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and text, for the store; `reference_from_dict` reads it back."""
         ends = [{"point_mm": list(p.point_mm), **p.uncertainty.as_dict()} for p in self.points]
-        return {"trial": self.trial, "fixed": self.fixed, "stage_mm": list(self.stage_mm), "axes": self.axes, "ends": ends}
+        return {
+            "trial": self.trial,
+            "fixed": self.fixed,
+            "stage_mm": list(self.stage_mm),
+            "axes": self.axes,
+            "ends": ends,
+        }
 
 
 def reference_from_dict(stored: Mapping[str, Any]) -> Reference:
@@ -53,26 +72,40 @@ def reference_from_dict(stored: Mapping[str, Any]) -> Reference:
     points = []
     for end in stored["ends"]:
         x, y, z = end["point_mm"]
-        points.append(TruthPoint((x, y, z), TruthUncertainty.of(Component(**line) for line in end["components"])))
+        points.append(
+            TruthPoint(
+                (x, y, z), TruthUncertainty.of(Component(**line) for line in end["components"])
+            )
+        )
     a, b, c = stored["stage_mm"]
     axes = tuple((x, y, z) for x, y, z in stored["axes"])
     return Reference(stored["trial"], stored["fixed"], (a, b, c), tuple(points), axes)
 
 
 def fixed_key(phantom: Phantom, by_hand: PlatePose, yaw_rad: float) -> str:
-    """A name for all that the stage's shifts leave as it is: the teats on their plate, the part of the pose set by hand, the turn."""
+    """A name for all that the stage's shifts leave as it is: the teats on their plate, the part of
+    the pose set by hand, the turn.
+    """
     what = (phantom.moved(PlatePose()), by_hand, round(yaw_rad, 9))
     return hashlib.sha256(repr(what).encode()).hexdigest()[:16]
 
 
 def carried(
-    reference: Reference, registration: Registration, stage_mm: Triple, u_registration_mm: Callable[[Floats], float | None]
+    reference: Reference,
+    registration: Registration,
+    stage_mm: Triple,
+    u_registration_mm: Callable[[Floats], float | None],
 ) -> list[TruthPoint]:
-    """The ends when the stage stands at ``stage_mm``; ``u_registration_mm`` is the table frame's part at a place, None without one."""
+    """The ends when the stage stands at ``stage_mm``; ``u_registration_mm`` is the table frame's
+    part at a place, None without one.
+    """
     way = registration.carry_mm(reference.stage_mm, stage_mm)
     covariance = registration.carry_covariance_mm2(reference.stage_mm, stage_mm)
     distance = float(np.linalg.norm(way))
-    of = f"registration of {len(registration.stations)} positions, the stage's axes and repeatability"
+    of = (
+        f"registration of {len(registration.stations)} positions, the stage's axes and"
+        " repeatability"
+    )
     source = f"carried {distance:.0f} mm from the touches of {reference.trial}: {of}"
     ends = []
     for point in reference.points:
@@ -101,10 +134,14 @@ class CheckTouch:
         return self.off_mm <= self.limit_mm
 
 
-def check_touches(touched: Sequence[TruthPoint], expected: Sequence[TruthPoint], limit_mm: float) -> tuple[CheckTouch, ...]:
+def check_touches(
+    touched: Sequence[TruthPoint], expected: Sequence[TruthPoint], limit_mm: float
+) -> tuple[CheckTouch, ...]:
     """The touched ends beside the carried ones, in the order of the teats."""
     pairs = zip(touched, expected, strict=True)
-    return tuple(CheckTouch(teat, a.point_mm, b.point_mm, limit_mm) for teat, (a, b) in enumerate(pairs, 1))
+    return tuple(
+        CheckTouch(teat, a.point_mm, b.point_mm, limit_mm) for teat, (a, b) in enumerate(pairs, 1)
+    )
 
 
 REFERENCE_FACT, UNCONFIRMED_FACT = "truth reference", "truth unconfirmed"
@@ -115,12 +152,16 @@ class TruthStore(Protocol):
     """What of the store is used."""
 
     def fact(self, key: str, value: object) -> None: ...
-    def checked(self, touches: Sequence[Row], confirmed: Sequence[str], invalid: Sequence[str], reason: str) -> None: ...
+    def checked(
+        self, touches: Sequence[Row], confirmed: Sequence[str], invalid: Sequence[str], reason: str
+    ) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
 class CheckRule:
-    """A check after ``every`` carried trials (0: only at the end and before a rearrangement), and how far off it may be."""
+    """A check after ``every`` carried trials (0: only at the end and before a rearrangement), and
+    how far off it may be.
+    """
 
     every: int
     limit_mm: float
@@ -128,7 +169,8 @@ class CheckRule:
 
 @dataclass(slots=True)
 class CarryState:
-    """What a carried truth rests on. ``since`` are the carried trials since the last good check, ``checks`` how many there were.
+    """What a carried truth rests on. ``since`` are the carried trials since the last good check,
+    ``checks`` how many there were.
 
     ``unconfirmed`` are those whose check was skipped, and can't be made up for.
     """
@@ -140,10 +182,11 @@ class CarryState:
 
 
 class CarriedTruth:
-    """Touched once for each thing that stands there, carried by the stage afterwards, and checked by touch.
+    """Touched once for each thing that stands there, carried by the stage afterwards, and checked
+    by touch.
 
-    ``registration`` gives the registration, at `begin`; ``stage_mm`` reads back where the stage stands; ``tell`` is for the operator
-    and the record. ``now_s`` is the time.
+    ``registration`` gives the registration, at `begin`; ``stage_mm`` reads back where the stage
+    stands; ``tell`` is for the operator and the record. ``now_s`` is the time.
     """
 
     def __init__(
@@ -176,7 +219,9 @@ class CarriedTruth:
             self._tell("registration", fault)
 
     def before(self, shown: Shown) -> None:
-        """Check what the carried trials so far rest on, where it is time or where it is about to be changed."""
+        """Check what the carried trials so far rest on, where it is time or where it is about to be
+        changed.
+        """
         state, again = self._state, shown.trial == self._begun
         self._begun = shown.trial
         if state.reference is None:
@@ -200,7 +245,9 @@ class CarriedTruth:
         return self._away and reference is not None and reference.fixed == shown.fixed
 
     def of_trial(self, shown: Shown) -> TrialTruth:
-        """Carried where the same thing was touched before, else touched, and the reference for what follows."""
+        """Carried where the same thing was touched before, else touched, and the reference for what
+        follows.
+        """
         stage_mm, reference = self._stage_mm(), self._state.reference
         if reference is not None and reference.fixed == shown.fixed:
             self._away = True
@@ -223,16 +270,26 @@ class CarriedTruth:
         self._give_up()
 
     def _check(self, reference: Reference) -> None:
-        """Touch the ends again where the stage has them now. What follows from it is in the store before anything else happens."""
+        """Touch the ends again where the stage has them now. What follows from it is in the store
+        before anything else happens.
+        """
         state, number = self._state, self._state.checks + 1
         self._away = False
-        self._tell("state", f"check touch {number} of the carried truth, after trial {state.since[-1]}")
+        self._tell(
+            "state", f"check touch {number} of the carried truth, after trial {state.since[-1]}"
+        )
         stage_mm = self._stage_mm()
         expected = self._carried(reference, stage_mm)
         try:
-            touched, _ = self._toucher.touch_all(Ends(np.array([p.point_mm for p in expected]), np.array(reference.axes)))
+            touched, _ = self._toucher.touch_all(
+                Ends(np.array([p.point_mm for p in expected]), np.array(reference.axes))
+            )
         except OperatorSkip as skip:  # a wish about this check, not about the trial to come
-            self._tell("check touch", f"check touch {number} was skipped: {skip.reason}. {counted(len(state.since))} unconfirmed so far")
+            self._tell(
+                "check touch",
+                f"check touch {number} was skipped: {skip.reason}. {counted(len(state.since))}"
+                " unconfirmed so far",
+            )
             return
         except NoTruthError as none:
             self._failed(number, (), f"check touch {number}: {none}")
@@ -241,13 +298,21 @@ class CarriedTruth:
         touches = check_touches(touched, expected, self._rule.limit_mm)
         worst = max(touches, key=lambda one: one.off_mm)
         found = (
-            f"check touch {number}: the worst end, teat {worst.teat}, is {worst.off_mm:.2f} mm from where it was carried to, "
-            f"limit {worst.limit_mm:g} mm"
+            f"check touch {number}: the worst end, teat {worst.teat}, is {worst.off_mm:.2f} mm from"
+            f" where it was carried to, limit {worst.limit_mm:g} mm"
         )
         rows = [_check_row(number, state.since[-1], self._now_s(), one) for one in touches]
         if not worst.held:
             self._failed(number, rows, found)
-            self._refer(Reference(f"check touch {number}", reference.fixed, stage_mm, tuple(touched), reference.axes))
+            self._refer(
+                Reference(
+                    f"check touch {number}",
+                    reference.fixed,
+                    stage_mm,
+                    tuple(touched),
+                    reference.axes,
+                )
+            )
             return
         self._store.checked(rows, tuple(state.since), (), "")
         self._tell("check touch", f"{found}: {counted(len(state.since))} confirmed")
@@ -258,7 +323,11 @@ class CarriedTruth:
         """Invalidate what no good check has confirmed."""
         since = tuple(self._state.since)
         self._store.checked(rows, (), since, f"{found}; carried since the last good check. {LOST}")
-        self._tell("invalid", f"{found}. Invalidated, as carried since the last good check: {', '.join(since)}. {LOST}")
+        self._tell(
+            "invalid",
+            f"{found}. Invalidated, as carried since the last good check: {', '.join(since)}."
+            f" {LOST}",
+        )
         self._state.checks = number
         self._state.since.clear()
 
@@ -280,13 +349,21 @@ class CarriedTruth:
 
 
 def resumed(run: RunRecord) -> CarryState:
-    """The state that a stopped run left in its store: the reference, and which carried trials no good check has confirmed yet."""
+    """The state that a stopped run left in its store: the reference, and which carried trials no
+    good check has confirmed yet.
+    """
     stored, unconfirmed = run.facts.get(REFERENCE_FACT), list(run.facts.get(UNCONFIRMED_FACT, ()))
     last = run.checks[-1]["after_trial"] if run.checks else None
     order = [trial.id for trial in run.trials]
     later = order[order.index(last) + 1 :] if last in order else order
     by_id = {trial.id: trial for trial in run.trials}
-    since = [name for name in later if by_id[name].how == How.CARRIED and by_id[name].invalid is None and name not in unconfirmed]
+    since = [
+        name
+        for name in later
+        if by_id[name].how == How.CARRIED
+        and by_id[name].invalid is None
+        and name not in unconfirmed
+    ]
     checks = max((int(row["number"]) for row in run.checks), default=0)
     return CarryState(reference_from_dict(stored) if stored else None, since, checks, unconfirmed)
 

@@ -1,21 +1,28 @@
-"""The stage's axes and what they may be off by: scale of each, and the right angles between them. Pure.
+"""The stage's axes and what they may be off by: scale of each, and the right angles between them.
+Pure.
 
-E = [[sx, -gxy, -gxz], [0, sy, -gyz], [0, 0, sz]]: a stage that is told to go by D goes by (I + E) D, in its own axes. The x axis is
-the reference, and g is by how much the angle between two axes exceeds a right one.
+E = [[sx, -gxy, -gxz], [0, sy, -gyz], [0, 0, sz]]: a stage that is told to go by D goes by (I + E)
+D, in its own axes. The x axis is the reference, and g is by how much the angle between two axes
+exceeds a right one.
 
-With q the touched positions less their mean, touch noise n turns a rigid fit by w = H^-1 sum q x n, H = sum(|q|^2 I - q q^T), and axes
-that are off by E turn it by w = H^-1 sum q x E q; a carry by D is then off by w x D - E D. All to first order.
+With q the touched positions less their mean, touch noise n turns a rigid fit by w = H^-1 sum q x n,
+H = sum(|q|^2 I - q q^T), and axes that are off by E turn it by w = H^-1 sum q x E q; a carry by D
+is then off by w x D - E D. All to first order.
 
-Where the stage's axes lie in the world, from touches of one teat end at three or more stage positions; and how far that holds.
+Where the stage's axes lie in the world, from touches of one teat end at three or more stage
+positions; and how far that holds.
 
-Strategy: a rigid motion carries (`world_from_stage`). Scale per axis and squareness are diagnostics only: a misfit may as well be the
-arm's as the stage's, and a truth that follows the arm's own errors from place to place would hide them. What the axes may be off
-by is stated in the rig file and enters the uncertainty of everything carried. Where the touches cast doubt on that statement (a
-chi-square test at `DOUBT`), what they show is put on top. They resolve little (some 2 mm/m), so a doubt that waited for proof would
-leave stages unlike their statement uncovered: of a stage five to ten times worse, a 95 % region would hold 84 to 92 % of poses
-at 0.01 or 0.2, and holds 94 to 97 % at 0.4. Where they contradict it (at `ALPHA`), the report says what to mend.
+Strategy: a rigid motion carries (`world_from_stage`). Scale per axis and squareness are diagnostics
+only: a misfit may as well be the arm's as the stage's, and a truth that follows the arm's own
+errors from place to place would hide them. What the axes may be off by is stated in the rig file
+and enters the uncertainty of everything carried. Where the touches cast doubt on that statement (a
+chi-square test at `DOUBT`), what they show is put on top. They resolve little (some 2 mm/m), so a
+doubt that waited for proof would leave stages unlike their statement uncovered: of a stage five to
+ten times worse, a 95 % region would hold 84 to 92 % of poses at 0.01 or 0.2, and holds 94 to 97 %
+at 0.4. Where they contradict it (at `ALPHA`), the report says what to mend.
 
-All to first order, in the stage's own axes (`bench.truth.axes`). Pure: it may not know files, instruments or persons.
+All to first order, in the stage's own axes (`bench.truth.axes`). Pure: it may not know files,
+instruments or persons.
 """
 
 from __future__ import annotations
@@ -30,7 +37,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc
 
-from detector.calibration.rigid import Comparison, compare, cross_matrix, rotation_covariance, target_error_mm
+from detector.calibration.rigid import (
+    Comparison,
+    compare,
+    cross_matrix,
+    rotation_covariance,
+    target_error_mm,
+)
 from detector.geometry import Motion, rigid_fit
 
 NAMES = ("scale x", "scale y", "squareness xy", "scale z", "squareness xz", "squareness yz")
@@ -39,7 +52,9 @@ _FLAT_MM = 1.0  # a height that varies by less has not been exercised
 
 @dataclass(frozen=True, slots=True)
 class StageAccuracy:
-    """What the stage is stated to be good for, as standard uncertainties: scale of each axis, squareness, and coming back to a place."""
+    """What the stage is stated to be good for, as standard uncertainties: scale of each axis,
+    squareness, and coming back to a place.
+    """
 
     scale_u: float
     squareness_u_rad: float
@@ -54,7 +69,9 @@ class StageAccuracy:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """How far one property of the axes is from ideal: 0 where the stage is perfect; ``u`` is its standard uncertainty."""
+    """How far one property of the axes is from ideal: 0 where the stage is perfect; ``u`` is its
+    standard uncertainty.
+    """
 
     name: str
     value: float
@@ -68,7 +85,9 @@ class Diagnostic:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeFit:
-    """The fit with all its freedom: small ``rotation`` (3,), ``theta`` (3 or 6,), both together ``covariance`` for u = 1 mm."""
+    """The fit with all its freedom: small ``rotation`` (3,), ``theta`` (3 or 6,), both together
+    ``covariance`` for u = 1 mm.
+    """
 
     rotation: Floats
     theta: Floats
@@ -78,8 +97,12 @@ class FreeFit:
 
 
 def free_fit(q: Floats, seen: Floats) -> FreeFit:
-    """The fit of q (n, 3) to the touches ``seen`` (n, 3) in the stage's axes, both less their mean; heights only where they varied."""
-    used = 6 if np.std(q[:, 2]) > _FLAT_MM and np.linalg.svd(q, compute_uv=False)[2] > _FLAT_MM else 3
+    """The fit of q (n, 3) to the touches ``seen`` (n, 3) in the stage's axes, both less their mean;
+    heights only where they varied.
+    """
+    used = (
+        6 if np.std(q[:, 2]) > _FLAT_MM and np.linalg.svd(q, compute_uv=False)[2] > _FLAT_MM else 3
+    )
     turns = [np.cross(axis, q).ravel() for axis in np.eye(3)]
     bends = [(q @ entry.T).ravel() for entry in _entries()[:used]]
     design = np.column_stack([*turns, *bends])
@@ -93,12 +116,16 @@ def free_fit(q: Floats, seen: Floats) -> FreeFit:
 def _entries() -> list[Floats]:
     """The matrices (3, 3) of E's entries, in the order of `NAMES`."""
     places = ((0, 0), (1, 1), (0, 1), (2, 2), (0, 2), (1, 2))
-    signed = [np.array([[float((r, c) == place) for c in range(3)] for r in range(3)]) for place in places]
+    signed = [
+        np.array([[float((r, c) == place) for c in range(3)] for r in range(3)]) for place in places
+    ]
     return [entry if r == c else -entry for entry, (r, c) in zip(signed, places, strict=True)]
 
 
 def bent_mm(q: Floats, way_mm: Floats) -> Floats:
-    """(3, 6): how a carry by ``way_mm`` (3,) is off for each entry of E, with the turn of the fit to q (n, 3) that it brings."""
+    """(3, 6): how a carry by ``way_mm`` (3,) is off for each entry of E, with the turn of the fit
+    to q (n, 3) that it brings.
+    """
     inverse = np.linalg.inv(np.sum(q**2) * np.eye(3) - q.T @ q)
     columns = []
     for entry in _entries():
@@ -108,8 +135,10 @@ def bent_mm(q: Floats, way_mm: Floats) -> Floats:
 
 
 DOUBT, ALPHA = 0.4, 0.01
-SPREAD_MM = 40.0  # rms extent across; nearer together, an arm of 0.23 mm turns the fit by more than 3 mrad
-GROSS_MM, GROSS_U = 5.0, 15.0  # no stage is so crooked, and no touch so bad: another teat, or something slipped
+# rms extent across; nearer together, an arm of 0.23 mm turns the fit by more than 3 mrad
+SPREAD_MM = 40.0
+# no stage is so crooked, and no touch so bad: another teat, or something slipped
+GROSS_MM, GROSS_U = 5.0, 15.0
 
 Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -121,7 +150,9 @@ class RegistrationError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """One stage position (machine mm, as read back), and the teat end touched there (world mm); ``u_mm`` along an axis."""
+    """One stage position (machine mm, as read back), and the teat end touched there (world mm);
+    ``u_mm`` along an axis.
+    """
 
     stage_mm: Triple
     touched_mm: Triple
@@ -131,7 +162,9 @@ class Station:
 # no slots: a cached_property keeps its value in the instance
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """``world_from_stage`` takes a stage position to where teat ``teat``'s end then is. At least three ``stations``, not on a line."""
+    """``world_from_stage`` takes a stage position to where teat ``teat``'s end then is. At least
+    three ``stations``, not on a line.
+    """
 
     made: datetime
     serial_number: str
@@ -142,15 +175,28 @@ class Registration:
 
     def __post_init__(self) -> None:
         if len(self.stations) < 3:
-            raise RegistrationError(f"a registration needs touches at three or more stage positions, has {len(self.stations)}")
+            raise RegistrationError(
+                "a registration needs touches at three or more stage positions, has"
+                f" {len(self.stations)}"
+            )
         across = np.linalg.svd(self._q, compute_uv=False)[1] / sqrt(len(self.stations))
         if across < SPREAD_MM:
-            what = f"the stage positions lie nearly on a line or near together ({across:.0f} mm rms across, {SPREAD_MM:g} mm are needed)"
-            raise RegistrationError(f"{what}. Touch at positions further apart, as at the corners of the travel")
+            what = (
+                f"the stage positions lie nearly on a line or near together ({across:.0f} mm rms"
+                f" across, {SPREAD_MM:g} mm are needed)"
+            )
+            raise RegistrationError(
+                f"{what}. Touch at positions further apart, as at the corners of the travel"
+            )
         off = np.linalg.norm(self.touched_mm - self.world_from_stage.apply(self.stage_mm), axis=1)
         if off.max() > max(GROSS_MM, GROSS_U * self.stated_u_mm):
-            what = f"the touch at position {int(np.argmax(off)) + 1} of {len(off)} is {off.max():.1f} mm from where the others put it"
-            raise RegistrationError(f"{what}. Was another teat touched, or did stage or phantom slip? Touch all again")
+            what = (
+                f"the touch at position {int(np.argmax(off)) + 1} of {len(off)} is {off.max():.1f}"
+                " mm from where the others put it"
+            )
+            raise RegistrationError(
+                f"{what}. Was another teat touched, or did stage or phantom slip? Touch all again"
+            )
 
     @cached_property
     def world_from_stage(self) -> Motion:
@@ -184,36 +230,54 @@ class Registration:
 
     @cached_property
     def u_mm(self) -> float:
-        """As stated; larger where what no axis error explains is too large for that (Birge ratio; chi-square test at `ALPHA`)."""
-        chi2, freedom = float(np.sum(self._free.left_over**2)) / self.stated_u_mm**2, self._free.freedom
+        """As stated; larger where what no axis error explains is too large for that (Birge ratio;
+        chi-square test at `ALPHA`).
+        """
+        chi2, freedom = (
+            float(np.sum(self._free.left_over**2)) / self.stated_u_mm**2,
+            self._free.freedom,
+        )
         if freedom and chdtrc(freedom, chi2) < ALPHA:
             return self.stated_u_mm * sqrt(chi2 / freedom)
         return self.stated_u_mm
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Of the axes that the positions exercise: x, y and their squareness, and z where the height varied."""
+        """Of the axes that the positions exercise: x, y and their squareness, and z where the
+        height varied.
+        """
         u = np.sqrt(np.diag(self._free.covariance)) * self.u_mm
         k = len(self._free.theta)
-        return tuple(Diagnostic(*row) for row in zip(NAMES[:k], self._free.theta.tolist(), u[3 : 3 + k].tolist(), strict=True))
+        return tuple(
+            Diagnostic(*row)
+            for row in zip(NAMES[:k], self._free.theta.tolist(), u[3 : 3 + k].tolist(), strict=True)
+        )
 
     @property
     def axes_turned(self) -> tuple[Motion, Floats]:
-        """The rotation with the stage's x axis as reference (squareness is y's alone), and the covariance (3, 3) of its rotation
-        vector in the stage's axes."""
-        turned = Motion(self.world_from_stage.R @ Motion.from_vectors(self._free.rotation, (0.0, 0.0, 0.0)).R, np.zeros(3))
+        """The rotation with the stage's x axis as reference (squareness is y's alone), and the
+        covariance (3, 3) of its rotation vector in the stage's axes.
+        """
+        turned = Motion(
+            self.world_from_stage.R @ Motion.from_vectors(self._free.rotation, (0.0, 0.0, 0.0)).R,
+            np.zeros(3),
+        )
         return turned, np.asarray(self.u_mm**2 * self._free.covariance[:3, :3])
 
     @cached_property
     def p_value(self) -> float:
         """How likely the diagnostics are, if the stage is as good as stated and the touches are."""
         k = len(self._free.theta)
-        expected = self.u_mm**2 * self._free.covariance[3 : 3 + k, 3 : 3 + k] + np.diag(self.stated.deformation[:k])
+        expected = self.u_mm**2 * self._free.covariance[3 : 3 + k, 3 : 3 + k] + np.diag(
+            self.stated.deformation[:k]
+        )
         return float(chdtrc(k, self._free.theta @ np.linalg.solve(expected, self._free.theta)))
 
     @property
     def doubted(self) -> bool:
-        """Whether the touches leave it open that the axes are worse than stated: the carry's uncertainty covers what they show."""
+        """Whether the touches leave it open that the axes are worse than stated: the carry's
+        uncertainty covers what they show.
+        """
         return self.p_value < DOUBT
 
     @property
@@ -222,30 +286,50 @@ class Registration:
         return self.p_value < ALPHA
 
     def carry_covariance_mm2(self, stage_from_mm: ArrayLike, stage_to_mm: ArrayLike) -> Floats:
-        """Covariance (3, 3), world axes, of what a carry from one stage position (3,) to another adds to a touched end."""
-        way = np.asarray(stage_to_mm, dtype=np.float64) - np.asarray(stage_from_mm, dtype=np.float64)
+        """Covariance (3, 3), world axes, of what a carry from one stage position (3,) to another
+        adds to a touched end.
+        """
+        way = np.asarray(stage_to_mm, dtype=np.float64) - np.asarray(
+            stage_from_mm, dtype=np.float64
+        )
         turn = cross_matrix(way)
         noise = turn @ rotation_covariance(self.stage_mm, self.u_mm) @ turn.T
         bent = bent_mm(self._q, way)
         deformed = bent @ self._deformation @ bent.T
         R = self.world_from_stage.R
-        return np.asarray(R @ (noise + deformed) @ R.T + 2.0 * self.stated.repeatability_mm**2 * np.eye(3))
+        return np.asarray(
+            R @ (noise + deformed) @ R.T + 2.0 * self.stated.repeatability_mm**2 * np.eye(3)
+        )
 
     def carry_mm(self, stage_from_mm: ArrayLike, stage_to_mm: ArrayLike) -> Floats:
         """By how much (3,) every teat end moves in the world."""
-        way = np.asarray(stage_to_mm, dtype=np.float64) - np.asarray(stage_from_mm, dtype=np.float64)
+        way = np.asarray(stage_to_mm, dtype=np.float64) - np.asarray(
+            stage_from_mm, dtype=np.float64
+        )
         return np.asarray(self.world_from_stage.R @ way)
 
     def target_error_mm(self, stage_mm: ArrayLike) -> float:
-        """Expected error of ``world_from_stage`` at a stage position, from the touches alone (Fitzpatrick's formula)."""
-        return float(target_error_mm(sqrt(3.0) * self.u_mm, self.stage_mm, np.atleast_2d(stage_mm))[0])
+        """Expected error of ``world_from_stage`` at a stage position, from the touches alone
+        (Fitzpatrick's formula).
+        """
+        return float(
+            target_error_mm(sqrt(3.0) * self.u_mm, self.stage_mm, np.atleast_2d(stage_mm))[0]
+        )
 
     def outdated(self, serial_number: str, frame_made: datetime | None) -> str:
-        """Why it doesn't hold for the world of this arm and its table frame (None without one); empty where it does."""
+        """Why it doesn't hold for the world of this arm and its table frame (None without one);
+        empty where it does.
+        """
         if self.serial_number != serial_number:
-            return f"was made with the arm {self.serial_number}, but the arm that answers is {serial_number}"
+            return (
+                f"was made with the arm {self.serial_number}, but the arm that answers is"
+                f" {serial_number}"
+            )
         if frame_made is not None and frame_made > self.made:
-            return f"was made on {self.made:%Y-%m-%d %H:%M}, before the arm's table frame ({frame_made:%Y-%m-%d %H:%M})"
+            return (
+                f"was made on {self.made:%Y-%m-%d %H:%M}, before the arm's table frame"
+                f" ({frame_made:%Y-%m-%d %H:%M})"
+            )
         return ""
 
     @property
@@ -253,14 +337,18 @@ class Registration:
         """What speaks against this stage or these touches, a sentence each."""
         told = []
         if self.contradicted:
-            off = [f"{d.name} {d.value:+.2e} (u {d.u:.1e})" for d in self.diagnostics if d.significant] or ["all of them together"]
+            off = [
+                f"{d.name} {d.value:+.2e} (u {d.u:.1e})" for d in self.diagnostics if d.significant
+            ] or ["all of them together"]
             told.append(
-                f"The stage's axes are worse than the rig file states (p = {self.p_value:.1e}): {'; '.join(off)}. Set its steps per mm, "
-                "square its axes, or state scale_u and squareness_u_rad as they are; until then every carried truth is less certain."
+                f"The stage's axes are worse than the rig file states (p = {self.p_value:.1e}):"
+                f" {'; '.join(off)}. Set its steps per mm, square its axes, or state scale_u and"
+                " squareness_u_rad as they are; until then every carried truth is less certain."
             )
         if self.u_mm > self.stated_u_mm:
             told.append(
-                f"The touches scatter more than their budget says: u = {self.u_mm:.2f} mm along an axis, not {self.stated_u_mm:.2f} mm."
+                f"The touches scatter more than their budget says: u = {self.u_mm:.2f} mm along an"
+                f" axis, not {self.stated_u_mm:.2f} mm."
             )
         return tuple(told)
 
@@ -271,19 +359,28 @@ class Registration:
 
     @cached_property
     def _free(self) -> FreeFit:
-        return free_fit(self._q, (self.touched_mm - self.touched_mm.mean(axis=0)) @ self.world_from_stage.R)
+        return free_fit(
+            self._q, (self.touched_mm - self.touched_mm.mean(axis=0)) @ self.world_from_stage.R
+        )
 
     @cached_property
     def _deformation(self) -> Floats:
-        """Second moments (6, 6) of E's entries: as stated, and what the touches show on top where they cast doubt on it."""
+        """Second moments (6, 6) of E's entries: as stated, and what the touches show on top where
+        they cast doubt on it.
+        """
         moments = np.diag(self.stated.deformation)
         if self.doubted:
             k = len(self._free.theta)
-            shown = np.outer(self._free.theta, self._free.theta) + self.u_mm**2 * self._free.covariance[3 : 3 + k, 3 : 3 + k]
+            shown = (
+                np.outer(self._free.theta, self._free.theta)
+                + self.u_mm**2 * self._free.covariance[3 : 3 + k, 3 : 3 + k]
+            )
             moments[:k, :k] += shown
         return np.asarray(moments)
 
 
-def stations_of(stage_mm: Sequence[Triple], touched_mm: Sequence[Triple], u_mm: float) -> tuple[Station, ...]:
+def stations_of(
+    stage_mm: Sequence[Triple], touched_mm: Sequence[Triple], u_mm: float
+) -> tuple[Station, ...]:
     """Stations that all have the same uncertainty."""
     return tuple(Station(s, t, u_mm) for s, t in zip(stage_mm, touched_mm, strict=True))

@@ -1,6 +1,8 @@
-"""The dated file of a stage's registration: what was touched, and beside it what follows from it, for people and other programs.
+"""The dated file of a stage's registration: what was touched, and beside it what follows from it,
+for people and other programs.
 
-Reading works the figures out again from the touches, and refuses a file whose figures don't follow: it was changed by hand.
+Reading works the figures out again from the touches, and refuses a file whose figures don't follow:
+it was changed by hand.
 """
 
 from __future__ import annotations
@@ -19,9 +21,10 @@ from bench.truth.registration import Registration, RegistrationError, StageAccur
 from detector.geometry import Motion
 
 REGISTRATION_FACT, MADE_FACT = "stage registration", "wall_registered"
-HEADING = """Where the stage's axes lie in the world, made by 'teatbench calibrate stage' or at the start of a run. Lengths in mm.
-X_world = R(om) X_stage + T, om in rad, for the end of the teat that was touched. Make it anew when stage, table frame or arm
-were moved. Scale and squareness (0 is ideal) are diagnostics: the rigid motion carries."""
+HEADING = """Where the stage's axes lie in the world, made by 'teatbench calibrate stage' or at the
+start of a run. Lengths in mm. X_world = R(om) X_stage + T, om in rad, for the end of the
+teat that was touched. Make it anew when stage, table frame or arm were moved. Scale and
+squareness (0 is ideal) are diagnostics: the rigid motion carries."""
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Above = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -76,7 +79,11 @@ class _RegistrationFile(Section):
 def as_dict(registration: Registration) -> dict[str, Any]:
     """Everything of it, as the file and the run's record keep it."""
     r, fits = registration, registration.comparison
-    stated = {"scale_u": r.stated.scale_u, "squareness_u_rad": r.stated.squareness_u_rad, "repeatability_mm": r.stated.repeatability_mm}
+    stated = {
+        "scale_u": r.stated.scale_u,
+        "squareness_u_rad": r.stated.squareness_u_rad,
+        "repeatability_mm": r.stated.repeatability_mm,
+    }
     residuals = np.linalg.norm(fits.rigid.residuals_mm, axis=1).tolist()
     return {
         "made": r.made,
@@ -91,19 +98,34 @@ def as_dict(registration: Registration) -> dict[str, Any]:
         "p_value": r.p_value,
         "stated": stated,
         "stations": [
-            {"stage_mm": list(s.stage_mm), "touched_mm": list(s.touched_mm), "u_mm": s.u_mm, "residual_mm": residual}
+            {
+                "stage_mm": list(s.stage_mm),
+                "touched_mm": list(s.touched_mm),
+                "u_mm": s.u_mm,
+                "residual_mm": residual,
+            }
             for s, residual in zip(r.stations, residuals, strict=True)
         ],
-        "diagnostics": [{"name": d.name, "value": d.value, "u": d.u, "significant": d.significant} for d in r.diagnostics],
+        "diagnostics": [
+            {"name": d.name, "value": d.value, "u": d.u, "significant": d.significant}
+            for d in r.diagnostics
+        ],
         "fits": [
-            {"model": f.model, "fre_mm": f.fre_mm, "held_out_mm": fits.held_out_mm[f.model], "singular_values": f.singular_values.tolist()}
+            {
+                "model": f.model,
+                "fre_mm": f.fre_mm,
+                "held_out_mm": fits.held_out_mm[f.model],
+                "singular_values": f.singular_values.tolist(),
+            }
             for f in fits.fits
         ],
     }
 
 
 def as_facts(registration: Registration) -> dict[str, Any]:
-    """The same as facts of a run; when it was made stands apart, since one made at the run's start doesn't repeat with the seed."""
+    """The same as facts of a run; when it was made stands apart, since one made at the run's start
+    doesn't repeat with the seed.
+    """
     whole = as_dict(registration)
     return {MADE_FACT: whole.pop("made").isoformat(), REGISTRATION_FACT: whole}
 
@@ -144,10 +166,14 @@ def registration_from_facts(facts: Mapping[str, Any]) -> Registration | None:
     """The registration among a run's facts (`as_facts`); None where there is none."""
     if REGISTRATION_FACT not in facts:
         return None
-    return _registration(_RegistrationFile.model_validate({"made": facts[MADE_FACT], **facts[REGISTRATION_FACT]}))
+    return _registration(
+        _RegistrationFile.model_validate({"made": facts[MADE_FACT], **facts[REGISTRATION_FACT]})
+    )
 
 
 def _registration(file: _RegistrationFile) -> Registration:
     stations = tuple(Station(s.stage_mm, s.touched_mm, s.u_mm) for s in file.stations)
-    stated = StageAccuracy(file.stated.scale_u, file.stated.squareness_u_rad, file.stated.repeatability_mm)
+    stated = StageAccuracy(
+        file.stated.scale_u, file.stated.squareness_u_rad, file.stated.repeatability_mm
+    )
     return Registration(file.made, file.serial_number, file.stage, file.teat, stations, stated)

@@ -1,4 +1,5 @@
-"""Makes a stage's registration: moves to positions, has one teat end touched at each, and reads back where the stage stands.
+"""Makes a stage's registration: moves to positions, has one teat end touched at each, and reads
+back where the stage stands.
 
 The same for the command and for the start of a run. May not know of trials, nor who touches.
 """
@@ -35,7 +36,9 @@ def stands_at(stage: Stage) -> Triple:
 
 
 def around(poses: Iterable[PlatePose], least_mm: float = 150.0) -> tuple[PlatePose, ...]:
-    """Where to touch for a run over ``poses``: the corners and the middle of the box round them, of at least ``least_mm`` along x and y."""
+    """Where to touch for a run over ``poses``: the corners and the middle of the box round them, of
+    at least ``least_mm`` along x and y.
+    """
     at = np.array([(pose.x_mm, pose.y_mm) for pose in poses], dtype=np.float64)
     low, high = at.min(axis=0), at.max(axis=0)
     short = np.maximum(least_mm - (high - low), 0.0)
@@ -57,9 +60,11 @@ def register(
     serial_number: str,
     tell: Callable[[str], None],
 ) -> Registration:
-    """Touch ``teat`` of ``phantom`` (as it stands at its reference place) at each of ``poses``; ``u_mm`` is that of one end's mean.
+    """Touch ``teat`` of ``phantom`` (as it stands at its reference place) at each of ``poses``;
+    ``u_mm`` is that of one end's mean.
 
-    Raises RegistrationError where the positions give no registration, and as stage, operator and arm do.
+    Raises RegistrationError where the positions give no registration, and as stage, operator and
+    arm do.
     """
     stations = []
     for number, pose in enumerate(poses, 1):
@@ -69,4 +74,6 @@ def register(
         point, _ = toucher.touch_one(teat, ends_of(phantom.moved(there), known=False))
         stations.append(Station(stands_at(stage), point.point_mm, u_mm))
     identity = " ".join(str(part) for part in asdict(stage.identity).values() if part)
-    return Registration(made, serial_number, identity, teat, tuple(stations), stage_accuracy(settings))
+    return Registration(
+        made, serial_number, identity, teat, tuple(stations), stage_accuracy(settings)
+    )

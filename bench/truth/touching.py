@@ -1,11 +1,14 @@
-"""Has the operator touch teat ends and reads the arm: several readings an end, each judged at once, asked for again where refused.
+"""Has the operator touch teat ends and reads the arm: several readings an end, each judged at once,
+asked for again where refused.
 
 May not know of trials, nor what the ends are wanted for.
 
-Where a trial's truth comes from, as the engine asks for it; and the plain way: every end touched in every trial.
+Where a trial's truth comes from, as the engine asks for it; and the plain way: every end touched in
+every trial.
 
-The engine asks in this order: `begin` once, then for each trial `before`, `unattended`, `of_trial` and, when it is in the store,
-`stored`; `end` after the last. The other way, `bench.truth.carrying`, touches once and lets the stage carry.
+The engine asks in this order: `begin` once, then for each trial `before`, `unattended`, `of_trial`
+and, when it is in the store, `stored`; `end` after the last. The other way, `bench.truth.carrying`,
+touches once and lets the stage carry.
 """
 
 from __future__ import annotations
@@ -34,21 +37,27 @@ Floats = NDArray[np.float64]
 
 
 class NoTruthError(DeviceError):
-    """A teat end could not be touched well: the touches asked for again were refused too. The trial has no truth."""
+    """A teat end could not be touched well: the touches asked for again were refused too. The trial
+    has no truth.
+    """
 
 
 class TouchingOperator(Protocol):
     """Whoever brings the tip to the ends."""
 
-    def touch(self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = "") -> None: ...
+    def touch(
+        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
+    ) -> None: ...
     def release(self) -> None: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ends:
-    """What is to be touched: ``expected_mm`` (n, 3) are the places of all the ends, ``axes`` (n, 3) unit vectors from base to end.
+    """What is to be touched: ``expected_mm`` (n, 3) are the places of all the ends, ``axes`` (n, 3)
+    unit vectors from base to end.
 
-    Where the places are not ``known`` well enough to tell teats apart (how the stage's axes lie is just being found out), they aren't used.
+    Where the places are not ``known`` well enough to tell teats apart (how the stage's axes lie is
+    just being found out), they aren't used.
     """
 
     expected_mm: Floats
@@ -71,10 +80,18 @@ class _Reading:
 
 
 class Toucher:
-    """Touches with ``arm``'s settings, ``readings`` an end. ``check`` is called before each touch, and may raise."""
+    """Touches with ``arm``'s settings, ``readings`` an end. ``check`` is called before each touch,
+    and may raise.
+    """
 
     def __init__(
-        self, operator: TouchingOperator, tip: TipReader, arm: Arm, clock: Clock, check: Callable[[], None], readings: int | None = None
+        self,
+        operator: TouchingOperator,
+        tip: TipReader,
+        arm: Arm,
+        clock: Clock,
+        check: Callable[[], None],
+        readings: int | None = None,
     ) -> None:
         self._operator = operator
         self._tip = tip
@@ -84,11 +101,15 @@ class Toucher:
         self.readings = readings or arm.touches
 
     def touch_all(self, ends: Ends) -> tuple[list[TruthPoint], list[Row]]:
-        """A truth for each end, and a row for each touch, refused ones too. Raises NoTruthError, and as operator and driver do."""
+        """A truth for each end, and a row for each touch, refused ones too. Raises NoTruthError,
+        and as operator and driver do.
+        """
         done: dict[int, TruthPoint] = {}
         rows: list[Row] = []
         for teat in range(1, ends.count + 1):
-            done[teat], touches = self._touch_end(teat, ends, {other: np.array(p.point_mm) for other, p in done.items()})
+            done[teat], touches = self._touch_end(
+                teat, ends, {other: np.array(p.point_mm) for other, p in done.items()}
+            )
             rows += touches
         self._operator.release()
         return list(done.values()), rows
@@ -100,19 +121,31 @@ class Toucher:
         return point, rows
 
     def u_registration_mm(self, point_mm: Floats) -> float | None:
-        """What the table frame adds to the uncertainty at (3,); None where the world is the arm's frame."""
+        """What the table frame adds to the uncertainty at (3,); None where the world is the arm's
+        frame.
+        """
         return self._tip.u_registration_mm(point_mm)
 
-    def _touch_end(self, teat: int, ends: Ends, done: dict[int, Floats]) -> tuple[TruthPoint, list[Row]]:
+    def _touch_end(
+        self, teat: int, ends: Ends, done: dict[int, Floats]
+    ) -> tuple[TruthPoint, list[Row]]:
         taken = _Taken(teat, ends, done)
         again = ""
         while (missing := self.readings - len(taken.kept)) > 0:
             taken.refuse_endless(self.readings + SPARE)
             self._check()
-            self._operator.touch(teat, ends.count, number=self.readings - missing + 1, numbers=self.readings, again=again)
+            self._operator.touch(
+                teat,
+                ends.count,
+                number=self.readings - missing + 1,
+                numbers=self.readings,
+                again=again,
+            )
             again = self._read(taken)
         points = np.array([r.end_mm for r in taken.kept])
-        truth = touched(points, self._arm, registration_mm=self._tip.u_registration_mm(points.mean(axis=0)))
+        truth = touched(
+            points, self._arm, registration_mm=self._tip.u_registration_mm(points.mean(axis=0))
+        )
         return truth, [_row(teat, number, r) for number, r in enumerate(taken.readings, 1)]
 
     def _read(self, taken: _Taken) -> str:
@@ -122,11 +155,17 @@ class Toucher:
         except ArmMovesError as moves:
             taken.moved.append(str(moves))
             return f"{moves} Touch teat {taken.teat} once more."
-        end = end_under_ball_mm(seen.point_mm, taken.ends.axes[taken.teat - 1], self._arm.tip_radius_mm)
+        end = end_under_ball_mm(
+            seen.point_mm, taken.ends.axes[taken.teat - 1], self._arm.tip_radius_mm
+        )
         reason = touched_before(end, taken.teat, taken.done)
         if reason is None and taken.ends.known:
             reason = mistaken(end, taken.teat, taken.ends.expected_mm, taken.done)
-        taken.readings.append(_Reading(seen, end, self._clock.now(), wall_time().isoformat(timespec="milliseconds"), reason))
+        taken.readings.append(
+            _Reading(
+                seen, end, self._clock.now(), wall_time().isoformat(timespec="milliseconds"), reason
+            )
+        )
         if reason:
             return f"{reason} Touch teat {taken.teat}."
         if len(taken.kept) < min(self.readings, 3):
@@ -136,7 +175,9 @@ class Toucher:
 
 @dataclass(slots=True)
 class _Taken:
-    """What was read of one end so far. ``moved`` are the touches that gave no reading, since the arm was not held still."""
+    """What was read of one end so far. ``moved`` are the touches that gave no reading, since the
+    arm was not held still.
+    """
 
     teat: int
     ends: Ends
@@ -149,20 +190,32 @@ class _Taken:
         return [r for r in self.readings if r.refused is None]
 
     def refuse_outliers(self, s0_mm: float) -> str:
-        """Mark what doesn't belong to the others; gives back the sentence for the operator, or nothing."""
+        """Mark what doesn't belong to the others; gives back the sentence for the operator, or
+        nothing.
+        """
         kept = self.kept
         refused = outliers(np.array([r.end_mm for r in kept]), s0_mm)
         for row, reason in refused.items():
             kept[row].refused = reason
-        return f"A touch of teat {self.teat} is refused: {next(iter(refused.values()))}. Once more." if refused else ""
+        return (
+            f"A touch of teat {self.teat} is refused: {next(iter(refused.values()))}. Once more."
+            if refused
+            else ""
+        )
 
     def refuse_endless(self, most: int) -> None:
         """Raises NoTruthError after ``most`` touches."""
         if len(self.readings) + len(self.moved) < most:
             return
         reasons = [r.refused for r in self.readings if r.refused] + self.moved
-        what = f"teat {self.teat}: {len(reasons)} of {most} touches could not be used; the last one: {reasons[-1]}"
-        hint = "Is the teat loose, does the phantom stand where the script says, and are its teats counted as the layout counts them?"
+        what = (
+            f"teat {self.teat}: {len(reasons)} of {most} touches could not be used; the last one:"
+            f" {reasons[-1]}"
+        )
+        hint = (
+            "Is the teat loose, does the phantom stand where the script says, and are its teats"
+            " counted as the layout counts them?"
+        )
         raise NoTruthError("truth", what, hint=hint)
 
 
@@ -185,7 +238,9 @@ def _row(teat: int, number: int, reading: _Reading) -> Row:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """What stands there for a trial: ``ends`` where they are expected, and `carry.fixed_key` of what no shift changes."""
+    """What stands there for a trial: ``ends`` where they are expected, and `carry.fixed_key` of
+    what no shift changes.
+    """
 
     trial: str
     ends: Ends
@@ -194,7 +249,9 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class TrialTruth:
-    """The truth of one trial: a point for each teat, a row for each touch, and where the stage stood (None without one)."""
+    """The truth of one trial: a point for each teat, a row for each touch, and where the stage
+    stood (None without one).
+    """
 
     points: tuple[TruthPoint, ...]
     touches: tuple[Row, ...]
@@ -218,11 +275,15 @@ class TruthSource(Protocol):
         ...
 
     def unattended(self, shown: Shown) -> bool:
-        """Whether nobody has been near the phantom since the last trial was shown, nor is needed for this one."""
+        """Whether nobody has been near the phantom since the last trial was shown, nor is needed
+        for this one.
+        """
         ...
 
     def of_trial(self, shown: Shown) -> TrialTruth:
-        """It stands there, and the cameras have seen it. Raises NoTruthError, and as operator and instruments do."""
+        """It stands there, and the cameras have seen it. Raises NoTruthError, and as operator and
+        instruments do.
+        """
         ...
 
     def stored(self, trial: str, truth: TrialTruth) -> None:
@@ -235,7 +296,9 @@ class TruthSource(Protocol):
 
 
 class TouchedTruth:
-    """Every end of every trial is touched; ``stage_mm`` asks where the stage stands, for the record."""
+    """Every end of every trial is touched; ``stage_mm`` asks where the stage stands, for the
+    record.
+    """
 
     def __init__(self, toucher: Toucher, stage_mm: Callable[[], Triple | None]) -> None:
         self._toucher = toucher

@@ -1,9 +1,27 @@
 """Cameras, stereo, thermal and world: what they are, where they lie, and the file that says so."""
 
-from detector.calibration.file import CalibrationError, Fault, dump_calibration, file_hash, load_calibration, load_part
-from detector.calibration.homographies import DEFAULT_PLANE_DEPTH_MM, derive_homographies, plane_homography
+from detector.calibration.file import (
+    CalibrationError,
+    Fault,
+    dump_calibration,
+    file_hash,
+    load_calibration,
+    load_part,
+)
+from detector.calibration.homographies import (
+    DEFAULT_PLANE_DEPTH_MM,
+    derive_homographies,
+    plane_homography,
+)
 from detector.calibration.uncertainty import ParameterCovariance
-from detector.calibration.values import Calibration, Homographies, Part, Polarity, Record, ThermalCamera
+from detector.calibration.values import (
+    Calibration,
+    Homographies,
+    Part,
+    Polarity,
+    Record,
+    ThermalCamera,
+)
 
 __all__ = [
     "DEFAULT_PLANE_DEPTH_MM",

@@ -1,7 +1,8 @@
 """Calibration boards as values: what is printed, and where its points are in the board's own frame.
 
-Strategy: every kind of board is a numbered list of points on a plane; whoever finds some of them in a picture gives their numbers. The
-board's frame: x along the columns, y along the rows, z = 0, mm, the first point at (0, 0). The module may not know images or files.
+Strategy: every kind of board is a numbered list of points on a plane; whoever finds some of them in
+a picture gives their numbers. The board's frame: x along the columns, y along the rows, z = 0, mm,
+the first point at (0, 0). The module may not know images or files.
 """
 
 from __future__ import annotations
@@ -17,15 +18,18 @@ from detector.geometry import Array
 BoardKind = Literal["chessboard", "charuco", "circles"]
 KINDS: tuple[str, ...] = get_args(BoardKind)
 DICTIONARIES: dict[str, int] = {
-    name.removeprefix("DICT_").lower(): getattr(cv2.aruco, name) for name in ("DICT_4X4_50", "DICT_4X4_250", "DICT_5X5_100", "DICT_5X5_250")
+    name.removeprefix("DICT_").lower(): getattr(cv2.aruco, name)
+    for name in ("DICT_4X4_50", "DICT_4X4_250", "DICT_5X5_100", "DICT_5X5_250")
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """A board with ``columns`` x ``rows`` points, ``pitch_mm`` apart: inner corners of a chessboard or ChArUco board, centres of circles.
+    """A board with ``columns`` x ``rows`` points, ``pitch_mm`` apart: inner corners of a chessboard
+    or ChArUco board, centres of circles.
 
-    ``marker_mm`` and ``dictionary`` (of `DICTIONARIES`) belong to ChArUco boards, ``circle_mm`` (diameter) to circles.
+    ``marker_mm`` and ``dictionary`` (of `DICTIONARIES`) belong to ChArUco boards, ``circle_mm``
+    (diameter) to circles.
     """
 
     kind: BoardKind
@@ -40,9 +44,13 @@ class Board:
         if self.kind not in KINDS:
             raise ValueError(f"no board {self.kind!r}; there are {', '.join(KINDS)}")
         if not (3 <= self.columns <= 100 and 3 <= self.rows <= 100):
-            raise ValueError(f"a board has from 3 x 3 to 100 x 100 points, not {self.columns} x {self.rows}")
+            raise ValueError(
+                f"a board has from 3 x 3 to 100 x 100 points, not {self.columns} x {self.rows}"
+            )
         if not (np.isfinite(self.pitch_mm) and 0.1 <= self.pitch_mm <= 1000.0):
-            raise ValueError(f"the points' distance must be from 0.1 to 1000 mm, is {self.pitch_mm}")
+            raise ValueError(
+                f"the points' distance must be from 0.1 to 1000 mm, is {self.pitch_mm}"
+            )
         self._check_parts()
 
     def _check_parts(self) -> None:
@@ -53,11 +61,25 @@ class Board:
             raise ValueError("circle_mm belongs to a board of circles, which needs it")
         part = self.marker_mm if charuco else self.circle_mm
         if part is not None and not 0.0 < part < self.pitch_mm:
-            raise ValueError(f"a marker or circle of {part:g} mm does not fit between points {self.pitch_mm:g} mm apart")
+            raise ValueError(
+                f"a marker or circle of {part:g} mm does not fit between points {self.pitch_mm:g}"
+                " mm apart"
+            )
         if self.dictionary is not None and self.dictionary not in DICTIONARIES:
-            raise ValueError(f"no marker dictionary {self.dictionary!r}; there are {', '.join(DICTIONARIES)}")
-        if charuco and self._markers > cv2.aruco.getPredefinedDictionary(DICTIONARIES[str(self.dictionary)]).bytesList.shape[0]:
-            raise ValueError(f"the board needs {self._markers} markers, more than {self.dictionary} has; take a larger dictionary")
+            raise ValueError(
+                f"no marker dictionary {self.dictionary!r}; there are {', '.join(DICTIONARIES)}"
+            )
+        if (
+            charuco
+            and self._markers
+            > cv2.aruco.getPredefinedDictionary(DICTIONARIES[str(self.dictionary)]).bytesList.shape[
+                0
+            ]
+        ):
+            raise ValueError(
+                f"the board needs {self._markers} markers, more than {self.dictionary} has; take a"
+                " larger dictionary"
+            )
 
     @property
     def points_mm(self) -> Array:
@@ -71,12 +93,18 @@ class Board:
         """Width and height of what is printed, without a margin."""
         more = -1 if self.kind == "circles" else 1
         extra = self.circle_mm or 0.0
-        return (self.columns + more) * self.pitch_mm + extra, (self.rows + more) * self.pitch_mm + extra
+        return (self.columns + more) * self.pitch_mm + extra, (
+            self.rows + more
+        ) * self.pitch_mm + extra
 
     @property
     def reads_the_same_turned(self) -> bool:
-        """Whether the board turned by half a turn looks like itself, so that a picture alone can't tell its first point."""
-        return self.kind == "circles" or (self.kind == "chessboard" and (self.columns + self.rows) % 2 == 0)
+        """Whether the board turned by half a turn looks like itself, so that a picture alone can't
+        tell its first point.
+        """
+        return self.kind == "circles" or (
+            self.kind == "chessboard" and (self.columns + self.rows) % 2 == 0
+        )
 
     @property
     def aruco(self) -> cv2.aruco.CharucoBoard:
@@ -84,7 +112,9 @@ class Board:
         if self.marker_mm is None or self.dictionary is None:
             raise ValueError(f"a board of the kind {self.kind} has no markers")
         markers = cv2.aruco.getPredefinedDictionary(DICTIONARIES[self.dictionary])
-        return cv2.aruco.CharucoBoard((self.columns + 1, self.rows + 1), self.pitch_mm, self.marker_mm, markers)
+        return cv2.aruco.CharucoBoard(
+            (self.columns + 1, self.rows + 1), self.pitch_mm, self.marker_mm, markers
+        )
 
     @property
     def _markers(self) -> int:

@@ -1,12 +1,16 @@
-"""The parameters of a bundle adjustment: which there are, which may move, and what a step of them does. No fitting here.
+"""The parameters of a bundle adjustment: which there are, which may move, and what a step of them
+does. No fitting here.
 
-Bundle adjustment: all cameras, the motions between them and all poses of the board from all corners at once, with their covariance.
+Bundle adjustment: all cameras, the motions between them and all poses of the board from all corners
+at once, with their covariance.
 
-Strategy: one Levenberg-Marquardt fit serves a camera alone, a stereo pair with fixed or with joint lenses, and a thermal camera that hangs
-on the pair; what is held fixed is said by a mask. The Jacobian is analytic (OpenCV's). A corner depends on the shared parameters and on one
-pose, so each pose leaves the normal equations by its Schur complement.
-Sources: Triggs, McLauchlan, Hartley, Fitzgibbon, "Bundle adjustment, a modern synthesis" (2000); for the covariance,
-Hartley and Zisserman, Multiple View Geometry, 2nd ed., section 5.2. The module may not know images, boards or files.
+Strategy: one Levenberg-Marquardt fit serves a camera alone, a stereo pair with fixed or with joint
+lenses, and a thermal camera that hangs on the pair; what is held fixed is said by a mask. The
+Jacobian is analytic (OpenCV's). A corner depends on the shared parameters and on one pose, so each
+pose leaves the normal equations by its Schur complement. Sources: Triggs, McLauchlan, Hartley,
+Fitzgibbon, "Bundle adjustment, a modern synthesis" (2000); for the covariance, Hartley and
+Zisserman, Multiple View Geometry, 2nd ed., section 5.2. The module may not know images, boards or
+files.
 """
 
 from __future__ import annotations
@@ -25,7 +29,9 @@ POSE = ("om1", "om2", "om3", "T1", "T2", "T3")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """What camera ``camera`` saw of the board in its pose number ``pose``: points on the board (n, 3) mm and their pixels (n, 2)."""
+    """What camera ``camera`` saw of the board in its pose number ``pose``: points on the board (n,
+    3) mm and their pixels (n, 2).
+    """
 
     camera: str
     pose: int
@@ -35,7 +41,9 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
-    """Cameras by name, and the motion of each from the frame of reference, which is the first camera's."""
+    """Cameras by name, and the motion of each from the frame of reference, which is the first
+    camera's.
+    """
 
     cameras: Mapping[str, Camera]
     from_reference: Mapping[str, Motion]
@@ -48,7 +56,8 @@ class Rig:
 
 @dataclass(frozen=True, slots=True)
 class Freedom:
-    """What may move. ``lens`` names the free parameters of each camera (of `LENS`); ``aspect`` fixes fx / fy as it is at the start.
+    """What may move. ``lens`` names the free parameters of each camera (of `LENS`); ``aspect``
+    fixes fx / fy as it is at the start.
 
     ``motions``: whether the cameras may move against each other.
     """
@@ -68,7 +77,9 @@ class State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """Which column of the Jacobian is which parameter: those of cameras and motions first, then six a pose."""
+    """Which column of the Jacobian is which parameter: those of cameras and motions first, then six
+    a pose.
+    """
 
     shared: tuple[tuple[str, str], ...]
     ratio: Mapping[str, float]  # fy / fx where it is held
@@ -81,10 +92,17 @@ class Layout:
             (name, p)
             for name in start.cameras
             for p in LENS
-            if p in freedom.lens.get(name, frozenset()) and not (p == "fy" and name in freedom.aspect)
+            if p in freedom.lens.get(name, frozenset())
+            and not (p == "fy" and name in freedom.aspect)
         ]
-        moved = [(name, p) for name in start.cameras if name != start.reference for p in POSE] if freedom.motions else []
-        ratio = {name: start.cameras[name].fc[1] / start.cameras[name].fc[0] for name in freedom.aspect}
+        moved = (
+            [(name, p) for name in start.cameras if name != start.reference for p in POSE]
+            if freedom.motions
+            else []
+        )
+        ratio = {
+            name: start.cameras[name].fc[1] / start.cameras[name].fc[0] for name in freedom.aspect
+        }
         return cls((*lens, *moved), ratio, poses)
 
     @property
@@ -93,7 +111,9 @@ class Layout:
         return len(self.shared) + 6 * self.poses
 
     def columns(self, camera: str, names: Sequence[str]) -> tuple[list[int], list[int]]:
-        """Of the parameters ``names`` of a camera, those that are free: their places among ``names``, and their columns."""
+        """Of the parameters ``names`` of a camera, those that are free: their places among
+        ``names``, and their columns.
+        """
         at = {key: column for column, key in enumerate(self.shared)}
         free = [(i, at[camera, name]) for i, name in enumerate(names) if (camera, name) in at]
         return [i for i, _ in free], [column for _, column in free]
@@ -110,7 +130,9 @@ class Layout:
             if not (values[:2] > 0).all():
                 return state  # a step to nowhere: no better than before, so the damping grows
             fx, fy, cx, cy, *kc = (float(v) for v in values)
-            cameras[name] = replace(camera, fc=(fx, fy), cc=(cx, cy), kc=(kc[0], kc[1], kc[2], kc[3], kc[4]))
+            cameras[name] = replace(
+                camera, fc=(fx, fy), cc=(cx, cy), kc=(kc[0], kc[1], kc[2], kc[3], kc[4])
+            )
             places, columns = self.columns(name, POSE)
             if places:
                 motions[name] = _shifted(motions[name], step[columns])
@@ -133,20 +155,24 @@ def _shifted(motion: Motion, step: Array) -> Motion:
 STEPS = 100
 CONVERGED = 1e-12  # relative decrease of the sum of squares
 SINGULAR = 1e-14  # of the largest eigenvalue: less is rounding
-_OPENCV_COLUMNS = slice(6, 15)  # of cv2.projectPoints' Jacobian: rotation 0:3, translation 3:6, then f, c, k in the order of LENS
+# of cv2.projectPoints' Jacobian: rotation 0:3, translation 3:6, then f, c, k in the order of LENS
+_OPENCV_COLUMNS = slice(6, 15)
 
 
 class BundleError(ValueError):
-    """Observations from which the parameters can't be had: too few, or such that some parameter moves no corner."""
+    """Observations from which the parameters can't be had: too few, or such that some parameter
+    moves no corner.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjusted:
     """The fit: rig, reference_from_board a pose, and how well it holds.
 
-    ``names`` of the free parameters of cameras and motions, as ("left", "fx") and ("right", "om1"); ``covariance`` (k, k) of just these, in
-    px, rad and mm, with the poses integrated out and scaled by the residuals' variance ``sigma_px`` squared. ``residuals_px`` a sighting:
-    seen minus predicted (n, 2).
+    ``names`` of the free parameters of cameras and motions, as ("left", "fx") and ("right", "om1");
+    ``covariance`` (k, k) of just these, in px, rad and mm, with the poses integrated out and scaled
+    by the residuals' variance ``sigma_px`` squared. ``residuals_px`` a sighting: seen minus
+    predicted (n, 2).
     """
 
     rig: Rig
@@ -158,8 +184,12 @@ class Adjusted:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square distance of corner from prediction, over all cameras: the "reprojection error" of the toolboxes."""
-        return float(np.sqrt(np.mean(np.concatenate([np.sum(r**2, axis=1) for r in self.residuals_px]))))
+        """Root mean square distance of corner from prediction, over all cameras: the "reprojection
+        error" of the toolboxes.
+        """
+        return float(
+            np.sqrt(np.mean(np.concatenate([np.sum(r**2, axis=1) for r in self.residuals_px])))
+        )
 
     def sd(self, camera: str, name: str) -> float | None:
         """Standard deviation of one parameter; None where it was held fixed."""
@@ -169,24 +199,39 @@ class Adjusted:
         return float(np.sqrt(self.covariance[at, at]))
 
 
-def adjust(start: Rig, poses: Sequence[Motion], sightings: Sequence[Sighting], freedom: Freedom) -> Adjusted:
-    """The least-squares fit from ``start`` and ``poses`` (reference_from_board). Raises BundleError.
+def adjust(
+    start: Rig, poses: Sequence[Motion], sightings: Sequence[Sighting], freedom: Freedom
+) -> Adjusted:
+    """The least-squares fit from ``start`` and ``poses`` (reference_from_board). Raises
+    BundleError.
 
     All corners count alike: their noise is taken for equal and independent.
     """
     layout = Layout.of(start, len(poses), freedom)
     rows = sum(2 * len(s.board_mm) for s in sightings)
     if rows <= layout.size:
-        raise BundleError(f"{rows // 2} corners can't fix {layout.size} parameters: more views, or fewer free parameters")
+        raise BundleError(
+            f"{rows // 2} corners can't fix {layout.size} parameters: more views, or fewer free"
+            " parameters"
+        )
     state, normal = _descend(State(start, tuple(poses)), layout, sightings)
     variance = normal.cost / (rows - layout.size)
     covariance = _covariance(normal, layout) * variance
-    return Adjusted(state.rig, state.poses, layout.shared, covariance, float(np.sqrt(variance)), normal.residuals_px)
+    return Adjusted(
+        state.rig,
+        state.poses,
+        layout.shared,
+        covariance,
+        float(np.sqrt(variance)),
+        normal.residuals_px,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Normal:
-    """The normal equations about a state, by blocks: ``shared`` (k, k), ``own`` (poses, 6, 6), ``coupling`` (poses, k, 6), and slopes."""
+    """The normal equations about a state, by blocks: ``shared`` (k, k), ``own`` (poses, 6, 6),
+    ``coupling`` (poses, k, 6), and slopes.
+    """
 
     shared: Array
     own: Array
@@ -202,9 +247,14 @@ class _Normal:
         return cost if np.isfinite(cost) else np.inf
 
     def reduced(self, damping: float) -> tuple[Array, Array, Array]:
-        """The equations without the poses: matrix (k, k) and slope (k,), and what brings the poses back, (poses, 6, k + 1)."""
+        """The equations without the poses: matrix (k, k) and slope (k,), and what brings the poses
+        back, (poses, 6, k + 1).
+        """
         damped = self.own + damping * self.own * np.eye(6)
-        back = np.linalg.solve(damped, np.concatenate([self.coupling.transpose(0, 2, 1), self.own_slope[:, :, None]], axis=2))
+        back = np.linalg.solve(
+            damped,
+            np.concatenate([self.coupling.transpose(0, 2, 1), self.own_slope[:, :, None]], axis=2),
+        )
         taken = np.einsum("pki,pij->kj", self.coupling, back)
         matrix = self.shared + damping * np.diag(np.diag(self.shared)) - taken[:, :-1]
         return matrix, self.slope - taken[:, -1], back
@@ -238,9 +288,13 @@ def _descend(state: State, layout: Layout, sightings: Sequence[Sighting]) -> tup
 
 
 def _refuse_blind(normal: _Normal, layout: Layout) -> None:
-    told = np.concatenate([np.diag(normal.shared), np.diagonal(normal.own, axis1=1, axis2=2).reshape(-1)])
+    told = np.concatenate(
+        [np.diag(normal.shared), np.diagonal(normal.own, axis1=1, axis2=2).reshape(-1)]
+    )
     if not told.all():
-        raise BundleError(f"no corner tells of {layout.told(int(np.argmin(told)))}: hold it fixed, or add views")
+        raise BundleError(
+            f"no corner tells of {layout.told(int(np.argmin(told)))}: hold it fixed, or add views"
+        )
 
 
 def _normal(state: State, layout: Layout, sightings: Sequence[Sighting]) -> _Normal:
@@ -259,12 +313,26 @@ def _normal(state: State, layout: Layout, sightings: Sequence[Sighting]) -> _Nor
 
 
 def _linearised(state: State, layout: Layout, seen: Sighting) -> tuple[Array, Array, Array]:
-    """The derivatives of one sighting's predictions by the shared parameters (2n, k) and its pose (2n, 6); seen less predicted (2n,)."""
-    camera, motion, pose = state.rig.cameras[seen.camera], state.rig.from_reference[seen.camera], state.poses[seen.pose]
-    whole = [np.asarray(part, dtype=np.float64) for part in cv2.composeRT(pose.om, pose.T, motion.om, motion.T)]
-    predicted, by = cv2.projectPoints(seen.board_mm.reshape(-1, 1, 3), whole[0], whole[1], _matrix(camera), np.array(camera.kc))
+    """The derivatives of one sighting's predictions by the shared parameters (2n, k) and its pose
+    (2n, 6); seen less predicted (2n,).
+    """
+    camera, motion, pose = (
+        state.rig.cameras[seen.camera],
+        state.rig.from_reference[seen.camera],
+        state.poses[seen.pose],
+    )
+    whole = [
+        np.asarray(part, dtype=np.float64)
+        for part in cv2.composeRT(pose.om, pose.T, motion.om, motion.T)
+    ]
+    predicted, by = cv2.projectPoints(
+        seen.board_mm.reshape(-1, 1, 3), whole[0], whole[1], _matrix(camera), np.array(camera.kc)
+    )
     residual = (seen.pixels_px - predicted.reshape(-1, 2)).reshape(-1)
-    by_shared, by_whole = np.zeros((len(residual), len(layout.shared))), np.array(by[:, :6], dtype=np.float64)
+    by_shared, by_whole = (
+        np.zeros((len(residual), len(layout.shared))),
+        np.array(by[:, :6], dtype=np.float64),
+    )
     places, columns = layout.columns(seen.camera, POSE)
     if places:
         by_shared[:, columns] = (by_whole @ _chain(whole, 2))[:, places]
@@ -277,8 +345,15 @@ def _linearised(state: State, layout: Layout, seen: Sighting) -> tuple[Array, Ar
 
 
 def _chain(whole: Sequence[Array], first: int) -> Array:
-    """(6, 6): the derivative of the composed pose by one of its two motions, from what cv2.composeRT gives."""
-    dr_dr, dr_dt, dt_dr, dt_dt = whole[2 + first], whole[3 + first], whole[6 + first], whole[7 + first]
+    """(6, 6): the derivative of the composed pose by one of its two motions, from what
+    cv2.composeRT gives.
+    """
+    dr_dr, dr_dt, dt_dr, dt_dt = (
+        whole[2 + first],
+        whole[3 + first],
+        whole[6 + first],
+        whole[7 + first],
+    )
     return np.block([[dr_dr, dr_dt], [dt_dr, dt_dt]])
 
 
@@ -292,9 +367,14 @@ def _covariance(normal: _Normal, layout: Layout) -> Array:
     values, directions = np.linalg.eigh(scaled)
     if values[0] < SINGULAR * values[-1]:
         weakest = int(np.argmax(np.abs(directions[:, 0])))
-        raise BundleError(f"the views don't tell {layout.told(weakest)} apart from the rest: tilt the board more, or hold it fixed")
+        raise BundleError(
+            f"the views don't tell {layout.told(weakest)} apart from the rest: tilt the board more,"
+            " or hold it fixed"
+        )
     return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))
 
 
 def _matrix(camera: Camera) -> Array:
-    return np.array([[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]])
+    return np.array(
+        [[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]]
+    )

@@ -1,13 +1,16 @@
 """Corners of a chessboard that were found beside their places: told by their neighbours.
 
-Strategy: along each row and column a corner lies half-way between its neighbours, or goes on from the two before it; lens and tilt bend
-that by far less than the distance between corners. The median over all that is told bears one neighbour astray. May not know pictures.
+Strategy: along each row and column a corner lies half-way between its neighbours, or goes on from
+the two before it; lens and tilt bend that by far less than the distance between corners. The median
+over all that is told bears one neighbour astray. May not know pictures.
 
 Finds a board's points in a picture, to a fraction of a pixel, and says why a picture is no good.
 
-Strategy: OpenCV finds the board; the window of the sub-pixel step is kept from reaching the next corner (on OpenCV's own pictures a window
-too large doubles the error); the board's first point is told by the colours where they can tell it. A picture that is blurred, or blurred
-along one direction as by motion, is refused by the width of its edges. The module may not know cameras or poses.
+Strategy: OpenCV finds the board; the window of the sub-pixel step is kept from reaching the next
+corner (on OpenCV's own pictures a window too large doubles the error); the board's first point is
+told by the colours where they can tell it. A picture that is blurred, or blurred along one
+direction as by motion, is refused by the width of its edges. The module may not know cameras or
+poses.
 """
 
 from __future__ import annotations
@@ -27,7 +30,9 @@ STRAY = 0.25  # of the distance between corners
 
 
 def between_neighbours(grid_px: NDArray[Any]) -> Array:
-    """Where each corner of (rows, columns, 2), three or more each way, should lie by its neighbours, same shape."""
+    """Where each corner of (rows, columns, 2), three or more each way, should lie by its
+    neighbours, same shape.
+    """
     told: list[Array] = []
     for axis in (0, 1):
         along = np.moveaxis(np.asarray(grid_px, dtype=np.float64), axis, 0)
@@ -39,7 +44,9 @@ def between_neighbours(grid_px: NDArray[Any]) -> Array:
 
 
 def strays(grid_px: NDArray[Any]) -> NDArray[np.bool_]:
-    """Which corners of (rows, columns, 2) lie farther from where their neighbours tell than `STRAY` allows, (rows, columns)."""
+    """Which corners of (rows, columns, 2) lie farther from where their neighbours tell than `STRAY`
+    allows, (rows, columns).
+    """
     steps = [np.linalg.norm(np.diff(grid_px, axis=axis), axis=2) for axis in (0, 1)]
     usual = float(min(np.median(step) for step in steps))
     return np.asarray(np.linalg.norm(grid_px - between_neighbours(grid_px), axis=2) > STRAY * usual)
@@ -52,7 +59,8 @@ REACH = 0.3  # of the least distance between corners, to each side of one: its e
 BLURRED_PX = 5.0  # width of an edge from 10 to 90 %: sharp pictures have 2 to 3
 MOVED_RATIO = 1.8  # edges across one direction this much wider than across the other
 LEAST_CHARUCO = 8  # points of a partly hidden board that make a view
-AROUND = (0.02, 0.04, 0.08)  # of the picture's width: the neighbourhoods that a circle may be darker than
+# of the picture's width: the neighbourhoods that a circle may be darker than
+AROUND = (0.02, 0.04, 0.08)
 LEAST_STEP = 0.06  # of the picture's range, by which it is
 LEAST_FILL, MOST_OBLONG = 0.5, 4.0  # of a circle's box, and its longer side over its shorter
 MOST_UNLIKE = 3.0  # one circle's area over another's
@@ -61,14 +69,19 @@ MOST_BLOBS = 4  # times the board's circles: more is texture
 
 @dataclass(frozen=True, slots=True)
 class SubPixel:
-    """How corners are refined: half the side of the window (None: the largest that can't reach the next corner), and when to stop."""
+    """How corners are refined: half the side of the window (None: the largest that can't reach the
+    next corner), and when to stop.
+    """
 
     window_px: int | None = None
     steps: int = 60
     epsilon_px: float = 0.001
 
-    def refine(self, image: Gray, corners: NDArray[Any], grid_px: NDArray[Any], reach: float = REACH) -> tuple[NDArray[Any], int]:
-        """The corners (n, 1, 2), refined, and the window used; ``grid_px`` (rows, columns, 2), NaN where a corner is hidden.
+    def refine(
+        self, image: Gray, corners: NDArray[Any], grid_px: NDArray[Any], reach: float = REACH
+    ) -> tuple[NDArray[Any], int]:
+        """The corners (n, 1, 2), refined, and the window used; ``grid_px`` (rows, columns, 2), NaN
+        where a corner is hidden.
 
         ``reach``: what of the least distance between corners the window may cover on each side.
         """
@@ -78,15 +91,18 @@ class SubPixel:
 
 
 class ViewRefusedError(ValueError):
-    """A picture that can't be used; the message is the reason, as a sentence without the picture's name."""
+    """A picture that can't be used; the message is the reason, as a sentence without the picture's
+    name.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """The board in one picture: ``ids`` (n,) into the board's points, ``pixels_px`` (n, 2), and the width of its edges in px.
+    """The board in one picture: ``ids`` (n,) into the board's points, ``pixels_px`` (n, 2), and the
+    width of its edges in px.
 
-    ``edges_px``: 10 to 90 % of the rise, along rows and along columns; None where the board has no edges to measure it on.
-    ``window_px``: half the side of the sub-pixel window.
+    ``edges_px``: 10 to 90 % of the rise, along rows and along columns; None where the board has no
+    edges to measure it on. ``window_px``: half the side of the sub-pixel window.
     """
 
     ids: NDArray[np.intp]
@@ -96,17 +112,26 @@ class Found:
 
     def turned(self, board: Board) -> Found:
         """The same points counted from the board's other end."""
-        return Found(np.asarray(board.columns * board.rows - 1 - self.ids), self.pixels_px, self.edges_px, self.window_px)
+        return Found(
+            np.asarray(board.columns * board.rows - 1 - self.ids),
+            self.pixels_px,
+            self.edges_px,
+            self.window_px,
+        )
 
 
-def find_board(image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel(), inverted: bool | None = None) -> Found:
+def find_board(
+    image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel(), inverted: bool | None = None
+) -> Found:
     """The board in an 8-bit picture. Raises ViewRefusedError.
 
     ``inverted``: bright on dark where the print is dark on bright, as a
     heated board may look; None tries both.
     """
     if image.ndim != 2 or image.dtype != np.uint8:
-        raise ValueError(f"find_board wants an 8-bit grey picture, not {image.dtype} of shape {image.shape}")
+        raise ValueError(
+            f"find_board wants an 8-bit grey picture, not {image.dtype} of shape {image.shape}"
+        )
     pictures = [image, np.asarray(255 - image, dtype=np.uint8)]
     finder = {"chessboard": _chessboard, "charuco": _charuco, "circles": _circles}[board.kind]
     for picture in pictures if inverted is None else [pictures[inverted]]:
@@ -114,11 +139,15 @@ def find_board(image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel(), i
         if found is not None:
             _refuse_blurred(found)
             return found
-    raise ViewRefusedError(f"no {board.columns} x {board.rows} {board.kind} found: is the whole board in the picture, sharp and lit?")
+    raise ViewRefusedError(
+        f"no {board.columns} x {board.rows} {board.kind} found: is the whole board in the picture,"
+        " sharp and lit?"
+    )
 
 
 def order_alike(first: Found, second: Found, board: Board) -> Found:
-    """``second`` counted from the end that ``first`` is counted from: for boards that read the same when turned by half a turn.
+    """``second`` counted from the end that ``first`` is counted from: for boards that read the same
+    when turned by half a turn.
 
     Both cameras are taken to stand upright to each other by less than a right angle.
     """
@@ -131,7 +160,9 @@ def order_alike(first: Found, second: Found, board: Board) -> Found:
 def _way(found: Found, board: Board) -> Array:
     """The direction of the rows in the picture."""
     grid = board.points_mm[found.ids, :2]
-    slopes = np.linalg.lstsq(np.column_stack([grid, np.ones(len(grid))]), found.pixels_px, rcond=None)[0]
+    slopes = np.linalg.lstsq(
+        np.column_stack([grid, np.ones(len(grid))]), found.pixels_px, rcond=None
+    )[0]
     return np.asarray(slopes[0])
 
 
@@ -143,13 +174,23 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
         return None
     grid = (board.rows, board.columns, 2)
     fine, window = sub_pixel.refine(image, corners, corners.reshape(grid))
-    if (astray := strays(fine.reshape(grid))).any():  # OpenCV's finder may leave one beside its place, too far for the window to get there
-        fine = np.where(astray[:, :, None], between_neighbours(fine.reshape(grid)), fine.reshape(grid)).astype(np.float32).reshape(-1, 1, 2)
+    # OpenCV's finder may leave one beside its place, too far for the window to get there
+    if (astray := strays(fine.reshape(grid))).any():
+        fine = (
+            np.where(astray[:, :, None], between_neighbours(fine.reshape(grid)), fine.reshape(grid))
+            .astype(np.float32)
+            .reshape(-1, 1, 2)
+        )
         fine, window = sub_pixel.refine(image, fine, fine.reshape(grid))
         if lost := int(strays(fine.reshape(grid)).sum()):
-            raise ViewRefusedError(f"{lost} corners lie beside their places among the others: does something cover the board, or glare?")
+            raise ViewRefusedError(
+                f"{lost} corners lie beside their places among the others: does something cover the"
+                " board, or glare?"
+            )
     pixels = np.asarray(fine.reshape(-1, 2), dtype=np.float64)
-    if not board.reads_the_same_turned and not _dark_before_first(image, pixels.reshape(board.rows, board.columns, 2)):
+    if not board.reads_the_same_turned and not _dark_before_first(
+        image, pixels.reshape(board.rows, board.columns, 2)
+    ):
         pixels = pixels[::-1].copy()
     return Found(np.arange(len(pixels)), pixels, _edges(image, shape, fine), window)
 
@@ -161,16 +202,21 @@ def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
     numbers = ids.reshape(-1).astype(np.intp)
     grid = np.full((board.rows * board.columns, 2), np.nan)
     grid[numbers] = corners.reshape(-1, 2)
-    to_marker = 0.5 * (1.0 - (board.marker_mm or 0.0) / board.pitch_mm)  # its corner must stay out of the window too
+    # its corner must stay out of the window too
+    to_marker = 0.5 * (1.0 - (board.marker_mm or 0.0) / board.pitch_mm)
     reach = min(REACH, to_marker)
-    fine, window = sub_pixel.refine(image, corners.reshape(-1, 1, 2).copy(), grid.reshape(board.rows, board.columns, 2), reach)
+    fine, window = sub_pixel.refine(
+        image, corners.reshape(-1, 1, 2).copy(), grid.reshape(board.rows, board.columns, 2), reach
+    )
     return Found(numbers, np.asarray(fine.reshape(-1, 2), dtype=np.float64), None, window)
 
 
 def _circles(image: Gray, board: Board, _: SubPixel) -> Found | None:
-    """Dark circles. OpenCV's finder is given the centres of gravity of dark blobs: its own blob detector wants 8 px and more.
+    """Dark circles. OpenCV's finder is given the centres of gravity of dark blobs: its own blob
+    detector wants 8 px and more.
 
-    Dark is what lies below one threshold for the whole picture; where that finds no board, as in the shade, what is darker than around it.
+    Dark is what lies below one threshold for the whole picture; where that finds no board, as in
+    the shade, what is darker than around it.
     """
     for dark in _darknesses(image):
         pixels = _grid_of_blobs(image, dark, board)
@@ -184,22 +230,42 @@ def _darknesses(image: Gray) -> Iterator[NDArray[Any]]:
     low, high = np.percentile(image, [1.0, 99.0])
     for share in AROUND:
         side = int(share * image.shape[1]) | 1
-        yield cv2.adaptiveThreshold(image, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, side, float(LEAST_STEP * (high - low)))
+        yield cv2.adaptiveThreshold(
+            image,
+            255,
+            cv2.ADAPTIVE_THRESH_MEAN_C,
+            cv2.THRESH_BINARY_INV,
+            side,
+            float(LEAST_STEP * (high - low)),
+        )
 
 
 def _grid_of_blobs(image: Gray, dark: NDArray[Any], board: Board) -> Array | None:
-    """The board's circles (n, 2) px among blobs of ``dark``, in the print's order; None where they make no grid."""
+    """The board's circles (n, 2) px among blobs of ``dark``, in the print's order; None where they
+    make no grid.
+    """
     count, labels, stats, _rough = cv2.connectedComponentsWithStats(dark)
     wanted = board.columns * board.rows
-    blobs = [n for n in range(1, count) if _round(stats[n], image.size / (2.0 * wanted)) and _whole(stats[n], image)]
+    blobs = [
+        n
+        for n in range(1, count)
+        if _round(stats[n], image.size / (2.0 * wanted)) and _whole(stats[n], image)
+    ]
     if len(blobs) < wanted:
         return None
     areas = stats[blobs, cv2.CC_STAT_AREA]
-    usual = float(np.sort(areas)[::-1][wanted // 2])  # specks are smaller and many; one circle is not much larger than another
-    blobs = [n for n, area in zip(blobs, areas, strict=True) if usual / MOST_UNLIKE < area < usual * MOST_UNLIKE]
+    # specks are smaller and many; one circle is not much larger than another
+    usual = float(np.sort(areas)[::-1][wanted // 2])
+    blobs = [
+        n
+        for n, area in zip(blobs, areas, strict=True)
+        if usual / MOST_UNLIKE < area < usual * MOST_UNLIKE
+    ]
     if not wanted <= len(blobs) <= MOST_BLOBS * wanted:
         return None
-    centres = np.array([_centre(image, labels, stats[n], n) for n in blobs], dtype=np.float32).reshape(-1, 1, 2)
+    centres = np.array(
+        [_centre(image, labels, stats[n], n) for n in blobs], dtype=np.float32
+    ).reshape(-1, 1, 2)
     shape, settings = (board.columns, board.rows), cv2.CirclesGridFinderParameters()
     # The manual allows None with points in place of a picture; OpenCV's type stubs don't.
     done, ordered = cv2.findCirclesGrid(centres, shape, cv2.CALIB_CB_SYMMETRIC_GRID, None, settings)  # type: ignore[call-overload]
@@ -207,9 +273,15 @@ def _grid_of_blobs(image: Gray, dark: NDArray[Any], board: Board) -> Array | Non
 
 
 def _round(box: NDArray[Any], largest: float) -> bool:
-    """Whether a blob of this box (left, top, width, height, area) may be a circle seen from somewhere."""
+    """Whether a blob of this box (left, top, width, height, area) may be a circle seen from
+    somewhere.
+    """
     width, height, area = (float(v) for v in box[2:5])
-    return 4.0 <= area <= largest and area >= LEAST_FILL * width * height and max(width, height) <= MOST_OBLONG * min(width, height)
+    return (
+        4.0 <= area <= largest
+        and area >= LEAST_FILL * width * height
+        and max(width, height) <= MOST_OBLONG * min(width, height)
+    )
 
 
 def _whole(box: NDArray[Any], image: Gray) -> bool:
@@ -218,38 +290,57 @@ def _whole(box: NDArray[Any], image: Gray) -> bool:
     return left > 0 and top > 0 and left + width < image.shape[1] and top + height < image.shape[0]
 
 
-def _centre(image: Gray, labels: NDArray[Any], box: NDArray[Any], number: int) -> tuple[float, float]:
-    """The centre of gravity of a dark blob's darkness, with the grey rim that the threshold cut off."""
+def _centre(
+    image: Gray, labels: NDArray[Any], box: NDArray[Any], number: int
+) -> tuple[float, float]:
+    """The centre of gravity of a dark blob's darkness, with the grey rim that the threshold cut
+    off.
+    """
     left, top, width, height = (int(v) for v in box[:4])
     rows, columns = slice(top - 1, top + height + 1), slice(left - 1, left + width + 1)
     part = image[rows, columns].astype(np.float64)
-    own = cv2.dilate((labels[rows, columns] == number).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    own = (
+        cv2.dilate((labels[rows, columns] == number).astype(np.uint8), np.ones((3, 3), np.uint8))
+        > 0
+    )
     weight = np.where(own, part[own].max() - part, 0.0)
     y, x = np.mgrid[rows, columns]
     return float((weight * x).sum() / weight.sum()), float((weight * y).sum() / weight.sum())
 
 
 def _largest_window(grid_px: NDArray[Any], reach: float) -> int:
-    """Half the side of the sub-pixel window that can't reach the next corner, for corners (rows, columns, 2)."""
+    """Half the side of the sub-pixel window that can't reach the next corner, for corners (rows,
+    columns, 2).
+    """
     steps = [np.linalg.norm(np.diff(grid_px, axis=axis), axis=2) for axis in (0, 1)]
     least = float(min(np.nanmin(step) for step in steps if np.isfinite(step).any()))
     return int(np.clip(reach * least, SMALLEST_WINDOW_PX, LARGEST_WINDOW_PX))
 
 
 def _dark_before_first(image: Gray, grid_px: Array) -> bool:
-    """Whether the square outside of the first corner, diagonally, is darker than its neighbours: the print's own first corner."""
+    """Whether the square outside of the first corner, diagonally, is darker than its neighbours:
+    the print's own first corner.
+    """
     first, right, down = grid_px[0, 0], grid_px[0, 1] - grid_px[0, 0], grid_px[1, 0] - grid_px[0, 0]
-    values = [_at(image, first + 0.5 * (a * right + b * down)) for a, b in ((-1, -1), (1, 1), (1, -1), (-1, 1))]
+    values = [
+        _at(image, first + 0.5 * (a * right + b * down))
+        for a, b in ((-1, -1), (1, 1), (1, -1), (-1, 1))
+    ]
     return values[0] + values[1] < values[2] + values[3]
 
 
 def _at(image: Gray, place_px: Array) -> float:
-    column, row = np.clip(np.rint(place_px).astype(int), 0, [image.shape[1] - 1, image.shape[0] - 1])
+    column, row = np.clip(
+        np.rint(place_px).astype(int), 0, [image.shape[1] - 1, image.shape[0] - 1]
+    )
     return float(image[row, column])
 
 
 def _edges(image: Gray, shape: tuple[int, int], corners: NDArray[Any]) -> tuple[float, float]:
-    along, across = (np.ravel(cv2.estimateChessboardSharpness(image, shape, corners, 0.8, vertical)[0]) for vertical in (False, True))
+    along, across = (
+        np.ravel(cv2.estimateChessboardSharpness(image, shape, corners, 0.8, vertical)[0])
+        for vertical in (False, True)
+    )
     return float(along[0]), float(across[0])
 
 
@@ -258,6 +349,12 @@ def _refuse_blurred(found: Found) -> None:
         return
     worse, better = max(found.edges_px), min(found.edges_px)
     if worse > BLURRED_PX and worse > MOVED_RATIO * better:
-        raise ViewRefusedError(f"the board moved: edges are {worse:.1f} px wide along one direction, {better:.1f} px along the other")
+        raise ViewRefusedError(
+            f"the board moved: edges are {worse:.1f} px wide along one direction, {better:.1f} px"
+            " along the other"
+        )
     if worse > BLURRED_PX:
-        raise ViewRefusedError(f"blurred: edges are {worse:.1f} px wide, at most {BLURRED_PX:g} px are of use; focus, or hold it still")
+        raise ViewRefusedError(
+            f"blurred: edges are {worse:.1f} px wide, at most {BLURRED_PX:g} px are of use; focus,"
+            " or hold it still"
+        )

@@ -1,7 +1,9 @@
-"""What a set of views shows of a camera: how much of the picture, which tilts, which distances; and what is still missing, in words.
+"""What a set of views shows of a camera: how much of the picture, which tilts, which distances; and
+what is still missing, in words.
 
-Strategy: counts over a few cells and bins, each with a least number; the guide names the emptiest first. The bins are wide on purpose: a
-person with a board in the hands shall be done in some 20 views. May not know how the poses were found.
+Strategy: counts over a few cells and bins, each with a least number; the guide names the emptiest
+first. The bins are wide on purpose: a person with a board in the hands shall be done in some 20
+views. May not know how the poses were found.
 """
 
 from __future__ import annotations
@@ -20,19 +22,30 @@ TILT_DEG = 15.0  # from here on a view counts as tilted to a side
 LEAST_TILTED = 2  # views a side
 DISTANCE_RATIO = 1.3  # farthest over nearest view
 LEAST_VIEWS = 12
-FOCAL_OVER_WIDTH = (0.5, 8.0)  # what a rough focal length is believed to be, in widths of the picture
+# what a rough focal length is believed to be, in widths of the picture
+FOCAL_OVER_WIDTH = (0.5, 8.0)
 SIDES = (
     "its left edge towards the cameras",
     "its right edge towards the cameras",
     "its upper edge towards the cameras",
     "its lower edge towards the cameras",
 )
-_CELL_NAMES_ROWS, _CELL_NAMES_COLUMNS = ("top", "middle", "bottom"), ("far left", "left", "right", "far right")
+_CELL_NAMES_ROWS, _CELL_NAMES_COLUMNS = (
+    ("top", "middle", "bottom"),
+    (
+        "far left",
+        "left",
+        "right",
+        "far right",
+    ),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
-    """``corners`` (ROWS, COLUMNS) seen in each cell of the picture; ``tilted`` views by `SIDES`; distances in mm, nearest and farthest."""
+    """``corners`` (ROWS, COLUMNS) seen in each cell of the picture; ``tilted`` views by `SIDES`;
+    distances in mm, nearest and farthest.
+    """
 
     views: int
     corners: Array
@@ -50,7 +63,10 @@ class Coverage:
         return (*self._area(), *self._tilts(), *self._distance(), *self._count())
 
     def _area(self) -> list[str]:
-        empty = [f"{_CELL_NAMES_ROWS[row]} {_CELL_NAMES_COLUMNS[column]}" for row, column in np.argwhere(self.corners < LEAST_CORNERS)]
+        empty = [
+            f"{_CELL_NAMES_ROWS[row]} {_CELL_NAMES_COLUMNS[column]}"
+            for row, column in np.argwhere(self.corners < LEAST_CORNERS)
+        ]
         return [f"show the board in the picture's {', '.join(empty)}"] if empty else []
 
     def _tilts(self) -> list[str]:
@@ -70,11 +86,17 @@ class Coverage:
         return [f"{more} more view{'s' if more > 1 else ''}"] if more > 0 else []
 
 
-def coverage(pixels_px: Sequence[Array], image_size: tuple[int, int], poses: Sequence[Motion] = ()) -> Coverage:
-    """Of views with corners (n, 2) each, in a picture of (columns, rows) px; ``poses`` (camera_from_board) where they are known."""
+def coverage(
+    pixels_px: Sequence[Array], image_size: tuple[int, int], poses: Sequence[Motion] = ()
+) -> Coverage:
+    """Of views with corners (n, 2) each, in a picture of (columns, rows) px; ``poses``
+    (camera_from_board) where they are known.
+    """
     corners = np.zeros((ROWS, COLUMNS), dtype=np.float64)
     for pixels in pixels_px:
-        cell = np.clip((pixels + 0.5) / image_size * (COLUMNS, ROWS), 0, (COLUMNS - 1e-9, ROWS - 1e-9)).astype(int)
+        cell = np.clip(
+            (pixels + 0.5) / image_size * (COLUMNS, ROWS), 0, (COLUMNS - 1e-9, ROWS - 1e-9)
+        ).astype(int)
         np.add.at(corners, (cell[:, 1], cell[:, 0]), 1.0)
     tilted = np.zeros(4, dtype=int)
     for pose in poses:
@@ -84,18 +106,30 @@ def coverage(pixels_px: Sequence[Array], image_size: tuple[int, int], poses: Seq
     return Coverage(len(pixels_px), corners, sides, (min(depths), max(depths)) if depths else None)
 
 
-def rough_poses(board_mm: Sequence[Array], pixels_px: Sequence[Array], image_size: tuple[int, int]) -> list[Motion]:
-    """camera_from_board of views, points (n, 3) mm each seen at (n, 2) px, by a lens that is only guessed from them: for a guide.
+def rough_poses(
+    board_mm: Sequence[Array], pixels_px: Sequence[Array], image_size: tuple[int, int]
+) -> list[Motion]:
+    """camera_from_board of views, points (n, 3) mm each seen at (n, 2) px, by a lens that is only
+    guessed from them: for a guide.
 
-    The focal length is OpenCV's first guess (Zhang 2000, closed form), the principal point the middle, distortion none.
+    The focal length is OpenCV's first guess (Zhang 2000, closed form), the principal point the
+    middle, distortion none.
     """
     if not board_mm:
         return []
-    object_points, image_points = ([np.asarray(part, dtype=np.float32) for part in parts] for parts in (board_mm, pixels_px))
+    object_points, image_points = (
+        [np.asarray(part, dtype=np.float32) for part in parts] for parts in (board_mm, pixels_px)
+    )
     guessed = float(cv2.initCameraMatrix2D(object_points, image_points, image_size, 1.0)[0, 0])
     low, high = (ratio * image_size[0] for ratio in FOCAL_OVER_WIDTH)
     focal = min(max(guessed, low), high) if np.isfinite(guessed) else float(image_size[0])
-    K = np.array([[focal, 0.0, (image_size[0] - 1) / 2], [0.0, focal, (image_size[1] - 1) / 2], [0.0, 0.0, 1.0]])
+    K = np.array(
+        [
+            [focal, 0.0, (image_size[0] - 1) / 2],
+            [0.0, focal, (image_size[1] - 1) / 2],
+            [0.0, 0.0, 1.0],
+        ]
+    )
     poses = []
     for board, pixels in zip(object_points, image_points, strict=True):
         _, turn, shift = cv2.solvePnP(board, pixels, K, np.zeros(5), flags=cv2.SOLVEPNP_IPPE)
@@ -104,8 +138,11 @@ def rough_poses(board_mm: Sequence[Array], pixels_px: Sequence[Array], image_siz
 
 
 def _leans(pose: Motion) -> Array:
-    """Which of `SIDES` the view is tilted to, (4,) of 0 and 1: by the normal of the board, as the camera sees it."""
+    """Which of `SIDES` the view is tilted to, (4,) of 0 and 1: by the normal of the board, as the
+    camera sees it.
+    """
     normal = pose.R[:, 2] * (1.0 if pose.R[2, 2] > 0 else -1.0)
     x, y = np.degrees(np.arcsin(np.clip(normal[:2], -1.0, 1.0)))
-    # a normal (away from the camera) that points to the right means that the left edge is farther away
+    # a normal (away from the camera) that points to the right means that the left edge is farther
+    # away
     return np.array([x < -TILT_DEG, x > TILT_DEG, y < -TILT_DEG, y > TILT_DEG], dtype=int)

@@ -1,15 +1,18 @@
-"""The text of a calibration file: what `file.load_calibration` reads back. The module may not know where it will be kept.
+"""The text of a calibration file: what `file.load_calibration` reads back. The module may not know
+where it will be kept.
 
 What can be wrong with a calibration file, and the checks of single values.
 
-Strategy: a check takes what TOML gave and returns the value or raises `Wrong` with a sentence; it knows neither the key nor the file. The
-reader gathers every fault before it complains, keyed by where it is, so that whoever has the text can point at the line.
+Strategy: a check takes what TOML gave and returns the value or raises `Wrong` with a sentence; it
+knows neither the key nor the file. The reader gathers every fault before it complains, keyed by
+where it is, so that whoever has the text can point at the line.
 
 The calibration file of a recording or a rig: TOML in, `Calibration` out.
 
-Strategy: one table says which keys a block has and how each is checked; the reader walks it, gathers every fault there is, and builds the
-value only from a file without any. What the file may leave out (a skew, a homography, a thermal lens) is decided in one place each.
-The module may not know who reads a fault to whom: it gives dotted keys, not lines.
+Strategy: one table says which keys a block has and how each is checked; the reader walks it,
+gathers every fault there is, and builds the value only from a file without any. What the file may
+leave out (a skew, a homography, a thermal lens) is decided in one place each. The module may not
+know who reads a fault to whom: it gives dotted keys, not lines.
 """
 
 from __future__ import annotations
@@ -29,25 +32,49 @@ import numpy as np
 
 from detector.calibration.homographies import DEFAULT_PLANE_DEPTH_MM, derive_homographies
 from detector.calibration.uncertainty import ParameterCovariance
-from detector.calibration.values import POLARITIES, Calibration, Homographies, Part, Polarity, Record, ThermalCamera
+from detector.calibration.values import (
+    POLARITIES,
+    Calibration,
+    Homographies,
+    Part,
+    Polarity,
+    Record,
+    ThermalCamera,
+)
 from detector.geometry import Array, Camera, Motion
 
-MEANING = {"stereo": "X_right = R(om) X_left + T", "thermal": "X_thermal = R(om) X_left + T", "world": "X_world = R(om) X_right + T"}
+MEANING = {
+    "stereo": "X_right = R(om) X_left + T",
+    "thermal": "X_thermal = R(om) X_left + T",
+    "world": "X_world = R(om) X_right + T",
+}
 
 
 def dump_calibration(calibration: Calibration | Part, heading: str = "") -> str:
-    """The file's text; `load_calibration` reads a whole one back, `load_part` a part. Each line of `heading` becomes a comment at the top.
+    """The file's text; `load_calibration` reads a whole one back, `load_part` a part. Each line of
+    `heading` becomes a comment at the top.
 
-    Numbers are rounded to 10 significant digits, far beyond what any calibration holds; a covariance to 12, or it might lose its sign.
+    Numbers are rounded to 10 significant digits, far beyond what any calibration holds; a
+    covariance to 12, or it might lose its sign.
     """
     part = calibration if isinstance(calibration, Part) else calibration.part
     lines = [f"# {line}".rstrip() for line in heading.splitlines()] + [""]
     for name, camera in (("left", part.left), ("right", part.right)):
-        lines += [f"[cameras.{name}]", *_lens_lines(camera.image_size, camera), ""] if camera else []
+        lines += (
+            [f"[cameras.{name}]", *_lens_lines(camera.image_size, camera), ""] if camera else []
+        )
     lines += _thermal_lines(part.thermal) if part.thermal else []
-    poses = {"stereo": part.right_from_left, "thermal": part.thermal_from_left, "world": part.world_from_right}
+    poses = {
+        "stereo": part.right_from_left,
+        "thermal": part.thermal_from_left,
+        "world": part.world_from_right,
+    }
     for name, pose in poses.items():
-        lines += [f"[{name}]    # {MEANING[name]}", f"om = {_text(pose.om)}", f"T = {_text(pose.T)}", ""] if pose else []
+        lines += (
+            [f"[{name}]    # {MEANING[name]}", f"om = {_text(pose.om)}", f"T = {_text(pose.T)}", ""]
+            if pose
+            else []
+        )
     lines += _homography_lines(part.homographies) if part.homographies else []
     lines += _covariance_lines(part.covariance) + _record_lines(part.record)
     return "\n".join(lines).rstrip("\n") + "\n"
@@ -65,8 +92,12 @@ def _thermal_lines(thermal: ThermalCamera) -> list[str]:
 
 
 def _homography_lines(maps: Homographies) -> list[str]:
-    depth = [] if maps.plane_depth_mm is None else [f"plane_depth_mm = {_text(maps.plane_depth_mm)}"]
-    heading = "[homography]    # un-mirrored thermal pixel -> optical pixel, right on one plane only"
+    depth = (
+        [] if maps.plane_depth_mm is None else [f"plane_depth_mm = {_text(maps.plane_depth_mm)}"]
+    )
+    heading = (
+        "[homography]    # un-mirrored thermal pixel -> optical pixel, right on one plane only"
+    )
     return [heading, f"left = {_text(maps.left)}", f"right = {_text(maps.right)}", *depth]
 
 
@@ -75,7 +106,10 @@ def _covariance_lines(covariance: ParameterCovariance | None) -> list[str]:
     if covariance is None:
         return []
     names = ", ".join(f'"{owner} {name}"' for owner, name in covariance.names)
-    rows = [f"  [{', '.join(_text(v, 12) for v in row[: at + 1])}]," for at, row in enumerate(covariance.matrix)]
+    rows = [
+        f"  [{', '.join(_text(v, 12) for v in row[: at + 1])}],"
+        for at, row in enumerate(covariance.matrix)
+    ]
     return [
         "",
         "[uncertainty]    # covariance of the fitted parameters, lower triangle",
@@ -93,23 +127,37 @@ def _record_lines(record: Record | None) -> list[str]:
     texts = {"made": record.made, "by": record.by, "with_what": record.with_what}
     lines = ["", "[record]", *(f"{key} = {_quoted(value)}" for key, value in texts.items())]
     for key, table in tables.items():
-        lines += ["", f"[record.{key}]", *(f"{_quoted(name)} = {_quoted(value)}" for name, value in table.items())]
+        lines += [
+            "",
+            f"[record.{key}]",
+            *(f"{_quoted(name)} = {_quoted(value)}" for name, value in table.items()),
+        ]
     return lines
 
 
 def _quoted(text: str) -> str:
-    """A basic string of TOML: JSON's escapes are among TOML's, all but the delete character's, which JSON leaves as it is."""
+    """A basic string of TOML: JSON's escapes are among TOML's, all but the delete character's,
+    which JSON leaves as it is.
+    """
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _lens_lines(image_size: tuple[int, int], lens: Camera | None) -> list[str]:
-    given = [] if lens is None else [f"{name} = {_text(getattr(lens, name))}" for name in ("fc", "cc", "alpha_c", "kc")]
+    given = (
+        []
+        if lens is None
+        else [f"{name} = {_text(getattr(lens, name))}" for name in ("fc", "cc", "alpha_c", "kc")]
+    )
     return [f"image_size = {list(image_size)}", *given]
 
 
 def _text(value: Any, digits: int = 10) -> str:
     array = np.asarray(value, dtype=np.float64)
-    return repr(float(f"{array:.{digits}g}")) if array.ndim == 0 else f"[{', '.join(_text(v, digits) for v in array)}]"
+    return (
+        repr(float(f"{array:.{digits}g}"))
+        if array.ndim == 0
+        else f"[{', '.join(_text(v, digits) for v in array)}]"
+    )
 
 
 Key = tuple[str, ...]
@@ -127,13 +175,17 @@ class Fault:
 
 
 class CalibrationError(ValueError):
-    """A calibration file that can't be used, with every fault in it. Raised by `load_calibration` and by nothing else."""
+    """A calibration file that can't be used, with every fault in it. Raised by `load_calibration`
+    and by nothing else.
+    """
 
     def __init__(self, path: Path, faults: Sequence[Fault]) -> None:
         self.path = path
         self.faults = tuple(faults)
         count = f"{len(faults)} fault{'' if len(faults) == 1 else 's'}"
-        super().__init__("\n".join([f"calibration {path}: {count}", *(f"  {fault}" for fault in faults)]))
+        super().__init__(
+            "\n".join([f"calibration {path}: {count}", *(f"  {fault}" for fault in faults)])
+        )
 
 
 class Wrong(Exception):  # noqa: N818 (a check's verdict, caught by the reader; never seen by a caller)
@@ -188,7 +240,11 @@ def positive(value: Any) -> float:
 
 def size(value: Any) -> tuple[int, int]:
     """A check for [columns, rows]: two whole numbers from 1 to 65535."""
-    if not isinstance(value, list) or len(value) != 2 or any(isinstance(v, bool) or not isinstance(v, int) for v in value):
+    if (
+        not isinstance(value, list)
+        or len(value) != 2
+        or any(isinstance(v, bool) or not isinstance(v, int) for v in value)
+    ):
         raise Wrong("must be [columns, rows], two whole numbers of pixels")
     if not all(1 <= v <= 65535 for v in value):
         raise Wrong(f"must be [columns, rows] of 1 to 65535 pixels, got {value}")
@@ -209,7 +265,10 @@ def one_of(allowed: Sequence[str]) -> Callable[[Any], str]:
         if value in allowed and isinstance(value, str):
             return value
         near = get_close_matches(str(value), allowed, n=1)
-        raise Wrong(f"must be one of {', '.join(map(repr, allowed))}, got {value!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
+        raise Wrong(
+            f"must be one of {', '.join(map(repr, allowed))}, got {value!r}"
+            + (f"; did you mean {near[0]!r}?" if near else "")
+        )
 
     return check
 
@@ -253,7 +312,9 @@ def words(value: Any) -> dict[str, str]:
 
 
 def parameters(value: Any) -> tuple[tuple[str, str], ...]:
-    """A check for names of parameters: an array of "owner name"; a thermal pose's owner has two words."""
+    """A check for names of parameters: an array of "owner name"; a thermal pose's owner has two
+    words.
+    """
     if not isinstance(value, list) or not all(isinstance(v, str) and " " in v for v in value):
         raise Wrong('must be an array of names such as "left fx" or "stereo T1"')
     return tuple((v.rpartition(" ")[0], v.rpartition(" ")[2]) for v in value)
@@ -271,11 +332,22 @@ def triangle(value: Any) -> tuple[tuple[float, ...], ...]:
 def unknown(key: str, allowed: Sequence[str], what: str) -> str:
     """What to say about a key that nothing knows, with the nearest one that exists."""
     near = get_close_matches(key, allowed, n=1)
-    return f"unknown {what}; did you mean {near[0]!r}?" if near else f"unknown {what}; there are: {', '.join(allowed)}"
+    return (
+        f"unknown {what}; did you mean {near[0]!r}?"
+        if near
+        else f"unknown {what}; there are: {', '.join(allowed)}"
+    )
 
 
 def _kind(value: Any) -> str:
-    names = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "an array", dict: "a table"}
+    names = {
+        bool: "true or false",
+        int: "a number",
+        float: "a number",
+        str: "text",
+        list: "an array",
+        dict: "a table",
+    }
     return names.get(type(value), type(value).__name__)
 
 
@@ -288,11 +360,19 @@ _LENS: dict[str, Check] = {
     "kc": numbers(5, "k1, k2, p1, p2, k3"),
 }
 _CAMERA: dict[str, Check] = {"image_size": size, **_LENS}
-_POSE: dict[str, Check] = {"om": numbers(3, "a rotation vector in rad"), "T": numbers(3, "a translation in mm")}
+_POSE: dict[str, Check] = {
+    "om": numbers(3, "a rotation vector in rad"),
+    "T": numbers(3, "a translation in mm"),
+}
 _BLOCKS: dict[Key, dict[str, Check]] = {
     ("cameras", "left"): _CAMERA,
     ("cameras", "right"): _CAMERA,
-    ("cameras", "thermal"): {**_CAMERA, "sensor_size": size, "mirrored": flag, "polarity": one_of(POLARITIES)},
+    ("cameras", "thermal"): {
+        **_CAMERA,
+        "sensor_size": size,
+        "mirrored": flag,
+        "polarity": one_of(POLARITIES),
+    },
     ("stereo",): _POSE,
     ("thermal",): _POSE,
     ("world",): _POSE,
@@ -305,16 +385,28 @@ _NEVER_REQUIRED = {"alpha_c", "plane_depth_mm"}
 
 
 def load_calibration(path: Path) -> Calibration:
-    """The calibration in a file of the recording format. Raises CalibrationError with every fault, and for a file that can't be read."""
+    """The calibration in a file of the recording format. Raises CalibrationError with every fault,
+    and for a file that can't be read.
+    """
     blocks = _checked(path, whole=True)
     try:
         return _build(blocks)
-    except ValueError as error:  # no homography can be derived: the one thing that only shows once the parts are together
-        raise CalibrationError(path, [Fault(("homography",) if ("homography",) in blocks.found else ("thermal",), str(error))]) from None
+    # no homography can be derived: the one thing that only shows once the parts are together
+    except ValueError as error:
+        raise CalibrationError(
+            path,
+            [
+                Fault(
+                    ("homography",) if ("homography",) in blocks.found else ("thermal",), str(error)
+                )
+            ],
+        ) from None
 
 
 def load_part(path: Path) -> Part:
-    """What a file of the same format holds that need not be whole: one step's result. Raises CalibrationError as `load_calibration`."""
+    """What a file of the same format holds that need not be whole: one step's result. Raises
+    CalibrationError as `load_calibration`.
+    """
     found = _checked(path, whole=False).found
     seen, maps = found.get(("cameras", "thermal")), found.get(("homography",), {})
     return Part(
@@ -345,13 +437,17 @@ def _checked(path: Path, *, whole: bool) -> _Blocks:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of the file's bytes, hexadecimal: the calibration's identity in a report. Raises OSError where it can't be read."""
+    """SHA-256 of the file's bytes, hexadecimal: the calibration's identity in a report. Raises
+    OSError where it can't be read.
+    """
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @dataclass(slots=True)
 class _Blocks:
-    """The file's blocks while they are checked: values that passed, by block, and the faults so far."""
+    """The file's blocks while they are checked: values that passed, by block, and the faults so
+    far.
+    """
 
     document: Mapping[str, Any]
     whole: bool  # or a part, which may leave out any block
@@ -370,8 +466,14 @@ class _Blocks:
         self._check_baseline()
         self._check_covariance()
 
-    def _check_names(self, at: Key, table: Mapping[str, Any], allowed: list[str], what: str) -> None:
-        self.faults += [Fault((*at, name), unknown(name, allowed, what)) for name in table if name not in allowed]
+    def _check_names(
+        self, at: Key, table: Mapping[str, Any], allowed: list[str], what: str
+    ) -> None:
+        self.faults += [
+            Fault((*at, name), unknown(name, allowed, what))
+            for name in table
+            if name not in allowed
+        ]
 
     def _check_block(self, key: Key) -> None:
         table: Any = self.document
@@ -382,7 +484,9 @@ class _Blocks:
                 self.faults.append(Fault(key, f"missing block [{'.'.join(key)}]"))
             return
         if not isinstance(table, dict):
-            self.faults.append(Fault(key, f"must be a block [{'.'.join(key)}] of keys, not a single value"))
+            self.faults.append(
+                Fault(key, f"must be a block [{'.'.join(key)}] of keys, not a single value")
+            )
             return
         checks = _BLOCKS[key]
         self._check_names(key, table, list(checks), "key")
@@ -400,7 +504,9 @@ class _Blocks:
             self.faults.append(Fault(key, str(wrong)))
 
     def _check_thermal(self) -> None:
-        """A thermal camera is calibrated (lens and pose), or not (neither); without it both homographies must be given."""
+        """A thermal camera is calibrated (lens and pose), or not (neither); without it both
+        homographies must be given.
+        """
         camera, maps = self.document.get("cameras"), self.document.get("homography")
         camera = camera.get("thermal") if isinstance(camera, dict) else None
         if not isinstance(camera, dict):
@@ -413,23 +519,41 @@ class _Blocks:
                 if n not in camera and n not in _NEVER_REQUIRED
             ]
         if lens and not pose:
-            self.faults.append(Fault(("thermal",), "missing block [thermal] (om, T): cameras.thermal has a lens but no pose"))
+            self.faults.append(
+                Fault(
+                    ("thermal",),
+                    "missing block [thermal] (om, T): cameras.thermal has a lens but no pose",
+                )
+            )
         if pose and not lens:
-            self.faults.append(Fault(("cameras", "thermal", "fc"), "missing (fc, cc, kc): there is a pose in [thermal] but no lens"))
+            self.faults.append(
+                Fault(
+                    ("cameras", "thermal", "fc"),
+                    "missing (fc, cc, kc): there is a pose in [thermal] but no lens",
+                )
+            )
         given = [name for name in ("left", "right") if isinstance(maps, dict) and name in maps]
         if len(given) == 1 or (not given and not (lens and pose)):
-            why = "missing; both are needed" + ("" if lens and pose else " where the thermal camera has no pose")
-            self.faults += [Fault(("homography", n), why) for n in ("left", "right") if n not in given]
+            why = "missing; both are needed" + (
+                "" if lens and pose else " where the thermal camera has no pose"
+            )
+            self.faults += [
+                Fault(("homography", n), why) for n in ("left", "right") if n not in given
+            ]
 
     def _check_baseline(self) -> None:
         if self.found.get(("stereo",), {}).get("T") == (0.0, 0.0, 0.0):
-            self.faults.append(Fault(("stereo", "T"), "must not be zero: two cameras in one place see no depth"))
+            self.faults.append(
+                Fault(("stereo", "T"), "must not be zero: two cameras in one place see no depth")
+            )
 
     def _check_covariance(self) -> None:
         given = self.found.get(("uncertainty",), {})
         if len(given) == 2:
             try:
-                given["matrix"] = ParameterCovariance(given["parameters"], _symmetric(given["covariance"]))
+                given["matrix"] = ParameterCovariance(
+                    given["parameters"], _symmetric(given["covariance"])
+                )
             except ValueError as error:
                 self.faults.append(Fault(("uncertainty", "covariance"), str(error)))
 
@@ -443,14 +567,26 @@ def _symmetric(triangle: tuple[tuple[float, ...], ...]) -> Array:
 
 
 def _not_required(key: Key) -> set[str]:
-    """Keys that a block may leave out here; `_check_thermal` says when the thermal ones are needed after all."""
-    return _NEVER_REQUIRED | {("cameras", "thermal"): set(_LENS), ("homography",): {"left", "right"}}.get(key, set())
+    """Keys that a block may leave out here; `_check_thermal` says when the thermal ones are needed
+    after all.
+    """
+    return _NEVER_REQUIRED | {
+        ("cameras", "thermal"): set(_LENS),
+        ("homography",): {"left", "right"},
+    }.get(key, set())
 
 
 def _build(blocks: _Blocks) -> Calibration:
     found = blocks.found
-    left, right, thermal = _camera(found["cameras", "left"]), _camera(found["cameras", "right"]), _thermal(found["cameras", "thermal"])
-    right_from_left, thermal_from_left = _motion(found["stereo",]), _motion(found["thermal",]) if thermal.lens else None
+    left, right, thermal = (
+        _camera(found["cameras", "left"]),
+        _camera(found["cameras", "right"]),
+        _thermal(found["cameras", "thermal"]),
+    )
+    right_from_left, thermal_from_left = (
+        _motion(found["stereo",]),
+        (_motion(found["thermal",]) if thermal.lens else None),
+    )
     maps = found.get(("homography",), {})
     if "left" in maps:
         homographies = _given_maps(maps)
@@ -460,13 +596,32 @@ def _build(blocks: _Blocks) -> Calibration:
         lens, pose = cast(Camera, thermal.lens), cast(Motion, thermal_from_left)
         homographies = derive_homographies(lens, left, right, pose, right_from_left, depth_mm)
     record = Record(**found["record",]) if ("record",) in found else None
-    world_from_right, covariance = _motion(found["world",]), found.get(("uncertainty",), {}).get("matrix")
-    return Calibration(left, right, thermal, right_from_left, thermal_from_left, world_from_right, homographies, covariance, record)
+    world_from_right, covariance = (
+        _motion(found["world",]),
+        found.get(("uncertainty",), {}).get("matrix"),
+    )
+    return Calibration(
+        left,
+        right,
+        thermal,
+        right_from_left,
+        thermal_from_left,
+        world_from_right,
+        homographies,
+        covariance,
+        record,
+    )
 
 
 def _thermal(seen: Mapping[str, Any]) -> ThermalCamera:
     lens = _camera(seen) if "fc" in seen else None
-    return ThermalCamera(seen["image_size"], seen["sensor_size"], seen["mirrored"], cast(Polarity, seen["polarity"]), lens)
+    return ThermalCamera(
+        seen["image_size"],
+        seen["sensor_size"],
+        seen["mirrored"],
+        cast(Polarity, seen["polarity"]),
+        lens,
+    )
 
 
 def _given_maps(maps: Mapping[str, Any]) -> Homographies:
@@ -474,7 +629,9 @@ def _given_maps(maps: Mapping[str, Any]) -> Homographies:
 
 
 def _camera(table: Mapping[str, Any]) -> Camera:
-    return Camera(table["image_size"], table["fc"], table["cc"], table.get("alpha_c", 0.0), table["kc"])
+    return Camera(
+        table["image_size"], table["fc"], table["cc"], table.get("alpha_c", 0.0), table["kc"]
+    )
 
 
 def _motion(table: Mapping[str, Any]) -> Motion:
@@ -485,6 +642,15 @@ def _read(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:
-        raise CalibrationError(path, [Fault((), f"can't be read: {error.strerror or error}")]) from None
+        raise CalibrationError(
+            path, [Fault((), f"can't be read: {error.strerror or error}")]
+        ) from None
     except UnicodeDecodeError as error:
-        raise CalibrationError(path, [Fault((), f"is not UTF-8 text: byte {error.start} is {error.object[error.start]:#04x}")]) from None
+        raise CalibrationError(
+            path,
+            [
+                Fault(
+                    (), f"is not UTF-8 text: byte {error.start} is {error.object[error.start]:#04x}"
+                )
+            ],
+        ) from None

@@ -1,12 +1,14 @@
 """Homographies from thermal to optical pixels out of point pairs, as the thesis made them by hand.
 
-Strategy: OpenCV's RANSAC, then a least-squares fit of the inliers; which pairs were left out is part of the answer. A homography is right
-on the plane of its points and nowhere else. May not know where the pairs come from.
+Strategy: OpenCV's RANSAC, then a least-squares fit of the inliers; which pairs were left out is
+part of the answer. A homography is right on the plane of its points and nowhere else. May not know
+where the pairs come from.
 
 Homographies from a thermal camera with a pose: what one plane looks like from both cameras.
 
-Strategy: carry a grid of thermal pixels to the plane and into the optical camera through the full lens models, then fit the homography to
-the pairs. Lens distortion makes that a fit and not an identity; its residual is a few tenths of a pixel on the thesis's rig.
+Strategy: carry a grid of thermal pixels to the plane and into the optical camera through the full
+lens models, then fit the homography to the pairs. Lens distortion makes that a fit and not an
+identity; its residual is a few tenths of a pixel on the thesis's rig.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ RANSAC_SEED = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MappedPairs:
-    """The homography (3, 3) from un-mirrored thermal px to optical px, which pairs (n,) it holds for, and by how much it misses each.
+    """The homography (3, 3) from un-mirrored thermal px to optical px, which pairs (n,) it holds
+    for, and by how much it misses each.
 
     ``missed_px`` (n,), over all pairs.
     """
@@ -43,39 +46,59 @@ class MappedPairs:
 
 
 def fit_homography(thermal_px: ArrayLike, optical_px: ArrayLike) -> MappedPairs:
-    """From pairs (n, 2) each. Raises ValueError for too few, or for points that determine none (all on one line)."""
+    """From pairs (n, 2) each. Raises ValueError for too few, or for points that determine none (all
+    on one line).
+    """
     thermal, optical = (np.asarray(points, dtype=np.float64) for points in (thermal_px, optical_px))
     if len(thermal) != len(optical) or len(thermal) < LEAST_PAIRS:
-        raise ValueError(f"a homography needs at least {LEAST_PAIRS} pairs, got {len(thermal)} thermal and {len(optical)} optical points")
+        raise ValueError(
+            f"a homography needs at least {LEAST_PAIRS} pairs, got {len(thermal)} thermal and"
+            f" {len(optical)} optical points"
+        )
     for points, which in ((thermal, "thermal"), (optical, "optical")):
         extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
         if extent[1] < 1e-3 * extent[0]:
-            raise ValueError(f"the {which} points lie on one line: they must spread over the picture")
+            raise ValueError(
+                f"the {which} points lie on one line: they must spread over the picture"
+            )
     cv2.setRNGSeed(RANSAC_SEED)
     H, marked = cv2.findHomography(thermal, optical, cv2.RANSAC, RANSAC_PX)
     if H is None or int(marked.sum()) < LEAST_PAIRS:
         raise ValueError(
-            "no homography holds for six of the pairs: are thermal and optical columns swapped, or is the picture still mirrored?"
+            "no homography holds for six of the pairs: are thermal and optical columns swapped, or"
+            " is the picture still mirrored?"
         )
     inliers = np.asarray(marked.reshape(-1) > 0)
-    refined = np.asarray(cv2.findHomography(thermal[inliers], optical[inliers], 0)[0], dtype=np.float64)
-    return MappedPairs(refined, inliers, np.linalg.norm(apply_homography(refined, thermal) - optical, axis=1))
+    refined = np.asarray(
+        cv2.findHomography(thermal[inliers], optical[inliers], 0)[0], dtype=np.float64
+    )
+    return MappedPairs(
+        refined, inliers, np.linalg.norm(apply_homography(refined, thermal) - optical, axis=1)
+    )
 
 
-# Of the mean teat end of table 5.2 in the thesis's rig, to a millimetre: for a rig whose file names no plane.
+# Of the mean teat end of table 5.2 in the thesis's rig, to a millimetre: for a rig whose file names
+# no plane.
 DEFAULT_PLANE_DEPTH_MM = 1076.0
 
 _GRID = 21
 
 
 def thermal_grid(image_size: tuple[int, int]) -> Array:
-    """Pixels (441, 2) spread evenly over a picture of image_size (columns, rows), its corners among them."""
-    x, y = np.meshgrid(np.linspace(0, image_size[0] - 1, _GRID), np.linspace(0, image_size[1] - 1, _GRID))
+    """Pixels (441, 2) spread evenly over a picture of image_size (columns, rows), its corners among
+    them.
+    """
+    x, y = np.meshgrid(
+        np.linspace(0, image_size[0] - 1, _GRID), np.linspace(0, image_size[1] - 1, _GRID)
+    )
     return np.column_stack([x.ravel(), y.ravel()])
 
 
-def through_plane(thermal_px: Array, thermal: Camera, thermal_from_right: Motion, plane_depth_mm: float) -> Array:
-    """Points (n, 3) in the right camera's frame where the rays of thermal pixels (n, 2) meet the plane Z = plane_depth_mm of that frame.
+def through_plane(
+    thermal_px: Array, thermal: Camera, thermal_from_right: Motion, plane_depth_mm: float
+) -> Array:
+    """Points (n, 3) in the right camera's frame where the rays of thermal pixels (n, 2) meet the
+    plane Z = plane_depth_mm of that frame.
 
     NaN where the plane lies behind the thermal camera.
     """
@@ -87,18 +110,30 @@ def through_plane(thermal_px: Array, thermal: Camera, thermal_from_right: Motion
 
 
 def plane_homography(
-    thermal: Camera, optical: Camera, thermal_from_right: Motion, optical_from_right: Motion, plane_depth_mm: float
+    thermal: Camera,
+    optical: Camera,
+    thermal_from_right: Motion,
+    optical_from_right: Motion,
+    plane_depth_mm: float,
 ) -> Array:
-    """The (3, 3) homography, last entry 1, from un-mirrored thermal pixels to optical pixels on the plane Z = plane_depth_mm.
+    """The (3, 3) homography, last entry 1, from un-mirrored thermal pixels to optical pixels on the
+    plane Z = plane_depth_mm.
 
-    The plane is parallel to the right camera's image plane. Raises ValueError where the plane isn't in front of both cameras.
+    The plane is parallel to the right camera's image plane. Raises ValueError where the plane isn't
+    in front of both cameras.
     """
     grid = thermal_grid(thermal.image_size)
-    seen = optical.project(optical_from_right.apply(through_plane(grid, thermal, thermal_from_right, plane_depth_mm)))
+    seen = optical.project(
+        optical_from_right.apply(through_plane(grid, thermal, thermal_from_right, plane_depth_mm))
+    )
     kept = np.all(np.isfinite(seen), axis=1)
     if not plane_depth_mm > 0 or np.count_nonzero(kept) < len(grid):
-        raise ValueError(f"the plane at {plane_depth_mm} mm isn't in front of both cameras over the whole thermal picture")
-    # from float64 pairs, every pair counted alike: a plain least-squares fit, the same on every machine but for the last digits
+        raise ValueError(
+            f"the plane at {plane_depth_mm} mm isn't in front of both cameras over the whole"
+            " thermal picture"
+        )
+    # from float64 pairs, every pair counted alike: a plain least-squares fit, the same on every
+    # machine but for the last digits
     H, _ = cv2.findHomography(grid, seen, 0)
     return np.asarray(H / H[2, 2], dtype=np.float64)
 

@@ -1,7 +1,9 @@
-"""A board measured again in space with a calibrated pair: spacing, flatness, epipolar offset. What a calibration is really worth.
+"""A board measured again in space with a calibrated pair: spacing, flatness, epipolar offset. What
+a calibration is really worth.
 
-Strategy: the views measured are not those that the calibration was made from. From how lengths, offsets and bends depend on distance and
-place follows what is wrong: `diagnose`. May not know how the calibration was made.
+Strategy: the views measured are not those that the calibration was made from. From how lengths,
+offsets and bends depend on distance and place follows what is wrong: `diagnose`. May not know how
+the calibration was made.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ Ids = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairView:
-    """A board seen by both cameras: the same points ``ids`` (n,) of the board at left and right pixels (n, 2)."""
+    """A board seen by both cameras: the same points ``ids`` (n,) of the board at left and right
+    pixels (n, 2).
+    """
 
     name: str
     ids: Ids
@@ -33,9 +37,10 @@ class PairView:
 class Measured:
     """One view measured again. mm and px; ``scale``: lengths measured over lengths printed.
 
-    ``off_plane_mm`` (n,): each point's height over the plane fitted to all, along the plane's normal towards the cameras.
-    ``epipolar_px`` (n,): signed distance in the right picture of each point from the epipolar line of its partner, positive downwards.
-    ``spacing_mm`` (m,): distances of neighbours, less the pitch.
+    ``off_plane_mm`` (n,): each point's height over the plane fitted to all, along the plane's
+    normal towards the cameras. ``epipolar_px`` (n,): signed distance in the right picture of each
+    point from the epipolar line of its partner, positive downwards. ``spacing_mm`` (m,): distances
+    of neighbours, less the pitch.
     """
 
     name: str
@@ -61,32 +66,49 @@ class Remeasured:
 
     @property
     def grows_with_distance(self) -> bool:
-        """Whether the error of the scale is told better as proportional to distance than as the same at every distance."""
-        depth, off = (np.array(values) for values in zip(*((view.depth_mm, view.scale - 1.0) for view in self.views), strict=True))
+        """Whether the error of the scale is told better as proportional to distance than as the
+        same at every distance.
+        """
+        depth, off = (
+            np.array(values)
+            for values in zip(
+                *((view.depth_mm, view.scale - 1.0) for view in self.views), strict=True
+            )
+        )
         proportional = off - depth * float(depth @ off) / float(depth @ depth)
         return float(np.sum(proportional**2)) < float(np.sum((off - off.mean()) ** 2))
 
     @property
     def epipolar(self) -> tuple[float, float]:
-        """Mean signed offset of rows in px, over the views, and the standard deviation of that mean."""
+        """Mean signed offset of rows in px, over the views, and the standard deviation of that
+        mean.
+        """
         return _mean([float(np.mean(view.epipolar_px)) for view in self.views])
 
     @property
     def epipolar_rms_px(self) -> float:
-        return float(np.sqrt(np.mean(np.concatenate([view.epipolar_px for view in self.views]) ** 2)))
+        return float(
+            np.sqrt(np.mean(np.concatenate([view.epipolar_px for view in self.views]) ** 2))
+        )
 
     @property
     def spacing_rms_mm(self) -> float:
         """Of the distances between neighbours from the pitch."""
-        return float(np.sqrt(np.mean(np.concatenate([view.spacing_mm for view in self.views]) ** 2)))
+        return float(
+            np.sqrt(np.mean(np.concatenate([view.spacing_mm for view in self.views]) ** 2))
+        )
 
     @property
     def flatness_rms_mm(self) -> float:
-        return float(np.sqrt(np.mean(np.concatenate([view.off_plane_mm for view in self.views]) ** 2)))
+        return float(
+            np.sqrt(np.mean(np.concatenate([view.off_plane_mm for view in self.views]) ** 2))
+        )
 
     @property
     def bend(self) -> tuple[float, float]:
-        """Height of the board's middle over its edge, mm, by a paraboloid fitted to all views, and the standard deviation of it."""
+        """Height of the board's middle over its edge, mm, by a paraboloid fitted to all views, and
+        the standard deviation of it.
+        """
         return _mean([_bend_mm(self.board, view) for view in self.views])
 
 
@@ -98,7 +120,9 @@ def remeasure(pair: Pair, board: Board, views: Sequence[PairView]) -> Remeasured
 
 
 def _measured(pair: Pair, board: Board, view: PairView) -> Measured:
-    points = triangulate(view.left_px, view.right_px, pair.left, pair.right, pair.right_from_left)[0]
+    points = triangulate(view.left_px, view.right_px, pair.left, pair.right, pair.right_from_left)[
+        0
+    ]
     printed = board.points_mm[view.ids]
     a, b = _neighbours(board, view.ids)
     spacing = np.linalg.norm(points[a] - points[b], axis=1)
@@ -107,14 +131,22 @@ def _measured(pair: Pair, board: Board, view: PairView) -> Measured:
     normal = np.linalg.svd(centred, full_matrices=False)[2][2]
     normal = normal if normal[2] < 0 else -normal
     return Measured(
-        view.name, view.ids, float(points[:, 2].mean()), scale, spacing - board.pitch_mm, centred @ normal, epipolar_px(pair, view)
+        view.name,
+        view.ids,
+        float(points[:, 2].mean()),
+        scale,
+        spacing - board.pitch_mm,
+        centred @ normal,
+        epipolar_px(pair, view),
     )
 
 
 def epipolar_px(pair: Pair, view: PairView) -> Array:
-    """Signed distances (n,) px of right pixels from the epipolar lines of their partners, positive downwards (larger rows).
+    """Signed distances (n,) px of right pixels from the epipolar lines of their partners, positive
+    downwards (larger rows).
 
-    Lines are drawn in the undistorted picture at the right camera's focal length. Hartley and Zisserman, 2nd ed., section 9.6.
+    Lines are drawn in the undistorted picture at the right camera's focal length. Hartley and
+    Zisserman, 2nd ed., section 9.6.
     """
     a = np.column_stack([pair.left.normalize(view.left_px), np.ones(len(view.left_px))])
     b = np.column_stack([pair.right.normalize(view.right_px), np.ones(len(view.right_px))])
@@ -122,7 +154,9 @@ def epipolar_px(pair: Pair, view: PairView) -> Array:
     essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ pair.right_from_left.R
     lines = a @ essential.T
     lines *= np.where(lines[:, 1:2] < 0, -1.0, 1.0)
-    return np.asarray(np.sum(lines * b, axis=1) / np.linalg.norm(lines[:, :2], axis=1) * pair.right.fc[1])
+    return np.asarray(
+        np.sum(lines * b, axis=1) / np.linalg.norm(lines[:, :2], axis=1) * pair.right.fc[1]
+    )
 
 
 def _neighbours(board: Board, ids: Ids) -> tuple[Ids, Ids]:
@@ -151,4 +185,6 @@ def _bend_mm(board: Board, view: Measured) -> float:
 
 def _mean(values: Sequence[float]) -> tuple[float, float]:
     array = np.asarray(values)
-    return float(array.mean()), float(array.std(ddof=1) / np.sqrt(len(array))) if len(array) > 1 else float("nan")
+    return float(array.mean()), (
+        float(array.std(ddof=1) / np.sqrt(len(array))) if len(array) > 1 else float("nan")
+    )

@@ -1,11 +1,13 @@
-"""Fits of one set of points to another: rigid, similarity and affine side by side, what they leave over, and how far they miss elsewhere.
+"""Fits of one set of points to another: rigid, similarity and affine side by side, what they leave
+over, and how far they miss elsewhere.
 
-Strategy: the rigid fit is the answer; the other two only say whether the points keep their shape. Where affine is much better
-in-sample, one of the two sets is measured wrongly. Points in one plane are allowed: the plane's normal then maps to the other plane's,
-at scale 1. May not know what the points are, or who measured them.
+Strategy: the rigid fit is the answer; the other two only say whether the points keep their shape.
+Where affine is much better in-sample, one of the two sets is measured wrongly. Points in one plane
+are allowed: the plane's normal then maps to the other plane's, at scale 1. May not know what the
+points are, or who measured them.
 
-Sources: Kabsch 1976 (rigid), Umeyama 1991 (similarity); Fitzpatrick, West and Maurer, IEEE Trans. Med. Imaging 17 (1998) 694, for
-fiducial and target error.
+Sources: Kabsch 1976 (rigid), Umeyama 1991 (similarity); Fitzpatrick, West and Maurer, IEEE Trans.
+Med. Imaging 17 (1998) 694, for fiducial and target error.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ _FLAT = 1e-9  # of the largest extent: thinner than this is no extent
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """x -> A x + t of one ``model``: A (3, 3), t (3,) mm; ``residuals_mm`` (n, 3) are target less fitted source."""
+    """x -> A x + t of one ``model``: A (3, 3), t (3,) mm; ``residuals_mm`` (n, 3) are target less
+    fitted source.
+    """
 
     model: str
     A: Array
@@ -37,7 +41,9 @@ class Fit:
 
     @property
     def singular_values(self) -> Array:
-        """Singular values (3,) of A, largest first: 1 three times for a motion that keeps shape and size."""
+        """Singular values (3,) of A, largest first: 1 three times for a motion that keeps shape and
+        size.
+        """
         return np.asarray(np.linalg.svd(self.A, compute_uv=False))
 
     def apply(self, points_mm: ArrayLike) -> Array:
@@ -47,7 +53,9 @@ class Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """The three fits of the same pairs, and the held-out error of each (rms, mm; None where too few pairs are left over)."""
+    """The three fits of the same pairs, and the held-out error of each (rms, mm; None where too few
+    pairs are left over).
+    """
 
     rigid: Fit
     similarity: Fit
@@ -61,7 +69,9 @@ class Comparison:
 
 
 def fit_rigid(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
-    """Rotation and shift; reflections ruled out. Raises ValueError as `detector.geometry.rigid_fit`."""
+    """Rotation and shift; reflections ruled out. Raises ValueError as
+    `detector.geometry.rigid_fit`.
+    """
     motion = rigid_fit(target_mm, source_mm)
     return _left_over("rigid", motion.R, motion.T, target_mm, source_mm)
 
@@ -69,19 +79,28 @@ def fit_rigid(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
 def fit_similarity(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
     """Rotation, shift and one scale (Umeyama 1991, eq. 42). Raises ValueError as the rigid fit."""
     motion = rigid_fit(target_mm, source_mm)
-    target, source = np.asarray(target_mm, dtype=np.float64), np.asarray(source_mm, dtype=np.float64)
+    target, source = (
+        np.asarray(target_mm, dtype=np.float64),
+        np.asarray(source_mm, dtype=np.float64),
+    )
     centred_t, centred_s = target - target.mean(axis=0), source - source.mean(axis=0)
     scale = float(np.sum(centred_t * (centred_s @ motion.R.T)) / np.sum(centred_s**2))
     A = scale * motion.R
-    return _left_over("similarity", A, target.mean(axis=0) - A @ source.mean(axis=0), target, source)
+    return _left_over(
+        "similarity", A, target.mean(axis=0) - A @ source.mean(axis=0), target, source
+    )
 
 
 def fit_affine(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
-    """Any linear map and a shift. Of points in one plane the plane is fitted, and its normal goes to the normal of the other.
+    """Any linear map and a shift. Of points in one plane the plane is fitted, and its normal goes
+    to the normal of the other.
 
     Raises ValueError as the rigid fit.
     """
-    target, source = np.asarray(target_mm, dtype=np.float64), np.asarray(source_mm, dtype=np.float64)
+    target, source = (
+        np.asarray(target_mm, dtype=np.float64),
+        np.asarray(source_mm, dtype=np.float64),
+    )
     rigid_fit(target, source)  # refuses what determines no fit, in the same words
     centred_t, centred_s = target - target.mean(axis=0), source - source.mean(axis=0)
     _, extent, axes = np.linalg.svd(centred_s, full_matrices=True)
@@ -95,27 +114,42 @@ def fit_affine(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
 
 
 def compare(target_mm: ArrayLike, source_mm: ArrayLike) -> Comparison:
-    """All three fits of pairs (n, 3), with their held-out errors. Raises ValueError as the rigid fit."""
+    """All three fits of pairs (n, 3), with their held-out errors. Raises ValueError as the rigid
+    fit.
+    """
     models = {"rigid": fit_rigid, "similarity": fit_similarity, "affine": fit_affine}
     held_out = {name: rms_held_out_mm(fit, target_mm, source_mm) for name, fit in models.items()}
     rigid, similarity, affine = (fit(target_mm, source_mm) for fit in models.values())
     return Comparison(rigid, similarity, affine, held_out)
 
 
-def held_out_mm(fit: Callable[[ArrayLike, ArrayLike], Fit], target_mm: ArrayLike, source_mm: ArrayLike) -> Array:
-    """For each pair (n, 3) its distance (n,) from where the fit of all others puts it; NaN where the others determine no fit."""
-    target, source = np.asarray(target_mm, dtype=np.float64), np.asarray(source_mm, dtype=np.float64)
+def held_out_mm(
+    fit: Callable[[ArrayLike, ArrayLike], Fit], target_mm: ArrayLike, source_mm: ArrayLike
+) -> Array:
+    """For each pair (n, 3) its distance (n,) from where the fit of all others puts it; NaN where
+    the others determine no fit.
+    """
+    target, source = (
+        np.asarray(target_mm, dtype=np.float64),
+        np.asarray(source_mm, dtype=np.float64),
+    )
     missed = np.full(len(source), np.nan)
     for row in range(len(source)):
         others = np.arange(len(source)) != row
-        if np.linalg.matrix_rank(source[others] - source[others].mean(axis=0)) < np.linalg.matrix_rank(source - source.mean(axis=0)):
+        if np.linalg.matrix_rank(
+            source[others] - source[others].mean(axis=0)
+        ) < np.linalg.matrix_rank(source - source.mean(axis=0)):
             continue
         if others.sum() >= 3:
-            missed[row] = np.linalg.norm(target[row] - fit(target[others], source[others]).apply(source[row]))
+            missed[row] = np.linalg.norm(
+                target[row] - fit(target[others], source[others]).apply(source[row])
+            )
     return missed
 
 
-def rms_held_out_mm(fit: Callable[[ArrayLike, ArrayLike], Fit], target_mm: ArrayLike, source_mm: ArrayLike) -> float | None:
+def rms_held_out_mm(
+    fit: Callable[[ArrayLike, ArrayLike], Fit], target_mm: ArrayLike, source_mm: ArrayLike
+) -> float | None:
     """Root mean square of `held_out_mm` over the pairs that have one; None where none has."""
     missed = held_out_mm(fit, target_mm, source_mm)
     known = missed[np.isfinite(missed)]
@@ -123,22 +157,31 @@ def rms_held_out_mm(fit: Callable[[ArrayLike, ArrayLike], Fit], target_mm: Array
 
 
 def expected_fre_mm(fle_mm: float, n: int) -> float:
-    """Root of <FRE^2> = (1 - 2/N) <FLE^2>; ``fle_mm`` is the rms distance of one fiducial from its place. Raises ValueError below 3."""
+    """Root of <FRE^2> = (1 - 2/N) <FLE^2>; ``fle_mm`` is the rms distance of one fiducial from its
+    place. Raises ValueError below 3.
+    """
     return fle_mm * float(np.sqrt(1.0 - 2.0 / _enough(n)))
 
 
 def fle_from_fre_mm(fre_mm: float, n: int) -> float:
-    """The fiducial localisation error that a fit of ``n`` points with this FRE speaks of. Raises ValueError below 3."""
+    """The fiducial localisation error that a fit of ``n`` points with this FRE speaks of. Raises
+    ValueError below 3.
+    """
     return fre_mm / float(np.sqrt(1.0 - 2.0 / _enough(n)))
 
 
 def target_error_mm(fle_mm: float, fiducials_mm: ArrayLike, at_mm: ArrayLike) -> Array:
-    """Expected target error (m,) at points (m, 3): <TRE^2(r)> = <FLE^2>/N (1 + 1/3 sum d_k^2 / f_k^2).
+    """Expected target error (m,) at points (m, 3): <TRE^2(r)> = <FLE^2>/N (1 + 1/3 sum d_k^2 /
+    f_k^2).
 
-    d_k is the distance of the point from principal axis k of the fiducials (n, 3), f_k the rms distance of the fiducials from it.
-    Fitzpatrick, West and Maurer 1998, eq. 46. Infinite where the fiducials lie on one line.
+    d_k is the distance of the point from principal axis k of the fiducials (n, 3), f_k the rms
+    distance of the fiducials from it. Fitzpatrick, West and Maurer 1998, eq. 46. Infinite where the
+    fiducials lie on one line.
     """
-    source, at = np.asarray(fiducials_mm, dtype=np.float64), np.atleast_2d(np.asarray(at_mm, dtype=np.float64))
+    source, at = (
+        np.asarray(fiducials_mm, dtype=np.float64),
+        np.atleast_2d(np.asarray(at_mm, dtype=np.float64)),
+    )
     _enough(len(source))
     centre = source.mean(axis=0)
     axes = np.linalg.svd(source - centre, full_matrices=True)[2]
@@ -150,9 +193,11 @@ def target_error_mm(fle_mm: float, fiducials_mm: ArrayLike, at_mm: ArrayLike) ->
 
 
 def rotation_covariance(fiducials_mm: ArrayLike, u_mm: float) -> Array:
-    """Covariance (3, 3) rad^2 of the rotation vector of a rigid fit, about the fiducials' own axes (n, 3), to first order.
+    """Covariance (3, 3) rad^2 of the rotation vector of a rigid fit, about the fiducials' own axes
+    (n, 3), to first order.
 
-    Each coordinate of each fiducial has the standard uncertainty ``u_mm``, uncorrelated. Raises ValueError for points on one line.
+    Each coordinate of each fiducial has the standard uncertainty ``u_mm``, uncorrelated. Raises
+    ValueError for points on one line.
     """
     source = np.asarray(fiducials_mm, dtype=np.float64)
     _enough(len(source))
@@ -164,13 +209,17 @@ def rotation_covariance(fiducials_mm: ArrayLike, u_mm: float) -> Array:
 
 
 def target_covariance(fiducials_mm: ArrayLike, u_mm: float, at_mm: ArrayLike) -> Array:
-    """Covariance (3, 3) mm^2 of a rigidly mapped point (3,), in the fiducials' axes: shift and rotation together, to first order.
+    """Covariance (3, 3) mm^2 of a rigidly mapped point (3,), in the fiducials' axes: shift and
+    rotation together, to first order.
 
-    Its trace is the square of `target_error_mm` with fle = sqrt(3) u. Raises ValueError for points on one line.
+    Its trace is the square of `target_error_mm` with fle = sqrt(3) u. Raises ValueError for points
+    on one line.
     """
     source = np.asarray(fiducials_mm, dtype=np.float64)
     arm = cross_matrix(np.asarray(at_mm, dtype=np.float64) - source.mean(axis=0))
-    return np.asarray(u_mm**2 / len(source) * np.eye(3) + arm @ rotation_covariance(source, u_mm) @ arm.T)
+    return np.asarray(
+        u_mm**2 / len(source) * np.eye(3) + arm @ rotation_covariance(source, u_mm) @ arm.T
+    )
 
 
 def cross_matrix(vector: ArrayLike) -> Array:
@@ -185,7 +234,10 @@ def motion_of(fit: Fit) -> Motion:
 
 
 def _left_over(model: str, A: Array, t: Array, target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
-    target, source = np.asarray(target_mm, dtype=np.float64), np.asarray(source_mm, dtype=np.float64)
+    target, source = (
+        np.asarray(target_mm, dtype=np.float64),
+        np.asarray(source_mm, dtype=np.float64),
+    )
     return Fit(model, np.asarray(A), np.asarray(t), np.asarray(target - (source @ A.T + t)))
 
 

@@ -1,10 +1,13 @@
-"""The thesis's rig as a calibration that hangs together: published figures in, rigid motions and a pinhole thermal camera out.
+"""The thesis's rig as a calibration that hangs together: published figures in, rigid motions and a
+pinhole thermal camera out.
 
-Strategy: cameras and stereo as printed. The printed world matrix isn't rigid (singular values 1.000, 0.990, 0.920), so the rigid motion is
-taken that shows the four teat ends of table 5.2 where the printed matrix shows them, in both images. The printed homographies fix a thermal
-camera's focal lengths, its direction and the depth of their plane, but hardly its place along the baseline, so it stands midway between
-the optical cameras (section 3.2.2 has it "between" them). The homographies of the result are right at the depth of the teat ends.
-Pure: no file is read; `dump_calibration` writes what comes out.
+Strategy: cameras and stereo as printed. The printed world matrix isn't rigid (singular values
+1.000, 0.990, 0.920), so the rigid motion is taken that shows the four teat ends of table 5.2 where
+the printed matrix shows them, in both images. The printed homographies fix a thermal camera's focal
+lengths, its direction and the depth of their plane, but hardly its place along the baseline, so it
+stands midway between the optical cameras (section 3.2.2 has it "between" them). The homographies of
+the result are right at the depth of the teat ends. Pure: no file is read; `dump_calibration` writes
+what comes out.
 """
 
 from __future__ import annotations
@@ -21,27 +24,40 @@ from detector.calibration.values import Calibration, Homographies, ThermalCamera
 from detector.geometry import Array, Camera, Motion, apply_homography, rigid_fit
 
 IMAGE_SIZE = (1360, 1024)  # section 3.1.1
-LEFT = Camera(IMAGE_SIZE, (1291.0, 1295.2), (727.4, 528.1), 0.0, (-0.186, 0.230, 0.0, 0.0, 0.0))  # table 3.1
-RIGHT = Camera(IMAGE_SIZE, (1288.3, 1290.6), (701.4, 558.7), 0.0, (-0.212, 0.301, -0.003, 0.0, 0.0))  # table 3.2
-STEREO_OM_RAD, STEREO_T_MM = (-0.0011, -0.0008, 0.0085), (-100.317, 0.242, -0.401)  # section 3.2.1.2
-HOMOGRAPHY_LEFT = ((0.615, 0.007, 672.822), (-0.004, 0.616, 363.601), (0.0, 0.0, 1.0))  # section 3.2.2
+# table 3.1
+LEFT = Camera(IMAGE_SIZE, (1291.0, 1295.2), (727.4, 528.1), 0.0, (-0.186, 0.230, 0.0, 0.0, 0.0))
+# table 3.2
+RIGHT = Camera(IMAGE_SIZE, (1288.3, 1290.6), (701.4, 558.7), 0.0, (-0.212, 0.301, -0.003, 0.0, 0.0))
+# section 3.2.1.2
+STEREO_OM_RAD, STEREO_T_MM = (-0.0011, -0.0008, 0.0085), (-100.317, 0.242, -0.401)
+# section 3.2.2
+HOMOGRAPHY_LEFT = ((0.615, 0.007, 672.822), (-0.004, 0.616, 363.601), (0.0, 0.0, 1.0))
 HOMOGRAPHY_RIGHT = ((0.618, 0.002, 536.133), (-0.002, 0.619, 401.948), (0.0, 0.0, 1.0))
 WORLD_MATRIX = ((0.99, 0.0, 0.02), (-0.02, -0.01, 0.92), (0.0, -1.0, -0.01))  # section 3.3.2
 WORLD_T_MM = (-161.80, -760.40, 64.52)
-TEAT_ENDS_MM = ((-109.8, 285.7, 135.5), (-161.3, 191.7, 137.8), (-224.2, 197.4, 137.4), (-260.5, 269.9, 137.4))  # table 5.2
+# table 5.2
+TEAT_ENDS_MM = (
+    (-109.8, 285.7, 135.5),
+    (-161.3, 191.7, 137.8),
+    (-224.2, 197.4, 137.4),
+    (-260.5, 269.9, 137.4),
+)
 PRINTED_UNCERTAINTY = {  # tables 3.1 and 3.2: fc, cc, k1, k2
     "left": ((2.7, 2.8), (1.2, 1.3), 0.003, 0.008),
     "right": ((2.4, 2.4), (1.0, 1.2), 0.004, 0.012),
 }
-STEREO_OM_UNCERTAINTY_RAD, STEREO_T_UNCERTAINTY_MM = (0.0023, 0.0030, 0.0003), (0.195, 0.218, 0.959)  # section 3.2.1.2
+# section 3.2.1.2
+STEREO_OM_UNCERTAINTY_RAD, STEREO_T_UNCERTAINTY_MM = (0.0023, 0.0030, 0.0003), (0.195, 0.218, 0.959)
 THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE = (640, 480), (160, 120)  # sections 3.1.1, 4.1.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThermalFit:
-    """A pinhole thermal camera midway between the optical ones, where the printed homographies' plane lies, and what is left over.
+    """A pinhole thermal camera midway between the optical ones, where the printed homographies'
+    plane lies, and what is left over.
 
-    residual_px (2, n, 2): left and right, a pixel of the thermal grid each; rms_px: of the lengths of those (n, 2) differences.
+    residual_px (2, n, 2): left and right, a pixel of the thermal grid each; rms_px: of the lengths
+    of those (n, 2) differences.
     """
 
     lens: Camera
@@ -69,70 +85,120 @@ def right_from_left() -> Motion:
 
 def printed_teats_in_right_mm() -> Array:
     """Table 5.2 (4, 3) carried into the right camera's frame by the printed, non-rigid matrix."""
-    return np.asarray(np.linalg.solve(np.array(WORLD_MATRIX), (np.array(TEAT_ENDS_MM) - np.array(WORLD_T_MM)).T).T)
+    return np.asarray(
+        np.linalg.solve(np.array(WORLD_MATRIX), (np.array(TEAT_ENDS_MM) - np.array(WORLD_T_MM)).T).T
+    )
 
 
 def stereo_pixels(in_right_mm: Array) -> Array:
     """Left and right pixels (2, n, 2) of points (n, 3) in the right camera's frame."""
-    return np.stack([LEFT.project(right_from_left().inverse().apply(in_right_mm)), RIGHT.project(in_right_mm)])
+    return np.stack(
+        [LEFT.project(right_from_left().inverse().apply(in_right_mm)), RIGHT.project(in_right_mm)]
+    )
 
 
 def fit_world() -> Motion:
-    """`world_from_right`: the rigid motion whose teat ends lie closest, in px over both images, to where the printed matrix puts them."""
+    """`world_from_right`: the rigid motion whose teat ends lie closest, in px over both images, to
+    where the printed matrix puts them.
+    """
     teats, wanted = np.array(TEAT_ENDS_MM), stereo_pixels(printed_teats_in_right_mm())
     start = rigid_fit(printed_teats_in_right_mm(), teats)
 
     def residual(p: Array) -> Array:
-        return np.asarray((stereo_pixels(Motion.from_vectors(p[:3], p[3:]).apply(teats)) - wanted).ravel())
+        return np.asarray(
+            (stereo_pixels(Motion.from_vectors(p[:3], p[3:]).apply(teats)) - wanted).ravel()
+        )
 
     found = least_squares(
-        residual, np.concatenate([start.om, start.T]), x_scale=np.array([1e-3] * 3 + [1.0] * 3), xtol=1e-14, ftol=1e-14, gtol=1e-14
+        residual,
+        np.concatenate([start.om, start.T]),
+        x_scale=np.array([1e-3] * 3 + [1.0] * 3),
+        xtol=1e-14,
+        ftol=1e-14,
+        gtol=1e-14,
     ).x
     return Motion.from_vectors(found[:3], found[3:]).inverse()
 
 
 def fit_thermal() -> ThermalFit:
-    """The thermal camera that meets both printed homographies best, over an even grid of the thermal picture."""
-    midway = 0.5 * right_from_left().T  # the left camera's centre, in the right camera's frame, is T
+    """The thermal camera that meets both printed homographies best, over an even grid of the
+    thermal picture.
+    """
+    # the left camera's centre, in the right camera's frame, is T
+    midway = 0.5 * right_from_left().T
     left_from_right, grid = right_from_left().inverse(), thermal_grid(THERMAL_IMAGE_SIZE)
-    wanted = np.stack([apply_homography(HOMOGRAPHY_LEFT, grid), apply_homography(HOMOGRAPHY_RIGHT, grid)])
+    wanted = np.stack(
+        [apply_homography(HOMOGRAPHY_LEFT, grid), apply_homography(HOMOGRAPHY_RIGHT, grid)]
+    )
     centre = ((THERMAL_IMAGE_SIZE[0] - 1) / 2, (THERMAL_IMAGE_SIZE[1] - 1) / 2)
 
     def camera(p: Array) -> tuple[Camera, Motion]:
         pose = Motion.from_vectors(p[2:5], np.zeros(3))
-        return Camera(THERMAL_IMAGE_SIZE, (float(p[0]), float(p[1])), centre), Motion(pose.R, -pose.R @ midway)
+        return Camera(THERMAL_IMAGE_SIZE, (float(p[0]), float(p[1])), centre), Motion(
+            pose.R, -pose.R @ midway
+        )
 
     def residual(p: Array) -> Array:
         on_plane = through_plane(grid, *camera(p), float(p[5]))
-        return np.stack([LEFT.project(left_from_right.apply(on_plane)), RIGHT.project(on_plane)]) - wanted
+        return (
+            np.stack([LEFT.project(left_from_right.apply(on_plane)), RIGHT.project(on_plane)])
+            - wanted
+        )
 
-    start, scale = np.array([2000.0, 2000.0, 0.0, 0.0, 0.0, 1200.0]), np.array([10.0, 10.0, 1e-3, 1e-3, 1e-3, 10.0])
-    found = least_squares(lambda p: residual(p).ravel(), start, x_scale=scale, xtol=1e-14, ftol=1e-14, gtol=1e-14).x
+    start, scale = (
+        np.array([2000.0, 2000.0, 0.0, 0.0, 0.0, 1200.0]),
+        np.array([10.0, 10.0, 1e-3, 1e-3, 1e-3, 10.0]),
+    )
+    found = least_squares(
+        lambda p: residual(p).ravel(), start, x_scale=scale, xtol=1e-14, ftol=1e-14, gtol=1e-14
+    ).x
     lens, pose = camera(found)
     return ThermalFit(lens, pose, float(found[5]), residual(found))
 
 
 def thesis_rig() -> Calibration:
-    """The emulated rig's calibration, complete. Its homographies hold at the mean depth of the teat ends of table 5.2."""
+    """The emulated rig's calibration, complete. Its homographies hold at the mean depth of the teat
+    ends of table 5.2.
+    """
     world_from_right, fit = fit_world(), fit_thermal()
     thermal_from_left = fit.thermal_from_right @ right_from_left()
     depth_mm = float(world_from_right.inverse().apply(TEAT_ENDS_MM)[:, 2].mean())
     thermal = ThermalCamera(THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE, True, "hot_is_black", fit.lens)
-    homographies = derive_homographies(fit.lens, LEFT, RIGHT, thermal_from_left, right_from_left(), depth_mm)
-    return Calibration(LEFT, RIGHT, thermal, right_from_left(), thermal_from_left, world_from_right, homographies)
+    homographies = derive_homographies(
+        fit.lens, LEFT, RIGHT, thermal_from_left, right_from_left(), depth_mm
+    )
+    return Calibration(
+        LEFT, RIGHT, thermal, right_from_left(), thermal_from_left, world_from_right, homographies
+    )
 
 
 def thesis_published() -> Calibration:
-    """What the thesis printed, as far as a calibration can hold it: lenses, stereo and homographies, with the printed uncertainties.
+    """What the thesis printed, as far as a calibration can hold it: lenses, stereo and
+    homographies, with the printed uncertainties.
 
-    Bouguet's toolbox prints three standard deviations; the correlations are not printed, so none are here. The world is `fit_world`,
-    since the printed matrix is no rigid motion. The thermal camera has no lens and no pose: homographies are all there is of it.
+    Bouguet's toolbox prints three standard deviations; the correlations are not printed, so none
+    are here. The world is `fit_world`, since the printed matrix is no rigid motion. The thermal
+    camera has no lens and no pose: homographies are all there is of it.
     """
     sds: dict[tuple[str, str], float] = {}
     for name, (fc, cc, k1, k2) in PRINTED_UNCERTAINTY.items():
-        sds |= {(name, "fx"): fc[0], (name, "fy"): fc[1], (name, "cx"): cc[0], (name, "cy"): cc[1], (name, "k1"): k1, (name, "k2"): k2}
-    sds |= {("stereo", name): value for name, value in zip(POSE, (*STEREO_OM_UNCERTAINTY_RAD, *STEREO_T_UNCERTAINTY_MM), strict=True)}
-    covariance = ParameterCovariance(tuple(sds), np.diag([(value / 3.0) ** 2 for value in sds.values()]))
+        sds |= {
+            (name, "fx"): fc[0],
+            (name, "fy"): fc[1],
+            (name, "cx"): cc[0],
+            (name, "cy"): cc[1],
+            (name, "k1"): k1,
+            (name, "k2"): k2,
+        }
+    sds |= {
+        ("stereo", name): value
+        for name, value in zip(
+            POSE, (*STEREO_OM_UNCERTAINTY_RAD, *STEREO_T_UNCERTAINTY_MM), strict=True
+        )
+    }
+    covariance = ParameterCovariance(
+        tuple(sds), np.diag([(value / 3.0) ** 2 for value in sds.values()])
+    )
     thermal = ThermalCamera(THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE, True, "hot_is_black", None)
     maps = Homographies(np.array(HOMOGRAPHY_LEFT), np.array(HOMOGRAPHY_RIGHT), None)
     return Calibration(LEFT, RIGHT, thermal, right_from_left(), None, fit_world(), maps, covariance)

@@ -1,7 +1,9 @@
-"""How uncertain a triangulated point is: from the covariance of all calibration parameters and from the pixels' noise.
+"""How uncertain a triangulated point is: from the covariance of all calibration parameters and from
+the pixels' noise.
 
-Strategy: first order (JCGM 100:2008, 5.1.2, and 102:2011 for several quantities). The derivatives are central differences of the very
-triangulation that detectors use, for all points at once. The module may not know how the covariance was found.
+Strategy: first order (JCGM 100:2008, 5.1.2, and 102:2011 for several quantities). The derivatives
+are central differences of the very triangulation that detectors use, for all points at once. The
+module may not know how the covariance was found.
 """
 
 from __future__ import annotations
@@ -15,15 +17,18 @@ from numpy.typing import ArrayLike
 from detector.calibration.bundle import LENS, POSE
 from detector.geometry import Array, Camera, Motion, triangulate
 
-STEP = 0.1  # of a parameter's standard deviation: far above rounding, far below where the geometry bends
+# of a parameter's standard deviation: far above rounding, far below where the geometry bends
+STEP = 0.1
 PIXEL_STEP_PX = 0.01
 LENSES = ("left", "right", "thermal")
-MOTIONS = ("stereo", "thermal pose", "world")  # right_from_left, thermal_from_left, world_from_right
+# right_from_left, thermal_from_left, world_from_right
+MOTIONS = ("stereo", "thermal pose", "world")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterCovariance:
-    """``matrix`` (k, k) of the parameters ``names``: (of `LENSES`, of `bundle.LENS`) or (of `MOTIONS`, of `bundle.POSE`); px, rad, mm.
+    """``matrix`` (k, k) of the parameters ``names``: (of `LENSES`, of `bundle.LENS`) or (of
+    `MOTIONS`, of `bundle.POSE`); px, rad, mm.
 
     A parameter that isn't named was held fixed. Raises ValueError where it is no covariance.
     """
@@ -33,13 +38,21 @@ class ParameterCovariance:
 
     def __post_init__(self) -> None:
         matrix = np.array(self.matrix, dtype=np.float64)
-        known = {*((lens, name) for lens in LENSES for name in LENS), *((motion, name) for motion in MOTIONS for name in POSE)}
-        if strange := [f"{owner} {name}" for owner, name in self.names if (owner, name) not in known]:
+        known = {
+            *((lens, name) for lens in LENSES for name in LENS),
+            *((motion, name) for motion in MOTIONS for name in POSE),
+        }
+        if strange := [
+            f"{owner} {name}" for owner, name in self.names if (owner, name) not in known
+        ]:
             raise ValueError(f"no such parameter: {', '.join(strange)}")
         if len(set(self.names)) < len(self.names):
             raise ValueError("a parameter is named twice")
         if matrix.shape != (len(self.names), len(self.names)) or not np.isfinite(matrix).all():
-            wanted = f"{len(self.names)} x {len(self.names)} finite numbers, a row and a column for each name"
+            wanted = (
+                f"{len(self.names)} x {len(self.names)} finite numbers, a row and a column for each"
+                " name"
+            )
             raise ValueError(f"the covariance must be {wanted}; it has the shape {matrix.shape}")
         scale = np.sqrt(np.clip(np.diag(matrix), np.finfo(float).tiny, None))
         scaled = matrix / np.outer(scale, scale)
@@ -48,7 +61,10 @@ class ParameterCovariance:
             or (np.diag(matrix) < 0).any()
             or np.linalg.eigvalsh(scaled).min(initial=0.0) < -1e-6
         ):
-            raise ValueError("not a covariance: it must be symmetric, without a negative variance in any direction")
+            raise ValueError(
+                "not a covariance: it must be symmetric, without a negative variance in any"
+                " direction"
+            )
         matrix.setflags(write=False)
         object.__setattr__(self, "matrix", matrix)
 
@@ -77,27 +93,41 @@ class Pair:
     def see(self, world_mm: Array) -> tuple[Array, Array]:
         """Left and right pixels (n, 2) of world points (n, 3)."""
         in_right = self.world_from_right.inverse().apply(world_mm)
-        return self.left.project(self.right_from_left.inverse().apply(in_right)), self.right.project(in_right)
+        return self.left.project(
+            self.right_from_left.inverse().apply(in_right)
+        ), self.right.project(in_right)
 
     def place(self, left_px: Array, right_px: Array) -> Array:
         """World points (n, 3) of pixel pairs."""
-        return self.world_from_right.apply(triangulate(left_px, right_px, self.left, self.right, self.right_from_left)[0])
+        return self.world_from_right.apply(
+            triangulate(left_px, right_px, self.left, self.right, self.right_from_left)[0]
+        )
 
     def moved(self, owner: str, name: str, step: float) -> Pair:
-        """The pair with one parameter changed; parameters of the thermal camera move nothing here."""
+        """The pair with one parameter changed; parameters of the
+        thermal camera move nothing here.
+        """
         if owner == "left":
             return replace(self, left=_with(self.left, name, step))
         if owner == "right":
             return replace(self, right=_with(self.right, name, step))
         if owner == "stereo":
             return replace(self, right_from_left=_turned(self.right_from_left, name, step))
-        return replace(self, world_from_right=_turned(self.world_from_right, name, step)) if owner == "world" else self
+        return (
+            replace(self, world_from_right=_turned(self.world_from_right, name, step))
+            if owner == "world"
+            else self
+        )
 
 
-def covariance_of_points(pair: Pair, covariance: ParameterCovariance | None, world_mm: ArrayLike, pixel_sd_px: float) -> Array:
-    """Covariance (n, 3, 3) mm^2 of world points (n, 3) as triangulated from their pixels; NaN for a point that a camera can't see.
+def covariance_of_points(
+    pair: Pair, covariance: ParameterCovariance | None, world_mm: ArrayLike, pixel_sd_px: float
+) -> Array:
+    """Covariance (n, 3, 3) mm^2 of world points (n, 3) as triangulated from their pixels; NaN for a
+    point that a camera can't see.
 
-    ``pixel_sd_px``: standard deviation of each pixel coordinate, in both cameras. Without a covariance, that alone.
+    ``pixel_sd_px``: standard deviation of each pixel coordinate, in both cameras. Without a
+    covariance, that alone.
     """
     points = np.atleast_2d(np.asarray(world_mm, dtype=np.float64))
     left_px, right_px = pair.see(points)
@@ -121,7 +151,9 @@ def _from_pixels(pair: Pair, left_px: Array, right_px: Array) -> Array:
         for axis in np.eye(2):
 
             def place(h: float, side: int = side, axis: Array = axis) -> Array:
-                return pair.place(left_px + h * axis * (side == 0), right_px + h * axis * (side == 1))
+                return pair.place(
+                    left_px + h * axis * (side == 0), right_px + h * axis * (side == 1)
+                )
 
             slope = _slope(place, PIXEL_STEP_PX)
             total += slope[:, :, None] * slope[:, None, :]

@@ -1,8 +1,10 @@
-"""The table's frame from points that the arm touched and the cameras saw: camera to world, with its covariance.
+"""The table's frame from points that the arm touched and the cameras saw: camera to world, with its
+covariance.
 
-Strategy: the points are triangulated with the pair as calibrated and fitted rigidly; similarity and affine stand beside it as a diagnosis.
-The pose depends on the very lenses that triangulated the points, so the covariance is told for lenses, stereo and world together: their
-errors partly cancel wherever the points were touched. May not know who touched them, nor with what.
+Strategy: the points are triangulated with the pair as calibrated and fitted rigidly; similarity and
+affine stand beside it as a diagnosis. The pose depends on the very lenses that triangulated the
+points, so the covariance is told for lenses, stereo and world together: their errors partly cancel
+wherever the points were touched. May not know who touched them, nor with what.
 """
 
 from __future__ import annotations
@@ -23,9 +25,11 @@ POINT_STEP_MM = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorldFit:
-    """``comparison`` of touched points with triangulated ones (right camera's frame), and the covariance of all parameters together.
+    """``comparison`` of touched points with triangulated ones (right camera's frame), and the
+    covariance of all parameters together.
 
-    ``in_right_mm``, ``touched_mm`` (n, 3). ``covariance`` holds the pair's parameters and the six of the world.
+    ``in_right_mm``, ``touched_mm`` (n, 3). ``covariance`` holds the pair's parameters and the six
+    of the world.
     """
 
     world_from_right: Motion
@@ -36,7 +40,9 @@ class WorldFit:
 
     @property
     def scale(self) -> float:
-        """Touched lengths over triangulated ones: far from 1, a board's squares or the baseline were told wrongly."""
+        """Touched lengths over triangulated ones: far from 1, a board's squares or the baseline
+        were told wrongly.
+        """
         return float(np.cbrt(np.linalg.det(self.comparison.similarity.A)))
 
     @property
@@ -48,7 +54,9 @@ class WorldFit:
         return float(np.sqrt(np.sum(left_over**2) / freedom / np.sum(spread**2)))
 
     def target_error_mm(self, world_mm: ArrayLike) -> Array:
-        """Expected distance (m,) of mapped from true place at world points (m, 3), as the residuals of the fit speak of it."""
+        """Expected distance (m,) of mapped from true place at world points (m, 3), as the residuals
+        of the fit speak of it.
+        """
         fle_mm = fle_from_fre_mm(self.comparison.rigid.fre_mm, len(self.touched_mm))
         return target_error_mm(fle_mm, self.touched_mm, world_mm)
 
@@ -65,33 +73,59 @@ def fit_world(
     pixel_sd_px: float,
     touch_sd_mm: float,
 ) -> WorldFit:
-    """World from pixel pairs (n, 2) of points that the arm touched at (n, 3) mm. Raises ValueError where they determine no fit.
+    """World from pixel pairs (n, 2) of points that the arm touched at (n, 3) mm. Raises ValueError
+    where they determine no fit.
 
-    ``touch_sd_mm`` is the standard uncertainty of a touch along each axis, ``pixel_sd_px`` that of a pixel coordinate.
+    ``touch_sd_mm`` is the standard uncertainty of a touch along each axis, ``pixel_sd_px`` that of
+    a pixel coordinate.
     """
     seen = np.asarray(left_px, dtype=np.float64), np.asarray(right_px, dtype=np.float64)
     touched = np.asarray(touched_mm, dtype=np.float64)
     in_right = triangulate(*seen, left, right, right_from_left)[0]
     if not np.isfinite(in_right).all():
         bad = int(np.flatnonzero(~np.isfinite(in_right).all(axis=1))[0]) + 1
-        raise ValueError(f"point {bad} can't be triangulated: its pixels are outside of what the lenses were calibrated for")
+        raise ValueError(
+            f"point {bad} can't be triangulated: its pixels are outside of what the lenses were"
+            " calibrated for"
+        )
     pair = Pair(left, right, right_from_left, rigid_fit(touched, in_right))
-    covariance = _joint(pair, seen, touched, pair_covariance or ParameterCovariance((), np.zeros((0, 0))), pixel_sd_px, touch_sd_mm)
-    return WorldFit(pair.world_from_right, compare(touched, in_right), covariance, in_right, touched)
+    covariance = _joint(
+        pair,
+        seen,
+        touched,
+        pair_covariance or ParameterCovariance((), np.zeros((0, 0))),
+        pixel_sd_px,
+        touch_sd_mm,
+    )
+    return WorldFit(
+        pair.world_from_right, compare(touched, in_right), covariance, in_right, touched
+    )
 
 
 def _joint(
-    pair: Pair, seen: tuple[Array, Array], touched: Array, given: ParameterCovariance, pixel_sd_px: float, touch_sd_mm: float
+    pair: Pair,
+    seen: tuple[Array, Array],
+    touched: Array,
+    given: ParameterCovariance,
+    pixel_sd_px: float,
+    touch_sd_mm: float,
 ) -> ParameterCovariance:
-    """The pair's parameters pass through; the world's follow from them, from the pixels and from the touches."""
+    """The pair's parameters pass through; the world's follow from them, from the pixels and from
+    the touches.
+    """
     here = pair.world_from_right
 
     def world(changed: Pair, left_px: Array, right_px: Array, touched_mm: Array) -> Array:
-        in_right = triangulate(left_px, right_px, changed.left, changed.right, changed.right_from_left)[0]
+        in_right = triangulate(
+            left_px, right_px, changed.left, changed.right, changed.right_from_left
+        )[0]
         there = rigid_fit(touched_mm, in_right)
         return np.concatenate([_near(there.om, here.om), there.T])
 
-    columns = [_slope(lambda h, o=o, n=n: world(pair.moved(o, n, h), *seen, touched), STEP * sd) for (o, n), sd in given.sds.items()]  # type: ignore[misc]
+    columns = [
+        _slope(lambda h, o=o, n=n: world(pair.moved(o, n, h), *seen, touched), STEP * sd)  # type: ignore[misc]
+        for (o, n), sd in given.sds.items()
+    ]
     by_pair = np.column_stack(columns) if columns else np.zeros((6, 0))
     own = np.zeros((6, 6))
     for side, sd in ((0, pixel_sd_px), (1, pixel_sd_px), (2, touch_sd_mm)):
@@ -102,7 +136,9 @@ def _joint(
     return ParameterCovariance(names, np.vstack([top, bottom]))
 
 
-def _sum_over_entries(world: Callable[..., Array], pair: Pair, data: tuple[Array, Array, Array], side: int) -> Array:
+def _sum_over_entries(
+    world: Callable[..., Array], pair: Pair, data: tuple[Array, Array, Array], side: int
+) -> Array:
     """The sum over all numbers of one of the three inputs of slope times slope, (6, 6)."""
     total = np.zeros((6, 6))
     for at in np.ndindex(data[side].shape):
@@ -119,7 +155,9 @@ def _sum_over_entries(world: Callable[..., Array], pair: Pair, data: tuple[Array
 
 
 def _near(om_rad: Array, reference_rad: Array) -> Array:
-    """The same rotation, its vector on the reference's side of half a turn: a rotation vector jumps there."""
+    """The same rotation, its vector on the reference's side of half a turn: a rotation vector jumps
+    there.
+    """
     angle = float(np.linalg.norm(om_rad))
     other = om_rad * (1.0 - 2.0 * np.pi / angle) if angle > 0 else om_rad
     return min((om_rad, other), key=lambda om: float(np.linalg.norm(om - reference_rad)))

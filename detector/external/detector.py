@@ -1,8 +1,10 @@
-"""A child process as a detector: started when first needed, asked frame by frame, started again after a fault, given up in the end.
+"""A child process as a detector: started when first needed, asked frame by frame, started again
+after a fault, given up in the end.
 
-Pictures and calibration are handed over as files in `prepare`, outside of the time that is measured; what is measured is from question to
-answer, with the child's own reading of the files. A fault of the line (silence, an end, nonsense, too much memory) costs the process; a
-whole answer with wrong values doesn't. May not know who measures, scores or keeps the record.
+Pictures and calibration are handed over as files in `prepare`, outside of the time that is
+measured; what is measured is from question to answer, with the child's own reading of the files. A
+fault of the line (silence, an end, nonsense, too much memory) costs the process; a whole answer
+with wrong values doesn't. May not know who measures, scores or keeps the record.
 """
 
 from __future__ import annotations
@@ -28,9 +30,11 @@ _PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a child may take: seconds to say that it is ready, seconds an answer, MiB of memory with all that it starts (None: any).
+    """What a child may take: seconds to say that it is ready, seconds an answer, MiB of memory with
+    all that it starts (None: any).
 
-    restarts: how often it is started again, in a run. in_a_row: after so many faults without an answer between it is given up.
+    restarts: how often it is started again, in a run. in_a_row: after so many faults without an
+    answer between it is given up.
     """
 
     start_s: float = 30.0
@@ -41,7 +45,8 @@ class Limits:
 
 
 class ExternalDetector:
-    """``command`` run in ``folder`` (None: the bench's own). ``stopwatch`` gives real seconds from an arbitrary start.
+    """``command`` run in ``folder`` (None: the bench's own). ``stopwatch`` gives real seconds from
+    an arbitrary start.
 
     ``environment`` names variables that it sees beside those that every program needs.
     """
@@ -61,7 +66,9 @@ class ExternalDetector:
         self._environment = tuple(environment)
         self._stopwatch, self._limits = stopwatch, limits or Limits()
         self._files = {part: digest for part in self._command if (digest := _digest(part, folder))}
-        self._version = version or hashlib.sha256("".join(self._files.values()).encode()).hexdigest()[:12]
+        self._version = (
+            version or hashlib.sha256("".join(self._files.values()).encode()).hexdigest()[:12]
+        )
         self._child: Child | None = None
         self._desk: _Desk | None = None
         self._asked = ""
@@ -82,9 +89,16 @@ class ExternalDetector:
 
     @property
     def parameters(self) -> Mapping[str, Any]:
-        """The command, the limits, the SHA-256 of each file that the command names, and which variables it was given (no values)."""
+        """The command, the limits, the SHA-256 of each file that the command names, and which
+        variables it was given (no values).
+        """
         passed = {"environment": list(self._environment)} if self._environment else {}
-        return {"command": list(self._command), "limits": asdict(self._limits), "files_sha256": dict(self._files), **passed}
+        return {
+            "command": list(self._command),
+            "limits": asdict(self._limits),
+            "files_sha256": dict(self._files),
+            **passed,
+        }
 
     @property
     def patience_s(self) -> float:
@@ -93,7 +107,9 @@ class ExternalDetector:
 
     @property
     def start_up_s(self) -> float | None:
-        """Seconds that the process took which the last `prepare` started; None where it ran already."""
+        """Seconds that the process took which the last `prepare` started; None where it ran
+        already.
+        """
         return self._start_up_s
 
     def prepare(self, frames: Frames, calibration: Calibration) -> None:
@@ -120,7 +136,9 @@ class ExternalDetector:
             child.ask(request_line(asked, desk.pictures, desk.calibration))
             detection = parse_answer(child.line(self._limits.answer_s), asked, calibration)
         except ChildSilent as silent:
-            raise self._fault(f"it gave no answer within {self._limits.answer_s:g} s{silent}", Outcome.TIMEOUT) from None
+            raise self._fault(
+                f"it gave no answer within {self._limits.answer_s:g} s{silent}", Outcome.TIMEOUT
+            ) from None
         except ChildFault as fault:
             raise self._fault(f"it {fault}") from None
         except Garbled as fault:
@@ -132,7 +150,9 @@ class ExternalDetector:
         return detection
 
     def check(self) -> None:
-        """Look at its memory between calls. Raises DetectionFailure where it takes too much; it is started again then."""
+        """Look at its memory between calls. Raises DetectionFailure where it takes too much; it is
+        started again then.
+        """
         try:
             if self._child is not None:
                 self._child.check_limits()
@@ -146,7 +166,9 @@ class ExternalDetector:
         return "\n".join(word for word in words if word)
 
     def close(self) -> None:
-        """End the process with all that it started, its input closed first, and remove the pictures."""
+        """End the process with all that it started, its input closed first, and remove the
+        pictures.
+        """
         self._end(_GRACE_S)
         if self._desk:
             self._desk.clear()
@@ -156,12 +178,20 @@ class ExternalDetector:
         start_s, limit_s = self._stopwatch(), self._limits.start_s
         self._starts += 1
         try:
-            self._child = Child(self._command, self._folder, self._limits.memory_mib, self._stopwatch, self._environment)
+            self._child = Child(
+                self._command,
+                self._folder,
+                self._limits.memory_mib,
+                self._stopwatch,
+                self._environment,
+            )
             check_ready(self._child.line(limit_s))
         except OSError as error:
             raise self._fault(f"it can't be started: {error.strerror or error}") from None
         except ChildSilent as silent:
-            raise self._fault(f"it was not ready within {limit_s:g} s of its start{silent}", Outcome.TIMEOUT) from None
+            raise self._fault(
+                f"it was not ready within {limit_s:g} s of its start{silent}", Outcome.TIMEOUT
+            ) from None
         except ChildFault as fault:
             raise self._fault(f"it {fault} before it was ready") from None
         except Garbled as fault:
@@ -179,17 +209,23 @@ class ExternalDetector:
         else:
             return DetectionFailure(reason, outcome)
         self._off = f"switched off for the rest of the run after {why}; the last: {reason}"
-        return DetectionFailure(f"{reason}. After {why} it is switched off for the rest of the run", outcome)
+        return DetectionFailure(
+            f"{reason}. After {why} it is switched off for the rest of the run", outcome
+        )
 
     def _end(self, grace_s: float = 0.0) -> None:
         if self._child is not None:
             child, self._child = self._child, None
             child.end(grace_s)
-            self._last_words = "\n".join(word for word in (self._last_words, child.complaints()) if word)
+            self._last_words = "\n".join(
+                word for word in (self._last_words, child.complaints()) if word
+            )
 
 
 class _Desk:
-    """A folder of its own with the pictures of one frame set and the calibration, under names that tell nothing."""
+    """A folder of its own with the pictures of one frame set and the calibration, under names that
+    tell nothing.
+    """
 
     def __init__(self) -> None:
         self._held = tempfile.TemporaryDirectory(prefix="teatbench-")
@@ -205,15 +241,21 @@ class _Desk:
         return str(self._count)
 
     def lay_out(self, frames: Frames, calibration: Calibration) -> None:
-        """Write a frame set in place of the one before. Raises DetectionFailure for pictures that PNG can't hold, or no disk takes."""
+        """Write a frame set in place of the one before. Raises DetectionFailure for pictures that
+        PNG can't hold, or no disk takes.
+        """
         self._count += 1
         try:
             for path in self.pictures.values():
                 path.unlink(missing_ok=True)
             self._lay_calibration(calibration)
-            self.pictures = {name: self._write(name, image) for name, image in _images(frames).items()}
+            self.pictures = {
+                name: self._write(name, image) for name, image in _images(frames).items()
+            }
         except OSError as error:
-            raise DetectionFailure(f"its pictures can't be put into {self._folder}: {error.strerror or error}") from None
+            raise DetectionFailure(
+                f"its pictures can't be put into {self._folder}: {error.strerror or error}"
+            ) from None
 
     def clear(self) -> None:
         self._held.cleanup()
@@ -222,7 +264,9 @@ class _Desk:
         """Folder and calibration are the program's to read, and it may have removed them."""
         if calibration is not self._known or not self.calibration.is_file():
             self._folder.mkdir(exist_ok=True)
-            self.calibration.write_text(dump_calibration(calibration), encoding="utf-8", newline="\n")
+            self.calibration.write_text(
+                dump_calibration(calibration), encoding="utf-8", newline="\n"
+            )
             self._known = calibration
 
     def _write(self, name: str, image: Image) -> Path:
@@ -230,7 +274,9 @@ class _Desk:
         try:
             _, data = cv2.imencode(".png", image, _PNG_FAST)
         except cv2.error:
-            raise DetectionFailure(f"the {name} picture ({image.shape}, {image.dtype}) can't be written as PNG") from None
+            raise DetectionFailure(
+                f"the {name} picture ({image.shape}, {image.dtype}) can't be written as PNG"
+            ) from None
         path.write_bytes(data.tobytes())
         return path
 
@@ -238,8 +284,15 @@ class _Desk:
 def _images(frames: Frames) -> dict[str, Image]:
     """The pictures that there are, kelvin in hundredths."""
     kelvin = frames.thermal_k
-    hundredths = None if kelvin is None else np.rint(np.clip(kelvin * 100.0, 0.0, 65535.0)).astype(np.uint16)
-    images = {"left": frames.left, "right": frames.right, "thermal": frames.thermal, "thermal_radiometric": hundredths}
+    hundredths = (
+        None if kelvin is None else np.rint(np.clip(kelvin * 100.0, 0.0, 65535.0)).astype(np.uint16)
+    )
+    images = {
+        "left": frames.left,
+        "right": frames.right,
+        "thermal": frames.thermal,
+        "thermal_radiometric": hundredths,
+    }
     return {name: image for name, image in images.items() if image is not None}
 
 

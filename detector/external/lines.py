@@ -1,7 +1,9 @@
-"""JSON lines between the bench and a detector in a process of its own: values to bytes, bytes to values, no I/O.
+"""JSON lines between the bench and a detector in a process of its own: values to bytes, bytes to
+values, no I/O.
 
-A line that isn't one of ours (`Garbled`) means that nothing after it can be trusted; an answer of the right form with wrong values
-(`BadAnswer`) means no more than that. Whether figures are finite and within reach is judged where all detectors' answers are.
+A line that isn't one of ours (`Garbled`) means that nothing after it can be trusted; an answer of
+the right form with wrong values (`BadAnswer`) means no more than that. Whether figures are finite
+and within reach is judged where all detectors' answers are.
 """
 
 from __future__ import annotations
@@ -31,15 +33,22 @@ class BadAnswer(ValueError):  # noqa: N818 - the answer is bad
 
 
 def request_line(frame: str, pictures: Mapping[str, Path], calibration: Path) -> bytes:
-    """What is asked of the child: the frame's name, where its pictures lie (those that there are), and the calibration."""
+    """What is asked of the child: the frame's name, where its pictures lie (those that there are),
+    and the calibration.
+    """
     paths = {name: str(pictures[name]) for name in PICTURES if name in pictures}
     return _line({"frame": frame, **paths, "calibration": str(calibration)})
 
 
 def answer_line(frame: str, detection: Detection) -> bytes:
     """An answer, as a detector in Python gives it."""
-    teats = [{"world_mm": _plain(t.world_mm), "covariance_mm2": _plain(t.covariance_mm2)} for t in detection.teats]
-    return _line({"frame": frame, "teats": teats, "hidden": detection.hidden, "reason": detection.reason})
+    teats = [
+        {"world_mm": _plain(t.world_mm), "covariance_mm2": _plain(t.covariance_mm2)}
+        for t in detection.teats
+    ]
+    return _line(
+        {"frame": frame, "teats": teats, "hidden": detection.hidden, "reason": detection.reason}
+    )
 
 
 def check_ready(line: bytes) -> None:
@@ -54,9 +63,11 @@ def check_ready(line: bytes) -> None:
 
 
 def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection:
-    """The answer on ``frame``. A teat is "world_mm" [x, y, z], or "left_px" and "right_px" [column, row], which are triangulated.
+    """The answer on ``frame``. A teat is "world_mm" [x, y, z], or "left_px" and "right_px" [column,
+    row], which are triangulated.
 
-    Raises Garbled for a line that is no answer on this frame, BadAnswer for one with values that can't be right. Unknown keys are let pass.
+    Raises Garbled for a line that is no answer on this frame, BadAnswer for one with values that
+    can't be right. Unknown keys are let pass.
     """
     answer = _object(line)
     if answer.get("frame") != frame:
@@ -66,10 +77,16 @@ def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection
     if not isinstance(teats, list):
         raise BadAnswer('its answer has no list "teats"; an empty list says that there are none')
     if isinstance(hidden, bool) or not isinstance(hidden, int):
-        raise BadAnswer(f'"hidden" of its answer is {json.dumps(hidden)[:_SHOWN]}, not a whole number')
+        raise BadAnswer(
+            f'"hidden" of its answer is {json.dumps(hidden)[:_SHOWN]}, not a whole number'
+        )
     if reason is not None and not isinstance(reason, str):
         raise BadAnswer(f'"reason" of its answer is {json.dumps(reason)[:_SHOWN]}, not text')
-    return Detection(tuple(_teat(number, teat, calibration) for number, teat in enumerate(teats, 1)), hidden, reason)
+    return Detection(
+        tuple(_teat(number, teat, calibration) for number, teat in enumerate(teats, 1)),
+        hidden,
+        reason,
+    )
 
 
 def shown(line: bytes) -> str:
@@ -90,26 +107,51 @@ def _object(line: bytes) -> dict[str, Any]:
 
 def _teat(number: int, given: Any, calibration: Calibration) -> Teat:
     if not isinstance(given, dict):
-        raise BadAnswer(f'teat {number} of its answer is no object with "world_mm", or "left_px" and "right_px"')
+        raise BadAnswer(
+            f'teat {number} of its answer is no object with "world_mm", or "left_px" and "right_px"'
+        )
     covariance = given.get("covariance_mm2")
-    spread = None if covariance is None else _numbers(covariance, (3, 3), f'"covariance_mm2" of teat {number}')
+    spread = (
+        None
+        if covariance is None
+        else _numbers(covariance, (3, 3), f'"covariance_mm2" of teat {number}')
+    )
     left, right = (
-        None if given.get(name) is None else _numbers(given[name], (2,), f'"{name}" of teat {number}') for name in ("left_px", "right_px")
+        (
+            None
+            if given.get(name) is None
+            else _numbers(given[name], (2,), f'"{name}" of teat {number}')
+        )
+        for name in ("left_px", "right_px")
     )
     if given.get("world_mm") is not None:
-        return Teat(_numbers(given["world_mm"], (3,), f'"world_mm" of teat {number}'), spread, left, right)
+        return Teat(
+            _numbers(given["world_mm"], (3,), f'"world_mm" of teat {number}'), spread, left, right
+        )
     if left is None or right is None:
-        raise BadAnswer(f'teat {number} of its answer has neither "world_mm" nor both of "left_px" and "right_px"')
+        raise BadAnswer(
+            f'teat {number} of its answer has neither "world_mm" nor both of "left_px" and'
+            ' "right_px"'
+        )
     return Teat(_world_mm(number, left, right, calibration), spread, left, right)
 
 
 def _world_mm(number: int, left: Array, right: Array, calibration: Calibration) -> Array:
     """Where the rays through two pixels (2,) pass each other, (3,) mm."""
     with np.errstate(all="ignore"):  # pixels may be anywhere; what comes of them is looked at
-        in_right, _ = triangulate(left[None], right[None], calibration.left, calibration.right, calibration.right_from_left)
+        in_right, _ = triangulate(
+            left[None],
+            right[None],
+            calibration.left,
+            calibration.right,
+            calibration.right_from_left,
+        )
         world: Array = calibration.world_from_right.apply(in_right)[0]
     if not np.isfinite(world).all():
-        raise BadAnswer(f'"left_px" {left.tolist()} and "right_px" {right.tolist()} of teat {number} lead to no point in space')
+        raise BadAnswer(
+            f'"left_px" {left.tolist()} and "right_px" {right.tolist()} of teat {number} lead to no'
+            " point in space"
+        )
     return world
 
 

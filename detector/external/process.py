@@ -1,7 +1,9 @@
-"""A running child process under limits: lines out and in, memory watched, and its end whatever it does.
+"""A running child process under limits: lines out and in, memory watched, and its end whatever it
+does.
 
-A thread each reads standard output and standard error as they come, within bounds, so that no child can block the bench or fill its memory.
-Waiting is on the queue between that thread and the caller. What the lines mean is not known here.
+A thread each reads standard output and standard error as they come, within bounds, so that no child
+can block the bench or fill its memory. Waiting is on the queue between that thread and the caller.
+What the lines mean is not known here.
 """
 
 from __future__ import annotations
@@ -24,12 +26,38 @@ from detector.external import process_supervisor
 from detector.external.lines import shown
 
 ENVIRONMENT = (
-    "PATH", "HOME", "USER", "LOGNAME", "LANG", "LANGUAGE", "LC_ALL", "LC_CTYPE", "LC_NUMERIC", "LC_MESSAGES", "TZ", "TMPDIR", "TEMP", "TMP",
-    "SYSTEMROOT", "SYSTEMDRIVE", "WINDIR", "COMSPEC", "PATHEXT", "USERPROFILE", "APPDATA", "LOCALAPPDATA", "PROGRAMDATA", "PROGRAMFILES",
-    "NUMBER_OF_PROCESSORS", "PROCESSOR_ARCHITECTURE",
-)  # fmt: skip
-MARK = "TEATBENCH_DETECTOR"  # by which it and all that it started are known, whatever became of the processes between
-HARD_LIMIT = 4.0  # times the memory allowed, a process: numpy's threads alone allocate 40 MiB each and never touch most of it
+    "PATH",
+    "HOME",
+    "USER",
+    "LOGNAME",
+    "LANG",
+    "LANGUAGE",
+    "LC_ALL",
+    "LC_CTYPE",
+    "LC_NUMERIC",
+    "LC_MESSAGES",
+    "TZ",
+    "TMPDIR",
+    "TEMP",
+    "TMP",
+    "SYSTEMROOT",
+    "SYSTEMDRIVE",
+    "WINDIR",
+    "COMSPEC",
+    "PATHEXT",
+    "USERPROFILE",
+    "APPDATA",
+    "LOCALAPPDATA",
+    "PROGRAMDATA",
+    "PROGRAMFILES",
+    "NUMBER_OF_PROCESSORS",
+    "PROCESSOR_ARCHITECTURE",
+)
+# by which it and all that it started are known, whatever became of the processes between
+MARK = "TEATBENCH_DETECTOR"
+# times the memory allowed, a process: numpy's threads alone allocate 40 MiB each and never touch
+# most of it
+HARD_LIMIT = 4.0
 LONGEST_LINE = 1 << 20
 KEPT_STDERR = 1 << 14
 _LOOK_S = 0.25
@@ -47,9 +75,11 @@ class ChildSilent(ChildFault):
 
 
 class Child:
-    """A command, started. Raises OSError where that can't be done. ``stopwatch`` gives seconds from an arbitrary start.
+    """A command, started. Raises OSError where that can't be done. ``stopwatch`` gives seconds from
+    an arbitrary start.
 
-    ``passed`` names variables of the bench's environment that it sees beside those of `ENVIRONMENT`.
+    ``passed`` names variables of the bench's environment that it sees beside those of
+    `ENVIRONMENT`.
     """
 
     def __init__(
@@ -63,14 +93,23 @@ class Child:
         self._memory_mib, self._stopwatch = memory_mib, stopwatch
         self._mark = secrets.token_hex(16)
         hard_mib = 0 if memory_mib is None else math.ceil(HARD_LIMIT * memory_mib)
-        self._process, self._hold = _spawn(command, folder, {**environment(passed), MARK: self._mark}, hard_mib)
+        self._process, self._hold = _spawn(
+            command, folder, {**environment(passed), MARK: self._mark}, hard_mib
+        )
         self._in = cast(IO[bytes], self._process.stdin)
         self._heard = _Heard()
         self._complaints = _Complaints()
         pipes = cast(IO[bytes], self._process.stdout), cast(IO[bytes], self._process.stderr)
         self._readers = [
-            threading.Thread(target=_read, args=(pipe, take), name=f"detector's {name}", daemon=True)
-            for pipe, take, name in zip(pipes, (self._heard.take, self._complaints.take), ("answers", "complaints"), strict=True)
+            threading.Thread(
+                target=_read, args=(pipe, take), name=f"detector's {name}", daemon=True
+            )
+            for pipe, take, name in zip(
+                pipes,
+                (self._heard.take, self._complaints.take),
+                ("answers", "complaints"),
+                strict=True,
+            )
         ]
         for reader in self._readers:
             reader.start()
@@ -84,7 +123,9 @@ class Child:
             raise ChildFault(self._ending()) from None
 
     def line(self, limit_s: float) -> bytes:
-        """Its next line. Raises ChildSilent after ``limit_s``, ChildFault where it ends, floods, or takes more memory than it may."""
+        """Its next line. Raises ChildSilent after ``limit_s``, ChildFault where it ends, floods, or
+        takes more memory than it may.
+        """
         deadline_s = self._stopwatch() + limit_s
         while True:
             left_s = deadline_s - self._stopwatch()
@@ -100,20 +141,26 @@ class Child:
             return line
 
     def check_limits(self) -> None:
-        """Raises ChildFault where the child and what it started hold more memory than they may, or nobody supervises it any more."""
+        """Raises ChildFault where the child and what it started hold more memory than they may, or
+        nobody supervises it any more.
+        """
         code = self._process.poll()
-        if code is not None and code < 0:  # it ends as its command does, and that is no signal's number
+        # it ends as its command does, and that is no signal's number
+        if code is not None and code < 0:
             raise ChildFault(f"has lost its supervisor, which was ended by signal {-code}")
         used_mib = resident_mib(self._process.pid)
         if self._memory_mib is not None and used_mib is not None and used_mib > self._memory_mib:
-            raise ChildFault(f"took {used_mib:.0f} MiB of memory, {self._memory_mib:g} MiB are allowed")
+            raise ChildFault(
+                f"took {used_mib:.0f} MiB of memory, {self._memory_mib:g} MiB are allowed"
+            )
 
     def complaints(self) -> str:
         """What came on its standard error since this was last asked."""
         return self._complaints.given_out()
 
     def end(self, grace_s: float = 0.0) -> None:
-        """End it and all that it started, by closing its input where it gets time to go, else at once. Once more is no error.
+        """End it and all that it started, by closing its input where it gets time to go, else at
+        once. Once more is no error.
 
         Its last words on standard error can be asked for afterwards.
         """
@@ -131,9 +178,13 @@ class Child:
         self._process.wait()
         with contextlib.suppress(OSError):  # what was never sent can't be sent now
             self._in.close()
-        for reader, pipe in zip(self._readers, (self._process.stdout, self._process.stderr), strict=True):
+        for reader, pipe in zip(
+            self._readers, (self._process.stdout, self._process.stderr), strict=True
+        ):
             reader.join(_END_S)
-            if not reader.is_alive():  # else some process that got away holds the other end: its number must not be given to another file
+            # else some process that got away holds the other end: its number must not be given to
+            # another file
+            if not reader.is_alive():
                 cast(IO[bytes], pipe).close()
 
     def _kill(self) -> None:
@@ -163,7 +214,9 @@ class Child:
 
 
 def resident_mib(process: int) -> float | None:
-    """Memory (resident set) of all processes below one, MiB; pages that they share count for each. None where there is no /proc."""
+    """Memory (resident set) of all processes below one, MiB; pages that they share count for each.
+    None where there is no /proc.
+    """
     if not Path("/proc/self/statm").is_file():
         return None
     pages = 0
@@ -174,7 +227,9 @@ def resident_mib(process: int) -> float | None:
 
 
 class _Heard:
-    """Whole lines out of bytes; None stands for the end. Stops listening to a child that doesn't stop talking."""
+    """Whole lines out of bytes; None stands for the end. Stops listening to a child that doesn't
+    stop talking.
+    """
 
     def __init__(self) -> None:
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
@@ -234,7 +289,8 @@ def _read(pipe: IO[bytes], take: Callable[[bytes], bool]) -> None:
 
 
 def environment(passed: Sequence[str] = ()) -> dict[str, str]:
-    """What a child sees of the bench's environment: what programs need to start at all, and what ``passed`` names.
+    """What a child sees of the bench's environment: what programs need to start at all, and what
+    ``passed`` names.
 
     Tokens and passwords of whoever runs the bench are none of its business.
     """
@@ -244,16 +300,46 @@ def environment(passed: Sequence[str] = ()) -> dict[str, str]:
 def _spawn(
     command: Sequence[str], folder: Path | None, env: Mapping[str, str], hard_mib: int
 ) -> tuple[subprocess.Popen[bytes], int | None]:
-    """The process, and the end of the leash to hold where the system has one. In a session of its own: Ctrl-C is the bench's."""
+    """The process, and the end of the leash to hold where the system has one. In a session of its
+    own: Ctrl-C is the bench's.
+    """
     pipe = subprocess.PIPE
     if os.name != "posix":
-        detached = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0) | getattr(subprocess, "CREATE_NO_WINDOW", 0)
-        return subprocess.Popen(command, cwd=folder, env=env, creationflags=detached, stdin=pipe, stdout=pipe, stderr=pipe), None  # noqa: S603
+        detached = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0) | getattr(
+            subprocess, "CREATE_NO_WINDOW", 0
+        )
+        return (
+            subprocess.Popen(  # noqa: S603
+                command,
+                cwd=folder,
+                env=env,
+                creationflags=detached,
+                stdin=pipe,
+                stdout=pipe,
+                stderr=pipe,
+            ),
+            None,
+        )
     far, near = os.pipe()
-    held = [sys.executable, "-I", "-S", str(Path(process_supervisor.__file__)), str(far), str(hard_mib), *command]
+    held = [
+        sys.executable,
+        "-I",
+        "-S",
+        str(Path(process_supervisor.__file__)),
+        str(far),
+        str(hard_mib),
+        *command,
+    ]
     try:
         process = subprocess.Popen(  # noqa: S603
-            held, cwd=folder, env=env, pass_fds=(far,), start_new_session=True, stdin=pipe, stdout=pipe, stderr=pipe
+            held,
+            cwd=folder,
+            env=env,
+            pass_fds=(far,),
+            start_new_session=True,
+            stdin=pipe,
+            stdout=pipe,
+            stderr=pipe,
         )
         return process, near
     except OSError:

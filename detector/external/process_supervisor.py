@@ -1,10 +1,12 @@
-"""Holds a program on a leash (Linux, macOS): when whoever holds the other end lets go, or dies, the program and all that it started end.
+"""Holds a program on a leash (Linux, macOS): when whoever holds the other end lets go, or dies, the
+program and all that it started end.
 
-Run by its path with the number of an open pipe, a limit in MiB (0: none) and a command. It lets the command have its own standard
-streams, waits, and ends as the command ended (128 + the number of the signal that killed it). The command gets a process group of its
-own, which is ended as a whole; on Linux every orphan below is adopted too, so that a process in a session of its own is found, and what
-a process may allocate is limited (RLIMIT_DATA). Standard library only, and nothing imported that is slow: it stands between the bench
-and each start of a detector.
+Run by its path with the number of an open pipe, a limit in MiB (0: none) and a command. It lets the
+command have its own standard streams, waits, and ends as the command ended (128 + the number of the
+signal that killed it). The command gets a process group of its own, which is ended as a whole; on
+Linux every orphan below is adopted too, so that a process in a session of its own is found, and
+what a process may allocate is limited (RLIMIT_DATA). Standard library only, and nothing imported
+that is slow: it stands between the bench and each start of a detector.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ _PR_SET_CHILD_SUBREAPER = 36  # prctl(2)
 
 
 def main(arguments: list[str]) -> int:
-    """Run ``arguments[2:]`` until it ends, or until the pipe ``arguments[0]`` is closed at its other end."""
+    """Run ``arguments[2:]`` until it ends, or until the pipe ``arguments[0]`` is closed at its
+    other end.
+    """
     pipe, limit_mib, command = int(arguments[0]), int(arguments[1]), arguments[2:]
     os.set_inheritable(pipe, False)
     _adopt_orphans()
@@ -40,13 +44,18 @@ def main(arguments: list[str]) -> int:
 def descendants(process: int, mark: bytes = b"") -> list[int]:
     """All processes below this one, as /proc tells; none where there is no /proc.
 
-    With ``mark`` also those of its session, and those with that mark in their environment, though it may have died before them.
+    With ``mark`` also those of its session, and those with that mark in their environment, though
+    it may have died before them.
     """
     living = _living()
     found: list[int] = []
     level = {process}
     if mark:
-        level |= {pid for pid, (_, session) in living.items() if session == process or mark in _environment(pid)}
+        level |= {
+            pid
+            for pid, (_, session) in living.items()
+            if session == process or mark in _environment(pid)
+        }
         found += sorted(level & living.keys())
     while level := {pid for pid, (parent, _) in living.items() if parent in level} - set(found):
         found += sorted(level)
@@ -68,7 +77,8 @@ def _living() -> dict[int, tuple[int, int]]:
         if name.isdecimal():
             try:
                 with open(f"/proc/{name}/stat", "rb") as file:  # noqa: PTH123 - the same
-                    # after the name in brackets, which may hold anything: state, parent, group, session
+                    # after the name in brackets, which may hold anything: state, parent, group,
+                    # session
                     state, parent, _, session = file.read().rpartition(b")")[2].split()[:4]
             except OSError:  # it has just ended
                 continue
@@ -85,7 +95,9 @@ def _adopt_orphans() -> None:
 
 
 def _limit_memory(mib: int) -> None:
-    """What one process may allocate. Not of addresses: numpy's threads, and languages with a collector, reserve far more than they use."""
+    """What one process may allocate. Not of addresses: numpy's threads, and languages with a
+    collector, reserve far more than they use.
+    """
     if mib and sys.platform == "linux":
         import resource
 
@@ -116,7 +128,8 @@ def _reap(child: int) -> int | None:
 def _end_all(child: int) -> None:
     try:  # noqa: SIM105 - contextlib is slow to import
         os.killpg(child, signal.SIGKILL)
-    except (ProcessLookupError, PermissionError):  # nobody is left in it; macOS says the latter where only the dead are
+    # nobody is left in it; macOS says the latter where only the dead are
+    except (ProcessLookupError, PermissionError):
         pass
     while left := descendants(os.getpid()):
         for process in left:

@@ -1,7 +1,9 @@
-"""The other end of `detector.external`, for any detector that the registry has: ``python -m detector.external.serve thesis``.
+"""The other end of `detector.external`, for any detector that the registry has: ``python -m
+detector.external.serve thesis``.
 
-A detector in Python so runs in a process of its own, under limits; and this is the protocol's answering side, to compare with. What the
-detector prints goes to standard error, for standard output is the bench's.
+A detector in Python so runs in a process of its own, under limits; and this is the protocol's
+answering side, to compare with. What the detector prints goes to standard error, for standard
+output is the bench's.
 """
 
 from __future__ import annotations
@@ -39,16 +41,27 @@ def serve(name: str, questions: IO[bytes], answers: IO[bytes]) -> None:
     answers.flush()
     for line in questions:
         asked = json.loads(line)
-        detection = detector.detect(read_pictures(asked), load_calibration(Path(asked["calibration"])))
+        detection = detector.detect(
+            read_pictures(asked), load_calibration(Path(asked["calibration"]))
+        )
         answers.write(answer_line(asked["frame"], detection))
         answers.flush()
 
 
 def read_pictures(asked: dict[str, str]) -> Pictures:
     """The pictures that a question names."""
-    images = {name: _read(Path(asked[name])) for name in ("left", "right", "thermal", "thermal_radiometric") if name in asked}
+    images = {
+        name: _read(Path(asked[name]))
+        for name in ("left", "right", "thermal", "thermal_radiometric")
+        if name in asked
+    }
     kelvin = images.get("thermal_radiometric")
-    return Pictures(images["left"], images["right"], images.get("thermal"), None if kelvin is None else kelvin / 100.0)
+    return Pictures(
+        images["left"],
+        images["right"],
+        images.get("thermal"),
+        None if kelvin is None else kelvin / 100.0,
+    )
 
 
 def _read(path: Path) -> NDArray[Any]:
@@ -62,7 +75,9 @@ def _read(path: Path) -> NDArray[Any]:
 def main(arguments: list[str]) -> int:
     """Serve the detector named; 2 and a sentence where there is none."""
     if len(arguments) != 1:
-        sys.stderr.write("python -m detector.external.serve needs the name of one detector, such as thesis\n")
+        sys.stderr.write(
+            "python -m detector.external.serve needs the name of one detector, such as thesis\n"
+        )
         return 2
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

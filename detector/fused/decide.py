@@ -1,8 +1,9 @@
 """Which fitted teats are teats: every one is accepted, or rejected with its reason.
 
-Strategy: what makes a teat is asked one thing at a time: an end and a side seen in each picture, edges where the model says, a size that
-teats have, a place that is sure enough, warmth in the thermal picture wherever the model says, and no better teat that it would pass
-through. Nothing false is the first rule, so a doubt rejects. The module may not know how the fit was reached.
+Strategy: what makes a teat is asked one thing at a time: an end and a side seen in each picture,
+edges where the model says, a size that teats have, a place that is sure enough, warmth in the
+thermal picture wherever the model says, and no better teat that it would pass through. Nothing
+false is the first rule, so a doubt rejects. The module may not know how the fit was reached.
 """
 
 from __future__ import annotations
@@ -22,11 +23,17 @@ from detector.geometry import Array, Camera, Motion
 _CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
 _LEAST_FOLLOWED = 0.3  # of an end in one picture, where both sides were followed up to it
 _LEAST_BETWEEN = 0.65  # of the end, where no side is warm
-_FARTHEST = 0.9  # merit of the farthest end that sides lead to: a nearer one shows up to 0.28 more of itself, in two pictures, twice
+# merit of the farthest end that sides lead to: a nearer one shows up to 0.28 more of itself, in two
+# pictures, twice
+_FARTHEST = 0.9
 _WARM = 0.9  # of the thermal outline: what makes up for optical edges
 _LEANS = "it leans more than a teat does"
 _SIZE = "it isn't of a teat's size"
-_OUTLINE, _UNSURE, _WORSE = "its outline isn't that of a teat", "its place is too unsure", "a better one is in the same place"
+_OUTLINE, _UNSURE, _WORSE = (
+    "its outline isn't that of a teat",
+    "its place is too unsure",
+    "a better one is in the same place",
+)
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-0.6, 0.0, 0.6)  # of the radius
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
@@ -34,8 +41,8 @@ _AXIS_MM = np.linspace(0.0, 60.0, 7)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What speaks for m fitted teats: shares of the outline seen, (m, 3 views) each; misfit px (m,); warmth (m, 3
-    lines) or NaN; standard deviation mm (m,) where it is largest.
+    """What speaks for m fitted teats: shares of the outline seen, (m, 3 views) each; misfit px
+    (m,); warmth (m, 3 lines) or NaN; standard deviation mm (m,) where it is largest.
 
     The views are left, right and thermal.
     """
@@ -46,64 +53,119 @@ class Evidence:
     misfit_px: Array
     warmth: Array
     sd_mm: Array
-    followed: NDArray[np.bool_]  # whether both sides were followed up to where the last of an end is seen
-    thermal_px: Array  # the median distance (m, 3 parts) of the thermal outline, NaN where it shows none
+    # whether both sides were followed up to where the last of an end is seen
+    followed: NDArray[np.bool_]
+    # the median distance (m, 3 parts) of the thermal outline, NaN where it shows none
+    thermal_px: Array
 
     @property
     def merit(self) -> Array:
         """One number (m,) to tell the better of two."""
-        return np.asarray((2 * self.end + self.side + self.both)[:, :2].sum(axis=1) - 4 * self.misfit_px + _FARTHEST * self.followed)
+        return np.asarray(
+            (2 * self.end + self.side + self.both)[:, :2].sum(axis=1)
+            - 4 * self.misfit_px
+            + _FARTHEST * self.followed
+        )
 
 
 def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
-    """Evidence from the edges about m teats, their covariances (m, 3, 3) and their warmth (m, 3)."""
+    """Evidence from the edges about m teats, their covariances
+    (m, 3, 3) and their warmth (m, 3).
+    """
     seen, part = fitted.seen, FINE_OUTLINE.part
     m, n = len(fitted.weight), len(part)
-    offset, weight, sd = (np.nan_to_num(a.reshape(m, -1, n), nan=9.0) for a in (seen.offset_px, fitted.weight, seen.sd_px))
+    offset, weight, sd = (
+        np.nan_to_num(a.reshape(m, -1, n), nan=9.0)
+        for a in (seen.offset_px, fitted.weight, seen.sd_px)
+    )
     good = (weight > 0) & (np.abs(offset) < _CLOSE_PX) & (sd < _MOST_SD_PX)
     open_ = ~fitted.hidden.reshape(m, -1, n)
-    shares = {p: _share(good[:, :, part == p], open_[:, :, part == p]) for p in (SIDE_A, END, SIDE_B)}
+    shares = {
+        p: _share(good[:, :, part == p], open_[:, :, part == p]) for p in (SIDE_A, END, SIDE_B)
+    }
     optical = weight[:, :2].reshape(m, -1)
-    misfit = np.sqrt((offset[:, :2].reshape(m, -1) ** 2 * optical).sum(axis=1) / np.maximum(optical.sum(axis=1), 1e-9))
+    misfit = np.sqrt(
+        (offset[:, :2].reshape(m, -1) ** 2 * optical).sum(axis=1)
+        / np.maximum(optical.sum(axis=1), 1e-9)
+    )
     sides = np.stack([shares[SIDE_A], shares[SIDE_B]])
     largest = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
-    return Evidence(shares[END], sides.max(axis=0), sides.min(axis=0), misfit, warmth, largest, fitted.followed, _thermal_offsets(fitted))
+    return Evidence(
+        shares[END],
+        sides.max(axis=0),
+        sides.min(axis=0),
+        misfit,
+        warmth,
+        largest,
+        fitted.followed,
+        _thermal_offsets(fitted),
+    )
 
 
 def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
-    """The share (m, views) of the points (m, views, k) not hidden that are good; hidden ones count as missing where they are most."""
-    return np.asarray((good & open_).sum(axis=2) / np.maximum(open_.sum(axis=2), 0.4 * good.shape[2]))
+    """The share (m, views) of the points (m, views, k) not hidden that are good; hidden ones count
+    as missing where they are most.
+    """
+    return np.asarray(
+        (good & open_).sum(axis=2) / np.maximum(open_.sum(axis=2), 0.4 * good.shape[2])
+    )
 
 
 def _thermal_offsets(fitted: Fitted) -> Array:
-    """Medians (m, 3 parts) of how far off the thermal edges are, sensor pixels, where most of a part shows clear ones; else NaN."""
+    """Medians (m, 3 parts) of how far off the thermal edges are, sensor pixels, where most of a
+    part shows clear ones; else NaN.
+    """
     part = FINE_OUTLINE.part
     thermal = slice(2 * len(part), 3 * len(part))
     open_ = ~fitted.hidden[:, thermal]
-    clear = open_ & (fitted.seen.clarity[:, thermal] > CLEAR) & np.isfinite(fitted.seen.offset_px[:, thermal])
+    clear = (
+        open_
+        & (fitted.seen.clarity[:, thermal] > CLEAR)
+        & np.isfinite(fitted.seen.offset_px[:, thermal])
+    )
     medians = np.full((len(clear), 3), np.nan)
     for p in (SIDE_A, END, SIDE_B):
         at = part == p
-        for i in np.flatnonzero(clear[:, at].sum(axis=1) > 0.5 * np.maximum(open_[:, at].sum(axis=1), 0.3 * at.sum())):
+        for i in np.flatnonzero(
+            clear[:, at].sum(axis=1) > 0.5 * np.maximum(open_[:, at].sum(axis=1), 0.3 * at.sum())
+        ):
             medians[i, p] = np.median(fitted.seen.offset_px[i, thermal][at & clear[i]])
     return medians
 
 
-def warmth_inside(teats: Array, warm: Field, lens: Camera, thermal_from_right: Motion, px_a_sensor_px: float) -> Array:
-    """Medians (m, 3) of the thermal picture along three lines down teats (m, 8), the axis in the middle; NaN where it doesn't reach."""
+def warmth_inside(
+    teats: Array, warm: Field, lens: Camera, thermal_from_right: Motion, px_a_sensor_px: float
+) -> Array:
+    """Medians (m, 3) of the thermal picture along three lines down teats (m, 8), the axis in the
+    middle; NaN where it doesn't reach.
+    """
     axis = axes(teats)
     line = teats[:, None, None, :3] + _ALONG_MM[:, None] * axis[:, None, None]
-    aside = np.array(_ACROSS)[:, None, None] * teats[:, None, None, RADIUS, None] * np.cross(axis, [0.0, 0.0, -1.0])[:, None, None]
-    pixels = (lens.project(thermal_from_right.apply((line + aside).reshape(-1, 3))) + 0.5) / px_a_sensor_px - 0.5
-    at = np.rint(np.nan_to_num(pixels, nan=-1.0)).astype(int).reshape(len(teats), len(_ACROSS), len(_ALONG_MM), 2)
+    aside = (
+        np.array(_ACROSS)[:, None, None]
+        * teats[:, None, None, RADIUS, None]
+        * np.cross(axis, [0.0, 0.0, -1.0])[:, None, None]
+    )
+    pixels = (
+        lens.project(thermal_from_right.apply((line + aside).reshape(-1, 3))) + 0.5
+    ) / px_a_sensor_px - 0.5
+    at = (
+        np.rint(np.nan_to_num(pixels, nan=-1.0))
+        .astype(int)
+        .reshape(len(teats), len(_ACROSS), len(_ALONG_MM), 2)
+    )
     rows, columns = warm.shape
     inside = (at[..., 0] >= 0) & (at[..., 0] < columns) & (at[..., 1] >= 0) & (at[..., 1] < rows)
     values = warm[np.clip(at[..., 1], 0, rows - 1), np.clip(at[..., 0], 0, columns - 1)]
     return np.where(inside.mean(axis=2) > 0.5, np.median(values, axis=2), np.nan)
 
 
-def objections(teats: Array, evidence: Evidence, surroundings: float, p: Parameters) -> list[str | None]:
-    """Why each of the teats (m, 8) is none, or None. ``surroundings``: what the thermal picture shows where nothing is warm."""
+def objections(
+    teats: Array, evidence: Evidence, surroundings: float, p: Parameters
+) -> list[str | None]:
+    """Why each of the teats (m, 8) is none, or None. ``surroundings``: what the thermal picture
+    shows where nothing is warm.
+    """
     reasons: list[str | None] = [_objection(teats[i], evidence, i, p) for i in range(len(teats))]
     clean = [i for i, reason in enumerate(reasons) if reason is None]
     least = np.nanmin(evidence.warmth, axis=1, initial=np.inf) if len(teats) else np.zeros(0)
@@ -121,10 +183,14 @@ def objections(teats: Array, evidence: Evidence, surroundings: float, p: Paramet
     return reasons
 
 
-def doubts(teats: Array, evidence: Evidence, reasons: list[str | None], p: Parameters) -> tuple[list[int], list[int]]:
-    """Of the teats (m, 8), those that may bridge two teats, and those that may be too high or too low on one; at most a few of each.
+def doubts(
+    teats: Array, evidence: Evidence, reasons: list[str | None], p: Parameters
+) -> tuple[list[int], list[int]]:
+    """Of the teats (m, 8), those that may bridge two teats, and those that may be too high or too
+    low on one; at most a few of each.
 
-    Both have their sides where they should be, but not all of their end. A teat that has both sides hardly bridges two.
+    Both have their sides where they should be, but not all of their end. A teat that has both sides
+    hardly bridges two.
     """
     both = evidence.both[:, :2].min(axis=1) > p.least_side
     partial = (evidence.end[:, :2].min(axis=1) < np.where(both, p.whole_end_both, p.whole_end)) & (
@@ -135,7 +201,9 @@ def doubts(teats: Array, evidence: Evidence, reasons: list[str | None], p: Param
     open_ = [
         int(i)
         for i in np.argsort(-evidence.merit)
-        if partial[i] and (maybe_hidden(reasons[i]) or reasons[i] == _SIZE) and not same[i, whole].any()
+        if partial[i]
+        and (maybe_hidden(reasons[i]) or reasons[i] == _SIZE)
+        and not same[i, whole].any()
     ]
     half = evidence.end[:, :2].max(axis=1) > 0.5 * p.whole_end
     bridging, shifted = [i for i in open_ if half[i] and not both[i]], [i for i in open_ if both[i]]
@@ -145,7 +213,9 @@ def doubts(teats: Array, evidence: Evidence, reasons: list[str | None], p: Param
 
 
 def maybe_hidden(reason: str | None) -> bool:
-    """Whether what speaks against a teat, if anything, may be that a nearer one hides a part of it."""
+    """Whether what speaks against a teat, if anything, may be that
+    a nearer one hides a part of it.
+    """
     return reason is None or "seen" in reason or reason in (_OUTLINE, _UNSURE, _WORSE)
 
 
@@ -171,7 +241,9 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
 
 
 def _one_sees_a_side(evidence: Evidence, i: int) -> bool:
-    """Whether the pictures disagree on how many sides there are, and the thermal picture hardly shows an end: two things taken for one."""
+    """Whether the pictures disagree on how many sides there are, and the thermal picture hardly
+    shows an end: two things taken for one.
+    """
     return bool(np.ptp(evidence.both[i, :2]) > 0.5 and evidence.end[i, 2] < 0.7)
 
 
@@ -182,15 +254,22 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     followed = evidence.followed[i] and evidence.both[i, :2].min() > 0.8
     partial = evidence.end[i, :2].mean() < (p.least_end_followed if followed else p.least_end_alone)
     alone = partial and evidence.end[i, 2] < 0.5
-    between_two = evidence.followed[i] and not warm and evidence.end[i, :2].mean() < _LEAST_BETWEEN  # a gap has two sides too
+    # a gap has two sides too
+    between_two = evidence.followed[i] and not warm and evidence.end[i, :2].mean() < _LEAST_BETWEEN
     if end < (_LEAST_FOLLOWED if followed else p.least_end) or alone or between_two:
         return "its end isn't seen"
     one_sided = evidence.both[i, :2].max() < p.least_side
     good = evidence.misfit_px[i] < p.good_misfit_px
-    warm_end = np.isfinite(evidence.thermal_px[i, END]) or (good and end > p.least_end_alone and evidence.end[i, 2] >= 0.4)
+    warm_end = np.isfinite(evidence.thermal_px[i, END]) or (
+        good and end > p.least_end_alone and evidence.end[i, 2] >= 0.4
+    )
     if one_sided and (end < p.least_end_one_sided * (1.0 if good else 1.4) or not warm_end):
         return "only a side of it and too little of its end are seen"
-    least = p.least_end_alone if min(evidence.end[i, 2], evidence.side[i, 2]) > _WARM else p.least_end_unsure
+    least = (
+        p.least_end_alone
+        if min(evidence.end[i, 2], evidence.side[i, 2]) > _WARM
+        else p.least_end_unsure
+    )
     if one_sided and evidence.sd_mm[i] > p.sure_one_sided_mm and evidence.end[i, :2].mean() < least:
         return "only a side of it and not all of its end are seen"
     if evidence.side[i, view] < p.least_side and not _held_by_thermal(evidence, i):
@@ -199,16 +278,27 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
 
 
 def _held_by_thermal(evidence: Evidence, i: int) -> bool:
-    """Whether a teat may lack its sides in a picture: its end is well seen in both, and the thermal picture shows its end and a side,
-    the less clearly where the other optical picture shows a side."""
-    end, side, thermal = evidence.end[i, :2].min(), evidence.side[i, :2].max(), min(evidence.end[i, 2], evidence.side[i, 2])
+    """Whether a teat may lack its sides in a picture: its end is well seen in both, and the thermal
+    picture shows its end and a side, the less clearly where the other optical picture shows a side.
+    """
+    end, side, thermal = (
+        evidence.end[i, :2].min(),
+        evidence.side[i, :2].max(),
+        min(evidence.end[i, 2], evidence.side[i, 2]),
+    )
     return bool((end > 0.7 and thermal > 0.9) or (end > 0.6 and thermal > 0.8 and side > 0.5))
 
 
 def _elsewhere(offset_px: Array, most_px: float) -> bool:
-    """Whether the thermal outline contradicts. Warmth beyond one side may be a neighbour's; beyond the end or both sides it can't."""
+    """Whether the thermal outline contradicts. Warmth beyond one side may be a neighbour's; beyond
+    the end or both sides it can't.
+    """
     side_a, end, side_b = np.nan_to_num(offset_px)
-    return bool(abs(end) > most_px or min(side_a, side_b) < -most_px or (side_a > most_px and side_b > most_px))
+    return bool(
+        abs(end) > most_px
+        or min(side_a, side_b) < -most_px
+        or (side_a > most_px and side_b > most_px)
+    )
 
 
 def _passes_through(a: Array, b: Array, share: float) -> bool:

@@ -1,9 +1,12 @@
-"""From a thermal nomination to places in space: which depths along its line of sight do both optical pictures bear out?
+"""From a thermal nomination to places in space: which depths along its line of sight do both
+optical pictures bear out?
 
-Strategy: the nomination's ball and axis are put at every depth of the working volume, a step of disparity apart, and carried through
-the calibrated cameras into both pictures, where the outline is laid over the squeezed gradients. That is a mapping for each depth, not
-one homography for all. The few depths at which both pictures agree best become starts for the fit. A bar without a visible end gets its
-depth from its sides, and then its end is sought upwards along its axis. The module may not know what is warm.
+Strategy: the nomination's ball and axis are put at every depth of the working volume, a step of
+disparity apart, and carried through the calibrated cameras into both pictures, where the outline is
+laid over the squeezed gradients. That is a mapping for each depth, not one homography for all. The
+few depths at which both pictures agree best become starts for the fit. A bar without a visible end
+gets its depth from its sides, and then its end is sought upwards along its axis. The module may not
+know what is warm.
 """
 
 from __future__ import annotations
@@ -21,20 +24,28 @@ from detector.fused.thermal import Field, Nominations, joined, strengths
 from detector.geometry import Array, Camera, Motion
 
 _DISPARITY_STEP_PX = 2.5
-_CROSS_PX = np.array([(0.0, 0.0), (-2.0, 0.0), (2.0, 0.0), (0.0, -2.0), (0.0, 2.0)], dtype=np.float32)
-_GRID_PX = np.array([(x, y) for x in (-2.4, -1.2, 0.0, 1.2, 2.4) for y in (-2.4, -1.2, 0.0, 1.2, 2.4)], dtype=np.float32)
+_CROSS_PX = np.array(
+    [(0.0, 0.0), (-2.0, 0.0), (2.0, 0.0), (0.0, -2.0), (0.0, 2.0)], dtype=np.float32
+)
+_GRID_PX = np.array(
+    [(x, y) for x in (-2.4, -1.2, 0.0, 1.2, 2.4) for y in (-2.4, -1.2, 0.0, 1.2, 2.4)],
+    dtype=np.float32,
+)
 _SWELLS = (0.85, 0.95, 1.05, 1.16)
 _ARC = np.radians([-70.0, -42.0, -14.0, 14.0, 42.0, 70.0])
 _BELOW = np.array([0.4, 1.2, 2.0, 2.8, 3.6])  # of the half width, below the ball's middle
 _APART_STEPS = 2
 _LEAST = 0.1
-_NEXT = 0.8  # what a nomination's next best place is worth of the one before, so that none is crowded out
+# what a nomination's next best place is worth of the one before, so that none is crowded out
+_NEXT = 0.8
 _SLIDE_MM = np.arange(0.0, 111.0, 3.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Starts:
-    """Teats (m, 8) to begin the fit with, in the right camera's frame, their scores (m,), and those of their nominations (m,)."""
+    """Teats (m, 8) to begin the fit with, in the right camera's frame, their scores (m,), and those
+    of their nominations (m,).
+    """
 
     teats: Array
     score: Array
@@ -51,7 +62,9 @@ class Starts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Map:
-    """Squeezed gradients of one view, blurred as much as a start may be off, with one pixel of nothing about them."""
+    """Squeezed gradients of one view, blurred as much as a start may be off, with one pixel of
+    nothing about them.
+    """
 
     gx: Field
     gy: Field
@@ -71,14 +84,27 @@ def depths_mm(calibration: Calibration, p: Parameters) -> Array:
     return np.asarray(fb / np.linspace(fb / p.nearest_mm, fb / p.farthest_mm, count))
 
 
-def hypotheses(found: Nominations, lens: Camera, px_a_sensor_px: float, right_from_thermal: Motion, depth_mm: Array) -> Array:
-    """Teats (n, d, 8) in the right camera's frame: each nomination at each depth, as wide as the thermal picture says."""
+def hypotheses(
+    found: Nominations,
+    lens: Camera,
+    px_a_sensor_px: float,
+    right_from_thermal: Motion,
+    depth_mm: Array,
+) -> Array:
+    """Teats (n, d, 8) in the right camera's frame: each nomination at each depth, as wide as the
+    thermal picture says.
+    """
     centre = (found.centre_px + 0.5) * px_a_sensor_px - 0.5
     normal = lens.normalize(centre)
     rays = np.column_stack([normal, np.ones(len(normal))])
     teats = np.zeros((len(found), len(depth_mm), COUNT))
-    teats[..., :3] = right_from_thermal.apply((rays[:, None] * depth_mm[:, None]).reshape(-1, 3)).reshape(len(found), len(depth_mm), 3)
-    down = np.column_stack([found.lean, np.ones(len(found)), np.zeros(len(found))]) @ right_from_thermal.R.T
+    teats[..., :3] = right_from_thermal.apply(
+        (rays[:, None] * depth_mm[:, None]).reshape(-1, 3)
+    ).reshape(len(found), len(depth_mm), 3)
+    down = (
+        np.column_stack([found.lean, np.ones(len(found)), np.zeros(len(found))])
+        @ right_from_thermal.R.T
+    )
     teats[..., LEAN_X] = (down[:, 0] / down[:, 1])[:, None]
     teats[..., HEIGHT] = 1.0
     teats[..., RADIUS] = (found.radius_px * px_a_sensor_px / lens.fc[0])[:, None] * depth_mm
@@ -86,50 +112,83 @@ def hypotheses(found: Nominations, lens: Camera, px_a_sensor_px: float, right_fr
 
 
 def sweep_ends(teats: Array, nominated: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
-    """The best starts among teats (n, d, 8) whose ends the thermal picture shows with scores ``nominated`` (n,)."""
-    score = _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0).max(axis=0).reshape(teats.shape[:2])
+    """The best starts among teats (n, d, 8) whose ends the thermal picture shows with scores
+    ``nominated`` (n,).
+    """
+    score = (
+        _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0).max(axis=0).reshape(teats.shape[:2])
+    )
     best = np.where(_possible(teats, p), score, 0.0)
     rows, columns = _peaks(best, p.starts_per_nomination)
     return Starts(teats[rows, columns], best[rows, columns], nominated[rows] * _NEXT ** _rank(rows))
 
 
-def sweep_bars(teats: Array, nominated: Array, maps: tuple[Map, ...], thermal: Map, p: Parameters) -> Starts:
-    """The best starts among teats (n, d, 8) of which only the sides are known: the depth first, then how far up the end is."""
-    score = _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0, end=False).max(axis=0).reshape(teats.shape[:2])
+def sweep_bars(
+    teats: Array, nominated: Array, maps: tuple[Map, ...], thermal: Map, p: Parameters
+) -> Starts:
+    """The best starts among teats (n, d, 8) of which only the sides are known: the depth first,
+    then how far up the end is.
+    """
+    score = (
+        _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0, end=False)
+        .max(axis=0)
+        .reshape(teats.shape[:2])
+    )
     rows, columns = _peaks(np.where(_possible(teats, p), score, 0.0), p.starts_per_nomination)
     deep, nominated = teats[rows, columns], nominated[rows] * _NEXT ** _rank(rows)
     slid = np.repeat(deep[:, None], len(_SLIDE_MM), axis=1)
     slid[..., :3] -= _SLIDE_MM[:, None] * axes(deep)[:, None]
     score = _ended(slid.reshape(-1, COUNT), maps, thermal).reshape(slid.shape[:2])
     rows, columns = _peaks(score, 2)
-    return Starts(slid[rows, columns], score[rows, columns] / 1.5, nominated[rows] * _NEXT ** _rank(rows))
+    return Starts(
+        slid[rows, columns], score[rows, columns] / 1.5, nominated[rows] * _NEXT ** _rank(rows)
+    )
 
 
 def _ended(teats: Array, maps: tuple[Map, ...], thermal: Map) -> Array:
-    """Scores (m,) of teats (m, 8) by both optical pictures and the thermal one: one kind may not tell an end from an arm."""
-    return np.asarray(_joint(teats, maps, _CROSS_PX, 1.0).max(axis=0) + 0.5 * _scores(teats, thermal, _CROSS_PX[:1], 1.0, end=True)[0])
+    """Scores (m,) of teats (m, 8) by both optical pictures and the thermal one: one kind may not
+    tell an end from an arm.
+    """
+    return np.asarray(
+        _joint(teats, maps, _CROSS_PX, 1.0).max(axis=0)
+        + 0.5 * _scores(teats, thermal, _CROSS_PX[:1], 1.0, end=True)[0]
+    )
 
 
 def _possible(teats: Array, p: Parameters) -> NDArray[np.bool_]:
     """Whether teats (..., 8) might be of a teat's size, the thermal picture being coarse."""
-    return np.asarray((teats[..., RADIUS] > 0.75 * p.least_radius_mm) & (teats[..., RADIUS] < 1.3 * p.greatest_radius_mm))
+    return np.asarray(
+        (teats[..., RADIUS] > 0.75 * p.least_radius_mm)
+        & (teats[..., RADIUS] < 1.3 * p.greatest_radius_mm)
+    )
 
 
 def best_starts(starts: Starts, maps: tuple[Map, ...], p: Parameters) -> Array:
-    """The teats (m, 8) of the most promising starts, with the shift and swell that fit both pictures best."""
-    teats = starts.teats[np.argsort(-starts.score * starts.nominated, kind="stable")[: p.most_starts]]
+    """The teats (m, 8) of the most promising starts, with the shift and swell that fit both
+    pictures best.
+    """
+    teats = starts.teats[
+        np.argsort(-starts.score * starts.nominated, kind="stable")[: p.most_starts]
+    ]
     if len(teats) == 0:
         return teats
-    joint = np.stack([_joint(teats, maps, _GRID_PX, swell) for swell in _SWELLS])  # (swells, shifts, m)
+    # (swells, shifts, m)
+    joint = np.stack([_joint(teats, maps, _GRID_PX, swell) for swell in _SWELLS])
     swell, shift = np.unravel_index(joint.reshape(-1, len(teats)).argmax(axis=0), joint.shape[:2])
     moved = teats.copy()
     moved[:, :2] += _GRID_PX[shift] * moved[:, 2:3] / np.array(maps[1].view.camera.fc)
-    moved[:, RADIUS] = np.clip(moved[:, RADIUS] * np.array(_SWELLS)[swell], p.least_radius_mm, p.greatest_radius_mm)
+    moved[:, RADIUS] = np.clip(
+        moved[:, RADIUS] * np.array(_SWELLS)[swell], p.least_radius_mm, p.greatest_radius_mm
+    )
     return moved
 
 
-def _joint(teats: Array, maps: tuple[Map, ...], shifts: Field, swell: float, *, end: bool = True) -> Array:
-    """Scores (shifts, m) of teats (m, 8) in both pictures together; ``end``: whether the round end counts."""
+def _joint(
+    teats: Array, maps: tuple[Map, ...], shifts: Field, swell: float, *, end: bool = True
+) -> Array:
+    """Scores (shifts, m) of teats (m, 8) in both pictures together; ``end``: whether the round end
+    counts.
+    """
     left, right = (_scores(teats, each, shifts, swell, end=end) for each in maps)
     return np.asarray(np.sqrt(left * right))
 
@@ -137,7 +196,9 @@ def _joint(teats: Array, maps: tuple[Map, ...], shifts: Field, swell: float, *, 
 def _scores(teats: Array, each: Map, shifts: Field, swell: float, *, end: bool) -> Array:
     """Scores (shifts, m) of teats (m, 8) in one picture."""
     camera, motion = each.view.camera, each.view.camera_from_teats
-    foot = teats[:, :3] + 20.0 * np.column_stack([teats[:, LEAN_X], np.ones(len(teats)), np.zeros(len(teats))])
+    foot = teats[:, :3] + 20.0 * np.column_stack(
+        [teats[:, LEAN_X], np.ones(len(teats)), np.zeros(len(teats))]
+    )
     points = motion.apply(np.concatenate([teats[:, :3], foot]))
     pixels = camera.project(points)
     seen = np.isfinite(pixels[: len(teats)] + pixels[len(teats) :]).all(axis=1, keepdims=True)
@@ -145,19 +206,29 @@ def _scores(teats: Array, each: Map, shifts: Field, swell: float, *, end: bool) 
     down = np.where(seen, pixels[len(teats) :] - pixels[: len(teats)], [0.0, 1.0])
     down /= np.linalg.norm(down, axis=1, keepdims=True)
     right = np.column_stack([down[:, 1], -down[:, 0]])
-    half = (swell * teats[:, RADIUS] * camera.fc[0] / np.maximum(points[: len(teats), 2], 1.0))[:, None]
+    half = (swell * teats[:, RADIUS] * camera.fc[0] / np.maximum(points[: len(teats), 2], 1.0))[
+        :, None
+    ]
     arc = -np.cos(_ARC)[:, None, None] * down + np.sin(_ARC)[:, None, None] * right
     at = middle - each.view.corner_px
-    left, other = (_across(each, shifts, at + half * (_BELOW[:, None, None] * down + s * right), s * right[None]) for s in (-1.0, 1.0))
+    left, other = (
+        _across(
+            each, shifts, at + half * (_BELOW[:, None, None] * down + s * right), s * right[None]
+        )
+        for s in (-1.0, 1.0)
+    )
     top = _across(each, shifts, at + half * arc, arc) if end else np.ones_like(left)
     return joined(top, left, other)
 
 
 def _across(each: Map, shifts: Field, at: Array, normals: Array) -> Array:
-    """Mean strength (shifts, m) across an outline at ``at`` (k, m, 2) along ``normals`` (k or 1, m, 2); none outside of the picture."""
+    """Mean strength (shifts, m) across an outline at ``at`` (k, m, 2) along ``normals`` (k or 1, m,
+    2); none outside of the picture.
+    """
     rows, columns = each.gx.shape
     place = at.astype(np.float32)[:, None] + (shifts[None, :, None] + np.float32(1.5))
-    np.clip(place, 0, np.array([columns - 1, rows - 1], dtype=np.float32), out=place)  # the border holds nothing
+    # the border holds nothing
+    np.clip(place, 0, np.array([columns - 1, rows - 1], dtype=np.float32), out=place)
     whole = place.astype(np.int32)
     index = whole[..., 1] * columns + whole[..., 0]
     n = normals.astype(np.float32)[:, None]
@@ -167,7 +238,9 @@ def _across(each: Map, shifts: Field, at: Array, normals: Array) -> Array:
 
 def _rank(rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """How many times (m,) each of ``rows`` (m,) came before."""
-    return np.array([np.count_nonzero(rows[:i] == row) for i, row in enumerate(rows)], dtype=np.intp)
+    return np.array(
+        [np.count_nonzero(rows[:i] == row) for i, row in enumerate(rows)], dtype=np.intp
+    )
 
 
 def _peaks(score: Array, most: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

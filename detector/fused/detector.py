@@ -1,7 +1,9 @@
-"""The bench's own detector, from frame set to teat ends: thermal nominates, optics localise, stereo decides.
+"""The bench's own detector, from frame set to teat ends: thermal nominates, optics localise, stereo
+decides.
 
-Strategy: the stages are next door; here they are joined, and what each gave is kept for the report. A frame set that can't be used gives no
-teats and a sentence. The module may not know the scene, the truth, nor what the answer is for.
+Strategy: the stages are next door; here they are joined, and what each gave is kept for the report.
+A frame set that can't be used gives no teats and a sentence. The module may not know the scene, the
+truth, nor what the answer is for.
 """
 
 from __future__ import annotations
@@ -16,7 +18,14 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.fused import pictures
 from detector.fused.decide import Evidence, doubts, maybe_hidden, objections, warmth_inside, weigh
-from detector.fused.depth_search import Map, best_starts, depths_mm, hypotheses, sweep_bars, sweep_ends
+from detector.fused.depth_search import (
+    Map,
+    best_starts,
+    depths_mm,
+    hypotheses,
+    sweep_bars,
+    sweep_ends,
+)
 from detector.fused.fit import View
 from detector.fused.model import apexes, axes
 from detector.fused.parameters import Parameters
@@ -48,7 +57,9 @@ _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
 
 @dataclass(frozen=True, slots=True)
 class FusedDetector:
-    """Classical vision, no learning: everything it knows is in `Parameters` and in the calibration."""
+    """Classical vision, no learning: everything it knows is in `Parameters` and in the
+    calibration.
+    """
 
     settings: Parameters = field(default_factory=Parameters)
 
@@ -68,7 +79,9 @@ class FusedDetector:
         return asdict(self.settings)
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
-        """Teat ends in the world frame with their covariances, and the trace of every stage that was reached."""
+        """Teat ends in the world frame with their covariances, and the trace of every stage that
+        was reached.
+        """
         trace: list[Stage] = []
         try:
             return _detect(frames, calibration, self.settings, trace)
@@ -78,7 +91,9 @@ class FusedDetector:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Thermal:
-    """The thermal picture, what it shows where nothing is warm, and the way to it from the right camera."""
+    """The thermal picture, what it shows where nothing is warm, and the way to it from the right
+    camera.
+    """
 
     warm: NDArray[np.float32]
     lens: Camera
@@ -87,7 +102,9 @@ class _Thermal:
     surroundings: float
 
 
-def _detect(frames: Frames, calibration: Calibration, p: Parameters, trace: list[Stage]) -> Detection:
+def _detect(
+    frames: Frames, calibration: Calibration, p: Parameters, trace: list[Stage]
+) -> Detection:
     left = pictures.optical(frames.left, calibration.left.image_size, "left")
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
     thermal = _thermal(frames, calibration)
@@ -96,12 +113,19 @@ def _detect(frames: Frames, calibration: Calibration, p: Parameters, trace: list
     trace.append(_decisions(judged))
     answers = _answers(judged, thermal, calibration)
     hidden = unexplained(thermal.warm, ends, *_bars_of(judged, thermal))
-    return Detection(answers, hidden, None if answers else "nothing warm has the outline of a teat in both optical pictures", tuple(trace))
+    return Detection(
+        answers,
+        hidden,
+        None if answers else "nothing warm has the outline of a teat in both optical pictures",
+        tuple(trace),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judged:
-    """Fitted teats, covariances (m, 3, 3) of their ends in the right camera's frame, what speaks for each, and the reasons against."""
+    """Fitted teats, covariances (m, 3, 3) of their ends in the right camera's frame, what speaks
+    for each, and the reasons against.
+    """
 
     fitted: Fitted
     covariances: Array
@@ -114,7 +138,9 @@ class _Judged:
 
 
 def _fit(teats: Array, maps: tuple[Map, ...], thermal: _Thermal, p: Parameters) -> _Judged:
-    """Fit and judge; then again without what a neighbour may have bridged or hidden, where there is cause to."""
+    """Fit and judge; then again without what a neighbour may have bridged or hidden, where there is
+    cause to.
+    """
     views = tuple(each.view for each in maps)
     judged = _judge(refine(teats, views, p), thermal, p)
     bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.reasons, p)
@@ -123,15 +149,27 @@ def _fit(teats: Array, maps: tuple[Map, ...], thermal: _Thermal, p: Parameters) 
         slid = slide_ends(judged.fitted.teats[shifted], views)
         more = refine_slid(refine_more(judged.fitted, starts, left_out, views, p), slid, views, p)
         judged = _judge(more, thermal, p)
-    hidden = hidden_points(judged.fitted, judged.accepted, [i for i, reason in enumerate(judged.reasons) if maybe_hidden(reason)])
-    return _judge(refine_again(judged.fitted, hidden, views, p), thermal, p) if hidden.any() else judged
+    hidden = hidden_points(
+        judged.fitted,
+        judged.accepted,
+        [i for i, reason in enumerate(judged.reasons) if maybe_hidden(reason)],
+    )
+    return (
+        _judge(refine_again(judged.fitted, hidden, views, p), thermal, p)
+        if hidden.any()
+        else judged
+    )
 
 
 def _judge(fitted: Fitted, thermal: _Thermal, p: Parameters) -> _Judged:
     covariances = end_covariances(fitted, p)
-    warmth = warmth_inside(fitted.teats, thermal.warm, thermal.lens, thermal.from_right, thermal.px_a_sensor_px)
+    warmth = warmth_inside(
+        fitted.teats, thermal.warm, thermal.lens, thermal.from_right, thermal.px_a_sensor_px
+    )
     evidence = weigh(fitted, covariances, warmth)
-    return _Judged(fitted, covariances, evidence, objections(fitted.teats, evidence, thermal.surroundings, p))
+    return _Judged(
+        fitted, covariances, evidence, objections(fitted.teats, evidence, thermal.surroundings, p)
+    )
 
 
 def _thermal(frames: Frames, calibration: Calibration) -> _Thermal:
@@ -139,51 +177,101 @@ def _thermal(frames: Frames, calibration: Calibration) -> _Thermal:
     camera, motion = calibration.thermal, calibration.thermal_from_right
     if camera.lens is None or motion is None:
         raise pictures.UnusableError(
-            "the calibration has no lens and pose of the thermal camera, by which fused goes from thermal to optical"
+            "the calibration has no lens and pose of the thermal camera, by which fused goes from"
+            " thermal to optical"
         )
-    across, down = (delivered / sensor for delivered, sensor in zip(camera.image_size, camera.sensor_size, strict=True))
+    across, down = (
+        delivered / sensor
+        for delivered, sensor in zip(camera.image_size, camera.sensor_size, strict=True)
+    )
     if abs(across - down) > 0.01 * across:
-        raise pictures.UnusableError(f"the thermal picture is stretched: {across:g} pixels a sensor pixel across, {down:g} down")
+        raise pictures.UnusableError(
+            f"the thermal picture is stretched: {across:g} pixels a sensor pixel across, {down:g}"
+            " down"
+        )
     return _Thermal(warm, camera.lens, motion, across, float(np.percentile(warm, _COLD_PERCENT)))
 
 
 def _start(
-    thermal: _Thermal, left: NDArray[Any], right: NDArray[Any], calibration: Calibration, p: Parameters, trace: list[Stage]
+    thermal: _Thermal,
+    left: NDArray[Any],
+    right: NDArray[Any],
+    calibration: Calibration,
+    p: Parameters,
+    trace: list[Stage],
 ) -> tuple[Array, tuple[Map, ...], Nominations]:
     ends = nominate(thermal.warm, p.most_nominations)
     upright = bars(thermal.warm, ends, p.most_bars)
-    trace.append(Stage("thermal", {"warmth": thermal.warm, **_shown("end", ends), **_shown("bar", upright)}))
+    trace.append(
+        Stage("thermal", {"warmth": thermal.warm, **_shown("end", ends), **_shown("bar", upright)})
+    )
     if len(ends) + len(upright) == 0:
         raise pictures.UnusableError("the thermal picture shows nothing like a teat")
     depth_mm, right_from_thermal = depths_mm(calibration, p), thermal.from_right.inverse()
-    of_ends, of_bars = (hypotheses(n, thermal.lens, thermal.px_a_sensor_px, right_from_thermal, depth_mm) for n in (ends, upright))
-    views = _views(left, right, calibration, np.concatenate([of_ends, of_bars - [0, _ROOM_ABOVE_MM, 0, 0, 0, 0, 0, 0], of_bars]))
+    of_ends, of_bars = (
+        hypotheses(n, thermal.lens, thermal.px_a_sensor_px, right_from_thermal, depth_mm)
+        for n in (ends, upright)
+    )
+    views = _views(
+        left,
+        right,
+        calibration,
+        np.concatenate([of_ends, of_bars - [0, _ROOM_ABOVE_MM, 0, 0, 0, 0, 0, 0], of_bars]),
+    )
     maps = tuple(Map.of(view, _OPTICAL_BLUR_PX) for view in views)
     warm = Map.of(_thermal_view(thermal), _THERMAL_BLUR_PX)
-    starts = sweep_ends(of_ends, ends.score, maps, p) + sweep_bars(of_bars, upright.score, maps, warm, p)
+    starts = sweep_ends(of_ends, ends.score, maps, p) + sweep_bars(
+        of_bars, upright.score, maps, warm, p
+    )
     teats = best_starts(starts, maps, p)
     trace.append(Stage("starts", {"teats": teats}))
     return teats, (*maps, warm), ends
 
 
 def _shown(what: str, found: Nominations) -> dict[str, Array]:
-    return {f"{what}_px": found.centre_px, f"{what}_radius_px": found.radius_px, f"{what}_score": found.score}
+    return {
+        f"{what}_px": found.centre_px,
+        f"{what}_radius_px": found.radius_px,
+        f"{what}_score": found.score,
+    }
 
 
-def _views(left: NDArray[Any], right: NDArray[Any], calibration: Calibration, guesses: Array) -> tuple[View, ...]:
+def _views(
+    left: NDArray[Any], right: NDArray[Any], calibration: Calibration, guesses: Array
+) -> tuple[View, ...]:
     """The parts of both pictures that the guesses (n, d, 8) reach."""
     points = guesses[..., :3].reshape(-1, 3)
     points = np.concatenate([points, points + np.array([0.0, 60.0, 0.0])])
     made = []
-    sides = (left, calibration.left, calibration.right_from_left.inverse()), (right, calibration.right, Motion.identity())
+    sides = (
+        (left, calibration.left, calibration.right_from_left.inverse()),
+        (
+            right,
+            calibration.right,
+            Motion.identity(),
+        ),
+    )
     for picture, camera, motion in sides:
         near, corner = pictures.region(picture, camera.project(motion.apply(points)), _ROOM_PX)
-        made.append(View(near, corner, pictures.noise_of(near), camera, motion, OPTICAL_ROUGH, OPTICAL_FINE, OPTICAL_FLOOR_PX))
+        made.append(
+            View(
+                near,
+                corner,
+                pictures.noise_of(near),
+                camera,
+                motion,
+                OPTICAL_ROUGH,
+                OPTICAL_FINE,
+                OPTICAL_FLOOR_PX,
+            )
+        )
     return tuple(made)
 
 
 def _thermal_view(thermal: _Thermal) -> View:
-    """The thermal picture as one more view, in sensor pixels: coarse, but it can't take a shadow for a teat."""
+    """The thermal picture as one more view, in sensor pixels: coarse, but it can't take a shadow
+    for a teat.
+    """
     lens, size = thermal.lens, thermal.px_a_sensor_px
     rows, columns = thermal.warm.shape
     sensor = Camera(
@@ -193,26 +281,45 @@ def _thermal_view(thermal: _Thermal) -> View:
         lens.alpha_c,
         lens.kc,
     )
-    return View(thermal.warm, np.zeros(2), pictures.noise_of(thermal.warm), sensor, thermal.from_right, THERMAL, THERMAL, THERMAL_FLOOR_PX)
+    return View(
+        thermal.warm,
+        np.zeros(2),
+        pictures.noise_of(thermal.warm),
+        sensor,
+        thermal.from_right,
+        THERMAL,
+        THERMAL,
+        THERMAL_FLOOR_PX,
+    )
 
 
 def _decisions(judged: _Judged) -> Stage:
-    """Every fitted teat with what speaks for it and the reason against it, empty for those accepted."""
+    """Every fitted teat with what speaks for it and the reason against it, empty for those
+    accepted.
+    """
     shown = {name: getattr(judged.evidence, name) for name in Evidence.__slots__}
     reasons = np.array([reason or "" for reason in judged.reasons], dtype=np.str_)
-    return Stage("decisions", {"teats": judged.fitted.teats, **shown, "merit": judged.evidence.merit, "reasons": reasons})
+    return Stage(
+        "decisions",
+        {"teats": judged.fitted.teats, **shown, "merit": judged.evidence.merit, "reasons": reasons},
+    )
 
 
 def _bars_of(judged: _Judged, thermal: _Thermal) -> tuple[Array, Array]:
     """Feet and tips (k, 2) of the accepted teats in the thermal picture, sensor pixels."""
     teats, sensor = judged.fitted.teats[judged.accepted], _thermal_view(thermal).camera
     tips = apexes(teats)
-    feet, tips_px = (sensor.project(thermal.from_right.apply(points)) for points in (tips + 60.0 * axes(teats), tips))
+    feet, tips_px = (
+        sensor.project(thermal.from_right.apply(points))
+        for points in (tips + 60.0 * axes(teats), tips)
+    )
     return feet, tips_px
 
 
 def _answers(judged: _Judged, thermal: _Thermal, calibration: Calibration) -> tuple[Teat, ...]:
-    """The accepted teats' ends with their covariances, the calibration's share included, and their pixels."""
+    """The accepted teats' ends with their covariances, the calibration's share included, and their
+    pixels.
+    """
     accepted = judged.accepted
     if not accepted:
         return ()
@@ -221,4 +328,6 @@ def _answers(judged: _Judged, thermal: _Thermal, calibration: Calibration) -> tu
     covariances = world_covariances(judged.covariances[accepted], ends, calibration)
     left_px, right_px = calibration.project(world)
     thermal_px = thermal.lens.project(thermal.from_right.apply(ends))
-    return tuple(Teat(*each) for each in zip(world, covariances, left_px, right_px, thermal_px, strict=True))
+    return tuple(
+        Teat(*each) for each in zip(world, covariances, left_px, right_px, thermal_px, strict=True)
+    )

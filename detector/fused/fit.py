@@ -1,8 +1,10 @@
-"""The teat that the outlines in all pictures show: a joint robust fit of the model, for many starts at once, and how sure it is.
+"""The teat that the outlines in all pictures show: a joint robust fit of the model, for many starts
+at once, and how sure it is.
 
-Strategy: damped Gauss-Newton on the distance of found edges from the predicted outlines along their normals, edges looked for anew at
-each step. Weak priors on size, lean, taper and height only keep what the pictures don't show from running away. Derivatives are closed
-forms, for all teats in one call. The module may not know temperatures nor how the starts were found.
+Strategy: damped Gauss-Newton on the distance of found edges from the predicted outlines along their
+normals, edges looked for anew at each step. Weak priors on size, lean, taper and height only keep
+what the pictures don't show from running away. Derivatives are closed forms, for all teats in one
+call. The module may not know temperatures nor how the starts were found.
 """
 
 from __future__ import annotations
@@ -12,8 +14,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.fused.edges import LEAST_CLEAR, Field, Profile, find_edges, own_share, sample, shared_limb
-from detector.fused.model import COUNT, HEIGHT, LEAN_X, LEAN_Z, RADIUS, TAPER, Outline, axes, contours, normals_of, pixels_of, slopes
+from detector.fused.edges import (
+    LEAST_CLEAR,
+    Field,
+    Profile,
+    find_edges,
+    own_share,
+    sample,
+    shared_limb,
+)
+from detector.fused.model import (
+    COUNT,
+    HEIGHT,
+    LEAN_X,
+    LEAN_Z,
+    RADIUS,
+    TAPER,
+    Outline,
+    axes,
+    contours,
+    normals_of,
+    pixels_of,
+    slopes,
+)
 from detector.geometry import Array, Camera, Motion
 
 _STEP_MM = 0.1  # outward, to see how far the outline moves
@@ -21,9 +44,11 @@ _STEP_MM = 0.1  # outward, to see how far the outline moves
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One picture: linear intensities of a region, where its first pixel lies in the whole picture, and who took it.
+    """One picture: linear intensities of a region, where its first pixel lies in the whole picture,
+    and who took it.
 
-    ``rough``, ``fine``: how edges look in it; ``floor_px``: how far off an edge may be for other reasons than noise (standard deviation).
+    ``rough``, ``fine``: how edges look in it; ``floor_px``: how far off an edge may be for other
+    reasons than noise (standard deviation).
     """
 
     field: Field
@@ -38,8 +63,9 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is known of teats before looking: mean and standard deviation of radius (mm), and how far lean (slope) and taper are from 0,
-    and height from 1."""
+    """What is known of teats before looking: mean and standard deviation of radius (mm), and how
+    far lean (slope) and taper are from 0, and height from 1.
+    """
 
     radius_mm: float = 11.0
     radius_sd_mm: float = 1.7
@@ -50,13 +76,16 @@ class Prior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """Edges about the outlines of m teats in all views, ``n`` points a view: (m, views * n) each."""
+    """Edges about the outlines of m teats in all views, ``n``
+    points a view: (m, views * n) each.
+    """
 
     offset_px: Array
     sd_px: Array
     clarity: Array
     floor_px: Array
-    jacobian: Array  # (m, views * n, 8): how far the outline moves outward, px a unit of each parameter
+    # (m, views * n, 8): how far the outline moves outward, px a unit of each parameter
+    jacobian: Array
     pixels_px: Array  # (m, views * n, 2)
     normals: Array
     limb_px: Array  # by how much brightness that falls towards the limb moved the edges hereabouts
@@ -67,19 +96,37 @@ class Seen:
         return Seen(**{name: getattr(self, name)[which] for name in Seen.__slots__})
 
 
-def look(teats: Array, views: tuple[View, ...], outline: Outline, jacobian: Array | None = None, *, fine: bool) -> Seen:
-    """Find edges about the outlines of teats (m, 8). ``jacobian``: that of teats nearby, to save finding it anew."""
-    parts = [_look_at(teats, view, outline, view.fine if fine else view.rough, slopes_too=jacobian is None) for view in views]
+def look(
+    teats: Array,
+    views: tuple[View, ...],
+    outline: Outline,
+    jacobian: Array | None = None,
+    *,
+    fine: bool,
+) -> Seen:
+    """Find edges about the outlines of teats (m, 8). ``jacobian``: that of teats nearby, to save
+    finding it anew.
+    """
+    parts = [
+        _look_at(
+            teats, view, outline, view.fine if fine else view.rough, slopes_too=jacobian is None
+        )
+        for view in views
+    ]
     if fine:
         optical = [part for part, view in zip(parts, views, strict=True) if view.fine.limb]
         shared = shared_limb(np.stack([part.limb_px for part in optical]))
         parts[: len(optical)] = [_lit_alike(part, shared) for part in optical]
-    found = {name: np.concatenate([getattr(p, name) for p in parts], axis=1) for name in Seen.__slots__}
+    found = {
+        name: np.concatenate([getattr(p, name) for p in parts], axis=1) for name in Seen.__slots__
+    }
     return Seen(**(found if jacobian is None else {**found, "jacobian": jacobian}))
 
 
 def _lit_alike(part: Seen, shared_px: Array) -> Seen:
-    """Edges by the fall of brightness that outlines (m, n) have in common, ``shared_px``, as far as each line's own is less sure."""
+    """Edges by the fall of brightness that outlines (m, n) have in common, ``shared_px``, as far as
+    each line's own is less sure.
+    """
     own = own_share(shared_px, part.limb_sd_px)
     known = np.isfinite(part.limb_px)
     offset = part.offset_px + np.where(known, (1 - own) * (shared_px - part.limb_px), 0.0)
@@ -87,7 +134,9 @@ def _lit_alike(part: Seen, shared_px: Array) -> Seen:
     return replace(part, offset_px=offset, sd_px=sd, limb_px=shared_px)
 
 
-def _look_at(teats: Array, view: View, outline: Outline, profile: Profile, *, slopes_too: bool) -> Seen:
+def _look_at(
+    teats: Array, view: View, outline: Outline, profile: Profile, *, slopes_too: bool
+) -> Seen:
     contour = contours(teats, view.camera_from_teats, outline)
     pixels = pixels_of(contour.points, view.camera)
     normals = normals_of(pixels)
@@ -95,15 +144,34 @@ def _look_at(teats: Array, view: View, outline: Outline, profile: Profile, *, sl
     jacobian = np.zeros((m, n, COUNT))
     if slopes_too:
         outward = pixels_of(contour.points + _STEP_MM * contour.normals, view.camera) - pixels
-        jacobian = slopes(teats, contour, np.einsum("mnd,mnd->mn", outward, normals) / _STEP_MM, view.camera_from_teats)
-    lines = sample(view.field, pixels.reshape(-1, 2) - view.corner_px, normals.reshape(-1, 2), profile.offsets)
+        jacobian = slopes(
+            teats,
+            contour,
+            np.einsum("mnd,mnd->mn", outward, normals) / _STEP_MM,
+            view.camera_from_teats,
+        )
+    lines = sample(
+        view.field, pixels.reshape(-1, 2) - view.corner_px, normals.reshape(-1, 2), profile.offsets
+    )
     found = find_edges(lines.reshape(m, n, -1), profile, view.noise)
     floor = np.full((m, n), view.floor_px)
-    return Seen(found.offset_px, found.sd_px, found.clarity, floor, jacobian, pixels, normals, found.limb_px, found.limb_sd_px)
+    return Seen(
+        found.offset_px,
+        found.sd_px,
+        found.clarity,
+        floor,
+        jacobian,
+        pixels,
+        normals,
+        found.limb_px,
+        found.limb_sd_px,
+    )
 
 
 def weights(seen: Seen, scale: float) -> Array:
-    """Weights (m, k) of the edges: by their own uncertainty, Cauchy beyond ``scale`` floors off, none where there is hardly an edge."""
+    """Weights (m, k) of the edges: by their own uncertainty, Cauchy beyond ``scale`` floors off,
+    none where there is hardly an edge.
+    """
     usable = np.isfinite(seen.offset_px + seen.jacobian.sum(axis=2)) & (seen.clarity > LEAST_CLEAR)
     variance = seen.sd_px**2 + seen.floor_px**2
     off = np.where(usable, seen.offset_px, 0.0) / np.sqrt(variance + (scale * seen.floor_px) ** 2)
@@ -118,7 +186,16 @@ def normal_equations(teats: Array, seen: Seen, weight: Array, prior: Prior) -> t
     H, b = weighted @ j, (weighted @ r[..., None])[..., 0]
     mean = np.array([0, 0, 0, 0, 0, prior.radius_mm, 0, 1])
     sure = np.array(
-        [1e-8, 1e-8, 1e-8, prior.lean_sd**-2, prior.lean_sd**-2, prior.radius_sd_mm**-2, prior.taper_sd**-2, prior.height_sd**-2]
+        [
+            1e-8,
+            1e-8,
+            1e-8,
+            prior.lean_sd**-2,
+            prior.lean_sd**-2,
+            prior.radius_sd_mm**-2,
+            prior.taper_sd**-2,
+            prior.height_sd**-2,
+        ]
     )
     return H + np.diag(sure), b + sure * np.where(sure > 1e-6, mean - teats, 0.0)
 

@@ -1,10 +1,13 @@
-"""A round-ended teat as eight numbers, and its outline in any camera: closed forms, for many teats at once.
+"""A round-ended teat as eight numbers, and its outline in any camera: closed forms, for many teats
+at once.
 
-Strategy: a teat is a cylinder of free radius and axis, perhaps a little wider towards its base, that ends in a ball to which its sides
-are tangents, or in half an ellipsoid, which is a ball squeezed along the axis: what is said of the ball holds when all, the camera
-included, is stretched back. A surface point with unit normal n lies on the outline where the line of sight is at right angles to n. On
-the ball that is a circle, on the sides two straight lines, and the three join without a gap, so that one list of points goes up one
-side, over the end and down the other. The module may not know pictures.
+Strategy: a teat is a cylinder of free radius and axis, perhaps a little wider towards its base,
+that ends in a ball to which its sides are tangents, or in half an ellipsoid, which is a ball
+squeezed along the axis: what is said of the ball holds when all, the camera included, is stretched
+back. A surface point with unit normal n lies on the outline where the line of sight is at right
+angles to n. On the ball that is a circle, on the sides two straight lines, and the three join
+without a gap, so that one list of points goes up one side, over the end and down the other. The
+module may not know pictures.
 """
 
 from __future__ import annotations
@@ -20,19 +23,24 @@ CX, CY, CZ, LEAN_X, LEAN_Z, RADIUS, TAPER, HEIGHT = range(
     8
 )  # the end's middle, the axis, its radius, the sides' slope, its height in radii
 COUNT = 8
-SIDE_A, END, SIDE_B = range(3)  # the parts of an outline; a camera that looks along +z with y down has side A on its left
+# the parts of an outline; a camera that looks along +z with y down has side A on its left
+SIDE_A, END, SIDE_B = range(3)
 
 
 @dataclass(frozen=True)
 class Outline:
-    """Where along an outline points are taken: ``along_mm`` (k,) down each side, and shares (m,) in (0, 1) of the way over the end."""
+    """Where along an outline points are taken: ``along_mm`` (k,) down each side, and shares (m,) in
+    (0, 1) of the way over the end.
+    """
 
     along_mm: Array
     over_end: Array
 
     @classmethod
     def of(cls, length_mm: float, side_points: int, end_points: int) -> Outline:
-        """Evenly spaced points: ``side_points`` on each side down to ``length_mm`` below the ball's rim, ``end_points`` over the end."""
+        """Evenly spaced points: ``side_points`` on each side down to ``length_mm`` below the ball's
+        rim, ``end_points`` over the end.
+        """
         along = (np.arange(side_points) + 0.5) * length_mm / side_points
         return cls(along, (np.arange(end_points) + 0.5) / end_points)
 
@@ -44,19 +52,25 @@ class Outline:
 
 
 def axes(teats: Array) -> Array:
-    """Unit vectors (m, 3) from the end towards the base of teats (m, 8); the base is below, in the direction of +y."""
+    """Unit vectors (m, 3) from the end towards the base of teats (m, 8); the base is below, in the
+    direction of +y.
+    """
     down = np.column_stack([teats[:, LEAN_X], np.ones(len(teats)), teats[:, LEAN_Z]])
     return np.asarray(down / np.linalg.norm(down, axis=1, keepdims=True))
 
 
 def apexes(teats: Array) -> Array:
-    """The teat ends (m, 3) mm: the point of the rounded end on the axis, in the frame of the teats (m, 8)."""
+    """The teat ends (m, 3) mm: the point of the rounded end on the axis, in the frame of the teats
+    (m, 8).
+    """
     return np.asarray(teats[:, :3] - (teats[:, RADIUS] * teats[:, HEIGHT])[:, None] * axes(teats))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contour:
-    """Outlines of m teats in a camera's frame: points (m, n, 3), unit surface normals there, and the points from the end's middle."""
+    """Outlines of m teats in a camera's frame: points (m, n, 3), unit surface normals there, and
+    the points from the end's middle.
+    """
 
     points: Array
     normals: Array
@@ -64,11 +78,15 @@ class Contour:
 
 
 def contours(teats: Array, camera_from_teats: Motion, outline: Outline) -> Contour:
-    """The outlines of teats (m, 8), from the foot of side A over the end to that of side B; NaN for a teat that the camera is inside of."""
+    """The outlines of teats (m, 8), from the foot of side A over the end to that of side B; NaN for
+    a teat that the camera is inside of.
+    """
     centre, axis = camera_from_teats.apply(teats[:, :3]), axes(teats) @ camera_from_teats.R.T
     height = teats[:, HEIGHT]
     round_centre = centre + ((1 / height - 1) * _dot(centre, axis))[:, None] * axis
-    round_points, round_normals = _surface(round_centre, axis, teats[:, RADIUS], teats[:, TAPER], outline)
+    round_points, round_normals = _surface(
+        round_centre, axis, teats[:, RADIUS], teats[:, TAPER], outline
+    )
     from_centre = round_points + _along(round_points, axis, height - 1)
     normals = round_normals + _along(round_normals, axis, 1 / height - 1)
     normals /= np.sqrt(np.einsum("mnd,mnd->mn", normals, normals))[..., None]
@@ -81,9 +99,11 @@ def pixels_of(points: Array, camera: Camera) -> Array:
 
 
 def slopes(teats: Array, contour: Contour, px_a_mm: Array, camera_from_teats: Motion) -> Array:
-    """How far outlines move outward (m, n, 8), px a unit of each of the teats' numbers; ``px_a_mm`` (m, n) along the surface normal.
+    """How far outlines move outward (m, n, 8), px a unit of each of the teats' numbers; ``px_a_mm``
+    (m, n) along the surface normal.
 
-    An outline moves with the surface along its normal; what slides along the surface doesn't move it.
+    An outline moves with the surface along its normal; what slides along the surface doesn't move
+    it.
     """
     R = camera_from_teats.R
     n, q = contour.normals @ R, contour.from_centre @ R  # in the teats' own frame
@@ -106,27 +126,39 @@ def slopes(teats: Array, contour: Contour, px_a_mm: Array, camera_from_teats: Mo
 
 def _along(vectors: Array, axis: Array, factor: Array) -> Array:
     """The components of vectors (m, n, 3) along axes (m, 3), times a factor (m,)."""
-    return np.asarray((np.einsum("mnd,md->mn", vectors, axis) * factor[:, None])[..., None] * axis[:, None])
+    return np.asarray(
+        (np.einsum("mnd,md->mn", vectors, axis) * factor[:, None])[..., None] * axis[:, None]
+    )
 
 
 def normals_of(pixels_px: Array) -> Array:
-    """Outward unit normals (m, n, 2) of outlines (m, n, 2): at right angles to the way from the point before to the point after."""
+    """Outward unit normals (m, n, 2) of outlines (m, n, 2): at right angles to the way from the
+    point before to the point after.
+    """
     along = np.empty_like(pixels_px)
     along[:, 1:-1] = pixels_px[:, 2:] - pixels_px[:, :-2]
-    along[:, 0], along[:, -1] = pixels_px[:, 1] - pixels_px[:, 0], pixels_px[:, -1] - pixels_px[:, -2]
+    along[:, 0], along[:, -1] = (
+        pixels_px[:, 1] - pixels_px[:, 0],
+        pixels_px[:, -1] - pixels_px[:, -2],
+    )
     length = np.sqrt(along[..., 0] ** 2 + along[..., 1] ** 2)
     return np.stack([along[..., 1] / length, -along[..., 0] / length], axis=-1)
 
 
-def _surface(centre: Array, axis: Array, radius: Array, taper: Array, outline: Outline) -> tuple[Array, Array]:
-    """Points (m, n, 3) of the outline about the ball's centre, in the camera's frame, and the normals there.
+def _surface(
+    centre: Array, axis: Array, radius: Array, taper: Array, outline: Outline
+) -> tuple[Array, Array]:
+    """Points (m, n, 3) of the outline about the ball's centre, in the camera's frame, and the
+    normals there.
 
-    Every normal n has n . centre = -radius; on the sides n . axis = -taper besides, which leaves two, one a side.
+    Every normal n has n . centre = -radius; on the sides n . axis = -taper besides, which leaves
+    two, one a side.
     """
     depth_along = _dot(centre, axis)
     across = centre - depth_along[:, None] * axis
     distance = np.linalg.norm(across, axis=1)
-    towards = -across / distance[:, None]  # from the axis to the camera, at right angles to the axis
+    # from the axis to the camera, at right angles to the axis
+    towards = -across / distance[:, None]
     sideways = np.cross(axis, towards)
     x = (radius - taper * depth_along) / distance
     y2 = 1 - taper**2 - x**2
@@ -137,7 +169,10 @@ def _surface(centre: Array, axis: Array, radius: Array, taper: Array, outline: O
     generators = [cosine * axis + (taper[:, None] / cosine) * one for one in level]
     over = _over_end(centre, radius, rims[0], rims[1], outline.over_end)
     k, m = len(outline.along_mm), over.shape[1]
-    normals = np.concatenate([np.repeat(rims[0][:, None], k, axis=1), over, np.repeat(rims[1][:, None], k, axis=1)], axis=1)
+    normals = np.concatenate(
+        [np.repeat(rims[0][:, None], k, axis=1), over, np.repeat(rims[1][:, None], k, axis=1)],
+        axis=1,
+    )
     sides = [
         outline.along_mm[::-1, None] * generators[0][:, None],
         np.zeros((len(centre), m, 3)),
@@ -147,13 +182,16 @@ def _surface(centre: Array, axis: Array, radius: Array, taper: Array, outline: O
 
 
 def _over_end(centre: Array, radius: Array, start: Array, stop: Array, shares: Array) -> Array:
-    """Normals (m, k, 3) on the ball from one rim to the other by the way over the end: the circle n . centre = -radius."""
+    """Normals (m, k, 3) on the ball from one rim to the other by the way over the end: the circle n
+    . centre = -radius.
+    """
     far = np.linalg.norm(centre, axis=1)
     middle = -(radius / far**2)[:, None] * centre
     first, last = start - middle, stop - middle
     reach = np.linalg.norm(first, axis=1)
     e1 = first / reach[:, None]
-    e2 = np.cross(centre / far[:, None], e1)  # turns clockwise as the camera sees it: up from side A and over
+    # turns clockwise as the camera sees it: up from side A and over
+    e2 = np.cross(centre / far[:, None], e1)
     angle = np.arctan2(_dot(last, e2), _dot(last, e1)) % (2 * np.pi)
     phi = angle[:, None] * shares[None, :]
     turned = np.cos(phi)[:, :, None] * e1[:, None] + np.sin(phi)[:, :, None] * e2[:, None]

@@ -1,4 +1,6 @@
-"""Every setting of the detector that changes an answer, with its unit and where it comes from. The module may not know pictures."""
+"""Every setting of the detector that changes an answer, with its unit and where it comes from. The
+module may not know pictures.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +13,9 @@ from detector.fused.fit import Prior
 class Parameters:
     """What is known of teats and rigs before looking, and how much must speak for a teat.
 
-    Sizes are those of teats. How much must be seen, and what moves an edge, was set by hand on the path-traced frames of another program
-    and on situations of seeds below 400; seeds from 400 on were kept apart to measure with (but for one false teat: docs/detectors.md).
+    Sizes are those of teats. How much must be seen, and what moves an edge, was set by hand on the
+    path-traced frames of another program and on situations of seeds below 400; seeds from 400 on
+    were kept apart to measure with (but for one false teat: docs/detectors.md).
     """
 
     nearest_mm: float = 850.0  # working volume, along the right camera's axis
@@ -34,17 +37,26 @@ class Parameters:
     least_end_alone: float = 0.75  # where both sides were followed up to it,
     least_end_followed: float = 0.6  # and where only one side is seen,
     least_end_one_sided: float = 0.45
-    least_end_unsure: float = 0.87  # of one that is less sure than this; least_end_alone where it is warm all round
+    # of one that is less sure than this; least_end_alone where it is warm all round
+    least_end_unsure: float = 0.87
     sure_one_sided_mm: float = 0.75
     greatest_thermal_px: float = 1.2  # how far the thermal outline may lie off, sensor pixels
     good_misfit_px: float = 0.15
     greatest_misfit_px: float = 0.35
     greatest_sd_mm: float = 5.5  # of an end, along the axis where it is the least sure
-    least_warmth: float = 0.78  # of the way from the surroundings' temperature to the warmest teat's
-    overlap: float = 0.85  # two teats' axes are never closer than this share of the sum of their radii
-    stretch_least_px: float = 0.012  # what a short stretch of an outline has in common (paint, shadow, sampling) at the least,
-    stretch_share: float = 0.22  # and as a share of how the stretches' means scatter about the fitted outline
-    limb_share: float = 0.66  # how wrong the correction for the fall of brightness towards the limb may be, as a share of it, a part
+    # of the way from the surroundings' temperature to the warmest teat's
+    least_warmth: float = 0.78
+    # two teats' axes are never closer than this share of the sum of their radii
+    overlap: float = 0.85
+    # what a short stretch of an outline has in common (paint, shadow, sampling) at the least,
+    stretch_least_px: float = 0.012
+    # and as a share of how the stretches' means scatter about the fitted outline
+    stretch_share: float = 0.22
+    # how wrong the correction for the fall of brightness towards the limb may be, as a share of it,
+    # a part
+    limb_share: float = 0.66
     limb_share_of_stretch: float = 0.25  # of the outline, and a stretch of it
-    end_shape_sd_mm: float = 0.07  # how far an end may be from that of half an ellipsoid that fits its outline
-    unseen_end_sd_mm: float = 1.2  # how much less sure an end is along its axis, of which nothing is seen
+    # how far an end may be from that of half an ellipsoid that fits its outline
+    end_shape_sd_mm: float = 0.07
+    # how much less sure an end is along its axis, of which nothing is seen
+    unseen_end_sd_mm: float = 1.2

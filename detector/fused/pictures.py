@@ -1,7 +1,8 @@
 """The pictures as the detector needs them, or one sentence on why they can't be used.
 
-Strategy: optical intensities stay linear, as the camera gives them; only a region about the nominations is ever touched. The thermal
-picture is brought to the sensor's own pixels, un-mirrored, warm high. The module may not know teats.
+Strategy: optical intensities stay linear, as the camera gives them; only a region about the
+nominations is ever touched. The thermal picture is brought to the sensor's own pixels, un-mirrored,
+warm high. The module may not know teats.
 """
 
 from __future__ import annotations
@@ -24,14 +25,18 @@ class UnusableError(ValueError):
 
 
 def optical(picture: NDArray[Any], size: tuple[int, int], camera: str) -> NDArray[Any]:
-    """The grey picture (rows, columns) of a camera, checked against the calibration's size (columns, rows). Raises UnusableError."""
+    """The grey picture (rows, columns) of a camera, checked against the calibration's size
+    (columns, rows). Raises UnusableError.
+    """
     grey = _grey(picture, camera)
     _check_size(grey, size, camera)
     return grey
 
 
 def thermal(frames: Frames, camera: ThermalCamera) -> Field:
-    """Warmth (rows, columns) at sensor resolution, un-mirrored: kelvin where there are any, else grey levels. Raises UnusableError."""
+    """Warmth (rows, columns) at sensor resolution, un-mirrored: kelvin where there are any, else
+    grey levels. Raises UnusableError.
+    """
     columns, rows = camera.sensor_size
     if frames.thermal_k is not None:
         kelvin = np.asarray(frames.thermal_k)
@@ -40,16 +45,25 @@ def thermal(frames: Frames, camera: ThermalCamera) -> Field:
             raise UnusableError("the radiometric thermal picture has pixels that are no numbers")
         return np.ascontiguousarray(kelvin, dtype=np.float32)
     if frames.thermal is None:
-        raise UnusableError("there is no thermal picture, and it is what tells teats from everything else")
+        raise UnusableError(
+            "there is no thermal picture, and it is what tells teats from everything else"
+        )
     grey = _grey(frames.thermal, "thermal")
     _check_size(grey, camera.image_size, "thermal")
     upright = grey[:, ::-1] if camera.mirrored else grey
-    field = cv2.resize(np.ascontiguousarray(upright, dtype=np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    field = cv2.resize(
+        np.ascontiguousarray(upright, dtype=np.float32),
+        (columns, rows),
+        interpolation=cv2.INTER_AREA,
+    )
     return np.asarray(-field if camera.polarity == "hot_is_black" else field, dtype=np.float32)
 
 
-def region(picture: NDArray[Any], points_px: NDArray[np.float64], margin_px: int) -> tuple[Field, NDArray[np.float64]]:
-    """The part of a picture about points (n, 2) as linear intensities, and the pixel (2,) where it begins.
+def region(
+    picture: NDArray[Any], points_px: NDArray[np.float64], margin_px: int
+) -> tuple[Field, NDArray[np.float64]]:
+    """The part of a picture about points (n, 2) as linear intensities, and the pixel (2,) where it
+    begins.
 
     Raises UnusableError where it is empty.
     """
@@ -65,9 +79,14 @@ def region(picture: NDArray[Any], points_px: NDArray[np.float64], margin_px: int
 
 
 def noise_of(field: Field) -> float:
-    """Standard deviation of the noise of intensities: robust, from what is left after differences of second order (Immerkaer 1996)."""
+    """Standard deviation of the noise of intensities: robust, from what is left after differences
+    of second order (Immerkaer 1996).
+    """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
-    return max(float(np.median(np.abs(cv2.filter2D(field, cv2.CV_32F, mask)[::3, ::3]))) / (0.6745 * 6.0), 0.05)
+    return max(
+        float(np.median(np.abs(cv2.filter2D(field, cv2.CV_32F, mask)[::3, ::3]))) / (0.6745 * 6.0),
+        0.05,
+    )
 
 
 def _grey(picture: NDArray[Any], camera: str) -> NDArray[Any]:
@@ -75,9 +94,13 @@ def _grey(picture: NDArray[Any], camera: str) -> NDArray[Any]:
     if image.ndim == 3 and image.shape[2] in (3, 4):
         image = image[..., :3].astype(np.float64) @ _GREY[::-1]
     if image.ndim != 2 or image.size == 0:
-        raise UnusableError(f"the {camera} picture has the shape {image.shape}; a grey or colour picture is needed")
+        raise UnusableError(
+            f"the {camera} picture has the shape {image.shape}; a grey or colour picture is needed"
+        )
     if not (np.issubdtype(image.dtype, np.integer) or np.issubdtype(image.dtype, np.floating)):
-        raise UnusableError(f"the {camera} picture has pixels of type {image.dtype}; numbers are needed")
+        raise UnusableError(
+            f"the {camera} picture has pixels of type {image.dtype}; numbers are needed"
+        )
     if not np.isfinite(image).all():
         raise UnusableError(f"the {camera} picture has pixels that are no numbers")
     return image
@@ -86,4 +109,6 @@ def _grey(picture: NDArray[Any], camera: str) -> NDArray[Any]:
 def _check_size(picture: NDArray[Any], size: tuple[int, int], camera: str) -> None:
     if picture.shape != (size[1], size[0]):
         given = " x ".join(map(str, picture.shape[::-1]))
-        raise UnusableError(f"the {camera} picture is {given}, the calibration is for {size[0]} x {size[1]}")
+        raise UnusableError(
+            f"the {camera} picture is {given}, the calibration is for {size[0]} x {size[1]}"
+        )

@@ -1,12 +1,16 @@
-"""From starts to fitted teats: first roughly and for many, then finely for those that are left, each place only once.
+"""From starts to fitted teats: first roughly and for many, then finely for those that are left,
+each place only once.
 
-Strategy: the rough pass looks far, for plain steps, at few points; what then has hardly an edge where its outline is, or is where a
-better one is, goes. The fine pass looks close, with the full model of an edge. The module may not know temperatures.
+Strategy: the rough pass looks far, for plain steps, at few points; what then has hardly an edge
+where its outline is, or is where a better one is, goes. The fine pass looks close, with the full
+model of an edge. The module may not know temperatures.
 
-What a first fit can't know, tried in further fits: that a neighbour bridges or hides a part of it, or that its end isn't the teat's.
+What a first fit can't know, tried in further fits: that a neighbour bridges or hides a part of it,
+or that its end isn't the teat's.
 
-Strategy: a fit that may bridge two teats is begun again on one side alone; one whose end is seen in part is slid along its own sides to the
-last place that shows an end; and what an accepted teat hides of one behind it is left out. The module may not know temperatures.
+Strategy: a fit that may bridge two teats is begun again on one side alone; one whose end is seen in
+part is slid along its own sides to the last place that shows an end; and what an accepted teat
+hides of one behind it is left out. The module may not know temperatures.
 """
 
 from __future__ import annotations
@@ -18,7 +22,20 @@ from numpy.typing import NDArray
 
 from detector.fused.edges import LEAST_CLEAR, Profile
 from detector.fused.fit import Seen, View, look, step, weights
-from detector.fused.model import COUNT, CX, CZ, END, HEIGHT, RADIUS, SIDE_A, SIDE_B, TAPER, Outline, apexes, axes
+from detector.fused.model import (
+    COUNT,
+    CX,
+    CZ,
+    END,
+    HEIGHT,
+    RADIUS,
+    SIDE_A,
+    SIDE_B,
+    TAPER,
+    Outline,
+    apexes,
+    axes,
+)
 from detector.fused.parameters import Parameters
 from detector.fused.pictures import UnusableError
 from detector.geometry import Array
@@ -32,16 +49,20 @@ _MOST_A_BAR = 2
 _ROUGH_STEPS, FINE_STEPS = 2, 4
 _ROUGH_SCALE, _FINE_SCALE = 20.0, 3.0  # floors beyond which an edge counts for less
 _LEAST_SIDE, _CLOSE = 0.4, 12.0  # of a side's edges, within so many floors, or it isn't seen
-_LEAST_ALONE, _MOST_OTHER = 0.7, 0.15  # seen so well in one picture, and so badly in the other, it is no teat's side
+# seen so well in one picture, and so badly in the other, it is no teat's side
+_LEAST_ALONE, _MOST_OTHER = 0.7, 0.15
 _STILL_PX = 0.02  # an outline that moves by less needs no new look
 _LEAST_SHARE, _NEAR_PX = 0.5, 1.5  # of the rough outline, near an edge
 _ONE_MM = np.array([0.5, 0.5, 2.0])  # two nearly fine fits nearer than this lead to one place
-_SAME_MM = np.array([2.5, 2.5, 8.0])  # two rough fits nearer than this are one; depth is the least sure
+# two rough fits nearer than this are one; depth is the least sure
+_SAME_MM = np.array([2.5, 2.5, 8.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """Teats (m, 8) in the right camera's frame, the edges about them, and the weights (m, k) of these."""
+    """Teats (m, 8) in the right camera's frame, the edges about them, and the weights (m, k) of
+    these.
+    """
 
     teats: Array
     seen: Seen
@@ -51,29 +72,55 @@ class Fitted:
 
     def take(self, which: NDArray[np.intp]) -> Fitted:
         """Some of them."""
-        return Fitted(self.teats[which], self.seen.take(which), self.weight[which], self.hidden[which], self.followed[which])
+        return Fitted(
+            self.teats[which],
+            self.seen.take(which),
+            self.weight[which],
+            self.hidden[which],
+            self.followed[which],
+        )
 
     def __add__(self, other: Fitted) -> Fitted:
         """All of both."""
-        seen = Seen(**{name: np.concatenate([getattr(self.seen, name), getattr(other.seen, name)]) for name in Seen.__slots__})
+        seen = Seen(
+            **{
+                name: np.concatenate([getattr(self.seen, name), getattr(other.seen, name)])
+                for name in Seen.__slots__
+            }
+        )
         teats = np.concatenate([self.teats, other.teats])
-        weight, hidden = np.concatenate([self.weight, other.weight]), np.concatenate([self.hidden, other.hidden])
+        weight, hidden = (
+            np.concatenate([self.weight, other.weight]),
+            np.concatenate([self.hidden, other.hidden]),
+        )
         return Fitted(teats, seen, weight, hidden, np.concatenate([self.followed, other.followed]))
 
 
 def refine(teats: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
-    """What the starts ``teats`` (m, 8) lead to, none in the same place as a better one. Raises UnusableError where it is nothing."""
+    """What the starts ``teats`` (m, 8) lead to, none in the same place as a better one. Raises
+    UnusableError where it is nothing.
+    """
     teats = _rough(teats, views, p)
     if len(teats) == 0:
         raise UnusableError("the optical pictures show no outline where the thermal one is warm")
     hidden = np.zeros((len(teats), len(views) * len(FINE_OUTLINE.part)), dtype=bool)
     nearly = fine(teats, hidden, views, p, steps=2)
     kept = _apart(nearly)
-    return fine(nearly.teats[kept], hidden[kept], views, p, nearly.take(kept).seen, steps=FINE_STEPS - 2, first=2)
+    return fine(
+        nearly.teats[kept],
+        hidden[kept],
+        views,
+        p,
+        nearly.take(kept).seen,
+        steps=FINE_STEPS - 2,
+        first=2,
+    )
 
 
 def _apart(fitted: Fitted) -> NDArray[np.intp]:
-    """Which of the teats to go on with: of those in one place, the one with the most of its outline seen."""
+    """Which of the teats to go on with: of those in one place, the one with the most of its outline
+    seen.
+    """
     ends = apexes(fitted.teats)
     kept: list[int] = []
     for i in np.argsort(-(fitted.weight > 0).sum(axis=1), kind="stable"):
@@ -91,17 +138,24 @@ def fine(
     steps: int = FINE_STEPS,
     first: int = 0,
 ) -> Fitted:
-    """Teats (m, 8) after ``steps`` fine steps, ``first`` of which are behind them; ``seen``: what is seen about them, if known."""
+    """Teats (m, 8) after ``steps`` fine steps, ``first`` of which are behind them; ``seen``: what
+    is seen about them, if known.
+    """
     seen = look(teats, views, FINE_OUTLINE, fine=True) if seen is None else seen
     for number in range(first, first + steps):
         moved = step(teats, seen, _trusted(seen, hidden, number), p.prior)
         seen = _look_again(seen, moved, moved - teats, views, fine=True)
         teats = moved
-    return Fitted(teats, seen, _trusted(seen, hidden, first + steps), hidden, np.zeros(len(teats), dtype=bool))
+    return Fitted(
+        teats, seen, _trusted(seen, hidden, first + steps), hidden, np.zeros(len(teats), dtype=bool)
+    )
 
 
-def _look_again(seen: Seen, teats: Array, change: Array, views: tuple[View, ...], *, fine: bool) -> Seen:
-    """What is seen after a small ``change`` (m, 8): where outlines moved, the optical pictures are looked at anew.
+def _look_again(
+    seen: Seen, teats: Array, change: Array, views: tuple[View, ...], *, fine: bool
+) -> Seen:
+    """What is seen after a small ``change`` (m, 8): where outlines moved, the optical pictures are
+    looked at anew.
 
     Coarse thermal edges stay where they are, and so do the edges of outlines that hardly move.
     """
@@ -120,21 +174,33 @@ def _look_again(seen: Seen, teats: Array, change: Array, views: tuple[View, ...]
 
 
 def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
-    """Weights (m, k) in the fine pass; after its first step only sides that both optical pictures show, where nothing hides them, count.
+    """Weights (m, k) in the fine pass; after its first step only sides that both optical pictures
+    show, where nothing hides them, count.
 
-    What is a teat's side is so in both pictures. What only one shows is likely the outline of something behind or before it.
+    What is a teat's side is so in both pictures. What only one shows is likely the outline of
+    something behind or before it.
     """
     weight = np.where(hidden, 0.0, weights(seen, _FINE_SCALE))
     if number == 0:
         return weight
     m, part = len(weight), FINE_OUTLINE.part
-    close = (weight > 0) & (np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < np.minimum(_CLOSE * seen.floor_px, 1.0))
-    close, each, open_ = close.reshape(m, -1, len(part)), weight.reshape(m, -1, len(part)), ~hidden.reshape(m, -1, len(part))
+    close = (weight > 0) & (
+        np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < np.minimum(_CLOSE * seen.floor_px, 1.0)
+    )
+    close, each, open_ = (
+        close.reshape(m, -1, len(part)),
+        weight.reshape(m, -1, len(part)),
+        ~hidden.reshape(m, -1, len(part)),
+    )
     for side in (SIDE_A, SIDE_B):
         at = part == side
-        share = close[:, :, at].sum(axis=2) / np.maximum(open_[:, :, at].sum(axis=2), 0.3 * at.sum())
+        share = close[:, :, at].sum(axis=2) / np.maximum(
+            open_[:, :, at].sum(axis=2), 0.3 * at.sum()
+        )
         covered = open_[:, :2, at].mean(axis=2) < 0.5
-        doubtful = (np.where(covered, 1.0, share[:, :2]).min(axis=1) < _MOST_OTHER) & (share[:, :2].max(axis=1) > _LEAST_ALONE)
+        doubtful = (np.where(covered, 1.0, share[:, :2]).min(axis=1) < _MOST_OTHER) & (
+            share[:, :2].max(axis=1) > _LEAST_ALONE
+        )
         unseen = share < _LEAST_SIDE
         unseen[:, :2] |= doubtful[:, None]
         each[:, :, at] *= ~unseen[..., None]
@@ -167,21 +233,34 @@ def _rough(teats: Array, views: tuple[View, ...], p: Parameters) -> Array:
 
 
 def _distinct(teats: Array, seen: Seen, least: float, same_mm: Array, most: int) -> list[int]:
-    """At most ``most`` of the teats (m, 8), by the share of their outlines near an edge, none within ``same_mm`` of a better one."""
-    near = (weights(seen, _ROUGH_SCALE) > 0) & (np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _NEAR_PX)
-    share, ends = np.maximum(near.mean(axis=1), near[:, : 2 * near.shape[1] // 3].mean(axis=1)), apexes(teats)
+    """At most ``most`` of the teats (m, 8), by the share of their outlines near an edge, none
+    within ``same_mm`` of a better one.
+    """
+    near = (weights(seen, _ROUGH_SCALE) > 0) & (
+        np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _NEAR_PX
+    )
+    share, ends = (
+        np.maximum(near.mean(axis=1), near[:, : 2 * near.shape[1] // 3].mean(axis=1)),
+        apexes(teats),
+    )
     same = np.abs((ends[:, None] - ends) / same_mm).max(axis=2) <= 1
     one_bar = on_one_bar(teats)
     kept: list[int] = []
     for i in np.argsort(-share, kind="stable"):
-        if share[i] > least and len(kept) < most and not same[i, kept].any() and one_bar[i, kept].sum() < _MOST_A_BAR:
+        if (
+            share[i] > least
+            and len(kept) < most
+            and not same[i, kept].any()
+            and one_bar[i, kept].sum() < _MOST_A_BAR
+        ):
             kept.append(int(i))
     return kept
 
 
 def on_one_bar(teats: Array) -> NDArray[np.bool_]:
-    """Whether the one (rows) and the other (columns) of the fits (m, 8) are of one teat, wherever they say its end is:
-    the one's middle is near the other's axis."""
+    """Whether the one (rows) and the other (columns) of the fits (m, 8) are of one teat, wherever
+    they say its end is: the one's middle is near the other's axis.
+    """
     way, axis = teats[:, None, :3] - teats[:, :3], axes(teats)
     along = np.einsum("ikd,kd->ik", way, axis)
     return np.asarray(np.einsum("ikd,ikd->ik", way, way) - along**2 < (0.4 * teats[:, RADIUS]) ** 2)
@@ -190,25 +269,38 @@ def on_one_bar(teats: Array) -> NDArray[np.bool_]:
 _END_OUTLINE = Outline(np.array([1.0]), (np.arange(18) + 0.5) / 18)
 _SLIDE_MM = np.arange(-14.0, 15.0)  # towards the end
 _CLOSE_PX = 0.6
-_NEARLY, _LEAST_END = 0.72, 0.5  # of the best place's share of an end, and of the whole end: so much must be seen where an end may be
-_SHAPE = 0.3  # of the usual spread of heights: of an end that is seen in part, shape and place can't both be told
-_UPRIGHT = 0.5  # of the usual lean: what is left of a hidden teat's outline hardly tells lean from depth
+# of the best place's share of an end, and of the whole end: so much must be seen where an end may
+# be
+_NEARLY, _LEAST_END = 0.72, 0.5
+# of the usual spread of heights: of an end that is seen in part, shape and place can't both be told
+_SHAPE = 0.3
+# of the usual lean: what is left of a hidden teat's outline hardly tells lean from depth
+_UPRIGHT = 0.5
 _NEARER_MM = 3.0
-_ROOM_PX = (3.0, 3.0, 1.0)  # left, right, thermal: about a nearer teat, where its edge is what is found
+# left, right, thermal: about a nearer teat, where its edge is what is found
+_ROOM_PX = (3.0, 3.0, 1.0)
 
 
-def refine_again(fitted: Fitted, hidden: NDArray[np.bool_], views: tuple[View, ...], p: Parameters) -> Fitted:
-    """The fitted teats, once more, now that it is known which points (m, k) of their outlines are behind another teat."""
+def refine_again(
+    fitted: Fitted, hidden: NDArray[np.bool_], views: tuple[View, ...], p: Parameters
+) -> Fitted:
+    """The fitted teats, once more, now that it is known which points (m, k) of their outlines are
+    behind another teat.
+    """
     at, rest = np.flatnonzero(hidden.any(axis=1)), np.flatnonzero(~hidden.any(axis=1))
     upright = replace(p, prior=replace(p.prior, lean_sd=_UPRIGHT * p.prior.lean_sd))
-    again = fine(fitted.teats[at], hidden[at] | fitted.hidden[at], views, upright, steps=FINE_STEPS - 1)
+    again = fine(
+        fitted.teats[at], hidden[at] | fitted.hidden[at], views, upright, steps=FINE_STEPS - 1
+    )
     return fitted.take(rest) + replace(again, followed=fitted.followed[at])
 
 
 def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Two starts for each of the teats (m, 8), each on one side and the half of the end next to it alone; and what is left out.
+    """Two starts for each of the teats (m, 8), each on one side and the half of the end next to it
+    alone; and what is left out.
 
-    Where teats touch, the other side of the outline that is seen belongs to the neighbour, and a fit bridges both.
+    Where teats touch, the other side of the outline that is seen belongs to the neighbour, and a
+    fit bridges both.
     """
     starts, masks = [], []
     for lost, sign in ((SIDE_B, -1.0), (SIDE_A, 1.0)):
@@ -221,13 +313,23 @@ def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[n
     return np.concatenate(starts), np.concatenate(masks)
 
 
-def refine_more(fitted: Fitted, starts: Array, left_out: NDArray[np.bool_], views: tuple[View, ...], p: Parameters) -> Fitted:
-    """The fitted teats, and besides them fits from ``starts`` (n, 8) without the points ``left_out`` (n, k)."""
+def refine_more(
+    fitted: Fitted,
+    starts: Array,
+    left_out: NDArray[np.bool_],
+    views: tuple[View, ...],
+    p: Parameters,
+) -> Fitted:
+    """The fitted teats, and besides them fits from ``starts`` (n, 8) without the points
+    ``left_out`` (n, k).
+    """
     return fitted + fine(starts, left_out, views, p) if len(starts) else fitted
 
 
 def refine_slid(fitted: Fitted, slid: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
-    """The fitted teats, and besides them fits from ``slid`` (n, 8), which were followed up their sides."""
+    """The fitted teats, and besides them fits from ``slid`` (n, 8), which were followed up their
+    sides.
+    """
     if len(slid) == 0:
         return fitted
     tight = replace(p, prior=replace(p.prior, height_sd=_SHAPE * p.prior.height_sd))
@@ -236,22 +338,34 @@ def refine_slid(fitted: Fitted, slid: Array, views: tuple[View, ...], p: Paramet
 
 
 def slide_ends(teats: Array, views: tuple[View, ...]) -> Array:
-    """The teats (m, 8) with their ends moved along their axes to where both optical pictures show the outline of a round end.
+    """The teats (m, 8) with their ends moved along their axes to where both optical pictures show
+    the outline of a round end.
 
-    Light paints rims on a teat that look like its end, but beyond the end itself there is no outline of its width: of places that show
-    nearly as much of an end as the best does, the farthest out is taken.
+    Light paints rims on a teat that look like its end, but beyond the end itself there is no
+    outline of its width: of places that show nearly as much of an end as the best does, the
+    farthest out is taken.
     """
     m, count = len(teats), len(_SLIDE_MM)
     if m == 0:
         return teats
     slid = np.repeat(teats[:, None], count, axis=1)
     slid[..., HEIGHT] = 1.0
-    slid[..., :3] -= (teats[:, RADIUS] * (teats[:, HEIGHT] - 1.0))[:, None, None] * axes(teats)[:, None]
+    slid[..., :3] -= (teats[:, RADIUS] * (teats[:, HEIGHT] - 1.0))[:, None, None] * axes(teats)[
+        :, None
+    ]
     slid[..., :3] -= _SLIDE_MM[:, None] * axes(teats)[:, None]
     points = len(_END_OUTLINE.part)
-    seen = look(slid.reshape(-1, COUNT), views[:2], _END_OUTLINE, np.zeros((m * count, 2 * points, COUNT)), fine=True)
+    seen = look(
+        slid.reshape(-1, COUNT),
+        views[:2],
+        _END_OUTLINE,
+        np.zeros((m * count, 2 * points, COUNT)),
+        fine=True,
+    )
     part = np.tile(_END_OUTLINE.part == END, 2)
-    good = (np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _CLOSE_PX) & (seen.clarity > LEAST_CLEAR)
+    good = (np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _CLOSE_PX) & (
+        seen.clarity > LEAST_CLEAR
+    )
     share = good[:, part].reshape(m, count, -1).mean(axis=2)
     peak = share >= np.maximum(_NEARLY * share.max(axis=1, keepdims=True), _LEAST_END)
     last = count - 1 - peak[:, ::-1].argmax(axis=1)
@@ -268,7 +382,8 @@ def _half(side: int) -> NDArray[np.intp]:
 
 
 def hidden_points(fitted: Fitted, accepted: list[int], again: list[int]) -> NDArray[np.bool_]:
-    """Which points (m, k) of the outlines lie on an accepted teat that is nearer, or just beside it, where its edge would be found.
+    """Which points (m, k) of the outlines lie on an accepted teat that is nearer, or just beside
+    it, where its edge would be found.
 
     Only the teats ``again`` are asked for.
     """
@@ -276,22 +391,34 @@ def hidden_points(fitted: Fitted, accepted: list[int], again: list[int]) -> NDAr
     pixels = fitted.seen.pixels_px.reshape(m, -1, n, 2)
     hidden = np.zeros(pixels.shape[:3], dtype=bool)
     for k in accepted:
-        behind = np.array([i for i in again if fitted.teats[i, CZ] > fitted.teats[k, CZ] + _NEARER_MM], dtype=np.intp)
+        behind = np.array(
+            [i for i in again if fitted.teats[i, CZ] > fitted.teats[k, CZ] + _NEARER_MM],
+            dtype=np.intp,
+        )
         for view, room in enumerate(_ROOM_PX):
             hidden[behind, view] |= _inside(pixels[behind, view], pixels[k, view], room)
     return hidden.reshape(m, -1)
 
 
 def _inside(points: Array, outline: Array, room_px: float) -> NDArray[np.bool_]:
-    """Whether points (b, n, 2) lie within an ``outline`` (n, 2), closed from its last point to its first, or ``room_px`` of it."""
+    """Whether points (b, n, 2) lie within an ``outline`` (n, 2), closed from its last point to its
+    first, or ``room_px`` of it.
+    """
     result = np.zeros(points.shape[:2], dtype=bool)
-    near = np.all((points > outline.min(axis=0) - room_px) & (points < outline.max(axis=0) + room_px), axis=2)
+    near = np.all(
+        (points > outline.min(axis=0) - room_px) & (points < outline.max(axis=0) + room_px), axis=2
+    )
     p = points[near]
     if len(p) == 0:
         return result
     start, way = outline, np.roll(outline, -1, axis=0) - outline
     from_start = p[:, None] - start
-    share = np.clip(np.einsum("pnd,nd->pn", from_start, way) / np.maximum(np.einsum("nd,nd->n", way, way), 1e-12), 0, 1)
+    share = np.clip(
+        np.einsum("pnd,nd->pn", from_start, way)
+        / np.maximum(np.einsum("nd,nd->n", way, way), 1e-12),
+        0,
+        1,
+    )
     off = from_start - share[..., None] * way
     beside = np.einsum("pnd,pnd->pn", off, off).min(axis=1) < room_px**2
     crossed = (from_start[..., 1] < 0) != (from_start[..., 1] < way[:, 1])

@@ -1,9 +1,11 @@
-"""Where the thermal picture shows something like the end of an upright bar: candidates for teats, many rather than few.
+"""Where the thermal picture shows something like the end of an upright bar: candidates for teats,
+many rather than few.
 
-Strategy: a bar's outline (two sides and a round top) is laid over the direction and strength of the picture's gradient, for several
-widths and leans at once, at every pixel. Gradients saturate at a few times their noise, so that a bar a little cooler than an arm behind
-it scores as one that is far warmer than a wall, and no threshold on temperature is needed. A bar may lack a side: that is where teats
-touch. The module may not know the optical cameras.
+Strategy: a bar's outline (two sides and a round top) is laid over the direction and strength of the
+picture's gradient, for several widths and leans at once, at every pixel. Gradients saturate at a
+few times their noise, so that a bar a little cooler than an arm behind it scores as one that is far
+warmer than a wall, and no threshold on temperature is needed. A bar may lack a side: that is where
+teats touch. The module may not know the optical cameras.
 """
 
 from __future__ import annotations
@@ -25,12 +27,15 @@ _BAR_LEANS = (-0.22, 0.0, 0.22)
 _ROUGH_WIDTHS_PX, _MOST_TIPS = (3.6, 6.0), 250
 _ROOM_PX = 34
 _APART_PX = 4.0
-_STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END, _SURE_END = 0.35, 0.25, 0.45, 0.8, 0.85  # strengths, 0 to 1
+# strengths, 0 to 1
+_STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END, _SURE_END = 0.35, 0.25, 0.45, 0.8, 0.85
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nominations:
-    """Bars' ends in sensor pixels: the middle (n, 2) of the round end, its radius (n,), lean (n,) (columns a row downwards), score (n,)."""
+    """Bars' ends in sensor pixels: the middle (n, 2) of the round end, its radius (n,), lean (n,)
+    (columns a row downwards), score (n,).
+    """
 
     centre_px: Array
     radius_px: Array
@@ -42,7 +47,9 @@ class Nominations:
 
     def take(self, which: NDArray[np.intp]) -> Nominations:
         """Some of them."""
-        return Nominations(self.centre_px[which], self.radius_px[which], self.lean[which], self.score[which])
+        return Nominations(
+            self.centre_px[which], self.radius_px[which], self.lean[which], self.score[which]
+        )
 
 
 _NONE = Nominations(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
@@ -57,20 +64,32 @@ def nominate(temperature: Field, most: int) -> Nominations:
         return _NONE
     tips = np.column_stack([u, v]).astype(np.float32)
     maps = _Padded.of(gx, gy)
-    rough = np.stack([_end_score(maps, maps.index(tips), w, lean) for w in _ROUGH_WIDTHS_PX for lean in _BAR_LEANS]).max(axis=0)
+    rough = np.stack(
+        [
+            _end_score(maps, maps.index(tips), w, lean)
+            for w in _ROUGH_WIDTHS_PX
+            for lean in _BAR_LEANS
+        ]
+    ).max(axis=0)
     tips = tips[np.argsort(-rough, kind="stable")[:_MOST_TIPS]]
-    scores = np.stack([_end_score(maps, maps.index(tips), w, lean) for w in HALF_WIDTHS_PX for lean in LEANS])
+    scores = np.stack(
+        [_end_score(maps, maps.index(tips), w, lean) for w in HALF_WIDTHS_PX for lean in LEANS]
+    )
     found = _best(tips, scores, HALF_WIDTHS_PX, LEANS)
     length = np.sqrt(1 + found.lean**2)
     down = np.column_stack([found.lean, np.ones_like(found.lean)]) / length[:, None]
-    inside = Nominations(tips + found.radius_px[:, None] * down, found.radius_px, found.lean, found.score)
+    inside = Nominations(
+        tips + found.radius_px[:, None] * down, found.radius_px, found.lean, found.score
+    )
     return inside.take(_peaks(tips, found.score, most, 3.0, _LEAST_END))
 
 
 def bars(temperature: Field, ends: Nominations, most: int) -> Nominations:
-    """At most ``most`` upright warm bars whose ends aren't among the clear ones of ``ends``: `centre_px` lies somewhere on the bar.
+    """At most ``most`` upright warm bars whose ends aren't among the clear ones of ``ends``:
+    `centre_px` lies somewhere on the bar.
 
-    Where something as warm as a teat is behind its end, the thermal picture shows nothing but the sides below it.
+    Where something as warm as a teat is behind its end, the thermal picture shows nothing but the
+    sides below it.
     """
     gx, gy = strengths(temperature)
     low, high = np.percentile(temperature, [20, 99])
@@ -78,26 +97,46 @@ def bars(temperature: Field, ends: Nominations, most: int) -> Nominations:
     if len(rows) == 0 or high <= low:
         return _NONE
     at = np.column_stack([columns, 4 * rows]).astype(np.float32)
-    clear = [(ends.centre_px[i], ends.lean[i]) for i in range(len(ends)) if ends.score[i] > _CLEAR_END]
-    at = at[np.all([_beside(at.T.astype(np.float64), 0.0, middle, lean) > _APART_PX for middle, lean in clear], axis=0)] if clear else at
+    clear = [
+        (ends.centre_px[i], ends.lean[i]) for i in range(len(ends)) if ends.score[i] > _CLEAR_END
+    ]
+    at = (
+        at[
+            np.all(
+                [
+                    _beside(at.T.astype(np.float64), 0.0, middle, lean) > _APART_PX
+                    for middle, lean in clear
+                ],
+                axis=0,
+            )
+        ]
+        if clear
+        else at
+    )
     if len(at) == 0:
         return _NONE
     maps = _Padded.of(gx, gy)
     index = maps.index(at)
-    scores = np.stack([_bar_score(maps, index, w, lean) for w in HALF_WIDTHS_PX for lean in _BAR_LEANS])
+    scores = np.stack(
+        [_bar_score(maps, index, w, lean) for w in HALF_WIDTHS_PX for lean in _BAR_LEANS]
+    )
     found = _best(at, scores, HALF_WIDTHS_PX, _BAR_LEANS)
     order = [int(i) for i in np.argsort(-found.score, kind="stable") if found.score[i] > _LEAST_BAR]
     kept: list[int] = []
     for i in order:
         middle, lean = found.centre_px[i], found.lean[i]
-        if len(kept) < most and all(_beside(middle, lean, other, slope) > _APART_PX for other, slope in clear):
+        if len(kept) < most and all(
+            _beside(middle, lean, other, slope) > _APART_PX for other, slope in clear
+        ):
             kept.append(i)
             clear.append((middle, lean))
     return found.take(np.array(kept, dtype=np.intp))
 
 
 def unexplained(temperature: Field, ends: Nominations, feet_px: Array, tips_px: Array) -> int:
-    """How many of the ends beyond doubt are on none of the bars from ``tips_px`` (k, 2) to ``feet_px`` (k, 2): teats not located."""
+    """How many of the ends beyond doubt are on none of the bars from ``tips_px`` (k, 2) to
+    ``feet_px`` (k, 2): teats not located.
+    """
     way = tips_px - feet_px
     bars_seen = list(zip(0.5 * (tips_px + feet_px), (way[:, 0] / way[:, 1]).tolist(), strict=True))
     low, high = np.percentile(temperature, [20, 99])
@@ -107,29 +146,42 @@ def unexplained(temperature: Field, ends: Nominations, feet_px: Array, tips_px: 
         row, column = np.rint(middle).astype(int)[::-1].clip(0, np.array(temperature.shape) - 1)
         if temperature[row, column] < low + 0.6 * (high - low):
             continue  # the gap between two teats below an arm has a bar's outline too
-        if all(_beside(middle, lean, other, slope) > 1.2 * ends.radius_px[i] for other, slope in bars_seen):
+        if all(
+            _beside(middle, lean, other, slope) > 1.2 * ends.radius_px[i]
+            for other, slope in bars_seen
+        ):
             bars_seen.append((middle, lean))
             count += 1
     return count
 
 
 def _beside(a: Array, lean_a: float, b: Array, lean_b: float) -> Array:
-    """How far apart across two bars are, half way between their middles, px; ``a`` may be many, (2, n)."""
+    """How far apart across two bars are, half way between their middles, px; ``a`` may be many, (2,
+    n).
+    """
     half = 0.5 * (b[1] - a[1])
     return np.asarray(np.abs((a[0] + lean_a * half) - (b[0] - lean_b * half)))
 
 
-def _best(at: Field, scores: Array, widths: tuple[float, ...], leans: tuple[float, ...]) -> Nominations:
+def _best(
+    at: Field, scores: Array, widths: tuple[float, ...], leans: tuple[float, ...]
+) -> Nominations:
     """The best of the shapes (width by lean, n) at each place."""
     shape = scores.argmax(axis=0)
     width, lean = np.repeat(widths, len(leans))[shape], np.tile(leans, len(widths))[shape]
-    return Nominations(at.astype(np.float64), width, lean, np.asarray(scores.max(axis=0), dtype=np.float64))
+    return Nominations(
+        at.astype(np.float64), width, lean, np.asarray(scores.max(axis=0), dtype=np.float64)
+    )
 
 
 def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0) -> tuple[Field, Field]:
-    """Gradient (x, y) of a picture, each pixel's length squeezed below 1: one half at ``noises`` times what noise alone gives."""
+    """Gradient (x, y) of a picture, each pixel's length squeezed below 1: one half at ``noises``
+    times what noise alone gives.
+    """
     smooth = cv2.GaussianBlur(picture, (0, 0), blur_px)
-    gx, gy = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125) for order in ((1, 0), (0, 1)))
+    gx, gy = (
+        cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125) for order in ((1, 0), (0, 1))
+    )
     length = cv2.magnitude(gx, gy)
     noise = float(np.median(length[::3, ::3]))
     squeezed = 1.0 / (length + max(noises * noise, 1e-6))
@@ -138,7 +190,9 @@ def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0) -> tupl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Padded:
-    """Squeezed gradients, flat, with room about them, so that an outline may reach beyond the picture: there is nothing there."""
+    """Squeezed gradients, flat, with room about them, so that an outline may reach beyond the
+    picture: there is nothing there.
+    """
 
     gx: Field
     gy: Field
@@ -146,7 +200,9 @@ class _Padded:
 
     @classmethod
     def of(cls, gx: Field, gy: Field) -> _Padded:
-        return cls(np.pad(gx, _ROOM_PX).ravel(), np.pad(gy, _ROOM_PX).ravel(), gx.shape[1] + 2 * _ROOM_PX)
+        return cls(
+            np.pad(gx, _ROOM_PX).ravel(), np.pad(gy, _ROOM_PX).ravel(), gx.shape[1] + 2 * _ROOM_PX
+        )
 
     def index(self, places: Field) -> NDArray[np.intp]:
         """Where places (n, 2) of the picture, at whole pixels, are."""
@@ -155,31 +211,50 @@ class _Padded:
 
 
 def _end_score(maps: _Padded, tips: NDArray[np.intp], width: float, lean: float) -> Array:
-    """How well (n,) a bar of half width ``width`` px and lean fits with its tip at ``tips`` (n,)."""
+    """How well (n,) a bar of half width ``width`` px and lean
+    fits with its tip at ``tips`` (n,).
+    """
     length = np.hypot(1.0, lean)
     down, right = np.array([lean, 1.0]) / length, np.array([1.0, -lean]) / length
     arc = -np.cos(_ARC)[:, None] * down + np.sin(_ARC)[:, None] * right
     top = np.abs(_along(maps, tips, width * (down + arc), arc))
     sides = [
-        np.abs(_along(maps, tips, (width + _BELOW_PX)[:, None] * down + side * width * right, np.tile(side * right, (6, 1))))
+        np.abs(
+            _along(
+                maps,
+                tips,
+                (width + _BELOW_PX)[:, None] * down + side * width * right,
+                np.tile(side * right, (6, 1)),
+            )
+        )
         for side in (-1.0, 1.0)
     ]
     return joined(top.mean(axis=0), sides[0].mean(axis=0), sides[1].mean(axis=0))
 
 
 def _bar_score(maps: _Padded, at: NDArray[np.intp], width: float, lean: float) -> Array:
-    """How well (n,) the sides of a warm bar of half width ``width`` px and lean fit below ``at`` (n,)."""
+    """How well (n,) the sides of a warm bar of half width ``width`` px and lean fit below ``at``
+    (n,).
+    """
     length = np.hypot(1.0, lean)
     down, right = np.array([lean, 1.0]) / length, np.array([1.0, -lean]) / length
     sides = [
-        -1.0 * _along(maps, at, _BELOW_PX[:, None] * down + side * width * right, np.tile(side * right, (6, 1))).mean(axis=0)
+        -1.0
+        * _along(
+            maps,
+            at,
+            _BELOW_PX[:, None] * down + side * width * right,
+            np.tile(side * right, (6, 1)),
+        ).mean(axis=0)
         for side in (-1.0, 1.0)
     ]
     return np.asarray(np.minimum(*sides), dtype=np.float64)
 
 
 def _along(maps: _Padded, at: NDArray[np.intp], points: Array, normals: Array) -> Field:
-    """Strength (k, n) outward across the outline at ``points`` (k, 2) px from the places ``at`` (n,), along ``normals`` (k, 2)."""
+    """Strength (k, n) outward across the outline at ``points`` (k, 2) px from the places ``at``
+    (n,), along ``normals`` (k, 2).
+    """
     whole = np.rint(points).astype(np.intp)
     index = at + (whole[:, 1] * maps.columns + whole[:, 0])[:, None]
     n = normals.astype(np.float32)

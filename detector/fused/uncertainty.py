@@ -1,10 +1,13 @@
-"""How sure a fitted teat end is: covariances from the edges that were found, and from what edges can't say of themselves.
+"""How sure a fitted teat end is: covariances from the edges that were found, and from what edges
+can't say of themselves.
 
-Strategy: first order (JCGM 102:2011), every edge's way to the end through the fit's gain. Six things move an end: the noise of each
-edge, by how its line fits a step; what neighbouring edges have in common (paint, a shadow, sampling), as one unknown shift for each
-short stretch of outline, as large as the stretches' own means scatter about the fitted outline, and the larger the less of the outline
-is seen; the correction for brightness that falls towards the limb, which may be wrong by a share of itself; how far an end's shape is
-from half an ellipsoid's; how much of the end isn't seen; and the calibration. The module may not know temperatures.
+Strategy: first order (JCGM 102:2011), every edge's way to the end through the fit's gain. Six
+things move an end: the noise of each edge, by how its line fits a step; what neighbouring edges
+have in common (paint, a shadow, sampling), as one unknown shift for each short stretch of outline,
+as large as the stretches' own means scatter about the fitted outline, and the larger the less of
+the outline is seen; the correction for brightness that falls towards the limb, which may be wrong
+by a share of itself; how far an end's shape is from half an ellipsoid's; how much of the end isn't
+seen; and the calibration. The module may not know temperatures.
 """
 
 from __future__ import annotations
@@ -24,7 +27,9 @@ _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
 def end_covariances(fitted: Fitted, p: Parameters) -> Array:
-    """Covariances (m, 3, 3) mm^2 of the ends in the right camera's frame, without the calibration's share."""
+    """Covariances (m, 3, 3) mm^2 of the ends in the right camera's frame, without the calibration's
+    share.
+    """
     m, k = fitted.weight.shape
     optical = 2 * len(FINE_OUTLINE.part)
     gain = _gain(fitted, p)
@@ -42,7 +47,9 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
         p.limb_share_of_stretch * limb.reshape(m, 3, optical // _STRETCH, _STRETCH).sum(axis=3),
         np.hypot(p.end_shape_sd_mm, unseen)[:, None, None] * axis,
     ]
-    return np.asarray(sum(np.einsum("mik,mjk->mij", move, move) for move in moves) + _LEAST_MM2 * np.eye(3))
+    return np.asarray(
+        sum(np.einsum("mik,mjk->mij", move, move) for move in moves) + _LEAST_MM2 * np.eye(3)
+    )
 
 
 def _gain(fitted: Fitted, p: Parameters) -> Array:
@@ -53,7 +60,9 @@ def _gain(fitted: Fitted, p: Parameters) -> Array:
 
 
 def _by_part(limb: Array) -> Array:
-    """Moves (m, 3, views * n) of all edges of one part of the outline together, (m, 3, 3 parts): both pictures show the same light."""
+    """Moves (m, 3, views * n) of all edges of one part of the outline together, (m, 3, 3 parts):
+    both pictures show the same light.
+    """
     part = np.tile(FINE_OUTLINE.part, limb.shape[2] // len(FINE_OUTLINE.part))
     return np.stack([limb[..., part == p].sum(axis=2) for p in (SIDE_A, END, SIDE_B)], axis=2)
 
@@ -69,8 +78,15 @@ def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
     count = used.reshape(len(used), -1, _STRETCH).sum(axis=2)
     mean = offset.reshape(*count.shape, _STRETCH).sum(axis=2) / np.maximum(count, 1)
     whole = count >= _STRETCH - 1
-    scatter = np.where(whole.any(axis=1), (mean**2 * whole).sum(axis=1) / np.maximum(whole.sum(axis=1), 1), 1.0)
-    support = np.maximum((used & (np.abs(np.nan_to_num(fitted.seen.offset_px[:, :k], nan=9.0)) < _NEAR_PX)).mean(axis=1), 0.2)
+    scatter = np.where(
+        whole.any(axis=1), (mean**2 * whole).sum(axis=1) / np.maximum(whole.sum(axis=1), 1), 1.0
+    )
+    support = np.maximum(
+        (used & (np.abs(np.nan_to_num(fitted.seen.offset_px[:, :k], nan=9.0)) < _NEAR_PX)).mean(
+            axis=1
+        ),
+        0.2,
+    )
     return np.asarray(np.sqrt(p.stretch_least_px**2 + p.stretch_share**2 * scatter) / support)
 
 
@@ -83,11 +99,13 @@ def _unseen_end(fitted: Fitted) -> Array:
 
 
 def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> Array:
-    """Covariances (m, 3, 3) mm^2 in the world: the ends' ``own`` in the right camera's frame, and the calibration's share
-    at ``ends_mm`` (m, 3).
+    """Covariances (m, 3, 3) mm^2 in the world: the ends' ``own`` in the right camera's frame, and
+    the calibration's share at ``ends_mm`` (m, 3).
     """
     R = calibration.world_from_right.R
     total = R @ own @ R.T
     if calibration.covariance is None or len(own) == 0:
         return np.asarray(total)
-    return np.asarray(total + calibration.covariance_of(calibration.world_from_right.apply(ends_mm)))
+    return np.asarray(
+        total + calibration.covariance_of(calibration.world_from_right.apply(ends_mm))
+    )

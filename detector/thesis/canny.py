@@ -1,8 +1,10 @@
-"""The edge detector that `edge(picture, 'canny', [], sigma)` of Matlab's image toolbox was when the thesis was written (2009).
+"""The edge detector that `edge(picture, 'canny', [], sigma)` of Matlab's image toolbox was when the
+thesis was written (2009).
 
-Strategy: smooth with a Gaussian, then take derivative-of-Gaussian filters of the same sigma (that toolbox blurred twice; releases from 2011
-on do so once and keep this as 'canny_old'), choose the thresholds from a histogram of gradient lengths, keep ridges, follow them by
-hysteresis and thin once. Everything is separable or works on the few candidate pixels, so it stays fast at sigma 12.
+Strategy: smooth with a Gaussian, then take derivative-of-Gaussian filters of the same sigma (that
+toolbox blurred twice; releases from 2011 on do so once and keep this as 'canny_old'), choose the
+thresholds from a histogram of gradient lengths, keep ridges, follow them by hysteresis and thin
+once. Everything is separable or works on the few candidate pixels, so it stays fast at sigma 12.
 The module may not know what the edges are for.
 """
 
@@ -17,20 +19,33 @@ from numpy.typing import NDArray
 Mask = NDArray[np.bool_]
 Single = NDArray[np.float32]
 
-_DIE_OFF = 1e-4  # kernels end where the Gaussian falls below this part of its peak, if their greatest reach lets them
+# kernels end where the Gaussian falls below this part of its peak, if their greatest reach lets
+# them
+_DIE_OFF = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edges:
-    """The edge mask (rows, columns) and the thresholds used, as parts of the greatest gradient length."""
+    """The edge mask (rows, columns) and the thresholds used, as parts of the greatest gradient
+    length.
+    """
 
     mask: Mask
     low: float
     high: float
 
 
-def canny(picture: NDArray[np.uint8], sigma_px: float, reach_px: int, not_edges: float, bins: int, ratio: float) -> Edges:
-    """Edges of a grey picture (rows, columns) with automatic thresholds. A picture of one grey everywhere has none."""
+def canny(
+    picture: NDArray[np.uint8],
+    sigma_px: float,
+    reach_px: int,
+    not_edges: float,
+    bins: int,
+    ratio: float,
+) -> Edges:
+    """Edges of a grey picture (rows, columns) with automatic thresholds. A picture of one grey
+    everywhere has none.
+    """
     if picture.min() == picture.max():
         return Edges(np.zeros(picture.shape, dtype=np.bool_), 0.0, 0.0)
     gx, gy = gradient(picture, sigma_px, reach_px)
@@ -43,30 +58,40 @@ def canny(picture: NDArray[np.uint8], sigma_px: float, reach_px: int, not_edges:
 
 
 def kernels(sigma_px: float, reach_px: int) -> tuple[Single, Single]:
-    """A Gaussian of sum one and the slope kernel that goes with it, (2 w + 1,) each, w at most reach_px.
+    """A Gaussian of sum one and the slope kernel that goes with it, (2 w + 1,) each, w at most
+    reach_px.
 
-    The slope kernel is in OpenCV's sense (correlation): a picture that grows brighter along the axis gives positive values.
+    The slope kernel is in OpenCV's sense (correlation): a picture that grows brighter along the
+    axis gives positive values.
     """
     t = np.arange(-reach_px, reach_px + 1, dtype=np.float64)
     t = t[(np.exp(-(t * t) / (2 * sigma_px**2)) > _DIE_OFF) | (np.abs(t) <= 1)]
     gauss = np.exp(-(t * t) / (2 * sigma_px**2))
-    return (gauss / gauss.sum()).astype(np.float32), (t * gauss / (t * t * gauss).sum()).astype(np.float32)
+    return (gauss / gauss.sum()).astype(np.float32), (t * gauss / (t * t * gauss).sum()).astype(
+        np.float32
+    )
 
 
 def gradient(picture: NDArray[np.uint8], sigma_px: float, reach_px: int) -> tuple[Single, Single]:
-    """Slopes along columns and along rows, grey levels a pixel, of the picture smoothed twice; outside is as the nearest pixel."""
+    """Slopes along columns and along rows, grey levels a pixel, of the picture smoothed twice;
+    outside is as the nearest pixel.
+    """
     gauss, slope = kernels(sigma_px, reach_px)
     border = cv2.BORDER_REPLICATE
-    smooth = cv2.sepFilter2D(picture.astype(np.float32), cv2.CV_32F, gauss, gauss, borderType=border)
+    smooth = cv2.sepFilter2D(
+        picture.astype(np.float32), cv2.CV_32F, gauss, gauss, borderType=border
+    )
     gx = cv2.sepFilter2D(smooth, cv2.CV_32F, slope, gauss, borderType=border)
     gy = cv2.sepFilter2D(smooth, cv2.CV_32F, gauss, slope, borderType=border)
     return np.asarray(gx, dtype=np.float32), np.asarray(gy, dtype=np.float32)
 
 
 def automatic_threshold(length: NDArray[np.floating], not_edges: float, bins: int) -> float:
-    """The high threshold for gradient lengths in 0..1: the first bin's upper end below which more than `not_edges` of all pixels lie.
+    """The high threshold for gradient lengths in 0..1: the first bin's upper end below which more
+    than `not_edges` of all pixels lie.
 
-    As imhist does, bin k of n is centred on k / (n - 1), so the outermost bins are half as wide as the others.
+    As imhist does, bin k of n is centred on k / (n - 1), so the outermost bins are half as wide as
+    the others.
     """
     counts = np.bincount((length.ravel() * (bins - 1) + 0.5).astype(np.intp), minlength=bins)
     above = np.cumsum(counts) > not_edges * length.size
@@ -74,9 +99,11 @@ def automatic_threshold(length: NDArray[np.floating], not_edges: float, bins: in
 
 
 def ridges(gx: Single, gy: Single, length: Single, low: float) -> Mask:
-    """Pixels above `low` whose gradient is no shorter than on either side across the edge; the picture's outermost pixels never are.
+    """Pixels above `low` whose gradient is no shorter than on either side across the edge; the
+    picture's outermost pixels never are.
 
-    Both neighbours are interpolated between the two pixels that the gradient's direction passes between.
+    Both neighbours are interpolated between the two pixels that the gradient's direction passes
+    between.
     """
     keep = np.zeros(length.shape, dtype=np.bool_)
     rows, columns = np.nonzero(length[1:-1, 1:-1] > low)
@@ -106,12 +133,16 @@ def hysteresis(weak: Mask, strong: Mask) -> Mask:
 
 
 def thin_once(mask: Mask) -> Mask:
-    """One pass of parallel thinning in two half-steps (Guo and Hall 1989; Lam, Lee and Suen 1992), as bwmorph(…, 'thin', 1)."""
+    """One pass of parallel thinning in two half-steps (Guo and Hall 1989; Lam, Lee and Suen 1992),
+    as bwmorph(…, 'thin', 1).
+    """
     return _half_step(_half_step(mask, first=True), first=False)
 
 
 def _half_step(mask: Mask, *, first: bool) -> Mask:
-    """Take off pixels that end no line and join nothing, on the south-east (first) or north-west side."""
+    """Take off pixels that end no line and join nothing, on the south-east (first) or north-west
+    side.
+    """
     padded = np.pad(mask, 1)
     rows, columns = np.nonzero(mask)
     # counter-clockwise from the east, as the papers number them: x1 = E, x2 = NE, ... x8 = SE

@@ -1,12 +1,16 @@
-"""The thesis's detector from frame set to teat ends: the stages in their published order, each one's result kept.
+"""The thesis's detector from frame set to teat ends: the stages in their published order, each
+one's result kept.
 
-Strategy: the stages are pure functions next door; here they are only joined, and whatever would have stopped the original with an error
-becomes an answer without teats and a reason. The world is reached by the calibration's rigid motion; the thesis's own matrix wasn't rigid.
-The module may not know the scene, the truth, nor what the answer is for.
+Strategy: the stages are pure functions next door; here they are only joined, and whatever would
+have stopped the original with an error becomes an answer without teats and a reason. The world is
+reached by the calibration's rigid motion; the thesis's own matrix wasn't rigid. The module may not
+know the scene, the truth, nor what the answer is for.
 
-The published algorithm with one thing changed, each under a name of its own, so that what that thing is worth can be measured.
+The published algorithm with one thing changed, each under a name of its own, so that what that
+thing is worth can be measured.
 
-Published homographies (section 3.2.2) or the calibration's at the teats' plane; with and without optical refinement (sections 4.2, 4.3).
+Published homographies (section 3.2.2) or the calibration's at the teats' plane; with and without
+optical refinement (sections 4.2, 4.3).
 """
 
 from __future__ import annotations
@@ -19,13 +23,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration, Homographies
-from detector.calibration.thesis_rig import HOMOGRAPHY_LEFT, HOMOGRAPHY_RIGHT, IMAGE_SIZE, THERMAL_IMAGE_SIZE
+from detector.calibration.thesis_rig import (
+    HOMOGRAPHY_LEFT,
+    HOMOGRAPHY_RIGHT,
+    IMAGE_SIZE,
+    THERMAL_IMAGE_SIZE,
+)
 from detector.geometry import Array, triangulate
 from detector.protocol import Detection, Frames, Stage, Teat
-from detector.thesis.lines import horizontal_middles, teat_ends, vertical_ends, window_centre, window_fits
+from detector.thesis.lines import (
+    horizontal_middles,
+    teat_ends,
+    vertical_ends,
+    window_centre,
+    window_fits,
+)
 from detector.thesis.optical import Refined, keep, nominate, refine
 from detector.thesis.parameters import Parameters
-from detector.thesis.thermal import Grey, eight_bit, find_edges, order_filter, picture_from_kelvin, unmirror
+from detector.thesis.thermal import (
+    Grey,
+    eight_bit,
+    find_edges,
+    order_filter,
+    picture_from_kelvin,
+    unmirror,
+)
 
 PUBLISHED_HOMOGRAPHIES = Homographies(np.array(HOMOGRAPHY_LEFT), np.array(HOMOGRAPHY_RIGHT), None)
 
@@ -56,12 +78,16 @@ class ThesisDetector:
         return asdict(self.settings)
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
-        """Teat ends in the world frame, no covariances, and the trace of every stage that was reached."""
+        """Teat ends in the world frame, no covariances, and the trace of every stage that was
+        reached.
+        """
         trace: list[Stage] = []
         try:
             left = _optical(frames.left, calibration.left.image_size, "left")
             right = _optical(frames.right, calibration.right.image_size, "right")
-            thermal_px, hidden = _find_in_thermal(_thermal(frames, calibration), self.settings, trace)
+            thermal_px, hidden = _find_in_thermal(
+                _thermal(frames, calibration), self.settings, trace
+            )
             teats, reason = _locate(left, right, thermal_px, calibration, self.settings, trace)
         except _NoAnswer as stop:
             return Detection((), stop.hidden, str(stop), tuple(trace))
@@ -78,7 +104,9 @@ def _optical(image: NDArray[Any], size: tuple[int, int], camera: str) -> Grey:
 
 
 def _thermal(frames: Frames, calibration: Calibration) -> Grey:
-    """The un-mirrored 8-bit thermal picture at the calibration's size, from whichever form there is."""
+    """The un-mirrored 8-bit thermal picture at the calibration's size, from whichever form there
+    is.
+    """
     camera = calibration.thermal
     try:
         if frames.thermal is not None:
@@ -96,39 +124,72 @@ def _thermal(frames: Frames, calibration: Calibration) -> Grey:
 def _check_size(picture: NDArray[Any], size: tuple[int, int], camera: str) -> None:
     if picture.shape[:2] != (size[1], size[0]):
         given = " x ".join(map(str, picture.shape[1::-1]))
-        raise _NoAnswer(f"the {camera} picture is {given}, the calibration is for {size[0]} x {size[1]}")
+        raise _NoAnswer(
+            f"the {camera} picture is {given}, the calibration is for {size[0]} x {size[1]}"
+        )
 
 
 def _find_in_thermal(picture: Grey, p: Parameters, trace: list[Stage]) -> tuple[Array, int]:
-    """Teat ends (n, 2) px in the un-mirrored thermal picture, at least one, and how many are hidden (sections 4.1.1 to 4.1.7)."""
+    """Teat ends (n, 2) px in the un-mirrored thermal picture, at least one, and how many are hidden
+    (sections 4.1.1 to 4.1.7).
+    """
     trace.append(Stage("thermal", {"picture": picture}))
     edges = find_edges(picture, p)
-    trace.append(Stage("edges", {"mask": edges.mask, "thresholds": np.array([edges.low, edges.high])}))
-    verticals, horizontals = order_filter(edges.mask, p.vertical_domain), order_filter(edges.mask, p.horizontal_domain)
+    trace.append(
+        Stage("edges", {"mask": edges.mask, "thresholds": np.array([edges.low, edges.high])})
+    )
+    verticals, horizontals = (
+        order_filter(edges.mask, p.vertical_domain),
+        order_filter(edges.mask, p.horizontal_domain),
+    )
     trace.append(Stage("verticals", {"mask": verticals}))
     trace.append(Stage("horizontals", {"mask": horizontals}))
     ends = vertical_ends(verticals, p)
     trace.append(Stage("vertical ends", {"points_px": ends}))
     if len(ends) == 0:
-        raise _NoAnswer(f"the thermal picture shows no vertical line of {p.vertical_least_points} points", p.teat_count)
+        raise _NoAnswer(
+            f"the thermal picture shows no vertical line of {p.vertical_least_points} points",
+            p.teat_count,
+        )
     centre = window_centre(ends)
     if p.window_outside == "refuse" and not window_fits(picture.shape, centre, p):
-        raise _NoAnswer(f"the window around column {centre[0]}, row {centre[1]} leaves the thermal picture", p.teat_count)
+        raise _NoAnswer(
+            f"the window around column {centre[0]}, row {centre[1]} leaves the thermal picture",
+            p.teat_count,
+        )
     middles = horizontal_middles(horizontals, centre, p)
-    trace.append(Stage("horizontal middles", {"points_px": middles, "window_centre_px": np.array(centre, dtype=np.float64)}))
+    trace.append(
+        Stage(
+            "horizontal middles",
+            {"points_px": middles, "window_centre_px": np.array(centre, dtype=np.float64)},
+        )
+    )
     if len(middles) == 0:
-        raise _NoAnswer("the thermal picture shows no short horizontal line near the ends of the vertical ones", p.teat_count)
+        raise _NoAnswer(
+            "the thermal picture shows no short horizontal line near the ends of the vertical ones",
+            p.teat_count,
+        )
     teats_px, hidden = teat_ends(middles, p)
     trace.append(Stage("teat ends", {"points_px": teats_px}))
     if len(teats_px) == 0:
-        raise _NoAnswer(f"no horizontal line lies within {p.teat_row_tolerance_px} rows of their mean", p.teat_count)
+        raise _NoAnswer(
+            f"no horizontal line lies within {p.teat_row_tolerance_px} rows of their mean",
+            p.teat_count,
+        )
     return teats_px, hidden
 
 
 def _locate(
-    left: Grey, right: Grey, thermal_px: Array, calibration: Calibration, p: Parameters, trace: list[Stage]
+    left: Grey,
+    right: Grey,
+    thermal_px: Array,
+    calibration: Calibration,
+    p: Parameters,
+    trace: list[Stage],
 ) -> tuple[tuple[Teat, ...], str | None]:
-    """Thermal teat ends (n, 2) to teats in the world, and what was left out on the way (sections 4.2, 4.3, 3.2.1.2, 3.3.2)."""
+    """Thermal teat ends (n, 2) to teats in the world, and what was left out on the way (sections
+    4.2, 4.3, 3.2.1.2, 3.3.2).
+    """
     maps = _homographies(calibration, p)
     nominated = nominate(maps.left, thermal_px), nominate(maps.right, thermal_px)
     trace.append(Stage("nominations", {"left_px": nominated[0], "right_px": nominated[1]}))
@@ -147,44 +208,79 @@ def _locate(
             },
         )
     )
-    right_mm, gap_mm = triangulate(left_px, right_px, calibration.left, calibration.right, calibration.right_from_left)
+    right_mm, gap_mm = triangulate(
+        left_px, right_px, calibration.left, calibration.right, calibration.right_from_left
+    )
     world_mm = calibration.world_from_right.apply(right_mm)
-    trace.append(Stage("triangulation", {"right_mm": right_mm, "gap_mm": gap_mm, "world_mm": world_mm}))
-    usable = _inside(left_px, left) & _inside(right_px, right) & np.all(np.isfinite(world_mm), axis=1)
-    teats = tuple(Teat(world_mm[i], None, left_px[i], right_px[i], thermal_px[i]) for i in np.flatnonzero(usable))
+    trace.append(
+        Stage("triangulation", {"right_mm": right_mm, "gap_mm": gap_mm, "world_mm": world_mm})
+    )
+    usable = (
+        _inside(left_px, left) & _inside(right_px, right) & np.all(np.isfinite(world_mm), axis=1)
+    )
+    teats = tuple(
+        Teat(world_mm[i], None, left_px[i], right_px[i], thermal_px[i])
+        for i in np.flatnonzero(usable)
+    )
     lost = int(np.count_nonzero(~usable))
-    return teats, f"{lost} of {len(usable)} nominated teats lie outside of an optical picture" if lost else None
+    return teats, (
+        f"{lost} of {len(usable)} nominated teats lie outside of an optical picture"
+        if lost
+        else None
+    )
 
 
 def _homographies(calibration: Calibration, p: Parameters) -> Homographies:
     if p.homographies == "calibration":
         return calibration.homographies
-    sizes = calibration.thermal.image_size, calibration.left.image_size, calibration.right.image_size
+    sizes = (
+        calibration.thermal.image_size,
+        calibration.left.image_size,
+        calibration.right.image_size,
+    )
     if sizes != (THERMAL_IMAGE_SIZE, IMAGE_SIZE, IMAGE_SIZE):
-        raise _NoAnswer("the published homographies are for pictures of 640 x 480 and 1360 x 1024, not for the calibration's", p.teat_count)
+        raise _NoAnswer(
+            "the published homographies are for pictures of 640 x 480 and 1360 x 1024, not for the"
+            " calibration's",
+            p.teat_count,
+        )
     return PUBLISHED_HOMOGRAPHIES
 
 
 def _inside(points_px: Array, picture: Grey) -> NDArray[np.bool_]:
-    """Which points (n, 2) lie on the picture: nothing can be said of a teat that the camera doesn't see."""
+    """Which points (n, 2) lie on the picture: nothing can be said of a teat that the camera doesn't
+    see.
+    """
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.all((points_px >= -0.5) & (points_px < np.array(picture.shape[::-1]) - 0.5), axis=1))
+        return np.asarray(
+            np.all((points_px >= -0.5) & (points_px < np.array(picture.shape[::-1]) - 0.5), axis=1)
+        )
 
 
 def _seen(camera: str, refined: list[Refined]) -> dict[str, NDArray[Any]]:
-    return {camera: np.array([r.region for r in refined]), f"{camera}_bright": np.array([r.bright for r in refined])}
+    return {
+        camera: np.array([r.region for r in refined]),
+        f"{camera}_bright": np.array([r.bright for r in refined]),
+    }
 
 
 def published_homography() -> ThesisDetector:
-    """With the printed homographies: right at 1168 mm from the cameras, some 6 px off at the teats."""
+    """With the printed homographies: right at 1168 mm from the
+    cameras, some 6 px off at the teats.
+    """
     return ThesisDetector(Parameters(homographies="published"), "thesis-published-homography")
 
 
 def no_refinement() -> ThesisDetector:
-    """Without looking into the optical pictures: what the thermal picture and a homography give alone."""
+    """Without looking into the optical pictures: what the thermal picture and a homography give
+    alone.
+    """
     return ThesisDetector(Parameters(refinement=False), "thesis-no-refinement")
 
 
 def published_homography_no_refinement() -> ThesisDetector:
     """Both: the printed homographies and nothing after them."""
-    return ThesisDetector(Parameters(homographies="published", refinement=False), "thesis-published-homography-no-refinement")
+    return ThesisDetector(
+        Parameters(homographies="published", refinement=False),
+        "thesis-published-homography-no-refinement",
+    )

@@ -1,21 +1,28 @@
-"""Ends of vertical lines (section 4.1.5, appendix A.2.2): segments of the vertical order filter become at most eight lines.
+"""Ends of vertical lines (section 4.1.5, appendix A.2.2): segments of the vertical order filter
+become at most eight lines.
 
-Strategy: the original merges columns pair by pair, in place, in an order that matters. The same steps are taken here on runs of equal
-columns instead of single pixels, which gives the same outcome in a hundredth of the time. Pixels are counted from 0; every step is
-unchanged by that shift. The module may not know what comes of the lines.
+Strategy: the original merges columns pair by pair, in place, in an order that matters. The same
+steps are taken here on runs of equal columns instead of single pixels, which gives the same outcome
+in a hundredth of the time. Pixels are counted from 0; every step is unchanged by that shift. The
+module may not know what comes of the lines.
 
-Middles of horizontal lines (section 4.1.6, appendix A.2.3) and the ends of teats chosen from them (section 4.1.7, appendix A.2.4).
+Middles of horizontal lines (section 4.1.6, appendix A.2.3) and the ends of teats chosen from them
+(section 4.1.7, appendix A.2.4).
 
-Where text and listing differ the listing stands, for it is what ran. The text's condition C (a middle lies near two vertical ends) is in no
-listing and its distances are printed nowhere, so it isn't applied; nor is the choice of "the optimal eight".
-What the original did wrong, and what stands here:
-- The window of 116 x 531 pixels stopped it with an error wherever it left the picture. With `window_outside="clip"` nothing is seen
-  outside of the picture; "refuse" leaves it to the caller to stop, as the original did.
-- Its way back from window to picture is one pixel off (it adds the window's first index, counted from 1, without taking 1 off). Kept.
+Where text and listing differ the listing stands, for it is what ran. The text's condition C (a
+middle lies near two vertical ends) is in no listing and its distances are printed nowhere, so it
+isn't applied; nor is the choice of "the optimal eight". What the original did wrong, and what
+stands here:
+- The window of 116 x 531 pixels stopped it with an error wherever it left the picture. With
+  `window_outside="clip"` nothing is seen outside of the picture; "refuse" leaves it to the caller
+  to stop, as the original did.
+- Its way back from window to picture is one pixel off (it adds the window's first index, counted
+  from 1, without taking 1 off). Kept.
 - No candidate stopped it with an error: here the answer is empty.
-- With a single teat found, its table kept a second row of zeros, which went on as a teat in the picture's corner. Not kept: the listings
-  read a row of zeros as no row everywhere else.
-- `hiddenteats = abs(k - 5)` counts what is missing of four, and is right only because k is one more than the teats found.
+- With a single teat found, its table kept a second row of zeros, which went on as a teat in the
+  picture's corner. Not kept: the listings read a row of zeros as no row everywhere else.
+- `hiddenteats = abs(k - 5)` counts what is missing of four, and is right only because k is one more
+  than the teats found.
 """
 
 from __future__ import annotations
@@ -38,10 +45,12 @@ def half_up(value: float) -> int:
 
 
 def vertical_ends(mask: Mask, p: Parameters) -> Array:
-    """Upper ends (n, 2) px (column, row) of the vertical lines in the order-filtered mask, by column; the highest eight at most.
+    """Upper ends (n, 2) px (column, row) of the vertical lines in the order-filtered mask, by
+    column; the highest eight at most.
 
-    A line is a merged column with at least 35 points; its end is its highest point. None gives (0, 2), where the original stopped
-    with an error. The original's `countelement` is lost: it is taken to count each value, in rising order.
+    A line is a merged column with at least 35 points; its end is its highest point. None gives (0,
+    2), where the original stopped with an error. The original's `countelement` is lost: it is taken
+    to count each value, in rising order.
     """
     columns, rows = np.nonzero(mask.T)  # by column, then by row, as Matlab's find()
     merged = np.array(merge_columns(columns.tolist(), p.vertical_merge_px), dtype=np.int64)
@@ -55,15 +64,19 @@ def vertical_ends(mask: Mask, p: Parameters) -> Array:
 
 
 def window_centre(ends: Array) -> tuple[int, int]:
-    """The rounded mean (column, row) of the vertical ends (n, 2): where the teat ends are looked for (appendix A.1)."""
+    """The rounded mean (column, row) of the vertical ends (n, 2): where the teat ends are looked
+    for (appendix A.1).
+    """
     x, y = ends.mean(axis=0)
     return half_up(float(x)), half_up(float(y))
 
 
 def merge_columns(columns: Sequence[int], reach: int) -> list[int]:
-    """The columns once each point in turn has drawn those within `reach` of it to the rounded mean of both, and moved there itself.
+    """The columns once each point in turn has drawn those within `reach` of it to the rounded mean
+    of both, and moved there itself.
 
-    The listing's double loop: for each i, for each j: if |x_i - x_j| <= reach, both become round((x_i + x_j) / 2).
+    The listing's double loop: for each i, for each j: if |x_i - x_j| <= reach, both become
+    round((x_i + x_j) / 2).
     """
     runs = list(_runs(columns))
     done = 0
@@ -74,7 +87,8 @@ def merge_columns(columns: Sequence[int], reach: int) -> list[int]:
             runs = _draw(runs, at, offset, reach)
             done += 1
         else:
-            done += count - offset  # nothing is in reach of this column: its other points change nothing either
+            # nothing is in reach of this column: its other points change nothing either
+            done += count - offset
     return [column for column, count in runs for _ in range(count)]
 
 
@@ -95,10 +109,13 @@ def _draw(runs: list[Run], at: int, offset: int, reach: int) -> list[Run]:
 
 
 def _meet(result: list[Run], mine: int, column: int, many: int, reach: int) -> int:
-    """Let `many` points of one column pass the point at `mine`; appends where they end up, returns where the point does."""
+    """Let `many` points of one column pass the point at `mine`; appends where they end up, returns
+    where the point does.
+    """
     while many and column != mine and abs(column - mine) <= reach:
         middle = (mine + column + 1) // 2
-        taken = many if middle == mine else 1  # once the point no longer moves, all the others follow it
+        # once the point no longer moves, all the others follow it
+        taken = many if middle == mine else 1
         _append(result, middle, taken)
         mine, many = middle, many - taken
     _append(result, column, many)
@@ -134,36 +151,56 @@ _WINDOW_SLIP_PX = 1  # see above
 
 
 def window_fits(shape: tuple[int, ...], centre: tuple[int, int], p: Parameters) -> bool:
-    """Whether the window around centre (column, row) lies inside of a picture of that shape (rows, columns)."""
+    """Whether the window around centre (column, row) lies inside of a picture of that shape (rows,
+    columns).
+    """
     x, y = centre
-    return y >= p.window_rows[0] and y + p.window_rows[1] < shape[0] and x >= p.window_columns[0] and x + p.window_columns[1] < shape[1]
+    return (
+        y >= p.window_rows[0]
+        and y + p.window_rows[1] < shape[0]
+        and x >= p.window_columns[0]
+        and x + p.window_columns[1] < shape[1]
+    )
 
 
 def horizontal_middles(mask: Mask, centre: tuple[int, int], p: Parameters) -> Array:
-    """Middles (n, 2) px (column, row) of the short horizontal lines within the window around centre (column, row), by row, then column."""
+    """Middles (n, 2) px (column, row) of the short horizontal lines within the window around centre
+    (column, row), by row, then column.
+    """
     rows, columns = _points_in_window(mask, centre, p)
     rows = merge_rows(rows, columns, p.horizontal_merge_rows, p.horizontal_merge_columns)
     values, counts = np.unique(rows, return_counts=True)
     low, high = p.horizontal_points_between
-    found = [(middle, int(row)) for row in values[(counts > low) & (counts < high)] for middle in segment_middles(columns[rows == row], p)]
+    found = [
+        (middle, int(row))
+        for row in values[(counts > low) & (counts < high)]
+        for middle in segment_middles(columns[rows == row], p)
+    ]
     return np.array(found, dtype=np.float64).reshape(-1, 2) + _WINDOW_SLIP_PX
 
 
 def merge_rows(rows: Whole, columns: Whole, row_reach: int, column_reach: int) -> Whole:
-    """The rows (n,) once each point in turn has pulled the points after it, if near enough, up to its own row.
+    """The rows (n,) once each point in turn has pulled the points after it, if near enough, up to
+    its own row.
 
-    The listing's double loop: for each i, for each j > i: if |y_i - y_j| <= row_reach and |x_i - x_j| <= column_reach, y_j = min(y_i, y_j).
-    The points come sorted by row.
+    The listing's double loop: for each i, for each j > i: if |y_i - y_j| <= row_reach and |x_i -
+    x_j| <= column_reach, y_j = min(y_i, y_j). The points come sorted by row.
     """
     merged = rows.copy()
     for i in range(len(merged) - 1):
         y, after = merged[i], merged[i + 1 :]
-        after[(after > y) & (after <= y + row_reach) & (np.abs(columns[i + 1 :] - columns[i]) <= column_reach)] = y
+        after[
+            (after > y)
+            & (after <= y + row_reach)
+            & (np.abs(columns[i + 1 :] - columns[i]) <= column_reach)
+        ] = y
     return merged
 
 
 def segment_middles(columns: Whole, p: Parameters) -> list[int]:
-    """Middles, shifted as published by 2 px, of the stretches of one line's points (n,) that hold six of them within 12 px."""
+    """Middles, shifted as published by 2 px, of the stretches of one line's points (n,) that hold
+    six of them within 12 px.
+    """
     x = np.sort(columns)
     span = p.segment_points - 1
     middles, k = [], 0
@@ -177,7 +214,8 @@ def segment_middles(columns: Whole, p: Parameters) -> list[int]:
 def teat_ends(middles: Array, p: Parameters) -> tuple[Array, int]:
     """Teat ends (n, 2) px out of the middles (m, 2), by column, and how many of four are hidden.
 
-    Those within 30 rows of the mean row, from the left, each more than 30 columns from the one before, four at most.
+    Those within 30 rows of the mean row, from the left, each more than 30 columns from the one
+    before, four at most.
     """
     if len(middles) == 0:
         return np.empty((0, 2)), p.teat_count
@@ -191,7 +229,14 @@ def teat_ends(middles: Array, p: Parameters) -> tuple[Array, int]:
 
 
 def _points_in_window(mask: Mask, centre: tuple[int, int], p: Parameters) -> tuple[Whole, Whole]:
-    """Rows and columns (n,) each, of the true pixels in the window, sorted by row, then column, counted in the picture."""
+    """Rows and columns (n,) each, of the true pixels in the window, sorted by row, then column,
+    counted in the picture.
+    """
     top, left = max(centre[1] - p.window_rows[0], 0), max(centre[0] - p.window_columns[0], 0)
-    rows, columns = np.nonzero(mask[top : max(centre[1] + p.window_rows[1] + 1, 0), left : max(centre[0] + p.window_columns[1] + 1, 0)])
+    rows, columns = np.nonzero(
+        mask[
+            top : max(centre[1] + p.window_rows[1] + 1, 0),
+            left : max(centre[0] + p.window_columns[1] + 1, 0),
+        ]
+    )
     return rows.astype(np.int64) + top, columns.astype(np.int64) + left

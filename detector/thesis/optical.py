@@ -1,14 +1,21 @@
-"""From the thermal picture to the optical ones: nominations, regions, and the teat's end in each (sections 4.2, 4.3; A.3, A.4).
+"""From the thermal picture to the optical ones: nominations, regions, and the teat's end in each
+(sections 4.2, 4.3; A.3, A.4).
 
 What the original did wrong, and what stands here:
-- A region that left the picture stopped it with an error. Here such a teat stays where the homography put it.
-- It mapped without dividing by the third coordinate, right for the printed homographies only. Here that division is made.
-- In `locateteat` the end of the dark line is looked up in row i of the region, where i counts the rows with dark pixels; section 4.3.5 and
-  the rest of the listing mean the line's own row, which is what stands here.
-- `locateteat` never looks at the last dark row, and its search ends one column before the region does. Kept.
-- The last lines of `locateteat` are lost. Section 4.3.5: the end lies above the line's middle by half its length. The middle is taken
-  between the listing's two columns, the line's first and the first one after it; nothing is rounded. No line leaves the nomination.
-- Its way back from region to picture is one pixel off for an end that was found; where none was, (20, 20) leads to the nomination. Kept.
+- A region that left the picture stopped it with an error. Here such a teat stays where the
+  homography put it.
+- It mapped without dividing by the third coordinate, right for the printed homographies only. Here
+  that division is made.
+- In `locateteat` the end of the dark line is looked up in row i of the region, where i counts the
+  rows with dark pixels; section 4.3.5 and the rest of the listing mean the line's own row, which is
+  what stands here.
+- `locateteat` never looks at the last dark row, and its search ends one column before the region
+  does. Kept.
+- The last lines of `locateteat` are lost. Section 4.3.5: the end lies above the line's middle by
+  half its length. The middle is taken between the listing's two columns, the line's first and the
+  first one after it; nothing is rounded. No line leaves the nomination.
+- Its way back from region to picture is one pixel off for an end that was found; where none was,
+  (20, 20) leads to the nomination. Kept.
 """
 
 from __future__ import annotations
@@ -29,9 +36,11 @@ _REGION_SLIP_PX = 1  # see above
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
-    """One teat in one optical picture: its end (2,) px, whether the picture moved it there, and what was seen on the way.
+    """One teat in one optical picture: its end (2,) px, whether the picture moved it there, and
+    what was seen on the way.
 
-    region, bright (41, 41): the cut-out, and where it is bright after both dilations; zeros where the region left the picture.
+    region, bright (41, 41): the cut-out, and where it is bright after both dilations; zeros where
+    the region left the picture.
     """
 
     end_px: Array
@@ -41,12 +50,16 @@ class Refined:
 
 
 def nominate(homography: Array, teats_px: Array) -> Array:
-    """Optical pixels (n, 2), rounded, where the homography puts thermal pixels (n, 2); NaN where it puts them nowhere."""
+    """Optical pixels (n, 2), rounded, where the homography puts thermal pixels (n, 2); NaN where it
+    puts them nowhere.
+    """
     return np.asarray(np.floor(apply_homography(homography, teats_px) + 0.5))
 
 
 def refine(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
-    """Look for the teat's end in the region around a nomination (2,); what can't be refined stays where it was nominated."""
+    """Look for the teat's end in the region around a nomination (2,); what can't be refined stays
+    where it was nominated.
+    """
     region = cut_region(picture, nomination_px, p.region_reach_px)
     if region is None:
         return keep(picture, nomination_px, p)
@@ -58,17 +71,28 @@ def refine(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
 
 
 def keep(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
-    """The teat's end where it was nominated, the region as it is (zeros where it leaves the picture), nothing looked for in it."""
+    """The teat's end where it was nominated, the region as it is (zeros where it leaves the
+    picture), nothing looked for in it.
+    """
     side = 2 * p.region_reach_px + 1
     region = cut_region(picture, nomination_px, p.region_reach_px)
     blank = np.zeros((side, side), dtype=np.uint8)
-    return Refined(nomination_px, False, blank if region is None else region, np.zeros((side, side), dtype=np.bool_))
+    return Refined(
+        nomination_px,
+        False,
+        blank if region is None else region,
+        np.zeros((side, side), dtype=np.bool_),
+    )
 
 
 def cut_region(picture: Grey, centre_px: Array, reach_px: int) -> Grey | None:
-    """The square (2 reach + 1, 2 reach + 1) around a whole pixel (2,), or None where it leaves the picture."""
+    """The square (2 reach + 1, 2 reach + 1) around a whole pixel (2,), or None where it leaves the
+    picture.
+    """
     x, y = (int(v) for v in np.nan_to_num(centre_px, nan=-1.0))
-    if not (reach_px <= x < picture.shape[1] - reach_px and reach_px <= y < picture.shape[0] - reach_px):
+    if not (
+        reach_px <= x < picture.shape[1] - reach_px and reach_px <= y < picture.shape[0] - reach_px
+    ):
         return None
     return picture[y - reach_px : y + reach_px + 1, x - reach_px : x + reach_px + 1]
 
@@ -83,11 +107,17 @@ def grey_dilation(region: Grey, p: Parameters) -> Grey:
 
 def binary_dilation(bright: Mask, p: Parameters) -> Mask:
     """Binary dilation with a rectangle of 10 rows by 7 columns (section 4.3.3)."""
-    return np.asarray(_dilate(bright.astype(np.uint8), np.ones(p.binary_dilation_size, dtype=np.uint8)).astype(np.bool_))
+    return np.asarray(
+        _dilate(bright.astype(np.uint8), np.ones(p.binary_dilation_size, dtype=np.uint8)).astype(
+            np.bool_
+        )
+    )
 
 
 def locate_end(dark: Mask, p: Parameters) -> Array | None:
-    """The teat's end (column, row) in a region: above the middle of the topmost dark line of at least 10 px, by half the line's length."""
+    """The teat's end (column, row) in a region: above the middle of the topmost dark line of at
+    least 10 px, by half the line's length.
+    """
     width = dark.shape[1]
     for row in np.flatnonzero(dark.any(axis=1))[:-1]:
         line = dark[row]
@@ -100,7 +130,9 @@ def locate_end(dark: Mask, p: Parameters) -> Array | None:
 
 
 def _line_start(line: Mask, least_px: int) -> int | None:
-    """First column of the first dark run of least_px; None where there is none, or where the listing's search gives up before it."""
+    """First column of the first dark run of least_px; None where there is none, or where the
+    listing's search gives up before it.
+    """
     if np.count_nonzero(line) < least_px:
         return None
     width, start = len(line), int(np.argmax(line))
@@ -115,7 +147,9 @@ def _line_start(line: Mask, least_px: int) -> int | None:
 
 
 def _dilate(image: NDArray[np.uint8], element: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Matlab's imdilate: the element is turned by 180 degrees and, where a side is even, its origin is the one before the middle."""
+    """Matlab's imdilate: the element is turned by 180 degrees and, where a side is even, its origin
+    is the one before the middle.
+    """
     rows, columns = element.shape
     anchor = (columns // 2, rows // 2)  # of the turned element, (column, row) as OpenCV wants it
     turned = np.ascontiguousarray(element[::-1, ::-1])

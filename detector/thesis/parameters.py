@@ -1,6 +1,8 @@
-"""Every figure of the published algorithm, named, with where it stands. They are facts: nothing here is tuned to any scene.
+"""Every figure of the published algorithm, named, with where it stands. They are facts: nothing
+here is tuned to any scene.
 
-Indices are counted from 0 as everywhere in this project; the thesis's Matlab counts from 1, so its column 631 is 630 here.
+Indices are counted from 0 as everywhere in this project; the thesis's Matlab counts from 1, so its
+column 631 is 630 here.
 """
 
 from __future__ import annotations
@@ -13,18 +15,22 @@ Domain = tuple[tuple[int, ...], ...]
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """The published settings as defaults. Lengths in px of the picture they apply to; windows are (before, after) the centre, inclusive."""
+    """The published settings as defaults. Lengths in px of the picture they apply to; windows are
+    (before, after) the centre, inclusive.
+    """
 
     # Edges of the thermal picture: appendix A.1 and Matlab's own defaults of the time
     canny_sigma_px: float = 12.0
-    canny_kernel_reach_px: int = 30  # Matlab's kernels ended there, at 2.5 sigma, whatever the sigma
+    # Matlab's kernels ended there, at 2.5 sigma, whatever the sigma
+    canny_kernel_reach_px: int = 30
     canny_not_edges: float = 0.7
     canny_histogram_bins: int = 64
     canny_threshold_ratio: float = 0.4
     blanked_column: int = 630
 
-    # Order filters: appendix A.1. The vertical domain is lost: the horizontal one is 5 rows by 3 columns with its middle row set, which
-    # only makes sense if it was made from one with its middle column set, so that is what stands here.
+    # Order filters: appendix A.1. The vertical domain is lost: the horizontal one is 5 rows by 3
+    # columns with its middle row set, which only makes sense if it was made from one with its
+    # middle column set, so that is what stands here.
     horizontal_domain: Domain = ((0, 0, 0), (0, 0, 0), (1, 1, 1), (0, 0, 0), (0, 0, 0))
     vertical_domain: Domain = ((0, 1, 0), (0, 1, 0), (0, 1, 0), (0, 1, 0), (0, 1, 0))
 
@@ -36,7 +42,8 @@ class Parameters:
     # Middles of horizontals: appendix A.2.3
     window_rows: tuple[int, int] = (65, 50)
     window_columns: tuple[int, int] = (250, 280)
-    window_outside: Literal["clip", "refuse"] = "clip"  # the original stopped with an error there: see horizontals.py
+    # the original stopped with an error there: see horizontals.py
+    window_outside: Literal["clip", "refuse"] = "clip"
     horizontal_merge_rows: int = 2
     horizontal_merge_columns: int = 15
     horizontal_points_between: tuple[int, int] = (5, 50)  # exclusive
@@ -50,7 +57,8 @@ class Parameters:
     teat_row_tolerance_px: int = 30
     teat_least_spacing_px: int = 30
 
-    # From thermal to optical: the printed homographies of section 3.2.2, or the calibration's, which are to hold at the teats' plane
+    # From thermal to optical: the printed homographies of section 3.2.2, or the calibration's,
+    # which are to hold at the teats' plane
     homographies: Literal["calibration", "published"] = "calibration"
 
     # Optical refinement: section 4.2, 4.3, appendix A.4

@@ -1,6 +1,8 @@
-"""The emulated controller's address space: which row answers at which address, in how many registers, and what is refused.
+"""The emulated controller's address space: which row answers at which address, in how many
+registers, and what is refused.
 
-It knows addresses and not meanings: values come from and go to whoever holds them. Rules of families: `families`.
+It knows addresses and not meanings: values come from and go to whoever holds them. Rules of
+families: `families`.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ ALIKE: Mapping[Table, Table] = {"input": "holding", "discrete": "coil"}
 
 
 class Values(Protocol):
-    """Who holds the quantities. Numbers are as they go over the wire: in the unit that the controller speaks."""
+    """Who holds the quantities. Numbers are as they go over the wire: in the unit that the
+    controller speaks.
+    """
 
     @property
     def decimals(self) -> int: ...
@@ -36,7 +40,9 @@ class Values(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A row at an address. ``padded``: one word and a filler; ``whole``: a float as a 16-bit number without its decimal point."""
+    """A row at an address. ``padded``: one word and a filler; ``whole``: a float as a 16-bit number
+    without its decimal point.
+    """
 
     row: Row
     address: int
@@ -56,7 +62,13 @@ class Cell:
         """The registers that hold its value."""
         if self.form == "whole":
             number = values.number(self.row)
-            return (round(number * 10.0**values.decimals) & 0xFFFF if math.isfinite(number) else PADDING,)
+            return (
+                (
+                    round(number * 10.0**values.decimals) & 0xFFFF
+                    if math.isfinite(number)
+                    else PADDING
+                ),
+            )
         words = values.words(self.row)
         return (words[0], PADDING) if self.form == "padded" else words
 
@@ -89,9 +101,14 @@ class Cells:
         if end > 0x10000:
             raise Refused(protocol.ILLEGAL_ADDRESS)
         self._check_pairs(request.address, request.count, request.function)
-        if self._manners.gaps != "undefined" and not {(table, request.address), (table, end - 1)} <= set(self._at):
+        if self._manners.gaps != "undefined" and not {
+            (table, request.address),
+            (table, end - 1),
+        } <= set(self._at):
             raise Refused(protocol.ILLEGAL_ADDRESS)
-        return [word for address in range(request.address, end) for word in self._word(table, address)]
+        return [
+            word for address in range(request.address, end) for word in self._word(table, address)
+        ]
 
     def write(self, request: Write) -> None:
         """All of the request or nothing, and whole rows only. Raises Refused."""
@@ -107,7 +124,12 @@ class Cells:
         address, end = request.address, request.address + len(request.values)
         while address < end:
             cell = self._at.get((table, address))
-            if cell is None or "w" not in cell.row.access or cell.address != address or cell.end > end:
+            if (
+                cell is None
+                or "w" not in cell.row.access
+                or cell.address != address
+                or cell.end > end
+            ):
                 raise Refused(protocol.ILLEGAL_ADDRESS)
             if cell.count > 1 and request.function == protocol.WRITE_ONE:
                 raise Refused(protocol.ILLEGAL_ADDRESS)
@@ -115,9 +137,13 @@ class Cells:
             address = cell.end
 
     def _discards(self, table: Table, request: Write) -> bool:
-        """Eurotherm: a block of one register to an address that is not configured is confirmed, and nothing happens."""
+        """Eurotherm: a block of one register to an address that is not configured is confirmed, and
+        nothing happens.
+        """
         lone = request.function == protocol.WRITE_MANY and len(request.values) == 1
-        return self._manners.gaps == "undefined" and lone and (table, request.address) not in self._at
+        return (
+            self._manners.gaps == "undefined" and lone and (table, request.address) not in self._at
+        )
 
     def _wanted(self, cell: Cell, words: tuple[int, ...]) -> float:
         value = cell.heard(words, self._values)
@@ -156,12 +182,16 @@ class Cells:
         if row.type == "bit":
             return
         if row.address >= IEEE_AREA and row.address % 2 == 0:
-            self._place(Cell(row, (row.address - IEEE_AREA) // 2, "whole" if row.words == 2 else "plain"))
+            self._place(
+                Cell(row, (row.address - IEEE_AREA) // 2, "whole" if row.words == 2 else "plain")
+            )
         elif row.address < IEEE_AREA // 2 and row.words == 1:
             self._place(Cell(row, IEEE_AREA + 2 * row.address, "padded"))
 
 
 def opened(row: Row, manners: Manners) -> Row:
-    """The row as the controller has it: a profile lets the bench write less than the controller takes."""
+    """The row as the controller has it: a profile lets the bench write less than the controller
+    takes.
+    """
     takes = row.table == "holding" if manners.writable is None else row.name in manners.writable
     return row.model_copy(update={"access": "rw"}) if takes and row.access == "r" else row

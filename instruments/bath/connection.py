@@ -1,8 +1,9 @@
-"""Where a Modbus device is: its URL, taken apart. Pure; the rig file's reader and the driver both ask here.
+"""Where a Modbus device is: its URL, taken apart. Pure; the rig file's reader and the driver both
+ask here.
 
-``tcp://host[:502]`` is Modbus TCP, ``rtu+tcp://host:port`` RTU behind a serial server, ``/dev/ttyUSB0`` and ``COM5``
-RTU on a serial port. ``?unit=3`` names the unit, ``baud``, ``parity`` and ``stopbits`` a serial port's settings; what a
-URL leaves open, the profile fills in.
+``tcp://host[:502]`` is Modbus TCP, ``rtu+tcp://host:port`` RTU behind a serial server,
+``/dev/ttyUSB0`` and ``COM5`` RTU on a serial port. ``?unit=3`` names the unit, ``baud``, ``parity``
+and ``stopbits`` a serial port's settings; what a URL leaves open, the profile fills in.
 """
 
 from __future__ import annotations
@@ -18,12 +19,14 @@ Kind = Literal["tcp", "rtu+tcp", "serial"]
 Parity = Literal["N", "E", "O"]
 
 ALLOWED = (
-    '"tcp://host:port", "rtu+tcp://host:port", "/dev/ttyUSB0", "COM5"; each with "?unit=3", a serial port also with "&baud=9600&parity=N"'
+    '"tcp://host:port", "rtu+tcp://host:port", "/dev/ttyUSB0", "COM5"; each with "?unit=3", a'
+    ' serial port also with "&baud=9600&parity=N"'
 )
 SCHEMES = ("tcp", "rtu+tcp")
 MODBUS_PORT = 502
 BAUD = 9600  # where neither the URL nor a profile says
-MOST_UNIT: Mapping[Kind, int] = {"tcp": 255, "rtu+tcp": 254, "serial": 254}  # 255 is "no unit" on TCP
+# 255 is "no unit" on TCP
+MOST_UNIT: Mapping[Kind, int] = {"tcp": 255, "rtu+tcp": 254, "serial": 254}
 ON_TCP = ("unit",)
 ON_SERIAL = ("unit", "baud", "parity", "stopbits")
 
@@ -34,7 +37,9 @@ class LineError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One device on one line. ``host`` and ``port`` on TCP, ``device`` on a serial port; None: the URL leaves it open."""
+    """One device on one line. ``host`` and ``port`` on TCP, ``device`` on a serial port; None: the
+    URL leaves it open.
+    """
 
     kind: Kind
     host: str = ""
@@ -77,7 +82,9 @@ def parse_line(url: str) -> Line:
     if not found:
         raise LineError(f"not a link to a Modbus device{_near(place, scheme)}; allowed: {ALLOWED}")
     if scheme not in SCHEMES:
-        raise LineError(f'"{scheme}://" is no link to a Modbus device{_meant(scheme)}; allowed: {ALLOWED}')
+        raise LineError(
+            f'"{scheme}://" is no link to a Modbus device{_meant(scheme)}; allowed: {ALLOWED}'
+        )
     kind: Kind = "tcp" if scheme == "tcp" else "rtu+tcp"
     host, port = _host_and_port(place, kind)
     return Line(kind, host, port, **_settings(query, kind))  # type: ignore[arg-type]
@@ -90,9 +97,14 @@ def _host_and_port(place: str, kind: Kind) -> tuple[str, int]:
     except ValueError as error:
         raise LineError(f"not a link: {error}; allowed: {ALLOWED}") from error
     if not host or parts.path or parts.username is not None:
-        raise LineError(f'not a link: write "{kind}://host:port" and nothing behind it but "?unit=3"')
+        raise LineError(
+            f'not a link: write "{kind}://host:port" and nothing behind it but "?unit=3"'
+        )
     if port is None and kind == "rtu+tcp":
-        raise LineError('the port is missing: write "rtu+tcp://host:port" with the port that the serial server listens on')
+        raise LineError(
+            'the port is missing: write "rtu+tcp://host:port" with the port that the serial server'
+            " listens on"
+        )
     return host, MODBUS_PORT if port is None else port
 
 
@@ -101,14 +113,18 @@ def _settings(query: str, kind: Kind) -> dict[str, int | str]:
     try:
         pairs = parse_qsl(query, strict_parsing=bool(query), keep_blank_values=True)
     except ValueError as error:
-        raise LineError(f'"?{query}" is no list of settings: write "?unit=3&baud=9600" ({error})') from error
+        raise LineError(
+            f'"?{query}" is no list of settings: write "?unit=3&baud=9600" ({error})'
+        ) from error
     settings: dict[str, int | str] = {}
     for name, value in pairs:
         if name not in known:
             where = "a serial port" if kind == "serial" else f"{kind}://"
             near = difflib.get_close_matches(name, known, n=1)
             meant = f'; did you mean "{near[0]}"?' if near else ""
-            raise LineError(f'"{name}" is no setting of {where}{meant} (allowed: {", ".join(known)})')
+            raise LineError(
+                f'"{name}" is no setting of {where}{meant} (allowed: {", ".join(known)})'
+            )
         settings["unit_id" if name == "unit" else name] = _setting(name, value, kind)
     return settings
 
@@ -125,8 +141,16 @@ def _setting(name: str, value: str, kind: Kind) -> int | str:
 
 
 def _meant(scheme: str) -> str:
-    known = {"socket": "rtu+tcp", "rtu": "rtu+tcp", "modbus": "tcp", "serial": "rtu+tcp", "rfc2217": "rtu+tcp"}
-    near = known.get(scheme.lower()) or next(iter(difflib.get_close_matches(scheme.lower(), SCHEMES, n=1)), None)
+    known = {
+        "socket": "rtu+tcp",
+        "rtu": "rtu+tcp",
+        "modbus": "tcp",
+        "serial": "rtu+tcp",
+        "rfc2217": "rtu+tcp",
+    }
+    near = known.get(scheme.lower()) or next(
+        iter(difflib.get_close_matches(scheme.lower(), SCHEMES, n=1)), None
+    )
     return f'; did you mean "{near}://"?' if near else ""
 
 
@@ -135,4 +159,8 @@ def _near(place: str, word: str) -> str:
         return f'; did you mean "/dev/{place.removeprefix("dev/")}"?'
     if re.fullmatch(r"com\d+:?", place, re.IGNORECASE):
         return f'; did you mean "{place.upper().rstrip(":")}"?'
-    return f'; did you mean "tcp://{word}"?' if re.fullmatch(r"[\w-]+(\.[\w.-]+|(\.[\w.-]+)?:\d+)", word) else ""
+    return (
+        f'; did you mean "tcp://{word}"?'
+        if re.fullmatch(r"[\w-]+(\.[\w.-]+|(\.[\w.-]+)?:\d+)", word)
+        else ""
+    )

@@ -1,7 +1,9 @@
-"""How controllers of each family behave beyond what a profile says: one table, read by the emulator. Pure.
+"""How controllers of each family behave beyond what a profile says: one table, read by the
+emulator. Pure.
 
-A profile says what the bench may do; here is what the controller does, whoever asks. From the water-bath fact sheet,
-section 1. Where it is silent the choice is the one that is harder on a driver, and stands here as chosen.
+A profile says what the bench may do; here is what the controller does, whoever asks. From the
+water-bath fact sheet, section 1. Where it is silent the choice is the one that is harder on a
+driver, and stands here as chosen.
 """
 
 from __future__ import annotations
@@ -34,12 +36,14 @@ class Manners:
     """One family's ways.
 
     ``functions`` says which table each function works on; others get exception 1, or nothing where
-    ``unknown_function`` is "silence". ``alike``: input registers are the holding registers, discrete inputs the coils.
-    ``gaps``: what is read where no row is. ``says_busy``: it has exception 6; without it, a busy controller is silent.
-    ``areas``: each quantity has a 16-bit register n and, at 0x8000 + 2 n, a pair. ``sensor_break`` is what the
-    temperature reads then: not-a-number, the last value before, or a raw code. After a reset of ``reset_s`` it stands
-    by, or carries on. ``writable``: rows that anybody may write though the bench only looks; None for all holding registers.
-    ``bits`` are the status word's, by what they tell. ``starts``: what rows that are only remembered hold at first.
+    ``unknown_function`` is "silence". ``alike``: input registers are the holding registers,
+    discrete inputs the coils. ``gaps``: what is read where no row is. ``says_busy``: it has
+    exception 6; without it, a busy controller is silent. ``areas``: each quantity has a 16-bit
+    register n and, at 0x8000 + 2 n, a pair. ``sensor_break`` is what the temperature reads then:
+    not-a-number, the last value before, or a raw code. After a reset of ``reset_s`` it stands by,
+    or carries on. ``writable``: rows that anybody may write though the bench only looks; None for
+    all holding registers. ``bits`` are the status word's, by what they tell. ``starts``: what rows
+    that are only remembered hold at first.
     """
 
     functions: Mapping[int, Table] = field(default_factory=lambda: STANDARD)
@@ -66,7 +70,9 @@ LIMITS = {
     "alarm1_high": 40.0,
 }  # chosen
 
-JULABO = Manners(  # 1.2: no bits; floats need function 16; all holding registers RW; the start command is gone after a power cut
+# 1.2: no bits; floats need function 16; all holding registers RW; the start command is gone after a
+# power cut
+JULABO = Manners(
     functions={3: "holding", 4: "input", 6: "holding", 16: "holding", 23: "holding"},
     after_reset="standby",
     writable=None,
@@ -80,8 +86,16 @@ JULABO = Manners(  # 1.2: no bits; floats need function 16; all holding register
         "cooling_limit": 0.0,
     },
 )
-EUROTHERM = Manners(  # 1.1: an unsupported function gets no reply; exceptions 2 and 3 only; 5 s silent when it resets
-    functions={1: "coil", 2: "coil", 5: "coil", **WORDS, protocol.STATUS: "holding", protocol.LOOPBACK: "holding"},
+# 1.1: an unsupported function gets no reply; exceptions 2 and 3 only; 5 s silent when it resets
+EUROTHERM = Manners(
+    functions={
+        1: "coil",
+        2: "coil",
+        5: "coil",
+        **WORDS,
+        protocol.STATUS: "holding",
+        protocol.LOOPBACK: "holding",
+    },
     unknown_function="silence",
     alike=True,
     gaps="undefined",
@@ -90,7 +104,16 @@ EUROTHERM = Manners(  # 1.1: an unsupported function gets no reply; exceptions 2
     sensor_break="last",
     reset_s=5.0,
     writable=frozenset(
-        ("set_point_select", "set_point_1", "set_point_2", "alarm1_high", "output_low", "set_point_low", "set_point_high", "output_demand")
+        (
+            "set_point_select",
+            "set_point_1",
+            "set_point_2",
+            "alarm1_high",
+            "output_low",
+            "set_point_low",
+            "set_point_high",
+            "output_demand",
+        )
     ),
     bits={"alarm 1": 0x0001, "manual": 0x0010, "sensor": 0x0020, "loop": 0x0040},
     starts={**LIMITS, "decimals": 1.0, "version": 0x0461, "model": 0x2416},
@@ -100,7 +123,17 @@ WATLOW = Manners(  # 1.3: degF until it is told; 3 and 4 alike
     alike=True,
     sensor_break="last",
     fahrenheit_as_shipped=True,
-    writable=frozenset(("unit", "alarm1_low", "alarm1_high", "set_point_low", "set_point_high", "manual_power", "limit_high")),
+    writable=frozenset(
+        (
+            "unit",
+            "alarm1_low",
+            "alarm1_high",
+            "set_point_low",
+            "set_point_high",
+            "manual_power",
+            "limit_high",
+        )
+    ),
     starts={**LIMITS, "limit_high": 60.0, "limit_state": 61.0},
 )
 OMEGA = Manners(  # 1.4: functions 2, 3, 5 and 6; an error code stands where the temperature would
@@ -124,4 +157,7 @@ FAMILIES: Mapping[str, Manners] = {  # by how the name of the family begins
 def manners_of(profile: Profile) -> Manners:
     """The ways of the profile's family; of one that isn't known, all that Modbus has."""
     name = profile.family.lower()
-    return next((ways for begins, ways in FAMILIES.items() if name.startswith(begins)), Manners(alike=profile.alike))
+    return next(
+        (ways for begins, ways in FAMILIES.items() if name.startswith(begins)),
+        Manners(alike=profile.alike),
+    )

@@ -1,8 +1,10 @@
-"""The bath's driver: a controller of any family with a profile, polled and commanded through plain calls that block.
+"""The bath's driver: a controller of any family with a profile, polled and commanded through plain
+calls that block.
 
-Nothing is written before the controller has been looked at: family, order of bytes, unit, a plausible temperature. Every
-write is checked against the profile, spaced, done only on change, and read back. Standby alone is always tried. It
-is no safety function: when the PC dies, most controllers hold their last set point.
+Nothing is written before the controller has been looked at: family, order of bytes, unit, a
+plausible temperature. Every write is checked against the profile, spaced, done only on change, and
+read back. Standby alone is always tried. It is no safety function: when the PC dies, most
+controllers hold their last set point.
 """
 
 from __future__ import annotations
@@ -29,14 +31,17 @@ T = TypeVar("T")
 class Bath:
     """The controller at ``url`` (see `line`), connected and identified. May be shared by threads.
 
-    ``identify=False`` puts the look at the controller off to the first call but ``safe``: for whoever cleans up.
-    Calls raise LinkError (no answer, within 7 s; or the link stayed down), ProtocolError (nonsense),
-    DeviceError (refused, or in the wrong state), LimitError (we did not send it, or the family has no such thing). A
-    broken link is mended, and the controller looked at anew, within the next call. ``allow_inferred`` lets rows be
-    polled and written whose evidence is INFERRED. ``tap`` sees the bytes of the link.
+    ``identify=False`` puts the look at the controller off to the first call but ``safe``: for
+    whoever cleans up. Calls raise LinkError (no answer, within 7 s; or the link stayed down),
+    ProtocolError (nonsense), DeviceError (refused, or in the wrong state), LimitError (we did not
+    send it, or the family has no such thing). A broken link is mended, and the controller looked at
+    anew, within the next call. ``allow_inferred`` lets rows be polled and written whose evidence is
+    INFERRED. ``tap`` sees the bytes of the link.
     """
 
-    safe_state: ClassVar[str] = "controller in standby: heater off, and the pump with it where it turns with run"
+    safe_state: ClassVar[str] = (
+        "controller in standby: heater off, and the pump with it where it turns with run"
+    )
 
     def __init__(
         self,
@@ -56,8 +61,17 @@ class Bath:
         self._lock = threading.RLock()
         line = line_to(url, profile, self.who)
         self._wire = wire_to(line, profile, clock, who=self.who, tap=tap, inferred=allow_inferred)
-        self._wired = WiredRows(profile, self._wire, line.unit_id or 1, clock, who=self.who, allow_inferred=allow_inferred)
-        self._relay = Relay(pump, self._wire, clock, allow_inferred=allow_inferred) if pump else None
+        self._wired = WiredRows(
+            profile,
+            self._wire,
+            line.unit_id or 1,
+            clock,
+            who=self.who,
+            allow_inferred=allow_inferred,
+        )
+        self._relay = (
+            Relay(pump, self._wire, clock, allow_inferred=allow_inferred) if pump else None
+        )
         self._poll: Poll | None = None
         self._identity: Mapping[str, str] = {}
         self._started = False
@@ -67,23 +81,30 @@ class Bath:
 
     @property
     def identity(self) -> Mapping[str, str]:
-        """Who answered: family, url, order of bytes; model, version, firmware and cut-out temperature where the family tells."""
+        """Who answered: family, url, order of bytes; model, version, firmware and cut-out
+        temperature where the family tells.
+        """
         return dict(self._identity)
 
     @property
     def pump(self) -> Literal["none", "with run", "own"]:
-        """``with run``: the controller's, which turns while started; ``own``: one with a switch of its own; ``none``: not fitted."""
+        """``with run``: the controller's, which turns while started; ``own``: one with a switch of
+        its own; ``none``: not fitted.
+        """
         return self.profile.capabilities.pump
 
     def read(self) -> BathReading:
         """One poll.
 
-        Raises DeviceError when the controller gives no temperature or has stopped by itself, ProtocolError when it can't be one.
+        Raises DeviceError when the controller gives no temperature or has stopped by itself,
+        ProtocolError when it can't be one.
         """
         return self._do(self._read)
 
     def get(self, name: str) -> float:
-        """The value of any row of the profile; for one in degC only after a poll that makes sense."""
+        """The value of any row of the profile; for one in degC only
+        after a poll that makes sense.
+        """
         if self._relay and name == PUMP:
             return self._switched(self._relay.get, self._relay)
         row = self._wired.row(name)
@@ -105,14 +126,17 @@ class Bath:
         self.set("set_point", set_point_c)
 
     def acknowledge(self) -> None:
-        """Clear the controller's latched alarms. Raises LimitError where the family has no command for it."""
+        """Clear the controller's latched alarms. Raises LimitError where the family has no command
+        for it.
+        """
         self.set("acknowledge", "acknowledge")
 
     def start(self, set_point_c: float) -> None:
-        """Heat to ``set_point_c``: no alarm (level among them), then the set point, then run (fact sheet, 4.1.6).
+        """Heat to ``set_point_c``: no alarm (level among them), then the set point, then run (fact
+        sheet, 4.1.6).
 
-        With ``pump == "with run"`` the controller starts the pump by itself; a pump of its own has to be on already, and one
-        that is not fitted is the caller's to prove.
+        With ``pump == "with run"`` the controller starts the pump by itself; a pump of its own has
+        to be on already, and one that is not fitted is the caller's to prove.
         """
         self._wired.allowed(self._wired.row("set_point"), set_point_c)
         with self._lock:
@@ -120,9 +144,17 @@ class Bath:
             reading = self.read()
             if reading.alarm:
                 text = self.profile.alarm_text(reading.alarm)
-                raise DeviceError(self.who, f"not started: {text}", hint="Clear its cause and the alarm at the controller.")
+                raise DeviceError(
+                    self.who,
+                    f"not started: {text}",
+                    hint="Clear its cause and the alarm at the controller.",
+                )
             if self.pump == "own" and self.get(PUMP) != self.profile.row(PUMP).values["on"]:
-                raise DeviceError(self.who, "not started: the pump is off", hint="Switch it on, and see that water flows.")
+                raise DeviceError(
+                    self.who,
+                    "not started: the pump is off",
+                    hint="Switch it on, and see that water flows.",
+                )
             for name, label in self.profile.before_start.items():
                 self.set(name, label)
             self.set("set_point", set_point_c)
@@ -134,10 +166,11 @@ class Bath:
         self.set("run", "standby")
 
     def safe(self) -> None:
-        """Standby whatever happened before, sent at once and even if it seems to stand by already; tried 3 times.
+        """Standby whatever happened before, sent at once and even if it seems to stand by already;
+        tried 3 times.
 
-        Raises the last error when the controller can't be reached or does not obey: then it must be switched off
-        by hand.
+        Raises the last error when the controller can't be reached or does not obey: then it must be
+        switched off by hand.
         """
         run = self._wired.row("run")
         with self._lock:
@@ -164,7 +197,9 @@ class Bath:
                 self._relay.close()
 
     def _run(self, made_safe: int) -> None:
-        """Run, unless an event of virtual time has made safe since the count was ``made_safe``: that one has the last word."""
+        """Run, unless an event of virtual time has made safe since the count was ``made_safe``:
+        that one has the last word.
+        """
         try:
             if self._times_made_safe == made_safe:
                 self.set("run", "started")
@@ -174,7 +209,11 @@ class Bath:
             if overruled:
                 self.safe()
         if overruled:
-            raise DeviceError(self.who, "not started: it was made safe meanwhile", hint="See what tripped, and start it anew.")
+            raise DeviceError(
+                self.who,
+                "not started: it was made safe meanwhile",
+                hint="See what tripped, and start it anew.",
+            )
 
     def _switch(self, relay: Relay, value: float | str) -> None:
         with self._lock:
@@ -183,7 +222,11 @@ class Bath:
                 shown = self._do(lambda: self._wired.value(run))
                 if shown != run.values["standby"]:
                     hint = "Put the controller into standby first."
-                    raise LimitError(self.who, f"the pump is not switched off while the controller is {run.label(shown)}", hint=hint)
+                    raise LimitError(
+                        self.who,
+                        f"the pump is not switched off while the controller is {run.label(shown)}",
+                        hint=hint,
+                    )
             self._switched(lambda: relay.set(value), relay)
 
     def _switched(self, work: Callable[[], T], relay: Relay) -> T:
@@ -207,7 +250,9 @@ class Bath:
                 raise
 
     def _meet(self) -> None:
-        """Connect, and look at who answers before anything is written; the link is closed on whoever does not fit."""
+        """Connect, and look at who answers before anything is written; the link is closed on
+        whoever does not fit.
+        """
         self._poll = None
         wire = self._wire
         if not wire.connected:
@@ -237,7 +282,9 @@ class Bath:
         self._wired.set(row, wanted)
 
     def _known(self) -> Poll:
-        """How to poll whom we have met. Raises LinkError when an event of virtual time has dropped the link meanwhile."""
+        """How to poll whom we have met. Raises LinkError when an event of virtual time has dropped
+        the link meanwhile.
+        """
         if self._poll is None:
             raise BrokenError(self.who, "the link is down", hint="Check cable and power.")
         return self._poll
@@ -245,4 +292,10 @@ class Bath:
     def _see_that_it_runs(self, reading: BathReading) -> None:
         if self._started and reading.running is False:
             self._started = False
-            raise DeviceError(self.who, "it has stopped by itself: a power cut?", asked="run", seen="standby", hint="Start it anew.")
+            raise DeviceError(
+                self.who,
+                "it has stopped by itself: a power cut?",
+                asked="run",
+                seen="standby",
+                hint="Start it anew.",
+            )

@@ -1,13 +1,16 @@
-"""One unit of a Modbus line as a server: frames in, frames out, and what can go wrong between, by name.
+"""One unit of a Modbus line as a server: frames in, frames out, and what can go wrong between, by
+name.
 
-Which registers there are and what they hold is for the cells behind it, and a family's ways are `families`. It never waits,
-and may not know what the numbers mean.
+Which registers there are and what they hold is for the cells behind it, and a family's ways are
+`families`. It never waits, and may not know what the numbers mean.
 
-The emulated controller: a Modbus server whose registers are the plant's state, laid out by a profile.
+The emulated controller: a Modbus server whose registers are the plant's state, laid out by a
+profile.
 
-Asked for a register, it moves the plant on to the clock's time and looks; told a value, it acts on the plant. It speaks
-Modbus TCP or RTU over whatever carries its bytes. It never waits, and may not know who is asking or why. Frames: `server`; what
-registers mean: `meanings`; where they are: `cells`; a family's ways: `families`. A pump that a relay switches is `relay_emulator`'s.
+Asked for a register, it moves the plant on to the clock's time and looks; told a value, it acts on
+the plant. It speaks Modbus TCP or RTU over whatever carries its bytes. It never waits, and may not
+know who is asking or why. Frames: `server`; what registers mean: `meanings`; where they are:
+`cells`; a family's ways: `families`. A pump that a relay switches is `relay_emulator`'s.
 """
 
 from __future__ import annotations
@@ -21,7 +24,17 @@ from instruments.bath import protocol
 from instruments.bath.address_space import Cells
 from instruments.bath.controller_behaviour import Manners, manners_of
 from instruments.bath.profile import Profile, Wiring
-from instruments.bath.protocol import Frame, FrameReader, Plain, Read, Refused, Request, RtuFrame, RtuReader, Write
+from instruments.bath.protocol import (
+    Frame,
+    FrameReader,
+    Plain,
+    Read,
+    Refused,
+    Request,
+    RtuFrame,
+    RtuReader,
+    Write,
+)
 from instruments.bath.register_semantics import Controller, Meanings
 from instruments.clock import Clock
 from instruments.listener import Connection
@@ -35,7 +48,9 @@ LATE_S = 1.5
 
 
 def framing_of(profile: Wiring, framing: Framing | None) -> Framing:
-    """``framing``, or else what the device has, TCP first. Raises ValueError for one that is none."""
+    """``framing``, or else what the device has, TCP first. Raises
+    ValueError for one that is none.
+    """
     if framing is not None and framing not in get_args(Framing):
         raise ValueError(f"no framing '{framing}'; there are tcp and rtu")
     return framing or ("tcp" if "tcp" in profile.transports else "rtu")
@@ -44,9 +59,10 @@ def framing_of(profile: Wiring, framing: Framing | None) -> Framing:
 class Server:
     """Answers for ``unit_id`` alone; other units get no answer.
 
-    ``faults`` are those of WIRE_FAULTS that it has at the moment: "wrong length" leaves a register (or eight bits) out of an
-    answer, "surplus" adds one, a "late answer" takes ``late_s``. It is deaf until the clock shows ``deaf_until_s``.
-    ``before`` is called before a request is looked at; ``plain`` answers the functions 7 and 8, where the family has them.
+    ``faults`` are those of WIRE_FAULTS that it has at the moment: "wrong length" leaves a register
+    (or eight bits) out of an answer, "surplus" adds one, a "late answer" takes ``late_s``. It is
+    deaf until the clock shows ``deaf_until_s``. ``before`` is called before a request is looked at;
+    ``plain`` answers the functions 7 and 8, where the family has them.
     """
 
     def __init__(
@@ -76,7 +92,10 @@ class Server:
     def check_fault(self, name: str, device: str) -> None:
         """Raise ValueError for a fault of the wire that this framing can't have."""
         if name == "bad CRC" and self.framing == "tcp":
-            raise ValueError(f"the {device} speaks Modbus TCP, which has no check sum: it can't have the fault 'bad CRC'")
+            raise ValueError(
+                f"the {device} speaks Modbus TCP, which has no check sum: it can't have the fault"
+                " 'bad CRC'"
+            )
 
     def fault(self, name: str, *, on: bool) -> None:
         """Have a fault of the wire from now on, or no longer."""
@@ -96,7 +115,9 @@ class Server:
         self._readers.pop(connection, None)
 
     def hang_up(self) -> None:
-        """Lose all hosts, as a device on a network does whose power goes; a serial line knows nothing of that."""
+        """Lose all hosts, as a device on a network does whose power goes; a serial line knows
+        nothing of that.
+        """
         if self.framing == "tcp":
             for connection in list(self._readers):
                 connection.hang_up()
@@ -134,12 +155,19 @@ class Server:
         function = pdu[0]
         try:
             if "busy" in self.faults:
-                return protocol.answer_refusal(function, protocol.BUSY) if self._manners.says_busy else b""
+                return (
+                    protocol.answer_refusal(function, protocol.BUSY)
+                    if self._manners.says_busy
+                    else b""
+                )
             if function not in self._manners.functions:
                 raise Refused(protocol.ILLEGAL_FUNCTION)
             return self._done(protocol.parse(pdu))
         except Refused as refused:
-            unheard_of = refused.code == protocol.ILLEGAL_FUNCTION and self._manners.unknown_function == "silence"
+            unheard_of = (
+                refused.code == protocol.ILLEGAL_FUNCTION
+                and self._manners.unknown_function == "silence"
+            )
             return b"" if unheard_of else protocol.answer_refusal(function, refused.code)
 
     def _done(self, request: Request) -> bytes:
@@ -178,12 +206,14 @@ FAULTS = (*WIRE_FAULTS, *OWN_FAULTS, *SETTING_FAULTS, *PLANT_FAULTS)
 
 
 class BathEmulator:
-    """Serves ``plant`` as a controller of ``profile``'s family. Other unit ids get no answer; faults of the wire: `server`.
+    """Serves ``plant`` as a controller of ``profile``'s family. Other unit ids get no answer;
+    faults of the wire: `server`.
 
-    A family that turns its pump by itself turns the plant's; behind any other the pump stands until a relay switches it.
-    ``framing``: "tcp" for Modbus TCP, "rtu" for RTU on a pty or over TCP; by default what the family has, TCP first.
-    ``as_shipped``: in the factory's unit, which is degF for some. ``late_s`` is how long an answer takes under the fault
-    "late answer". Raises ValueError for a framing that is none.
+    A family that turns its pump by itself turns the plant's; behind any other the pump stands until
+    a relay switches it. ``framing``: "tcp" for Modbus TCP, "rtu" for RTU on a pty or over TCP; by
+    default what the family has, TCP first. ``as_shipped``: in the factory's unit, which is degF for
+    some. ``late_s`` is how long an answer takes under the fault "late answer". Raises ValueError
+    for a framing that is none.
     """
 
     def __init__(
@@ -207,7 +237,13 @@ class BathEmulator:
         self._meanings = Meanings(self._controller)
         self._cells = Cells(profile, self._manners, self._meanings)
         self._server = Server(
-            self._cells, self._manners, clock, unit_id=unit_id, framing=self.framing, before=self._catch_up, plain=self._plain
+            self._cells,
+            self._manners,
+            clock,
+            unit_id=unit_id,
+            framing=self.framing,
+            before=self._catch_up,
+            plain=self._plain,
         )
         plant.fit(circulator=profile.capabilities.pump == "with run")
 
@@ -232,15 +268,19 @@ class BathEmulator:
     @property
     def faults(self) -> frozenset[str]:
         """What is broken at the moment."""
-        settings = {name for name, attribute in SETTING_FAULTS.items() if getattr(self._controller, attribute)}
+        settings = {
+            name
+            for name, attribute in SETTING_FAULTS.items()
+            if getattr(self._controller, attribute)
+        }
         resetting = {"controller reset"} if self._server.deaf else set()
         return frozenset(self._server.faults | settings | resetting)
 
     def fault(self, name: str, *, on: bool = True) -> None:
         """Break something, or mend it. Raises ValueError as `check_fault` does.
 
-        "controller reset" happens once and mends itself; to mend it is to have it back at once. The settings may also be
-        changed over the wire, where the family allows it.
+        "controller reset" happens once and mends itself; to mend it is to have it back at once. The
+        settings may also be changed over the wire, where the family allows it.
         """
         self.check_fault(name)
         if name == "controller reset":

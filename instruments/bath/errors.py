@@ -1,4 +1,6 @@
-"""What is said when a Modbus device does not answer, says no, or answers nonsense. Pure: who, asked, seen, how long, what to do."""
+"""What is said when a Modbus device does not answer, says no, or answers nonsense. Pure: who,
+asked, seen, how long, what to do.
+"""
 
 from __future__ import annotations
 
@@ -28,16 +30,25 @@ class RefusedError(DeviceError):
 
 
 class BrokenError(LinkError):
-    """The connection went down under a question; over a new one the same question may be asked again."""
+    """The connection went down under a question; over a new one the same question may be asked
+    again.
+    """
 
 
 def unreachable(who: str, line: Line, why: str, tries: int, took_s: float) -> LinkError:
     """Nobody took the connection, or the port can't be had; ``why`` in the system's words."""
     if line.kind == "serial":
-        hint = "Is the adapter plugged in, and is it yours to open? 'python -m serial.tools.list_ports' lists the ports."
-        return LinkError(who, f"the port can't be opened in {tries} tries: {why}", seconds=took_s, hint=hint)
+        hint = (
+            "Is the adapter plugged in, and is it yours to open? 'python -m"
+            " serial.tools.list_ports' lists the ports."
+        )
+        return LinkError(
+            who, f"the port can't be opened in {tries} tries: {why}", seconds=took_s, hint=hint
+        )
     hint = f"Is the controller on, on this network, and set to Modbus {line.transport.upper()}?"
-    return LinkError(who, f"nothing took the connection in {tries} tries: {why}", seconds=took_s, hint=hint)
+    return LinkError(
+        who, f"nothing took the connection in {tries} tries: {why}", seconds=took_s, hint=hint
+    )
 
 
 def silence(who: str, question: Question, took_s: float) -> LinkError:
@@ -56,7 +67,9 @@ def cut(who: str, question: Question, seen: bytes, line: Line) -> BrokenError | 
 
 
 def owing(who: str, questions: int, took_s: float, left_s: float) -> LinkError:
-    """So many questions are owed an answer that none is left which could not be confused with them."""
+    """So many questions are owed an answer that none is left which
+    could not be confused with them.
+    """
     hint = f"Nothing is asked for {left_s:.0f} s at most: until then an answer may still come."
     return LinkError(who, f"no answer to {questions} questions", seconds=took_s, hint=hint)
 
@@ -64,7 +77,9 @@ def owing(who: str, questions: int, took_s: float, left_s: float) -> LinkError:
 def refused(who: str, code: int, question: Question) -> RefusedError:
     """The device answered with the Modbus exception ``code``."""
     meaning = EXCEPTIONS.get(code, "a code that Modbus does not know")
-    error = RefusedError(who, f"refused: {meaning}", asked=question.asked, seen=f"Modbus exception {code}")
+    error = RefusedError(
+        who, f"refused: {meaning}", asked=question.asked, seen=f"Modbus exception {code}"
+    )
     error.code = code
     return error
 

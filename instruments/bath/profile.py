@@ -1,12 +1,15 @@
-"""A Modbus device of some make as data: how it is spoken to, its rows, and the checks of both; read from a TOML file.
+"""A Modbus device of some make as data: how it is spoken to, its rows, and the checks of both; read
+from a TOML file.
 
-Every fault of a file is told at once, each with the key that it stands under. Pure: no clock, no socket, no Modbus library.
+Every fault of a file is told at once, each with the key that it stands under. Pure: no clock, no
+socket, no Modbus library.
 
 What a controller family calls its registers: one TOML file a family, read and checked here.
 
-A row is known to the driver and the emulator by its name (``temperature``, ``set_point``, ``run`` ...); a family
-that lacks a row lacks the thing. What a code means is a label in the row, so the driver writes ``started`` and
-never a number. Pure: it may not know a clock, a socket or a Modbus library.
+A row is known to the driver and the emulator by its name (``temperature``, ``set_point``, ``run``
+...); a family that lacks a row lacks the thing. What a code means is a label in the row, so the
+driver writes ``started`` and never a number. Pure: it may not know a clock, a socket or a Modbus
+library.
 """
 
 from __future__ import annotations
@@ -23,32 +26,49 @@ from instruments.bath.registers import Evidence, Order, Row, Strict, Table
 
 ReadFunction = Literal[1, 2, 3, 4]
 WriteFunction = Literal[5, 6, 16]
-READERS: dict[Table, tuple[ReadFunction, ...]] = {"holding": (3, 4), "input": (4,), "coil": (1, 2), "discrete": (2,)}  # first choice first
+# first choice first
+READERS: dict[Table, tuple[ReadFunction, ...]] = {
+    "holding": (3, 4),
+    "input": (4,),
+    "coil": (1, 2),
+    "discrete": (2,),
+}
 
 Made = TypeVar("Made", bound="Wiring")
 
 
 class ProfileError(ValueError):
-    """A profile with faults: ``path`` of the file, ``faults`` as (key path, message), all at once."""
+    """A profile with faults: ``path`` of the file, ``faults`` as
+    (key path, message), all at once.
+    """
 
     def __init__(self, path: Path, faults: Sequence[tuple[str, str]]) -> None:
         self.path = path
         self.faults = tuple(faults)
-        super().__init__(f"{path}: " + "; ".join(f"{key}: {message}" if key else message for key, message in faults))
+        super().__init__(
+            f"{path}: "
+            + "; ".join(f"{key}: {message}" if key else message for key, message in faults)
+        )
 
 
 class Wiring(Strict):
     """A Modbus device of some make: how it is spoken to, and its rows.
 
-    ``functions`` are the Modbus functions that it knows; with ``alike``, 3 and 4 read the same registers. From address
-    ``pairs_from`` on, registers are read and written in pairs only. ``timeout_s`` is the wait for an answer, and
-    ``quiet_s`` how much later one may still come: the slowest that the family is known to be.
+    ``functions`` are the Modbus functions that it knows; with ``alike``, 3 and 4 read the same
+    registers. From address ``pairs_from`` on, registers are read and written in pairs only.
+    ``timeout_s`` is the wait for an answer, and ``quiet_s`` how much later one may still come: the
+    slowest that the family is known to be.
     """
 
     family: str
     source: str
     transports: Annotated[tuple[Literal["tcp", "rtu"], ...], Field(min_length=1)]
-    functions: Annotated[tuple[ReadFunction | WriteFunction, ...], Field(min_length=1)] = (3, 4, 6, 16)
+    functions: Annotated[tuple[ReadFunction | WriteFunction, ...], Field(min_length=1)] = (
+        3,
+        4,
+        6,
+        16,
+    )
     alike: bool = False
     pairs_from: Annotated[int, Field(ge=0, le=0xFFFE)] | None = None
     unit_id: Annotated[int, Field(ge=1, le=254)] = 1
@@ -78,12 +98,16 @@ class Wiring(Strict):
 
     def write_function(self, row: Row) -> WriteFunction | None:
         """The function that writes ``row``, or None where the family has none."""
-        wanted: tuple[WriteFunction, ...] = (5,) if row.type == "bit" else (6, 16) if row.words == 1 else (16,)
+        wanted: tuple[WriteFunction, ...] = (
+            (5,) if row.type == "bit" else (6, 16) if row.words == 1 else (16,)
+        )
         return next((function for function in wanted if function in self.functions), None)
 
 
 class RelayProfile(Wiring):
-    """A relay or IO device that switches a pump: its row ``pump`` has the values ``on`` and ``off``."""
+    """A relay or IO device that switches a pump: its row ``pump`` has the values ``on`` and
+    ``off``.
+    """
 
     @model_validator(mode="after")
     def _whole(self) -> RelayProfile:
@@ -92,7 +116,12 @@ class RelayProfile(Wiring):
         if "pump" not in names:
             faults.append(("rows", "the row 'pump' is missing"))
         elif self.row("pump").access != "rw" or not {"on", "off"} <= set(self.row("pump").values):
-            faults.append((f"rows.{names.index('pump')}", "pump: access 'rw' and the labels 'on' and 'off' are needed"))
+            faults.append(
+                (
+                    f"rows.{names.index('pump')}",
+                    "pump: access 'rw' and the labels 'on' and 'off' are needed",
+                )
+            )
         if faults:
             raise FaultsError(faults)
         return self
@@ -109,9 +138,16 @@ class FaultsError(ValueError):
 def row_faults(profile: Wiring) -> Iterator[tuple[str, str]]:
     """What is wrong with the rows, each and together."""
     for at, row in enumerate(profile.rows):
-        yield from ((f"rows.{at}", f"{row.name}: {fault}") for fault in (*row.faults(), *_reach_faults(profile, row)))
+        yield from (
+            (f"rows.{at}", f"{row.name}: {fault}")
+            for fault in (*row.faults(), *_reach_faults(profile, row))
+        )
     names = [row.name for row in profile.rows]
-    yield from ((f"rows.{at}.name", f"a second row '{name}'") for at, name in enumerate(names) if name in names[:at])
+    yield from (
+        (f"rows.{at}.name", f"a second row '{name}'")
+        for at, name in enumerate(names)
+        if name in names[:at]
+    )
     yield from _overlaps(profile.rows)
 
 
@@ -122,7 +158,11 @@ def _reach_faults(profile: Wiring, row: Row) -> Iterator[str]:
         yield f"none of the functions {known} reads table {row.table}"
     if "w" in row.access and profile.write_function(row) is None:
         yield f"none of the functions {known} writes {row.type}"
-    if profile.pairs_from is not None and row.address >= profile.pairs_from and (row.address % 2 or row.words != 2):
+    if (
+        profile.pairs_from is not None
+        and row.address >= profile.pairs_from
+        and (row.address % 2 or row.words != 2)
+    ):
         yield f"from {profile.pairs_from} on, rows take two registers at an even address"
 
 
@@ -133,11 +173,19 @@ def _overlaps(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
         for at, second in places[i + 1 :]:
             if second.table != first.table or second.address >= first.end:
                 break
-            yield f"rows.{at}.address", f"{second.name} at {second.table} {second.address} overlaps {first.name} at {first.address}"
+            yield (
+                f"rows.{at}.address",
+                (
+                    f"{second.name} at {second.table} {second.address} overlaps {first.name} at"
+                    f" {first.address}"
+                ),
+            )
 
 
 def load(path: Path, kind: type[Made], *, hint: str = "") -> Made:
-    """What stands in the file at ``path``. Raises ProfileError with all its faults, and with ``hint`` where there is no file."""
+    """What stands in the file at ``path``. Raises ProfileError with all its faults, and with
+    ``hint`` where there is no file.
+    """
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -167,7 +215,9 @@ NEEDED = ("temperature", "set_point", "run")
 
 
 class Capabilities(Strict):
-    """What the family can do. ``pump = "with run"``: it turns while the controller is started, and not alone."""
+    """What the family can do. ``pump = "with run"``: it turns while the controller is started, and
+    not alone.
+    """
 
     pump: Literal["none", "with run", "own"] = "none"
     level: Literal["none", "alarm"] = "none"
@@ -176,14 +226,18 @@ class Capabilities(Strict):
 
 
 class OrderFrom(Strict):
-    """The row that tells the order of bytes, and which code means which; it has an order of its own."""
+    """The row that tells the order of bytes, and which code means which; it has an order of its
+    own.
+    """
 
     row: str
     codes: dict[str, Order]
 
 
 class AlarmCode(Strict):
-    """What a code in a row that tells alarms means; in a word of bits the code is the bit's weight."""
+    """What a code in a row that tells alarms means; in a word of
+    bits the code is the bit's weight.
+    """
 
     code: int
     cause: AlarmCause
@@ -192,7 +246,9 @@ class AlarmCode(Strict):
 
 
 class Identity(Strict):
-    """What ``row`` shows when this is the family: ``equals`` after ``mask``, or anything that ``differs``, or else a known code."""
+    """What ``row`` shows when this is the family: ``equals`` after ``mask``, or anything that
+    ``differs``, or else a known code.
+    """
 
     row: str
     mask: Annotated[int, Field(ge=1, le=0xFFFFFFFF)] = 0xFFFFFFFF
@@ -218,7 +274,8 @@ class Profile(Wiring):
     plausible_c: tuple[float, float] = (-5.0, 60.0)
     capabilities: Capabilities = Capabilities()
     identity: tuple[Identity, ...] = ()
-    before_start: dict[str, str] = Field(default_factory=dict)  # row -> label to be seen before heating, written where it is another
+    # row -> label to be seen before heating, written where it is another
+    before_start: dict[str, str] = Field(default_factory=dict)
     alarms: tuple[AlarmCode, ...] = ()
 
     @model_validator(mode="after")
@@ -229,17 +286,23 @@ class Profile(Wiring):
         return self
 
     def order_for(self, code: int) -> Order | None:
-        """The order that a code of the ``order_from`` row means, or None for a code that means nothing."""
+        """The order that a code of the ``order_from`` row means, or None for a code that means
+        nothing.
+        """
         return self.order_from.codes.get(str(code)) if self.order_from else self.order
 
     def alarm_text(self, code: int) -> str:
-        """What an alarm (``BathReading.alarm``) means, with a word of doubt where that is inferred."""
+        """What an alarm (``BathReading.alarm``) means, with a word
+        of doubt where that is inferred.
+        """
         known = [alarm for alarm in self.alarms if alarm.code == code]
         if not known and any(row.alarm == "bits" for row in self.rows):
             known = [alarm for alarm in self.alarms if alarm.code & code]
         if not known:
             return f"alarm {code}, see the controller's manual"
-        doubt = " (meaning inferred)" if any(alarm.evidence == "INFERRED" for alarm in known) else ""
+        doubt = (
+            " (meaning inferred)" if any(alarm.evidence == "INFERRED" for alarm in known) else ""
+        )
         return f"alarm {code}, {' and '.join(alarm.text for alarm in known)}{doubt}"
 
 
@@ -250,32 +313,54 @@ def _faults(profile: Profile) -> Iterator[tuple[str, str]]:
     yield from _reference_faults(profile)
     for name in {"run", "set_point"} & set(names):
         if profile.row(name).access != "rw":
-            yield f"rows.{names.index(name)}.access", f"{name}: the bench has to read and write it, so access must be 'rw'"
+            yield (
+                f"rows.{names.index(name)}.access",
+                f"{name}: the bench has to read and write it, so access must be 'rw'",
+            )
     for name in {"unit", profile.order_from.row if profile.order_from else "unit"} & set(names):
         if not profile.row(name).poll:
-            yield f"rows.{names.index(name)}", f"{name}: it may be changed at the panel, so it has to be polled"
+            yield (
+                f"rows.{names.index(name)}",
+                f"{name}: it may be changed at the panel, so it has to be polled",
+            )
     pump = profile.find("pump")
-    if profile.capabilities.pump == "own" and (pump is None or pump.access != "rw" or not {"on", "off"} <= set(pump.values)):
-        yield "capabilities.pump", "an own pump needs a row 'pump' with access 'rw' and the labels 'on' and 'off'"
+    if profile.capabilities.pump == "own" and (
+        pump is None or pump.access != "rw" or not {"on", "off"} <= set(pump.values)
+    ):
+        yield (
+            "capabilities.pump",
+            "an own pump needs a row 'pump' with access 'rw' and the labels 'on' and 'off'",
+        )
     run = profile.find("run")
     if run is not None and not {"standby", "started"} <= set(run.values):
-        yield f"rows.{names.index('run')}.values", "run: the labels 'standby' and 'started' are needed"
+        yield (
+            f"rows.{names.index('run')}.values",
+            "run: the labels 'standby' and 'started' are needed",
+        )
 
 
 def _reference_faults(profile: Profile) -> Iterator[tuple[str, str]]:
     if profile.order_from and getattr(profile.find(profile.order_from.row), "order", None) is None:
-        yield "order_from.row", f"there is no row '{profile.order_from.row}' with an order of its own"
+        yield (
+            "order_from.row",
+            f"there is no row '{profile.order_from.row}' with an order of its own",
+        )
     for at, identity in enumerate(profile.identity):
         if profile.find(identity.row) is None:
             yield f"identity.{at}.row", f"there is no row '{identity.row}'"
     for name, label in profile.before_start.items():
         setting = profile.find(name)
         if setting is None or label not in setting.values or setting.access != "rw":
-            yield f"before_start.{name}", f"there is no row '{name}' that may be written with the value '{label}'"
+            yield (
+                f"before_start.{name}",
+                f"there is no row '{name}' that may be written with the value '{label}'",
+            )
 
 
 def load_profile(name_or_path: str | Path) -> Profile:
-    """A shipped profile by its name (``julabo-presto``), or any profile by its path. Raises ProfileError."""
+    """A shipped profile by its name (``julabo-presto``), or any profile by its path. Raises
+    ProfileError.
+    """
     path = Path(name_or_path)
     if path.suffix != ".toml":
         path = SHIPPED / f"{name_or_path}.toml"
@@ -283,11 +368,15 @@ def load_profile(name_or_path: str | Path) -> Profile:
 
 
 def load_relay(name_or_path: str | Path) -> RelayProfile:
-    """A shipped profile of a pump's relay by its name (``modbus-relay``), or any by its path. Raises ProfileError."""
+    """A shipped profile of a pump's relay by its name (``modbus-relay``), or any by its path.
+    Raises ProfileError.
+    """
     path = Path(name_or_path)
     if path.suffix != ".toml":
         path = RELAYS / f"{name_or_path}.toml"
-    return load(path, RelayProfile, hint=f"; shipped profiles of relays: {', '.join(relay_names())}")
+    return load(
+        path, RelayProfile, hint=f"; shipped profiles of relays: {', '.join(relay_names())}"
+    )
 
 
 def profile_names() -> list[str]:

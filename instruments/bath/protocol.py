@@ -1,14 +1,17 @@
-"""Modbus as a server hears and answers it: bytes to requests, answers to bytes, and the framing of Modbus TCP. No I/O.
+"""Modbus as a server hears and answers it: bytes to requests, answers to bytes, and the framing of
+Modbus TCP. No I/O.
 
-Written from the public specification (Modbus application protocol 1.1b3, messaging on TCP/IP 1.0b) and not from
-the library that the driver uses, so that the two ends can't be wrong together. What registers mean, and which
-functions a family has, is for somebody else to know.
+Written from the public specification (Modbus application protocol 1.1b3, messaging on TCP/IP 1.0b)
+and not from the library that the driver uses, so that the two ends can't be wrong together. What
+registers mean, and which functions a family has, is for somebody else to know.
 
-Modbus RTU as a server hears it: where a request ends, whether its check sum holds, and how an answer is framed. Pure.
+Modbus RTU as a server hears it: where a request ends, whether its check sum holds, and how an
+answer is framed. Pure.
 
-RTU marks the end of a frame by 3.5 characters of silence, which neither a TCP connection nor an operating system's
-serial driver keeps. So a request ends where its content says; silence only ends what can't be understood. Written from the
-public specification (Modbus over serial line 1.02) and not from the library that the driver uses.
+RTU marks the end of a frame by 3.5 characters of silence, which neither a TCP connection nor an
+operating system's serial driver keeps. So a request ends where its content says; silence only ends
+what can't be understood. Written from the public specification (Modbus over serial line 1.02) and
+not from the library that the driver uses.
 """
 
 from __future__ import annotations
@@ -26,7 +29,12 @@ READ_COILS, READ_DISCRETE, READ_HOLDING, READ_INPUT = 1, 2, 3, 4
 WRITE_COIL, WRITE_ONE, STATUS, LOOPBACK, WRITE_COILS, WRITE_MANY, EXCHANGE = 5, 6, 7, 8, 15, 16, 23
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, FAILURE, BUSY = 1, 2, 3, 4, 6
 
-READS = {READ_COILS: MOST_BITS_READ, READ_DISCRETE: MOST_BITS_READ, READ_HOLDING: MOST_READ, READ_INPUT: MOST_READ}
+READS = {
+    READ_COILS: MOST_BITS_READ,
+    READ_DISCRETE: MOST_BITS_READ,
+    READ_HOLDING: MOST_READ,
+    READ_INPUT: MOST_READ,
+}
 BITS = (READ_COILS, READ_DISCRETE, WRITE_COIL, WRITE_COILS)
 
 
@@ -54,7 +62,9 @@ class Read:
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """Functions 5, 6, 15 and 16: ``values`` (bits as 0 and 1, or registers) to ``address`` and up."""
+    """Functions 5, 6, 15 and 16: ``values`` (bits as 0 and 1, or
+    registers) to ``address`` and up.
+    """
 
     function: int
     address: int
@@ -99,7 +109,9 @@ class FrameReader:
         self._buffer = b""
 
     def feed(self, data: bytes, now_s: float) -> Iterator[Frame]:  # noqa: ARG002 - the same face as the other framing's
-        """The frames that ``data`` completes; time means nothing here. Raises UnframedError when this can't be Modbus TCP."""
+        """The frames that ``data`` completes; time means nothing here. Raises UnframedError when
+        this can't be Modbus TCP.
+        """
         self._buffer += data
         while len(self._buffer) >= HEADER.size:
             transaction, protocol, length, unit = HEADER.unpack_from(self._buffer)
@@ -128,21 +140,30 @@ def parse(pdu: bytes) -> Request:
         return Write(function, address, (value,))
     if function == WRITE_COILS:
         address, count = _numbers(body, 2, exactly=False)
-        return Write(function, address, unpacked(_counted(body[4:], -(-count // 8)), count, MOST_BITS_WRITTEN))
+        return Write(
+            function,
+            address,
+            unpacked(_counted(body[4:], -(-count // 8)), count, MOST_BITS_WRITTEN),
+        )
     if function == WRITE_MANY:
         address, count = _numbers(body, 2, exactly=False)
         return Write(function, address, _registers(body[4:], count, MOST_WRITTEN))
     if function == EXCHANGE:
         address, count, target, written = _numbers(body, 4, exactly=False)
         _demand(1 <= count <= MOST_READ)
-        return Exchange(Read(function, address, count), Write(function, target, _registers(body[8:], written, MOST_EXCHANGED)))
+        return Exchange(
+            Read(function, address, count),
+            Write(function, target, _registers(body[8:], written, MOST_EXCHANGED)),
+        )
     if function in (STATUS, LOOPBACK):
         return Plain(function, body)
     raise Refused(ILLEGAL_FUNCTION)
 
 
 def answer_read(request: Read, values: Sequence[int]) -> bytes:
-    """The PDU that carries ``values``; as many as there are, so a wrong number can be sent on purpose."""
+    """The PDU that carries ``values``; as many as there are, so a wrong number can be sent on
+    purpose.
+    """
     data = packed(values) if request.function in BITS else struct.pack(f">{len(values)}H", *values)
     return bytes((request.function, len(data))) + data
 
@@ -150,7 +171,9 @@ def answer_read(request: Read, values: Sequence[int]) -> bytes:
 def answer_write(request: Write) -> bytes:
     """The PDU that confirms a write."""
     single = {WRITE_ONE: request.values[0], WRITE_COIL: request.values[0] * 0xFF00}
-    return struct.pack(">BHH", request.function, request.address, single.get(request.function, len(request.values)))
+    return struct.pack(
+        ">BHH", request.function, request.address, single.get(request.function, len(request.values))
+    )
 
 
 def answer_refusal(function: int, code: int) -> bytes:
@@ -165,7 +188,9 @@ def packed(bits: Sequence[int]) -> bytes:
 
 
 def unpacked(data: bytes, count: int, most: int) -> tuple[int, ...]:
-    """The first ``count`` bits of ``data``. Raises Refused where that is none, or more than ``most``."""
+    """The first ``count`` bits of ``data``. Raises Refused where that is none, or more than
+    ``most``.
+    """
     _demand(1 <= count <= most)
     whole = int.from_bytes(data, "little")
     return tuple(whole >> at & 1 for at in range(count))
@@ -192,13 +217,16 @@ def _demand(condition: bool) -> None:
         raise Refused(ILLEGAL_VALUE)
 
 
-GAP_S = 0.05  # a request's bytes come closer together; 3.5 characters are 4 ms at 9600 baud, but a busy PC stalls for longer
+# a request's bytes come closer together; 3.5 characters are 4 ms at 9600 baud, but a busy PC stalls
+# for longer
+GAP_S = 0.05
 LONGEST_RTU = 256
 SHORTEST = 4
 BROADCAST = 0
 
 LENGTHS = {1: 8, 2: 8, 3: 8, 4: 8, 5: 8, 6: 8, 7: 4, 8: 8, 11: 4, 12: 4, 17: 4, 22: 10, 24: 6}
-COUNTED = {15: (6, 9), 16: (6, 9), 23: (10, 13)}  # where the count of data bytes stands, and how many bytes there are beside them
+# where the count of data bytes stands, and how many bytes there are beside them
+COUNTED = {15: (6, 9), 16: (6, 9), 23: (10, 13)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +242,9 @@ class RtuFrame:
 
 
 class RtuReader:
-    """Takes bytes cut anywhere, gives whole frames. After a broken frame it is deaf until the line has been quiet."""
+    """Takes bytes cut anywhere, gives whole frames. After a broken frame it is deaf until the line
+    has been quiet.
+    """
 
     def __init__(self, gap_s: float = GAP_S) -> None:
         self._gap_s = gap_s
@@ -255,7 +285,8 @@ def _end(data: bytes) -> int | None:
     if data[1] in COUNTED:
         at, beside = COUNTED[data[1]]
         return beside + data[at] if len(data) > at else None
-    return len(data) if len(data) >= SHORTEST and crc(data) == 0 else None  # no such function: only the check sum can tell
+    # no such function: only the check sum can tell
+    return len(data) if len(data) >= SHORTEST and crc(data) == 0 else None
 
 
 def crc(data: bytes) -> int:

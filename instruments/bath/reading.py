@@ -1,4 +1,6 @@
-"""One poll of a controller: registers to a reading, and whether the reading can be believed. Pure."""
+"""One poll of a controller: registers to a reading, and whether
+the reading can be believed. Pure.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,13 @@ class OrderError(ProtocolError):
 
 @dataclass(frozen=True, slots=True)
 class BathReading:
-    """One poll, at ``t_s`` of the clock. None where the family has no such row or the controller gave no number.
+    """One poll, at ``t_s`` of the clock. None where the family has no such row or the controller
+    gave no number.
 
-    ``raw`` are the temperature's registers as they came, to tell a frozen value from a steady one. ``alarm`` and
-    ``warning`` are the controller's codes, 0 for none; what one means is told by ``Profile.alarm_text``. ``remote`` says
-    whether it listens to Modbus, ``running`` whether it heats, and turns its pump where ``pump == "with run"``.
+    ``raw`` are the temperature's registers as they came, to tell a frozen value from a steady one.
+    ``alarm`` and ``warning`` are the controller's codes, 0 for none; what one means is told by
+    ``Profile.alarm_text``. ``remote`` says whether it listens to Modbus, ``running`` whether it
+    heats, and turns its pump where ``pump == "with run"``.
     """
 
     t_s: float
@@ -44,14 +48,22 @@ class BathReading:
 
 
 class Poll:
-    """What to ask for in a poll of ``profile``, and how to read the answers. ``gaps``, ``inferred``: see ``polling.blocks``."""
+    """What to ask for in a poll of ``profile``, and how to read the answers. ``gaps``,
+    ``inferred``: see ``polling.blocks``.
+    """
 
-    def __init__(self, profile: Profile, order: Order, *, gaps: bool, inferred: bool = False, who: str) -> None:
+    def __init__(
+        self, profile: Profile, order: Order, *, gaps: bool, inferred: bool = False, who: str
+    ) -> None:
         self.blocks: Sequence[Block] = blocks(profile, gaps=gaps, inferred=inferred)
         self._profile = profile
         self._order = order
         self._who = who
-        self._places = [(row, at, row.address - block.address, row.words) for at, block in enumerate(self.blocks) for row in block.rows]
+        self._places = [
+            (row, at, row.address - block.address, row.words)
+            for at, block in enumerate(self.blocks)
+            for row in block.rows
+        ]
         self._temperature = next(place for place in self._places if place[0].name == "temperature")
         self._alarms = [place for place in self._places if place[0].alarm or place[0].no_value]
         self._bits = sum({alarm.code for alarm in profile.alarms})
@@ -63,10 +75,14 @@ class Poll:
     def reading(self, t_s: float, answers: Sequence[Sequence[int]]) -> BathReading:
         """The reading in ``answers``, the registers of each block.
 
-        Raises DeviceError when there is no temperature in it, ProtocolError when it is none that a bath has.
+        Raises DeviceError when there is no temperature in it, ProtocolError when it is none that a
+        bath has.
         """
         order = self._order
-        values = {row.name: row.decode(answers[at][start : start + words], order) for row, at, start, words in self._places}
+        values = {
+            row.name: row.decode(answers[at][start : start + words], order)
+            for row, at, start, words in self._places
+        }
         _, at, start, words = self._temperature
         raw = tuple(answers[at][start : start + words])
         alarm = next(self._alarm_codes(values, answers), 0)
@@ -86,7 +102,9 @@ class Poll:
             set_point_c=_number(values.get("set_point")),
         )
 
-    def _alarm_codes(self, values: Mapping[str, float], answers: Sequence[Sequence[int]]) -> Iterator[int]:
+    def _alarm_codes(
+        self, values: Mapping[str, float], answers: Sequence[Sequence[int]]
+    ) -> Iterator[int]:
         for row, at, start, _ in self._alarms:
             code = answers[at][start] if row.no_value else int(values[row.name])
             if row.no_value:
@@ -102,31 +120,58 @@ class Poll:
         """Unit and order of bytes may be changed at the panel while we are connected."""
         unit = values.get("unit")
         if unit is not None and unit != self._celsius:
-            seen, hint = self._profile.row("unit").label(unit), "Set the controller to degrees Celsius."
-            raise DeviceError(self._who, "it does not speak degC", asked="its unit", seen=seen, hint=hint)
+            seen, hint = (
+                self._profile.row("unit").label(unit),
+                "Set the controller to degrees Celsius.",
+            )
+            raise DeviceError(
+                self._who, "it does not speak degC", asked="its unit", seen=seen, hint=hint
+            )
         code = values.get(self._order_row)
         if code is not None and self._profile.order_for(int(code)) != self._order:
-            raise OrderError(self._who, "its order of bytes has changed", asked=self._order_row, seen=f"{code:g}", hint="Ask again.")
+            raise OrderError(
+                self._who,
+                "its order of bytes has changed",
+                asked=self._order_row,
+                seen=f"{code:g}",
+                hint="Ask again.",
+            )
 
     def _check(self, values: Mapping[str, float], raw: Sequence[int], alarm: int) -> None:
         if math.isnan(values["temperature"]):
             said = self._profile.alarm_text(alarm) if alarm else "no alarm"
-            raise DeviceError(self._who, "it has no temperature", asked="temperature", seen=said, hint="Look at the sensor and its plug.")
+            raise DeviceError(
+                self._who,
+                "it has no temperature",
+                asked="temperature",
+                seen=said,
+                hint="Look at the sensor and its plug.",
+            )
         for row, *_ in self._places:  # all: in another order of bytes, one in 20 is plausible
             value = values[row.name]
             if row.unit == "degC" and not (math.isnan(value) or self._is_plausible(value)):
                 self._refuse(row.name, value, raw, alarm)
             if row.unit == "%" and abs(value) > FULL_PERCENT:
                 what = f"its {row.name} can't be: not within -100 to 100 %"
-                raise ProtocolError(self._who, what, asked=row.name, seen=f"{value:g} %", hint=FAMILY)
+                raise ProtocolError(
+                    self._who, what, asked=row.name, seen=f"{value:g} %", hint=FAMILY
+                )
             if row.values and not row.alarm and not row.is_known(value):
                 what = f"its {row.name} can't be: none of {', '.join((*row.values, *row.seen))}"
                 raise ProtocolError(self._who, what, asked=row.name, seen=f"{value:g}", hint=FAMILY)
 
     def _refuse(self, name: str, temp_c: float, raw: Sequence[int], alarm: int) -> None:
-        if alarm and any(known.cause == "sensor" and known.code & alarm for known in self._profile.alarms):
+        if alarm and any(
+            known.cause == "sensor" and known.code & alarm for known in self._profile.alarms
+        ):
             said = self._profile.alarm_text(alarm)
-            raise DeviceError(self._who, "it has no temperature", asked=name, seen=said, hint="Look at the sensor and its plug.")
+            raise DeviceError(
+                self._who,
+                "it has no temperature",
+                asked=name,
+                seen=said,
+                hint="Look at the sensor and its plug.",
+            )
         low, high = self._profile.plausible_c
         what = f"its {name} can't be: not within {low:g} to {high:g} degC"
         hint = " ".join(self._guesses(self._profile.row("temperature"), raw)) or FAMILY
@@ -136,11 +181,16 @@ class Poll:
         """What else the temperature's registers may mean, each where it would be a bath's."""
         temp_c = row.decode(raw, self._order)
         if self._is_plausible((temp_c - 32.0) / 1.8):
-            yield f"In degF it would be {(temp_c - 32.0) / 1.8:.1f} degC: set the controller to degC."
+            yield (
+                f"In degF it would be {(temp_c - 32.0) / 1.8:.1f} degC: set the controller to degC."
+            )
         for order in get_args(Order):
             turned = decode(raw, row.type, order) * row.scale
             if row.words > 1 and order != self._order and self._is_plausible(turned):
-                yield f"In the order {order} it would be {turned:.1f} degC: set order in the profile, or at the controller."
+                yield (
+                    f"In the order {order} it would be {turned:.1f} degC: set order in the profile,"
+                    " or at the controller."
+                )
 
     def _is_plausible(self, temp_c: float) -> bool:
         low, high = self._profile.plausible_c

@@ -1,11 +1,15 @@
-"""What an emulated controller is at one moment, beside the plant that it controls: its memory and the settings of its panel.
+"""What an emulated controller is at one moment, beside the plant that it controls: its memory and
+the settings of its panel.
 
-It knows the profile's names and codes, and may not know addresses, frames or clocks. What each name means: `meanings`.
+It knows the profile's names and codes, and may not know addresses, frames or clocks. What each name
+means: `meanings`.
 
-What the rows of an emulated controller mean: each name is a look at the plant, an act on it, or a cell of memory.
+What the rows of an emulated controller mean: each name is a look at the plant, an act on it, or a
+cell of memory.
 
-A row that nothing here knows is remembered as it was written and changes nothing else. Numbers go over the wire in the
-unit that the controller speaks just now. It may not know addresses, frames or clocks.
+A row that nothing here knows is remembered as it was written and changes nothing else. Numbers go
+over the wire in the unit that the controller speaks just now. It may not know addresses, frames or
+clocks.
 """
 
 from __future__ import annotations
@@ -24,8 +28,9 @@ TURNED: Mapping[Order, Order] = {"ABCD": "CDAB", "CDAB": "ABCD", "BADC": "DCBA",
 class Controller:
     """A controller of ``profile``'s family over ``plant``.
 
-    ``fahrenheit`` and ``turned`` (the words of a number the other way round) are settings that somebody else may change, as is
-    ``manual_mode``: in it a circulator confirms writes and ignores them (``ignores``); a controller holds its output where it was.
+    ``fahrenheit`` and ``turned`` (the words of a number the other way round) are settings that
+    somebody else may change, as is ``manual_mode``: in it a circulator confirms writes and ignores
+    them (``ignores``); a controller holds its output where it was.
     """
 
     def __init__(self, plant: Plant, profile: Profile, manners: Manners, unit_id: int) -> None:
@@ -53,7 +58,9 @@ class Controller:
 
     @property
     def decimals(self) -> int:
-        """Digits behind the decimal point that a 16-bit number leaves out (Eurotherm 525; none where 12550 says integers)."""
+        """Digits behind the decimal point that a 16-bit number leaves out (Eurotherm 525; none
+        where 12550 says integers).
+        """
         return 0 if self.remembered("resolution") == 1 else int(self.remembered("decimals"))
 
     @property
@@ -69,13 +76,25 @@ class Controller:
         """A value of ``row`` in the unit that it speaks just now."""
         if not self.fahrenheit:
             return value
-        return value * 1.8 + 32.0 if row.unit == "degC" else value * 1.8 if row.unit.startswith("K") else value
+        return (
+            value * 1.8 + 32.0
+            if row.unit == "degC"
+            else value * 1.8
+            if row.unit.startswith("K")
+            else value
+        )
 
     def metric(self, row: Row, shown: float) -> float:
         """The other way round."""
         if not self.fahrenheit:
             return shown
-        return (shown - 32.0) / 1.8 if row.unit == "degC" else shown / 1.8 if row.unit.startswith("K") else shown
+        return (
+            (shown - 32.0) / 1.8
+            if row.unit == "degC"
+            else shown / 1.8
+            if row.unit.startswith("K")
+            else shown
+        )
 
     def remembered(self, name: str) -> float:
         """What a row holds that nothing in the plant answers for."""
@@ -96,12 +115,22 @@ class Controller:
         """What it takes for the temperature."""
         if not self.plant.broken_sensor:
             self._last_c = self.plant.pv_c
-        return math.nan if self.plant.broken_sensor and self.manners.sensor_break == "nan" else self._last_c
+        return (
+            math.nan
+            if self.plant.broken_sensor and self.manners.sensor_break == "nan"
+            else self._last_c
+        )
 
     def alarm1(self) -> str:
         """Which of alarm 1's two thresholds is passed."""
         temp_c = self.temperature_c()
-        return "high" if temp_c >= self.remembered("alarm1_high") else "low" if temp_c <= self.remembered("alarm1_low") else "none"
+        return (
+            "high"
+            if temp_c >= self.remembered("alarm1_high")
+            else "low"
+            if temp_c <= self.remembered("alarm1_low")
+            else "none"
+        )
 
     def reset(self) -> None:
         """Power off and on. A family that keeps nothing is as shipped then, in standby."""
@@ -109,7 +138,11 @@ class Controller:
             self.memory.clear()
             plant = self.plant
             plant.standby()
-            plant.set_point_c, plant.manual_output, plant.output_max = self._shipped_c, None, plant.constants.output_max
+            plant.set_point_c, plant.manual_output, plant.output_max = (
+                self._shipped_c,
+                None,
+                plant.constants.output_max,
+            )
             plant.set_flow(plant.constants.flow_l_per_min)
 
 
@@ -177,7 +210,9 @@ def _mode(name: str, automatic: str) -> Callable[[Controller], float]:
 
 
 def _alarm(on: Controller) -> float:
-    return next((float(alarm.code) for alarm in on.profile.alarms if alarm.cause == on.plant.alarm), 0.0)
+    return next(
+        (float(alarm.code) for alarm in on.profile.alarms if alarm.cause == on.plant.alarm), 0.0
+    )
 
 
 def _status(on: Controller) -> float:
@@ -196,7 +231,11 @@ def _encoding(on: Controller) -> float:
 
 
 def _set_point(on: Controller) -> float:
-    return on.memory.get("set_point", on.plant.set_point_c) if on.remembered("local_remote") else on.plant.set_point_c
+    return (
+        on.memory.get("set_point", on.plant.set_point_c)
+        if on.remembered("local_remote")
+        else on.plant.set_point_c
+    )
 
 
 LOOKS: Mapping[str, Callable[[Controller], float]] = {
@@ -251,15 +290,23 @@ def _automatic(on: Controller, value: float) -> None:  # noqa: ARG001 - the whit
 
 
 def _actuating(on: Controller, value: float) -> None:
-    """JULABO: "digital" heats with a power of its own, whatever the set point; EPROG, with nobody's program, not at all."""
-    digital = on.memory.get("heating_power", 0.0) / 100.0 if value == on.code("actuating", "digital") else 0.0
+    """JULABO: "digital" heats with a power of its own, whatever the set point; EPROG, with nobody's
+    program, not at all.
+    """
+    digital = (
+        on.memory.get("heating_power", 0.0) / 100.0
+        if value == on.code("actuating", "digital")
+        else 0.0
+    )
     on.plant.manual_output = None if value == on.code("actuating", "controller") else digital
 
 
 def _aim(on: Controller, value: float) -> None:  # noqa: ARG001 - one of three rows has changed; which does not matter
     """The set point is the local one or, on a controller that is set so, the remote one."""
     remote = on.remembered("local_remote") == 1
-    on.plant.set_point_c = on.memory.get("remote_set_point" if remote else "set_point", on.plant.set_point_c)
+    on.plant.set_point_c = on.memory.get(
+        "remote_set_point" if remote else "set_point", on.plant.set_point_c
+    )
 
 
 def _limit(on: Controller, value: float) -> None:

@@ -1,6 +1,7 @@
 """Registers of 16 bits and the numbers they hold, in each of the four orders of bytes.
 
-An order is written as what becomes of the bytes ABCD of a 32-bit number, A the most significant. Pure.
+An order is written as what becomes of the bytes ABCD of a 32-bit number, A the most significant.
+Pure.
 
 One quantity of a controller: where it is, how it is coded, and what may be written to it. Pure.
 """
@@ -31,7 +32,9 @@ def decode(registers: Sequence[int], kind: Kind, order: Order) -> float:
 
 
 def encode(value: float, kind: Kind, order: Order) -> tuple[int, ...]:
-    """The registers that hold ``value``, rounded to the type. Raises ValueError when it does not fit."""
+    """The registers that hold ``value``, rounded to the type. Raises ValueError when it does not
+    fit.
+    """
     whole = value if kind == "f32" else round(value) if math.isfinite(value) else None
     if whole is None or not fits(whole, kind):
         raise ValueError(f"{value:g} does not fit into {kind}")
@@ -40,7 +43,9 @@ def encode(value: float, kind: Kind, order: Order) -> tuple[int, ...]:
 
 
 def _turned(registers: Sequence[int], order: Order) -> Sequence[int]:
-    """Between the wire's order and ABCD; its own inverse. BADC and DCBA swap the bytes of single registers too."""
+    """Between the wire's order and ABCD; its own inverse. BADC and DCBA swap the bytes of single
+    registers too.
+    """
     if order in ("CDAB", "DCBA"):
         registers = registers[::-1]
     if order in ("BADC", "DCBA"):
@@ -72,13 +77,15 @@ class Strict(BaseModel):
 class Row(Strict):
     """One quantity: where it is, how it is coded, and what may be written to it.
 
-    ``scale`` times the raw number is the value in ``unit``. ``values`` names the codes that exist, ``range`` bounds a
-    quantity; anything else is never written. ``seen`` names codes that it may show and that are never written either.
-    ``access = "w"`` is a command: written, never read. ``spacing_s`` is the least time after another write; ``tolerance``
-    how far what the controller made of a value may be from it.
+    ``scale`` times the raw number is the value in ``unit``. ``values`` names the codes that exist,
+    ``range`` bounds a quantity; anything else is never written. ``seen`` names codes that it may
+    show and that are never written either. ``access = "w"`` is a command: written, never read.
+    ``spacing_s`` is the least time after another write; ``tolerance`` how far what the controller
+    made of a value may be from it.
 
-    ``alarm`` says that the row tells alarms: as a code, of which those in ``quiet`` mean none, or as a word of bits.
-    ``no_value`` are raw codes that stand where a number would and mean that there is none.
+    ``alarm`` says that the row tells alarms: as a code, of which those in ``quiet`` mean none, or
+    as a word of bits. ``no_value`` are raw codes that stand where a number would and mean that
+    there is none.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
@@ -139,7 +146,9 @@ class Row(Strict):
                 yield f"no_value.{label} = {code} is no register of 16 bits"
 
     def decode(self, registers: Sequence[int], order: Order) -> float:
-        """The value in ``unit``; not-a-number for a code of ``no_value``. Raises ValueError when the number of registers is wrong."""
+        """The value in ``unit``; not-a-number for a code of ``no_value``. Raises ValueError when
+        the number of registers is wrong.
+        """
         if self.no_value and registers[0] in self.no_value.values():
             return float("nan")
         return decode(registers, self.type, self.order or order) * self.scale
@@ -153,7 +162,10 @@ class Row(Strict):
         if self.access == "r":
             return f"{self.name} is read-only"
         if self.values and value not in self.values.values():
-            return f"{self.name} takes {', '.join(f'{code:g} ({label})' for label, code in self.values.items())}"
+            return (
+                f"{self.name} takes"
+                f" {', '.join(f'{code:g} ({label})' for label, code in self.values.items())}"
+            )
         if self.range is not None and not self.range[0] <= value <= self.range[1]:
             return f"{self.name} takes {self.range[0]:g} to {self.range[1]:g} {self.unit}".rstrip()
         return None

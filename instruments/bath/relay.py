@@ -1,7 +1,9 @@
-"""A pump that a relay switches: another Modbus device than the controller, on the controller's line or on one of its own.
+"""A pump that a relay switches: another Modbus device than the controller, on the controller's line
+or on one of its own.
 
-Where the controller's family has no pump this is the pump, or there is none; nothing here is ever taken from the controller.
-On the controller's line it shares its link, for a line has one owner. That the relay is on does not say that water moves.
+Where the controller's family has no pump this is the pump, or there is none; nothing here is ever
+taken from the controller. On the controller's line it shares its link, for a line has one owner.
+That the relay is on does not say that water moves.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class PumpAt:
-    """Where a pump's relay is and what it is. ``tap`` sees the bytes of its link, where that is its own."""
+    """Where a pump's relay is and what it is. ``tap`` sees the bytes of its link, where that is its
+    own.
+    """
 
     url: str
     profile: RelayProfile
@@ -33,14 +37,27 @@ class PumpAt:
 
 
 class Relay:
-    """The relay of ``pump``, on the link ``wire`` of the controller where that leads to the same line. Raises LinkError."""
+    """The relay of ``pump``, on the link ``wire`` of the controller where that leads to the same
+    line. Raises LinkError.
+    """
 
-    def __init__(self, pump: PumpAt, wire: Transactions, clock: Clock, *, allow_inferred: bool = False) -> None:
+    def __init__(
+        self, pump: PumpAt, wire: Transactions, clock: Clock, *, allow_inferred: bool = False
+    ) -> None:
         who = f"pump at {pump.url}"
         line = line_to(pump.url, pump.profile, who)
         self.shares = line.url == wire.place
-        self._wire = wire if self.shares else wire_to(line, pump.profile, clock, who=who, tap=pump.tap)
-        self._rows = WiredRows(pump.profile, self._wire, line.unit_id or 1, clock, who=who, allow_inferred=allow_inferred)
+        self._wire = (
+            wire if self.shares else wire_to(line, pump.profile, clock, who=who, tap=pump.tap)
+        )
+        self._rows = WiredRows(
+            pump.profile,
+            self._wire,
+            line.unit_id or 1,
+            clock,
+            who=who,
+            allow_inferred=allow_inferred,
+        )
 
     def get(self) -> float:
         """The code of what the relay is set to."""
@@ -62,7 +79,9 @@ class Relay:
             self._wire.close()
 
     def _mended(self, work: Callable[[], T]) -> T:
-        """``work``, on a link of its own once more when that breaks; a shared one is mended by the controller's driver."""
+        """``work``, on a link of its own once more when that breaks; a shared one is mended by the
+        controller's driver.
+        """
         if self.shares:
             return work()
         if not self._wire.connected:
@@ -75,10 +94,16 @@ class Relay:
 
 
 def with_pump(profile: Profile, pump: RelayProfile) -> Profile:
-    """``profile`` with the pump's row, which is for the relay alone. Raises LimitError where the family turns a pump itself."""
+    """``profile`` with the pump's row, which is for the relay alone. Raises LimitError where the
+    family turns a pump itself.
+    """
     if profile.capabilities.pump != "none":
         hint = "Leave pump_url and pump_profile out of the rig file."
-        raise LimitError(profile.family, f"its pump ({profile.capabilities.pump}) is the family's own, and no relay switches it", hint=hint)
+        raise LimitError(
+            profile.family,
+            f"its pump ({profile.capabilities.pump}) is the family's own, and no relay switches it",
+            hint=hint,
+        )
     capabilities = profile.capabilities.model_copy(update={"pump": "own"})
     row = pump.row(PUMP).model_copy(update={"poll": False})
     return profile.model_copy(update={"capabilities": capabilities, "rows": (*profile.rows, row)})

@@ -1,7 +1,8 @@
-"""The emulated relay of a pump: a Modbus server of its own, whose row ``pump`` switches the plant's pump.
+"""The emulated relay of a pump: a Modbus server of its own, whose row ``pump`` switches the plant's
+pump.
 
-It is another device than the controller, with another power supply: what happens to one tells nothing of the other. It may not
-know which controller heats, nor whether there is water.
+It is another device than the controller, with another power supply: what happens to one tells
+nothing of the other. It may not know which controller heats, nor whether there is water.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ RELAY_FAULTS = (*WIRE_FAULTS, POWER_CUT)
 
 
 class Contacts:
-    """What the relay's rows hold: ``pump`` is the plant's switch, any other contact switches nothing here."""
+    """What the relay's rows hold: ``pump`` is the plant's switch, any other contact switches
+    nothing here.
+    """
 
     decimals = 0
 
@@ -62,12 +65,19 @@ class Contacts:
 class RelayEmulator:
     """Switches the pump of ``plant``, which stands at first. Other unit ids get no answer.
 
-    ``framing`` as for the bath. The fault "power cut" opens the contact, and the relay is silent until it is mended; faults of
-    the wire: `server`. ``late_s`` is how long a late answer takes. Raises ValueError for a framing that is none.
+    ``framing`` as for the bath. The fault "power cut" opens the contact, and the relay is silent
+    until it is mended; faults of the wire: `server`. ``late_s`` is how long a late answer takes.
+    Raises ValueError for a framing that is none.
     """
 
     def __init__(
-        self, plant: Plant, profile: RelayProfile, clock: Clock, *, unit_id: int | None = None, framing: Framing | None = None
+        self,
+        plant: Plant,
+        profile: RelayProfile,
+        clock: Clock,
+        *,
+        unit_id: int | None = None,
+        framing: Framing | None = None,
     ) -> None:
         self.plant = plant
         self.profile = profile
@@ -77,7 +87,9 @@ class RelayEmulator:
         self._clock = clock
         self._contacts = Contacts(plant, profile)
         cells = Cells(profile, manners, self._contacts)
-        self._server = Server(cells, manners, clock, unit_id=self.unit_id, framing=self.framing, before=self._catch_up)
+        self._server = Server(
+            cells, manners, clock, unit_id=self.unit_id, framing=self.framing, before=self._catch_up
+        )
         self._contacts.fall()
 
     @property

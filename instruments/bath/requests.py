@@ -1,11 +1,14 @@
-"""What to ask a controller for in one poll: its polled rows in as few questions as go, the same every time. Pure.
+"""What to ask a controller for in one poll: its polled rows in as few questions as go, the same
+every time. Pure.
 
-A fixed block of a fixed length is also the cheapest guard against stale answers: at worst one is old, never another quantity.
+A fixed block of a fixed length is also the cheapest guard against stale answers: at worst one is
+old, never another quantity.
 
-What is asked of a Modbus device, and how its answer has to begin: requests to bytes, answers to values. Pure, no I/O.
+What is asked of a Modbus device, and how its answer has to begin: requests to bytes, answers to
+values. Pure, no I/O.
 
-The requests are pymodbus's. What a right answer looks like is kept with the question, for RTU has no number to tell
-whose an answer is: only function, length, and for writes the echo.
+The requests are pymodbus's. What a right answer looks like is kept with the question, for RTU has
+no number to tell whose an answer is: only function, length, and for writes the echo.
 """
 
 from __future__ import annotations
@@ -15,7 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pymodbus.pdu import ModbusPDU
-from pymodbus.pdu.bit_message import ReadCoilsRequest, ReadDiscreteInputsRequest, WriteSingleCoilRequest
+from pymodbus.pdu.bit_message import (
+    ReadCoilsRequest,
+    ReadDiscreteInputsRequest,
+    WriteSingleCoilRequest,
+)
 from pymodbus.pdu.register_message import (
     ReadHoldingRegistersRequest,
     ReadInputRegistersRequest,
@@ -32,7 +39,9 @@ MOST_GAP = 8  # registers that nobody wants cost less than another question, up 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Rows that one question with ``function`` fetches: ``count`` registers (or bits) of ``table`` from ``address``."""
+    """Rows that one question with ``function`` fetches: ``count`` registers (or bits) of ``table``
+    from ``address``.
+    """
 
     function: ReadFunction
     table: Table
@@ -57,14 +66,18 @@ class Block:
 def blocks(profile: Wiring, *, gaps: bool, inferred: bool = False) -> tuple[Block, ...]:
     """The questions of one poll.
 
-    ``gaps`` reads over addresses that no row claims, which a controller may refuse; ``inferred`` takes in rows
-    whose evidence is INFERRED.
+    ``gaps`` reads over addresses that no row claims, which a controller may refuse; ``inferred``
+    takes in rows whose evidence is INFERRED.
     """
     found: list[Block] = []
     polled = (row for row in profile.rows if row.poll and (inferred or row.evidence != "INFERRED"))
     for row in sorted(polled, key=lambda row: (row.table, row.address)):
         last = found[-1] if found and found[-1].table == row.table else None
-        if last and row.end - last.address <= MOST_WORDS and row.address - last.end <= (MOST_GAP if gaps else 0):
+        if (
+            last
+            and row.end - last.address <= MOST_WORDS
+            and row.address - last.end <= (MOST_GAP if gaps else 0)
+        ):
             found[-1] = Block(last.function, last.table, (*last.rows, row))
         else:
             found.append(Block(reader(profile, row.table), row.table, (row,)))
@@ -72,7 +85,9 @@ def blocks(profile: Wiring, *, gaps: bool, inferred: bool = False) -> tuple[Bloc
 
 
 def reader(profile: Wiring, table: Table) -> ReadFunction:
-    """The function that reads ``table``. Raises ValueError where the family has none, which a checked profile never meets."""
+    """The function that reads ``table``. Raises ValueError where the family has none, which a
+    checked profile never meets.
+    """
     function = profile.read_function(table)
     if function is None:
         raise ValueError(f"{profile.family} has no function that reads table {table}")
@@ -80,20 +95,35 @@ def reader(profile: Wiring, table: Table) -> ReadFunction:
 
 
 def markers(profile: Wiring, *, inferred: bool = False) -> tuple[tuple[int, int, int], ...]:
-    """Reads (function, address, count) that the device surely answers, one of each shape that an answer can have.
+    """Reads (function, address, count) that the device surely answers, one of each shape that an
+    answer can have.
 
     Fewer than two shapes prove nothing, and then there are none.
     """
     asked = blocks(profile, gaps=False, inferred=inferred)
-    reads: list[tuple[int, int, int]] = [(block.function, row.address, row.words) for block in asked for row in block.rows]
+    reads: list[tuple[int, int, int]] = [
+        (block.function, row.address, row.words) for block in asked for row in block.rows
+    ]
     reads += [(block.function, block.address, block.count) for block in asked]
     if profile.alike:
-        reads += [(4 if function == 3 else 3, address, count) for function, address, count in reads if function in (3, 4)]
-    shapes = {(function, -(-count // 8) if function in (1, 2) else count): (function, address, count) for function, address, count in reads}
+        reads += [
+            (4 if function == 3 else 3, address, count)
+            for function, address, count in reads
+            if function in (3, 4)
+        ]
+    shapes = {
+        (function, -(-count // 8) if function in (1, 2) else count): (function, address, count)
+        for function, address, count in reads
+    }
     return tuple(shapes.values()) if len(shapes) > 1 else ()
 
 
-REQUESTS = {1: ReadCoilsRequest, 2: ReadDiscreteInputsRequest, 3: ReadHoldingRegistersRequest, 4: ReadInputRegistersRequest}
+REQUESTS = {
+    1: ReadCoilsRequest,
+    2: ReadDiscreteInputsRequest,
+    3: ReadHoldingRegistersRequest,
+    4: ReadInputRegistersRequest,
+}
 NAMES = {1: "coils", 2: "discrete inputs", 3: "holding registers", 4: "input registers"}
 EXCEPTION = 0x80
 
@@ -102,8 +132,8 @@ EXCEPTION = 0x80
 class Question:
     """One question, from when it is put until its answer has come.
 
-    An answer is the unit and the PDU: ``expects`` is how the right one begins, ``length`` its size in bytes.
-    ``earlier`` are the numbers under which it was asked before, over TCP.
+    An answer is the unit and the PDU: ``expects`` is how the right one begins, ``length`` its size
+    in bytes. ``earlier`` are the numbers under which it was asked before, over TCP.
     """
 
     request: ModbusPDU
@@ -135,24 +165,40 @@ def read_question(function: int, address: int, count: int, unit_id: int) -> Ques
     """``count`` bits (functions 1 and 2) or registers (3 and 4) from ``address``."""
     size = -(-count // 8) if function in (1, 2) else 2 * count
     request = REQUESTS[function](address=address, count=count, dev_id=unit_id)
-    return Question(request, bytes((unit_id, function, size)), 3 + size, f"{NAMES[function]} {address} to {address + count - 1}")
+    return Question(
+        request,
+        bytes((unit_id, function, size)),
+        3 + size,
+        f"{NAMES[function]} {address} to {address + count - 1}",
+    )
 
 
 def write_question(function: int, address: int, values: Sequence[int], unit_id: int) -> Question:
-    """Write ``values`` from ``address``: one bit (function 5), one register (6) or some (16). The right answer is an echo."""
+    """Write ``values`` from ``address``: one bit (function 5), one register (6) or some (16). The
+    right answer is an echo.
+    """
     request: ModbusPDU
     if function == 5:
         request = WriteSingleCoilRequest(address=address, bits=[bool(values[0])], dev_id=unit_id)
     elif function == 6:
         request = WriteSingleRegisterRequest(address=address, registers=[values[0]], dev_id=unit_id)
     else:
-        request = WriteMultipleRegistersRequest(address=address, registers=list(values), dev_id=unit_id)
+        request = WriteMultipleRegistersRequest(
+            address=address, registers=list(values), dev_id=unit_id
+        )
     echo = (bytes((unit_id, function)) + request.encode())[:6]
-    return Question(request, echo, 6, f"write {list(values)} to {'coil' if function == 5 else 'holding register'} {address}")
+    return Question(
+        request,
+        echo,
+        6,
+        f"write {list(values)} to {'coil' if function == 5 else 'holding register'} {address}",
+    )
 
 
 def values_in(answer: bytes) -> list[int]:
-    """The registers in the answer to a read, or its bits, eight for each byte; none where they are not whole."""
+    """The registers in the answer to a read, or its bits, eight for each byte; none where they are
+    not whole.
+    """
     data = answer[3:]
     if answer[1] in (1, 2):
         return [byte >> place & 1 for byte in data for place in range(8)]

@@ -1,13 +1,16 @@
-"""RTU frames in what came over a line, wherever they start: garbage ahead of a whole answer costs nothing. Pure.
+"""RTU frames in what came over a line, wherever they start: garbage ahead of a whole answer costs
+nothing. Pure.
 
-RTU has no mark for the beginning of a frame. But whoever asked knows the unit, the function and so the length that an
-answer has, and the check sum tells the rest: every place is tried. A client that takes the first byte for a header
-loses the whole answer to one stray byte (fact sheet, 2.3, P6).
+RTU has no mark for the beginning of a frame. But whoever asked knows the unit, the function and so
+the length that an answer has, and the check sum tells the rest: every place is tried. A client that
+takes the first byte for a header loses the whole answer to one stray byte (fact sheet, 2.3, P6).
 
-Whose answer is what came. Over TCP its number tells; over RTU only what is still owed, in which order. Pure, no I/O.
+Whose answer is what came. Over TCP its number tells; over RTU only what is still owed, in which
+order. Pure, no I/O.
 
-A device answers in order. So an answer that fits a question settles that one and all before it; what fits several
-settles the first, and nothing is taken for the last question's that an earlier one may have asked for.
+A device answers in order. So an answer that fits a question settles that one and all before it;
+what fits several settles the first, and nothing is taken for the last question's that an earlier
+one may have asked for.
 """
 
 from __future__ import annotations
@@ -25,7 +28,9 @@ READS = (1, 2, 3, 4)
 
 
 def frames(data: bytes, asked: Collection[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """Start and end of each whole answer to one of ``asked``, units and functions, exceptions among them, in order."""
+    """Start and end of each whole answer to one of ``asked``, units and functions, exceptions among
+    them, in order.
+    """
     at = 0
     while at + EXCEPTION_LENGTH <= len(data):
         end = at + _length(data, at) if (data[at], data[at + 1] & ~EXCEPTION) in asked else 0
@@ -49,7 +54,9 @@ def _length(data: bytes, at: int) -> int:
 
 
 class Answers:
-    """The questions that were put on one line and not answered yet, oldest first in ``owed``; ``open`` is the latest one put."""
+    """The questions that were put on one line and not answered yet, oldest first in ``owed``;
+    ``open`` is the latest one put.
+    """
 
     def __init__(self, *, rtu: bool) -> None:
         self.owed: list[Question] = []
@@ -73,18 +80,27 @@ class Answers:
 
     def forget(self, before_s: float) -> None:
         """Drop what was asked before ``before_s``, and what was answered."""
-        self.owed = [question for question in self.owed if question.answer is None and question.sent_s >= before_s]
+        self.owed = [
+            question
+            for question in self.owed
+            if question.answer is None and question.sent_s >= before_s
+        ]
 
     def hear(self, data: bytes) -> int:
         """Take the answers in ``data``; how many bytes are done with."""
         return self._hear_rtu(data) if self._rtu else self._hear_tcp(data)
 
     def unmistakable(self, questions: Sequence[Question]) -> Question | None:
-        """The one of ``questions`` whose answer can least be confused with one that is owed; None where each can be."""
+        """The one of ``questions`` whose answer can least be confused with one that is owed; None
+        where each can be.
+        """
         shapes = {owed.expects for owed in self.owed}
         kinds = {owed.expects[:2] for owed in self.owed}
         free = [question for question in questions if question.expects not in shapes]
-        return next((question for question in free if question.expects[:2] not in kinds), next(iter(free), None))
+        return next(
+            (question for question in free if question.expects[:2] not in kinds),
+            next(iter(free), None),
+        )
 
     def _hear_tcp(self, data: bytes) -> int:
         used, in_one_piece = 0, not self.left
@@ -98,12 +114,16 @@ class Answers:
             alone = in_one_piece and used == len(data)
             for question in self.owed if pdu else ():
                 asked = question.request.transaction_id
-                if question.unit_id == unit_id and (asked == number or (alone and number in question.earlier)):
+                if question.unit_id == unit_id and (
+                    asked == number or (alone and number in question.earlier)
+                ):
                     question.answer = bytes((unit_id, *pdu))
 
     def _hear_rtu(self, data: bytes) -> int:
         used = 0
-        for start, used in frames(data, {(question.unit_id, question.function) for question in self.owed}):
+        for start, used in frames(
+            data, {(question.unit_id, question.function) for question in self.owed}
+        ):
             self._take(data[start : used - 2])
         return used
 
@@ -115,6 +135,8 @@ class Answers:
                 current.answer = answer
                 self.owed.clear()
             return
-        if current and (self.owed[at] is current or (current.fits(answer) and not answer[1] & EXCEPTION)):
+        if current and (
+            self.owed[at] is current or (current.fits(answer) and not answer[1] & EXCEPTION)
+        ):
             current.answer = answer
         del self.owed[: at + 1]

@@ -1,7 +1,9 @@
-"""The order in which a bath is started and stopped, whoever's the pump is (water-bath fact sheet, section 4.1, item 6).
+"""The order in which a bath is started and stopped, whoever's the pump is (water-bath fact sheet,
+section 4.1, item 6).
 
-Start: level, pump, ten seconds of flow, set point, run. Stop: heater off, pump on for a minute, pump off. A pump that turns
-with the controller's run can't do that, and one that is not fitted isn't pretended. May not know why the bath is stopped.
+Start: level, pump, ten seconds of flow, set point, run. Stop: heater off, pump on for a minute,
+pump off. A pump that turns with the controller's run can't do that, and one that is not fitted
+isn't pretended. May not know why the bath is stopped.
 """
 
 from __future__ import annotations
@@ -61,28 +63,38 @@ def pump_told(bath: Bath) -> str:
 
 
 def pump_on(bath: Bath, reading: BathReading) -> bool | None:
-    """Whether the pump is switched on; None where the family doesn't tell. Whether it turns, only the water knows."""
+    """Whether the pump is switched on; None where the family doesn't tell. Whether it turns, only
+    the water knows.
+    """
     if has_own_pump(bath):
         return bath.get(PUMP) == bath.profile.row(PUMP).values[ON]
     return reading.running if bath.pump == "with run" else None
 
 
 def start_bath(bath: Bath, set_point_c: float, wait: Callable[[float], None]) -> None:
-    """Heat to ``set_point_c``, in order. Raises as the driver does, and DeviceError while the controller has an alarm."""
+    """Heat to ``set_point_c``, in order. Raises as the driver does, and DeviceError while the
+    controller has an alarm.
+    """
     if has_own_pump(bath):
         reading = bath.read()
         if reading.alarm:  # the level among them: a pump must not run dry either
             text = bath.profile.alarm_text(reading.alarm)
-            raise DeviceError(bath.who, f"not started: {text}", hint="Clear its cause and the alarm at the controller.")
+            raise DeviceError(
+                bath.who,
+                f"not started: {text}",
+                hint="Clear its cause and the alarm at the controller.",
+            )
         bath.set(PUMP, ON)
         wait(FLOW_S)
     bath.start(set_point_c)
 
 
 def heater_off(bath: Bath) -> str:
-    """Standby at once; then the pump on, where it can run alone, to carry the heater's rest of heat away.
+    """Standby at once; then the pump on, where it can run alone, to carry the heater's rest of heat
+    away.
 
-    Raises InstrumentError where the heater can't be reached; a pump that can't be is told, for the heater is off.
+    Raises InstrumentError where the heater can't be reached; a pump that can't be is told, for the
+    heater is off.
     """
     bath.safe()
     if not has_own_pump(bath):
@@ -95,7 +107,9 @@ def heater_off(bath: Bath) -> str:
 
 
 def run_pump_on(bath: Bath, sleep: Callable[[float], None], cut_short: Callable[[], bool]) -> str:
-    """Let the pump run on and switch it off; says what became of it. ``cut_short`` ends the waiting and leaves it running."""
+    """Let the pump run on and switch it off; says what became of it. ``cut_short`` ends the waiting
+    and leaves it running.
+    """
     if not has_own_pump(bath):
         return ""
     left_s = OVERRUN_S

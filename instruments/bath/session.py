@@ -1,13 +1,15 @@
 """An asyncio event loop whose time is the project's clock, for one connection and no thread.
 
-With virtual time it waits for bytes in flight and for nothing else: where it would have to wait it stops, and time moves on
-outside of it, so that an event of that time may use the loop too. It may not know what the bytes are.
+With virtual time it waits for bytes in flight and for nothing else: where it would have to wait it
+stops, and time moves on outside of it, so that an event of that time may use the loop too. It may
+not know what the bytes are.
 
-One connection of pymodbus's asyncio client, run from the calling thread and only while somebody waits for bytes.
+One connection of pymodbus's asyncio client, run from the calling thread and only while somebody
+waits for bytes.
 
-No thread, no hand-over, nothing to leak. The event loop's time is the clock's: under virtual time it stops where it
-would have to wait, and time moves on outside of it, so an event of that time may ask a question of its own. It moves
-bytes and may not know what they mean.
+No thread, no hand-over, nothing to leak. The event loop's time is the clock's: under virtual time
+it stops where it would have to wait, and time moves on outside of it, so an event of that time may
+ask a question of its own. It moves bytes and may not know what they mean.
 """
 
 from __future__ import annotations
@@ -29,11 +31,14 @@ from instruments.clock import Clock, VirtualClock, Wire
 from instruments.tap import Tap
 
 PATIENCE_S = 10.0  # real time that an emulator's thread gets before we call it hung
-FORCED_TO_POLL = os.name == "nt"  # pymodbus looks at serial ports by turns there, so the loop does not know
+# pymodbus looks at serial ports by turns there, so the loop does not know
+FORCED_TO_POLL = os.name == "nt"
 
 
 class ClockLoop(asyncio.SelectorEventLoop):
-    """An event loop whose time is the clock's. With virtual time it stops where it would have to wait."""
+    """An event loop whose time is the clock's. With virtual time it stops where it would have to
+    wait.
+    """
 
     def __init__(self, clock: Clock) -> None:
         self._time_source = clock
@@ -72,7 +77,9 @@ class ClockLoop(asyncio.SelectorEventLoop):
 
 
 class _PatientSelector(selectors.DefaultSelector):
-    """Waits for bytes in flight and for nothing else: then it stops the loop and says how long it would have waited."""
+    """Waits for bytes in flight and for nothing else: then it stops the loop and says how long it
+    would have waited.
+    """
 
     def __init__(self, loop: ClockLoop) -> None:
         super().__init__()
@@ -90,7 +97,8 @@ class _PatientSelector(selectors.DefaultSelector):
         if events or (timeout is not None and timeout <= 0):
             return events
         if self.wire is None:
-            events = super().select(timeout)  # while connecting, or where nobody keeps an account of the bytes
+            # while connecting, or where nobody keeps an account of the bytes
+            events = super().select(timeout)
         elif self.wire.settle(PATIENCE_S):
             events = super().select(PATIENCE_S)
         if not events:
@@ -102,7 +110,8 @@ class _PatientSelector(selectors.DefaultSelector):
 try:
     import termios
 
-    PORT_ERRORS: tuple[type[Exception], ...] = (OSError, ValueError, termios.error)  # the last two where a port can't be set so
+    # the last two where a port can't be set so
+    PORT_ERRORS: tuple[type[Exception], ...] = (OSError, ValueError, termios.error)
 except ImportError:  # Windows
     PORT_ERRORS = (OSError, ValueError)
 REMEMBERED = 300  # bytes kept for messages: more than the longest answer
@@ -114,10 +123,13 @@ T = TypeVar("T")
 class Session:
     """A client and the loop that it lives in. ``connect`` first; ``close`` last, and at any moment.
 
-    ``hear`` is given all bytes that came and were not yet used, whenever some have come, and says how many it has used.
+    ``hear`` is given all bytes that came and were not yet used, whenever some have come, and says
+    how many it has used.
     """
 
-    def __init__(self, line: Line, clock: Clock, hear: Callable[[bytes], int], *, timeout_s: float, tap: Tap) -> None:
+    def __init__(
+        self, line: Line, clock: Clock, hear: Callable[[bytes], int], *, timeout_s: float, tap: Tap
+    ) -> None:
         self._line = line
         self._clock = clock
         self._loop = ClockLoop(clock)
@@ -157,7 +169,8 @@ class Session:
         self._books.put(data)
 
     def wait(self, until_s: float, done: Callable[[], bool]) -> None:
-        """Take in what comes until ``done``, the clock shows ``until_s``, or the link breaks, be it by an event of virtual time.
+        """Take in what comes until ``done``, the clock shows ``until_s``, or the link breaks, be it
+        by an event of virtual time.
 
         Interrupted, it closes the session. Raises TimeoutError when an emulator's thread hangs.
         """
@@ -171,7 +184,8 @@ class Session:
                 if done() or self._clock.now() >= until_s - ROUNDING_S or not self.connected:
                     return
                 loop.let_time_pass()
-                if done() or not self.connected:  # an event of that time may have closed this very session
+                # an event of that time may have closed this very session
+                if done() or not self.connected:
                     return
         except BaseException:
             self.close()
@@ -210,17 +224,31 @@ async def _make_client(
 ) -> tuple[AsyncModbusTcpClient | AsyncModbusSerialClient, _Books]:
     client: AsyncModbusTcpClient | AsyncModbusSerialClient
     if line.kind == "serial":
-        settings = {"baudrate": line.baud or BAUD, "parity": line.parity or "N", "stopbits": line.stopbits or 1}
-        client = AsyncModbusSerialClient(line.device, timeout=timeout_s, retries=0, reconnect_delay=0, **settings)  # type: ignore[arg-type]
+        settings = {
+            "baudrate": line.baud or BAUD,
+            "parity": line.parity or "N",
+            "stopbits": line.stopbits or 1,
+        }
+        client = AsyncModbusSerialClient(
+            line.device,
+            timeout=timeout_s,
+            retries=0,
+            reconnect_delay=0,
+            **settings,  # type: ignore[arg-type]
+        )
     else:
-        client = AsyncModbusTcpClient(line.host, port=line.port, timeout=timeout_s, retries=0, reconnect_delay=0)
+        client = AsyncModbusTcpClient(
+            line.host, port=line.port, timeout=timeout_s, retries=0, reconnect_delay=0
+        )
     books = _Books(client.comm_params, hear, tap)
     client.ctx = books
     return client, books
 
 
 class _Books(TransactionManager):
-    """The client's transport with an account of its bytes, and with no transactions of its own: it stops the loop when bytes have come."""
+    """The client's transport with an account of its bytes, and with no transactions of its own: it
+    stops the loop when bytes have come.
+    """
 
     def __init__(self, params: CommParams, hear: Callable[[bytes], int], tap: Tap) -> None:
         super().__init__(params, FramerSocket(DecodePDU(False)), 0, False, None, None, None)
@@ -283,7 +311,11 @@ class _Books(TransactionManager):
         try:
             return await self._create()
         except PORT_ERRORS as error:
-            self.refusal = os.strerror(error.errno) if isinstance(error, ConnectionError) and error.errno else str(error)
+            self.refusal = (
+                os.strerror(error.errno)
+                if isinstance(error, ConnectionError) and error.errno
+                else str(error)
+            )
             raise OSError(self.refusal) from error
 
     def _tell_closed(self, why: str) -> None:

@@ -1,9 +1,11 @@
-"""Questions and answers over Modbus, as plain calls that block: TCP, RTU over TCP, RTU on a serial port.
+"""Questions and answers over Modbus, as plain calls that block: TCP, RTU over TCP, RTU on a serial
+port.
 
-What clients of this kind get wrong is done here (fact sheet, 2.3). Over RTU nothing tells whose an answer is, so after a
-question without one nothing else is asked until the late answer has come or can't come any more, and until a question that
-can't be confused with it was answered. Length, function and echo of every answer are checked, garbage ahead of
-one is passed over, a first connect that fails is tried again. It may not know what registers mean.
+What clients of this kind get wrong is done here (fact sheet, 2.3). Over RTU nothing tells whose an
+answer is, so after a question without one nothing else is asked until the late answer has come or
+can't come any more, and until a question that can't be confused with it was answered. Length,
+function and echo of every answer are checked, garbage ahead of one is passed over, a first connect
+that fails is tried again. It may not know what registers mean.
 """
 
 from __future__ import annotations
@@ -29,16 +31,18 @@ FORGET_S = 10.0  # no device answers later than this
 OWING_S = 3.0  # how long a call waits where every shape of an answer is owed
 SOON_S = 0.001
 CONNECT_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts; then we give up
-GAP_CHARACTERS, LEAST_GAP_S = 3.5, 0.00175  # of silence between frames (Modbus over serial line 1.02, section 2.5.1.1)
+# of silence between frames (Modbus over serial line 1.02, section 2.5.1.1)
+GAP_CHARACTERS, LEAST_GAP_S = 3.5, 0.00175
 
 Marker = tuple[int, int, int]
 
 
 class Transactions:
-    """One connection to one unit, and its only owner. Calls come one at a time: whoever shares it holds a lock.
+    """One connection to one unit, and its only owner. Calls come one at a time: whoever shares it
+    holds a lock.
 
-    ``markers`` are reads (function, address, count) that the device surely answers, as many shapes as there are; without
-    any, time alone has to tell that no late answer is under way.
+    ``markers`` are reads (function, address, count) that the device surely answers, as many shapes
+    as there are; without any, time alone has to tell that no late answer is under way.
     """
 
     def __init__(
@@ -63,7 +67,8 @@ class Transactions:
         self._session: Session | None = None
         self._answers = Answers(rtu=line.is_rtu)
         self._strange_until_s = self._heard_s = 0.0
-        if not logging.getLogger("pymodbus").handlers:  # or its complaints, which our errors carry, go to stderr
+        # or its complaints, which our errors carry, go to stderr
+        if not logging.getLogger("pymodbus").handlers:
             logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
     @property
@@ -72,7 +77,9 @@ class Transactions:
         return self._session is not None and self._session.connected
 
     def connect(self) -> None:
-        """Open the link, trying again with growing pauses. Raises LinkError when nobody takes it in the end."""
+        """Open the link, trying again with growing pauses. Raises LinkError when nobody takes it in
+        the end.
+        """
         start = self._clock.now()
         for pause_s in (0.0, *CONNECT_PAUSES_S):
             if pause_s:
@@ -80,15 +87,20 @@ class Transactions:
             why = self._connect_once()
             if not why:
                 return
-        raise unreachable(self.who, self._line, why, len(CONNECT_PAUSES_S) + 1, self._clock.now() - start)
+        raise unreachable(
+            self.who, self._line, why, len(CONNECT_PAUSES_S) + 1, self._clock.now() - start
+        )
 
     @property
     def place(self) -> str:
         """The line that it is on, whatever the unit."""
         return self._line.url
 
-    def read(self, function: int, address: int, count: int, *, unit_id: int | None = None) -> list[int]:
-        """``count`` registers, or bits, from ``address``. Raises LinkError, ProtocolError, RefusedError.
+    def read(
+        self, function: int, address: int, count: int, *, unit_id: int | None = None
+    ) -> list[int]:
+        """``count`` registers, or bits, from ``address``. Raises LinkError, ProtocolError,
+        RefusedError.
 
         ``unit_id`` asks another unit on the same line.
         """
@@ -97,13 +109,24 @@ class Transactions:
         values = values_in(answer)
         if len(answer) != question.length:
             kind = "bits" if function in (1, 2) else "registers"
-            raise self._nonsense(f"{len(values)} {kind} were answered where {count} were asked", question)
+            raise self._nonsense(
+                f"{len(values)} {kind} were answered where {count} were asked", question
+            )
         return values[:count]
 
-    def write(self, function: int, address: int, values: Sequence[int], *, unit_id: int | None = None, urgent: bool = False) -> None:
+    def write(
+        self,
+        function: int,
+        address: int,
+        values: Sequence[int],
+        *,
+        unit_id: int | None = None,
+        urgent: bool = False,
+    ) -> None:
         """Write ``values`` from ``address``. Raises as ``read`` does.
 
-        ``urgent``: sent at once, whatever late answer is still under way; the caller has to look whether it stands.
+        ``urgent``: sent at once, whatever late answer is still under way; the caller has to look
+        whether it stands.
         """
         question = write_question(function, address, values, unit_id or self._unit_id)
         answer = self._ask(question, urgent=urgent)
@@ -111,7 +134,9 @@ class Transactions:
             raise self._nonsense("the answer confirms another write", question)
 
     def close(self) -> None:
-        """Drop the link; once more is no error. What is owed over RTU stays owed: another link may lead to the same line."""
+        """Drop the link; once more is no error. What is owed over RTU stays owed: another link may
+        lead to the same line.
+        """
         self._answers.open = None
         if self._session is not None:
             self._session.close()
@@ -122,15 +147,23 @@ class Transactions:
         self.close()
         try:
             hosts = dict.fromkeys(_addresses(self._line))
-        except OSError as error:  # no such name yet: a controller's name may turn up after it has started
+        # no such name yet: a controller's name may turn up after it has started
+        except OSError as error:
             return str(error)
         why = "no such host"
         for host in hosts:
-            session = Session(replace(self._line, host=host), self._clock, self._hear, timeout_s=CONNECT_TIMEOUT_S, tap=self._tap)
+            session = Session(
+                replace(self._line, host=host),
+                self._clock,
+                self._hear,
+                timeout_s=CONNECT_TIMEOUT_S,
+                tap=self._tap,
+            )
             if session.connect():
                 self.close()  # an event of virtual time may have connected meanwhile
                 self._session = session
-                self._strange_until_s = self._clock.now() + self._quiet_s  # somebody else's answer may still be under way
+                # somebody else's answer may still be under way
+                self._strange_until_s = self._clock.now() + self._quiet_s
                 return ""
             why = session.refusal or "no answer"
             session.close()
@@ -163,7 +196,9 @@ class Transactions:
         if answer[1] == question.function | EXCEPTION:
             raise refused(self.who, answer[2], question)
         if answer[1] != question.function:
-            raise self._nonsense(f"function {answer[1]} was answered to function {question.function}", question)
+            raise self._nonsense(
+                f"function {answer[1]} was answered to function {question.function}", question
+            )
         return answer
 
     def _put(self, question: Question) -> bool:
@@ -183,16 +218,26 @@ class Transactions:
         except TimeoutError as error:
             raise LinkError(self.who, "the emulator hangs", asked=question.asked) from error
         if question.answer is None and not session.connected:
-            raise BrokenError(self.who, "the link broke", asked=question.asked, hint="Check cable and power.")
+            raise BrokenError(
+                self.who, "the link broke", asked=question.asked, hint="Check cable and power."
+            )
 
     def _deadline_s(self, question: Question) -> float:
-        on_the_wire_s = (len(question.request.encode()) + question.length + 6) * self._line.character_s
+        on_the_wire_s = (
+            len(question.request.encode()) + question.length + 6
+        ) * self._line.character_s
         return question.sent_s + self._timeout_s + on_the_wire_s
 
     def _finish_open(self) -> None:
-        """An event of virtual time may ask in the midst of another question: that one comes first."""
+        """An event of virtual time may ask in the midst of another
+        question: that one comes first.
+        """
         question = self._answers.open
-        if question is not None and question.answer is None and self._clock.now() < self._deadline_s(question):
+        if (
+            question is not None
+            and question.answer is None
+            and self._clock.now() < self._deadline_s(question)
+        ):
             self._wait(question)
 
     def _keep_gap(self) -> None:
@@ -242,11 +287,16 @@ class Transactions:
         return silence(self.who, question, self._clock.now() - start_s)
 
     def _nonsense(self, what: str, question: Question) -> ProtocolError:
-        return nonsense(self.who, what, question, self._session.seen if self._session else b"", self._line)
+        return nonsense(
+            self.who, what, question, self._session.seen if self._session else b"", self._line
+        )
 
 
 def _addresses(line: Line) -> list[str]:
     """Where the line's host is; asyncio would look a name up on a thread of its own."""
     if line.kind == "serial":
         return [""]
-    return [str(found[4][0]) for found in socket.getaddrinfo(line.host, line.port, type=socket.SOCK_STREAM)]
+    return [
+        str(found[4][0])
+        for found in socket.getaddrinfo(line.host, line.port, type=socket.SOCK_STREAM)
+    ]

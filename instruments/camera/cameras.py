@@ -1,4 +1,5 @@
-"""Left, right and perhaps thermal camera as one thing that captures frame sets: all begin, then each is taken and converted.
+"""Left, right and perhaps thermal camera as one thing that captures frame sets: all begin, then
+each is taken and converted.
 
 May not know what kind of camera any of them is.
 """
@@ -29,7 +30,9 @@ class Camera(Protocol):
         ...
 
     def take(self) -> RawFrame:
-        """The frame that ``begin`` asked for. Raises FrameError where it didn't come whole, LinkError where the camera is gone."""
+        """The frame that ``begin`` asked for. Raises FrameError where it didn't come whole,
+        LinkError where the camera is gone.
+        """
         ...
 
     def close(self) -> None:
@@ -38,13 +41,20 @@ class Camera(Protocol):
 
 
 class CameraSet:
-    """The cameras of a rig. Each opener is called in turn; where one fails, those that are open are closed again."""
+    """The cameras of a rig. Each opener is called in turn; where one fails, those that are open are
+    closed again.
+    """
 
-    def __init__(self, openers: Mapping[str, Callable[[], Camera]], conversions: Mapping[str, Conversion]) -> None:
+    def __init__(
+        self, openers: Mapping[str, Callable[[], Camera]], conversions: Mapping[str, Conversion]
+    ) -> None:
         wrong = [name for name in openers if name not in KNOWN]
         missing = [name for name in REQUIRED if name not in openers]
         if wrong or missing:
-            raise ValueError(f"a rig has cameras left, right and perhaps thermal, got {', '.join(openers) or 'none'}")
+            raise ValueError(
+                "a rig has cameras left, right and perhaps thermal, got"
+                f" {', '.join(openers) or 'none'}"
+            )
         self._openers = dict(openers)
         self._conversions = {name: conversions.get(name, Conversion()) for name in openers}
         self._cameras: dict[str, Camera] = {}
@@ -56,25 +66,45 @@ class CameraSet:
         return {name: camera.identity for name, camera in self._cameras.items()}
 
     def reopen(self) -> None:
-        """Let all cameras go and open them anew, with their settings. Raises as their openers do; all are closed then."""
+        """Let all cameras go and open them anew, with their settings. Raises as their openers do;
+        all are closed then.
+        """
         self.close()
         self._open()
 
     def capture(self) -> FrameSet:
-        """Expose all cameras as nearly together as they can. Raises FrameError, LinkError, ProtocolError."""
+        """Expose all cameras as nearly together as they can. Raises FrameError, LinkError,
+        ProtocolError.
+        """
         for camera in self._cameras.values():
             camera.begin()
         raw = {name: camera.take() for name, camera in self._cameras.items()}
         exposed_s = {name: frame.exposed_s for name, frame in raw.items()}
         try:
             radiometric = "thermal" in raw and self._conversions["thermal"].radiometry is not None
-            pictures = {name: self._conversions[name].picture(raw[name]) for name in raw if name != "thermal" or not radiometric}
-            kelvin = self._conversions["thermal"].temperatures(raw["thermal"]) if radiometric else None
+            pictures = {
+                name: self._conversions[name].picture(raw[name])
+                for name in raw
+                if name != "thermal" or not radiometric
+            }
+            kelvin = (
+                self._conversions["thermal"].temperatures(raw["thermal"]) if radiometric else None
+            )
         except ValueError as fault:
             raise ProtocolError(
-                "cameras", str(fault), asked="a frame", hint="Correct what the rig file declares of the cameras."
+                "cameras",
+                str(fault),
+                asked="a frame",
+                hint="Correct what the rig file declares of the cameras.",
             ) from fault
-        return FrameSet(pictures["left"], pictures["right"], pictures.get("thermal"), kelvin, exposed_s, self.identity)
+        return FrameSet(
+            pictures["left"],
+            pictures["right"],
+            pictures.get("thermal"),
+            kelvin,
+            exposed_s,
+            self.identity,
+        )
 
     def close(self) -> None:
         """Let all cameras go; may be called again."""

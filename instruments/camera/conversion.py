@@ -1,8 +1,10 @@
-"""The one place where a camera's raw frame becomes what a frame set holds: grey, upright, the right way round, or temperatures.
+"""The one place where a camera's raw frame becomes what a frame set holds: grey, upright, the right
+way round, or temperatures.
 
-Strategy: what is to be done is declared, one value a camera, and done in this order: colour to grey, mirrored back, turned, flipped,
-then scaled: 16 bits to 8 by the declared white and perhaps inverted, or counts to centi-kelvin. May not know which camera gave the
-frame, nor what a calibration says.
+Strategy: what is to be done is declared, one value a camera, and done in this order: colour to
+grey, mirrored back, turned, flipped, then scaled: 16 bits to 8 by the declared white and perhaps
+inverted, or counts to centi-kelvin. May not know which camera gave the frame, nor what a
+calibration says.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ _BGR = {"blue": 0, "green": 1, "red": 2}
 
 @dataclass(frozen=True, slots=True)
 class Radiometry:
-    """Apparent temperature in kelvin = ``kelvin_at_zero`` + ``kelvin_per_count`` x count, as the camera's data sheet says."""
+    """Apparent temperature in kelvin = ``kelvin_at_zero`` + ``kelvin_per_count`` x count, as the
+    camera's data sheet says.
+    """
 
     kelvin_per_count: float
     kelvin_at_zero: float = 0.0
@@ -33,9 +37,10 @@ class Radiometry:
 class Conversion:
     """What is done to each raw frame of one camera.
 
-    ``grey`` which channel of a colour frame, or its luma (BT.601); ``mirrored`` the raw frame is a mirror image, left and right are
-    exchanged back; ``turn_deg`` clockwise; ``white`` the count that becomes 255, by the format's bits where None; ``inverted`` black
-    becomes white; with ``radiometry`` the frame is temperatures, and neither ``white`` nor ``inverted`` matters.
+    ``grey`` which channel of a colour frame, or its luma (BT.601); ``mirrored`` the raw frame is a
+    mirror image, left and right are exchanged back; ``turn_deg`` clockwise; ``white`` the count
+    that becomes 255, by the format's bits where None; ``inverted`` black becomes white; with
+    ``radiometry`` the frame is temperatures, and neither ``white`` nor ``inverted`` matters.
     """
 
     grey: Channel = "luma"
@@ -52,16 +57,27 @@ class Conversion:
         return np.ascontiguousarray(255 - image if self.inverted else image)
 
     def temperatures(self, raw: RawFrame) -> CentiKelvin:
-        """The frame in hundredths of a kelvin (h, w). Raises ValueError for one without radiometry, in colour, or outside 0 to 655 K."""
+        """The frame in hundredths of a kelvin (h, w). Raises ValueError for one without radiometry,
+        in colour, or outside 0 to 655 K.
+        """
         if self.radiometry is None:
             raise ValueError("no radiometry is declared, so counts can't become temperatures")
         counts = self._upright(raw.pixels)
         if counts.ndim != 2:
             raise ValueError(f"temperatures come from a grey frame, this one is {counts.shape}")
-        centikelvin = np.rint(100.0 * (self.radiometry.kelvin_at_zero + self.radiometry.kelvin_per_count * counts.astype(np.float64)))
+        centikelvin = np.rint(
+            100.0
+            * (
+                self.radiometry.kelvin_at_zero
+                + self.radiometry.kelvin_per_count * counts.astype(np.float64)
+            )
+        )
         if centikelvin.min() < 0.0 or centikelvin.max() > 65535.0:
             span = f"{centikelvin.min() / 100:g} to {centikelvin.max() / 100:g} K"
-            raise ValueError(f"counts {counts.min()} to {counts.max()} would be {span}: kelvin_per_count or kelvin_at_zero is wrong")
+            raise ValueError(
+                f"counts {counts.min()} to {counts.max()} would be {span}: kelvin_per_count or"
+                " kelvin_at_zero is wrong"
+            )
         return np.ascontiguousarray(centikelvin.astype(np.uint16))
 
     def _upright(self, image: NDArray[Any]) -> NDArray[Any]:

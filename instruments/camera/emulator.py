@@ -1,11 +1,13 @@
-"""What goes wrong with the emulated cameras, by the names that `faults` gives: which is on, for how many sets, and what it does.
+"""What goes wrong with the emulated cameras, by the names that `faults` gives: which is on, for how
+many sets, and what it does.
 
 May not know the world, nor how a fault will be noticed.
 
 Emulated cameras: they look at the simulated world and hand frame sets over in this process.
 
-The world is whatever has a scene, a renderer, a generator for each frame and a clock. Frames differ only by the generator, so the same
-run gives the same bytes. What is to go wrong is said in `faults`. May not import the drivers of real cameras.
+The world is whatever has a scene, a renderer, a generator for each frame and a clock. Frames differ
+only by the generator, so the same run gives the same bytes. What is to go wrong is said in
+`faults`. May not import the drivers of real cameras.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ from instruments.camera.frame import CentiKelvin, FrameSet, Grey
 from instruments.world.scene import RenderedSet, Renderer
 from instruments.world.state import SceneState
 
-# What an emulated camera can have, and which camera has it where nobody says. A wrong size is a wrong rig file, not a fault of a camera.
+# What an emulated camera can have, and which camera has it where nobody says. A wrong size is a
+# wrong rig file, not a fault of a camera.
 FAULTS: Mapping[FrameFault, str] = {
     FrameFault.DROPPED: "left",
     FrameFault.LOST_PACKETS: "left",
@@ -50,7 +53,9 @@ SHUTTER_CK, SHUTTER_NOISE_CK = 29900.0, 8.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """What the cameras have on their sensors: three pictures and the temperatures behind the third."""
+    """What the cameras have on their sensors: three pictures and
+    the temperatures behind the third.
+    """
 
     left: Grey
     right: Grey
@@ -72,7 +77,11 @@ class Active:
     @property
     def late(self) -> Mapping[str, float]:
         """How late which camera is, in seconds."""
-        return {camera: amount for fault, (camera, amount) in self.spoiling.items() if fault is FrameFault.LATE}
+        return {
+            camera: amount
+            for fault, (camera, amount) in self.spoiling.items()
+            if fault is FrameFault.LATE
+        }
 
     @property
     def kept_back(self) -> Mapping[str, FrameFault]:
@@ -85,10 +94,20 @@ class CameraFaults:
 
     def __init__(self) -> None:
         self._on: dict[FrameFault, tuple[str, float, int]] = {}
-        self._lock = threading.Lock()  # faults come and go on the clock's thread, sets are taken on others
+        # faults come and go on the clock's thread, sets are taken on others
+        self._lock = threading.Lock()
 
-    def inject(self, name: str, times: int = FOREVER, *, camera: str | None = None, amount: float | None = None) -> None:
-        """Have a fault from the next frame set on. Raises ValueError for a name or an amount that isn't known."""
+    def inject(
+        self,
+        name: str,
+        times: int = FOREVER,
+        *,
+        camera: str | None = None,
+        amount: float | None = None,
+    ) -> None:
+        """Have a fault from the next frame set on. Raises ValueError for a name or an amount that
+        isn't known.
+        """
         fault = named(name)
         check_amount(fault, amount)
         given = AMOUNTS.get(fault, (0.0, ""))[0] if amount is None else amount
@@ -104,7 +123,10 @@ class CameraFaults:
         """What spoils the next frame set; it counts as taken."""
         with self._lock:
             spoiling = {fault: (camera, amount) for fault, (camera, amount, _) in self._on.items()}
-            left = {fault: (camera, amount, times - 1) for fault, (camera, amount, times) in self._on.items()}
+            left = {
+                fault: (camera, amount, times - 1)
+                for fault, (camera, amount, times) in self._on.items()
+            }
             self._on = {fault: entry for fault, entry in left.items() if entry[2] > 0}
         return Active(spoiling)
 
@@ -121,7 +143,9 @@ def check_amount(fault: FrameFault, amount: float | None) -> None:
     """Raise ValueError where a fault has no amount."""
     if amount is not None and fault not in AMOUNTS:
         said = ", ".join(f'"{known}" in {unit}' for known, (_, unit) in AMOUNTS.items())
-        raise ValueError(f'of the cameras\' faults only these have an amount: {said}; "{fault}" has none')
+        raise ValueError(
+            f'of the cameras\' faults only these have an amount: {said}; "{fault}" has none'
+        )
 
 
 def check_camera(fault: FrameFault, camera: str | None) -> None:
@@ -131,7 +155,9 @@ def check_camera(fault: FrameFault, camera: str | None) -> None:
 
 
 def spoiled(sight: Sight, last: Sight | None, active: Active, rng: np.random.Generator) -> Sight:
-    """``sight`` with each fault done to it, in the order of `FAULTS`; ``last`` is what the cameras showed before."""
+    """``sight`` with each fault done to it, in the order of `FAULTS`; ``last`` is what the cameras
+    showed before.
+    """
     for fault in FAULTS:
         if fault in active.spoiling and fault in _DO:
             camera, amount = active.spoiling[fault]
@@ -142,23 +168,39 @@ def spoiled(sight: Sight, last: Sight | None, active: Active, rng: np.random.Gen
 Spoil = Callable[[Sight, Sight | None, str, float, np.random.Generator], Sight]
 
 
-def _frozen(sight: Sight, last: Sight | None, camera: str, _amount: float, _rng: np.random.Generator) -> Sight:
+def _frozen(
+    sight: Sight, last: Sight | None, camera: str, _amount: float, _rng: np.random.Generator
+) -> Sight:
     return sight if last is None else sight.with_camera(camera, last)
 
 
-def _black(sight: Sight, _last: Sight | None, camera: str, _amount: float, rng: np.random.Generator) -> Sight:
+def _black(
+    sight: Sight, _last: Sight | None, camera: str, _amount: float, rng: np.random.Generator
+) -> Sight:
     if camera == "thermal":
-        return replace(sight, thermal=np.zeros_like(sight.thermal), thermal_ck=np.zeros_like(sight.thermal_ck))
-    return _with(sight, camera, lambda picture: BLACK_DN + READ_NOISE_DN * rng.standard_normal(picture.shape))
+        return replace(
+            sight, thermal=np.zeros_like(sight.thermal), thermal_ck=np.zeros_like(sight.thermal_ck)
+        )
+    return _with(
+        sight, camera, lambda picture: BLACK_DN + READ_NOISE_DN * rng.standard_normal(picture.shape)
+    )
 
 
-def _saturated(sight: Sight, _last: Sight | None, camera: str, amount: float, _rng: np.random.Generator) -> Sight:
+def _saturated(
+    sight: Sight, _last: Sight | None, camera: str, amount: float, _rng: np.random.Generator
+) -> Sight:
     if camera == "thermal":
-        return replace(sight, thermal=np.full_like(sight.thermal, 255), thermal_ck=np.full_like(sight.thermal_ck, 65535))
+        return replace(
+            sight,
+            thermal=np.full_like(sight.thermal, 255),
+            thermal_ck=np.full_like(sight.thermal_ck, 65535),
+        )
     return _with(sight, camera, lambda picture: picture.astype(np.float64) * amount)
 
 
-def _half(sight: Sight, _last: Sight | None, camera: str, _amount: float, _rng: np.random.Generator) -> Sight:
+def _half(
+    sight: Sight, _last: Sight | None, camera: str, _amount: float, _rng: np.random.Generator
+) -> Sight:
     parts = ("thermal", "thermal_ck") if camera == "thermal" else (camera,)
     return replace(sight, **{part: _cut(getattr(sight, part)) for part in parts})
 
@@ -169,28 +211,50 @@ def _cut(picture: NDArray[Any]) -> NDArray[Any]:
     return cut
 
 
-def _flat_field(sight: Sight, _last: Sight | None, _camera: str, _amount: float, rng: np.random.Generator) -> Sight:
-    """The shutter before the sensor: one temperature, seen through the same noise; the automatic gain makes mid-grey of it."""
+def _flat_field(
+    sight: Sight, _last: Sight | None, _camera: str, _amount: float, rng: np.random.Generator
+) -> Sight:
+    """The shutter before the sensor: one temperature, seen through the same noise; the automatic
+    gain makes mid-grey of it.
+    """
     shutter = SHUTTER_CK + SHUTTER_NOISE_CK * rng.standard_normal(sight.thermal_ck.shape)
     grey = 128.0 + 3.0 * rng.standard_normal(sight.thermal.shape)
     return replace(sight, thermal=_bytes(grey), thermal_ck=np.rint(shutter).astype(np.uint16))
 
 
-def _out_of_focus(sight: Sight, _last: Sight | None, camera: str, amount: float, rng: np.random.Generator) -> Sight:
+def _out_of_focus(
+    sight: Sight, _last: Sight | None, camera: str, amount: float, rng: np.random.Generator
+) -> Sight:
     def blurred(picture: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(cv2.GaussianBlur(picture, (0, 0), amount) + READ_NOISE_DN * rng.standard_normal(picture.shape))
+        return np.asarray(
+            cv2.GaussianBlur(picture, (0, 0), amount)
+            + READ_NOISE_DN * rng.standard_normal(picture.shape)
+        )
 
     if camera == "thermal":
-        kelvin = cv2.GaussianBlur(sight.thermal_ck.astype(np.float64), (0, 0), amount * sight.thermal_ck.shape[1] / sight.thermal.shape[1])
-        sight = replace(sight, thermal_ck=np.rint(kelvin + SHUTTER_NOISE_CK * rng.standard_normal(kelvin.shape)).astype(np.uint16))
+        kelvin = cv2.GaussianBlur(
+            sight.thermal_ck.astype(np.float64),
+            (0, 0),
+            amount * sight.thermal_ck.shape[1] / sight.thermal.shape[1],
+        )
+        sight = replace(
+            sight,
+            thermal_ck=np.rint(
+                kelvin + SHUTTER_NOISE_CK * rng.standard_normal(kelvin.shape)
+            ).astype(np.uint16),
+        )
     return _with(sight, camera, blurred)
 
 
-def _swapped(sight: Sight, _last: Sight | None, _camera: str, _amount: float, _rng: np.random.Generator) -> Sight:
+def _swapped(
+    sight: Sight, _last: Sight | None, _camera: str, _amount: float, _rng: np.random.Generator
+) -> Sight:
     return replace(sight, left=sight.right, right=sight.left)
 
 
-def _with(sight: Sight, camera: str, change: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Sight:
+def _with(
+    sight: Sight, camera: str, change: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> Sight:
     spoilt: dict[str, Any] = {camera: _bytes(change(getattr(sight, camera).astype(np.float64)))}
     return replace(sight, **spoilt)
 
@@ -243,7 +307,9 @@ class SeenWorld(Protocol):
         ...
 
     def frame_rng(self, kind: str, index: int) -> np.random.Generator:
-        """The generator for the noise of frame ``index`` of ``kind``: the same for the same run, frame and kind."""
+        """The generator for the noise of frame ``index`` of ``kind``: the same for the same run,
+        frame and kind.
+        """
         ...
 
 
@@ -260,10 +326,13 @@ class EmulatedCameras:
     def identity(self) -> Mapping[str, str]:
         """Who each camera is."""
         models = {camera.name: camera for camera in self._world.renderer.cameras}
-        return {name: f"emulated {models[name].width_px} x {models[name].height_px}" for name in CAMERAS}
+        return {
+            name: f"emulated {models[name].width_px} x {models[name].height_px}" for name in CAMERAS
+        }
 
     def capture(self) -> FrameSet:
-        """A frame set of the world as it is now, all cameras exposed at the same moment unless one is late.
+        """A frame set of the world as it is now, all cameras exposed at the same moment unless one
+        is late.
 
         Raises FrameError where a fault keeps a camera's frame back.
         """
@@ -274,17 +343,25 @@ class EmulatedCameras:
             self._world.clock.sleep(max(0.0, now_s + late_s - self._world.clock.now()))
             sight = sight.with_camera(camera, self._seen())
             exposed_s[camera] = self._world.clock.now()
-        sight = spoiled(sight, self._last, active, self._world.frame_rng("camera faults", self._taken))
+        sight = spoiled(
+            sight, self._last, active, self._world.frame_rng("camera faults", self._taken)
+        )
         for camera, fault in active.kept_back.items():
-            what = "a frame came with holes" if fault is FrameFault.LOST_PACKETS else "no frame came"
+            what = (
+                "a frame came with holes" if fault is FrameFault.LOST_PACKETS else "no frame came"
+            )
             raise FrameError(fault, camera, f"{camera} camera, emulated", what)
         self._last = sight
-        return FrameSet(sight.left, sight.right, sight.thermal, sight.thermal_ck, exposed_s, self.identity)
+        return FrameSet(
+            sight.left, sight.right, sight.thermal, sight.thermal_ck, exposed_s, self.identity
+        )
 
     def close(self) -> None:
         """Nothing is held open."""
 
     def _seen(self) -> Sight:
-        taken: RenderedSet = self._world.renderer.render(self._world.scene(), self._world.frame_rng("cameras", self._taken))
+        taken: RenderedSet = self._world.renderer.render(
+            self._world.scene(), self._world.frame_rng("cameras", self._taken)
+        )
         self._taken += 1
         return Sight(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)

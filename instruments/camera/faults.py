@@ -1,7 +1,7 @@
 """What can be wrong with a frame, by name, and the error of a frame that never came whole.
 
-The words are those of rig files, events and reports: drivers, the emulated cameras and the bench's checks share them. May not know
-how a fault is noticed.
+The words are those of rig files, events and reports: drivers, the emulated cameras and the bench's
+checks share them. May not know how a fault is noticed.
 """
 
 from __future__ import annotations
@@ -28,10 +28,19 @@ class FrameFault(StrEnum):
 
 
 class FrameError(ProtocolError):
-    """A frame did not come, or not whole. Worth another try, unlike a link that is gone (`LinkError`)."""
+    """A frame did not come, or not whole. Worth another try, unlike a link that is gone
+    (`LinkError`).
+    """
 
     def __init__(
-        self, fault: FrameFault, camera: str, who: str, what: str, *, seconds: float | None = None, hint: str | None = None
+        self,
+        fault: FrameFault,
+        camera: str,
+        who: str,
+        what: str,
+        *,
+        seconds: float | None = None,
+        hint: str | None = None,
     ) -> None:
         self.fault = fault
         self.camera = camera

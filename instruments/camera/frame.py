@@ -1,4 +1,5 @@
-"""A frame set: what the cameras saw at one moment, and the one place where raw images become 8-bit grey.
+"""A frame set: what the cameras saw at one moment, and the one place where raw images become 8-bit
+grey.
 
 May not know where the images came from: camera, folder or scene.
 
@@ -23,9 +24,10 @@ CentiKelvin = NDArray[np.uint16]
 class FrameSet:
     """Images of the left, right and thermal camera.
 
-    ``left``, ``right`` uint8 (h, w); ``thermal`` uint8 (h, w) as delivered, mirrored or not, or None; ``thermal_ck`` uint16
-    centi-kelvin at sensor resolution, un-mirrored, or None. ``exposed_s`` gives each camera's time of exposure on the bench's clock,
-    ``identity`` who each camera is; both may lack cameras that don't say. Raises ValueError for another shape or type.
+    ``left``, ``right`` uint8 (h, w); ``thermal`` uint8 (h, w) as delivered, mirrored or not, or
+    None; ``thermal_ck`` uint16 centi-kelvin at sensor resolution, un-mirrored, or None.
+    ``exposed_s`` gives each camera's time of exposure on the bench's clock, ``identity`` who each
+    camera is; both may lack cameras that don't say. Raises ValueError for another shape or type.
     """
 
     left: Grey
@@ -45,7 +47,9 @@ class FrameSet:
 
     @property
     def thermal_k(self) -> NDArray[np.float64] | None:
-        """Apparent temperature in kelvin at sensor resolution, un-mirrored; None where the camera isn't radiometric."""
+        """Apparent temperature in kelvin at sensor resolution, un-mirrored; None where the camera
+        isn't radiometric.
+        """
         return None if self.thermal_ck is None else self.thermal_ck / 100.0
 
 
@@ -54,22 +58,35 @@ def _check(name: str, image: Any, dtype: type[np.generic]) -> None:
     if not isinstance(image, np.ndarray):
         raise ValueError(f"{wanted}, is a {type(image).__name__}")
     if image.dtype != dtype or image.ndim != 2 or image.size == 0:
-        raise ValueError(f"{wanted}, is {image.shape} of {image.dtype}; `grey8` makes 8-bit grey of raw images")
+        raise ValueError(
+            f"{wanted}, is {image.shape} of {image.dtype}; `grey8` makes 8-bit grey of raw images"
+        )
 
 
 def grey8(image: NDArray[Any], full_scale: int = 65535) -> Grey:
-    """An 8-bit grey image of a raw one: colour (blue, green, red, perhaps alpha) to grey, 16 bits to 8.
+    """An 8-bit grey image of a raw one: colour (blue, green, red, perhaps alpha) to grey, 16 bits
+    to 8.
 
-    ``full_scale`` is the value of white in a 16-bit image: 65535, or 4095 for 12 bits kept in 16; values above it are white.
-    Raises ValueError for anything that isn't an image of 8 or 16 bits.
+    ``full_scale`` is the value of white in a 16-bit image: 65535, or 4095 for 12 bits kept in 16;
+    values above it are white. Raises ValueError for anything that isn't an image of 8 or 16 bits.
     """
-    if image.ndim not in (2, 3) or image.size == 0 or (image.ndim == 3 and image.shape[2] not in (1, 3, 4)):
-        raise ValueError(f"an image must be (height, width) with one, three or four channels, is {image.shape}")
+    if (
+        image.ndim not in (2, 3)
+        or image.size == 0
+        or (image.ndim == 3 and image.shape[2] not in (1, 3, 4))
+    ):
+        raise ValueError(
+            f"an image must be (height, width) with one, three or four channels, is {image.shape}"
+        )
     if image.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"an image must have 8 or 16 bits, is {image.dtype}")
     if image.ndim == 3:
         codes = {3: cv2.COLOR_BGR2GRAY, 4: cv2.COLOR_BGRA2GRAY}
-        image = np.asarray(cv2.cvtColor(image, codes[image.shape[2]])) if image.shape[2] in codes else image[:, :, 0]
+        image = (
+            np.asarray(cv2.cvtColor(image, codes[image.shape[2]]))
+            if image.shape[2] in codes
+            else image[:, :, 0]
+        )
     if image.dtype == np.uint16:
         return np.clip(np.rint(image * (255.0 / full_scale)), 0.0, 255.0).astype(np.uint8)
     return np.ascontiguousarray(image, dtype=np.uint8)
@@ -80,8 +97,9 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawFrame:
-    """``pixels`` uint8 or uint16, (h, w) or (h, w, 3) blue-green-red; ``bits`` of a pixel that carry signal, in the low end of its word;
-    ``exposed_s`` on the bench's clock."""
+    """``pixels`` uint8 or uint16, (h, w) or (h, w, 3) blue-green-red; ``bits`` of a pixel that
+    carry signal, in the low end of its word; ``exposed_s`` on the bench's clock.
+    """
 
     pixels: Pixels
     exposed_s: float

@@ -1,13 +1,16 @@
-"""Aravis, the library that speaks GigE Vision and USB3 Vision, loaded when a camera asks for it and explained where it is missing.
+"""Aravis, the library that speaks GigE Vision and USB3 Vision, loaded when a camera asks for it and
+explained where it is missing.
 
-A GenICam camera's features by name: asked for, read back, and explained where a camera has no such feature.
+A GenICam camera's features by name: asked for, read back, and explained where a camera has no such
+feature.
 
 May not know frames.
 
 A GigE Vision or USB3 Vision camera, optical or radiometric, through Aravis.
 
-Every buffer's status is looked at: one with missing packets or of another size is a fault with a name, never a picture. Times are the
-camera's own stamps, brought to the bench's clock. May not know what the pictures show.
+Every buffer's status is looked at: one with missing packets or of another size is a fault with a
+name, never a picture. Times are the camera's own stamps, brought to the bench's clock. May not know
+what the pictures show.
 """
 
 from __future__ import annotations
@@ -25,8 +28,8 @@ from instruments.camera.settings import ReadBack, Settings, Value
 from instruments.errors import DeviceError, LinkError, ProtocolError
 
 INSTALL = (
-    'Install Aravis and its Python binding: on Debian and Ubuntu "apt install gir1.2-aravis-0.8 libgirepository1.0-dev libcairo2-dev '
-    'pkg-config", then "pip install \'teatbench[genicam]\'".'
+    'Install Aravis and its Python binding: on Debian and Ubuntu "apt install gir1.2-aravis-0.8'
+    ' libgirepository1.0-dev libcairo2-dev pkg-config", then "pip install \'teatbench[genicam]\'".'
 )
 FAKE = "Fake_"  # how the library's own camera in this process is named
 
@@ -37,8 +40,11 @@ def load_aravis() -> Any:
         gi = importlib.import_module("gi")
         gi.require_version("Aravis", "0.8")
         return importlib.import_module("gi.repository.Aravis")
-    except (ImportError, ValueError) as error:  # ValueError: the binding is there, the library isn't
-        raise DeviceError("genicam cameras", f"the library can't be loaded: {error}", hint=INSTALL) from error
+    # ValueError: the binding is there, the library isn't
+    except (ImportError, ValueError) as error:
+        raise DeviceError(
+            "genicam cameras", f"the library can't be loaded: {error}", hint=INSTALL
+        ) from error
 
 
 def found_cameras(aravis: Any) -> list[str]:
@@ -48,24 +54,48 @@ def found_cameras(aravis: Any) -> list[str]:
 
 
 def set_all(who: str, camera: Any, settings: Settings, failure: type[Exception]) -> tuple[str, ...]:
-    """Ask for each setting, then read each back; gives notes about tries. ``failure`` is what the library raises.
+    """Ask for each setting, then read each back; gives notes about tries. ``failure`` is what the
+    library raises.
 
     Raises DeviceError for what did not take.
     """
     back = ReadBack(who, settings.tries)
-    asked: list[tuple[str, Value | tuple[int, int], Callable[[], object], Callable[[], object]]] = []
+    asked: list[
+        tuple[str, Value | tuple[int, int], Callable[[], object], Callable[[], object]]
+    ] = []
     if settings.pixel_format is not None:
         name = settings.pixel_format
-        asked.append(("pixel_format", name, lambda: camera.set_pixel_format_from_string(name), camera.get_pixel_format_as_string))
+        asked.append(
+            (
+                "pixel_format",
+                name,
+                lambda: camera.set_pixel_format_from_string(name),
+                camera.get_pixel_format_as_string,
+            )
+        )
     if settings.resolution is not None:
         width, height = settings.resolution
-        asked.append(("resolution", (width, height), lambda: camera.set_region(0, 0, width, height), lambda: _size(camera)))
+        asked.append(
+            (
+                "resolution",
+                (width, height),
+                lambda: camera.set_region(0, 0, width, height),
+                lambda: _size(camera),
+            )
+        )
     if settings.fps is not None:
         fps = settings.fps
         asked.append(("fps", fps, lambda: camera.set_frame_rate(fps), camera.get_frame_rate))
     if settings.exposure is not None:
         exposure_us = settings.exposure
-        asked.append(("exposure", exposure_us, lambda: _manual_exposure(camera, exposure_us), camera.get_exposure_time))
+        asked.append(
+            (
+                "exposure",
+                exposure_us,
+                lambda: _manual_exposure(camera, exposure_us),
+                camera.get_exposure_time,
+            )
+        )
     if settings.gain is not None:
         gain = settings.gain
         asked.append(("gain", gain, lambda: camera.set_gain(gain), camera.get_gain))
@@ -76,7 +106,9 @@ def set_all(who: str, camera: Any, settings: Settings, failure: type[Exception])
 
 
 def _ask(
-    asked: list[tuple[str, Value | tuple[int, int], Callable[[], object], Callable[[], object]]], back: ReadBack, failure: type[Exception]
+    asked: list[tuple[str, Value | tuple[int, int], Callable[[], object], Callable[[], object]]],
+    back: ReadBack,
+    failure: type[Exception],
 ) -> None:
     taken = []
     for name, value, write, read in asked:
@@ -84,7 +116,11 @@ def _ask(
             write()
             taken.append((name, value, read))
         except (failure, DeviceError) as error:
-            back.refused(name, f"{name} was refused: {error.what if isinstance(error, DeviceError) else _told(error)}")
+            back.refused(
+                name,
+                f"{name} was refused:"
+                f" {error.what if isinstance(error, DeviceError) else _told(error)}",
+            )
     for name, value, read in taken:  # all set before any is read: one may change another
         try:
             back.compare(name, value, read())
@@ -103,18 +139,28 @@ def _size(camera: Any) -> tuple[int, int]:
     return int(region.width), int(region.height)
 
 
-def _by_name(who: str, device: Any, name: str, value: Value) -> tuple[Callable[[], object], Callable[[], object]]:
-    """How a feature is written and read, whatever its kind; both raise DeviceError where the camera has none of that name."""
+def _by_name(
+    who: str, device: Any, name: str, value: Value
+) -> tuple[Callable[[], object], Callable[[], object]]:
+    """How a feature is written and read, whatever its kind; both raise DeviceError where the camera
+    has none of that name.
+    """
 
     def node() -> Any:
         found = device.get_feature(name)
         if found is None or not hasattr(found, "set_value_from_string"):
             near = difflib.get_close_matches(name, list(feature_names(device)), n=1, cutoff=0.8)
-            raise DeviceError(who, f'the camera has no feature "{name}"' + (f'; did you mean "{near[0]}"?' if near else ""))
+            raise DeviceError(
+                who,
+                f'the camera has no feature "{name}"'
+                + (f'; did you mean "{near[0]}"?' if near else ""),
+            )
         return found
 
     def write() -> None:
-        node().set_value_from_string(("true" if value else "false") if isinstance(value, bool) else str(value))
+        node().set_value_from_string(
+            ("true" if value else "false") if isinstance(value, bool) else str(value)
+        )
 
     return write, lambda: node().get_value_as_string()
 
@@ -154,12 +200,22 @@ class Timed(Protocol):
 
 
 class GenicamCamera:
-    """``device`` is the camera's name as Aravis lists it, its serial number or its IP address; "" the only one there is.
+    """``device`` is the camera's name as Aravis lists it, its serial number or its IP address; ""
+    the only one there is.
 
-    Raises LinkError where it doesn't answer, DeviceError where the library is missing or settings did not take.
+    Raises LinkError where it doesn't answer, DeviceError where the library is missing or settings
+    did not take.
     """
 
-    def __init__(self, name: str, device: str, clock: Timed, settings: Settings | None = None, *, patience_s: float = PATIENCE_S) -> None:
+    def __init__(
+        self,
+        name: str,
+        device: str,
+        clock: Timed,
+        settings: Settings | None = None,
+        *,
+        patience_s: float = PATIENCE_S,
+    ) -> None:
         self._name = name
         self._who = f"{name} camera genicam:{device}"
         self._clock = clock
@@ -191,11 +247,14 @@ class GenicamCamera:
 
     @property
     def identity(self) -> str:
-        """Vendor, model, serial number, size and pixel format, and settings that were tried in vain."""
+        """Vendor, model, serial number, size and pixel format, and settings that were tried in
+        vain.
+        """
         return self._identity
 
     def begin(self) -> None:
-        """Give back what came unasked, and trigger where the bench is the trigger. Raises LinkError.
+        """Give back what came unasked, and trigger where the bench is the trigger. Raises
+        LinkError.
 
         Raises FrameError for a camera that this program no longer controls, and opens it next time.
         """
@@ -210,7 +269,9 @@ class GenicamCamera:
                 self._camera.software_trigger()
             except self._failure as error:
                 self._check_control()
-                raise LinkError(self._who, f"did not take the trigger: {error}", asked="TriggerSoftware") from error
+                raise LinkError(
+                    self._who, f"did not take the trigger: {error}", asked="TriggerSoftware"
+                ) from error
 
     def take(self) -> RawFrame:
         """The frame. Raises FrameError where none came or it came with holes."""
@@ -218,12 +279,25 @@ class GenicamCamera:
         arrived_s = self._clock.now()
         if buffer is None:
             self._check_control()
-            hint = "Did its trigger come?" if self._settings.trigger == "hardware" else "Check cable, power and the network's packet size."
-            raise FrameError(FrameFault.DROPPED, self._name, self._who, "no frame came", seconds=self._patience_s, hint=hint)
+            hint = (
+                "Did its trigger come?"
+                if self._settings.trigger == "hardware"
+                else "Check cable, power and the network's packet size."
+            )
+            raise FrameError(
+                FrameFault.DROPPED,
+                self._name,
+                self._who,
+                "no frame came",
+                seconds=self._patience_s,
+                hint=hint,
+            )
         try:
             self._check(buffer)
             pixels, bits = self._pixels(buffer)
-            return RawFrame(pixels, self._time.bench_s(buffer.get_timestamp() * 1e-9, arrived_s), bits)
+            return RawFrame(
+                pixels, self._time.bench_s(buffer.get_timestamp() * 1e-9, arrived_s), bits
+            )
         finally:
             self._stream.push_buffer(buffer)
 
@@ -244,11 +318,17 @@ class GenicamCamera:
             camera = self._by_loopback(self._aravis.Camera.new(device or None))
         except self._failure as error:
             there = ", ".join(found_cameras(self._aravis)) or "none"
-            hint = f"Cameras that answer: {there}. On a network the bench and the camera must be in one subnet."
+            hint = (
+                f"Cameras that answer: {there}. On a network the bench and the camera must be in"
+                " one subnet."
+            )
             raise LinkError(self._who, f"can't be opened: {error}", hint=hint) from error
         if not self._controls(camera):  # the library opens it, but every setting would time out
             what = "can't be opened: it is open already, here or in another program"
-            hint = "Is it twice in the rig file? Close the other program; a crashed one's hold soon ends."
+            hint = (
+                "Is it twice in the rig file? Close the other program; a crashed one's hold soon"
+                " ends."
+            )
             raise LinkError(self._who, what, hint=hint)
         return camera
 
@@ -263,18 +343,25 @@ class GenicamCamera:
         self._stream = self._camera = None
         self._lost_control = True
         what = "no frame came: the camera is no longer under this program's control"
-        hint = "Another program took it, or its power was off. It is opened again for the next frame."
+        hint = (
+            "Another program took it, or its power was off. It is opened again for the next frame."
+        )
         raise FrameError(FrameFault.DROPPED, self._name, self._who, what, hint=hint)
 
     def _by_loopback(self, camera: Any) -> Any:
-        """The same camera; one of this machine that was found through a network's interface is opened by its address instead.
+        """The same camera; one of this machine that was found through a network's interface is
+        opened by its address instead.
 
-        The library takes the interface whose answer came first; frames sent from 127.0.0.1 would never reach another one.
+        The library takes the interface whose answer came first; frames sent from 127.0.0.1 would
+        never reach another one.
         """
         if not camera.is_gv_device():
             return camera
         device = camera.get_device()
-        near, far = (end.get_address() for end in (device.get_interface_address(), device.get_device_address()))
+        near, far = (
+            end.get_address()
+            for end in (device.get_interface_address(), device.get_device_address())
+        )
         if not far.get_is_loopback() or near.get_is_loopback():
             return camera
         del camera, device  # hands the control of the camera back
@@ -282,7 +369,14 @@ class GenicamCamera:
 
     def _described(self) -> str:
         camera = self._camera
-        who = " ".join(str(part()) for part in (camera.get_vendor_name, camera.get_model_name, camera.get_device_serial_number))
+        who = " ".join(
+            str(part())
+            for part in (
+                camera.get_vendor_name,
+                camera.get_model_name,
+                camera.get_device_serial_number,
+            )
+        )
         region = camera.get_region()
         return f"{who} ({region.width} x {region.height}, {camera.get_pixel_format_as_string()})"
 
@@ -291,7 +385,11 @@ class GenicamCamera:
         if self._settings.trigger == "free":
             camera.clear_triggers()
         else:
-            camera.set_trigger("Software" if self._settings.trigger == "software" else self._settings.trigger_source)
+            camera.set_trigger(
+                "Software"
+                if self._settings.trigger == "software"
+                else self._settings.trigger_source
+            )
         camera.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
         self._stream = camera.create_stream(None, None)
         for _ in range(BUFFERS):
@@ -302,20 +400,47 @@ class GenicamCamera:
         status = buffer.get_status().value_nick.upper().replace("-", "_")
         if status == "SUCCESS":
             return
-        fault = FrameFault.LOST_PACKETS if status in HOLES else FrameFault.HALF if status == "SIZE_MISMATCH" else FrameFault.DROPPED
-        hint = "Raise the socket's buffer and the packet size (jumbo frames), or lower the frame rate."
-        raise FrameError(fault, self._name, self._who, f"a frame's buffer came with status {status}", hint=hint)
+        fault = (
+            FrameFault.LOST_PACKETS
+            if status in HOLES
+            else FrameFault.HALF
+            if status == "SIZE_MISMATCH"
+            else FrameFault.DROPPED
+        )
+        hint = (
+            "Raise the socket's buffer and the packet size (jumbo frames), or lower the frame rate."
+        )
+        raise FrameError(
+            fault, self._name, self._who, f"a frame's buffer came with status {status}", hint=hint
+        )
 
     def _pixels(self, buffer: Any) -> Any:
-        if buffer.get_payload_type().value_nick not in ("image", "extended-chunk-data", "chunk-data"):
-            raise ProtocolError(self._who, f"sent {buffer.get_payload_type().value_nick}, not an image", asked="a frame")
+        if buffer.get_payload_type().value_nick not in (
+            "image",
+            "extended-chunk-data",
+            "chunk-data",
+        ):
+            raise ProtocolError(
+                self._who,
+                f"sent {buffer.get_payload_type().value_nick}, not an image",
+                asked="a frame",
+            )
         x_padding = int(buffer.get_image_padding().x_padding)
         try:
             return unpack(
-                buffer.get_data(), buffer.get_image_pixel_format(), buffer.get_image_width(), buffer.get_image_height(), x_padding
+                buffer.get_data(),
+                buffer.get_image_pixel_format(),
+                buffer.get_image_width(),
+                buffer.get_image_height(),
+                x_padding,
             )
         except ValueError as fault:
-            raise ProtocolError(self._who, str(fault), asked="a frame", hint="Set another pixel_format in the rig file.") from fault
+            raise ProtocolError(
+                self._who,
+                str(fault),
+                asked="a frame",
+                hint="Set another pixel_format in the rig file.",
+            ) from fault
 
 
 def _failure() -> type[Exception]:

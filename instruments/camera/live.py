@@ -1,12 +1,14 @@
 """A camera's own time stamps on the bench's clock.
 
-Strategy: a frame arrives some while after its stamp, never before; so the least difference seen between arrival and stamp is the best
-offset, and it may age no faster than two crystals drift apart. Pure: times are arguments.
+Strategy: a frame arrives some while after its stamp, never before; so the least difference seen
+between arrival and stamp is the best offset, and it may age no faster than two crystals drift
+apart. Pure: times are arguments.
 
 Reads a live source without pause, so that no stale frame waits in a buffer for whoever asks next.
 
-OpenCV keeps frames that nobody took: after a minute of touching, the next one read would be a minute old. A thread grabs all the time
-and decodes only what was asked for. May not know what kind of source it is.
+OpenCV keeps frames that nobody took: after a minute of touching, the next one read would be a
+minute old. A thread grabs all the time and decodes only what was asked for. May not know what kind
+of source it is.
 """
 
 from __future__ import annotations
@@ -24,14 +26,19 @@ KEPT_S = 600.0  # frames older than this say no more than their drift
 
 
 class DeviceTime:
-    """Of one camera. A stamp that goes back means that the camera was started anew: all is forgotten."""
+    """Of one camera. A stamp that goes back means that the camera was started anew: all is
+    forgotten.
+    """
 
     def __init__(self) -> None:
-        self._seen: list[tuple[float, float]] = []  # arrival and offset, both in s on the bench's clock
+        # arrival and offset, both in s on the bench's clock
+        self._seen: list[tuple[float, float]] = []
         self._last_s = float("-inf")
 
     def bench_s(self, device_s: float, arrived_s: float) -> float:
-        """When a frame stamped ``device_s`` and seen at ``arrived_s`` was exposed; its arrival where the camera stamps nothing (0)."""
+        """When a frame stamped ``device_s`` and seen at ``arrived_s`` was exposed; its arrival
+        where the camera stamps nothing (0).
+        """
         if device_s <= 0.0:
             return arrived_s
         if device_s < self._last_s:
@@ -78,7 +85,9 @@ class LiveReader:
             self._got, self._wanted_s = None, self._clock.now()
 
     def answer(self, patience_s: float) -> tuple[NDArray[np.uint8] | None, float] | None:
-        """The frame asked for (None where it can't be decoded) and when it arrived; None where none came within ``patience_s``."""
+        """The frame asked for (None where it can't be decoded) and when it arrived; None where none
+        came within ``patience_s``.
+        """
         end_s = self._clock.now() + patience_s
         while self._clock.now() < end_s:
             with self._lock:
@@ -105,13 +114,19 @@ class LiveReader:
         finally:
             self._capture.release()
 
-    def _keep(self, began_s: float, arrived_s: float, retrieve: Callable[[], tuple[bool, object]]) -> None:
+    def _keep(
+        self, began_s: float, arrived_s: float, retrieve: Callable[[], tuple[bool, object]]
+    ) -> None:
         with self._lock:
             wanted = self._wanted_s is not None and began_s >= self._wanted_s
         if not wanted:
             return
         good, image = retrieve()
         with self._lock:
-            if self._wanted_s is not None and began_s >= self._wanted_s:  # nobody has asked anew meanwhile
+            # nobody has asked anew meanwhile
+            if self._wanted_s is not None and began_s >= self._wanted_s:
                 self._wanted_s = None
-                self._got = np.asarray(image, dtype=np.uint8) if good and image is not None else None, arrived_s
+                self._got = (
+                    (np.asarray(image, dtype=np.uint8) if good and image is not None else None),
+                    arrived_s,
+                )

@@ -1,7 +1,8 @@
-"""A real camera through OpenCV: a device's number, a device's path, a video file, or a stream (`http://` MJPEG, `rtsp://`).
+"""A real camera through OpenCV: a device's number, a device's path, a video file, or a stream
+(`http://` MJPEG, `rtsp://`).
 
-Live sources are read without pause (`live`), files frame by frame. What is set is read back. May not know what the pictures show, nor
-the scene that emulated cameras look at.
+Live sources are read without pause (`live`), files frame by frame. What is set is read back. May
+not know what the pictures show, nor the scene that emulated cameras look at.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from instruments.errors import LinkError
 Source = int | str
 SILENCE_MS = 5000.0  # a stream that says nothing for so long is gone
 PATIENCE_S = 2.0  # the longest exposure and interval that a frame may take
-MANUAL, MANUAL_OF_OLD = 1.0, 0.25  # how backends call an exposure that isn't automatic: V4L2's own number, and OpenCV's before 4
+# how backends call an exposure that isn't automatic: V4L2's own number, and OpenCV's before 4
+MANUAL, MANUAL_OF_OLD = 1.0, 0.25
 
 
 def is_live(source: Source) -> bool:
@@ -34,14 +36,24 @@ def _is_url(source: Source) -> bool:
 
 def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
     """Width and height, 0 where the backend tells none."""
-    return round(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+    return round(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), round(
+        capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
+    )
 
 
 class OpenCvCamera:
-    """``name`` is its place in the rig. Raises LinkError where it doesn't open, DeviceError for settings that did not take."""
+    """``name`` is its place in the rig. Raises LinkError where it doesn't open, DeviceError for
+    settings that did not take.
+    """
 
     def __init__(
-        self, name: str, source: Source, clock: Clock, settings: Settings | None = None, *, patience_s: float = PATIENCE_S
+        self,
+        name: str,
+        source: Source,
+        clock: Clock,
+        settings: Settings | None = None,
+        *,
+        patience_s: float = PATIENCE_S,
     ) -> None:
         self._name = name
         self._source = source
@@ -59,7 +71,9 @@ class OpenCvCamera:
         return self._identity
 
     def begin(self) -> None:
-        """Ask for the next fresh frame; of a file, read on. A stream that has broken off is opened once more. Raises LinkError."""
+        """Ask for the next fresh frame; of a file, read on. A stream that has broken off is opened
+        once more. Raises LinkError.
+        """
         if self._live is not None:
             if self._live.broken:
                 self._live.close()
@@ -68,7 +82,12 @@ class OpenCvCamera:
             return
         self._begun_s = self._clock.now()
         if self._file is None or not self._file.grab():
-            raise LinkError(self._who, "gave no frame", asked="a frame", hint="The file has ended, or was closed.")
+            raise LinkError(
+                self._who,
+                "gave no frame",
+                asked="a frame",
+                hint="The file has ended, or was closed.",
+            )
 
     def take(self) -> RawFrame:
         """The frame. Raises FrameError where none came or it can't be decoded."""
@@ -76,7 +95,9 @@ class OpenCvCamera:
             answer = self._live.answer(self._patience_s)
             if answer is None:
                 what = "the stream broke off" if self._live.broken else "no frame came"
-                raise self._fault(FrameFault.DROPPED, what, None if self._live.broken else self._patience_s)
+                raise self._fault(
+                    FrameFault.DROPPED, what, None if self._live.broken else self._patience_s
+                )
             image, exposed_s = answer
         else:
             good, decoded = self._file.retrieve() if self._file is not None else (False, None)
@@ -108,7 +129,12 @@ class OpenCvCamera:
 
     def _fault(self, fault: FrameFault, what: str, seconds: float | None) -> FrameError:
         return FrameError(
-            fault, self._name, self._who, what, seconds=seconds, hint="Is it still connected, and is the network fast enough?"
+            fault,
+            self._name,
+            self._who,
+            what,
+            seconds=seconds,
+            hint="Is it still connected, and is the network fast enough?",
         )
 
     def _open(self) -> None:
@@ -119,7 +145,9 @@ class OpenCvCamera:
             capture.release()
             raise
         width, height = self._size = _size(capture)
-        self._identity = "; ".join([f"{self._source} ({capture.getBackendName()}, {width} x {height})", *notes])
+        self._identity = "; ".join(
+            [f"{self._source} ({capture.getBackendName()}, {width} x {height})", *notes]
+        )
         # The library scales a frame of another size to the first one's: so it doesn't decode here.
         is_mjpeg = _is_url(self._source) and fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)) == "MJPG"
         self._is_jpeg = is_mjpeg and capture.set(cv2.CAP_PROP_FORMAT, -1)
@@ -131,7 +159,12 @@ class OpenCvCamera:
 
 def _opened(who: str, source: Source) -> cv2.VideoCapture:
     if _is_url(source):
-        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, int(SILENCE_MS), cv2.CAP_PROP_READ_TIMEOUT_MSEC, int(SILENCE_MS)]
+        limits = [
+            cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
+            int(SILENCE_MS),
+            cv2.CAP_PROP_READ_TIMEOUT_MSEC,
+            int(SILENCE_MS),
+        ]
         capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
     else:
         capture = cv2.VideoCapture(source)
@@ -143,12 +176,16 @@ def _opened(who: str, source: Source) -> cv2.VideoCapture:
 
 
 def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> tuple[str, ...]:
-    """Ask for each setting, read each back; gives notes about tries. Raises DeviceError for what did not take."""
+    """Ask for each setting, read each back; gives notes about tries. Raises DeviceError for what
+    did not take.
+    """
     back = ReadBack(who, settings.tries)
     if settings.pixel_format is not None:
         capture.set(cv2.CAP_PROP_FOURCC, _fourcc(settings.pixel_format))
     if settings.resolution is not None:
-        for prop, size in zip((cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT), settings.resolution, strict=True):
+        for prop, size in zip(
+            (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT), settings.resolution, strict=True
+        ):
             capture.set(prop, size)
     if settings.fps is not None:
         capture.set(cv2.CAP_PROP_FPS, settings.fps)
@@ -164,10 +201,16 @@ def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> t
 
 def _read_back(capture: cv2.VideoCapture, settings: Settings, back: ReadBack) -> None:
     if settings.pixel_format is not None:
-        back.compare("pixel_format", settings.pixel_format, fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)))
+        back.compare(
+            "pixel_format", settings.pixel_format, fourcc_name(capture.get(cv2.CAP_PROP_FOURCC))
+        )
     if settings.resolution is not None:
         back.compare("resolution", tuple(settings.resolution), _size(capture))
-    for name, prop in (("fps", cv2.CAP_PROP_FPS), ("exposure", cv2.CAP_PROP_EXPOSURE), ("gain", cv2.CAP_PROP_GAIN)):
+    for name, prop in (
+        ("fps", cv2.CAP_PROP_FPS),
+        ("exposure", cv2.CAP_PROP_EXPOSURE),
+        ("gain", cv2.CAP_PROP_GAIN),
+    ):
         asked = getattr(settings, name)
         if asked is not None:
             back.compare(name, asked, capture.get(prop))

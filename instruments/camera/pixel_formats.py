@@ -1,8 +1,11 @@
-"""Pixels as cameras of the GenICam family send them, to arrays. Pure: bytes in, arrays out; no camera, no library.
+"""Pixels as cameras of the GenICam family send them, to arrays. Pure: bytes in, arrays out; no
+camera, no library.
 
-Codes and layouts: EMVA, Pixel Format Naming Convention 2.4 ("p" formats: one little-endian bit stream, pixel i at bit i x bits), and
-AIA, GigE Vision 2.0, table of pixel formats ("Packed": two pixels in three bytes, the outer bytes with their upper eight bits, the middle
-byte with what is left, the first pixel's in its low half). Lines follow each other without a gap but for the leader's x padding.
+Codes and layouts: EMVA, Pixel Format Naming Convention 2.4 ("p" formats: one little-endian bit
+stream, pixel i at bit i x bits), and AIA, GigE Vision 2.0, table of pixel formats ("Packed": two
+pixels in three bytes, the outer bytes with their upper eight bits, the middle byte with what is
+left, the first pixel's in its low half). Lines follow each other without a gap but for the leader's
+x padding.
 """
 
 from __future__ import annotations
@@ -23,7 +26,9 @@ Decoder = Callable[[Bytes, int], NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """``stored_bits`` a pixel takes on the wire, ``bits`` of it carry signal; ``channels`` as sent; ``decode`` gives n values of a line."""
+    """``stored_bits`` a pixel takes on the wire, ``bits`` of it carry signal; ``channels`` as sent;
+    ``decode`` gives n values of a line.
+    """
 
     name: str
     code: int
@@ -60,7 +65,9 @@ def _bit_stream(bits: int) -> Decoder:
 
 
 def _packed(bits: int) -> Decoder:
-    """The "Packed" formats of GigE Vision: upper 8 bits of each pixel outside, the ``bits - 8`` lower ones in the middle byte."""
+    """The "Packed" formats of GigE Vision: upper 8 bits of each pixel outside, the ``bits - 8``
+    lower ones in the middle byte.
+    """
     low = (1 << (bits - 8)) - 1
 
     def decode(data: Bytes, count: int) -> NDArray[np.uint16]:
@@ -100,14 +107,21 @@ BY_CODE = {known.code: known for known in FORMATS}
 def format_of(code: int) -> PixelFormat:
     """The format of that PFNC code. Raises ValueError that lists what is known."""
     if code not in BY_CODE:
-        raise ValueError(f"pixel format 0x{code:08X} is not one that is unpacked here; choose one of {', '.join(f.name for f in FORMATS)}")
+        raise ValueError(
+            f"pixel format 0x{code:08X} is not one that is unpacked here; choose one of"
+            f" {', '.join(f.name for f in FORMATS)}"
+        )
     return BY_CODE[code]
 
 
-def unpack(data: bytes, code: int, width: int, height: int, x_padding: int = 0) -> tuple[Pixels, int]:
-    """Pixels (height, width), or with 3 channels as blue-green-red, of a frame's payload, and how many bits of each carry signal.
+def unpack(
+    data: bytes, code: int, width: int, height: int, x_padding: int = 0
+) -> tuple[Pixels, int]:
+    """Pixels (height, width), or with 3 channels as blue-green-red, of a frame's payload, and how
+    many bits of each carry signal.
 
-    ``x_padding`` bytes follow each line. Raises ValueError for an unknown format and for a payload that is too short.
+    ``x_padding`` bytes follow each line. Raises ValueError for an unknown format and for a payload
+    that is too short.
     """
     layout = format_of(code)
     values = width * layout.channels
@@ -123,10 +137,16 @@ def unpack(data: bytes, code: int, width: int, height: int, x_padding: int = 0) 
         flat = layout.decode(raw, values * height)
     shape = (height, width) if layout.channels == 1 else (height, width, layout.channels)
     image = np.ascontiguousarray(flat.reshape(shape))
-    pixels: Pixels = image if layout.to_bgr is None else np.asarray(cv2.cvtColor(image, layout.to_bgr), dtype=np.uint8)
+    pixels: Pixels = (
+        image
+        if layout.to_bgr is None
+        else np.asarray(cv2.cvtColor(image, layout.to_bgr), dtype=np.uint8)
+    )
     return pixels, layout.bits
 
 
 def _enough(layout: PixelFormat, raw: Bytes, needed: int, width: int, height: int) -> None:
     if len(raw) < needed:
-        raise ValueError(f"{width} x {height} pixels of {layout.name} take {needed} bytes, {len(raw)} came")
+        raise ValueError(
+            f"{width} x {height} pixels of {layout.name} take {needed} bytes, {len(raw)} came"
+        )

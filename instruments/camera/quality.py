@@ -1,7 +1,8 @@
-"""Measures of one picture: how sharp its edges are, how black, how full, how flat, and where its rows stop.
+"""Measures of one picture: how sharp its edges are, how black, how full, how flat, and where its
+rows stop.
 
-Strategy: figures that don't depend on what stands before the camera as long as something does, so that one limit serves a bright and
-a dim scene. Pure. May not know which limits a rig sets.
+Strategy: figures that don't depend on what stands before the camera as long as something does, so
+that one limit serves a bright and a dim scene. Pure. May not know which limits a rig sets.
 """
 
 from __future__ import annotations
@@ -14,22 +15,27 @@ from numpy.typing import NDArray
 
 FINE_PX, COARSE_PX = 1.2, 3.0  # sigmas of the two blurs whose gradients are compared
 STRONGEST = 0.002  # share of all pixels whose gradient counts as an edge's
-DIFFERENCE_PX2 = 1.0 / 3.0  # a difference over two pixels is a derivative seen through a box of that width: its variance
-NOISE_RATIO2 = 1.2 * (COARSE_PX / FINE_PX) ** 2  # white noise would give (coarse / fine)^4, a perfect edge (coarse / fine)^2
+# a difference over two pixels is a derivative seen through a box of that width: its variance
+DIFFERENCE_PX2 = 1.0 / 3.0
+# white noise would give (coarse / fine)^4, a perfect edge (coarse / fine)^2
+NOISE_RATIO2 = 1.2 * (COARSE_PX / FINE_PX) ** 2
 STRIDES, LARGE_PX = (5, 7, 11, 13), 500_000
 LEAST_GRADIENT_DN = 1.0  # per px, after the fine blur; below there is no edge but noise
 
 
 def edge_blur_px(picture: NDArray[np.uint8]) -> float | None:
-    """Standard deviation in px of the blur that the strongest edges of a grey picture (h, w) show; None where it has no edge.
+    """Standard deviation in px of the blur that the strongest edges of a grey picture (h, w) show;
+    None where it has no edge.
 
-    An edge of sigma s has, after a blur of sigma a, a gradient proportional to 1 / sqrt(s^2 + a^2) whatever its contrast; the ratio of two
-    such gradients gives s (Zhuo and Sim, Defocus map estimation from a single image, Pattern Recognition 44, 2011, eq. 6). The median over
-    the strongest 0.2 % of pixels, so noise and contrast cancel. It is 0 for an edge as sharp as pixels allow; where the ratio is beyond
-    any edge's, the strongest gradients are noise.
+    An edge of sigma s has, after a blur of sigma a, a gradient proportional to 1 / sqrt(s^2 + a^2)
+    whatever its contrast; the ratio of two such gradients gives s (Zhuo and Sim, Defocus map
+    estimation from a single image, Pattern Recognition 44, 2011, eq. 6). The median over the
+    strongest 0.2 % of pixels, so noise and contrast cancel. It is 0 for an edge as sharp as pixels
+    allow; where the ratio is beyond any edge's, the strongest gradients are noise.
     """
     fine, coarse = (_gradient(picture, sigma) for sigma in (FINE_PX, COARSE_PX))
-    inner, wide = (gradient[8:-8, 8:-8].reshape(-1) for gradient in (fine, coarse))  # without the blur's own border
+    # without the blur's own border
+    inner, wide = (gradient[8:-8, 8:-8].reshape(-1) for gradient in (fine, coarse))
     if inner.size > LARGE_PX:  # a sample of a large picture says the same, if it meets every column
         stride = next((step for step in STRIDES if (picture.shape[1] - 16) % step), 1)
         inner, wide = np.ascontiguousarray(inner[::stride]), wide[::stride]
@@ -61,7 +67,9 @@ def _upper(values: NDArray[np.float32], share: float) -> float:
 
 def level_dn(picture: NDArray[np.uint8], share: float) -> int:
     """The grey level that ``share`` of the pixels don't exceed."""
-    counts = np.cumsum(cv2.calcHist([picture], [0], None, [256], [0.0, 256.0]).reshape(-1).astype(np.float64))
+    counts = np.cumsum(
+        cv2.calcHist([picture], [0], None, [256], [0.0, 256.0]).reshape(-1).astype(np.float64)
+    )
     return int(np.searchsorted(counts, share * picture.size))
 
 
@@ -77,14 +85,18 @@ def spread(image: NDArray[Any]) -> float:
 
 
 def missing_rows(picture: NDArray[Any], last: NDArray[Any] | None = None) -> float:
-    """Share of rows, counted from the bottom or the top edge, that hold one value only or are those of the ``last`` picture.
+    """Share of rows, counted from the bottom or the top edge, that hold one value only or are those
+    of the ``last`` picture.
 
-    Noise makes neither happen in a row that was read out; rows of plain white are the exposure's fault and don't count.
+    Noise makes neither happen in a row that was read out; rows of plain white are the exposure's
+    fault and don't count.
     """
     whole = picture.max(axis=1)
     missing = (whole == picture.min(axis=1)) & (whole < np.iinfo(picture.dtype).max)
     if last is not None and last.shape == picture.shape:
-        missing |= np.all(picture == last, axis=1) & (picture.min(axis=1) < np.iinfo(picture.dtype).max)
+        missing |= np.all(picture == last, axis=1) & (
+            picture.min(axis=1) < np.iinfo(picture.dtype).max
+        )
     if np.all(missing):
         return 1.0
     return float(max(np.argmin(missing), np.argmin(missing[::-1])) / len(missing))

@@ -1,7 +1,9 @@
-"""Recordings: folders of frames with calibration and truth, read and written (docs: recording-format.md).
+"""Recordings: folders of frames with calibration and truth, read and written (docs:
+recording-format.md).
 
-Files appear whole or not at all: each is written beside its place and then moved there. Every fault of a folder is a
-`RecordingError` that names the file and, in a table, the line. May not know what the frames show.
+Files appear whole or not at all: each is written beside its place and then moved there. Every fault
+of a folder is a `RecordingError` that names the file and, in a table, the line. May not know what
+the frames show.
 """
 
 from __future__ import annotations
@@ -25,17 +27,22 @@ PNG = b"\x89PNG\r\n\x1a\n"
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 COLUMNS = ("frame", "situation", "teat", "x_mm", "y_mm", "z_mm", "visible")
 OPTIONAL = ("u_mm",)
-SAME_END_MM = 5.0  # a teat is some 20 mm thick: two ends nearer than this are one end, measured twice
+# a teat is some 20 mm thick: two ends nearer than this are one end, measured twice
+SAME_END_MM = 5.0
 UNSAFE = set('<>:"/\\|?*')
 
 
 class RecordingError(ValueError):
-    """A recording's folder is incomplete or damaged; the message says which file, which line, and what was expected."""
+    """A recording's folder is incomplete or damaged; the message says which file, which line, and
+    what was expected.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class TruthRow:
-    """One teat of one frame: its end in world mm, whether every camera sees it, standard uncertainty in mm where known."""
+    """One teat of one frame: its end in world mm, whether every camera sees it, standard
+    uncertainty in mm where known.
+    """
 
     situation: str
     teat: str
@@ -45,18 +52,30 @@ class TruthRow:
 
 
 class Recording:
-    """A recording on disk. Truth and names are read at once, images when asked for. Raises RecordingError."""
+    """A recording on disk. Truth and names are read at once, images when asked for. Raises
+    RecordingError.
+    """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         if not self.path.is_dir():
-            raise RecordingError(f"{self.path}: there is no such folder; a recording is a folder with frames/, and perhaps truth.csv")
+            raise RecordingError(
+                f"{self.path}: there is no such folder; a recording is a folder with frames/, and"
+                " perhaps truth.csv"
+            )
         frames = self.path / "frames"
         if not frames.is_dir():
-            raise RecordingError(f"{frames}: missing; a recording keeps its images in frames/<id>/left.png and right.png")
-        self.frames: tuple[str, ...] = tuple(sorted(entry.name for entry in frames.iterdir() if entry.is_dir()))
+            raise RecordingError(
+                f"{frames}: missing; a recording keeps its images in frames/<id>/left.png and"
+                " right.png"
+            )
+        self.frames: tuple[str, ...] = tuple(
+            sorted(entry.name for entry in frames.iterdir() if entry.is_dir())
+        )
         if not self.frames:
-            raise RecordingError(f"{frames}: holds no frames; each is a folder with left.png and right.png")
+            raise RecordingError(
+                f"{frames}: holds no frames; each is a folder with left.png and right.png"
+            )
         self.calibration_path = self.path / "calibration.toml"
         self.truth: dict[str, tuple[TruthRow, ...]] = self._truth()
 
@@ -64,11 +83,16 @@ class Recording:
         """The images of a frame. The thermal ones may be absent. Raises RecordingError."""
         folder = self.path / "frames" / frame_id
         if frame_id not in self.frames:
-            raise RecordingError(f"{folder}: there is no frame {frame_id!r}; the first of {len(self.frames)} is {self.frames[0]!r}")
+            raise RecordingError(
+                f"{folder}: there is no frame {frame_id!r}; the first of {len(self.frames)} is"
+                f" {self.frames[0]!r}"
+            )
         left, right = (read_grey(folder / f"{side}.png") for side in ("left", "right"))
         eight, radiometric = folder / "thermal.png", folder / "thermal_radiometric.png"
         thermal = read_grey(eight) if eight.exists() else None
-        return FrameSet(left, right, thermal, _centikelvin(radiometric) if radiometric.exists() else None)
+        return FrameSet(
+            left, right, thermal, _centikelvin(radiometric) if radiometric.exists() else None
+        )
 
     def _truth(self) -> dict[str, tuple[TruthRow, ...]]:
         path = self.path / "truth.csv"
@@ -83,27 +107,40 @@ class Recording:
                     frame, row = _truth_row(f"{path}:{lines.line_num}", line)
                     self._add(f"{path}:{lines.line_num}", found.setdefault(frame, []), frame, row)
         except (csv.Error, UnicodeDecodeError) as fault:
-            raise RecordingError(f"{path}: is not a table of comma-separated values in UTF-8: {fault}") from fault
+            raise RecordingError(
+                f"{path}: is not a table of comma-separated values in UTF-8: {fault}"
+            ) from fault
         return {frame: tuple(rows) for frame, rows in found.items()}
 
     def _add(self, where: str, rows: list[TruthRow], frame: str, row: TruthRow) -> None:
         if frame not in self.frames:
             raise RecordingError(f"{where}: names frame {frame!r}, but frames/ has no such folder")
         if any(other.teat == row.teat for other in rows):
-            raise RecordingError(f"{where}: teat {row.teat!r} of frame {frame!r} stands here a second time")
+            raise RecordingError(
+                f"{where}: teat {row.teat!r} of frame {frame!r} stands here a second time"
+            )
         if rows and rows[0].situation != row.situation:
-            raise RecordingError(f"{where}: frame {frame!r} is {row.situation!r} here and {rows[0].situation!r} above")
+            raise RecordingError(
+                f"{where}: frame {frame!r} is {row.situation!r} here and {rows[0].situation!r}"
+                " above"
+            )
         for other in rows:
             if (apart := math.dist(other.xyz_mm, row.xyz_mm)) < SAME_END_MM:
                 names = f"teats {other.teat!r} and {row.teat!r} of frame {frame!r}"
-                raise RecordingError(f"{where}: the ends of {names} are {apart:.2f} mm apart: one was measured twice; measure them again")
+                raise RecordingError(
+                    f"{where}: the ends of {names} are {apart:.2f} mm apart: one was measured"
+                    " twice; measure them again"
+                )
         rows.append(row)
 
 
 def _check_header(path: Path, names: Sequence[str] | None) -> None:
     missing = [name for name in COLUMNS if name not in (names or ())]
     if missing:
-        raise RecordingError(f"{path}:1: the column(s) {', '.join(missing)} are missing; the first line must name {','.join(COLUMNS)}")
+        raise RecordingError(
+            f"{path}:1: the column(s) {', '.join(missing)} are missing; the first line must name"
+            f" {','.join(COLUMNS)}"
+        )
 
 
 def _truth_row(where: str, line: Mapping[str | Any, Any]) -> tuple[str, TruthRow]:
@@ -116,7 +153,13 @@ def _truth_row(where: str, line: Mapping[str | Any, Any]) -> tuple[str, TruthRow
     u_mm = _number(where, "u_mm", given) if given else None
     if u_mm is not None and u_mm < 0.0:
         raise RecordingError(f"{where}: u_mm, a standard uncertainty, can't be below zero: {given}")
-    row = TruthRow(line["situation"].strip(), line["teat"].strip(), (x, y, z), line["visible"].strip() == "1", u_mm)
+    row = TruthRow(
+        line["situation"].strip(),
+        line["teat"].strip(),
+        (x, y, z),
+        line["visible"].strip() == "1",
+        u_mm,
+    )
     return line["frame"].strip(), row
 
 
@@ -137,19 +180,30 @@ def _image(path: Path) -> NDArray[Any]:
         raise RecordingError(f"{path}: missing; every frame needs it") from None
     except OSError as fault:
         raise RecordingError(f"{path}: can't be read: {fault}") from fault
-    if damaged := _damaged_chunk(data):  # OpenCV takes some of these, and libpng writes about others to the terminal
-        raise RecordingError(f"{path}: is damaged: {damaged}. Copy it again from where it was taken.")
+    # OpenCV takes some of these, and libpng writes about others to the terminal
+    if damaged := _damaged_chunk(data):
+        raise RecordingError(
+            f"{path}: is damaged: {damaged}. Copy it again from where it was taken."
+        )
     try:  # through memory, for imread knows only the ASCII paths of Windows
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+        image = (
+            cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+            if data
+            else None
+        )
     except cv2.error as fault:  # its header claims a size that no memory holds
-        raise RecordingError(f"{path}: is not an image that can be read: OpenCV refuses it ({fault.err})") from fault
+        raise RecordingError(
+            f"{path}: is not an image that can be read: OpenCV refuses it ({fault.err})"
+        ) from fault
     if image is None:
         raise RecordingError(f"{path}: is not an image that can be read ({len(data)} bytes)")
     return image
 
 
 def _damaged_chunk(data: bytes) -> str:
-    """What is wrong with the chunks of a PNG, by their lengths and checksums; nothing where they are whole, or it is no PNG."""
+    """What is wrong with the chunks of a PNG, by their lengths and checksums; nothing where they
+    are whole, or it is no PNG.
+    """
     at = len(PNG)
     while data.startswith(PNG):
         end = at + 8 + int.from_bytes(data[at : at + 4])
@@ -177,12 +231,16 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
 def _centikelvin(path: Path) -> NDArray[np.uint16]:
     image = _image(path)
     if image.dtype != np.uint16 or image.ndim != 2:
-        raise RecordingError(f"{path}: must be 16-bit grey in centi-kelvin, is {image.dtype} with {image.ndim} dimensions")
+        raise RecordingError(
+            f"{path}: must be 16-bit grey in centi-kelvin, is {image.dtype} with {image.ndim}"
+            " dimensions"
+        )
     return np.asarray(image, dtype=np.uint16)
 
 
 class RecordingWriter:
-    """Writes a recording, frame by frame; after every call the folder is a whole recording. Raises RecordingError, OSError.
+    """Writes a recording, frame by frame; after every call the folder is a whole recording. Raises
+    RecordingError, OSError.
 
     A folder that exists is added to: its truth is kept, a frame it has already is refused.
     """
@@ -191,7 +249,9 @@ class RecordingWriter:
         self.path = Path(path)
         (self.path / "frames").mkdir(parents=True, exist_ok=True)
         there = (self.path / "truth.csv").exists()
-        self._truth: dict[str, tuple[TruthRow, ...]] = dict(Recording(self.path).truth) if there else {}
+        self._truth: dict[str, tuple[TruthRow, ...]] = (
+            dict(Recording(self.path).truth) if there else {}
+        )
 
     def add_calibration(self, text: str) -> None:
         """Write calibration.toml, as the text that it was read from."""
@@ -199,12 +259,24 @@ class RecordingWriter:
 
     def add(self, frame_id: str, frames: FrameSet) -> None:
         """Write a frame's images as PNG; the folder appears when all of them are there."""
-        if not frame_id or frame_id != frame_id.strip(" .") or UNSAFE & set(frame_id) or not frame_id.isprintable():
-            raise RecordingError(f"a frame's id must be a name that any file system takes, is {frame_id!r}")
+        if (
+            not frame_id
+            or frame_id != frame_id.strip(" .")
+            or UNSAFE & set(frame_id)
+            or not frame_id.isprintable()
+        ):
+            raise RecordingError(
+                f"a frame's id must be a name that any file system takes, is {frame_id!r}"
+            )
         folder = self.path / "frames" / frame_id
         if folder.exists():
             raise RecordingError(f"{folder}: there is such a frame already")
-        images = {"left": frames.left, "right": frames.right, "thermal": frames.thermal, "thermal_radiometric": frames.thermal_ck}
+        images = {
+            "left": frames.left,
+            "right": frames.right,
+            "thermal": frames.thermal,
+            "thermal_radiometric": frames.thermal_ck,
+        }
         # Beside frames/, not in it: whoever reads meanwhile must not take it for a frame.
         making = self.path / f"making {frame_id}"
         making.mkdir(exist_ok=True)
@@ -220,7 +292,10 @@ class RecordingWriter:
         if frame_id in self._truth:
             raise RecordingError(f"{self.path}: frame {frame_id!r} has its truth already")
         if len({row.teat for row in rows}) != len(rows) or len({row.situation for row in rows}) > 1:
-            raise RecordingError(f"frame {frame_id!r}: each teat once, one situation; got {[(row.situation, row.teat) for row in rows]}")
+            raise RecordingError(
+                f"frame {frame_id!r}: each teat once, one situation; got"
+                f" {[(row.situation, row.teat) for row in rows]}"
+            )
         self._truth[frame_id] = tuple(rows)
         _write(self.path / "truth.csv", _truth_table(self._truth).encode())
 
@@ -230,9 +305,19 @@ def _truth_table(truth: Mapping[str, Sequence[TruthRow]]) -> str:
     for frame, rows in truth.items():
         for row in rows:
             u_mm = "" if row.u_mm is None else repr(float(row.u_mm))
-            values = (frame, row.situation, row.teat, *(repr(float(v)) for v in row.xyz_mm), str(int(row.visible)), u_mm)
+            values = (
+                frame,
+                row.situation,
+                row.teat,
+                *(repr(float(v)) for v in row.xyz_mm),
+                str(int(row.visible)),
+                u_mm,
+            )
             if any(set(value) & set(',"\r\n') for value in values):
-                raise RecordingError(f"frame {frame!r}: names in truth.csv can't hold commas, quotes or line ends, got {values[:3]}")
+                raise RecordingError(
+                    f"frame {frame!r}: names in truth.csv can't hold commas, quotes or line ends,"
+                    f" got {values[:3]}"
+                )
             lines.append(",".join(values))
     return "\n".join(lines) + "\n"
 
@@ -267,7 +352,9 @@ class RecordingCameras:
         frames = self._recording.frames
         if self._next >= len(frames):
             played = f"all {len(frames)} frames have been played"
-            raise DeviceError(f"cameras of {self._recording.path}", played, hint="Record more, or play fewer.")
+            raise DeviceError(
+                f"cameras of {self._recording.path}", played, hint="Record more, or play fewer."
+            )
         self._next += 1
         return self._recording.load(frames[self._next - 1])
 

@@ -1,4 +1,5 @@
-"""What is asked of a camera, and whether it took: each setting is read back, and one that did not take is an error unless it was a try.
+"""What is asked of a camera, and whether it took: each setting is read back, and one that did not
+take is an error unless it was a try.
 
 May not know how a setting is sent: a driver asks, reads back, and says here what it saw.
 """
@@ -19,10 +20,12 @@ TOLERANCE = 0.02  # of a number's size: cameras round exposure and gain to steps
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """None leaves the camera as it is. ``exposure`` in us for GenICam, in the backend's own unit for OpenCV; ``gain`` in the camera's.
+    """None leaves the camera as it is. ``exposure`` in us for GenICam, in the backend's own unit
+    for OpenCV; ``gain`` in the camera's.
 
-    ``features`` more of them by their GenICam name, set in that order after the others. ``trigger_source`` names the line of a
-    hardware trigger. ``tries`` holds names whose setting may fail, "all" for every one.
+    ``features`` more of them by their GenICam name, set in that order after the others.
+    ``trigger_source`` names the line of a hardware trigger. ``tries`` holds names whose setting may
+    fail, "all" for every one.
     """
 
     resolution: tuple[int, int] | None = None
@@ -59,12 +62,16 @@ class ReadBack:
         """The notes about tries. Raises DeviceError where anything else did not take."""
         if self._wrong:
             hint = "Ask for what the camera offers, or name the setting in the rig file's try."
-            raise DeviceError(self._who, f"settings did not take: {'; '.join(self._wrong)}", hint=hint)
+            raise DeviceError(
+                self._who, f"settings did not take: {'; '.join(self._wrong)}", hint=hint
+            )
         return tuple(self.notes)
 
 
 def same(asked: object, seen: object) -> bool:
-    """Whether a camera does what was asked: numbers within 2 %, true and 1 alike, words but for their case."""
+    """Whether a camera does what was asked: numbers within 2 %, true and 1 alike, words but for
+    their case.
+    """
     if isinstance(asked, tuple) and isinstance(seen, tuple):
         return asked == seen
     if isinstance(asked, bool):

@@ -1,9 +1,11 @@
-"""Cameras served as MJPEG streams over HTTP, one path a camera, so that a driver for streams meets them over a wire.
+"""Cameras served as MJPEG streams over HTTP, one path a camera, so that a driver for streams meets
+them over a wire.
 
-Strategy: one frame set a tick, shared by whoever looks, so that all streams show the same moment; a tick that a slow reader misses is
-left out, and one whose frame never came is not sent. Each reader has a thread of its own: a stalled one holds up nobody else, and no
-lock is held while bytes are sent. Layout: multipart/x-mixed-replace, each part with its length and its time of exposure. May not know
-who reads.
+Strategy: one frame set a tick, shared by whoever looks, so that all streams show the same moment; a
+tick that a slow reader misses is left out, and one whose frame never came is not sent. Each reader
+has a thread of its own: a stalled one holds up nobody else, and no lock is held while bytes are
+sent. Layout: multipart/x-mixed-replace, each part with its length and its time of exposure. May not
+know who reads.
 """
 
 from __future__ import annotations
@@ -53,7 +55,9 @@ class Ticks:
         return max(tick, int(self._clock.now() / self.period_s)) + 1
 
     def frames(self, tick: int) -> FrameSet | None:
-        """The set of ``tick``, or of a later one that another reader has seen; None where a camera gave no frame."""
+        """The set of ``tick``, or of a later one that another reader has seen; None where a camera
+        gave no frame.
+        """
         with self._lock:
             if tick > self._tick:
                 self._tick = tick
@@ -65,9 +69,19 @@ class Ticks:
 
 
 class StreamServer:
-    """Serves until closed; ``urls`` says where, by camera. Raises OSError for an address that can't be had, ValueError in virtual time."""
+    """Serves until closed; ``urls`` says where, by camera. Raises OSError for an address that can't
+    be had, ValueError in virtual time.
+    """
 
-    def __init__(self, source: Source, clock: Clock, *, host: str = "127.0.0.1", port: int = 0, fps: float = 5.0) -> None:
+    def __init__(
+        self,
+        source: Source,
+        clock: Clock,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        fps: float = 5.0,
+    ) -> None:
         if isinstance(clock, VirtualClock):
             raise ValueError("streams are served in real time, not under virtual time")
         self.clock = clock
@@ -75,9 +89,13 @@ class StreamServer:
         self.closing = False
         self._server = _Server((host, port), _Handler)
         self._server.owner = self
-        self.urls: Mapping[str, str] = {name: f"http://{host}:{self._server.server_address[1]}/{name}.mjpg" for name in CAMERAS}
+        self.urls: Mapping[str, str] = {
+            name: f"http://{host}:{self._server.server_address[1]}/{name}.mjpg" for name in CAMERAS
+        }
         serve = {"poll_interval": LOOK_S}
-        self._thread = threading.Thread(target=self._server.serve_forever, kwargs=serve, name="camera streams", daemon=True)
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, kwargs=serve, name="camera streams", daemon=True
+        )
         self._thread.start()
 
     def close(self) -> None:
@@ -94,7 +112,9 @@ class _Server(ThreadingHTTPServer):
     owner: StreamServer
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A reader that has gone is no error of ours; anything else is printed, as the base class does."""
+        """A reader that has gone is no error of ours; anything else is printed, as the base class
+        does.
+        """
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)
 
@@ -107,7 +127,10 @@ class _Handler(BaseHTTPRequestHandler):
         """Send one camera's pictures until somebody hangs up."""
         camera = self.path.partition("?")[0].strip("/").removesuffix(".mjpg")
         if camera not in CAMERAS:
-            self.send_error(HTTPStatus.NOT_FOUND, f"no such camera; there are {', '.join(f'/{name}.mjpg' for name in CAMERAS)}")
+            self.send_error(
+                HTTPStatus.NOT_FOUND,
+                f"no such camera; there are {', '.join(f'/{name}.mjpg' for name in CAMERAS)}",
+            )
             return
         self.send_response(HTTPStatus.OK)
         self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
@@ -130,8 +153,14 @@ class _Handler(BaseHTTPRequestHandler):
                 continue
             exposed_s = frames.exposed_s.get(camera, 0.0)
             first_s = min(frames.exposed_s.values(), default=exposed_s)
-            self._wait_until(owner.clock.now() + exposed_s - first_s, owner)  # one exposed later arrives later
-            self.wfile.write(part(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes(), exposed_s))
+            # one exposed later arrives later
+            self._wait_until(owner.clock.now() + exposed_s - first_s, owner)
+            self.wfile.write(
+                part(
+                    cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes(),
+                    exposed_s,
+                )
+            )
 
     def _wait_until(self, when_s: float, owner: StreamServer) -> None:
         while not owner.closing and (left_s := when_s - owner.clock.now()) > 0.0:
@@ -140,5 +169,8 @@ class _Handler(BaseHTTPRequestHandler):
 
 def part(jpeg: bytes, exposed_s: float) -> bytes:
     """One picture of the stream."""
-    head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\nX-Exposed-Seconds: {exposed_s:.6f}\r\n\r\n"
+    head = (
+        f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length:"
+        f" {len(jpeg)}\r\nX-Exposed-Seconds: {exposed_s:.6f}\r\n\r\n"
+    )
     return head.encode("ascii") + jpeg + b"\r\n"

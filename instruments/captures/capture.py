@@ -1,8 +1,10 @@
-"""A capture: the bytes of every link with time and direction, as JSON lines in one file that a lab can send.
+"""A capture: the bytes of every link with time and direction, as JSON lines in one file that a lab
+can send.
 
-The first line says what the file is, each further line is one event. Every line is written through at once, so that
-whatever kills the bench leaves all but perhaps the last one, and nothing is kept in memory. Listening in may not change
-what is listened to: a disk that fills up ends the capture and not the run. It may not know what the bytes mean.
+The first line says what the file is, each further line is one event. Every line is written through
+at once, so that whatever kills the bench leaves all but perhaps the last one, and nothing is kept
+in memory. Listening in may not change what is listened to: a disk that fills up ends the capture
+and not the run. It may not know what the bytes mean.
 """
 
 from __future__ import annotations
@@ -20,19 +22,25 @@ from instruments.tap import NoTap, Tap
 
 FORMAT = "teatbench capture"
 VERSION = 1
-FACTS = ("teatbench", "wall_time", "command", "machine")  # of the header, beside format and version: all text
+# of the header, beside format and version: all text
+FACTS = ("teatbench", "wall_time", "command", "machine")
 LINK_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}")
 PIECE = 65536  # bytes an event; what is longer is written as several
 SHOWN = 20  # faults that are listed of one file
 
 
 class CaptureError(ValueError):
-    """A capture that can't be written or read. Lists the faults of a file, each as ``file:line: what is wrong``."""
+    """A capture that can't be written or read. Lists the faults of a file, each as ``file:line:
+    what is wrong``.
+    """
 
     def __init__(self, path: Path, faults: Sequence[tuple[int, str]]) -> None:
         self.path = path
         self.faults = tuple(faults)
-        lines = [f"{path}:{line}: {what}" if line else f"{path}: {what}" for line, what in self.faults[:SHOWN]]
+        lines = [
+            f"{path}:{line}: {what}" if line else f"{path}: {what}"
+            for line, what in self.faults[:SHOWN]
+        ]
         if len(self.faults) > SHOWN:
             lines.append(f"... and {len(self.faults) - SHOWN} faults more")
         super().__init__("\n".join(lines))
@@ -42,7 +50,9 @@ class Captures(Protocol):
     """Where whoever opens a link asks for somebody to listen in on it."""
 
     def tap(self, link: str, clock: Clock) -> Tap:
-        """A tap for the link of this name (``arm``, ``bath``, ``stage``), with times by ``clock``."""
+        """A tap for the link of this name (``arm``, ``bath``,
+        ``stage``), with times by ``clock``.
+        """
         ...
 
 
@@ -57,10 +67,12 @@ NO_CAPTURE = NoCapture()
 
 
 class CaptureFile:
-    """A capture being written to a new file at ``path``; may be shared by threads. To be closed, or used with ``with``.
+    """A capture being written to a new file at ``path``; may be shared by threads. To be closed, or
+    used with ``with``.
 
-    ``facts`` go into the header: a text for each of FACTS but the time of day, which is noted here. Raises CaptureError
-    when the file is there already or can't be made. ``fault`` says why the capture ended early, if it did.
+    ``facts`` go into the header: a text for each of FACTS but the time of day, which is noted here.
+    Raises CaptureError when the file is there already or can't be made. ``fault`` says why the
+    capture ended early, if it did.
     """
 
     def __init__(self, path: Path, facts: dict[str, str]) -> None:
@@ -68,27 +80,44 @@ class CaptureFile:
         self.fault = ""
         self.events = 0
         self._lock = threading.Lock()
-        header = {"format": FORMAT, "version": VERSION, "wall_time": wall_time().isoformat(timespec="seconds"), **facts}
+        header = {
+            "format": FORMAT,
+            "version": VERSION,
+            "wall_time": wall_time().isoformat(timespec="seconds"),
+            **facts,
+        }
         try:
             self._file = path.open("xb", buffering=0)
         except FileExistsError:
-            raise CaptureError(path, [(0, "is there already, and a capture is never written over. Name another file.")]) from None
+            raise CaptureError(
+                path,
+                [(0, "is there already, and a capture is never written over. Name another file.")],
+            ) from None
         except (OSError, ValueError) as error:
-            raise CaptureError(path, [(0, f"can't be written: {getattr(error, 'strerror', None) or error}")]) from error
+            raise CaptureError(
+                path, [(0, f"can't be written: {getattr(error, 'strerror', None) or error}")]
+            ) from error
         self._write(json.dumps(header))
 
     def tap(self, link: str, clock: Clock) -> Tap:
         """A tap for the link of this name. Raises ValueError for a name that is no plain word."""
         if not LINK_NAME.fullmatch(link):
-            raise ValueError(f"no name for a link: {link!r}; letters, digits, _ and - are allowed, 32 at most, a letter first")
+            raise ValueError(
+                f"no name for a link: {link!r}; letters, digits, _ and - are allowed, 32 at most, a"
+                " letter first"
+            )
         return _LinkTap(self, link, clock)
 
     def note(self, link: str, clock: Clock, event: str, **fact: str) -> None:
-        """Write one event with the time by ``clock``. What comes after the end, or after a fault, is dropped."""
+        """Write one event with the time by ``clock``. What comes after the end, or after a fault,
+        is dropped.
+        """
         with self._lock:
             if not self._file.closed and not self.fault:
                 self.events += 1
-                self._write(json.dumps({"t_s": round(clock.now(), 6), "link": link, "event": event, **fact}))
+                self._write(
+                    json.dumps({"t_s": round(clock.now(), 6), "link": link, "event": event, **fact})
+                )
 
     def close(self) -> None:
         """End the capture; a file without any event is taken away. Once more is no error."""
@@ -102,7 +131,12 @@ class CaptureFile:
     def __enter__(self) -> CaptureFile:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
     def _write(self, line: str) -> None:
@@ -111,7 +145,10 @@ class CaptureFile:
             while rest:
                 rest = rest[self._file.write(rest) :]
         except OSError as error:
-            self.fault = f"{self.path} ends early, after {max(0, self.events - 1)} events: {error.strerror or error}"
+            self.fault = (
+                f"{self.path} ends early, after {max(0, self.events - 1)} events:"
+                f" {error.strerror or error}"
+            )
 
 
 class _LinkTap:

@@ -1,7 +1,8 @@
-"""Reads a capture back: each link's connections, and in each what the host asked and what came of it.
+"""Reads a capture back: each link's connections, and in each what the host asked and what came of
+it.
 
-Every fault of a file is told with its line. A last line that is cut is none: that is how a killed bench leaves its
-capture. It may not know what the bytes mean.
+Every fault of a file is told with its line. A last line that is cut is none: that is how a killed
+bench leaves its capture. It may not know what the bytes mean.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from instruments.captures.capture import FACTS, FORMAT, LINK_NAME, VERSION, Capt
 
 LONGEST_LINE = 1 << 20
 ENOUGH = 1000  # faults after which a file is given up
-EVENTS: dict[str, tuple[frozenset[str], frozenset[str]]] = {  # what each must say beside time, link and event; and what it may
+# what each must say beside time, link and event; and what it may
+EVENTS: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "opened": (frozenset({"url"}), frozenset()),
     "sent": (frozenset({"data"}), frozenset()),
     "received": (frozenset({"data"}), frozenset()),
@@ -37,7 +39,9 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """What the host sent, the last of it at ``asked_s``, and all that came until it sent again; ``line`` is the first one's."""
+    """What the host sent, the last of it at ``asked_s``, and all that came until it sent again;
+    ``line`` is the first one's.
+    """
 
     asked: bytes
     asked_s: float
@@ -49,8 +53,8 @@ class Exchange:
 class Conversation:
     """One connection. The first exchange has nothing asked: what came unasked.
 
-    ``closed_s`` is None where the capture ends before the connection did; ``broke`` says what broke it, and is empty
-    where the host closed it.
+    ``closed_s`` is None where the capture ends before the connection did; ``broke`` says what broke
+    it, and is empty where the host closed it.
     """
 
     url: str
@@ -62,7 +66,9 @@ class Conversation:
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """A file as read. ``facts`` are the header's, ``links`` each link's connections in order, ``cut`` whether the last line was cut."""
+    """A file as read. ``facts`` are the header's, ``links`` each link's connections in order,
+    ``cut`` whether the last line was cut.
+    """
 
     path: Path
     facts: Mapping[str, str]
@@ -71,7 +77,9 @@ class Capture:
 
 
 def read_capture(path: Path) -> Capture:
-    """The capture at ``path``. Raises CaptureError with all its faults, or the one that keeps it from being read."""
+    """The capture at ``path``. Raises CaptureError with all its faults, or the one that keeps it
+    from being read.
+    """
     try:
         with path.open("rb") as file:
             lines = iter(lambda: file.readline(LONGEST_LINE + 1), b"")
@@ -117,14 +125,18 @@ class _Draft:
         self._exchanges[-1].asked_s = t_s
 
     def received(self, t_s: float, data: bytes, line: int) -> None:
-        self._exchanges[-1].came.append(Piece(t_s, data, line))  # also what is read only after the link broke
+        # also what is read only after the link broke
+        self._exchanges[-1].came.append(Piece(t_s, data, line))
 
     def closed(self, t_s: float, why: str) -> None:
         if self._closed_s is None:
             self._closed_s, self._broke = t_s, why
 
     def finished(self) -> Conversation:
-        exchanges = tuple(Exchange(bytes(one.asked), one.asked_s, one.line, tuple(one.came)) for one in self._exchanges)
+        exchanges = tuple(
+            Exchange(bytes(one.asked), one.asked_s, one.line, tuple(one.came))
+            for one in self._exchanges
+        )
         return Conversation(self._url, self._opened_s, exchanges, self._closed_s, self._broke)
 
 
@@ -149,11 +161,16 @@ class _Reader:
                     break
         if self._faults:
             raise CaptureError(self._path, self._faults)
-        links = {name: tuple(draft.finished() for draft in drafts) for name, drafts in self._links.items()}
+        links = {
+            name: tuple(draft.finished() for draft in drafts)
+            for name, drafts in self._links.items()
+        }
         return Capture(self._path, facts, links, self._cut)
 
     def _header(self, line: bytes) -> dict[str, str]:
-        """The first line's facts. Raises CaptureError at once: what follows another kind of header makes no sense."""
+        """The first line's facts. Raises CaptureError at once: what follows another kind of header
+        makes no sense.
+        """
         hint = "is this a file that teatbench wrote with --capture?"
         if not line:
             raise CaptureError(self._path, [(0, f"is empty; {hint}")])
@@ -163,7 +180,10 @@ class _Reader:
                 raise _WrongError(f'no "format": "{FORMAT}"; {hint}')
             version = told.pop("version", None)
             if version != VERSION or isinstance(version, bool):
-                raise _WrongError(f"written in version {version!r} of the format, and only {VERSION} is understood here: update teatbench")
+                raise _WrongError(
+                    f"written in version {version!r} of the format, and only {VERSION} is"
+                    " understood here: update teatbench"
+                )
             _check_keys(told, frozenset(FACTS), frozenset())
             return {key: _text(told, key) for key in FACTS}
         except _WrongError as wrong:
@@ -182,7 +202,11 @@ class _Reader:
             self._links.setdefault(link, []).append(_Draft(_text(told, "url"), t_s, number))
             return
         if link not in self._links:
-            raise _WrongError(f"{link} was {kind} before it was opened" if kind == "closed" else f"bytes {kind} before {link} was opened")
+            raise _WrongError(
+                f"{link} was {kind} before it was opened"
+                if kind == "closed"
+                else f"bytes {kind} before {link} was opened"
+            )
         draft = self._links[link][-1]
         if kind == "sent":
             draft.sent(t_s, _bytes(told), number)
@@ -192,7 +216,11 @@ class _Reader:
             draft.closed(t_s, _text(told, "why") if "why" in told else "")
 
     def _time(self, t_s: object) -> float:
-        if isinstance(t_s, bool) or not isinstance(t_s, int | float) or not 0 <= t_s <= sys.float_info.max:
+        if (
+            isinstance(t_s, bool)
+            or not isinstance(t_s, int | float)
+            or not 0 <= t_s <= sys.float_info.max
+        ):
             raise _WrongError(f"t_s is no time: {t_s!r:.60}")
         if t_s < self._last_s:
             raise _WrongError(f"t_s goes back, from {self._last_s:g} to {t_s:g}")

@@ -1,21 +1,26 @@
-"""The one thing in which a replayed Modbus TCP host may differ: each request's transaction id, which its answer repeats.
+"""The one thing in which a replayed Modbus TCP host may differ: each request's transaction id,
+which its answer repeats.
 
-A host counts them as it likes. So the recorded id stands in for the host's own while bytes are compared, and the host's
-own for the recorded one in the answer. All other bytes are left alone, and so is what is no Modbus TCP.
+A host counts them as it likes. So the recorded id stands in for the host's own while bytes are
+compared, and the host's own for the recorded one in the answer. All other bytes are left alone, and
+so is what is no Modbus TCP.
 
 Source: Modbus messaging on TCP/IP, implementation guide 1.0b, section 3.1.3 (the header).
 
-Plays one recorded connection to the host that has made it: compares what it sends, and says what came of that.
+Plays one recorded connection to the host that has made it: compares what it sends, and says what
+came of that.
 
-What came of a request comes again once the whole request has been seen, however TCP cuts it, and after the recorded
-while. The order of bytes is always the recorded one: when the host is faster than it was, what it had read before a
-request leaves before that request's answer. A host that asks otherwise is told on and hears nothing more. It may not
-know what bytes mean, but for the ids in `transaction_ids`.
+What came of a request comes again once the whole request has been seen, however TCP cuts it, and
+after the recorded while. The order of bytes is always the recorded one: when the host is faster
+than it was, what it had read before a request leaves before that request's answer. A host that asks
+otherwise is told on and hears nothing more. It may not know what bytes mean, but for the ids in
+`transaction_ids`.
 
 Plays the far ends of a capture back: to a driver they are the instruments that were recorded.
 
-A listener for each link, at which each connection plays the next that was recorded (`replay_player`). What the hosts do
-otherwise than recorded is kept, as `Mismatch`. It may not know what bytes mean.
+A listener for each link, at which each connection plays the next that was recorded
+(`replay_player`). What the hosts do otherwise than recorded is kept, as `Mismatch`. It may not know
+what bytes mean.
 """
 
 from __future__ import annotations
@@ -40,7 +45,9 @@ LONGEST = 254
 
 
 def is_modbus_tcp(url: str) -> bool:
-    """Whether the link of this URL carries Modbus TCP: of all links, the bath's alone is ``tcp://``."""
+    """Whether the link of this URL carries Modbus TCP: of all links, the bath's alone is
+    ``tcp://``.
+    """
     return url.startswith("tcp://")
 
 
@@ -49,7 +56,9 @@ class TransactionIds:
 
     def __init__(self, script: Conversation) -> None:
         self._asked = _Stream(b"".join(exchange.asked for exchange in script.exchanges))
-        self._came = _Stream(b"".join(piece.data for exchange in script.exchanges for piece in exchange.came))
+        self._came = _Stream(
+            b"".join(piece.data for exchange in script.exchanges for piece in exchange.came)
+        )
         self._own: dict[bytes, bytes] = {}  # the host's id for each recorded one
         self._half = b""
 
@@ -80,7 +89,9 @@ class _Stream:
         self._at = 0
 
     def ids_in_next(self, count: int) -> Iterator[tuple[int, int, bytes]]:
-        """For each byte of an id within the next ``count``: where it is, which of the id's bytes, and the recorded id."""
+        """For each byte of an id within the next ``count``: where it is, which of the id's bytes,
+        and the recorded id.
+        """
         begin, end = self._at, self._at + count
         self._at = end
         number = bisect_left(self._starts, begin - ID_BYTES + 1)
@@ -103,8 +114,9 @@ def _starts(stream: bytes) -> Iterator[int]:
         at += HEADER.size + length
 
 
-# A recorded time is when the host had read the bytes. To be read at that time again they leave earlier: by the
-# rounding of the file under virtual time, by what loopback and a thread take under real time.
+# A recorded time is when the host had read the bytes. To be read at that time again they leave
+# earlier: by the rounding of the file under virtual time, by what loopback and a thread take under
+# real time.
 LEAD_VIRTUAL_S = 2e-6
 LEAD_REAL_S = 2e-3
 SHOWN = 24  # bytes of a mismatch
@@ -117,7 +129,9 @@ class Tell(Protocol):
 
 
 class Player:
-    """The far end of connection ``number`` (from 0), to be told of the host's bytes; answers at once when ``fast``."""
+    """The far end of connection ``number`` (from 0), to be told of the host's bytes; answers at
+    once when ``fast``.
+    """
 
     def __init__(
         self,
@@ -149,7 +163,11 @@ class Player:
         requests = len(self._script.exchanges) - 1
         if self._lost:
             return f"{self._turn} of {requests} requests as recorded, then a mismatch"
-        return f"the host left after {self._turn} of {requests} requests" if self._turn < requests else ""
+        return (
+            f"the host left after {self._turn} of {requests} requests"
+            if self._turn < requests
+            else ""
+        )
 
     def start(self) -> None:
         """Say what came unasked."""
@@ -170,21 +188,40 @@ class Player:
                 self._differs(self._script.exchanges[self._turn + 1], self._heard + data)
             elif len(self._heard) == len(asked):
                 self._say_all()
-                self._turn, self._said, self._heard, self._asked_s = self._turn + 1, 0, b"", self._clock.now()
+                self._turn, self._said, self._heard, self._asked_s = (
+                    self._turn + 1,
+                    0,
+                    b"",
+                    self._clock.now(),
+                )
                 self._answer()
 
     def _after_the_end(self, data: bytes) -> None:
         """Silence; and where the recording ends because the host closed, that it didn't is told."""
         self._lost = self._script.closed_s is not None and not self._script.broke
         if self._lost:
-            self._tell(self._script.exchanges[-1].line, "the host sends more than was recorded on this connection", b"", data[:SHOWN])
+            self._tell(
+                self._script.exchanges[-1].line,
+                "the host sends more than was recorded on this connection",
+                b"",
+                data[:SHOWN],
+            )
 
     def _differs(self, exchange: Exchange, got: bytes) -> None:
         self._lost = True
-        same = next(at for at, (one, other) in enumerate(zip(exchange.asked, got, strict=False)) if one != other)
+        same = next(
+            at
+            for at, (one, other) in enumerate(zip(exchange.asked, got, strict=False))
+            if one != other
+        )
         start = max(0, same - SHOWN // 2)
-        what = f"connection {self.number + 1}, request {self._turn + 1}: byte {same} of it is another than recorded"
-        self._tell(exchange.line, what, exchange.asked[start : start + SHOWN], got[start : start + SHOWN])
+        what = (
+            f"connection {self.number + 1}, request {self._turn + 1}: byte {same} of it is another"
+            " than recorded"
+        )
+        self._tell(
+            exchange.line, what, exchange.asked[start : start + SHOWN], got[start : start + SHOWN]
+        )
 
     def _answer(self) -> None:
         """Say what is due of what came of the request, and come back for the rest."""
@@ -195,7 +232,11 @@ class Player:
                 self._connection.after(wait_s, partial(self._go_on, self._turn))
                 return
             self._say(exchange)
-        if self._script.broke and self._script.closed_s is not None and self._turn + 1 == len(self._script.exchanges):
+        if (
+            self._script.broke
+            and self._script.closed_s is not None
+            and self._turn + 1 == len(self._script.exchanges)
+        ):
             self._hang_up_at(self._script.closed_s)
 
     def _hang_up_at(self, recorded_s: float) -> None:
@@ -228,7 +269,9 @@ class Player:
 
 @dataclass(frozen=True, slots=True)
 class Mismatch:
-    """The host sent ``got`` where ``expected`` was recorded, at ``line`` of the capture; ``what`` is the sentence."""
+    """The host sent ``got`` where ``expected`` was recorded, at ``line`` of the capture; ``what``
+    is the sentence.
+    """
 
     link: str
     line: int
@@ -239,7 +282,11 @@ class Mismatch:
     @property
     def sentence(self) -> str:
         """What it was, and with which bytes."""
-        told = f" (expected {_shown(self.expected)}, got {_shown(self.got)})" if self.expected or self.got else ""
+        told = (
+            f" (expected {_shown(self.expected)}, got {_shown(self.got)})"
+            if self.expected or self.got
+            else ""
+        )
         return f"{self.what}{told}"
 
     def __str__(self) -> str:
@@ -247,11 +294,13 @@ class Mismatch:
 
 
 class Replay:
-    """A listener for each link of ``capture`` (or of ``links``), at ``urls``. To be closed, or used with ``with``.
+    """A listener for each link of ``capture`` (or of ``links``), at ``urls``. To be closed, or used
+    with ``with``.
 
-    ``mismatches`` are what the hosts did otherwise than recorded, in the order in which they did it.
-    ``fast`` answers at once. ``again`` starts from the first connection once the last has been played; without it
-    a connection more than recorded is a mismatch. Raises OSError when ``host`` can't be listened on.
+    ``mismatches`` are what the hosts did otherwise than recorded, in the order in which they did
+    it. ``fast`` answers at once. ``again`` starts from the first connection once the last has been
+    played; without it a connection more than recorded is a mismatch. Raises OSError when ``host``
+    can't be listened on.
     """
 
     def __init__(
@@ -272,7 +321,9 @@ class Replay:
         try:
             for link, conversations in capture.links.items():
                 if links is None or link in links:
-                    end = FarEnd(link, conversations, clock, self.mismatches.append, fast=fast, again=again)
+                    end = FarEnd(
+                        link, conversations, clock, self.mismatches.append, fast=fast, again=again
+                    )
                     listener = Listener(end, clock, lock=lock, name=f"replayed {link}", host=host)
                     self._listeners.append(listener)
                     self.ends[link] = end
@@ -299,12 +350,19 @@ class Replay:
     def __enter__(self) -> Replay:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
 
 class FarEnd:
-    """The far end of one link, as a device behind a listener: each connection plays the next that was recorded."""
+    """The far end of one link, as a device behind a listener: each connection plays the next that
+    was recorded.
+    """
 
     def __init__(
         self,
@@ -334,8 +392,13 @@ class FarEnd:
     @property
     def unplayed(self) -> str:
         """What has not been played in this turn; empty when all has."""
-        playing = {player.number: player.left for player in list(self._players.values()) if player.left}
-        left = [f"connection {number + 1}: {what}" for number, what in sorted({**self._left, **playing}.items())]
+        playing = {
+            player.number: player.left for player in list(self._players.values()) if player.left
+        }
+        left = [
+            f"connection {number + 1}: {what}"
+            for number, what in sorted({**self._left, **playing}.items())
+        ]
         if missing := len(self._conversations) - self._next:
             left.append(f"{missing} of {len(self._conversations)} connections were never made")
         return "; ".join(left)
@@ -349,9 +412,17 @@ class FarEnd:
             line = self._conversations[-1].exchanges[-1].line
             self._tell(line, f"connected once more than the {self._next} times that were recorded")
             return
-        player = Player(self._conversations[self._next], self._next, connection, self._clock, fast=self._fast, tell=self._tell)
+        player = Player(
+            self._conversations[self._next],
+            self._next,
+            connection,
+            self._clock,
+            fast=self._fast,
+            tell=self._tell,
+        )
         self._players[connection] = player
-        self._next += 1  # last, as below: somebody may be waiting on another thread for ``finished``
+        # last, as below: somebody may be waiting on another thread for ``finished``
+        self._next += 1
         player.start()
 
     def receive(self, connection: Connection, data: bytes) -> None:
@@ -373,16 +444,23 @@ class FarEnd:
 def _shown(data: bytes) -> str:
     """As text where it is a line of text, else as hex."""
     text = data.decode("latin-1")
-    return ascii(text) if data and text.isascii() and text.strip().isprintable() else hex_bytes(data)
+    return (
+        ascii(text) if data and text.isascii() and text.strip().isprintable() else hex_bytes(data)
+    )
 
 
 def _like(link: str, talk: Conversation, url: str) -> str:
-    """``url`` in the form that the driver takes which was recorded: a bath's says how Modbus is framed, and which unit if not 1."""
+    """``url`` in the form that the driver takes which was recorded: a bath's says how Modbus is
+    framed, and which unit if not 1.
+    """
     if is_modbus_tcp(talk.url):
         scheme, place = "tcp", 6
-    elif talk.url.startswith("rtu+tcp://") or (link == "bath" and "://" not in talk.url):  # on a serial port it is RTU
+    # on a serial port it is RTU
+    elif talk.url.startswith("rtu+tcp://") or (link == "bath" and "://" not in talk.url):
         scheme, place = "rtu+tcp", 0
     else:
         return url
     unit = talk.exchanges[1].asked[place : place + 1] if len(talk.exchanges) > 1 else b""
-    return url.replace("socket", scheme, 1) + (f"?unit={unit[0]}" if unit not in (b"", b"\1") else "")
+    return url.replace("socket", scheme, 1) + (
+        f"?unit={unit[0]}" if unit not in (b"", b"\1") else ""
+    )

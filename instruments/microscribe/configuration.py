@@ -1,8 +1,10 @@
-"""What an arm says of itself, as values and as bytes: names, maxima, parameters; and the longer commands.
+"""What an arm says of itself, as values and as bytes: names, maxima, parameters; and the longer
+commands.
 
-Facts: ../shared/instruments/microscribe.md, from the maker's SDK manual, chapter 4. Every reply is the command's
-code, then 8-bit data, most significant byte first. Values are kept as the arm gives them, so that a value turns
-back into the same bytes. Pure: it may not know of time, links or threads, nor who speaks.
+Facts: ../shared/instruments/microscribe.md, from the maker's SDK manual, chapter 4. Every reply is
+the command's code, then 8-bit data, most significant byte first. Values are kept as the arm gives
+them, so that a value turns back into the same bytes. Pure: it may not know of time, links or
+threads, nor who speaks.
 
 What is known of one arm once it has signed on, as values, as a shape and for the record. Pure.
 """
@@ -17,7 +19,15 @@ from dataclasses import asdict, astuple, dataclass
 from instruments.microscribe.kinematics import COUNT_MODULUS, ArmGeometry
 from instruments.microscribe.protocol import Code, WireError, encoder_count
 
-NAMES = (Code.PRODUCT_NAME, Code.PRODUCT_ID, Code.MODEL, Code.SERIAL_NUMBER, Code.COMMENT, Code.FORMAT, Code.VERSION)
+NAMES = (
+    Code.PRODUCT_NAME,
+    Code.PRODUCT_ID,
+    Code.MODEL,
+    Code.SERIAL_NUMBER,
+    Code.COMMENT,
+    Code.FORMAT,
+    Code.VERSION,
+)
 FORMAT = "Format DH0.5"
 BETA_MARK = "Beta"  # in the comment of an arm that has extended parameters
 NAME_MAX_BYTES = 32  # with the NUL, without the code
@@ -32,7 +42,9 @@ _INCH_MM = 25.4
 
 
 class BlockLengthError(WireError):
-    """A block of parameters says that it has another length than the one whose meaning is known. Not for missing bytes."""
+    """A block of parameters says that it has another length than the one whose meaning is known.
+    Not for missing bytes.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +67,9 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Maxima:
-    """Full scales: buttons' mask, timer, eight analogs, their lowest bits, six encoders (0: absent)."""
+    """Full scales: buttons' mask, timer, eight analogs, their lowest bits, six encoders (0:
+    absent).
+    """
 
     button_mask: int
     timer: int
@@ -104,23 +118,39 @@ def length_mm(value: int) -> float:
 
 
 def encode_name(code: int, name: str) -> bytes:
-    """The reply to a question for a name. Raises WireError when the name isn't ASCII or too long."""
+    """The reply to a question for a name. Raises WireError when
+    the name isn't ASCII or too long.
+    """
     if not name.isascii() or "\0" in name or len(name) >= NAME_MAX_BYTES:
-        raise WireError(f"{name!r} is no name for an arm: ASCII without NUL, {NAME_MAX_BYTES - 1} characters at most")
+        raise WireError(
+            f"{name!r} is no name for an arm: ASCII without NUL, {NAME_MAX_BYTES - 1} characters at"
+            " most"
+        )
     return bytes([code]) + name.encode("ascii") + b"\0"
 
 
 def decode_name(code: int, reply: bytes) -> str:
     """The name in a reply: code, ASCII, NUL. Raises WireError for anything else."""
     body = _body(code, reply)
-    if not body.endswith(b"\0") or body.count(0) != 1 or len(body) > NAME_MAX_BYTES or not body.isascii():
+    if (
+        not body.endswith(b"\0")
+        or body.count(0) != 1
+        or len(body) > NAME_MAX_BYTES
+        or not body.isascii()
+    ):
         raise WireError(f"a name is ASCII that ends with a NUL, {NAME_MAX_BYTES} bytes at most")
     return body[:-1].decode("ascii")
 
 
 def encode_maxima(maxima: Maxima) -> bytes:
     """The reply with the full scales. Raises WireError when one doesn't fit its field."""
-    fields = (maxima.button_mask, maxima.timer, *maxima.analogs, maxima.analog_low_bits, *maxima.encoders)
+    fields = (
+        maxima.button_mask,
+        maxima.timer,
+        *maxima.analogs,
+        maxima.analog_low_bits,
+        *maxima.encoders,
+    )
     return bytes([Code.MAXIMA]) + _packed(_MAXIMA, fields)
 
 
@@ -140,13 +170,17 @@ def encode_parameters(parameters: Parameters) -> bytes:
 
 
 def decode_parameters(reply: bytes) -> Parameters:
-    """The parameters in a reply. Raises WireError where the stated or the real length isn't 36, or for another code."""
+    """The parameters in a reply. Raises WireError where the stated or the real length isn't 36, or
+    for another code.
+    """
     v = _PARAMETERS.unpack(_block(Code.PARAMETERS, reply, PARAMETER_BYTES))
     return Parameters(v[:6], v[6:12], v[12:])
 
 
 def encode_extended(beta: int) -> bytes:
-    """The reply with the extended parameters: beta, signed 16-bit. Raises WireError when it doesn't fit."""
+    """The reply with the extended parameters: beta, signed 16-bit. Raises WireError when it doesn't
+    fit.
+    """
     return bytes([Code.EXTENDED, 2]) + _packed(struct.Struct(">h"), (beta,))
 
 
@@ -157,7 +191,9 @@ def decode_extended(reply: bytes) -> int:
 
 @dataclass(frozen=True, slots=True)
 class StreamRequest:
-    """What starts a stream. All zero after ``command`` means a fixed rate with the delay as its period."""
+    """What starts a stream. All zero after ``command`` means a fixed rate with the delay as its
+    period.
+    """
 
     delay_ms: int
     command: int
@@ -172,7 +208,9 @@ class StreamRequest:
 
 
 def encode_stream(request: StreamRequest) -> bytes:
-    """The stream command: 25 bytes, or 27 for seven encoders. Raises WireError when a field doesn't fit."""
+    """The stream command: 25 bytes, or 27 for seven encoders. Raises WireError when a field doesn't
+    fit.
+    """
     return bytes([Code.STREAM]) + _packed(_stream_layout(request.command), _flat(request))
 
 
@@ -187,7 +225,8 @@ def decode_stream(data: bytes) -> StreamRequest:
 
 
 def reply_length(code: int, data: bytes) -> int | None:
-    """How long the reply to ``code`` is that ``data`` begins with; None while too little has come to say, or to be whole.
+    """How long the reply to ``code`` is that ``data`` begins with; None while too little has come
+    to say, or to be whole.
 
     Replies have 8-bit data, so that nothing but their place tells where they end.
     """
@@ -234,9 +273,14 @@ def _body(code: int, reply: bytes) -> bytes:
 def _block(code: int, reply: bytes, length: int) -> bytes:
     body = _body(code, reply)
     if body[:1] != bytes([length]):
-        raise BlockLengthError(f"the block behind {code:02X} says it has {body[0] if body else 'no'} bytes; {length} are understood")
+        raise BlockLengthError(
+            f"the block behind {code:02X} says it has {body[0] if body else 'no'} bytes; {length}"
+            " are understood"
+        )
     if len(body) != length + 1:
-        raise WireError(f"the block behind {code:02X} has {len(body) - 1} bytes, not the {length} it says")
+        raise WireError(
+            f"the block behind {code:02X} has {len(body) - 1} bytes, not the {length} it says"
+        )
     return body[1:]
 
 
@@ -251,16 +295,26 @@ class Portrait:
 
     def geometry(self, tip_longer_mm: float) -> ArmGeometry:
         """Its shape, with a tip that is so much longer than the standard one."""
-        return ArmGeometry.from_block(self.parameters, angle_rad(self.beta), self.maxima.turns).with_tip(tip_longer_mm)
+        return ArmGeometry.from_block(
+            self.parameters, angle_rad(self.beta), self.maxima.turns
+        ).with_tip(tip_longer_mm)
 
     def record(self) -> dict[str, object]:
-        """The names, and all numbers as the arm gave them: enough to compute every position anew from its counts."""
-        return {**asdict(self.identity), "maxima": asdict(self.maxima), "parameters": asdict(self.parameters), "beta": self.beta}
+        """The names, and all numbers as the arm gave them: enough to compute every position anew
+        from its counts.
+        """
+        return {
+            **asdict(self.identity),
+            "maxima": asdict(self.maxima),
+            "parameters": asdict(self.parameters),
+            "beta": self.beta,
+        }
 
     def warnings(self) -> list[str]:
         """A sentence for each joint whose counts, modulo 2^14, lose its angle after a few turns."""
         return [
-            f"joint {joint} has {turn} counts a turn, and {COUNT_MODULUS} is no multiple of that: its angle is lost after so many counts"
+            f"joint {joint} has {turn} counts a turn, and {COUNT_MODULUS} is no multiple of that:"
+            " its angle is lost after so many counts"
             for joint, turn in enumerate(self.maxima.turns)
             if turn and COUNT_MODULUS % turn
         ]

@@ -1,19 +1,21 @@
 """Whether an arm's counts mean positions: only after the operator has said so, in this power cycle.
 
-An arm that was not homed gives plausible, wrong positions with no sign of it (../shared/instruments/microscribe.md, What the
-maker states), so the answer is no whenever there is a doubt. It may not know the wire.
+An arm that was not homed gives plausible, wrong positions with no sign of it
+(../shared/instruments/microscribe.md, What the maker states), so the answer is no whenever there is
+a doubt. It may not know the wire.
 
-An arm on its link, in session or lost: how it is signed on, how a loss is noticed, and how it comes back.
+An arm on its link, in session or lost: how it is signed on, how a loss is noticed, and how it comes
+back.
 
-A loss is told once, by the question that notices it; the session and the homing are gone then. A link that broke is
-closed at once, so that its port's name is free when it comes back, and is opened again before the next sign-on. It may not
-know what a position is.
+A loss is told once, by the question that notices it; the session and the homing are gone then. A
+link that broke is closed at once, so that its port's name is free when it comes back, and is opened
+again before the next sign-on. It may not know what a position is.
 
 The USB adapter's latency timer: how long it holds bytes back, and how to make it stop.
 
-An FTDI chip waits 16 ms by default for more bytes, which is longer than the pause of a sign-on and costs as much a poll
-(../shared/instruments/microscribe.md, Link). Linux shows and sets the time under /sys; elsewhere there is nothing to see. It
-may not know the link.
+An FTDI chip waits 16 ms by default for more bytes, which is longer than the pause of a sign-on and
+costs as much a poll (../shared/instruments/microscribe.md, Link). Linux shows and sets the time
+under /sys; elsewhere there is nothing to see. It may not know the link.
 """
 
 from __future__ import annotations
@@ -26,7 +28,14 @@ from instruments.clock import Clock
 from instruments.errors import LinkError, ProtocolError
 from instruments.link import Link
 from instruments.microscribe.configuration import Portrait
-from instruments.microscribe.errors import AnotherArmError, NoSessionError, NotHomedError, SilentArmError, StreamingError, UnusableArmError
+from instruments.microscribe.errors import (
+    AnotherArmError,
+    NoSessionError,
+    NotHomedError,
+    SilentArmError,
+    StreamingError,
+    UnusableArmError,
+)
 from instruments.microscribe.protocol import ArmTime, Packet
 from instruments.microscribe.session import ATTEMPTS, SIGN_ON_S, Session
 
@@ -34,7 +43,10 @@ _CONFIRM_HINT = (
     "Confirm it if the stylus sat on its peg when the arm was last switched on; "
     "else put the stylus on its peg, switch the arm off and on, sign on, and confirm"
 )
-_HOME_HINT = "Put the stylus on its peg and home the arm ('teatbench arm home'), or switch it off and on there and sign on again"
+_HOME_HINT = (
+    "Put the stylus on its peg and home the arm ('teatbench arm home'), or switch it off and on"
+    " there and sign on again"
+)
 _AT_FIRST = "it has not been confirmed since sign-on"
 
 
@@ -48,18 +60,24 @@ class Homing:
         self._doubt = ""
 
     def signed_on(self, doubt: str = "") -> None:
-        """A new session. With a ``doubt`` no word of the operator helps: only homing, or a power cycle and a new sign-on."""
+        """A new session. With a ``doubt`` no word of the operator helps: only homing, or a power
+        cycle and a new sign-on.
+        """
         self.confirmed = False
         self._doubt = doubt
 
     def lost(self, why: str) -> None:
-        """Something happened after which nobody knows; the reason is told until homing is confirmed again."""
+        """Something happened after which nobody knows; the reason is told until homing is confirmed
+        again.
+        """
         if self.confirmed:
             self._why = why
         self.confirmed = False
 
     def confirm(self) -> None:
-        """The operator says that the arm was homed. Raises NotHomedError while there is a doubt that only homing removes."""
+        """The operator says that the arm was homed. Raises NotHomedError while there is a doubt
+        that only homing removes.
+        """
         if self._doubt:
             raise NotHomedError(self._who, self._doubt, asked="to confirm homing", hint=_HOME_HINT)
         self.homed()
@@ -72,22 +90,35 @@ class Homing:
         """Raise NotHomedError unless homing is confirmed."""
         if not self.confirmed:
             why = self._doubt or self._why
-            what = f"no positions before homing is confirmed: {why}. An arm that was not homed gives plausible, wrong ones"
-            raise NotHomedError(self._who, what, asked=asked, hint=_HOME_HINT if self._doubt else _CONFIRM_HINT)
+            what = (
+                f"no positions before homing is confirmed: {why}. An arm that was not homed gives"
+                " plausible, wrong ones"
+            )
+            raise NotHomedError(
+                self._who, what, asked=asked, hint=_HOME_HINT if self._doubt else _CONFIRM_HINT
+            )
 
 
 _RETRY_S = 0.25
 _RETRY_SIGN_ON_S = 1.0  # a port that is back is noticed, and its arm signed on, well within 2 s
 _RATES = (115200, 38400, 57600, 19200, 9600, 28800, 14400)  # the likely ones first
 
-_BACK_HINT = "Check power and cable, and sign on again; if it lost its power, switch it on with its stylus on its peg"
-_DOUBT = "the arm was in a session at another baud rate, and what was sent at the wrong one may have re-homed it"
+_BACK_HINT = (
+    "Check power and cable, and sign on again; if it lost its power, switch it on with its stylus"
+    " on its peg"
+)
+_DOUBT = (
+    "the arm was in a session at another baud rate, and what was sent at the wrong one may have"
+    " re-homed it"
+)
 
 
 class Attachment:
     """One arm on one link. ``rates``: what sign-on tries, the first one for longest."""
 
-    def __init__(self, link: Link, clock: Clock, rates: Sequence[int] | None, answer_s: float) -> None:
+    def __init__(
+        self, link: Link, clock: Clock, rates: Sequence[int] | None, answer_s: float
+    ) -> None:
         self.who = link.who
         self.link = link
         self.rates = (link.baud, *_other_rates(link)) if rates is None else tuple(rates)
@@ -109,8 +140,13 @@ class Attachment:
             now = self._sign_on_again(deadline)
             if before and before.identity.serial_number != now.identity.serial_number:
                 self.end()
-                what = f"arm {before.identity.serial_number} was lost, and arm {now.identity.serial_number} answers"
-                raise AnotherArmError(self.who, what, hint="Plug the first arm in again, or sign on to the new one")
+                what = (
+                    f"arm {before.identity.serial_number} was lost, and arm"
+                    f" {now.identity.serial_number} answers"
+                )
+                raise AnotherArmError(
+                    self.who, what, hint="Plug the first arm in again, or sign on to the new one"
+                )
         except BaseException:
             self.portrait = before  # still the arm that is waited for
             raise
@@ -134,10 +170,17 @@ class Attachment:
         asked, seconds = bytes([command]), self._clock.now() - start
         if seen:
             what = f"{ATTEMPTS} packets in a row came damaged"
-            raise ProtocolError(self.who, what, asked=asked, seen=seen, hint="Check cable, plugs and baud rate")
+            raise ProtocolError(
+                self.who, what, asked=asked, seen=seen, hint="Check cable, plugs and baud rate"
+            )
         self._lose("the arm fell silent: it may have lost its power")
-        what = "the arm has fallen silent: it lost its power or its cable, and with it its session and its homing"
-        raise SilentArmError(self.who, what, asked=asked, seen=b"", seconds=seconds, hint=_BACK_HINT)
+        what = (
+            "the arm has fallen silent: it lost its power or its cable, and with it its session and"
+            " its homing"
+        )
+        raise SilentArmError(
+            self.who, what, asked=asked, seen=b"", seconds=seconds, hint=_BACK_HINT
+        )
 
     @contextlib.contextmanager
     def noticing(self) -> Iterator[None]:
@@ -155,9 +198,13 @@ class Attachment:
     def need_session(self, asked: str) -> None:
         """Raise NoSessionError without a session, StreamingError within a stream."""
         if not self.session.live:
-            raise NoSessionError(self.who, "there is no session with the arm", asked=asked, hint="Sign on first")
+            raise NoSessionError(
+                self.who, "there is no session with the arm", asked=asked, hint="Sign on first"
+            )
         if self.session.streaming:
-            raise StreamingError(self.who, "a stream runs", asked=asked, hint="End the stream first")
+            raise StreamingError(
+                self.who, "a stream runs", asked=asked, hint="End the stream first"
+            )
 
     def rate_warning(self) -> str | None:
         """A sentence where the arm was found at another rate than the first."""
@@ -166,10 +213,15 @@ class Attachment:
         return f"the arm answers at {self.link.baud} baud, not at {self.rates[0]}"
 
     def _sign_on_again(self, deadline: float) -> Portrait:
-        """Until it works, or the deadline has passed. What is refused for good is raised at once."""
+        """Until it works, or the deadline has passed. What is
+        refused for good is raised at once.
+        """
         while True:
             try:
-                return self._sign_on((self.link.baud,), min(_RETRY_SIGN_ON_S, max(_RETRY_S, deadline - self._clock.now())))
+                return self._sign_on(
+                    (self.link.baud,),
+                    min(_RETRY_SIGN_ON_S, max(_RETRY_S, deadline - self._clock.now())),
+                )
             except UnusableArmError:
                 raise
             except (LinkError, ProtocolError):
@@ -196,7 +248,11 @@ class Attachment:
 
 def _other_rates(link: Link) -> tuple[int, ...]:
     """What else sign-on tries: nothing on a socket, whose far end keeps its own rate."""
-    return () if link.url.startswith("socket://") else tuple(rate for rate in _RATES if rate != link.baud)
+    return (
+        ()
+        if link.url.startswith("socket://")
+        else tuple(rate for rate in _RATES if rate != link.baud)
+    )
 
 
 SYSFS = Path("/sys")
@@ -204,18 +260,22 @@ WANTED_MS = 1
 
 
 def latency_warning(port: str, sysfs: Path = SYSFS) -> str | None:
-    """What to do about a slow adapter behind ``port``, as "/dev/ttyUSB0" or a link to it; None when all is well or not known."""
+    """What to do about a slow adapter behind ``port``, as "/dev/ttyUSB0" or a link to it; None when
+    all is well or not known.
+    """
     if "://" in port or not port.startswith("/"):
         return None
     name = Path(port).resolve().name
     timer = sysfs / "bus" / "usb-serial" / "devices" / name / "latency_timer"
     try:
         latency_ms = int(timer.read_text(encoding="ascii"))
-    except (OSError, ValueError):  # no USB adapter, one without a timer, or no Linux: nothing is known, so nothing to say
+    # no USB adapter, one without a timer, or no Linux: nothing is known, so nothing to say
+    except (OSError, ValueError):
         return None
     if latency_ms <= WANTED_MS:
         return None
     return (
-        f"the USB adapter {name} holds bytes back for {latency_ms} ms, which every poll waits for. "
-        f"Set it with: echo {WANTED_MS} | sudo tee {timer.as_posix()} (until it is plugged in again), or stream instead of polling"
+        f"the USB adapter {name} holds bytes back for {latency_ms} ms, which every poll waits for."
+        f" Set it with: echo {WANTED_MS} | sudo tee {timer.as_posix()} (until it is plugged in"
+        " again), or stream instead of polling"
     )

@@ -1,10 +1,11 @@
 """The host's end of a MicroScribe arm: who it is, packets, and readings that can be trusted.
 
-The protocol has no checksum and no error codes, so what keeps a position honest is on this side: damaged packets are asked
-for again, several packets make a reading, a silent arm or a broken link has lost its session and with it its homing, and
-no position leaves before the operator has confirmed homing (../shared/instruments/microscribe.md). A loss is told once, by
-the call that notices it; ``recover`` or ``sign_on`` brings the arm back. It may not know what the other end is, nor any
-frame of reference but the arm's own.
+The protocol has no checksum and no error codes, so what keeps a position honest is on this side:
+damaged packets are asked for again, several packets make a reading, a silent arm or a broken link
+has lost its session and with it its homing, and no position leaves before the operator has
+confirmed homing (../shared/instruments/microscribe.md). A loss is told once, by the call that
+notices it; ``recover`` or ``sign_on`` brings the arm back. It may not know what the other end is,
+nor any frame of reference but the arm's own.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ from instruments.microscribe.stream import (
 
 __all__ = ["INTERVAL_S", "MAX_SPREAD_MM", "MicroScribe", "PedalEvent", "Reading", "Sample"]
 
-# Eight packets of a still arm spread by some 0.35 mm at most: rounding (0.31 mm a packet) and a hand's tremor.
+# Eight packets of a still arm spread by some 0.35 mm at most: rounding (0.31 mm a packet) and a
+# hand's tremor.
 MAX_SPREAD_MM = 1.0
 INTERVAL_S = 0.01
 PEDAL_INTERVAL_S = 0.005
@@ -47,9 +49,10 @@ RECOVER_S = 30.0
 class MicroScribe:
     """One arm on one link, which it owns. It has no motor: only a hand moves it.
 
-    ``rates``: what sign-on tries, by default the link's own rate and then, on a serial port, all others. ``tip_longer_mm``:
-    how much longer than the standard tip the fitted one is. ``answer_s``: how long an answer is waited for, three times, before the
-    arm is lost. ``sysfs``: where Linux shows its adapters.
+    ``rates``: what sign-on tries, by default the link's own rate and then, on a serial port, all
+    others. ``tip_longer_mm``: how much longer than the standard tip the fitted one is.
+    ``answer_s``: how long an answer is waited for, three times, before the arm is lost. ``sysfs``:
+    where Linux shows its adapters.
     """
 
     moves: ClassVar[bool] = False
@@ -92,12 +95,16 @@ class MicroScribe:
 
     @property
     def beta_rad(self) -> float:
-        """The extended parameter, 0 where the arm has none. Raises NoSessionError before sign-on."""
+        """The extended parameter, 0 where the arm has none. Raises
+        NoSessionError before sign-on.
+        """
         return angle_rad(self._known().beta)
 
     @property
     def geometry(self) -> ArmGeometry:
-        """The arm's shape with the fitted tip, from maxima and parameters. Raises NoSessionError before sign-on."""
+        """The arm's shape with the fitted tip, from maxima and parameters. Raises NoSessionError
+        before sign-on.
+        """
         portrait = self._known()
         if self._geometry is None or self._geometry[0] is not portrait:
             self._geometry = portrait, portrait.geometry(self._tip_longer_mm)
@@ -109,12 +116,16 @@ class MicroScribe:
         return self._link.baud
 
     def record(self) -> dict[str, object]:
-        """All that the arm says of itself and how it was read, for a run's record. Raises NoSessionError before sign-on."""
+        """All that the arm says of itself and how it was read, for a run's record. Raises
+        NoSessionError before sign-on.
+        """
         return {**self._known().record(), "baud": self.baud, "tip_longer_mm": self._tip_longer_mm}
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a person should know, a sentence each: a slow adapter; and after sign-on, another rate, joints that lose count."""
+        """What a person should know, a sentence each: a slow adapter; and after sign-on, another
+        rate, joints that lose count.
+        """
         told = [latency_warning(self._link.url, self._sysfs)]
         if self._arm.portrait:
             told += [self._arm.rate_warning(), *self._arm.portrait.warnings()]
@@ -140,30 +151,36 @@ class MicroScribe:
     def sign_on(self) -> Identity:
         """Find the arm, open a session, and read who it is; homing has to be confirmed afterwards.
 
-        A link that broke is opened again first. Raises LinkError while the port is not back; SilentArmError when nothing
-        answers, NoMicroScribeError when something else does; InterfaceBoxError, UnknownFormatError, ParameterLengthError for
-        an arm that we don't understand; UnstableUnitError or ProtocolError for answers that come damaged.
+        A link that broke is opened again first. Raises LinkError while the port is not back;
+        SilentArmError when nothing answers, NoMicroScribeError when something else does;
+        InterfaceBoxError, UnknownFormatError, ParameterLengthError for an arm that we don't
+        understand; UnstableUnitError or ProtocolError for answers that come damaged.
         """
         return self._arm.sign_on().identity
 
     def recover(self, timeout_s: float = RECOVER_S) -> Identity:
-        """After a loss: wait for port and arm to come back, and sign on again, at the rate that worked.
+        """After a loss: wait for port and arm to come back, and sign on again, at the rate that
+        worked.
 
-        Homing has to be confirmed afterwards even if the arm kept its session: nobody can tell whether it kept its power.
-        Raises what ``sign_on`` raised last when ``timeout_s`` have passed, at once what is refused for good, and
-        AnotherArmError for an arm with another serial number.
+        Homing has to be confirmed afterwards even if the arm kept its session: nobody can tell
+        whether it kept its power. Raises what ``sign_on`` raised last when ``timeout_s`` have
+        passed, at once what is refused for good, and AnotherArmError for an arm with another serial
+        number.
         """
         return self._arm.recover(timeout_s).identity
 
     def set_baud(self, baud: int) -> None:
-        """Go on at another rate, and see that the arm does. Raises LimitError for a rate that no arm has, else as ``poll``."""
+        """Go on at another rate, and see that the arm does. Raises LimitError for a rate that no
+        arm has, else as ``poll``.
+        """
         self._arm.need_session("another rate")
         with self._arm.noticing():
             self._arm.session.ask_baud(baud)
         self.poll()
 
     def safe(self) -> None:
-        """End the session. The arm has no motion to stop. Nothing to do, and no error, without a session.
+        """End the session. The arm has no motion to stop. Nothing to do, and no error, without a
+        session.
 
         Raises LinkError when the link is broken; the session counts as ended then too.
         """
@@ -180,17 +197,21 @@ class MicroScribe:
     # Homing
 
     def confirm_homed(self) -> None:
-        """The operator says: the stylus sat on its peg when the arm was switched on, or was homed since.
+        """The operator says: the stylus sat on its peg when the arm was switched on, or was homed
+        since.
 
-        Raises NoSessionError without a session; NotHomedError where a word doesn't do: after a search for the rate.
+        Raises NoSessionError without a session; NotHomedError where a word doesn't do: after a
+        search for the rate.
         """
         self._arm.need_session("to confirm homing")
         self._arm.homing.confirm()
 
     def home(self) -> None:
-        """Make the arm load its home counts. Only with the stylus on its peg: anywhere else ruins every position.
+        """Make the arm load its home counts. Only with the stylus on its peg: anywhere else ruins
+        every position.
 
-        Raises NoSessionError without a session, LinkError or ProtocolError when the arm doesn't confirm.
+        Raises NoSessionError without a session, LinkError or ProtocolError when the arm doesn't
+        confirm.
         """
         self._arm.need_session("to home")
         self._arm.homing.lost("the arm was asked to home, and did not confirm it")
@@ -203,18 +224,21 @@ class MicroScribe:
     def poll(self, *, encoders: int = 6, stamped: bool = False) -> Packet:
         """One packet of six counts, or five; asked for again when damaged.
 
-        Raises NoSessionError without a session, StreamingError within a stream; ProtocolError when every attempt came
-        damaged; SilentArmError when the arm stays silent, LinkError when the link breaks: the session is lost then, and with
-        it the homing.
+        Raises NoSessionError without a session, StreamingError within a stream; ProtocolError when
+        every attempt came damaged; SilentArmError when the arm stays silent, LinkError when the
+        link breaks: the session is lost then, and with it the homing.
         """
         self._arm.need_session("a packet")
         return self._arm.packet(poll_command(encoders, stamped))
 
-    def read(self, n: int = 8, max_spread_mm: float = MAX_SPREAD_MM, *, interval_s: float = INTERVAL_S) -> Reading:
+    def read(
+        self, n: int = 8, max_spread_mm: float = MAX_SPREAD_MM, *, interval_s: float = INTERVAL_S
+    ) -> Reading:
         """One position from ``n`` packets, ``interval_s`` apart.
 
-        Raises NotHomedError before homing is confirmed, ArmMovesError while the arm moves: a tip further than
-        ``max_spread_mm`` from the median. Raises as ``poll`` does, and ValueError for n below 1.
+        Raises NotHomedError before homing is confirmed, ArmMovesError while the arm moves: a tip
+        further than ``max_spread_mm`` from the median. Raises as ``poll`` does, and ValueError for
+        n below 1.
         """
         if n < 1:
             raise ValueError(f"a reading needs one packet at least, not {n}")
@@ -226,16 +250,29 @@ class MicroScribe:
             counts.append(self.poll().counts)
         reading = reading_of(self.geometry, counts)
         if not reading.spread_mm <= max_spread_mm:
-            what = f"the arm moves: {n} packets spread by {reading.spread_mm:.2f} mm, more than {max_spread_mm:g} mm"
-            raise ArmMovesError(self.who, what, asked="a reading", hint="Hold the tip still in its place and read again")
+            what = (
+                f"the arm moves: {n} packets spread by {reading.spread_mm:.2f} mm, more than"
+                f" {max_spread_mm:g} mm"
+            )
+            raise ArmMovesError(
+                self.who,
+                what,
+                asked="a reading",
+                hint="Hold the tip still in its place and read again",
+            )
         return reading
 
     def wait_for_pedal(
-        self, timeout_s: float, *, debounce_s: float = DEBOUNCE_S, interval_s: float = PEDAL_INTERVAL_S
+        self,
+        timeout_s: float,
+        *,
+        debounce_s: float = DEBOUNCE_S,
+        interval_s: float = PEDAL_INTERVAL_S,
     ) -> PedalEvent | None:
         """The next press of a pedal, on the host's clock; None when ``timeout_s`` pass without one.
 
-        A pedal that is down already has to come up first. Raises as ``poll`` does, and ValueError for a negative time.
+        A pedal that is down already has to come up first. Raises as ``poll`` does, and ValueError
+        for a negative time.
         """
         sampler = Sampler(self._arm.arm_time, debounce_s)
         deadline = self._clock.now() + timeout_s
@@ -249,17 +286,25 @@ class MicroScribe:
 
     @contextlib.contextmanager
     def stream(
-        self, rate_hz: float | None = None, *, encoders: int = 6, stamped: bool = True, debounce_s: float = DEBOUNCE_S
+        self,
+        rate_hz: float | None = None,
+        *,
+        encoders: int = 6,
+        stamped: bool = True,
+        debounce_s: float = DEBOUNCE_S,
     ) -> Iterator[Iterator[Sample]]:
-        """Samples without end, at ``rate_hz`` at least (None: as fast as it goes): ``with arm.stream(50) as samples:``.
+        """Samples without end, at ``rate_hz`` at least (None: as fast as it goes): ``with
+        arm.stream(50) as samples:``.
 
-        The stream is ended on the way out, and what it left on the link is dropped. A stream that falls silent is started
-        again if the arm still answers. Raises NoSessionError, StreamingError, ValueError for a rate that can't be had; while
-        it runs, as ``poll`` does.
+        The stream is ended on the way out, and what it left on the link is dropped. A stream that
+        falls silent is started again if the arm still answers. Raises NoSessionError,
+        StreamingError, ValueError for a rate that can't be had; while it runs, as ``poll`` does.
         """
         self._arm.need_session("a stream")
         request = stream_request(rate_hz, poll_command(encoders, stamped))
-        streaming = Streaming(self._arm, self._clock, request, Sampler(self._arm.arm_time, debounce_s))
+        streaming = Streaming(
+            self._arm, self._clock, request, Sampler(self._arm.arm_time, debounce_s)
+        )
         streaming.start()
         try:
             yield streaming.samples()
@@ -267,7 +312,8 @@ class MicroScribe:
             streaming.stop()
 
     def position(self, samples: Sequence[Sample]) -> Reading:
-        """The reading that samples make, whatever their spread: to show while the arm moves, not to measure with.
+        """The reading that samples make, whatever their spread: to show while the arm moves, not to
+        measure with.
 
         Raises NotHomedError, NoSessionError, and ValueError for no samples.
         """
@@ -278,5 +324,7 @@ class MicroScribe:
 
     def _known(self) -> Portrait:
         if self._arm.portrait is None:
-            raise NoSessionError(self.who, "who the arm is has not been read yet", hint="Sign on first")
+            raise NoSessionError(
+                self.who, "who the arm is has not been read yet", hint="Sign on first"
+            )
         return self._arm.portrait

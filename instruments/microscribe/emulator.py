@@ -1,7 +1,9 @@
-"""The other end of a MicroScribe's wire: firmware, encoders, pedals, cable and adapter, with the hazards of the real ones.
+"""The other end of a MicroScribe's wire: firmware, encoders, pedals, cable and adapter, with the
+hazards of the real ones.
 
-It never waits: it answers at once, or has the connection do so later. What changes it from outside (``power_cycle``,
-``faults``, ``buttons``) is to be called under the world's lock. It may not know its driver.
+It never waits: it answers at once, or has the connection do so later. What changes it from outside
+(``power_cycle``, ``faults``, ``buttons``) is to be called under the world's lock. It may not know
+its driver.
 """
 
 from __future__ import annotations
@@ -20,14 +22,17 @@ from instruments.microscribe.unit import ArmIdentity, shipped_unit
 
 ACCURACY_MM = 0.23  # the maker's figure for a 3DX
 TREMOR_MM = 0.05
-CATCH_UP_S = 0.1  # a stream makes up for ticks that came late, but not for an emulator that stood still
+# a stream makes up for ticks that came late, but not for an emulator that stood still
+CATCH_UP_S = 0.1
 
 
 class ArmEmulator:
-    """An arm in a hand, switched on with its stylus on the peg; ``unit`` is the one that ships unless told.
+    """An arm in a hand, switched on with its stylus on the peg; ``unit`` is the one that ships
+    unless told.
 
-    ``echo_after`` is how many IMMC it wants to hear. ``unreachable`` tells why the connection was broken when the hand
-    asked for what no arm can do. Raises ValueError for a ``unit`` whose tip never comes above the table.
+    ``echo_after`` is how many IMMC it wants to hear. ``unreachable`` tells why the connection was
+    broken when the hand asked for what no arm can do. Raises ValueError for a ``unit`` whose tip
+    never comes above the table.
     """
 
     def __init__(
@@ -47,7 +52,14 @@ class ArmEmulator:
         self.unreachable: OutOfReachError | None = None
         home = self.unit.home
         self._firmware = Firmware(self.unit, self, self.faults, habits or Habits(), echo_after)
-        self._mechanics = Mechanics(self.unit.geometry(), home, hand, seed=seed, accuracy_mm=accuracy_mm, tremor_mm=tremor_mm)
+        self._mechanics = Mechanics(
+            self.unit.geometry(),
+            home,
+            hand,
+            seed=seed,
+            accuracy_mm=accuracy_mm,
+            tremor_mm=tremor_mm,
+        )
         self._contacts = Contacts(seed)
         self._clock = clock
         self._looks = 0
@@ -78,11 +90,17 @@ class ArmEmulator:
 
     @buttons.setter
     def buttons(self, pressed: int) -> None:
-        bounce_s = self.faults.amount(Fault.PEDAL_BOUNCE) if self.faults.strikes(Fault.PEDAL_BOUNCE) else 0.0
+        bounce_s = (
+            self.faults.amount(Fault.PEDAL_BOUNCE)
+            if self.faults.strikes(Fault.PEDAL_BOUNCE)
+            else 0.0
+        )
         self._contacts.move(pressed, self._clock.now(), bounce_s)
 
     def check_reach(self, point_mm: Floats, direction: Floats | None) -> None:
-        """Raise OutOfReachError unless the arm can hold its tip there: for the hand to ask before it tries."""
+        """Raise OutOfReachError unless the arm can hold its tip there: for the hand to ask before
+        it tries.
+        """
         self._mechanics.solve(point_mm, direction)
 
     def power_off(self) -> None:
@@ -91,7 +109,9 @@ class ArmEmulator:
         self._firmware.enter(wire.next_state(self.state, Event.POWER_LOST))
 
     def power_on(self) -> None:
-        """Wake with the home counts loaded, wherever the stylus is. Raises OutOfReachError for an impossible hand."""
+        """Wake with the home counts loaded, wherever the stylus is. Raises OutOfReachError for an
+        impossible hand.
+        """
         self._powered = True
         self.load_home()
         self._displace()
@@ -113,11 +133,18 @@ class ArmEmulator:
         """Pedals and encoders at this moment. Raises OutOfReachError for an impossible hand."""
         self._looks += 1
         counts = self._mechanics.whole(self._looks)
-        shown = tuple([(count + offset) % COUNT_MODULUS for count, offset in zip(counts, self._offset, strict=True)])
+        shown = tuple(
+            [
+                (count + offset) % COUNT_MODULUS
+                for count, offset in zip(counts, self._offset, strict=True)
+            ]
+        )
         return Look(self._contacts.at(self._clock.now(), self._looks), shown)
 
     def load_home(self) -> None:
-        """Show the home counts, wherever the stylus is. Raises OutOfReachError for an impossible hand."""
+        """Show the home counts, wherever the stylus is. Raises OutOfReachError for an impossible
+        hand.
+        """
         counts = self._mechanics.whole(self._looks)
         self._offset = [home - count for home, count in zip(self.unit.home, counts, strict=True)]
 
@@ -139,7 +166,11 @@ class ArmEmulator:
         self._sent_until_s = 0.0
         if self._powered and self.faults.strikes(Fault.OLD_SESSION):
             self._firmware.enter(State.SESSION)
-        if self._powered and connection.baud() is not None and self.faults.strikes(Fault.WRONG_BAUD):
+        if (
+            self._powered
+            and connection.baud() is not None
+            and self.faults.strikes(Fault.WRONG_BAUD)
+        ):
             self._firmware.enter(State.SESSION)
             self._firmware.rate = int(self.faults.amount(Fault.WRONG_BAUD))
         if self._firmware.stream:
@@ -158,19 +189,28 @@ class ArmEmulator:
             return
         before = self._firmware.stream
         heard = self.faults.mislay(data)
-        self._send(connection, lambda: b"".join([self.faults.damage(self._firmware.take(byte, rate)) for byte in heard]))
+        self._send(
+            connection,
+            lambda: b"".join(
+                [self.faults.damage(self._firmware.take(byte, rate)) for byte in heard]
+            ),
+        )
         stream = self._firmware.stream
         if stream is not None and stream is not before:
             self._run(stream, connection)
 
     def _garbled(self, rate: int | None) -> bool:
-        """Whether host and arm speak at different rates: where the host's can't be known, a fault says so."""
+        """Whether host and arm speak at different rates: where the host's can't be known, a fault
+        says so.
+        """
         if rate is None:
             return self.faults.strikes(Fault.WRONG_BAUD)
         return self._firmware.rate not in (None, rate)
 
     def _run(self, stream: Stream, connection: Connection) -> None:
-        """Send in time with the stream: by absolute times, no faster than the line takes it, until another command or host."""
+        """Send in time with the stream: by absolute times, no faster than the line takes it, until
+        another command or host.
+        """
         self._runs += 1
         run, due_s = self._runs, self._clock.now() + stream.period_s
 
@@ -211,7 +251,11 @@ class ArmEmulator:
                 connection.hang_up()
 
         now = self._clock.now()
-        late_s = self.faults.amount(Fault.SLOW_ADAPTER) if self.faults.strikes(Fault.SLOW_ADAPTER) else 0.0
+        late_s = (
+            self.faults.amount(Fault.SLOW_ADAPTER)
+            if self.faults.strikes(Fault.SLOW_ADAPTER)
+            else 0.0
+        )
         self._sent_until_s = max(self._sent_until_s, now + late_s)
         if self._sent_until_s > now:
             connection.after(self._sent_until_s - now, out)

@@ -1,6 +1,8 @@
-"""Why an arm was not signed on, or gives no position: an error class for each, under the tree in ``instruments.errors``.
+"""Why an arm was not signed on, or gives no position: an error class for each, under the tree in
+``instruments.errors``.
 
-Raise the most exact one, catch the one that you can act on. It may not know the session, nor the wire.
+Raise the most exact one, catch the one that you can act on. It may not know the session, nor the
+wire.
 
 What answers when it isn't a MicroScribe: a guess from its bytes, and what to try.
 
@@ -18,14 +20,17 @@ from instruments.microscribe.protocol import BEGIN, SYNC
 
 
 class NoMicroScribeError(ProtocolError):
-    """Something answers the sign-on, but not with the arm's words: another device, or a plug that loops back.
+    """Something answers the sign-on, but not with the arm's words: another device, or a plug that
+    loops back.
 
     Not for an arm whose later answers come damaged: that is a plain ProtocolError.
     """
 
 
 class UnusableArmError(ProtocolError):
-    """An arm, or its maker's, whose positions can't be computed; asking again doesn't help. Not raised itself: use one of three."""
+    """An arm, or its maker's, whose positions can't be computed; asking again doesn't help. Not
+    raised itself: use one of three.
+    """
 
 
 class InterfaceBoxError(UnusableArmError):
@@ -37,11 +42,15 @@ class UnknownFormatError(UnusableArmError):
 
 
 class ParameterLengthError(UnusableArmError):
-    """The arm states another length for a block of parameters. Not for a block that came short: that is damage."""
+    """The arm states another length for a block of parameters. Not for a block that came short:
+    that is damage.
+    """
 
 
 class UnstableUnitError(ProtocolError):
-    """What the arm says of itself came differently each time. Replies have no checksum, so two have to agree."""
+    """What the arm says of itself came differently each time. Replies have no checksum, so two have
+    to agree.
+    """
 
 
 class AnotherArmError(DeviceError):
@@ -52,7 +61,9 @@ class AnotherArmError(DeviceError):
 
 
 class SilentArmError(LinkError):
-    """The arm doesn't answer, though the port is there. Not for a link that broke: that is a plain LinkError."""
+    """The arm doesn't answer, though the port is there. Not for a link that broke: that is a plain
+    LinkError.
+    """
 
 
 class NoSessionError(LimitError):
@@ -71,11 +82,14 @@ class ArmMovesError(LimitError):
     """The packets of a reading are further apart than a still tip's."""
 
 
-_FRAME_BYTES = range(5, 17)  # what a refusal or a short answer has; longer ones are not what IMMC gets
+# what a refusal or a short answer has; longer ones are not what IMMC gets
+_FRAME_BYTES = range(5, 17)
 
 
 def _modbus(seen: bytes) -> bool:
-    """Whether it ends in a Modbus RTU frame, which ends in a CRC-16 of what is before it (Modbus over serial line, 6.2.2)."""
+    """Whether it ends in a Modbus RTU frame, which ends in a CRC-16 of what is before it (Modbus
+    over serial line, 6.2.2).
+    """
     frames = (seen[-length:] for length in _FRAME_BYTES if length <= len(seen))
     return any(_crc16(frame[:-2]) == int.from_bytes(frame[-2:], "little") for frame in frames)
 
@@ -110,11 +124,16 @@ _NEIGHBOURS: tuple[tuple[Callable[[bytes], bool], str], ...] = (
     (_modbus, "It answers in Modbus frames: is this the bath's port? Give the arm's"),
     (_text, "It talks in plain text: which device is on this port? Give the arm's"),
 )
-_NOISE = "No known device talks so: is the baud rate right, and is it the arm's port? Else switch the arm off and on, and sign on again"
+_NOISE = (
+    "No known device talks so: is the baud rate right, and is it the arm's port? Else switch the"
+    " arm off and on, and sign on again"
+)
 
 
 def known(seen: bytes) -> bool:
-    """Whether the bytes look like one of the neighbours: then no other baud rate makes an arm of it."""
+    """Whether the bytes look like one of the neighbours: then no other baud rate makes an arm of
+    it.
+    """
     return any(fits(seen) for fits, _ in _NEIGHBOURS)
 
 

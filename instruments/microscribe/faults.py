@@ -1,6 +1,8 @@
-"""What can be wrong with an emulated arm, its cable and its adapter, each by name. It may not know the session.
+"""What can be wrong with an emulated arm, its cable and its adapter, each by name. It may not know
+the session.
 
-Where a packet is hit follows from the seed and from how many answers were hit before, so that a run can be repeated.
+Where a packet is hit follows from the seed and from how many answers were hit before, so that a run
+can be repeated.
 """
 
 from __future__ import annotations
@@ -41,9 +43,11 @@ class Fault(StrEnum):
 
 # What some faults have an amount of, and how much unless told.
 AMOUNTS: dict[Fault, float] = {
-    Fault.WRONG_BAUD: 9600,  # the rate of a session that somebody left: matters where the host's rate can be known, on a pty
+    # the rate of a session that somebody left: matters where the host's rate can be known, on a pty
+    Fault.WRONG_BAUD: 9600,
     Fault.LATE_ECHO: 3,  # the IMMC that is echoed first
-    Fault.NEVER_HOMED: 1000,  # counts that each joint stood off its peg when the arm was switched on, at most
+    # counts that each joint stood off its peg when the arm was switched on, at most
+    Fault.NEVER_HOMED: 1000,
     Fault.PEDAL_BOUNCE: 0.02,  # seconds that a contact takes to settle
     Fault.SLOW_ADAPTER: 0.016,  # seconds that each answer is held back
     Fault.DISCONNECT: 0,  # bytes for the host that still pass
@@ -51,7 +55,9 @@ AMOUNTS: dict[Fault, float] = {
 
 
 class Faults:
-    """The faults that are on, and how often each will still strike. ``told`` hears of each that comes or goes."""
+    """The faults that are on, and how often each will still strike. ``told`` hears of each that
+    comes or goes.
+    """
 
     def __init__(self, seed: int, told: Callable[[Fault, bool], None] | None = None) -> None:
         self._seed = seed
@@ -61,8 +67,16 @@ class Faults:
         self._amounts: dict[Fault, float] = dict(AMOUNTS)
         self._hits = 0
 
-    def inject(self, fault: Fault | str, times: int = FOREVER, *, amount: float | None = None, after: int = 0) -> None:
-        """Let a fault strike the next ``times`` it can, or until it is cleared; ``amount`` is as `AMOUNTS` explains.
+    def inject(
+        self,
+        fault: Fault | str,
+        times: int = FOREVER,
+        *,
+        amount: float | None = None,
+        after: int = 0,
+    ) -> None:
+        """Let a fault strike the next ``times`` it can, or until it is cleared; ``amount`` is as
+        `AMOUNTS` explains.
 
         The first ``after`` times that it could strike it spares, to hit the seventh answer, say.
 
@@ -100,7 +114,9 @@ class Faults:
         return self._amounts[fault]
 
     def damage(self, answer: bytes) -> bytes:
-        """One answer as it comes over the wire: where it is hit is chance; its first byte gets lost, but never changes."""
+        """One answer as it comes over the wire: where it is hit is chance; its first byte gets
+        lost, but never changes.
+        """
         if not self._left or not answer:
             return answer
         chance = self._chance()
@@ -142,7 +158,9 @@ class Faults:
         return data[: int(passes)], True
 
     def displacement(self, joints: int) -> list[int]:
-        """How many counts each joint stands off its peg at a power-up that nobody homed: none of them near 0."""
+        """How many counts each joint stands off its peg at a power-up that nobody homed: none of
+        them near 0.
+        """
         most = int(self._amounts[Fault.NEVER_HOMED])
         sizes = self._chance().integers(most // 2, most + 1, joints)
         return [int(size) if joint % 2 else -int(size) for joint, size in enumerate(sizes)]
@@ -160,7 +178,10 @@ def check_amount(fault: Fault, amount: float | None) -> None:
     """Raise ValueError unless ``fault`` may have that amount."""
     if amount is not None and (fault not in AMOUNTS or amount < 0):
         with_amount = ", ".join(f"{one} ({usual:g})" for one, usual in AMOUNTS.items())
-        raise ValueError(f"the fault '{fault}' has no amount {amount:g}; an amount of 0 or more have: {with_amount}")
+        raise ValueError(
+            f"the fault '{fault}' has no amount {amount:g}; an amount of 0 or more have:"
+            f" {with_amount}"
+        )
 
 
 def named(fault: Fault | str) -> Fault:
@@ -168,4 +189,6 @@ def named(fault: Fault | str) -> Fault:
     try:
         return Fault(fault)
     except ValueError:
-        raise ValueError(f"an arm has no fault {str(fault)!r}; it has: {', '.join(Fault)}") from None
+        raise ValueError(
+            f"an arm has no fault {str(fault)!r}; it has: {', '.join(Fault)}"
+        ) from None

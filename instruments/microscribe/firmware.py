@@ -1,12 +1,14 @@
-"""What is not known of a real arm, and how an emulated one does it: each U of ../shared/instruments/microscribe.md is a choice.
+"""What is not known of a real arm, and how an emulated one does it: each U of
+../shared/instruments/microscribe.md is a choice.
 
 Here too is the rule by which a stream by differences sends. It may not know time, nor the wire.
 
 The emulated arm's side of the conversation: each byte that it hears, and what it answers.
 
-What is stated or recorded in ../shared/instruments/microscribe.md is done as stated; what is not known there is a habit.
-In a live session bit 7 of a command is ignored, so that letters are commands; what is not supported gets silence. Pure
-but for its own state: it may not know a clock, a connection or a hand.
+What is stated or recorded in ../shared/instruments/microscribe.md is done as stated; what is not
+known there is a habit. In a live session bit 7 of a command is ignored, so that letters are
+commands; what is not supported gets silence. Pure but for its own state: it may not know a clock, a
+connection or a hand.
 """
 
 from __future__ import annotations
@@ -26,8 +28,9 @@ from instruments.microscribe.unit import ArmIdentity
 
 @dataclass(frozen=True, slots=True)
 class Habits:
-    """``echoes_again``: an IMMC behind the echoed one is echoed too. ``release_triggers``: so does a pedal that comes up, in
-    a stream by differences. ``deltas_from``: what an encoder's difference is measured from there.
+    """``echoes_again``: an IMMC behind the echoed one is echoed too. ``release_triggers``: so does
+    a pedal that comes up, in a stream by differences. ``deltas_from``: what an encoder's difference
+    is measured from there.
     """
 
     echoes_again: bool = True
@@ -44,7 +47,8 @@ class Look:
 
 
 class Trigger:
-    """Says at each look whether a stream by differences sends. A delta of 0 leaves its encoder out, a mask bit of 0 its pedal.
+    """Says at each look whether a stream by differences sends. A delta of 0 leaves its encoder out,
+    a mask bit of 0 its pedal.
 
     Nothing is plugged into the emulated arm's analog channels, so that they never differ.
     """
@@ -61,7 +65,10 @@ class Trigger:
         changed = (now.buttons ^ self._before) & self._mask
         if not self._habits.release_triggers:
             changed &= now.buttons
-        moved = any(delta and _apart(a, b) >= delta for delta, a, b in zip(self._deltas, now.counts, self._from, strict=False))
+        moved = any(
+            delta and _apart(a, b) >= delta
+            for delta, a, b in zip(self._deltas, now.counts, self._from, strict=False)
+        )
         fires = bool(changed) or moved
         self._before = now.buttons
         if fires or self._habits.deltas_from == "last look":
@@ -97,7 +104,9 @@ class Body(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """A stream that runs: packets for ``command`` every ``period_s``, or looks that often where there is a ``trigger``."""
+    """A stream that runs: packets for ``command`` every ``period_s``, or looks that often where
+    there is a ``trigger``.
+    """
 
     command: int
     period_s: float
@@ -105,12 +114,16 @@ class Stream:
 
 
 class Firmware:
-    """One arm's conversation. ``rate`` is the session's, as far as known; ``stream`` what runs, None without one.
+    """One arm's conversation. ``rate`` is the session's, as far as known; ``stream`` what runs,
+    None without one.
 
-    ``echo_after`` is how many IMMC it wants to hear. Raises WireError for a unit that doesn't fit its own replies.
+    ``echo_after`` is how many IMMC it wants to hear. Raises WireError for a unit that doesn't fit
+    its own replies.
     """
 
-    def __init__(self, unit: ArmIdentity, body: Body, faults: Faults, habits: Habits, echo_after: int) -> None:
+    def __init__(
+        self, unit: ArmIdentity, body: Body, faults: Faults, habits: Habits, echo_after: int
+    ) -> None:
         self.state = State.FINDING_BAUD
         self.rate: int | None = None
         self.stream: Stream | None = None
@@ -137,7 +150,9 @@ class Firmware:
             self.rate = None
 
     def take(self, byte: int, rate: int | None) -> bytes:
-        """The answer to one byte, which came at ``rate`` (None: nobody knows); nothing while a command isn't whole."""
+        """The answer to one byte, which came at ``rate`` (None: nobody knows); nothing while a
+        command isn't whole.
+        """
         if self.state not in wire.LIVE:
             return self._listen(byte, rate)
         self._command.append(byte)
@@ -154,7 +169,9 @@ class Firmware:
         ticks = self._body.ticks() if command & wire.TIME_STAMP else None
         analogs = (0,) * wire.analog_count(command)  # nothing is plugged in
         counts = (*look.counts, 0)[: wire.encoder_count(command)]
-        return wire.encode_packet(Packet(command, look.buttons & self._button_mask, counts, ticks, analogs))
+        return wire.encode_packet(
+            Packet(command, look.buttons & self._button_mask, counts, ticks, analogs)
+        )
 
     def _listen(self, byte: int, rate: int | None) -> bytes:
         """Outside a session: words, and the end byte."""
@@ -165,13 +182,19 @@ class Firmware:
             return self._echo(rate)
         elif self._heard == wire.BEGIN and self.state is State.SYNCED:
             self.enter(wire.next_state(self.state, Event.BEGIN))
-            return (wire.INTERFACE_BOX if self._faults.strikes(Fault.INTERFACE_BOX) else wire.PRODUCT_ID) + b"\0"
+            return (
+                wire.INTERFACE_BOX if self._faults.strikes(Fault.INTERFACE_BOX) else wire.PRODUCT_ID
+            ) + b"\0"
         return b""
 
     def _echo(self, rate: int | None) -> bytes:
         again = self.state is State.SYNCED
         self._syncs += 1
-        wanted = self._faults.amount(Fault.LATE_ECHO) if self._faults.on(Fault.LATE_ECHO) else self._echo_after
+        wanted = (
+            self._faults.amount(Fault.LATE_ECHO)
+            if self._faults.on(Fault.LATE_ECHO)
+            else self._echo_after
+        )
         if self._syncs < wanted or (again and not self._habits.echoes_again):
             return b""
         self.state = wire.next_state(self.state, Event.SYNC)
@@ -202,7 +225,8 @@ class Firmware:
             return bytes([code])
         if code == Code.SET_BAUD:
             rates = [rate for rate, number in wire.BAUD_CODES.items() if number == command[1]]
-            self.rate = rates[0] if rates else self.rate  # from the next byte on: the echo comes at the old rate
+            # from the next byte on: the echo comes at the old rate
+            self.rate = rates[0] if rates else self.rate
             return bytes([code]) if rates else b""
         reply = self._replies.get(code, b"")
         if code == Code.PARAMETERS and self._faults.strikes(Fault.BLOCK_LENGTH):
@@ -219,7 +243,9 @@ class Firmware:
 
 
 def _arguments(command: bytearray) -> int:
-    """How many bytes follow the first one; known for a stream once the command within it has come."""
+    """How many bytes follow the first one; known for a stream once
+    the command within it has come.
+    """
     if not command[0] & wire.CONFIGURE:
         return 0
     code = command[0] | wire.MARK

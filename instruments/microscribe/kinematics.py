@@ -1,7 +1,8 @@
 """Where an arm's tip stands for given encoder counts, and back again for the emulator.
 
-Modified (Craig) Denavit-Hartenberg as the maker's SDK manual, chapter 4, gives it; all of it vectorised over
-poses. Pure: no wire and no clock. It may not know the bytes that the parameters came in.
+Modified (Craig) Denavit-Hartenberg as the maker's SDK manual, chapter 4, gives it; all of it
+vectorised over poses. Pure: no wire and no clock. It may not know the bytes that the parameters
+came in.
 """
 
 from __future__ import annotations
@@ -19,10 +20,13 @@ Counts = npt.NDArray[np.int64]
 JOINTS = 6
 COUNT_MODULUS = 1 << 14  # counts go on past one turn, modulo this
 BETA_JOINT = 2  # the only joint with the extra angle
-# How far each joint turns from the home pose, (6, 2) rad. The maker states none. Ours: the base all around, the
-# upper arm from leaning back to lying forward, the elbow from folded to nearly straight, so that it stays above the
-# wrist and never bends the wrong way, and a wrist that goes most of the way around.
-RANGES_RAD: Floats = np.radians([(-180, 180), (-140, 30), (-25, 140), (-178, 178), (-150, 150), (-180, 180)])
+# How far each joint turns from the home pose, (6, 2) rad. The maker states none. Ours: the base all
+# around, the upper arm from leaning back to lying forward, the elbow from folded to nearly
+# straight, so that it stays above the wrist and never bends the wrong way, and a wrist that goes
+# most of the way around.
+RANGES_RAD: Floats = np.radians(
+    [(-180, 180), (-140, 30), (-25, 140), (-178, 178), (-150, 150), (-180, 180)]
+)
 
 _DIRECTION_MM = 100.0  # weighs the stylus direction against the tip: 0.01 mm is worth 0.1 mrad
 _TOLERANCE_MM = 1e-7
@@ -48,7 +52,9 @@ class ParameterBlock(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmGeometry:
-    """One arm's shape: alpha (6,) rad, a and d (6,) mm, beta rad, counts per turn (6,), 0 where no encoder is."""
+    """One arm's shape: alpha (6,) rad, a and d (6,) mm, beta rad, counts per turn (6,), 0 where no
+    encoder is.
+    """
 
     alpha_rad: Floats
     a_mm: Floats
@@ -57,15 +63,27 @@ class ArmGeometry:
     turns: Counts
 
     @classmethod
-    def from_block(cls, block: ParameterBlock, beta_rad: float, turns: Sequence[int]) -> ArmGeometry:
+    def from_block(
+        cls, block: ParameterBlock, beta_rad: float, turns: Sequence[int]
+    ) -> ArmGeometry:
         """The shape that the arm itself reports. Raises ValueError unless there are six joints."""
-        columns = [np.array(column, dtype=np.float64) for column in (block.alpha_rad, block.a_mm, block.d_mm)]
+        columns = [
+            np.array(column, dtype=np.float64)
+            for column in (block.alpha_rad, block.a_mm, block.d_mm)
+        ]
         if any(column.shape != (JOINTS,) for column in columns) or len(turns) != JOINTS:
-            raise ValueError(f"an arm has {JOINTS} joints; alpha, a, d and counts per turn have {[len(c) for c in columns] + [len(turns)]}")
-        return cls(columns[0], columns[1], columns[2], float(beta_rad), np.array(turns, dtype=np.int64))
+            raise ValueError(
+                f"an arm has {JOINTS} joints; alpha, a, d and counts per turn have"
+                f" {[len(c) for c in columns] + [len(turns)]}"
+            )
+        return cls(
+            columns[0], columns[1], columns[2], float(beta_rad), np.array(turns, dtype=np.int64)
+        )
 
     def with_tip(self, longer_mm: float) -> ArmGeometry:
-        """The same arm with a tip that is ``longer_mm`` longer than the one its parameters are for: D_5 is more negative by it."""
+        """The same arm with a tip that is ``longer_mm`` longer than the one its parameters are for:
+        D_5 is more negative by it.
+        """
         return replace(self, d_mm=self.d_mm - np.array([0.0] * (JOINTS - 1) + [longer_mm]))
 
     @property
@@ -74,7 +92,8 @@ class ArmGeometry:
         return self.turns > 0
 
     def angles(self, counts: npt.ArrayLike) -> Floats:
-        """Joint angles (n, 6) rad in [0, 2 pi) of counts (n, 6); 0 where a joint has no encoder. Manual, chapter 4.
+        """Joint angles (n, 6) rad in [0, 2 pi) of counts (n, 6); 0 where a joint has no encoder.
+        Manual, chapter 4.
 
         (n, 5) will do where the sixth has none. Raises ValueError for another shape.
         """
@@ -85,21 +104,26 @@ class ArmGeometry:
         return np.where(self.active, np.mod(_rows(rows), per_turn) * (2.0 * np.pi / per_turn), 0.0)
 
     def forward(self, counts: npt.ArrayLike) -> tuple[Floats, Floats]:
-        """Tips (n, 3) mm and stylus axes (n, 3), unit, from the tip up the stylus, for counts as ``angles`` takes them."""
+        """Tips (n, 3) mm and stylus axes (n, 3), unit, from the tip up the stylus, for counts as
+        ``angles`` takes them.
+        """
         return self.forward_angles(self.angles(counts))
 
     def forward_angles(self, angles_rad: Floats) -> tuple[Floats, Floats]:
         """As ``forward``, for joint angles (n, 6) rad.
 
-        Each joint is RotX(alpha) TransX(a) RotY(beta) RotZ(theta) TransZ(d), beta on one joint only. The chain is
-        walked from the tip inwards, so that a point and a direction move and no matrix is multiplied.
+        Each joint is RotX(alpha) TransX(a) RotY(beta) RotZ(theta) TransZ(d), beta on one joint
+        only. The chain is walked from the tip inwards, so that a point and a direction move and no
+        matrix is multiplied.
         """
         n = len(angles_rad)
         tip: _Triple = (np.zeros(n), np.zeros(n), np.zeros(n))
         axis: _Triple = (np.zeros(n), np.zeros(n), np.ones(n))
         for joint in reversed(range(JOINTS)):
             x, y, z = tip
-            tip = self._through(joint, angles_rad[:, joint], (x, y, z + self.d_mm[joint]), self.a_mm[joint])
+            tip = self._through(
+                joint, angles_rad[:, joint], (x, y, z + self.d_mm[joint]), self.a_mm[joint]
+            )
             axis = self._through(joint, angles_rad[:, joint], axis, 0.0)
         return np.stack(tip, axis=1), np.stack(axis, axis=1)
 
@@ -115,7 +139,9 @@ class ArmGeometry:
         return x + shift_mm, cos * y - sin * z, sin * y + cos * z
 
     def frames(self, angles_rad: Floats) -> tuple[Floats, Floats]:
-        """Where each joint's frame stands: rotations (n, 6, 3, 3) and origins (n, 6, 3) mm, for angles (n, 6) rad."""
+        """Where each joint's frame stands: rotations (n, 6, 3, 3) and origins (n, 6, 3) mm, for
+        angles (n, 6) rad.
+        """
         n = len(angles_rad)
         rotation, origin = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
         rotations, origins = np.empty((n, JOINTS, 3, 3)), np.empty((n, JOINTS, 3))
@@ -127,20 +153,26 @@ class ArmGeometry:
         return rotations, origins
 
     def orientations(self, counts: npt.ArrayLike) -> Floats:
-        """Rotations (n, 3, 3) arm_from_stylus for counts (n, 6); the third column is the stylus axis of ``forward``."""
+        """Rotations (n, 3, 3) arm_from_stylus for counts (n, 6); the third column is the stylus
+        axis of ``forward``.
+        """
         return self.frames(self.angles(counts))[0][:, -1]
 
     def _turned(self, joint: int, theta: Floats) -> Floats:
-        columns = [self._through(joint, theta, (x, y, z), 0.0) for x, y, z in _unit_columns(len(theta))]
+        columns = [
+            self._through(joint, theta, (x, y, z), 0.0) for x, y, z in _unit_columns(len(theta))
+        ]
         return np.stack([np.stack(column, axis=1) for column in columns], axis=2)
 
     def jacobian_angles(self, angles_rad: Floats) -> Floats:
-        """(n, 6, 6) for angles (n, 6) rad: rows tip x y z (mm/rad) then axis x y z (1/rad), columns joints.
+        """(n, 6, 6) for angles (n, 6) rad: rows tip x y z (mm/rad) then axis x y z (1/rad), columns
+        joints.
 
         The column of a joint without an encoder is zero.
         """
         rotations, origins = self.frames(angles_rad)
-        axes = rotations[..., 2]  # RotZ leaves a joint's own axis alone, so its frame's third column is that axis
+        # RotZ leaves a joint's own axis alone, so its frame's third column is that axis
+        axes = rotations[..., 2]
         tips = np.cross(axes, origins[:, -1:, :] - origins)
         styli = np.cross(axes, rotations[:, -1:, :, 2])
         return np.concatenate([tips, styli], axis=2).transpose(0, 2, 1) * self.active
@@ -167,13 +199,15 @@ def inverse(
     start: npt.ArrayLike,
     ranges_rad: Floats = RANGES_RAD,
 ) -> Floats:
-    """The counts (6,), not rounded, that hold the tip at ``point_mm`` (3,) with the stylus along ``direction`` (3,).
+    """The counts (6,), not rounded, that hold the tip at ``point_mm`` (3,) with the stylus along
+    ``direction`` (3,).
 
-    ``direction`` points from the tip up the stylus; None leaves it to the arm. It is met exactly but where the stylus
-    is in line with the forearm: the wrist's axes aren't quite square, which leaves a blind cone of about a degree,
-    and the nearest direction outside it is taken, at most 0.02 rad away. ``start`` (6,) counts is the home
-    pose: joints stay within ``ranges_rad`` (6, 2) of it, and of several poses the nearest to it is taken. Damped
-    least squares from many starts at once. Raises OutOfReachError where no pose fits.
+    ``direction`` points from the tip up the stylus; None leaves it to the arm. It is met exactly
+    but where the stylus is in line with the forearm: the wrist's axes aren't quite square, which
+    leaves a blind cone of about a degree, and the nearest direction outside it is taken, at most
+    0.02 rad away. ``start`` (6,) counts is the home pose: joints stay within ``ranges_rad`` (6, 2)
+    of it, and of several poses the nearest to it is taken. Damped least squares from many starts at
+    once. Raises OutOfReachError where no pose fits.
     """
     goal = np.asarray(point_mm, dtype=np.float64)
     stylus = None if direction is None else _unit(direction)
@@ -181,28 +215,46 @@ def inverse(
     angles = _starts(geometry, goal, stylus, home, ranges_rad)
     angles, misses_mm = _settle(geometry, angles, goal, stylus)
     if _TOLERANCE_MM < misses_mm.min() < _BLIND_RAD * _DIRECTION_MM:
-        angles, misses_mm = _settle(geometry, angles[misses_mm < _BLIND_RAD * _DIRECTION_MM], goal, None)
+        angles, misses_mm = _settle(
+            geometry, angles[misses_mm < _BLIND_RAD * _DIRECTION_MM], goal, None
+        )
     turned = np.mod(angles - home + np.pi, 2.0 * np.pi) - np.pi
     within = (turned >= ranges_rad[:, 0]) & (turned <= ranges_rad[:, 1])
     fits = (misses_mm < _TOLERANCE_MM) & within[:, geometry.active].all(axis=1)
     if not fits.any():
         raise OutOfReachError(_why_not(goal, stylus, float(misses_mm.min())))
     nearest = turned[fits][np.argmin(np.linalg.norm(turned[fits], axis=1))]
-    counts: Floats = _rows(start)[0] + np.where(geometry.active, nearest / (2.0 * np.pi) * geometry.turns, 0.0)
+    counts: Floats = _rows(start)[0] + np.where(
+        geometry.active, nearest / (2.0 * np.pi) * geometry.turns, 0.0
+    )
     return counts
 
 
 def _why_not(goal: Floats, stylus: Floats | None, miss_mm: float) -> str:
-    where = f"the tip at {_shown(goal)} mm" + ("" if stylus is None else f" with the stylus along {_shown(stylus)}")
+    where = f"the tip at {_shown(goal)} mm" + (
+        "" if stylus is None else f" with the stylus along {_shown(stylus)}"
+    )
     if miss_mm < _TOLERANCE_MM:
         return f"out of reach: {where} needs a joint past its range. Hold the stylus another way"
-    return f"out of reach: {where}; the nearest pose misses by {miss_mm:.1f} mm. Move the target nearer to the arm"
+    return (
+        f"out of reach: {where}; the nearest pose misses by {miss_mm:.1f} mm. Move the target"
+        " nearer to the arm"
+    )
 
 
-def _starts(geometry: ArmGeometry, goal: Floats, stylus: Floats | None, home: Floats, ranges_rad: Floats) -> Floats:
-    """Home and the best poses of a lattice over the joint ranges, each with its base turned to face the goal."""
-    steps = [np.zeros(1)] + [np.linspace(low, high, 9)[1:-1] * geometry.active[j] for j, (low, high) in enumerate(ranges_rad[1:-1], 1)]
-    lattice = home + np.stack(np.meshgrid(*steps, np.zeros(1), indexing="ij"), axis=-1).reshape(-1, JOINTS)
+def _starts(
+    geometry: ArmGeometry, goal: Floats, stylus: Floats | None, home: Floats, ranges_rad: Floats
+) -> Floats:
+    """Home and the best poses of a lattice over the joint ranges, each with its base turned to face
+    the goal.
+    """
+    steps = [np.zeros(1)] + [
+        np.linspace(low, high, 9)[1:-1] * geometry.active[j]
+        for j, (low, high) in enumerate(ranges_rad[1:-1], 1)
+    ]
+    lattice = home + np.stack(np.meshgrid(*steps, np.zeros(1), indexing="ij"), axis=-1).reshape(
+        -1, JOINTS
+    )
     poses: Floats = np.concatenate([home[None], lattice])
     tips, _ = geometry.forward_angles(poses)
     poses[:, 0] += np.arctan2(goal[1], goal[0]) - np.arctan2(tips[:, 1], tips[:, 0])
@@ -213,14 +265,24 @@ def _starts(geometry: ArmGeometry, goal: Floats, stylus: Floats | None, home: Fl
 
 
 def _misses(geometry: ArmGeometry, angles: Floats, goal: Floats, stylus: Floats | None) -> Floats:
-    """(n, 3) or (n, 6) mm from the goal: the tip's, then the stylus direction's at the weight it has."""
+    """(n, 3) or (n, 6) mm from the goal: the tip's, then the stylus direction's at the weight it
+    has.
+    """
     tips, axes = geometry.forward_angles(angles)
     misses: Floats = goal - tips
-    return misses if stylus is None else np.concatenate([misses, _DIRECTION_MM * (stylus - axes)], axis=1)
+    return (
+        misses
+        if stylus is None
+        else np.concatenate([misses, _DIRECTION_MM * (stylus - axes)], axis=1)
+    )
 
 
-def _settle(geometry: ArmGeometry, angles: Floats, goal: Floats, stylus: Floats | None) -> tuple[Floats, Floats]:
-    """Levenberg and Marquardt's iteration on all rows (n, 6) at once, each with its own damping; angles and misses (n,)."""
+def _settle(
+    geometry: ArmGeometry, angles: Floats, goal: Floats, stylus: Floats | None
+) -> tuple[Floats, Floats]:
+    """Levenberg and Marquardt's iteration on all rows (n, 6) at once, each with its own damping;
+    angles and misses (n,).
+    """
     rows = 3 if stylus is None else 6
     weights = np.array([1.0] * 3 + [_DIRECTION_MM] * 3)[:rows, None]
     misses = _misses(geometry, angles, goal, stylus)
@@ -228,10 +290,16 @@ def _settle(geometry: ArmGeometry, angles: Floats, goal: Floats, stylus: Floats 
     for _ in range(_STEPS):
         slopes = geometry.jacobian_angles(angles)[:, :rows] * weights
         normal = slopes @ slopes.transpose(0, 2, 1) + (damping**2)[:, None, None] * np.eye(rows)
-        tried = angles + (slopes.transpose(0, 2, 1) @ np.linalg.solve(normal, misses[..., None]))[..., 0]
+        tried = (
+            angles
+            + (slopes.transpose(0, 2, 1) @ np.linalg.solve(normal, misses[..., None]))[..., 0]
+        )
         new = _misses(geometry, tried, goal, stylus)
         better = np.linalg.norm(new, axis=1) < np.linalg.norm(misses, axis=1)
-        angles, misses = np.where(better[:, None], tried, angles), np.where(better[:, None], new, misses)
+        angles, misses = (
+            np.where(better[:, None], tried, angles),
+            np.where(better[:, None], new, misses),
+        )
         damping = np.clip(np.where(better, damping * 0.2, damping * 4.0), 1e-3, 1e4)
         if (np.linalg.norm(misses, axis=1) < _TOLERANCE_MM).all():
             break

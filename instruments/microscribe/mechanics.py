@@ -1,11 +1,13 @@
-"""The contacts of the emulated pedals: open, closed, or bouncing for a while after they were moved. It may not know a wire.
+"""The contacts of the emulated pedals: open, closed, or bouncing for a while after they were moved.
+It may not know a wire.
 
-The body of the emulated arm: which counts its encoders stand at when a hand holds the tip somewhere.
+The body of the emulated arm: which counts its encoders stand at when a hand holds the tip
+somewhere.
 
-A target goes through inverse kinematics, is moved by the arm's own inaccuracy (the same error for the same pose, as
-of a real arm whose stored parameters are a little off) and by the tremor of the hand (new for each packet), and
-comes out as counts, rounded last as encoders round. All chance comes from the seed and the packet's number. It may not know the
-wire, nor the driver.
+A target goes through inverse kinematics, is moved by the arm's own inaccuracy (the same error for
+the same pose, as of a real arm whose stored parameters are a little off) and by the tremor of the
+hand (new for each packet), and comes out as counts, rounded last as encoders round. All chance
+comes from the seed and the packet's number. It may not know the wire, nor the driver.
 """
 
 from __future__ import annotations
@@ -56,20 +58,23 @@ class Hand(Protocol):
     """Whoever holds the stylus."""
 
     def arm_target(self) -> tuple[Floats, Floats | None] | None:
-        """Where the tip is held: point (3,) mm in the arm's frame, and the direction (3,) from the tip up the stylus
-        (None: as the arm likes). None altogether: the stylus is on its peg."""
+        """Where the tip is held: point (3,) mm in the arm's frame, and the direction (3,) from the
+        tip up the stylus (None: as the arm likes). None altogether: the stylus is on its peg.
+        """
         ...
 
 
 class KinematicError:
     """How far the tip is from where the counts say, as a smooth function of the pose.
 
-    An arm whose lengths, twists and encoder zeros differ a little from its stored parameters. Joint 0 stays true
-    and the mean is taken off: both would only be another frame. Scaled so that over the workspace the mean
-    distance is ``accuracy_mm``.
+    An arm whose lengths, twists and encoder zeros differ a little from its stored parameters. Joint
+    0 stays true and the mean is taken off: both would only be another frame. Scaled so that over
+    the workspace the mean distance is ``accuracy_mm``.
     """
 
-    def __init__(self, geometry: ArmGeometry, home_rad: Floats, *, seed: int, accuracy_mm: float) -> None:
+    def __init__(
+        self, geometry: ArmGeometry, home_rad: Floats, *, seed: int, accuracy_mm: float
+    ) -> None:
         chance = np.random.default_rng([seed, _PARAMETERS])
         later = np.arange(JOINTS) > 0
         self._stored = geometry
@@ -82,7 +87,10 @@ class KinematicError:
         self._zeros_rad = later * geometry.active * chance.normal(0.0, 5e-4, JOINTS)
         poses = workspace(geometry, home_rad, chance)
         if not len(poses):
-            raise ValueError("this arm's tip never comes above the table that it stands on: check its parameters and home counts")
+            raise ValueError(
+                "this arm's tip never comes above the table that it stands on: check its parameters"
+                " and home counts"
+            )
         raw = self._raw(poses)
         self._mean = raw.mean(axis=0)
         self._scale = accuracy_mm / float(np.linalg.norm(raw - self._mean, axis=1).mean())
@@ -99,8 +107,13 @@ class KinematicError:
 
 
 def workspace(geometry: ArmGeometry, home_rad: Floats, chance: np.random.Generator) -> Floats:
-    """Poses (n, 6) rad spread over the joint ranges whose tip is above the table that the arm stands on."""
-    poses = home_rad + chance.uniform(RANGES_RAD[:, 0], RANGES_RAD[:, 1], (_POSES, JOINTS)) * geometry.active
+    """Poses (n, 6) rad spread over the joint ranges whose tip is above the table that the arm
+    stands on.
+    """
+    poses = (
+        home_rad
+        + chance.uniform(RANGES_RAD[:, 0], RANGES_RAD[:, 1], (_POSES, JOINTS)) * geometry.active
+    )
     tips, _ = geometry.forward_angles(poses)
     return poses[tips[:, 2] > 0.0]
 
@@ -114,12 +127,19 @@ class _Pose:
 class Mechanics:
     """The joints of one arm in one hand.
 
-    ``home`` (6,) are the counts on the peg; ``accuracy_mm`` the mean error over the workspace; ``tremor_mm`` the
-    root mean square distance of the tip from where the hand means to hold it.
+    ``home`` (6,) are the counts on the peg; ``accuracy_mm`` the mean error over the workspace;
+    ``tremor_mm`` the root mean square distance of the tip from where the hand means to hold it.
     """
 
     def __init__(
-        self, geometry: ArmGeometry, home: tuple[int, ...], hand: Hand, *, seed: int, accuracy_mm: float, tremor_mm: float
+        self,
+        geometry: ArmGeometry,
+        home: tuple[int, ...],
+        hand: Hand,
+        *,
+        seed: int,
+        accuracy_mm: float,
+        tremor_mm: float,
     ) -> None:
         self._geometry = geometry
         self._home = np.array(home, dtype=np.float64)
@@ -127,12 +147,16 @@ class Mechanics:
         self._hand = hand
         self._seed = seed
         self._tremor_mm = tremor_mm
-        self._error = KinematicError(geometry, geometry.angles(self._home)[0], seed=seed, accuracy_mm=accuracy_mm)
+        self._error = KinematicError(
+            geometry, geometry.angles(self._home)[0], seed=seed, accuracy_mm=accuracy_mm
+        )
         self._held: tuple[bytes, _Pose] | None = None
         self._block: tuple[_Pose, int, list[list[int]]] | None = None
 
     def counts(self, packet: int) -> Floats:
-        """Counts (6,), not rounded, at the ``packet``-th question. Raises OutOfReachError where no arm gets there."""
+        """Counts (6,), not rounded, at the ``packet``-th question. Raises OutOfReachError where no
+        arm gets there.
+        """
         target = self._hand.arm_target()
         if target is None:
             return self._home
@@ -142,14 +166,18 @@ class Mechanics:
         return counts
 
     def whole(self, packet: int) -> list[int]:
-        """As ``counts``, rounded; a thousand at a time are made and kept, since a host that polls asks for thousands a second."""
+        """As ``counts``, rounded; a thousand at a time are made and kept, since a host that polls
+        asks for thousands a second.
+        """
         target = self._hand.arm_target()
         if target is None:
             return list(self._on_peg)
         pose = self._pose(*target)
         block, row = divmod(packet, _BLOCK)
         if self._block is None or self._block[0] is not pose or self._block[1] != block:
-            rounded = np.rint(pose.counts + self._tremor(block) @ pose.counts_per_mm.T).astype(np.int64)
+            rounded = np.rint(pose.counts + self._tremor(block) @ pose.counts_per_mm.T).astype(
+                np.int64
+            )
             self._block = pose, block, rounded.tolist()
         return self._block[2][row]
 
@@ -160,10 +188,16 @@ class Mechanics:
         return self._held[1]
 
     def solve(self, point_mm: Floats, direction: Floats | None) -> _Pose:
-        """The pose that the hand brings the arm to, its inaccuracy included. Raises OutOfReachError."""
+        """The pose that the hand brings the arm to, its inaccuracy included. Raises
+        OutOfReachError.
+        """
         counts = inverse(self._geometry, point_mm, direction, start=self._home)
-        goal = np.asarray(point_mm, dtype=np.float64) + self._error.at(self._geometry.angles(counts))[0]
-        for _ in range(3):  # a step of a fraction of a millimetre: Newton is exact to 1e-9 mm after three
+        goal = (
+            np.asarray(point_mm, dtype=np.float64)
+            + self._error.at(self._geometry.angles(counts))[0]
+        )
+        # a step of a fraction of a millimetre: Newton is exact to 1e-9 mm after three
+        for _ in range(3):
             tip, _ = self._geometry.forward(counts)
             counts = counts + self._counts_per_mm(counts) @ (goal - tip[0])
         return _Pose(counts, self._counts_per_mm(counts))

@@ -1,19 +1,20 @@
 """The MicroScribe's bytes as values and values as bytes, for both ends of the wire.
 
-Facts: ../shared/instruments/microscribe.md, from the maker's SDK manual, chapter 4. Two alphabets never mix: data
-packets (a header with bit 7 set, then 7-bit bytes, no length, no checksum), which are here, and configuration
-replies (the code, then 8-bit bytes), in ``configuration``. Pure: it may not know of time, links or threads, nor
-who speaks.
+Facts: ../shared/instruments/microscribe.md, from the maker's SDK manual, chapter 4. Two alphabets
+never mix: data packets (a header with bit 7 set, then 7-bit bytes, no length, no checksum), which
+are here, and configuration replies (the code, then 8-bit bytes), in ``configuration``. Pure: it may
+not know of time, links or threads, nor who speaks.
 
 The commands that carry a byte or two: another rate, a marker; and which stream delays do no harm.
 
-Facts: ../shared/instruments/microscribe.md, from the maker's SDK manual, chapter 4. Pure: it may not know of time,
-links or threads, nor who speaks.
+Facts: ../shared/instruments/microscribe.md, from the maker's SDK manual, chapter 4. Pure: it may
+not know of time, links or threads, nor who speaks.
 
 The arm's own clock: 14-bit ticks of 1.111 ms that wrap after some 18 s, as seconds that go on.
 
-The host's clock is the coarse hand: it only says how many wraps went by between two packets, so that a pause of minutes
-loses nothing and the host's delays don't show. Pure: it may not know where packets come from.
+The host's clock is the coarse hand: it only says how many wraps went by between two packets, so
+that a pause of minutes loses nothing and the host's delays don't show. Pure: it may not know where
+packets come from.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ TICK_MODULUS = 1 << 14
 
 
 class WireError(Exception):
-    """Bytes or an event that the protocol does not allow. Pure code doesn't know who spoke: the driver says it."""
+    """Bytes or an event that the protocol does not allow. Pure code doesn't know who spoke: the
+    driver says it.
+    """
 
 
 class Code(IntEnum):
@@ -61,8 +64,17 @@ class Code(IntEnum):
 
 
 FORBIDDEN = frozenset({0xC3, 0xC7, 0xD0, 0xD1})  # EEPROM writes behind a password
-ARGUMENTS: dict[int, int] = {Code.SET_BAUD: 1, Code.MARKER: 1, Code.STREAM: 24}  # bytes that the host adds; 2 more with seven encoders
-BAUD_CODES = {115200: 0x00, 57600: 0x01, 28800: 0x02, 14400: 0x03, 38400: 0x10, 19200: 0x11, 9600: 0x12}
+# bytes that the host adds; 2 more with seven encoders
+ARGUMENTS: dict[int, int] = {Code.SET_BAUD: 1, Code.MARKER: 1, Code.STREAM: 24}
+BAUD_CODES = {
+    115200: 0x00,
+    57600: 0x01,
+    28800: 0x02,
+    14400: 0x03,
+    38400: 0x10,
+    19200: 0x11,
+    9600: 0x12,
+}
 
 
 # The session
@@ -92,7 +104,11 @@ class Event(Enum):
 
 LIVE = (State.SESSION, State.STREAMING)
 _ALWAYS = {Event.END: State.FINDING_BAUD, Event.POWER_LOST: State.FINDING_BAUD}
-_IN_SESSION = _ALWAYS | {Event.POLL: State.SESSION, Event.CONFIGURE: State.SESSION, Event.STREAM: State.STREAMING}
+_IN_SESSION = _ALWAYS | {
+    Event.POLL: State.SESSION,
+    Event.CONFIGURE: State.SESSION,
+    Event.STREAM: State.STREAMING,
+}
 TABLE: dict[State, dict[Event, State]] = {
     State.FINDING_BAUD: _ALWAYS | {Event.SYNC: State.SYNCED},
     State.SYNCED: _ALWAYS | {Event.SYNC: State.SYNCED, Event.BEGIN: State.SESSION},
@@ -109,7 +125,11 @@ def next_state(state: State, event: Event) -> State:
         raise WireError(f"{event.value} is not allowed while {state.value}") from None
 
 
-_SPECIAL: dict[int, Event] = {Code.END: Event.END, Code.STREAM: Event.STREAM, Code.MARKER: Event.MARKER}
+_SPECIAL: dict[int, Event] = {
+    Code.END: Event.END,
+    Code.STREAM: Event.STREAM,
+    Code.MARKER: Event.MARKER,
+}
 
 
 def event_of(command: int) -> Event:
@@ -120,19 +140,26 @@ def event_of(command: int) -> Event:
 
 
 def refuse_forbidden(data: bytes, state: State) -> None:
-    """Raise WireError where ``data`` would start an EEPROM write, or could where a byte of it is lost.
+    """Raise WireError where ``data`` would start an EEPROM write, or could where a byte of it is
+    lost.
 
-    In a live session bit 7 is ignored, so that the letters C, G, P, Q count too; in sign-on they are words' letters.
-    What follows a command there is taken for commands when the command itself is lost on its way: so none of it may
-    configure. A stream every 66 ms (42) would re-home the arm.
+    In a live session bit 7 is ignored, so that the letters C, G, P, Q count too; in sign-on they
+    are words' letters. What follows a command there is taken for commands when the command itself
+    is lost on its way: so none of it may configure. A stream every 66 ms (42) would re-home the
+    arm.
     """
     live = state in LIVE
     for byte in data:
         if (byte | MARK if live else byte) in FORBIDDEN:
-            raise WireError(f"byte {byte:02X} would start a write to the arm's EEPROM and is never sent")
+            raise WireError(
+                f"byte {byte:02X} would start a write to the arm's EEPROM and is never sent"
+            )
     for byte in data[1:] if live else b"":
         if byte & CONFIGURE:
-            raise WireError(f"byte {byte:02X} would configure the arm if the byte before it were lost on its way")
+            raise WireError(
+                f"byte {byte:02X} would configure the arm if the byte before it were lost on"
+                " its way"
+            )
 
 
 # Data packets
@@ -140,7 +167,9 @@ def refuse_forbidden(data: bytes, state: State) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One data packet: counts as they came (0 to 16383), ticks of 1.111 ms where a stamp was asked for."""
+    """One data packet: counts as they came (0 to 16383), ticks of 1.111 ms where a stamp was asked
+    for.
+    """
 
     command: int
     buttons: int
@@ -169,7 +198,13 @@ def analog_count(command: int) -> int:
 def payload_length(command: int) -> int:
     """Bytes after the header of the packet that answers ``command``."""
     analogs = analog_count(command)
-    return 1 + (2 if command & TIME_STAMP else 0) + analogs + (1 if analogs else 0) + 2 * encoder_count(command)
+    return (
+        1
+        + (2 if command & TIME_STAMP else 0)
+        + analogs
+        + (1 if analogs else 0)
+        + 2 * encoder_count(command)
+    )
 
 
 _LENGTHS = tuple(payload_length(command) for command in range(64))
@@ -183,11 +218,23 @@ def encode_packet(packet: Packet) -> bytes:
     command = packet.command
     wanted = encoder_count(command), analog_count(command), bool(command & TIME_STAMP)
     if (len(packet.counts), len(packet.analogs), packet.ticks is not None) != wanted:
-        raise WireError(f"a packet for command {command:02X} has {wanted[0]} counts, {wanted[1]} analogs, time stamp {wanted[2]}")
+        raise WireError(
+            f"a packet for command {command:02X} has {wanted[0]} counts, {wanted[1]} analogs, time"
+            f" stamp {wanted[2]}"
+        )
     stamp = b"" if packet.ticks is None else _fourteen(packet.ticks)
-    low_bits = bytes([sum((value & 1) << 6 >> channel for channel, value in enumerate(packet.analogs))]) if packet.analogs else b""
+    low_bits = (
+        bytes([sum((value & 1) << 6 >> channel for channel, value in enumerate(packet.analogs))])
+        if packet.analogs
+        else b""
+    )
     analogs = bytes(value >> 1 for value in packet.analogs) + low_bits
-    return bytes([command | MARK, packet.buttons & 0x7F]) + stamp + analogs + b"".join(map(_fourteen, packet.counts))
+    return (
+        bytes([command | MARK, packet.buttons & 0x7F])
+        + stamp
+        + analogs
+        + b"".join(map(_fourteen, packet.counts))
+    )
 
 
 def _fourteen(value: int) -> bytes:
@@ -199,8 +246,8 @@ class PacketDecoder:
 
     A byte with bit 7 inside a packet is damage, and is where the search for a header goes on. So is
     a byte without it behind a packet: one came twice. Where it comes in a later piece, the packet
-    before it is given out already, and ``withdrawn`` counts it. ``command``
-    names the only packet that is waited for; without it, any data header is one. Markers are looked for only with
+    before it is given out already, and ``withdrawn`` counts it. ``command`` names the only packet
+    that is waited for; without it, any data header is one. Markers are looked for only with
     ``markers``: their value is 8-bit, and could be taken for a header.
     """
 
@@ -262,7 +309,11 @@ class PacketDecoder:
         return items
 
     def _is_header(self, byte: int) -> bool:
-        return byte == self._wanted if self._wanted is not None else byte & (MARK | CONFIGURE | UNUSED) == MARK
+        return (
+            byte == self._wanted
+            if self._wanted is not None
+            else byte & (MARK | CONFIGURE | UNUSED) == MARK
+        )
 
 
 def _next_marked(buffer: bytes, at: int) -> int:
@@ -278,16 +329,24 @@ def _packet(command: int, payload: bytes) -> Packet:
         analogs = tuple(payload[at + i] << 1 | low_bits >> 7 - i & 1 for i in range(channels))
         at += channels + 1
     high, low = payload[at::2], payload[at + 1 :: 2]
-    return Packet(command, payload[0], tuple([h << 7 | v for h, v in zip(high, low, strict=True)]), ticks, analogs)
+    return Packet(
+        command,
+        payload[0],
+        tuple([h << 7 | v for h, v in zip(high, low, strict=True)]),
+        ticks,
+        analogs,
+    )
 
 
 LONGEST_DELAY_MS = 0x3FBF  # the longest that is harmless
 
 
 def harmless_delay_ms(period_s: float) -> int:
-    """The longest delay up to ``period_s`` whose bytes would configure nothing if the stream's first byte were lost.
+    """The longest delay up to ``period_s`` whose bytes would configure nothing if the stream's
+    first byte were lost.
 
-    Bit 6 of either byte makes a command of it: 66 ms (42) would re-home the arm. So 64 to 127 ms become 63. At least 1.
+    Bit 6 of either byte makes a command of it: 66 ms (42) would re-home the arm. So 64 to 127 ms
+    become 63. At least 1.
     """
     delay = min(max(1, int(period_s * 1000 + 1e-6)), LONGEST_DELAY_MS)
     while delay & (CONFIGURE << 8 | CONFIGURE):
@@ -296,14 +355,20 @@ def harmless_delay_ms(period_s: float) -> int:
 
 
 def encode_set_baud(baud: int) -> bytes:
-    """The command that changes the rate; its echo comes at the old one. Raises WireError for a rate that no arm has."""
+    """The command that changes the rate; its echo comes at the old one. Raises WireError for a rate
+    that no arm has.
+    """
     if baud not in BAUD_CODES:
-        raise WireError(f"an arm has no rate {baud}; it has {', '.join(map(str, sorted(BAUD_CODES)))}")
+        raise WireError(
+            f"an arm has no rate {baud}; it has {', '.join(map(str, sorted(BAUD_CODES)))}"
+        )
     return bytes([Code.SET_BAUD, BAUD_CODES[baud]])
 
 
 def decode_set_baud(data: bytes) -> int:
-    """The rate that a whole command asks for. Raises WireError for another length, command or rate."""
+    """The rate that a whole command asks for. Raises WireError for
+    another length, command or rate.
+    """
     rates = [baud for baud, code in BAUD_CODES.items() if data == bytes([Code.SET_BAUD, code])]
     if not rates:
         raise WireError(f"a rate is C4 and one of {bytes(BAUD_CODES.values()).hex(' ').upper()}")
@@ -311,7 +376,9 @@ def decode_set_baud(data: bytes) -> int:
 
 
 def encode_marker(marker: Marker) -> bytes:
-    """A marker, as the host sends it and as the arm sends it back. Raises WireError when it is no byte."""
+    """A marker, as the host sends it and as the arm sends it back. Raises WireError when it is no
+    byte.
+    """
     if marker.value not in range(256):
         raise WireError(f"a marker is one byte, not {marker.value}")
     return bytes([Code.MARKER, marker.value])
@@ -327,7 +394,8 @@ def decode_marker(reply: bytes) -> Marker:
 class ArmTime:
     """Seconds since the first stamp, by the arm's clock.
 
-    Right as long as the host sees two stamps in a row with delays that differ by less than half a wrap, 9 s.
+    Right as long as the host sees two stamps in a row with delays that differ by less than half a
+    wrap, 9 s.
     """
 
     def __init__(self) -> None:
@@ -335,7 +403,9 @@ class ArmTime:
         self._last: tuple[int, float] | None = None
 
     def seconds(self, ticks: int, host_s: float) -> float:
-        """When a packet was made whose stamp is ``ticks`` (0 to 16383) and that the host got at ``host_s``."""
+        """When a packet was made whose stamp is ``ticks`` (0 to 16383) and that the host got at
+        ``host_s``.
+        """
         if self._last is not None:
             step = (ticks - self._last[0]) % TICK_MODULUS
             wraps = max(0, round(((host_s - self._last[1]) / TICK_S - step) / TICK_MODULUS))

@@ -1,18 +1,19 @@
 """Questions and answers on the arm's link, one at a time, and the way out for every byte.
 
 All bytes leave through ``send``, which knows the session's state and what is never sent
-(../shared/instruments/microscribe.md). Where a reply ends is known to ``configuration``. It may not know which
-questions make a sign-on, nor what a packet means.
+(../shared/instruments/microscribe.md). Where a reply ends is known to ``configuration``. It may not
+know which questions make a sign-on, nor what a packet means.
 
 Sign-on, step by step: find the arm at whatever rate, begin a session, read who it is.
 
-Order and timing are those of ../shared/instruments/microscribe.md. IMMC never goes out without C5 before it, since in a
-session that somebody left alive its letters are commands; BEGIN only once, after the echo. It may not know what a session
-is for.
+Order and timing are those of ../shared/instruments/microscribe.md. IMMC never goes out without C5
+before it, since in a session that somebody left alive its letters are commands; BEGIN only once,
+after the echo. It may not know what a session is for.
 
 The driver's lower half: one session with an arm, from sign-on to end, and the questions within it.
 
-Timing and order are those of ../shared/instruments/microscribe.md. It may not know what a position is, nor of homing.
+Timing and order are those of ../shared/instruments/microscribe.md. It may not know what a position
+is, nor of homing.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ _T = TypeVar("_T")
 
 
 class Conversation:
-    """One link and the state of the session on it, as far as this end knows; ``answer_s`` is how long an answer is waited for."""
+    """One link and the state of the session on it, as far as this end knows; ``answer_s`` is how
+    long an answer is waited for.
+    """
 
     def __init__(self, link: Link, clock: Clock, answer_s: float = ANSWER_S) -> None:
         self.who = link.who
@@ -59,7 +62,9 @@ class Conversation:
         self.untidy = False
 
     def lose(self) -> None:
-        """The session is gone, whatever the arm believes; what still comes belongs to no later question."""
+        """The session is gone, whatever the arm believes; what still comes belongs to no later
+        question.
+        """
         self.state = State.FINDING_BAUD
         self.untidy = True
 
@@ -72,8 +77,8 @@ class Conversation:
     def send(self, data: bytes, event: Event) -> None:
         """Send bytes that are the event.
 
-        Raises LimitError for what is never sent, NoSessionError for what the state doesn't allow, LinkError when the link
-        is broken.
+        Raises LimitError for what is never sent, NoSessionError for what the state doesn't allow,
+        LinkError when the link is broken.
         """
         try:
             wire.refuse_forbidden(data, self.state)
@@ -86,11 +91,20 @@ class Conversation:
         self.link.write(data)
         self.state = state
 
-    def ask(self, asked: bytes, decode: Callable[[bytes], _T], *, timeout_s: float = 0.0, event: Event = Event.CONFIGURE) -> _T:
-        """Send a configuration command and decode its reply, which has ``timeout_s``, and ``answer_s`` at least.
+    def ask(
+        self,
+        asked: bytes,
+        decode: Callable[[bytes], _T],
+        *,
+        timeout_s: float = 0.0,
+        event: Event = Event.CONFIGURE,
+    ) -> _T:
+        """Send a configuration command and decode its reply, which has ``timeout_s``, and
+        ``answer_s`` at least.
 
-        Raises SilentArmError when nothing comes, ParameterLengthError for a block of an unknown length, ProtocolError for a
-        damaged reply, NoSessionError, and LinkError when the link is broken.
+        Raises SilentArmError when nothing comes, ParameterLengthError for a block of an unknown
+        length, ProtocolError for a damaged reply, NoSessionError, and LinkError when the link is
+        broken.
         """
         self.tidy()
         start = self.clock.now()
@@ -100,13 +114,24 @@ class Conversation:
         self.untidy = bool(surplus)
         if not reply:
             self.untidy = True
-            raise SilentArmError(self.who, "the arm does not answer", asked=asked, seen=b"", seconds=seconds, hint=ON_HINT)
+            raise SilentArmError(
+                self.who,
+                "the arm does not answer",
+                asked=asked,
+                seen=b"",
+                seconds=seconds,
+                hint=ON_HINT,
+            )
         try:
             return decode(reply)
         except WireError as error:
             self.untidy = True
-            kind = ParameterLengthError if isinstance(error, conf.BlockLengthError) else ProtocolError
-            raise kind(self.who, f"{error}", asked=asked, seen=reply, seconds=seconds, hint=_DAMAGE_HINT) from error
+            kind = (
+                ParameterLengthError if isinstance(error, conf.BlockLengthError) else ProtocolError
+            )
+            raise kind(
+                self.who, f"{error}", asked=asked, seen=reply, seconds=seconds, hint=_DAMAGE_HINT
+            ) from error
 
     def _reply(self, code: int, deadline: float) -> tuple[bytes, bytes]:
         """The reply, whole or as much of it as came, and what came behind it."""
@@ -120,7 +145,8 @@ class Conversation:
 
 
 SIGN_ON_S = 3.0
-OTHER_RATE_S = 0.5  # an arm in a session at another rate ends it at the first C5 that it understands
+# an arm in a session at another rate ends it at the first C5 that it understands
+OTHER_RATE_S = 0.5
 PAUSE_S = 0.015
 READINGS = 3  # of what the arm says of itself; two have to agree
 _KNOCK = bytes([Code.END]) + wire.SYNC
@@ -128,10 +154,11 @@ _KEPT = 256
 
 
 def find(talk: Conversation, rates: Sequence[int], patience_s: float) -> int:
-    """Knock until the arm echoes; gives back the rate that worked. The first of ``rates`` gets ``patience_s``, the others less.
+    """Knock until the arm echoes; gives back the rate that worked. The first of ``rates`` gets
+    ``patience_s``, the others less.
 
-    Raises SilentArmError when nothing answers, NoMicroScribeError when something else does, LinkError when the link is
-    broken. The link is at the first rate again then.
+    Raises SilentArmError when nothing answers, NoMicroScribeError when something else does,
+    LinkError when the link is broken. The link is at the first rate again then.
     """
     start, seen, tried = talk.clock.now(), b"", []
     for baud in rates:
@@ -162,7 +189,8 @@ def _speak_at(talk: Conversation, baud: int) -> bool:
 def _knock(talk: Conversation, patience_s: float) -> tuple[bool, bytes]:
     """Whether the echo came, and all else that came but the end of an old session.
 
-    The end goes out once by itself first: were it lost before the first IMMC, the letters would be commands.
+    The end goes out once by itself first: were it lost before the first IMMC, the letters would be
+    commands.
     """
     deadline = talk.clock.now() + patience_s
     talk.send(bytes([Code.END]), Event.END)
@@ -172,40 +200,69 @@ def _knock(talk: Conversation, patience_s: float) -> tuple[bool, bytes]:
         seen = (seen + talk.link.read_until(wire.SYNC, PAUSE_S))[-_KEPT:]
         if wire.SYNC in seen:
             talk.untidy = True
-            talk.tidy()  # surplus echoes; and nothing from before the session counts as from within it
+            # surplus echoes; and nothing from before the session counts as from within it
+            talk.tidy()
             talk.state = wire.next_state(talk.state, Event.SYNC)
             return True, b""
     return False, seen.strip(bytes([Code.END]))
 
 
-def _nobody(talk: Conversation, seen: bytes, tried: Sequence[int], seconds: float) -> LinkError | ProtocolError:
+def _nobody(
+    talk: Conversation, seen: bytes, tried: Sequence[int], seconds: float
+) -> LinkError | ProtocolError:
     at = f" at {' or '.join(map(str, tried))} baud" if len(tried) > 1 else ""
     if seen:
         what = f"something answers, but not as a MicroScribe{at}"
-        return NoMicroScribeError(talk.who, what, asked=_KNOCK, seen=seen[-64:], seconds=seconds, hint=errors.what_to_try(seen))
-    return SilentArmError(talk.who, f"nothing answers the sign-on{at}", asked=_KNOCK, seen=b"", seconds=seconds, hint=ON_HINT)
+        return NoMicroScribeError(
+            talk.who,
+            what,
+            asked=_KNOCK,
+            seen=seen[-64:],
+            seconds=seconds,
+            hint=errors.what_to_try(seen),
+        )
+    return SilentArmError(
+        talk.who,
+        f"nothing answers the sign-on{at}",
+        asked=_KNOCK,
+        seen=b"",
+        seconds=seconds,
+        hint=ON_HINT,
+    )
 
 
 def begin(talk: Conversation) -> None:
-    """Begin the session. Raises InterfaceBoxError, NoMicroScribeError, SilentArmError, or LinkError when the link is broken."""
+    """Begin the session. Raises InterfaceBoxError, NoMicroScribeError, SilentArmError, or LinkError
+    when the link is broken.
+    """
     talk.send(wire.BEGIN, Event.BEGIN)
     answer = talk.link.read_until(b"\0", SIGN_ON_S)
     if answer.rstrip(b"\0").endswith(wire.PRODUCT_ID):
         return
     if not answer:
         what = "the arm echoed, then fell silent"
-        raise SilentArmError(talk.who, what, asked=wire.BEGIN, seen=b"", seconds=SIGN_ON_S, hint=ON_HINT)
+        raise SilentArmError(
+            talk.who, what, asked=wire.BEGIN, seen=b"", seconds=SIGN_ON_S, hint=ON_HINT
+        )
     if wire.INTERFACE_BOX in answer:
-        what = "this is an Immersion Interface Box, not an arm: its encoder bits mean something else"
-        raise InterfaceBoxError(talk.who, what, asked=wire.BEGIN, seen=answer, hint="Connect the MicroScribe's own port")
+        what = (
+            "this is an Immersion Interface Box, not an arm: its encoder bits mean something else"
+        )
+        raise InterfaceBoxError(
+            talk.who, what, asked=wire.BEGIN, seen=answer, hint="Connect the MicroScribe's own port"
+        )
     what = "the answer is not that of a MicroScribe"
-    raise NoMicroScribeError(talk.who, what, asked=wire.BEGIN, seen=answer, hint=errors.what_to_try(answer))
+    raise NoMicroScribeError(
+        talk.who, what, asked=wire.BEGIN, seen=answer, hint=errors.what_to_try(answer)
+    )
 
 
 def read_portrait(talk: Conversation) -> Portrait:
-    """Who the arm is, in the maker's order of asking, again and again until two readings agree: replies have no checksum.
+    """Who the arm is, in the maker's order of asking, again and again until two readings agree:
+    replies have no checksum.
 
-    Raises UnknownFormatError, ParameterLengthError, UnstableUnitError, ProtocolError for damage, SilentArmError, LinkError.
+    Raises UnknownFormatError, ParameterLengthError, UnstableUnitError, ProtocolError for damage,
+    SilentArmError, LinkError.
     """
     seen: list[Portrait] = []
     last: ProtocolError | None = None
@@ -219,17 +276,31 @@ def read_portrait(talk: Conversation) -> Portrait:
             return portrait
         seen.append(portrait)
     what = f"what the arm says of itself came differently each of {READINGS} times"
-    raise last or UnstableUnitError(talk.who, what, asked="names, maxima, parameters", hint="Check cable and plugs, then sign on again")
+    raise last or UnstableUnitError(
+        talk.who,
+        what,
+        asked="names, maxima, parameters",
+        hint="Check cable and plugs, then sign on again",
+    )
 
 
 def _read_once(talk: Conversation) -> Portrait:
     identity = Identity(*(_name(talk, code) for code in conf.NAMES))
     maxima = talk.ask(bytes([Code.MAXIMA]), conf.decode_maxima, timeout_s=SIGN_ON_S)
     if identity.format != conf.FORMAT:
-        what = f"its parameters are in a format that is not understood: {identity.format!r}, not {conf.FORMAT!r}"
-        raise UnknownFormatError(talk.who, what, hint="Positions of this arm can't be computed; use another arm")
+        what = (
+            f"its parameters are in a format that is not understood: {identity.format!r}, not"
+            f" {conf.FORMAT!r}"
+        )
+        raise UnknownFormatError(
+            talk.who, what, hint="Positions of this arm can't be computed; use another arm"
+        )
     parameters = talk.ask(bytes([Code.PARAMETERS]), conf.decode_parameters, timeout_s=SIGN_ON_S)
-    beta = talk.ask(bytes([Code.EXTENDED]), conf.decode_extended, timeout_s=SIGN_ON_S) if identity.has_beta else 0
+    beta = (
+        talk.ask(bytes([Code.EXTENDED]), conf.decode_extended, timeout_s=SIGN_ON_S)
+        if identity.has_beta
+        else 0
+    )
     return Portrait(identity, maxima, parameters, beta)
 
 
@@ -269,10 +340,11 @@ class Session:
         return self._damaged + self._decoder.damaged
 
     def open(self, rates: Sequence[int], *, patience_s: float = SIGN_ON_S) -> tuple[Portrait, int]:
-        """Find the arm, begin, and read who it is; a session that was begun is ended again when that fails.
+        """Find the arm, begin, and read who it is; a session that was begun is ended again when
+        that fails.
 
-        ``rates`` are tried in their order; the one that worked is given back. Raises as ``signon.find``, ``begin`` and
-        ``read_portrait`` do.
+        ``rates`` are tried in their order; the one that worked is given back. Raises as
+        ``signon.find``, ``begin`` and ``read_portrait`` do.
         """
         self.lose()
         baud = find(self._talk, rates, patience_s)
@@ -280,28 +352,35 @@ class Session:
             begin(self._talk)
             return read_portrait(self._talk), baud
         except InstrumentError:
-            with contextlib.suppress(LinkError):  # the first error tells more than a second one about the same link
+            # the first error tells more than a second one about the same link
+            with contextlib.suppress(LinkError):
                 self.end()
             raise
 
     def end(self) -> None:
-        """End the session; nothing happens without one. Raises LinkError when the link is broken: ended too, then."""
+        """End the session; nothing happens without one. Raises LinkError when the link is broken:
+        ended too, then.
+        """
         if self._talk.state is State.FINDING_BAUD:
             return
         try:
             self._talk.send(bytes([Code.END]), Event.END)
-            self._talk.link.read_until(bytes([Code.END]), self.answer_s)  # silence is as good: an arm without power has no session
+            # silence is as good: an arm without power has no session
+            self._talk.link.read_until(bytes([Code.END]), self.answer_s)
             self._clock.sleep(PAUSE_S)
         finally:
             self.lose()
 
     def lose(self) -> None:
-        """The session is gone, whatever the arm believes; what still comes belongs to no later question."""
+        """The session is gone, whatever the arm believes; what still comes belongs to no later
+        question.
+        """
         self._talk.lose()
         self._decoder.reset()
 
     def ask_packet(self, command: int = wire.POLL) -> tuple[Packet | None, bytes]:
-        """Poll once: the packet, or None where it came damaged or not at all; and the bytes that came.
+        """Poll once: the packet, or None where it came damaged or not at all; and the bytes that
+        came.
 
         Raises LimitError without a session, LinkError when the link is broken.
         """
@@ -321,23 +400,30 @@ class Session:
         return None, seen
 
     def ask_home(self) -> None:
-        """Have the arm load its home counts. Raises LimitError, LinkError or ProtocolError where it doesn't confirm."""
+        """Have the arm load its home counts. Raises LimitError, LinkError or ProtocolError where it
+        doesn't confirm.
+        """
         self._talk.ask(bytes([Code.HOME]), lambda reply: conf.expect_echo(Code.HOME, reply))
 
     def ask_baud(self, baud: int) -> None:
-        """Have the arm speak at another rate, and speak at it. Raises as ``ask_home``; LimitError for a rate that no arm has."""
+        """Have the arm speak at another rate, and speak at it. Raises as ``ask_home``; LimitError
+        for a rate that no arm has.
+        """
         try:
             asked = protocol.encode_set_baud(baud)
         except WireError as error:
             raise LimitError(self._talk.who, f"{error}", asked="another rate") from error
         self._talk.ask(asked, lambda reply: conf.expect_echo(Code.SET_BAUD, reply))
-        self._clock.sleep(PAUSE_S)  # the echo comes at the old rate: the arm has to have changed before it is asked again
+        # the echo comes at the old rate: the arm has to have changed before it is asked again
+        self._clock.sleep(PAUSE_S)
         self._talk.link.set_baud(baud)
 
     # Streams
 
     def start_stream(self, request: StreamRequest) -> bytes | None:
-        """Start a stream once: None when the arm echoed, else the bytes that came. Raises LimitError or LinkError."""
+        """Start a stream once: None when the arm echoed, else the bytes that came. Raises
+        LimitError or LinkError.
+        """
         talk = self._talk
         self._tidy(request.command)
         talk.send(conf.encode_stream(request), Event.STREAM)
@@ -349,7 +435,8 @@ class Session:
         return seen
 
     def stream_packets(self, timeout_s: float) -> list[Packet]:
-        """What came since the last call, waiting ``timeout_s`` at most for a whole packet; none: the stream fell silent.
+        """What came since the last call, waiting ``timeout_s`` at most for a whole packet; none:
+        the stream fell silent.
 
         Raises LinkError when the link is broken.
         """
@@ -360,9 +447,11 @@ class Session:
         return []
 
     def stop_stream(self) -> None:
-        """End a stream as the maker's host does: 00, 50 ms, flush; again while its answer is missing. Nothing without a stream.
+        """End a stream as the maker's host does: 00, 50 ms, flush; again while its answer is
+        missing. Nothing without a stream.
 
-        What came before the end is dropped. An arm that doesn't answer is left to the next question. Raises LinkError.
+        What came before the end is dropped. An arm that doesn't answer is left to the next
+        question. Raises LinkError.
         """
         if not self.streaming:
             return
@@ -377,7 +466,9 @@ class Session:
         self._listen_for(self._decoder_of)
 
     def _tidy(self, command: int) -> None:
-        """Ready for an answer to ``command``: nothing of an earlier one is left, and only its packets count."""
+        """Ready for an answer to ``command``: nothing of an earlier one is left, and only its
+        packets count.
+        """
         if self._talk.untidy:
             self._talk.tidy()
             self._decoder.reset()

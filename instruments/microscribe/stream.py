@@ -1,7 +1,8 @@
-"""Foot pedals: presses and releases out of the buttons of packets, with the bounce of their contacts taken off.
+"""Foot pedals: presses and releases out of the buttons of packets, with the bounce of their
+contacts taken off.
 
-The protocol has no debounce (../shared/instruments/microscribe.md, Pedals). Pure: it may not know the wire, and time is told
-to it with each packet.
+The protocol has no debounce (../shared/instruments/microscribe.md, Pedals). Pure: it may not know
+the wire, and time is told to it with each packet.
 
 A position out of several packets: what the arm says when it is held still, and that it was.
 
@@ -13,8 +14,8 @@ It may not know the session that they come from, nor what position they mean.
 
 A stream from its start to its end: samples that go on, and a silence that is looked into.
 
-A stream that falls silent is no proof of a lost arm: the command for it may have been lost. So the arm is polled, and
-started again where it answers. It may not know what a position is.
+A stream that falls silent is no proof of a lost arm: the command for it may have been lost. So the
+arm is polled, and started again where it answers. It may not know what a position is.
 """
 
 from __future__ import annotations
@@ -33,7 +34,14 @@ from instruments.microscribe.configuration import StreamRequest
 from instruments.microscribe.connection import Attachment
 from instruments.microscribe.errors import NoSessionError, SilentArmError
 from instruments.microscribe.kinematics import ArmGeometry
-from instruments.microscribe.protocol import LONGEST_DELAY_MS, POLL, ArmTime, Code, Packet, harmless_delay_ms
+from instruments.microscribe.protocol import (
+    LONGEST_DELAY_MS,
+    POLL,
+    ArmTime,
+    Code,
+    Packet,
+    harmless_delay_ms,
+)
 from instruments.microscribe.session import ATTEMPTS
 
 DEBOUNCE_S = 0.02
@@ -48,7 +56,9 @@ class Pedal(Enum):
 
 @dataclass(frozen=True, slots=True)
 class PedalEvent:
-    """A pedal was pressed, or released, at ``t_s``: when its contact changed for good, on the clock that was told."""
+    """A pedal was pressed, or released, at ``t_s``: when its contact changed for good, on the clock
+    that was told.
+    """
 
     pedal: Pedal
     pressed: bool
@@ -58,7 +68,8 @@ class PedalEvent:
 class Debouncer:
     """A change counts once every packet for ``debounce_s`` has shown it.
 
-    How the pedals stand in the first packet is no event: a foot that was there before presses nothing.
+    How the pedals stand in the first packet is no event: a foot that was there before presses
+    nothing.
     """
 
     def __init__(self, debounce_s: float = DEBOUNCE_S) -> None:
@@ -96,9 +107,9 @@ class Debouncer:
 class Reading:
     """One position in the arm's frame.
 
-    ``tip_mm`` (3,) is the median tip, ``spread_mm`` the largest distance of one packet's tip from it,
-    ``axis`` (3,) the unit median direction from the tip up the stylus, ``n`` the packets, ``counts``
-    the last packet's.
+    ``tip_mm`` (3,) is the median tip, ``spread_mm`` the largest distance of one packet's tip from
+    it, ``axis`` (3,) the unit median direction from the tip up the stylus, ``n`` the packets,
+    ``counts`` the last packet's.
     """
 
     tip_mm: npt.NDArray[np.float64]
@@ -109,7 +120,9 @@ class Reading:
 
 
 def reading_of(geometry: ArmGeometry, counts: Sequence[tuple[int, ...]]) -> Reading:
-    """The reading of packets with ``counts`` (n, 6), n at least 1. One wrong packet moves no median."""
+    """The reading of packets with ``counts`` (n, 6), n at least 1. One wrong packet moves no
+    median.
+    """
     tips, axes = geometry.forward(np.array(counts))
     tip, axis = np.median(tips, axis=0), np.median(axes, axis=0)
     spread_mm = float(np.linalg.norm(tips - tip, axis=1).max())
@@ -121,10 +134,11 @@ _ENCODER_BITS = {5: 0x01, 6: 0x03}
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One packet: ``counts`` as they came, ``buttons`` as they came, ``events`` with the bounce taken off.
+    """One packet: ``counts`` as they came, ``buttons`` as they came, ``events`` with the bounce
+    taken off.
 
-    ``t_s`` is by the arm's own clock, from the first stamped packet of the session; by the host's clock where the packet
-    has no stamp.
+    ``t_s`` is by the arm's own clock, from the first stamped packet of the session; by the host's
+    clock where the packet has no stamp.
     """
 
     t_s: float
@@ -145,11 +159,15 @@ class Sampler:
     def sample(self, packet: Packet, host_s: float) -> Sample:
         """One packet, come at ``host_s``."""
         t_s = host_s if packet.ticks is None else self._arm_time.seconds(packet.ticks, host_s)
-        return Sample(t_s, packet.counts, packet.buttons, self._debouncer.feed(t_s, packet.buttons), packet)
+        return Sample(
+            t_s, packet.counts, packet.buttons, self._debouncer.feed(t_s, packet.buttons), packet
+        )
 
 
 def poll_command(encoders: int, stamped: bool) -> int:
-    """The command for five or six encoders, with a time stamp or without. Raises ValueError for another number."""
+    """The command for five or six encoders, with a time stamp or without. Raises ValueError for
+    another number.
+    """
     if encoders not in _ENCODER_BITS:
         raise ValueError(f"an arm has 5 or 6 encoders to ask for, not {encoders}")
     return _ENCODER_BITS[encoders] | (wire.TIME_STAMP if stamped else 0)
@@ -158,14 +176,17 @@ def poll_command(encoders: int, stamped: bool) -> int:
 def stream_request(rate_hz: float | None, command: int) -> StreamRequest:
     """A stream at a fixed rate, ``rate_hz`` at least; None: as fast as it goes.
 
-    The arm counts whole milliseconds, and some of them are never asked for (``harmless_delay_ms``), so the rate is the next
-    higher one that can be had. Raises ValueError where there is none.
+    The arm counts whole milliseconds, and some of them are never asked for (``harmless_delay_ms``),
+    so the rate is the next higher one that can be had. Raises ValueError where there is none.
     """
     if rate_hz is None:
         return StreamRequest(0, command)
     slowest_hz = 1000.0 / LONGEST_DELAY_MS
     if not slowest_hz <= rate_hz <= 1000.0:
-        raise ValueError(f"an arm streams at {slowest_hz:.2g} to 1000 packets a second, not {rate_hz:g}; None is as fast as it goes")
+        raise ValueError(
+            f"an arm streams at {slowest_hz:.2g} to 1000 packets a second, not {rate_hz:g}; None is"
+            " as fast as it goes"
+        )
     return StreamRequest(harmless_delay_ms(1.0 / rate_hz), command)
 
 
@@ -175,7 +196,9 @@ _ASKED = bytes([Code.STREAM])
 class Streaming:
     """One stream of one arm."""
 
-    def __init__(self, arm: Attachment, clock: Clock, request: StreamRequest, sampler: Sampler) -> None:
+    def __init__(
+        self, arm: Attachment, clock: Clock, request: StreamRequest, sampler: Sampler
+    ) -> None:
         self._arm = arm
         self._clock = clock
         self._request = request
@@ -183,7 +206,9 @@ class Streaming:
         self._patience_s = 2 * request.delay_ms / 1000 + arm.session.answer_s
 
     def start(self) -> None:
-        """Raises ProtocolError or SilentArmError when the arm doesn't stream, LinkError when the link is broken."""
+        """Raises ProtocolError or SilentArmError when the arm doesn't stream, LinkError when the
+        link is broken.
+        """
         start, seen = self._clock.now(), b""
         for _ in range(ATTEMPTS):
             with self._arm.noticing():
@@ -193,10 +218,24 @@ class Streaming:
             seen = came or seen
         if seen:
             what = f"{ATTEMPTS} requests for a stream were answered otherwise"
-            raise ProtocolError(self._arm.who, what, asked=_ASKED, seen=seen[-64:], hint="Check cable, plugs and baud rate; or poll")
-        self._arm.packet(POLL)  # an arm that is still there, but doesn't stream, is told apart from one that is gone
+            raise ProtocolError(
+                self._arm.who,
+                what,
+                asked=_ASKED,
+                seen=seen[-64:],
+                hint="Check cable, plugs and baud rate; or poll",
+            )
+        # an arm that is still there, but doesn't stream, is told apart from one that is gone
+        self._arm.packet(POLL)
         seconds = self._clock.now() - start
-        raise SilentArmError(self._arm.who, "the arm answers polls, but no stream", asked=_ASKED, seen=b"", seconds=seconds, hint="Poll")
+        raise SilentArmError(
+            self._arm.who,
+            "the arm answers polls, but no stream",
+            asked=_ASKED,
+            seen=b"",
+            seconds=seconds,
+            hint="Poll",
+        )
 
     def stop(self) -> None:
         """Raises LinkError when the link is broken."""
@@ -204,7 +243,9 @@ class Streaming:
             self._arm.session.stop_stream()
 
     def samples(self) -> Iterator[Sample]:
-        """Without end. Raises as ``MicroScribe.poll`` does, and NoSessionError once the stream has ended."""
+        """Without end. Raises as ``MicroScribe.poll`` does, and NoSessionError once the stream has
+        ended.
+        """
         while True:
             packets = self._packets()
             host_s = self._clock.now()
@@ -213,7 +254,12 @@ class Streaming:
 
     def _packets(self) -> list[Packet]:
         if not self._arm.session.streaming:
-            raise NoSessionError(self._arm.who, "the stream has ended", asked="the next sample", hint="Start another stream")
+            raise NoSessionError(
+                self._arm.who,
+                "the stream has ended",
+                asked="the next sample",
+                hint="Start another stream",
+            )
         with self._arm.noticing():
             packets = self._arm.session.stream_packets(self._patience_s)
         if not packets:

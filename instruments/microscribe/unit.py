@@ -1,6 +1,8 @@
-"""Which arm an emulator is: all that the arm says of itself, and its counts on the peg. It may not know the wire's state.
+"""Which arm an emulator is: all that the arm says of itself, and its counts on the peg. It may not
+know the wire's state.
 
-One arm is one TOML file, in the arm's own numbers; ``units`` has those that ship, and any other may be given by path.
+One arm is one TOML file, in the arm's own numbers; ``units`` has those that ship, and any other may
+be given by path.
 """
 
 from __future__ import annotations
@@ -25,13 +27,18 @@ SHIPPED = Path(__file__).with_name("units")
 
 
 class UnitError(ValueError):
-    """A file that describes no arm: ``path`` of the file, ``located`` the faults as (keys, message), all at once."""
+    """A file that describes no arm: ``path`` of the file, ``located`` the faults as (keys,
+    message), all at once.
+    """
 
     def __init__(self, path: Path, located: Sequence[tuple[tuple[str | int, ...], str]]) -> None:
         self.path = path
         self.located = tuple(located)
         told = [(".".join(map(str, keys)), message) for keys, message in located]
-        super().__init__(f"{path}: " + "; ".join(f"{key}: {message}" if key else message for key, message in told))
+        super().__init__(
+            f"{path}: "
+            + "; ".join(f"{key}: {message}" if key else message for key, message in told)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,13 +52,20 @@ class ArmIdentity:
     home: tuple[int, ...]
 
     def geometry(self) -> ArmGeometry:
-        """The shape that a host computes from what the arm says. Raises ValueError unless there are six joints."""
+        """The shape that a host computes from what the arm says. Raises ValueError unless there are
+        six joints.
+        """
         beta_rad = conf.angle_rad(self.beta) if self.names.has_beta else 0.0
         return ArmGeometry.from_block(self.parameters, beta_rad, self.maxima.turns)
 
     def replies(self) -> dict[int, bytes]:
-        """Reply by code. The extended parameters only with "Beta" in the comment. Raises WireError for what doesn't fit."""
-        replies = {int(code): conf.encode_name(code, name) for code, name in zip(conf.NAMES, astuple(self.names), strict=True)}
+        """Reply by code. The extended parameters only with "Beta" in the comment. Raises WireError
+        for what doesn't fit.
+        """
+        replies = {
+            int(code): conf.encode_name(code, name)
+            for code, name in zip(conf.NAMES, astuple(self.names), strict=True)
+        }
         replies[Code.MAXIMA] = conf.encode_maxima(self.maxima)
         replies[Code.PARAMETERS] = conf.encode_parameters(self.parameters)
         if self.names.has_beta:
@@ -60,7 +74,9 @@ class ArmIdentity:
 
 
 def load_unit(path: Path) -> ArmIdentity:
-    """The arm that the file at ``path`` describes. Raises UnitError with all its faults, OSError when it can't be read."""
+    """The arm that the file at ``path`` describes. Raises UnitError with all its faults, OSError
+    when it can't be read.
+    """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
         return _File.model_validate_json(json.dumps(table, default=str), strict=True).arm()
@@ -74,16 +90,22 @@ def load_unit(path: Path) -> ArmIdentity:
 
 @cache
 def shipped_unit(serial_number: str) -> ArmIdentity:
-    """The arm that ships under ``serial_number``. Raises FileNotFoundError that lists those that do."""
+    """The arm that ships under ``serial_number``. Raises FileNotFoundError that lists those that
+    do.
+    """
     path = SHIPPED / f"{serial_number}.toml"
     if not path.is_file():
         shipped = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.toml")))
-        raise FileNotFoundError(f"no arm ships under the serial number {serial_number}; there is {shipped}")
+        raise FileNotFoundError(
+            f"no arm ships under the serial number {serial_number}; there is {shipped}"
+        )
     return load_unit(path)
 
 
 def __getattr__(name: str) -> ArmIdentity:
-    """``UNIT_40937``, the arm that is emulated where no other is named: read when it is first asked for."""
+    """``UNIT_40937``, the arm that is emulated where no other is named: read when it is first asked
+    for.
+    """
     if name == "UNIT_40937":
         return shipped_unit("40937")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
@@ -157,16 +179,26 @@ class _File(_Table):
     def _can_measure(self) -> _File:
         arm = self.arm()
         if self.parameters.beta and not arm.names.has_beta:
-            raise ValueError(f'parameters.beta has no meaning without "{conf.BETA_MARK}" in names.comment: such an arm never tells it')
+            raise ValueError(
+                f'parameters.beta has no meaning without "{conf.BETA_MARK}" in names.comment: such'
+                " an arm never tells it"
+            )
         geometry = arm.geometry()
         slopes = geometry.jacobian_angles(geometry.angles(arm.home))[0, :3]
         if np.linalg.matrix_rank(slopes, tol=1e-3) < 3:
-            raise ValueError("with these parameters and encoders the tip can't be moved in three dimensions from the peg")
+            raise ValueError(
+                "with these parameters and encoders the tip can't be moved in three dimensions from"
+                " the peg"
+            )
         return self
 
 
 def _faults(error: ValidationError) -> Iterator[tuple[tuple[str | int, ...], str]]:
     for detail in error.errors():
         message = detail["msg"].removeprefix("Value error, ")
-        shown = "" if detail["type"] == "missing" or not detail["loc"] else f" (found {detail['input']!r:.60})"
+        shown = (
+            ""
+            if detail["type"] == "missing" or not detail["loc"]
+            else f" (found {detail['input']!r:.60})"
+        )
         yield detail["loc"], f"{message[0].lower()}{message[1:]}{shown}"

@@ -1,6 +1,7 @@
 """Where emulated hands hold a calibration board, and where the tip goes to touch it.
 
-They see what a person sees: the cameras' views, and where the phantom usually stands. May not know what the pictures are for.
+They see what a person sees: the cameras' views, and where the phantom usually stands. May not know
+what the pictures are for.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ HEATED_C = 40.0
 
 
 class BoardHands:
-    """Holds boards before the cameras of ``world``, another way each time, and knows where the last one is."""
+    """Holds boards before the cameras of ``world``, another way each time, and knows where the last
+    one is.
+    """
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -37,11 +40,14 @@ class BoardHands:
         return self._board
 
     def tip(self, corner: int, tip_radius_mm: float) -> tuple[Floats, Floats]:
-        """The centre (3,) of the arm's ball tip that rests on a point of the board, the stylus's axis. Raises ValueError without one."""
+        """The centre (3,) of the arm's ball tip that rests on a point of the board, the stylus's
+        axis. Raises ValueError without one.
+        """
         if self._board is None:
             raise ValueError("the emulated operator holds no board that could be touched")
         normal = self._board.normal
-        axis = 0.5 * normal + np.array([0.0, 0.0, 1.0])  # nearly upright, which the arm reaches farthest with
+        # nearly upright, which the arm reaches farthest with
+        axis = 0.5 * normal + np.array([0.0, 0.0, 1.0])
         return self._board.corners_mm[corner] + tip_radius_mm * normal, axis / np.linalg.norm(axis)
 
     def _before_cameras(self, asked: BoardAsked) -> Board:
@@ -49,11 +55,15 @@ class BoardHands:
             raise OperatorEnough(f"the emulated operator has shown the board {SHOWN} times")
         key = (asked.pattern, asked.cameras)
         if key not in self._drawn:
-            self._drawn[key] = poses(asked.pattern, self._cameras(asked), DEPTHS_MM, self._world.seed, SHOWN)
+            self._drawn[key] = poses(
+                asked.pattern, self._cameras(asked), DEPTHS_MM, self._world.seed, SHOWN
+            )
         return self._drawn[key][asked.number - 1]
 
     def _fixed(self, asked: BoardAsked) -> Board:
-        """About where the teat ends are, which the arm reaches, towards the middle of the cameras and tilted."""
+        """About where the teat ends are, which the arm reaches, towards the middle of the cameras
+        and tilted.
+        """
         cameras, turn = self._cameras(asked), (asked.number - 1) % len(FIXED_TURNS_RAD)
         middle = self._world.ends_mm().mean(axis=0) + np.array(FIXED_SHIFTS_MM[turn])
         away = middle - np.mean([camera.centre_mm for camera in cameras], axis=0)

@@ -1,12 +1,15 @@
-"""Whole lines as a person types them, without waiting for them: so that something else may end a prompt before Enter does.
+"""Whole lines as a person types them, without waiting for them: so that something else may end a
+prompt before Enter does.
 
 It may not know what the lines mean.
 
-A person at a terminal: is told what to do, goes on with Enter or a pedal, and may abort, skip or repeat at any prompt.
+A person at a terminal: is told what to do, goes on with Enter or a pedal, and may abort, skip or
+repeat at any prompt.
 
-Who holds the arm has no hand free: where a touch is asked for, a pedal is as good as Enter. A prompt never waits blindly: what
-its ``check`` raises, as a tripped interlock does, ends it before Enter; who takes long is reminded, and nothing fails of it.
-The streams and the clock are arguments, so that a test can be the person.
+Who holds the arm has no hand free: where a touch is asked for, a pedal is as good as Enter. A
+prompt never waits blindly: what its ``check`` raises, as a tripped interlock does, ends it before
+Enter; who takes long is reminded, and nothing fails of it. The streams and the clock are arguments,
+so that a test can be the person.
 """
 
 from __future__ import annotations
@@ -45,7 +48,9 @@ class Keyboard(Protocol):
         ...
 
     def typed_ahead(self) -> list[str]:
-        """Takes and gives back the lines that a person typed before he was asked; none from a pipe, which can't know."""
+        """Takes and gives back the lines that a person typed before he was asked; none from a pipe,
+        which can't know.
+        """
         ...
 
 
@@ -63,7 +68,9 @@ class Reader:
 
 
 class Descriptor:
-    """A terminal or pipe of a POSIX system. What a terminal gives is whole lines: the system lets a person edit the present one."""
+    """A terminal or pipe of a POSIX system. What a terminal gives is whole lines: the system lets a
+    person edit the present one.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self._number = stream.fileno()
@@ -93,12 +100,16 @@ class Descriptor:
 
 
 class Keys:
-    """A Windows console, key by key: there is no other way to look at its input without waiting for Enter.
+    """A Windows console, key by key: there is no other way to look at its input without waiting for
+    Enter.
 
-    ``pressed`` says whether a key waits, ``key`` takes it, ``echo`` shows it (kbhit and getwch of msvcrt).
+    ``pressed`` says whether a key waits, ``key`` takes it, ``echo`` shows it (kbhit and getwch of
+    msvcrt).
     """
 
-    def __init__(self, pressed: Callable[[], bool], key: Callable[[], str], echo: Callable[[str], object]) -> None:
+    def __init__(
+        self, pressed: Callable[[], bool], key: Callable[[], str], echo: Callable[[str], object]
+    ) -> None:
         self._pressed = pressed
         self._key = key
         self._echo = echo
@@ -140,7 +151,8 @@ def keyboard_of(stream: TextIO, echo: Callable[[str], object]) -> Keyboard:
     """The keyboard behind ``stream``; ``echo`` shows what is typed where the system doesn't."""
     try:
         stream.fileno()
-    except (io.UnsupportedOperation, AttributeError):  # AttributeError: a program without a console has None for its streams
+    # AttributeError: a program without a console has None for its streams
+    except (io.UnsupportedOperation, AttributeError):
         return Reader(stream)
     if sys.platform == "win32":
         import msvcrt
@@ -149,7 +161,9 @@ def keyboard_of(stream: TextIO, echo: Callable[[str], object]) -> Keyboard:
     return Descriptor(stream)
 
 
-TURN_S = 0.05  # how long the pedals are watched, or nothing is done, before keyboard and interlocks are looked at again
+# how long the pedals are watched, or nothing is done, before keyboard and interlocks are looked at
+# again
+TURN_S = 0.05
 REMIND_S = 120.0
 GONE = "nobody is at the terminal any more"
 WISHES = (OperatorAbort, OperatorSkip, OperatorRepeat, OperatorEnough)
@@ -164,8 +178,9 @@ def _no_check() -> None:
 class Console:
     """Prompts on ``out`` and reads answers from ``answers``. The end of the answers is an abort.
 
-    ``watch`` is called for each touch that is asked for, and gives back what waits some seconds and says whether a pedal was
-    pressed; only where ``answers`` is a terminal. ``screen`` is entered around each prompt: it clears away what else moves there.
+    ``watch`` is called for each touch that is asked for, and gives back what waits some seconds and
+    says whether a pedal was pressed; only where ``answers`` is a terminal. ``screen`` is entered
+    around each prompt: it clears away what else moves there.
     """
 
     def __init__(
@@ -201,16 +216,21 @@ class Console:
         """A person's answers are never left over."""
 
     def ask(self, prompt: Prompt | str, check: Callable[[], None] = _no_check) -> frozenset[int]:
-        """The numbers of hidden teat ends that the person gives with his "go on"; none where he isn't asked for any.
+        """The numbers of hidden teat ends that the person gives with his "go on"; none where he
+        isn't asked for any.
 
-        Raises OperatorAbort, OperatorSkip, OperatorRepeat, and what ``check`` and reading the pedals raise.
+        Raises OperatorAbort, OperatorSkip, OperatorRepeat, and what ``check`` and reading the
+        pedals raise.
         """
         asked = Prompt("task", prompt) if isinstance(prompt, str) else prompt
         with self._screen():
-            for line in self._keyboard.typed_ahead():  # Enter pressed twice must not answer the next question, but no abort is lost
+            # Enter pressed twice must not answer the next question, but no abort is lost
+            for line in self._keyboard.typed_ahead():
                 if line.strip().lower() in ABORT:
                     raise OperatorAbort("the operator aborted the run")
-            self._write(f"\n[{asked.progress}] {asked.text}\n" if asked.progress else f"\n{asked.text}\n")
+            self._write(
+                f"\n[{asked.progress}] {asked.text}\n" if asked.progress else f"\n{asked.text}\n"
+            )
             try:
                 return self._answer(asked, check)
             except (Exception, KeyboardInterrupt) as why:
@@ -233,13 +253,19 @@ class Console:
             except NotUnderstoodError as error:
                 self._write(f"{error}\n")
             except OperatorSkip as skip:
-                reason = skip.reason or self._line("Why? (a few words for the record; Enter alone: don't skip): ", check).strip()
+                reason = (
+                    skip.reason
+                    or self._line(
+                        "Why? (a few words for the record; Enter alone: don't skip): ", check
+                    ).strip()
+                )
                 if reason:
                     raise OperatorSkip(reason) from None
 
     def _line(self, question: str, check: Callable[[], None], *, pedal: bool = False) -> str:
         """What is typed, or "\\n" for a pedal; asks again in other words from time to time."""
-        asked_s = self._clock.now()  # before the question stands there: who reads it has waited from then on
+        # before the question stands there: who reads it has waited from then on
+        asked_s = self._clock.now()
         self._write(question)
         pressed = self._watch() if pedal and self._watch else None
         remind_s = asked_s + self._remind_s
@@ -253,7 +279,10 @@ class Console:
             if self._clock.now() >= remind_s:
                 remind_s += self._remind_s
                 waited_s = self._clock.now() - asked_s
-                self._write(f"\nStill waiting for you, since {waited_s:.0f} s; nothing is lost by taking longer.\n{question}")
+                self._write(
+                    f"\nStill waiting for you, since {waited_s:.0f} s; nothing is lost by taking"
+                    f" longer.\n{question}"
+                )
         if not self._terminal:  # nobody's Enter has ended the question's row
             self._write("\n")
         check()  # an answer that came too late is none
@@ -262,7 +291,9 @@ class Console:
         return line
 
     def _withdraw(self, why: BaseException) -> None:
-        """The prompt has come to an end without an answer: say why, unless that is what was answered."""
+        """The prompt has come to an end without an answer: say why, unless that is what was
+        answered.
+        """
         with contextlib.suppress(OperatorAbort):
             if not isinstance(why, WISHES):
                 self._write(f"\nNo answer is needed any more: {str(why) or 'interrupted'}\n")

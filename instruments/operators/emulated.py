@@ -1,7 +1,9 @@
-"""The emulated operator: puts the emulated phantom where it is asked for, nearly, and touches its teat ends with a hand's error.
+"""The emulated operator: puts the emulated phantom where it is asked for, nearly, and touches its
+teat ends with a hand's error.
 
-It sees the world as a person does (where the ends are, which of them the cameras see), and nothing of the bench. It may be
-told to make a mistake, once each, so that a test can see whether somebody notices.
+It sees the world as a person does (where the ends are, which of them the cameras see), and nothing
+of the bench. It may be told to make a mistake, once each, so that a test can see whether somebody
+notices.
 """
 
 from __future__ import annotations
@@ -28,11 +30,13 @@ Mistake = Literal["wrong teat", "forgotten teat", "forgotten move"]
 class EmulatedOperator:
     """A pair of hands in ``world``.
 
-    ``hand_error_mm`` is the standard deviation, along each axis, of where the hand puts the tip; ``placement_error_mm`` (x and y)
-    and ``placement_error_rad`` (the turn) are those of where the plate comes to stand. The divot at ``check_point_mm`` leads
-    the tip, so that the hand has no error there. A ball tip of ``tip_radius_mm`` rests on an end. Each prompt takes ``prompt_s``.
-    The ``mistakes`` are made at the first occasion: "wrong teat" touches the one after a second or later teat, "forgotten teat"
-    leaves the tip on the one before, "forgotten move" leaves the plate where it was.
+    ``hand_error_mm`` is the standard deviation, along each axis, of where the hand puts the tip;
+    ``placement_error_mm`` (x and y) and ``placement_error_rad`` (the turn) are those of where the
+    plate comes to stand. The divot at ``check_point_mm`` leads the tip, so that the hand has no
+    error there. A ball tip of ``tip_radius_mm`` rests on an end. Each prompt takes ``prompt_s``.
+    The ``mistakes`` are made at the first occasion: "wrong teat" touches the one after a second or
+    later teat, "forgotten teat" leaves the tip on the one before, "forgotten move" leaves the plate
+    where it was.
     """
 
     def __init__(
@@ -72,27 +76,42 @@ class EmulatedOperator:
 
     def touch_check_point(self, touch: int, of: int) -> None:
         if self._check_point_mm is None:
-            raise ValueError("the emulated operator knows of no check point; give it check_point_mm")
+            raise ValueError(
+                "the emulated operator knows of no check point; give it check_point_mm"
+            )
         self._take_time()
         turn = 2.0 * np.pi * (touch - 1) / of
-        lean = np.array([np.sin(SWING_RAD) * np.cos(turn), np.sin(SWING_RAD) * np.sin(turn), np.cos(SWING_RAD)])
+        lean = np.array(
+            [np.sin(SWING_RAD) * np.cos(turn), np.sin(SWING_RAD) * np.sin(turn), np.cos(SWING_RAD)]
+        )
         self._world.hold(np.array(self._check_point_mm), lean)
 
     def set_up(self, arrangement: Arrangement) -> Placed:
         self._take_time()
         self._world.show(None)
         self._stands = self._placed(arrangement)
-        self._world.arrange(arrangement.phantom.moved(self._stands[1]), arrangement.objects, arrangement.scene)
+        self._world.arrange(
+            arrangement.phantom.moved(self._stands[1]), arrangement.objects, arrangement.scene
+        )
         seen = self._world.renderer.visible_ends(self._world.scene())
         return Placed(tuple(bool(row.all()) for row in np.asarray(seen)))
 
-    def touch(self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = "") -> None:  # noqa: ARG002 - it needs no telling
+    def touch(
+        self,
+        teat: int,
+        of: int,
+        *,
+        number: int = 1,  # noqa: ARG002
+        numbers: int = 1,  # noqa: ARG002
+        again: str = "",  # noqa: ARG002
+    ) -> None:
         self._take_time()
         if teat > 1 and self._makes("forgotten teat"):
             return
         at = teat % of if teat > 1 and self._makes("wrong teat") else teat - 1
         phantom = self._world.phantom()
-        tip = ball_centre_mm(phantom.ends_mm[at], phantom.axes[at], self._tip_radius_mm)  # what the arm reads is the ball's centre
+        # what the arm reads is the ball's centre
+        tip = ball_centre_mm(phantom.ends_mm[at], phantom.axes[at], self._tip_radius_mm)
         self._world.hold(tip + self._rng.normal(0.0, self._hand_error_mm, 3), STYLUS_AXIS)
 
     def hold_board(self, asked: BoardAsked) -> None:
@@ -112,7 +131,9 @@ class EmulatedOperator:
         """It has said nothing that could be left over."""
 
     def _placed(self, wanted: Arrangement) -> tuple[Arrangement, PlatePose]:
-        """What was carried out, and where the plate stands then: what stands as asked isn't touched, else it is put there, nearly."""
+        """What was carried out, and where the plate stands then: what stands as asked isn't
+        touched, else it is put there, nearly.
+        """
         if self._stands is not None:
             before, stands = self._stands
             if _same(before, wanted):
@@ -121,7 +142,12 @@ class EmulatedOperator:
                 return replace(wanted, pose=before.pose), stands
         x_mm, y_mm, yaw_rad = self._placing.normal(0.0, 1.0, 3) * self._placement
         pose = wanted.pose
-        return wanted, PlatePose(pose.x_mm + float(x_mm), pose.y_mm + float(y_mm), pose.z_mm, pose.yaw_rad + float(yaw_rad))
+        return wanted, PlatePose(
+            pose.x_mm + float(x_mm),
+            pose.y_mm + float(y_mm),
+            pose.z_mm,
+            pose.yaw_rad + float(yaw_rad),
+        )
 
     def _makes(self, mistake: Mistake) -> bool:
         if mistake not in self._to_make:
@@ -140,5 +166,7 @@ class EmulatedOperator:
 
 
 def _same(one: Arrangement, other: Arrangement) -> bool:
-    """Whether the phantom has to be touched to get from one to the other; what else stands around has no say."""
+    """Whether the phantom has to be touched to get from one to the other; what else stands around
+    has no say.
+    """
     return (one.phantom, one.pose) == (other.phantom, other.pose)

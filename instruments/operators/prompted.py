@@ -1,7 +1,9 @@
-"""An operator who is asked in words: says what to do and how far the run is, and does what the answer wants.
+"""An operator who is asked in words: says what to do and how far the run is, and does what the
+answer wants.
 
-Who answers (a person at a terminal, a script) is an argument; so is who carries it out, where that is not the one who answers:
-on an emulated rig emulated hands follow each "go on", and the run is a rehearsal.
+Who answers (a person at a terminal, a script) is an argument; so is who carries it out, where that
+is not the one who answers: on an emulated rig emulated hands follow each "go on", and the run is a
+rehearsal.
 """
 
 from __future__ import annotations
@@ -10,18 +12,35 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
-from instruments.operators.operator import Arrangement, BoardAsked, Operator, OperatorRepeat, OperatorSkip, Placed, Prompt, time_left
+from instruments.operators.operator import (
+    Arrangement,
+    BoardAsked,
+    Operator,
+    OperatorRepeat,
+    OperatorSkip,
+    Placed,
+    Prompt,
+    time_left,
+)
 
-LEANS = ("upright", "leaning to the left", "leaning to the right", "leaning towards you", "leaning away from you")
+LEANS = (
+    "upright",
+    "leaning to the left",
+    "leaning to the right",
+    "leaning towards you",
+    "leaning away from you",
+)
 
 
 class Answerer(Protocol):
     """Who answers prompts."""
 
     def ask(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
-        """The numbers of hidden teat ends that the answer gives, once it says to go on; ``check`` is called while it waits.
+        """The numbers of hidden teat ends that the answer gives, once it says to go on; ``check``
+        is called while it waits.
 
-        Raises OperatorAbort, OperatorSkip, OperatorRepeat, what ``check`` raises, and ProtocolError for an answer out of place.
+        Raises OperatorAbort, OperatorSkip, OperatorRepeat, what ``check`` raises, and ProtocolError
+        for an answer out of place.
         """
         ...
 
@@ -35,7 +54,9 @@ class Answerer(Protocol):
 
 
 class PromptedOperator:
-    """Keeps the protocol `Operator` by asking ``answerer``; ``hands``, where given, do what was agreed."""
+    """Keeps the protocol `Operator` by asking ``answerer``; ``hands``, where given, do what was
+    agreed.
+    """
 
     def __init__(self, answerer: Answerer, hands: Operator | None = None) -> None:
         self._answerer = answerer
@@ -62,19 +83,27 @@ class PromptedOperator:
 
     def touch_check_point(self, touch: int, of: int) -> None:
         lean = LEANS[(touch - 1) % len(LEANS)]
-        text = f"Arm check: put the tip into the divot of the check point, the stylus {lean}, and hold it still."
+        text = (
+            f"Arm check: put the tip into the divot of the check point, the stylus {lean}, and hold"
+            " it still."
+        )
         self._ask(Prompt("check point", text, progress=f"touch {touch} of {of}", pedal=True))
         if self._hands:
             self._hands.touch_check_point(touch, of)
 
     def set_up(self, arrangement: Arrangement) -> Placed:
         self._names = tuple(teat.name for teat in arrangement.phantom.teats)
-        text = f"Situation {arrangement.situation}, layout {arrangement.phantom.name}:\n{arrangement.instruction}"
+        text = (
+            f"Situation {arrangement.situation}, layout"
+            f" {arrangement.phantom.name}:\n{arrangement.instruction}"
+        )
         attended = replace(arrangement, unattended=False)
         if arrangement.unattended and self._stands and self._stands[0] == attended:
             hidden = self._stands[1]
         else:
-            hidden = self._ask(Prompt("set up", text, progress=self._progress(), hidden_to=arrangement.teats))
+            hidden = self._ask(
+                Prompt("set up", text, progress=self._progress(), hidden_to=arrangement.teats)
+            )
         self._stands = attended, hidden
         if self._hands:
             seen = self._hands.set_up(arrangement)
@@ -82,20 +111,31 @@ class PromptedOperator:
                 return seen
         return Placed(tuple(teat not in hidden for teat in range(1, arrangement.teats + 1)))
 
-    def touch(self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = "") -> None:
+    def touch(
+        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
+    ) -> None:
         if again:
             self._answerer.say(again)
         name = self._names[teat - 1] if teat <= len(self._names) else ""
         which = f"{teat} ({name})" if name else f"{teat}"
-        text = f"{'Once more: touch' if again else 'Touch'} the end of teat {which} of {of} with the tip and hold it still."
-        progress = self._progress(f"teat {teat} of {of}", *([f"touch {number} of {numbers}"] if numbers > 1 else []))
+        text = (
+            f"{'Once more: touch' if again else 'Touch'} the end of teat {which} of {of} with the"
+            " tip and hold it still."
+        )
+        progress = self._progress(
+            f"teat {teat} of {of}", *([f"touch {number} of {numbers}"] if numbers > 1 else [])
+        )
         self._ask(Prompt("touch", text, progress=progress, pedal=True))
         if self._hands:
             self._hands.touch(teat, of, number=number, numbers=numbers, again=again)
 
     def hold_board(self, asked: BoardAsked) -> None:
         progress = f"{'position' if asked.fixed else 'view'} {asked.number}"
-        self._ask(Prompt("board", asked.instruction, progress=progress, pedal=True, enough=not asked.fixed))
+        self._ask(
+            Prompt(
+                "board", asked.instruction, progress=progress, pedal=True, enough=not asked.fixed
+            )
+        )
         if self._hands:
             self._hands.hold_board(asked)
 

@@ -1,7 +1,8 @@
-"""The emulated operator of another process, for a rig whose emulators run there ('teatbench emulate').
+"""The emulated operator of another process, for a rig whose emulators run there ('teatbench
+emulate').
 
-A line of JSON asks, a line answers: ``{"do": "touch", "with": {"teat": 2, "of": 4}}``, then ``{"done": null}``,
-``{"enough": "..."}`` for `OperatorEnough`, or ``{"refused": "..."}``.
+A line of JSON asks, a line answers: ``{"do": "touch", "with": {"teat": 2, "of": 4}}``, then
+``{"done": null}``, ``{"enough": "..."}`` for `OperatorEnough`, or ``{"refused": "..."}``.
 """
 
 from __future__ import annotations
@@ -22,8 +23,14 @@ from instruments.operators.operator import Arrangement, BoardAsked, Operator, Op
 LOOK_S = 0.2  # between two looks at the interlocks while the answer is waited for
 PATIENCE_S = 120.0
 DONE = (
-    "confirm_homing", "touch_check_point", "set_up", "touch", "hold_board", "touch_board", "release",
-)  # fmt: skip
+    "confirm_homing",
+    "touch_check_point",
+    "set_up",
+    "touch",
+    "hold_board",
+    "touch_board",
+    "release",
+)
 
 
 class OperatorPort:
@@ -57,7 +64,9 @@ class OperatorPort:
 
 
 class RemoteOperator:
-    """Keeps the protocol `Operator` over a link. Raises LinkError where nobody answers, DeviceError for a refusal."""
+    """Keeps the protocol `Operator` over a link. Raises LinkError where nobody answers, DeviceError
+    for a refusal.
+    """
 
     def __init__(self, url: str, clock: Clock) -> None:
         self.identity = {"operator": "emulated"}
@@ -79,7 +88,9 @@ class RemoteOperator:
     def set_up(self, arrangement: Arrangement) -> Placed:
         return TypeAdapter(Placed).validate_python(self._ask("set_up", arrangement=arrangement))
 
-    def touch(self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = "") -> None:
+    def touch(
+        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
+    ) -> None:
         self._ask("touch", teat=teat, of=of, number=number, numbers=numbers, again=again)
 
     def hold_board(self, asked: BoardAsked) -> None:

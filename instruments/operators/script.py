@@ -1,8 +1,9 @@
 """A script of answers in the place of a person: for CI, and for rehearsing a run at one's desk.
 
-Answers come in their order, each to the first prompt that it fits; what no answer is next for is answered by ``otherwise``, kind
-by kind. A prompt that neither is for, and answers that no prompt came for, are errors: the script and the run were not made for
-each other. May not know files, nor who carries the answers out.
+Answers come in their order, each to the first prompt that it fits; what no answer is next for is
+answered by ``otherwise``, kind by kind. A prompt that neither is for, and answers that no prompt
+came for, are errors: the script and the run were not made for each other. May not know files, nor
+who carries the answers out.
 """
 
 from __future__ import annotations
@@ -23,15 +24,18 @@ from instruments.operators.operator import (
     understood,
 )
 
-MOST_TEATS = 99  # in an answer that names hidden ends; how many there are is known only when it is given
+# in an answer that names hidden ends; how many there are is known only when it is given
+MOST_TEATS = 99
 KINDS: tuple[Kind, ...] = tuple(kind for kind in get_args(Kind) if kind != "task")
 
 
 @dataclass(frozen=True, slots=True)
 class ScriptedAnswer:
-    """``answer``, as it would be typed, ``times`` times to prompts of the kind ``to`` that contain ``says``.
+    """``answer``, as it would be typed, ``times`` times to prompts of the kind ``to`` that contain
+    ``says``.
 
-    ``where`` is its place in the file. Raises ValueError for an answer that no such prompt understands.
+    ``where`` is its place in the file. Raises ValueError for an answer that no such prompt
+    understands.
     """
 
     to: Kind
@@ -47,7 +51,10 @@ class ScriptedAnswer:
 
     def fits(self, prompt: Prompt) -> bool:
         """Whether it answers this prompt."""
-        return prompt.kind == self.to and self.says.lower() in f"{prompt.progress} {prompt.text}".lower()
+        return (
+            prompt.kind == self.to
+            and self.says.lower() in f"{prompt.progress} {prompt.text}".lower()
+        )
 
 
 def check_answer(to: Kind, answer: str) -> None:
@@ -59,7 +66,10 @@ def check_answer(to: Kind, answer: str) -> None:
         hidden = ', "hidden 2 4"' if to == "set up" else ""
         trial = f', "skip REASON", "repeat"{hidden}' if prompt.in_trial else ""
         enough = ', "enough"' if prompt.enough else ""
-        raise ValueError(f'{str(error).rstrip(".")}; to a prompt of the kind "{to}" there are "go"{trial}{enough}, "abort"') from error
+        raise ValueError(
+            f'{str(error).rstrip(".")}; to a prompt of the kind "{to}" there are'
+            f' "go"{trial}{enough}, "abort"'
+        ) from error
     except OperatorSkip as skip:
         if not skip.reason:
             raise ValueError('"skip" needs a reason: "skip the teat came off"') from skip
@@ -68,7 +78,9 @@ def check_answer(to: Kind, answer: str) -> None:
 
 
 class ScriptedAnswers:
-    """Answers prompts, to be asked by a `PromptedOperator`. ``source`` names it in errors, ``show`` gets each prompt with its answer."""
+    """Answers prompts, to be asked by a `PromptedOperator`. ``source`` names it in errors, ``show``
+    gets each prompt with its answer.
+    """
 
     def __init__(
         self,
@@ -92,19 +104,30 @@ class ScriptedAnswers:
     def ask(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
         check()
         answer = self._next(prompt)
-        self._show(f"[{prompt.progress}] {prompt.text} > {answer}" if prompt.progress else f"{prompt.text} > {answer}")
+        self._show(
+            f"[{prompt.progress}] {prompt.text} > {answer}"
+            if prompt.progress
+            else f"{prompt.text} > {answer}"
+        )
         try:
             return understood(answer, prompt)
         except NotUnderstoodError as error:
             what = f"{error} There are {prompt.hidden_to} teats here"
-            raise ProtocolError("operator", what, asked=_short(prompt), hint=f"Correct {self._source}.") from error
+            raise ProtocolError(
+                "operator", what, asked=_short(prompt), hint=f"Correct {self._source}."
+            ) from error
 
     def finish(self) -> None:
         left = self._answers[self._given :]
         if left:
             first = left[0]
-            what = f"the run has ended and {len(left)} answers of {self._source} were never asked for; the first is {_told(first)}"
-            raise ProtocolError("operator", what, hint="Take them out, or correct the prompts that they are for.")
+            what = (
+                f"the run has ended and {len(left)} answers of {self._source} were never asked for;"
+                f" the first is {_told(first)}"
+            )
+            raise ProtocolError(
+                "operator", what, hint="Take them out, or correct the prompts that they are for."
+            )
 
     def _next(self, prompt: Prompt) -> str:
         following = self._answers[self._given] if self._given < len(self._answers) else None
@@ -114,14 +137,29 @@ class ScriptedAnswers:
         if prompt.kind in self._otherwise:
             return self._otherwise[prompt.kind]
         seen = _told(following) if following else "no further answer"
-        hint = f'Add an answer to = "{prompt.kind}" before it, or one for all such prompts under "otherwise".'
-        raise ProtocolError("operator", f"{self._source} has no answer to this prompt", asked=_short(prompt), seen=seen, hint=hint)
+        hint = (
+            f'Add an answer to = "{prompt.kind}" before it, or one for all such prompts under'
+            ' "otherwise".'
+        )
+        raise ProtocolError(
+            "operator",
+            f"{self._source} has no answer to this prompt",
+            asked=_short(prompt),
+            seen=seen,
+            hint=hint,
+        )
 
 
 def _short(prompt: Prompt) -> str:
-    return f"{prompt.kind}: [{prompt.progress}] {prompt.text}" if prompt.progress else f"{prompt.kind}: {prompt.text}"
+    return (
+        f"{prompt.kind}: [{prompt.progress}] {prompt.text}"
+        if prompt.progress
+        else f"{prompt.kind}: {prompt.text}"
+    )
 
 
 def _told(answer: ScriptedAnswer) -> str:
     says = f" that says {answer.says!r}" if answer.says else ""
-    return f"{answer.answer!r} to a prompt of the kind {answer.to!r}{says}" + (f" ({answer.where})" if answer.where else "")
+    return f"{answer.answer!r} to a prompt of the kind {answer.to!r}{says}" + (
+        f" ({answer.where})" if answer.where else ""
+    )

@@ -1,8 +1,10 @@
-"""One line out, one answer back: the conversation with a GRBL controller, and what it pushes in between.
+"""One line out, one answer back: the conversation with a GRBL controller, and what it pushes in
+between.
 
-Strictly send-response: nothing is sent while an answer is owed, so a late answer can't be taken for that of
-another line. An alarm is kept until a restart; each alarm, locked report, restart or broken link counts as an upset, and who
-holds on to something an upset destroys (homing) compares counts. It may not know axes or moves.
+Strictly send-response: nothing is sent while an answer is owed, so a late answer can't be taken for
+that of another line. An alarm is kept until a restart; each alarm, locked report, restart or broken
+link counts as an upset, and who holds on to something an upset destroys (homing) compares counts.
+It may not know axes or moves.
 
 Meeting a controller: who it is, and what its settings say.
 
@@ -43,7 +45,9 @@ LOCKED = frozenset({"Alarm", "Sleep"})
 
 
 class Dialogue:
-    """The conversation over one link. Raises LinkError (silence, broken), ProtocolError (nonsense), DeviceError (refused, alarm)."""
+    """The conversation over one link. Raises LinkError (silence, broken), ProtocolError (nonsense),
+    DeviceError (refused, alarm).
+    """
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self.who = link.who
@@ -66,7 +70,9 @@ class Dialogue:
         pushed: list[Response] = []
         start = self._clock.now()
         while True:
-            answer = self._next(start + timeout_s) if self._clock.now() <= start + timeout_s else None
+            answer = (
+                self._next(start + timeout_s) if self._clock.now() <= start + timeout_s else None
+            )
             if answer is None:
                 hint = "Check power and cable; then recover() starts the controller anew."
                 raise LinkError(self.who, "no answer", asked=text, seconds=timeout_s, hint=hint)
@@ -74,13 +80,16 @@ class Dialogue:
                 return pushed
             if isinstance(answer, ErrorReply):
                 meaning = error_meaning(answer.code)
-                raise DeviceError(self.who, f"error {answer.code}: {meaning.what}", asked=text, hint=meaning.do)
+                raise DeviceError(
+                    self.who, f"error {answer.code}: {meaning.what}", asked=text, hint=meaning.do
+                )
             pushed.append(answer)
 
     def status(self, timeout_s: float = 1.0) -> Status:
         """A fresh status report. Answers owed may come in meanwhile.
 
-        After an alarm it is asked for again: a board that restarts, as after a failed homing, loses it.
+        After an alarm it is asked for again: a board that restarts, as after a failed homing, loses
+        it.
         """
         self._read_pending()
         end_s = self._clock.now() + timeout_s
@@ -90,15 +99,34 @@ class Dialogue:
             while (answer := self._next(until_s)) is not None:
                 if isinstance(answer, Status):
                     return answer
-        raise LinkError(self.who, "no status report", asked="?", seconds=timeout_s, hint="Check power and cable.")
+        raise LinkError(
+            self.who,
+            "no status report",
+            asked="?",
+            seconds=timeout_s,
+            hint="Check power and cable.",
+        )
 
     def machine_mm(self, status: Status) -> Position:
-        """The machine position of a report, whichever position the controller is set to send. Raises ProtocolError."""
+        """The machine position of a report, whichever position the controller is set to send.
+        Raises ProtocolError.
+        """
         if status.mpos_mm is not None:
             return status.mpos_mm
-        if status.wpos_mm is None or self._offset is None or len(status.wpos_mm) != len(self._offset):
-            raise ProtocolError(self.who, "no machine position: the work offset has not come yet", seen=status.name, hint="Set $10=1.")
-        return tuple(work + offset for work, offset in zip(status.wpos_mm, self._offset, strict=True))
+        if (
+            status.wpos_mm is None
+            or self._offset is None
+            or len(status.wpos_mm) != len(self._offset)
+        ):
+            raise ProtocolError(
+                self.who,
+                "no machine position: the work offset has not come yet",
+                seen=status.name,
+                hint="Set $10=1.",
+            )
+        return tuple(
+            work + offset for work, offset in zip(status.wpos_mm, self._offset, strict=True)
+        )
 
     def realtime(self, byte: bytes) -> None:
         """Send a byte that acts at once and is never answered."""
@@ -111,23 +139,31 @@ class Dialogue:
             pass
 
     def start(self) -> Welcome:
-        """Wait for the welcome of a board that the opening of its port has reset, or reset it. For a new link."""
+        """Wait for the welcome of a board that the opening of its port has reset, or reset it. For
+        a new link.
+        """
         self.upsets += 1
         return self._welcome(START_S) or self.restart()
 
     def restart(self) -> Welcome:
-        """Soft reset: forget what was owed, the alarm, and all that has come so far. Raises LinkError or ProtocolError."""
+        """Soft reset: forget what was owed, the alarm, and all that has come so far. Raises
+        LinkError or ProtocolError.
+        """
         self.upsets += 1
         self._link.drain(0.0)
         self._write(SOFT_RESET)
         welcome = self._welcome(START_S)
         if welcome is None:
             hint = "Check power, cable and baud rate."
-            raise LinkError(self.who, "no welcome after a reset", asked=SOFT_RESET, seconds=START_S, hint=hint)
+            raise LinkError(
+                self.who, "no welcome after a reset", asked=SOFT_RESET, seconds=START_S, hint=hint
+            )
         return welcome
 
     def _welcome(self, timeout_s: float) -> Welcome | None:
-        """The welcome, once all that comes with it is in; None if nothing came. Raises ProtocolError for another device's talk."""
+        """The welcome, once all that comes with it is in; None if nothing came. Raises
+        ProtocolError for another device's talk.
+        """
         self._decoder, self.alarm, self.owed, self._offset = Decoder(), None, None, None
         self._inbox.clear()
         welcome, seen = None, b""
@@ -137,7 +173,13 @@ class Dialogue:
             welcome = _last_welcome(self._decoder, data)
         if welcome is None and seen:
             hint = "Is this the stage's port, at 115200 baud?"
-            raise ProtocolError(self.who, "this is not GRBL: no welcome", seen=seen[:60], seconds=timeout_s, hint=hint)
+            raise ProtocolError(
+                self.who,
+                "this is not GRBL: no welcome",
+                seen=seen[:60],
+                seconds=timeout_s,
+                hint=hint,
+            )
         if welcome:
             more = self._link.drain(QUIET_S, at_most_s=timeout_s)
             welcome = _last_welcome(self._decoder, more) or welcome
@@ -152,14 +194,18 @@ class Dialogue:
             raise self._alarmed(asked=text)
         if self.owed is not None:
             hint = "Call recover(): it starts the controller anew."
-            raise LinkError(self.who, f"the answer to {self.owed!r} is still owed", asked=text, hint=hint)
+            raise LinkError(
+                self.who, f"the answer to {self.owed!r} is still owed", asked=text, hint=hint
+            )
 
     def _read_pending(self) -> None:
         while self._next(self._clock.now()) is not None:
             pass
 
     def _next(self, until_s: float) -> Response | None:
-        """The next answer or push that is good; None once the time is over. Raises for the others."""
+        """The next answer or push that is good; None once the time
+        is over. Raises for the others.
+        """
         while not self._inbox:
             data = self._receive(until_s)  # at least once, even when the time is over
             if not data:
@@ -170,10 +216,21 @@ class Dialogue:
     def _judge(self, answer: Response) -> Response:
         if isinstance(answer, Nonsense):
             hint = "Check cable and earthing."
-            raise ProtocolError(self.who, f"nonsense: {answer.why}", asked=self.owed, seen=answer.raw[:60], hint=hint)
+            raise ProtocolError(
+                self.who,
+                f"nonsense: {answer.why}",
+                asked=self.owed,
+                seen=answer.raw[:60],
+                hint=hint,
+            )
         if isinstance(answer, Ok | ErrorReply):
             if self.owed is None:
-                raise ProtocolError(self.who, "an answer that nothing was asked for", seen=str(answer), hint="Call recover().")
+                raise ProtocolError(
+                    self.who,
+                    "an answer that nothing was asked for",
+                    seen=str(answer),
+                    hint="Call recover().",
+                )
             self.owed = None
         elif isinstance(answer, Alarm):
             self.upsets += 1
@@ -183,7 +240,10 @@ class Dialogue:
             self.upsets += 1
             self.owed = None
             if self.alarm is None:  # a failed homing ends in a restart
-                what, hint = "the controller has restarted by itself: position lost", "Check its power, then home()."
+                what, hint = (
+                    "the controller has restarted by itself: position lost",
+                    "Check its power, then home().",
+                )
                 raise DeviceError(self.who, what, hint=hint)
         elif isinstance(answer, Status):
             self._offset = answer.wco_mm or self._offset
@@ -212,8 +272,13 @@ class Dialogue:
 
 
 def _last_welcome(decoder: Decoder, data: bytes) -> Welcome | None:
-    """The last welcome in what has come; boards print other things around it, from the boot loader or a cut line."""
-    return next((answer for answer in reversed(list(decoder.feed(data))) if isinstance(answer, Welcome)), None)
+    """The last welcome in what has come; boards print other things around it, from the boot loader
+    or a cut line.
+    """
+    return next(
+        (answer for answer in reversed(list(decoder.feed(data))) if isinstance(answer, Welcome)),
+        None,
+    )
 
 
 def meet(talk: Dialogue, axes: str) -> tuple[StageIdentity, StageSettings]:
@@ -224,12 +289,22 @@ def meet(talk: Dialogue, axes: str) -> tuple[StageIdentity, StageSettings]:
     welcome = talk.start()
     if not welcome.version.startswith("1.1"):
         hint = "Load Grbl 1.1 or grblHAL."
-        raise DeviceError(talk.who, f"firmware {welcome.dialect} {welcome.version} speaks another protocol", hint=hint)
+        raise DeviceError(
+            talk.who,
+            f"firmware {welcome.dialect} {welcome.version} speaks another protocol",
+            hint=hint,
+        )
     identity = _identity(talk, welcome)
-    values = {answer.number: answer.value for answer in talk.command("$$") if isinstance(answer, Setting)}
+    values = {
+        answer.number: answer.value for answer in talk.command("$$") if isinstance(answer, Setting)
+    }
     return identity, read_settings(values, who=talk.who, axes=axes)
 
 
 def _identity(talk: Dialogue, welcome: Welcome) -> StageIdentity:
-    told = {answer.kind: answer.text for answer in talk.command("$I") if isinstance(answer, Message)}
-    return StageIdentity(welcome.dialect, welcome.version, told.get("VER", "").strip(":"), told.get("OPT", ""))
+    told = {
+        answer.kind: answer.text for answer in talk.command("$I") if isinstance(answer, Message)
+    }
+    return StageIdentity(
+        welcome.dialect, welcome.version, told.get("VER", "").strip(":"), told.get("OPT", "")
+    )

@@ -1,19 +1,22 @@
-"""Waiting for the stage: until it has arrived, until it stands, and what is left when it doesn't stop.
+"""Waiting for the stage: until it has arrived, until it stands, and what is left when it doesn't
+stop.
 
-Asks for a report five times a second, as the firmware's documents want it. It may not know targets or homing; what it finds
-wrong it raises.
+Asks for a report five times a second, as the firmware's documents want it. It may not know targets
+or homing; what it finds wrong it raises.
 
 The motion stage: homing, moves in machine coordinates, jogs, hold, stop. The host's end.
 
-The controller's word is never taken alone: a target is checked against the travel before it is sent, and a
-move counts as finished when a dwell behind it has been answered, the stage is idle, and the position that is
-read back is the target. No move before homing; whatever could have cost the position (alarm, restart, broken
-link) asks for homing again, and only an explicit ``recover`` leaves an alarm. A carriage that has lost steps without the
-controller's knowing stands elsewhere than is read back: only a touch finds that. It may not know the phantom, the
-world, or other frames than the stage's own machine frame: mm, 0 at the switches, negative everywhere else.
+The controller's word is never taken alone: a target is checked against the travel before it is
+sent, and a move counts as finished when a dwell behind it has been answered, the stage is idle, and
+the position that is read back is the target. No move before homing; whatever could have cost the
+position (alarm, restart, broken link) asks for homing again, and only an explicit ``recover``
+leaves an alarm. A carriage that has lost steps without the controller's knowing stands elsewhere
+than is read back: only a touch finds that. It may not know the phantom, the world, or other frames
+than the stage's own machine frame: mm, 0 at the switches, negative everywhere else.
 
-A stage moves the ``axes`` it is declared with: X and Y, with Z or without, and with a rotation A or without. All that is said
-to a controller about A is inferred from grblHAL's source (`instruments.stage.settings`); try it with nothing on the turntable.
+A stage moves the ``axes`` it is declared with: X and Y, with Z or without, and with a rotation A or
+without. All that is said to a controller about A is inferred from grblHAL's source
+(`instruments.stage.settings`); try it with nothing on the turntable.
 """
 
 from __future__ import annotations
@@ -35,7 +38,8 @@ from instruments.stage.targets import Move, Target
 POLL_S = 0.2  # the firmware asks for no more than 5 queries a second
 STOP_S = 10.0  # braking takes a second at most; more means that the stage doesn't obey
 MOVING = frozenset({"Run", "Jog", "Home"})
-_STILL = frozenset({"Idle", "Alarm", "Sleep", "Check", "Hold:0", "Door:0", "Door:1"})  # states, or states with a substate
+# states, or states with a substate
+_STILL = frozenset({"Idle", "Alarm", "Sleep", "Check", "Hold:0", "Door:0", "Door:1"})
 
 
 def is_still(status: Status) -> bool:
@@ -44,42 +48,68 @@ def is_still(status: Status) -> bool:
 
 
 def until_over(talk: Dialogue, clock: Clock, deadline_s: float, allowed_s: float) -> Status:
-    """The report of an idle stage, once all that was planned has been done. Raises DeviceError for a stage that is held or locked
-    instead, or when the deadline comes first (``allowed_s`` is for its message)."""
+    """The report of an idle stage, once all that was planned has been done. Raises DeviceError for
+    a stage that is held or locked instead, or when the deadline comes first (``allowed_s`` is for
+    its message).
+    """
     while (status := talk.status()).state in MOVING:
         if clock.now() > deadline_s:
             hint = "Is a feed override set, or does an axis stick?"
-            raise DeviceError(talk.who, "the move takes too long", seen=status.name, seconds=allowed_s, hint=hint)
+            raise DeviceError(
+                talk.who, "the move takes too long", seen=status.name, seconds=allowed_s, hint=hint
+            )
         talk.wait(POLL_S)
     if status.state != "Idle":
-        hint = "Call resume() and finish_move()." if status.state == "Hold" else "See the controller's panel; then recover()."
+        hint = (
+            "Call resume() and finish_move()."
+            if status.state == "Hold"
+            else "See the controller's panel; then recover()."
+        )
         raise DeviceError(talk.who, "the move was interrupted", seen=status.name, hint=hint)
-    # Idle may be reported before the move has begun: only the dwell behind it shows that it is over.
+    # Idle may be reported before the move has begun: only the dwell behind it shows that it is
+    # over.
     talk.command("G4P0", max(ANSWER_S, deadline_s - clock.now()))
     status = talk.status()
     if status.state != "Idle":
-        raise DeviceError(talk.who, "not idle after the move", seen=status.name, hint="Was the stage held at its own panel?")
+        raise DeviceError(
+            talk.who,
+            "not idle after the move",
+            seen=status.name,
+            hint="Was the stage held at its own panel?",
+        )
     return status
 
 
 def until_still(talk: Dialogue, clock: Clock) -> Status:
-    """The first report of a stage that brakes and stands. Raises DeviceError when it doesn't obey."""
+    """The first report of a stage that brakes and stands. Raises
+    DeviceError when it doesn't obey.
+    """
     deadline = clock.now() + STOP_S
     while not is_still(status := talk.status()):
         if clock.now() > deadline:
-            raise DeviceError(talk.who, "the stage does not stop", seen=status.name, seconds=STOP_S, hint="Cut its power.")
+            raise DeviceError(
+                talk.who,
+                "the stage does not stop",
+                seen=status.name,
+                seconds=STOP_S,
+                hint="Cut its power.",
+            )
         talk.wait(POLL_S)
     return status
 
 
 def stop_hard(talk: Dialogue, error: InstrumentError) -> None:
-    """What is left when braking gave ``error``: nothing where the steps are cut already, else a reset. Raises LinkError."""
+    """What is left when braking gave ``error``: nothing where the steps are cut already, else a
+    reset. Raises LinkError.
+    """
     if talk.alarm is not None:
         return
     try:
         talk.restart()
     except InstrumentError as worse:
-        raise LinkError(talk.who, f"can't be stopped: {worse.what}", hint="Cut its power.") from error
+        raise LinkError(
+            talk.who, f"can't be stopped: {worse.what}", hint="Cut its power."
+        ) from error
 
 
 # The firmware sends a report before it goes on, where both are asked for in one pass of its loop.
@@ -87,17 +117,23 @@ RESUME_PAUSES_S = (0.0, 0.1, 0.1, 0.1)
 
 
 class Stage:
-    """The stage at the end of ``link``, of ``axes`` "XY", "XYZ", "XYA" or "XYZA". One owner: not for use by two threads.
+    """The stage at the end of ``link``, of ``axes`` "XY", "XYZ", "XYA" or "XYZA". One owner: not
+    for use by two threads.
 
-    Every call may raise LinkError (silence, broken link), ProtocolError (nonsense), DeviceError (the controller
-    refused, gave an alarm, or restarted by itself) and LimitError (we refused before sending).
+    Every call may raise LinkError (silence, broken link), ProtocolError (nonsense), DeviceError
+    (the controller refused, gave an alarm, or restarted by itself) and LimitError (we refused
+    before sending).
     """
 
-    safe_state: ClassVar[str] = "at a stand and holding its position; after an alarm, locked until it is homed"
+    safe_state: ClassVar[str] = (
+        "at a stand and holding its position; after an alarm, locked until it is homed"
+    )
 
     def __init__(self, link: Link, clock: Clock, axes: str = "XY") -> None:
         if axes not in DECLARABLE:
-            raise LimitError(link.who, f"a stage has no axes {axes!r}", hint=f"Declare {', '.join(DECLARABLE)}.")
+            raise LimitError(
+                link.who, f"a stage has no axes {axes!r}", hint=f"Declare {', '.join(DECLARABLE)}."
+            )
         self.axes = axes
         self._link = link
         self._clock = clock
@@ -108,7 +144,9 @@ class Stage:
         self._move: Move | None = None
 
     def connect(self) -> StageIdentity:
-        """Meet the controller and read its settings. Raises DeviceError for firmware or settings that we can't work with."""
+        """Meet the controller and read its settings. Raises DeviceError for firmware or settings
+        that we can't work with.
+        """
         self._identity, self._settings = meet(self._talk, self.axes)
         return self._identity
 
@@ -128,12 +166,16 @@ class Stage:
 
     @property
     def limits(self) -> dict[str, AxisLimits]:
-        """The travel by letter of the declared axes, mm (degrees for A) in machine coordinates. Raises LimitError before ``connect``."""
+        """The travel by letter of the declared axes, mm (degrees for A) in machine coordinates.
+        Raises LimitError before ``connect``.
+        """
         return {axis: limits for axis, limits in self.settings.limits.items() if axis in self.axes}
 
     @property
     def homed(self) -> bool:
-        """Whether the position can be trusted: homed, and no alarm, restart or broken link since."""
+        """Whether the position can be trusted: homed, and no alarm,
+        restart or broken link since.
+        """
         return self._homed_at == self._talk.upsets
 
     def status(self) -> Status:
@@ -141,39 +183,71 @@ class Stage:
         return self._talk.status()
 
     def position(self) -> NDArray[np.float64]:
-        """Where the controller believes the stage is, machine coordinates: (3,) mm, or (4,) with degrees of a declared A.
+        """Where the controller believes the stage is, machine coordinates: (3,) mm, or (4,) with
+        degrees of a declared A.
 
         Means nothing unless ``homed``.
         """
         return np.array(list(self._here(self._talk.status()).values()), dtype=np.float64)
 
     def home(self) -> None:
-        """Run to the switches and set the position. Takes up to a minute or more. Raises DeviceError when it fails."""
+        """Run to the switches and set the position. Takes up to a minute or more. Raises
+        DeviceError when it fails.
+        """
         settings = self.settings
         if not settings.homing:
-            raise LimitError(self._talk.who, "homing is switched off in the controller", hint="Fit the switches and set $22=1.")
+            raise LimitError(
+                self._talk.who,
+                "homing is switched off in the controller",
+                hint="Fit the switches and set $22=1.",
+            )
         if self._under_way:
-            raise LimitError(self._talk.who, "a move is under way", asked="$H", hint="Call finish_move(), or stop() and recover().")
+            raise LimitError(
+                self._talk.who,
+                "a move is under way",
+                asked="$H",
+                hint="Call finish_move(), or stop() and recover().",
+            )
         self._move = self._homed_at = None
         self._talk.command("$H", settings.homing_bound_s)
         status = self._talk.status()
         if status.state != "Idle":
-            raise DeviceError(self._talk.who, "not idle after homing", asked="$H", seen=status.name, hint="Call recover(), then home().")
+            raise DeviceError(
+                self._talk.who,
+                "not idle after homing",
+                asked="$H",
+                seen=status.name,
+                hint="Call recover(), then home().",
+            )
         self._homed_at = self._talk.upsets
 
     def move_to(
-        self, x_mm: float, y_mm: float, *, z_mm: float | None = None, a_deg: float | None = None, feed_mm_min: float | None = None
+        self,
+        x_mm: float,
+        y_mm: float,
+        *,
+        z_mm: float | None = None,
+        a_deg: float | None = None,
+        feed_mm_min: float | None = None,
     ) -> None:
-        """Move in a straight line and come back once the stage stands at the target, as read back from the controller.
+        """Move in a straight line and come back once the stage stands at the target, as read back
+        from the controller.
 
-        Machine coordinates. Without a feed, as fast as the slower of the axes allows. Raises LimitError before
-        homing, outside the travel, for an axis that isn't declared, or unless the stage is idle; DeviceError when it ends elsewhere.
+        Machine coordinates. Without a feed, as fast as the slower of the axes allows. Raises
+        LimitError before homing, outside the travel, for an axis that isn't declared, or unless the
+        stage is idle; DeviceError when it ends elsewhere.
         """
         self.begin_move(x_mm, y_mm, z_mm=z_mm, a_deg=a_deg, feed_mm_min=feed_mm_min)
         self.finish_move()
 
     def begin_move(
-        self, x_mm: float, y_mm: float, *, z_mm: float | None = None, a_deg: float | None = None, feed_mm_min: float | None = None
+        self,
+        x_mm: float,
+        y_mm: float,
+        *,
+        z_mm: float | None = None,
+        a_deg: float | None = None,
+        feed_mm_min: float | None = None,
     ) -> None:
         """Start what ``finish_move`` waits for. Raises as ``move_to``."""
         wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
@@ -185,8 +259,18 @@ class Stage:
         here = self._ready_at(line)
         self._send(line, target, {axis: target[axis] - here[axis] for axis in target}, feed)
 
-    def jog(self, *, x_mm: float = 0.0, y_mm: float = 0.0, z_mm: float = 0.0, a_deg: float = 0.0, feed_mm_min: float | None = None) -> None:
-        """Start to move by so much from where the stage is; ``finish_move`` waits for it, ``cancel_jog`` ends it. Raises as ``move_to``."""
+    def jog(
+        self,
+        *,
+        x_mm: float = 0.0,
+        y_mm: float = 0.0,
+        z_mm: float = 0.0,
+        a_deg: float = 0.0,
+        feed_mm_min: float | None = None,
+    ) -> None:
+        """Start to move by so much from where the stage is; ``finish_move`` waits for it,
+        ``cancel_jog`` ends it. Raises as ``move_to``.
+        """
         wanted = {"X": x_mm or None, "Y": y_mm or None, "Z": z_mm or None, "A": a_deg or None}
         way = targets.declared(wanted, self.axes, who=self._talk.who)
         if not way:
@@ -200,14 +284,18 @@ class Stage:
         self._send(line, target, way, feed, jog=True)
 
     def cancel_jog(self) -> None:
-        """End a jog early and come back when the stage stands, its position kept. Does nothing where no jog is under way."""
+        """End a jog early and come back when the stage stands, its position kept. Does nothing
+        where no jog is under way.
+        """
         if (move := self._under_way) and move.jog:
             self._talk.realtime(JOG_CANCEL)
             until_still(self._talk, self._clock)
             self._move = None
 
     def finish_move(self) -> None:
-        """Wait for the move that was begun, or resumed, or the jog. Raises DeviceError when it is held, too slow, or ends elsewhere."""
+        """Wait for the move that was begun, or resumed, or the jog. Raises DeviceError when it is
+        held, too slow, or ends elsewhere.
+        """
         move = self._under_way
         if move is None:
             raise LimitError(self._talk.who, "no move is under way", hint="Call begin_move().")
@@ -220,24 +308,32 @@ class Stage:
             raise
 
     def hold(self) -> None:
-        """Brake and come back when the stage stands. Leaves the move to ``resume``; ends a jog; an idle stage is left alone."""
+        """Brake and come back when the stage stands. Leaves the move to ``resume``; ends a jog; an
+        idle stage is left alone.
+        """
         self.cancel_jog()
         if self._talk.status().state in MOVING:
             self._talk.realtime(HOLD)
         until_still(self._talk, self._clock)
 
     def brake(self) -> None:
-        """Send the byte that brakes and don't wait: the one call that another thread than the owner's may make.
+        """Send the byte that brakes and don't wait: the one call that another thread than the
+        owner's may make.
 
-        The owner's move then ends in a DeviceError. While homing, classic firmware ignores it. Raises LinkError.
+        The owner's move then ends in a DeviceError. While homing, classic firmware ignores it.
+        Raises LinkError.
         """
         self._talk.realtime(HOLD)
 
     def resume(self) -> None:
-        """Go on after a hold, once the stage stands: sooner, the controller would lose the command. Raises LimitError unless held."""
+        """Go on after a hold, once the stage stands: sooner, the controller would lose the command.
+        Raises LimitError unless held.
+        """
         status = until_still(self._talk, self._clock)
         if status.name != "Hold:0":
-            raise LimitError(self._talk.who, "nothing to resume: the stage is not held", seen=status.name)
+            raise LimitError(
+                self._talk.who, "nothing to resume: the stage is not held", seen=status.name
+            )
         if move := self._under_way:
             self._move = move.again(self._clock.now())
         self._talk.realtime(RESUME)
@@ -247,13 +343,17 @@ class Stage:
             if status.state != "Hold":
                 return
         hint = "Call recover(), then home()."
-        raise DeviceError(self._talk.who, "the controller did not resume", seen=status.name, hint=hint)
+        raise DeviceError(
+            self._talk.who, "the controller did not resume", seen=status.name, hint=hint
+        )
 
     def stop(self) -> None:
-        """Bring the stage to a stand from any state, and come back when it stands. Call it as often as you like.
+        """Bring the stage to a stand from any state, and come back when it stands. Call it as often
+        as you like.
 
-        Brakes without losing the position; only a controller that homes or doesn't answer is reset. An alarm has
-        already cut the steps: it stays for the next call to report. Raises LinkError when the stage can't be reached.
+        Brakes without losing the position; only a controller that homes or doesn't answer is reset.
+        An alarm has already cut the steps: it stays for the next call to report. Raises LinkError
+        when the stage can't be reached.
         """
         if self._talk.alarm is not None:
             return
@@ -270,7 +370,8 @@ class Stage:
     safe = stop
 
     def reconnect(self) -> StageIdentity:
-        """After a cable was out or the power gone: open the link again and meet the controller. The stage must be homed again after it.
+        """After a cable was out or the power gone: open the link again and meet the controller. The
+        stage must be homed again after it.
 
         Raises LinkError while it is not back, else as ``connect``.
         """
@@ -279,13 +380,17 @@ class Stage:
         return self.connect()
 
     def recover(self) -> None:
-        """Leave an alarm, a hold, or a conversation out of step: restart the controller. The stage must be homed again after it."""
+        """Leave an alarm, a hold, or a conversation out of step: restart the controller. The stage
+        must be homed again after it.
+        """
         self._move = None
         self._talk.restart()
         status = self._talk.status()
         if status.state not in ("Idle", "Alarm"):
             hint = "Switch the controller off and on."
-            raise DeviceError(self._talk.who, "neither idle nor locked after a reset", seen=status.name, hint=hint)
+            raise DeviceError(
+                self._talk.who, "neither idle nor locked after a reset", seen=status.name, hint=hint
+            )
 
     def close(self) -> None:
         """Close the link. Does not stop the stage: call ``stop`` before."""
@@ -301,18 +406,35 @@ class Stage:
 
     def _check_homed(self, line: str) -> None:
         if not self.homed:
-            raise LimitError(self._talk.who, "no move before homing", asked=line, hint="Call home(); after an alarm recover() first.")
+            raise LimitError(
+                self._talk.who,
+                "no move before homing",
+                asked=line,
+                hint="Call home(); after an alarm recover() first.",
+            )
 
     def _ready_at(self, line: str) -> Target:
         """Where the stage stands, ready to move. Raises LimitError unless it is."""
         status = self._talk.status()
         self._check_homed(line)  # the report may have brought bad news with it
         if status.state != "Idle" or self._under_way:
-            hint = "Call resume() and finish_move(), or recover()." if status.state == "Hold" else "Call finish_move(), or stop()."
-            raise LimitError(self._talk.who, "a move is still under way, or the stage is not idle", asked=line, seen=status.name, hint=hint)
+            hint = (
+                "Call resume() and finish_move(), or recover()."
+                if status.state == "Hold"
+                else "Call finish_move(), or stop()."
+            )
+            raise LimitError(
+                self._talk.who,
+                "a move is still under way, or the stage is not idle",
+                asked=line,
+                seen=status.name,
+                hint=hint,
+            )
         return self._here(status)
 
-    def _send(self, line: str, target: Target, way: Target, feed: float, *, jog: bool = False) -> None:
+    def _send(
+        self, line: str, target: Target, way: Target, feed: float, *, jog: bool = False
+    ) -> None:
         allowed = targets.allowed_s(way, feed, self.settings)
         self._talk.command(line)
         self._move = Move(target, self._clock.now() + allowed, allowed, jog)

@@ -1,8 +1,8 @@
 """GRBL 1.1 on the wire: lines to send, and bytes back to values. Classic GRBL and grblHAL.
 
-Total functions: any bytes give values, and what makes no sense gives ``Nonsense`` with the reason, so that
-one bad line never hides the next. Fields of a status report are found by name and unknown ones kept as text.
-It may not know a wire, a clock, or what follows from an answer.
+Total functions: any bytes give values, and what makes no sense gives ``Nonsense`` with the reason,
+so that one bad line never hides the next. Fields of a status report are found by name and unknown
+ones kept as text. It may not know a wire, a clock, or what follows from an answer.
 
 Source: the firmware's interface and command documents, version 1.1.
 """
@@ -25,11 +25,19 @@ RESUME = b"~"
 SOFT_RESET = b"\x18"
 DOOR = b"\x84"
 JOG_CANCEL = b"\x85"
-FEED_OVERRIDES: dict[bytes, int | None] = {b"\x90": None, b"\x91": 10, b"\x92": -10, b"\x93": 1, b"\x94": -1}  # None: back to 100 %
+# None: back to 100 %
+FEED_OVERRIDES: dict[bytes, int | None] = {
+    b"\x90": None,
+    b"\x91": 10,
+    b"\x92": -10,
+    b"\x93": 1,
+    b"\x94": -1,
+}
 RAPID_OVERRIDES: dict[bytes, int] = {b"\x95": 100, b"\x96": 50, b"\x97": 25}
 SPINDLE_OVERRIDES = frozenset(bytes([code]) for code in range(0x99, 0x9F))
 
-AXES = "XYZA"  # in the order of every list of numbers; A is a rotation in degrees, on boards with four axes
+# in the order of every list of numbers; A is a rotation in degrees, on boards with four axes
+AXES = "XYZA"
 Position = tuple[float, ...]
 
 
@@ -54,7 +62,9 @@ class Alarm:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """A status report. Positions in mm (unless the controller is set to inches), three axes or more; None: not in this report."""
+    """A status report. Positions in mm (unless the controller is set to inches), three axes or
+    more; None: not in this report.
+    """
 
     state: str
     substate: int | None
@@ -151,7 +161,9 @@ def _status(raw: bytes, text: str) -> Status | Nonsense:
     if positions["MPos"] is None and positions["WPos"] is None:
         return Nonsense(raw, "a status report without a position")
     substate = int(state[2]) if state[2] else None
-    return Status(state[1], substate, positions["MPos"], positions["WPos"], positions["WCO"], fields)
+    return Status(
+        state[1], substate, positions["MPos"], positions["WPos"], positions["WCO"], fields
+    )
 
 
 def _position(text: str) -> Position | None:
@@ -172,33 +184,40 @@ class Decoder:
         *lines, self._pending = (self._pending + data).split(b"\n")
         answers = [parse(line) for line in (raw.rstrip(b"\r") for raw in lines) if line]
         if len(self._pending) > MAX_ANSWER:
-            answers.append(Nonsense(self._pending, f"{len(self._pending)} bytes without a line end"))
+            answers.append(
+                Nonsense(self._pending, f"{len(self._pending)} bytes without a line end")
+            )
             self._pending = b""
         return iter(answers)
 
 
 def encode(text: str, *, who: str = "stage") -> bytes:
-    """The line as it goes out. Raises LimitError where the controller would mangle it: too long, or a
-    character that is not printable ASCII or that it would take for a real-time command."""
+    """The line as it goes out. Raises LimitError where the controller would mangle it: too long, or
+    a character that is not printable ASCII or that it would take for a real-time command.
+    """
     bad = next((sign for sign in text if not " " <= sign <= "~" or sign in "?!~"), None)
     if bad is not None:
         raise LimitError(who, f"the line can't hold {bad!r}", asked=text)
     if len(text) > MAX_LINE:
-        raise LimitError(who, f"the line has {len(text)} characters, the controller takes {MAX_LINE}", asked=text)
+        raise LimitError(
+            who, f"the line has {len(text)} characters, the controller takes {MAX_LINE}", asked=text
+        )
     return text.encode("ascii") + b"\n"
 
 
 def move_line(target_mm: Mapping[str, float], feed_mm_min: float, *, who: str = "stage") -> str:
-    """A straight move at ``feed_mm_min`` to ``target_mm`` (axis letter to mm) in the machine's own coordinates.
+    """A straight move at ``feed_mm_min`` to ``target_mm`` (axis letter to mm) in the machine's own
+    coordinates.
 
-    States everything that an earlier line could have changed: plane units, absolute, feed per minute. Raises
-    LimitError for an axis or number that can't be written.
+    States everything that an earlier line could have changed: plane units, absolute, feed per
+    minute. Raises LimitError for an axis or number that can't be written.
     """
     return f"G21G90G94G53G1{_words(target_mm, feed_mm_min, who)}"
 
 
 def jog_line(way_mm: Mapping[str, float], feed_mm_min: float, *, who: str = "stage") -> str:
-    """A jog by ``way_mm`` (axis letter to mm) from where the stage is: it can be cancelled, and leaves no mode behind.
+    """A jog by ``way_mm`` (axis letter to mm) from where the stage is: it can be cancelled, and
+    leaves no mode behind.
 
     Raises LimitError for an axis or number that can't be written.
     """
@@ -207,10 +226,15 @@ def jog_line(way_mm: Mapping[str, float], feed_mm_min: float, *, who: str = "sta
 
 def _words(axes: Mapping[str, float], feed_mm_min: float, who: str) -> str:
     if not axes or any(axis not in AXES or len(axis) != 1 for axis in axes):
-        raise LimitError(who, f"no such axes to move: {', '.join(axes) or 'none'}", hint="Use X, Y, Z or A.")
+        raise LimitError(
+            who, f"no such axes to move: {', '.join(axes) or 'none'}", hint="Use X, Y, Z or A."
+        )
     if not feed_mm_min >= 0.001:
         raise LimitError(who, f"a feed of {feed_mm_min} mm/min is no feed")
-    return "".join(f"{axis}{_decimal(value, who)}" for axis, value in axes.items()) + f"F{_decimal(feed_mm_min, who)}"
+    return (
+        "".join(f"{axis}{_decimal(value, who)}" for axis, value in axes.items())
+        + f"F{_decimal(feed_mm_min, who)}"
+    )
 
 
 def _decimal(value: float, who: str) -> str:

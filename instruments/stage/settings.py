@@ -1,11 +1,13 @@
-"""What a controller says of itself: who it is, and its stored settings as the answers to ``$$`` give them.
+"""What a controller says of itself: who it is, and its stored settings as the answers to ``$$``
+give them.
 
 Pure. It may not know a wire, or what the settings are used for.
 
-The sheet covers X, Y and Z ($100 to $132). What is said of a rotation A is inferred from grblHAL's source and not recorded on a
-board: that a build with four axes has $103, $113, $123 and $133 (steps per degree, degrees/min, degrees/s², degrees), prints a
-fourth number in positions, names the axes of each homing pass in $44 to $49 as a bit mask (A is 8), and puts the origin
-at the switch where $22 has bit 8 set.
+The sheet covers X, Y and Z ($100 to $132). What is said of a rotation A is inferred from grblHAL's
+source and not recorded on a board: that a build with four axes has $103, $113, $123 and $133 (steps
+per degree, degrees/min, degrees/s², degrees), prints a fourth number in positions, names the axes
+of each homing pass in $44 to $49 as a bit mask (A is 8), and puts the origin at the switch where
+$22 has bit 8 set.
 """
 
 from __future__ import annotations
@@ -24,7 +26,9 @@ _ORIGIN_AT_SWITCH = 8
 
 @dataclass(frozen=True, slots=True)
 class StageIdentity:
-    """Who answers: the firmware's dialect and version, its build and its build options as ``$I`` prints them."""
+    """Who answers: the firmware's dialect and version, its build and its build options as ``$I``
+    prints them.
+    """
 
     dialect: str
     version: str
@@ -32,7 +36,10 @@ class StageIdentity:
     options: str
 
     def __str__(self) -> str:
-        return f"{self.dialect} {self.version} (build {self.build or 'unknown'}, options {self.options or 'unknown'})"
+        return (
+            f"{self.dialect} {self.version} (build {self.build or 'unknown'}, options"
+            f" {self.options or 'unknown'})"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +56,9 @@ class AxisLimits:
 
 @dataclass(frozen=True, slots=True)
 class StageSettings:
-    """Settings in the controller's units, X Y Z and A where it is used: mm, mm/min, mm/s²; degrees for A."""
+    """Settings in the controller's units, X Y Z and A where it is used: mm, mm/min, mm/s²; degrees
+    for A.
+    """
 
     travel_mm: Axes
     rate_mm_min: Axes
@@ -65,11 +74,16 @@ class StageSettings:
     @property
     def limits(self) -> dict[str, AxisLimits]:
         """The travel of each axis: machine space is negative, 0 at the switch."""
-        return {axis: AxisLimits(-travel, 0.0) for axis, travel in zip(AXES, self.travel_mm, strict=False)}
+        return {
+            axis: AxisLimits(-travel, 0.0)
+            for axis, travel in zip(AXES, self.travel_mm, strict=False)
+        }
 
     @property
     def homing_bound_s(self) -> float:
-        """No homing cycle takes longer: every axis searches 1.5 times its travel, one after the other, then creeps."""
+        """No homing cycle takes longer: every axis searches 1.5 times its travel, one after the
+        other, then creeps.
+        """
         seek_s = 60 * 1.5 * sum(self.travel_mm) / self.homing_seek_mm_min
         creep_s = 60 * len(self.travel_mm) * 5 * self.pull_off_mm / self.homing_feed_mm_min
         return seek_s + creep_s + 15.0
@@ -78,8 +92,9 @@ class StageSettings:
 def read_settings(values: Mapping[int, str], *, who: str, axes: str = "XYZ") -> StageSettings:
     """The settings from ``$n=value`` pairs, for a stage that uses ``axes`` (one of `DECLARABLE`).
 
-    Raises ProtocolError when one is missing or not a number above its least value, and DeviceError for settings that we
-    can't work with: no such axis, an axis that isn't homed, an origin at the switch.
+    Raises ProtocolError when one is missing or not a number above its least value, and DeviceError
+    for settings that we can't work with: no such axis, an axis that isn't homed, an origin at the
+    switch.
     """
 
     def number(key: int, least: float = 0.0) -> float:
@@ -111,7 +126,9 @@ def _number(values: Mapping[int, str], key: int, least: float, who: str) -> floa
         value = float("nan")
     if not least <= value < 1e9:
         hint = f"Set ${key} on the controller."
-        raise ProtocolError(who, f"setting ${key} is not usable", asked="$$", seen=text or "nothing", hint=hint)
+        raise ProtocolError(
+            who, f"setting ${key} is not usable", asked="$$", seen=text or "nothing", hint=hint
+        )
     return value
 
 
@@ -120,13 +137,25 @@ def _check(values: Mapping[int, str], axes: str, who: str) -> None:
     if _number(values, 13, 0.0, who):
         raise DeviceError(who, "the controller reports in inches", asked="$$", hint="Set $13=0.")
     if "A" in axes and 103 not in values:
-        hint = "A rotation needs a grblHAL build with four axes; without one, declare the axes without A."
-        raise DeviceError(who, "the controller has no axis A: setting $103 is missing", asked="$$", hint=hint)
+        hint = (
+            "A rotation needs a grblHAL build with four axes; without one, declare the axes"
+            " without A."
+        )
+        raise DeviceError(
+            who, "the controller has no axis A: setting $103 is missing", asked="$$", hint=hint
+        )
     if int(_number(values, 22, 0.0, who)) & _ORIGIN_AT_SWITCH:
         hint = "Clear that bit ($22=1): targets are then negative, 0 at the switch."
-        raise DeviceError(who, "homing puts the origin where the switch lets go ($22 has bit 8 set)", asked="$$", hint=hint)
+        raise DeviceError(
+            who,
+            "homing puts the origin where the switch lets go ($22 has bit 8 set)",
+            asked="$$",
+            hint=hint,
+        )
     passes = [int(_number(values, key, 0.0, who)) for key in _PASSES if key in values]
-    unhomed = [axis for axis in axes if passes and not any(mask >> AXES.index(axis) & 1 for mask in passes)]
+    unhomed = [
+        axis for axis in axes if passes and not any(mask >> AXES.index(axis) & 1 for mask in passes)
+    ]
     if unhomed:
         hint = "Name it in a homing pass ($44 to $49: X is 1, Y 2, Z 4, A 8), and fit its switch."
         raise DeviceError(who, f"homing leaves out {', '.join(unhomed)}", asked="$$", hint=hint)

@@ -1,7 +1,9 @@
-"""Where a move may go, how long it may take, and whether it got there: what is decided before sending and after stopping.
+"""Where a move may go, how long it may take, and whether it got there: what is decided before
+sending and after stopping.
 
-Pure. It may not know a wire or a clock. Axes by letter; mm in machine coordinates, and degrees for A. The length of a
-move over linear axes and A together is taken as the firmware takes it: the root of the sum of all squares, whatever the units.
+Pure. It may not know a wire or a clock. Axes by letter; mm in machine coordinates, and degrees for
+A. The length of a move over linear axes and A together is taken as the firmware takes it: the root
+of the sum of all squares, whatever the units.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ class Move:
 
 
 def declared(values: Mapping[str, float | None], axes: str, *, who: str) -> Target:
-    """``values`` without those that are None. Raises LimitError for an axis that the stage isn't said to have."""
+    """``values`` without those that are None. Raises LimitError for an axis that the stage isn't
+    said to have.
+    """
     target = {axis: value for axis, value in values.items() if value is not None}
     if missing := [axis for axis in target if axis not in axes]:
         hint = f"It is declared with {axes}: if it has more, say so in the rig file's [stage] axes."
@@ -61,8 +65,13 @@ def check_within(target: Target, settings: StageSettings, line: str, *, who: str
     for axis, value in target.items():
         if not limits[axis].hold(round(value, 3)):  # as it is sent
             unit = "deg" if axis == "A" else "mm"
-            what = f"{axis} = {value:.3f} {unit} is outside the travel, {limits[axis].low_mm:g} to {limits[axis].high_mm:g} {unit}"
-            raise LimitError(who, what, asked=line, hint="Machine coordinates are negative, 0 is at the switch.")
+            what = (
+                f"{axis} = {value:.3f} {unit} is outside the travel, {limits[axis].low_mm:g} to"
+                f" {limits[axis].high_mm:g} {unit}"
+            )
+            raise LimitError(
+                who, what, asked=line, hint="Machine coordinates are negative, 0 is at the switch."
+            )
 
 
 def check_arrived(move: Move, here: Target, settings: StageSettings, *, who: str) -> None:
@@ -72,14 +81,21 @@ def check_arrived(move: Move, here: Target, settings: StageSettings, *, who: str
         if not abs(here[axis] - value) <= max(TOLERANCE_MM, 0.5 / steps[axis] + 0.001):
             what, hint = f"the stage is not at its target, {axis} = {value:.3f}", "Home it again."
             if move.jog:
-                hint = "The jog was ended early, by a hold at the panel or by brake(); its position is kept."
+                hint = (
+                    "The jog was ended early, by a hold at the panel or by brake(); its position is"
+                    " kept."
+                )
             raise DeviceError(who, what, seen=f"{axis} = {here[axis]:.3f}", hint=hint)
 
 
 def by_letter(numbers: Position, axes: str, *, who: str) -> Target:
-    """X, Y, Z, and A where it is declared, of a position that may have more numbers. Raises ProtocolError for one with fewer."""
+    """X, Y, Z, and A where it is declared, of a position that may have more numbers. Raises
+    ProtocolError for one with fewer.
+    """
     letters = AXES if "A" in axes else AXES[:3]
     if len(numbers) < len(letters):
         hint = "A rotation A needs a controller with four axes."
-        raise ProtocolError(who, f"{len(numbers)} numbers in a position, {len(letters)} are needed", hint=hint)
+        raise ProtocolError(
+            who, f"{len(numbers)} numbers in a position, {len(letters)} are needed", hint=hint
+        )
     return dict(zip(letters, numbers, strict=False))

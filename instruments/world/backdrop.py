@@ -1,12 +1,14 @@
-"""What never moves: the table, its front, the board behind with what hangs on it, the dark room. Drawn once a camera and kept.
+"""What never moves: the table, its front, the board behind with what hangs on it, the dark room.
+Drawn once a camera and kept.
 
-Each is a flat patch with a texture that is fixed to it, so both cameras see the same texture where they should.
-May not know of the phantom, or of anything that stands on the table.
+Each is a flat patch with a texture that is fixed to it, so both cameras see the same texture where
+they should. May not know of the phantom, or of anything that stands on the table.
 
-Soft shadows on the table: where things stand between it and the lamps, or hide the room's light from it.
+Soft shadows on the table: where things stand between it and the lamps, or hide the room's light
+from it.
 
-Worked out on a coarse grid on the table, as lamps are large and shadows soft, then looked up by each pixel. Only the table
-receives shadows; hoses lie on it and cast none worth drawing.
+Worked out on a coarse grid on the table, as lamps are large and shadows soft, then looked up by
+each pixel. Only the table receives shadows; hoses lie on it and cast none worth drawing.
 """
 
 from __future__ import annotations
@@ -25,13 +27,17 @@ from instruments.world.shading import Lamp, Lighting, Rows, irradiance
 from instruments.world.solids import Ints, Point, Solids, dot
 
 TEXEL_MM = 2.0
-PIXELS_AT_ONCE = 16384  # what is worked out on the way stays in the processor's cache; OpenCV's remap takes at most 32767 rows
+# what is worked out on the way stays in the processor's cache; OpenCV's remap takes at most 32767
+# rows
+PIXELS_AT_ONCE = 16384
 FAR_MM = 2400.0  # the room's walls
 
 
 @dataclass(frozen=True, slots=True)
 class Poster:
-    """A rectangle on the board: ``x_mm``, ``z_mm`` of its lower left corner, its size, and its albedo."""
+    """A rectangle on the board: ``x_mm``, ``z_mm`` of its lower left corner, its size, and its
+    albedo.
+    """
 
     x_mm: float
     z_mm: float
@@ -41,15 +47,18 @@ class Poster:
 
     def __post_init__(self) -> None:
         if not (self.width_mm > 0.0 and self.height_mm > 0.0 and 0.0 <= self.albedo <= 1.0):
-            raise ValueError(f"a poster needs a size above zero and an albedo from 0 to 1, is {self}")
+            raise ValueError(
+                f"a poster needs a size above zero and an albedo from 0 to 1, is {self}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
 class Backdrop:
     """Table at z = 0 with its front edge, and an upright board behind; world frame, mm.
 
-    ``…_texture`` is the share that an albedo varies by, ``…_weave`` how. ``posters`` hang on the board, later ones over earlier ones.
-    ``board_k``, ``table_k``: how much warmer than the room they are.
+    ``…_texture`` is the share that an albedo varies by, ``…_weave`` how. ``posters`` hang on the
+    board, later ones over earlier ones. ``board_k``, ``table_k``: how much warmer than the room
+    they are.
     """
 
     board_albedo: float = 0.55
@@ -72,16 +81,31 @@ class Backdrop:
     table_drop_mm: float = 220.0
 
     def __post_init__(self) -> None:
-        for name in ("board_albedo", "board_texture", "table_albedo", "table_texture", "front_albedo", "room_albedo"):
+        for name in (
+            "board_albedo",
+            "board_texture",
+            "table_albedo",
+            "table_texture",
+            "front_albedo",
+            "room_albedo",
+        ):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} must be from 0 to 1, is {getattr(self, name)}")
-        if not (self.board_y_mm > self.table_front_y_mm and self.board_x_mm[1] > self.board_x_mm[0] and self.board_top_mm > 0.0):
-            raise ValueError(f"the board must stand behind the table's front edge and have a size, is {self}")
+        if not (
+            self.board_y_mm > self.table_front_y_mm
+            and self.board_x_mm[1] > self.board_x_mm[0]
+            and self.board_top_mm > 0.0
+        ):
+            raise ValueError(
+                f"the board must stand behind the table's front edge and have a size, is {self}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """A rectangle: one corner and the two edges from it, mm; across x along gives the side that is seen."""
+    """A rectangle: one corner and the two edges from it, mm; across x along gives the side that is
+    seen.
+    """
 
     corner_mm: Point
     across_mm: Point
@@ -103,29 +127,73 @@ def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
     back, up, seed = (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), 2 * b.texture_seed
     corner = (b.board_x_mm[0], b.board_y_mm, 0.0)
     posters = (
-        Patch((p.x_mm, b.board_y_mm, p.z_mm), (p.width_mm, 0.0, 0.0), (0.0, 0.0, p.height_mm), back, p.albedo, warmer_k=b.board_k)
+        Patch(
+            (p.x_mm, b.board_y_mm, p.z_mm),
+            (p.width_mm, 0.0, 0.0),
+            (0.0, 0.0, p.height_mm),
+            back,
+            p.albedo,
+            warmer_k=b.board_k,
+        )
         for p in b.posters
     )
     return (
-        Patch(corner, (wide, 0.0, 0.0), (0.0, 0.0, b.board_top_mm), back, b.board_albedo, b.board_texture, b.board_weave, seed, b.board_k),
+        Patch(
+            corner,
+            (wide, 0.0, 0.0),
+            (0.0, 0.0, b.board_top_mm),
+            back,
+            b.board_albedo,
+            b.board_texture,
+            b.board_weave,
+            seed,
+            b.board_k,
+        ),
         *posters,
-        Patch(edge, (reach, 0.0, 0.0), (0.0, deep, 0.0), up, b.table_albedo, b.table_texture, b.table_weave, seed + 1, b.table_k),
-        Patch(edge, (reach, 0.0, 0.0), (0.0, 0.0, -b.table_drop_mm), back, b.front_albedo, warmer_k=b.table_k),
+        Patch(
+            edge,
+            (reach, 0.0, 0.0),
+            (0.0, deep, 0.0),
+            up,
+            b.table_albedo,
+            b.table_texture,
+            b.table_weave,
+            seed + 1,
+            b.table_k,
+        ),
+        Patch(
+            edge,
+            (reach, 0.0, 0.0),
+            (0.0, 0.0, -b.table_drop_mm),
+            back,
+            b.front_albedo,
+            warmer_k=b.table_k,
+        ),
     )
 
 
-def draw(backdrop: Backdrop, lighting: Lighting, camera: CameraModel, rays: tuple[Floats, Floats]) -> tuple[Image, Image]:
-    """Light from the backdrop at each pixel before the lens and the sensor, and its depth in mm: two arrays (height, width).
+def draw(
+    backdrop: Backdrop, lighting: Lighting, camera: CameraModel, rays: tuple[Floats, Floats]
+) -> tuple[Image, Image]:
+    """Light from the backdrop at each pixel before the lens and the sensor, and its depth in mm:
+    two arrays (height, width).
 
     Edges by exact coverage.
     """
-    image = np.full(camera.height_px * camera.width_px, backdrop.room_albedo * lighting.ambient * lighting.brightness, dtype=np.float32)
+    image = np.full(
+        camera.height_px * camera.width_px,
+        backdrop.room_albedo * lighting.ambient * lighting.brightness,
+        dtype=np.float32,
+    )
     depth = np.full_like(image, FAR_MM)
     for patch in patches(backdrop):
         seen = _outline(patch, camera)
         for start in range(0, len(seen.share), PIXELS_AT_ONCE):
             part = slice(start, start + PIXELS_AT_ONCE)
-            pixel, share = seen.row[part] * camera.width_px + seen.column[part], seen.share[part].astype(np.float32)
+            pixel, share = (
+                seen.row[part] * camera.width_px + seen.column[part],
+                seen.share[part].astype(np.float32),
+            )
             light, far = _light(patch, lighting, camera, rays, pixel)
             image[pixel] += share * (light - image[pixel])
             depth[pixel] += share * (far - depth[pixel])
@@ -144,20 +212,34 @@ def warmer(backdrop: Backdrop, camera: CameraModel) -> Image:
 
 
 def _outline(patch: Patch, camera: CameraModel) -> Cover:
-    corner, across, along = np.asarray(patch.corner_mm), np.asarray(patch.across_mm), np.asarray(patch.along_mm)
+    corner, across, along = (
+        np.asarray(patch.corner_mm),
+        np.asarray(patch.across_mm),
+        np.asarray(patch.along_mm),
+    )
     square = np.array([corner, corner + across, corner + across + along, corner + along])
     return cover_outlines([camera.camera_from_world(square)], camera)
 
 
-def _light(patch: Patch, lighting: Lighting, camera: CameraModel, rays: tuple[Floats, Floats], pixel: Ints) -> tuple[Image, Image]:
+def _light(
+    patch: Patch, lighting: Lighting, camera: CameraModel, rays: tuple[Floats, Floats], pixel: Ints
+) -> tuple[Image, Image]:
     """Light from a patch at these pixels (n,), and its depth there."""
     x, y = (ray.reshape(-1)[pixel].astype(np.float32) for ray in rays)
     turn, eye = camera.R.astype(np.float32), camera.centre_mm.astype(np.float32)
     ray = np.stack([turn[0, i] * x + turn[1, i] * y + turn[2, i] for i in range(3)])
-    normal, corner = np.asarray(patch.normal, dtype=np.float32), np.asarray(patch.corner_mm, dtype=np.float32)
+    normal, corner = (
+        np.asarray(patch.normal, dtype=np.float32),
+        np.asarray(patch.corner_mm, dtype=np.float32),
+    )
     towards = normal @ ray
-    # A pixel on the patch's edge may look past it, and past the horizon: its light is that of a far point.
-    depth = np.clip(normal @ (corner - eye) / np.where(np.abs(towards) > 1e-6, towards, np.float32(-1e-6)), 0.0, 1e4).astype(np.float32)
+    # A pixel on the patch's edge may look past it, and past the horizon: its light is that of a far
+    # point.
+    depth = np.clip(
+        normal @ (corner - eye) / np.where(np.abs(towards) > 1e-6, towards, np.float32(-1e-6)),
+        0.0,
+        1e4,
+    ).astype(np.float32)
     points = eye[:, None] + depth * ray
     light = irradiance(lighting, points, normal[:, None]) * np.float32(patch.albedo)
     if patch.texture > 0.0:
@@ -175,7 +257,9 @@ def _texture(patch: Patch, points_mm: NDArray[np.float32]) -> Image:
     ]
     u, v = (edge @ off for edge in edges)
     cloth = woven(patch.weave, patch.seed, round(size[0] / TEXEL_MM), round(size[1] / TEXEL_MM))
-    values = cv2.remap(cloth, u[:, None], v[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    values = cv2.remap(
+        cloth, u[:, None], v[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     return np.asarray(values.reshape(-1), dtype=np.float32)
 
 
@@ -190,7 +274,9 @@ LEAST_CASTER_MM = 6.0  # thinner things (hoses) cast no shadow
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShadowMap:
-    """Share of the table's light that is left, on a grid: ``share[i, j]`` at x = x_mm + j TEXEL_MM, y = y_mm + i TEXEL_MM."""
+    """Share of the table's light that is left, on a grid: ``share[i, j]`` at x = x_mm + j TEXEL_MM,
+    y = y_mm + i TEXEL_MM.
+    """
 
     x_mm: float
     y_mm: float
@@ -198,18 +284,27 @@ class ShadowMap:
 
     def high_mm(self) -> Floats:
         """The grid's far corner, (2,) mm."""
-        return np.array([self.x_mm, self.y_mm]) + SHADOW_TEXEL_MM * np.array([self.share.shape[1] - 1, self.share.shape[0] - 1])
+        return np.array([self.x_mm, self.y_mm]) + SHADOW_TEXEL_MM * np.array(
+            [self.share.shape[1] - 1, self.share.shape[0] - 1]
+        )
 
 
 def shadow_map(lighting: Lighting, solids: Solids) -> ShadowMap | None:
-    """The shadows of all ``solids`` (world frame) on the table; None where nothing casts one, or there is no light."""
+    """The shadows of all ``solids`` (world frame) on the table; None where nothing casts one, or
+    there is no light.
+    """
     casters = np.flatnonzero(np.maximum(solids.radius_a, solids.radius_b) >= LEAST_CASTER_MM)
     if len(casters) == 0 or lighting.brightness <= 0.0:
         return None
     low = np.minimum(solids.a[casters], solids.b[casters]).min(axis=0)[:2] - REACH_MM
     high = np.maximum(solids.a[casters], solids.b[casters]).max(axis=0)[:2] + REACH_MM
-    x, y = (np.arange(low[axis], high[axis] + SHADOW_TEXEL_MM, SHADOW_TEXEL_MM, dtype=np.float32) for axis in (0, 1))
-    points = np.stack([*(grid.ravel() for grid in np.meshgrid(x, y)), np.zeros(len(x) * len(y), dtype=np.float32)])
+    x, y = (
+        np.arange(low[axis], high[axis] + SHADOW_TEXEL_MM, SHADOW_TEXEL_MM, dtype=np.float32)
+        for axis in (0, 1)
+    )
+    points = np.stack(
+        [*(grid.ravel() for grid in np.meshgrid(x, y)), np.zeros(len(x) * len(y), dtype=np.float32)]
+    )
     up = np.array([[0.0], [0.0], [1.0]], dtype=np.float32)
     sky = irradiance(Lighting(1.0, (), lighting.ambient), points, up)
     total, lit = sky, sky * _sky_left(solids, casters, points)
@@ -221,7 +316,9 @@ def shadow_map(lighting: Lighting, solids: Solids) -> ShadowMap | None:
 
 
 def _lamp_left(solids: Solids, casters: Ints, points: Rows, lamp: Lamp) -> Rows:
-    """Share of a round lamp that each table point (3, n) sees: the gap between its ray and each solid, against the penumbra there."""
+    """Share of a round lamp that each table point (3, n) sees: the gap between its ray and each
+    solid, against the penumbra there.
+    """
     way = np.asarray(lamp.at_mm, dtype=np.float32)[:, None] - points
     far = np.sqrt(dot(way, way))
     way /= far
@@ -229,14 +326,18 @@ def _lamp_left(solids: Solids, casters: Ints, points: Rows, lamp: Lamp) -> Rows:
     for i in casters:
         a, b = solids.a[i].astype(np.float32), solids.b[i].astype(np.float32)
         gap, along, part = _nearest(points, way, a, b)
-        radius = np.float32(solids.radius_a[i]) + part * np.float32(solids.radius_b[i] - solids.radius_a[i])
+        radius = np.float32(solids.radius_a[i]) + part * np.float32(
+            solids.radius_b[i] - solids.radius_a[i]
+        )
         half_shade = np.maximum(along, 2.0) * (LAMP_RADIUS_MM / far)
         np.minimum(left, np.clip(0.5 + 0.5 * (gap - radius) / half_shade, 0.0, 1.0), out=left)
     return np.asarray(left)
 
 
 def _nearest(points: Rows, way: Rows, a: Rows, b: Rows) -> tuple[Rows, Rows, Rows]:
-    """Of rays (points, unit way; 3, n) and the segment a b: least distance, how far along the ray, which part of the segment."""
+    """Of rays (points, unit way; 3, n) and the segment a b: least distance, how far along the ray,
+    which part of the segment.
+    """
     span = b - a
     off = points - a[:, None]
     cross, d_way, d_span = dot(way, span), dot(off, way), dot(off, span)
@@ -249,8 +350,10 @@ def _nearest(points: Rows, way: Rows, a: Rows, b: Rows) -> tuple[Rows, Rows, Row
 
 
 def _sky_left(solids: Solids, casters: Ints, points: Rows) -> Rows:
-    """Share of the room's light that each table point keeps beside standing things: a post of height h and radius r at
-    distance d hides asin(r / d) / pi of the horizon, up to a cosine-weighted h^2 / (h^2 + d^2)."""
+    """Share of the room's light that each table point keeps beside standing things: a post of
+    height h and radius r at distance d hides asin(r / d) / pi of the horizon, up to a
+    cosine-weighted h^2 / (h^2 + d^2).
+    """
     left = np.ones_like(points[0])
     lowest = solids.nearest_depth()
     for i in casters[lowest[casters] < STANDING_MM]:
@@ -258,20 +361,26 @@ def _sky_left(solids: Solids, casters: Ints, points: Rows) -> Rows:
         radius = np.float32(max(solids.radius_a[i], solids.radius_b[i]))
         x, y = solids.a[i, :2].astype(np.float32)
         d2 = np.maximum((points[0] - x) ** 2 + (points[1] - y) ** 2, radius**2)
-        left *= 1.0 - np.arcsin(radius / np.sqrt(d2)) / np.float32(np.pi) * height**2 / (height**2 + d2)
+        left *= 1.0 - np.arcsin(radius / np.sqrt(d2)) / np.float32(np.pi) * height**2 / (
+            height**2 + d2
+        )
     return np.asarray(left)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shade:
-    """What shadows leave of the light in a part of a camera's image: (rows, columns), ``share`` of that shape."""
+    """What shadows leave of the light in a part of a camera's image: (rows, columns), ``share`` of
+    that shape.
+    """
 
     rows: slice
     columns: slice
     share: Grey
 
 
-def shade(shadows: ShadowMap, backdrop: Backdrop, camera: CameraModel, rays: tuple[Floats, Floats]) -> Shade | None:
+def shade(
+    shadows: ShadowMap, backdrop: Backdrop, camera: CameraModel, rays: tuple[Floats, Floats]
+) -> Shade | None:
     """The shadows as a camera sees them on the table; None where they fall outside of its image."""
     low = np.array([shadows.x_mm, max(shadows.y_mm, backdrop.table_front_y_mm)])
     high = np.minimum(shadows.high_mm(), [np.inf, backdrop.board_y_mm])
@@ -286,8 +395,13 @@ def shade(shadows: ShadowMap, backdrop: Backdrop, camera: CameraModel, rays: tup
     to_x, to_y, to_z = (camera.R[0, i] * x + camera.R[1, i] * y + camera.R[2, i] for i in range(3))
     depth = -camera.centre_mm[2] / np.minimum(to_z, -1e-6)
     table_x, table_y = camera.centre_mm[0] + depth * to_x, camera.centre_mm[1] + depth * to_y
-    on_x, on_y = (((at - origin) / SHADOW_TEXEL_MM).astype(np.float32) for at, origin in ((table_x, shadows.x_mm), (table_y, shadows.y_mm)))
-    looked_up = cv2.remap(shadows.share, on_x, on_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1.0)
+    on_x, on_y = (
+        ((at - origin) / SHADOW_TEXEL_MM).astype(np.float32)
+        for at, origin in ((table_x, shadows.x_mm), (table_y, shadows.y_mm))
+    )
+    looked_up = cv2.remap(
+        shadows.share, on_x, on_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1.0
+    )
     share = np.asarray(looked_up, dtype=np.float32)
     share[(table_y > high[1]) | (table_y < low[1]) | (to_z > -1e-6)] = 1.0
     return Shade(slice(int(top), int(bottom)), slice(int(left), int(right)), share)

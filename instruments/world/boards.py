@@ -1,10 +1,11 @@
 """Flat things with a pattern: calibration boards (chessboard, ChArUco, circles) and plain panels.
 
-A board is a rectangle; what is dark on it is a list of polygons, so that each pixel's share of dark is an exact area, like
-every other edge of the scene. May be warm: dark and light squares each have a temperature, as on a board under a lamp.
-May not know of lights, lenses' blur or sensors.
+A board is a rectangle; what is dark on it is a list of polygons, so that each pixel's share of dark
+is an exact area, like every other edge of the scene. May be warm: dark and light squares each have
+a temperature, as on a board under a lamp. May not know of lights, lenses' blur or sensors.
 
-Where somebody holds a calibration board before cameras: places all over the pictures, tilted to every side.
+Where somebody holds a calibration board before cameras: places all over the pictures, tilted to
+every side.
 
 May not know what is printed on a board, nor who calibrates.
 
@@ -33,11 +34,14 @@ SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """``columns`` x ``rows`` squares of ``square_mm`` within a light rim of ``margin_mm``; the first square is dark.
+    """``columns`` x ``rows`` squares of ``square_mm`` within a light rim of ``margin_mm``; the
+    first square is dark.
 
-    A "charuco" board has markers of ``feature_mm`` and OpenCV's predefined ``dictionary`` (its number) in its light squares, a "plain"
-    one no dark squares. On a board of "circles" columns and rows count circles of ``feature_mm`` across, ``square_mm`` from one to
-    the next. A ``feature_mm`` of 0 is three quarters of a square for markers, half of it for circles. Raises ValueError.
+    A "charuco" board has markers of ``feature_mm`` and OpenCV's predefined ``dictionary`` (its
+    number) in its light squares, a "plain" one no dark squares. On a board of "circles" columns and
+    rows count circles of ``feature_mm`` across, ``square_mm`` from one to the next. A
+    ``feature_mm`` of 0 is three quarters of a square for markers, half of it for circles. Raises
+    ValueError.
     """
 
     kind: Kind = "chessboard"
@@ -49,9 +53,16 @@ class Pattern:
     feature_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        sizes = self.square_mm > 0.0 and self.margin_mm >= 0.0 and 0.0 <= self.feature_mm <= self.square_mm
+        sizes = (
+            self.square_mm > 0.0
+            and self.margin_mm >= 0.0
+            and 0.0 <= self.feature_mm <= self.square_mm
+        )
         if not (self.columns >= 1 and self.rows >= 1 and sizes):
-            raise ValueError(f"a board's pattern needs squares with a size, and markers or circles that fit, is {self}")
+            raise ValueError(
+                "a board's pattern needs squares with a size, and markers or circles that fit, is"
+                f" {self}"
+            )
 
     @property
     def feature_share(self) -> float:
@@ -62,11 +73,16 @@ class Pattern:
     @property
     def size_mm(self) -> tuple[float, float]:
         """Width and height with the rim."""
-        return self.columns * self.square_mm + 2.0 * self.margin_mm, self.rows * self.square_mm + 2.0 * self.margin_mm
+        return (
+            self.columns * self.square_mm + 2.0 * self.margin_mm,
+            self.rows * self.square_mm + 2.0 * self.margin_mm,
+        )
 
     @property
     def corners_mm(self) -> Floats:
-        """Inner corners of squares, or middles of circles, on the board, row by row, (n, 2) mm from the board's first corner."""
+        """Inner corners of squares, or middles of circles, on the board, row by row, (n, 2) mm from
+        the board's first corner.
+        """
         first, off = (0, 0.5) if self.kind == "circles" else (1, 0.0)
         u, v = np.meshgrid(np.arange(first, self.columns) + off, np.arange(first, self.rows) + off)
         return np.asarray(np.column_stack([u.ravel(), v.ravel()]) * self.square_mm + self.margin_mm)
@@ -74,10 +90,11 @@ class Pattern:
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """A board in the world: its first corner, and the unit vectors along its width and its height; across x along looks away
-    from who sees the pattern, as x right and y down do.
+    """A board in the world: its first corner, and the unit vectors along its width and its height;
+    across x along looks away from who sees the pattern, as x right and y down do.
 
-    ``light_albedo``, ``dark_albedo``; temperatures as those of objects: degC, "teat" or "ambient". ``velocity_mm_s`` is its own.
+    ``light_albedo``, ``dark_albedo``; temperatures as those of objects: degC, "teat" or "ambient".
+    ``velocity_mm_s`` is its own.
     """
 
     corner_mm: Point
@@ -94,9 +111,16 @@ class Board:
 
     def __post_init__(self) -> None:
         across, along = np.asarray(self.across), np.asarray(self.along)
-        if not np.allclose([across @ across, along @ along, across @ along], [1.0, 1.0, 0.0], atol=1e-6):
-            raise ValueError(f"{self.name}: across and along must be unit vectors at a right angle, are {self.across} and {self.along}")
-        if not all(0.0 <= share <= 1.0 for share in (self.light_albedo, self.dark_albedo, self.emissivity)):
+        if not np.allclose(
+            [across @ across, along @ along, across @ along], [1.0, 1.0, 0.0], atol=1e-6
+        ):
+            raise ValueError(
+                f"{self.name}: across and along must be unit vectors at a right angle, are"
+                f" {self.across} and {self.along}"
+            )
+        if not all(
+            0.0 <= share <= 1.0 for share in (self.light_albedo, self.dark_albedo, self.emissivity)
+        ):
             raise ValueError(f"{self.name}: albedos and emissivity must be from 0 to 1")
 
     @property
@@ -115,9 +139,13 @@ class Board:
         return self.placed(SQUARE * self.pattern.size_mm)
 
     def placed(self, flat_mm: Floats) -> Floats:
-        """Points on the board, (..., 2) mm from its first corner, in the world frame, (..., 3) mm."""
+        """Points on the board, (..., 2) mm from its first corner,
+        in the world frame, (..., 3) mm.
+        """
         return np.asarray(
-            np.asarray(self.corner_mm) + flat_mm[..., :1] * np.asarray(self.across) + flat_mm[..., 1:] * np.asarray(self.along)
+            np.asarray(self.corner_mm)
+            + flat_mm[..., :1] * np.asarray(self.across)
+            + flat_mm[..., 1:] * np.asarray(self.along)
         )
 
     def moved(self, seconds: float) -> Board:
@@ -128,18 +156,31 @@ class Board:
 
 @lru_cache(maxsize=16)
 def dark_parts_mm(pattern: Pattern) -> tuple[Floats, ...]:
-    """What is dark on a board: polygons, each (m, 2) mm from the board's first corner, none over another."""
+    """What is dark on a board: polygons, each (m, 2) mm from the board's first corner, none over
+    another.
+    """
     if pattern.kind == "plain":
         return ()
-    columns, rows = (grid.astype(np.float64) for grid in np.meshgrid(np.arange(pattern.columns), np.arange(pattern.rows)))
+    columns, rows = (
+        grid.astype(np.float64)
+        for grid in np.meshgrid(np.arange(pattern.columns), np.arange(pattern.rows))
+    )
     dark = (columns + rows) % 2 == 0
     if pattern.kind == "circles":
-        cells = list(np.column_stack([columns.ravel(), rows.ravel()])[:, None, :] + 0.5 + 0.5 * pattern.feature_share * _circle())
+        cells = list(
+            np.column_stack([columns.ravel(), rows.ravel()])[:, None, :]
+            + 0.5
+            + 0.5 * pattern.feature_share * _circle()
+        )
     else:
         cells = list(np.column_stack([columns[dark], rows[dark]])[:, None, :] + SQUARE)
     if pattern.kind == "charuco":
         light = np.column_stack([columns[~dark], rows[~dark]])
-        cells += [part for number, at in enumerate(light) for part in at + _marker(pattern.dictionary, number, pattern.feature_share)]
+        cells += [
+            part
+            for number, at in enumerate(light)
+            for part in at + _marker(pattern.dictionary, number, pattern.feature_share)
+        ]
     return tuple(np.asarray(cell * pattern.square_mm + pattern.margin_mm) for cell in cells)
 
 
@@ -147,7 +188,9 @@ def _circle() -> Floats:
     """A polygon with the area of a circle of radius 1, (m, 2)."""
     angle = np.arange(ROUND) * 2.0 * np.pi / ROUND
     step = 2.0 * np.pi / ROUND
-    return np.asarray(np.column_stack([np.cos(angle), np.sin(angle)]) * np.sqrt(step / np.sin(step)))
+    return np.asarray(
+        np.column_stack([np.cos(angle), np.sin(angle)]) * np.sqrt(step / np.sin(step))
+    )
 
 
 def _marker(dictionary: int, number: int, share: float) -> Floats:
@@ -156,7 +199,9 @@ def _marker(dictionary: int, number: int, share: float) -> Floats:
     side = int(known.markerSize) + 2
     bits = known.generateImageMarker(number, side, borderBits=1)
     rows, columns = np.nonzero(np.asarray(bits) == 0)
-    return np.asarray((np.column_stack([columns, rows])[:, None, :] + SQUARE) * share / side + (1.0 - share) / 2.0)
+    return np.asarray(
+        (np.column_stack([columns, rows])[:, None, :] + SQUARE) * share / side + (1.0 - share) / 2.0
+    )
 
 
 GRID = (4, 3)  # parts of the narrowest picture, one after the other
@@ -167,12 +212,20 @@ ATTEMPTS = 400
 
 
 def poses(
-    pattern: Pattern, cameras: Sequence[CameraModel], depths_mm: tuple[float, float], seed: int, count: int = 24, *, seen: float = 1.0
+    pattern: Pattern,
+    cameras: Sequence[CameraModel],
+    depths_mm: tuple[float, float],
+    seed: int,
+    count: int = 24,
+    *,
+    seen: float = 1.0,
 ) -> tuple[Board, ...]:
-    """Boards in ``count`` poses, drawn anew for each ``seed``: all over the narrowest view, ``depths_mm`` (least, most) away.
+    """Boards in ``count`` poses, drawn anew for each ``seed``: all over the narrowest view,
+    ``depths_mm`` (least, most) away.
 
-    Every camera sees at least the share ``seen`` of the points. Tilted up to 40 degrees about the board's own axes, turned up to 15.
-    Raises ValueError where no such pose is found, as for a board too large for the narrowest view.
+    Every camera sees at least the share ``seen`` of the points. Tilted up to 40 degrees about the
+    board's own axes, turned up to 15. Raises ValueError where no such pose is found, as for a board
+    too large for the narrowest view.
     """
     rng = np.random.Generator(np.random.PCG64(seed))
     cameras = sorted(cameras, key=lambda camera: camera.width_px / float(camera.fc[0]))
@@ -182,15 +235,21 @@ def poses(
         board = _held(pattern, cameras, depths_mm, rng, part, seen)
         if board is None:
             raise ValueError(
-                f"no place found for a board of {pattern.size_mm} mm at {depths_mm} mm where {', '.join(c.name for c in cameras)} "
-                f"see {seen:.0%} of it: take a smaller board, or hold it farther away"
+                f"no place found for a board of {pattern.size_mm} mm at {depths_mm} mm where"
+                f" {', '.join(c.name for c in cameras)} see {seen:.0%} of it: take a smaller board,"
+                " or hold it farther away"
             )
         boards.append(board)
     return tuple(boards)
 
 
 def _held(
-    pattern: Pattern, cameras: Sequence[CameraModel], depths_mm: tuple[float, float], rng: np.random.Generator, part: Floats, seen: float
+    pattern: Pattern,
+    cameras: Sequence[CameraModel],
+    depths_mm: tuple[float, float],
+    rng: np.random.Generator,
+    part: Floats,
+    seen: float,
 ) -> Board | None:
     camera = cameras[0]
     size = np.array([camera.width_px, camera.height_px])
@@ -199,7 +258,9 @@ def _held(
         aim = size * ((part + rng.random(2)) / GRID if attempt < ATTEMPTS / 2 else rng.random(2))
         ray = np.array([*camera.plane_from_pixels(aim[None, :])[0], 1.0]) * rng.uniform(*depths_mm)
         middle = camera.R.T @ (ray - camera.t_mm)
-        angles = np.radians(rng.uniform([-TILT_DEG, -TURN_DEG, -TILT_DEG], [TILT_DEG, TURN_DEG, TILT_DEG]))
+        angles = np.radians(
+            rng.uniform([-TILT_DEG, -TURN_DEG, -TILT_DEG], [TILT_DEG, TURN_DEG, TILT_DEG])
+        )
         turn = cv2.Rodrigues(angles)[0]
         across, along = turn @ camera.R[0], turn @ camera.R[1]
         width, height = pattern.size_mm
@@ -217,11 +278,17 @@ def _free(board: Board) -> bool:
 
 
 def _seen(board: Board, camera: CameraModel) -> float:
-    """Share of a board's points, with the squares around them, in a camera's picture; 0 where it is edge-on or turned away."""
+    """Share of a board's points, with the squares around them, in a camera's picture; 0 where it is
+    edge-on or turned away.
+    """
     towards = camera.centre_mm - board.outline_mm.mean(axis=0)
     if board.normal @ towards < 0.45 * np.linalg.norm(towards):
         return 0.0
-    around = 0.7 * board.pattern.square_mm * np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
+    around = (
+        0.7
+        * board.pattern.square_mm
+        * np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
+    )
     squares = board.placed((board.pattern.corners_mm[:, None, :] + around).reshape(-1, 2))
     pixels = camera.project(squares)
     high = np.array([camera.width_px, camera.height_px]) - 1.0 - RIM_PX
@@ -245,12 +312,16 @@ def woven(weave: Weave, seed: int, width: int, height: int) -> Image:
     return np.asarray(np.clip(WEAVES[weave](rng, width, height), -1.5, 1.5), dtype=np.float32)
 
 
-def _lattices(rng: np.random.Generator, width: int, height: int, cells: tuple[tuple[int, float], ...]) -> Image:
+def _lattices(
+    rng: np.random.Generator, width: int, height: int, cells: tuple[tuple[int, float], ...]
+) -> Image:
     """Random lattices of several sizes, blown up smoothly and added."""
     cloth = np.zeros((height, width), dtype=np.float32)
     for cell, weight in cells:
         lattice = rng.standard_normal((height // cell + 2, width // cell + 2), dtype=np.float32)
-        cloth += np.float32(weight) * cv2.resize(lattice, (width, height), interpolation=cv2.INTER_CUBIC)
+        cloth += np.float32(weight) * cv2.resize(
+            lattice, (width, height), interpolation=cv2.INTER_CUBIC
+        )
     return cloth
 
 
@@ -275,7 +346,9 @@ def _planks(rng: np.random.Generator, width: int, height: int) -> Image:
     """Long grain across, as in wood."""
     across = rng.standard_normal((height // 2 + 2, max(width // 80, 2)), dtype=np.float32)
     return np.asarray(
-        0.6 * cv2.resize(across, (width, height), interpolation=cv2.INTER_CUBIC) + 0.4 * _cloud(rng, width, height), dtype=np.float32
+        0.6 * cv2.resize(across, (width, height), interpolation=cv2.INTER_CUBIC)
+        + 0.4 * _cloud(rng, width, height),
+        dtype=np.float32,
     )
 
 

@@ -1,16 +1,17 @@
 """Lay partly covering surfaces over a background, each pixel in its own order of depth.
 
-Two pieces of one object that meet in a pixel cover the larger of their shares; surfaces of different objects cover
-independently. Objects whose depths don't mix are laid one after the other, far to near, which is the same and quicker.
-May not know what the values mean: light and heat go the same way.
+Two pieces of one object that meet in a pixel cover the larger of their shares; surfaces of
+different objects cover independently. Objects whose depths don't mix are laid one after the other,
+far to near, which is the same and quicker. May not know what the values mean: light and heat go the
+same way.
 
 How much of each pixel a solid covers, exactly: the area of its projected outline within the pixel.
 
-The outline of a solid seen from a point is the convex hull of the outlines of its two ends, in the plane of an ideal
-camera. It is cut short enough to follow the lens, distorted, and then its area is added up pixel by pixel: each
-piece of the outline inside one pixel adds its height to the pixels on its right. No samples, so no sampling error at
-any phase of an edge. All solids of the scene run at once, each in a window of its own.
-May not know of depth, paint or lights.
+The outline of a solid seen from a point is the convex hull of the outlines of its two ends, in the
+plane of an ideal camera. It is cut short enough to follow the lens, distorted, and then its area is
+added up pixel by pixel: each piece of the outline inside one pixel adds its height to the pixels on
+its right. No samples, so no sampling error at any phase of an edge. All solids of the scene run at
+once, each in a window of its own. May not know of depth, paint or lights.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ from instruments.world.solids import Bools, Ints, Solids
 class Layer:
     """How one object looks to one camera, hidden or not: each pixel (n,) that it covers, once.
 
-    ``share`` of the pixel's area, ``depth_mm``, ``value``: light, or emissivity. For heat, ``along`` says how far from one of the
-    object's two temperatures to the other: from a teat's base to its end, from a board's light squares to its dark ones.
+    ``share`` of the pixel's area, ``depth_mm``, ``value``: light, or emissivity. For heat,
+    ``along`` says how far from one of the object's two temperatures to the other: from a teat's
+    base to its end, from a board's light squares to its dark ones.
     """
 
     row: Ints
@@ -47,23 +49,46 @@ class Layer:
         return len(self.share)
 
 
-def lay_over(image: NDArray[Any], layers: Sequence[Layer], values: Sequence[NDArray[Any]], corner: tuple[int, int] = (0, 0)) -> None:
-    """Lay objects with these ``values`` over ``image`` (h, w; contiguous floats) in place; its first pixel is at ``corner``."""
+def lay_over(
+    image: NDArray[Any],
+    layers: Sequence[Layer],
+    values: Sequence[NDArray[Any]],
+    corner: tuple[int, int] = (0, 0),
+) -> None:
+    """Lay objects with these ``values`` over ``image`` (h, w; contiguous floats) in place; its
+    first pixel is at ``corner``.
+    """
     flat, width = image.reshape(-1), image.shape[1]
     for together in _far_to_near(layers):
-        pixels = [(layers[i].row - corner[0]) * width + layers[i].column - corner[1] for i in together]
+        pixels = [
+            (layers[i].row - corner[0]) * width + layers[i].column - corner[1] for i in together
+        ]
         if len(together) == 1:
             pixel, share, value = pixels[0], layers[together[0]].share, values[together[0]]
             flat[pixel] += share * (value - flat[pixel])
         else:
             owner = np.repeat(np.arange(len(together)), [len(pixel) for pixel in pixels])
-            share, depth = (np.concatenate([getattr(layers[i], name) for i in together]) for name in ("share", "depth_mm"))
-            _lay_mixed(flat, np.concatenate(pixels), share, depth, owner, np.concatenate([values[i] for i in together]))
+            share, depth = (
+                np.concatenate([getattr(layers[i], name) for i in together])
+                for name in ("share", "depth_mm")
+            )
+            _lay_mixed(
+                flat,
+                np.concatenate(pixels),
+                share,
+                depth,
+                owner,
+                np.concatenate([values[i] for i in together]),
+            )
 
 
 def _far_to_near(layers: Sequence[Layer]) -> Iterator[list[int]]:
     """Groups of layers whose depths don't reach into each other's, the farthest first."""
-    spans = [(float(layer.depth_mm.max()), float(layer.depth_mm.min()), i) for i, layer in enumerate(layers) if len(layer)]
+    spans = [
+        (float(layer.depth_mm.max()), float(layer.depth_mm.min()), i)
+        for i, layer in enumerate(layers)
+        if len(layer)
+    ]
     group: list[int] = []
     nearest = np.inf
     for far, near, i in sorted(spans, reverse=True):
@@ -76,7 +101,9 @@ def _far_to_near(layers: Sequence[Layer]) -> Iterator[list[int]]:
         yield group
 
 
-def _lay_mixed(image: NDArray[Any], pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: NDArray[Any]) -> None:
+def _lay_mixed(
+    image: NDArray[Any], pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: NDArray[Any]
+) -> None:
     """Objects that mix in depth: pixels where only one shows go at once."""
     alone = np.bincount(pixel, minlength=len(image))[pixel] == 1
     image[pixel[alone]] += share[alone] * (value[alone] - image[pixel[alone]])
@@ -88,7 +115,9 @@ def _lay_mixed(image: NDArray[Any], pixel: Ints, share: Floats, depth: Floats, o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stack:
-    """Surfaces over one another in pixels (m,): their light, the share of the pixel seen past them, the nearest of each."""
+    """Surfaces over one another in pixels (m,): their light, the share of the pixel seen past them,
+    the nearest of each.
+    """
 
     pixel: Ints
     light: Floats
@@ -119,7 +148,14 @@ def _stacked(pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: NDAr
     return _Stack(sorted_pixel[starts], light, behind * (1.0 - widest), nearest)
 
 
-def merged(row: Ints, column: Ints, share: Floats, depth_mm: Floats, value: NDArray[Any], along: Floats | None = None) -> Layer:
+def merged(
+    row: Ints,
+    column: Ints,
+    share: Floats,
+    depth_mm: Floats,
+    value: NDArray[Any],
+    along: Floats | None = None,
+) -> Layer:
     """One object's layer from surfaces (n,) of which several may meet in a pixel."""
     if len(row) == 0:
         return Layer(row, column, share, depth_mm, value, along)
@@ -130,12 +166,21 @@ def merged(row: Ints, column: Ints, share: Floats, depth_mm: Floats, value: NDAr
     if len(many) == 0:
         return Layer(row, column, share, depth_mm, value, along)
     once = np.flatnonzero(~often)
-    stack = _stacked(pixel[many], share[many], depth_mm[many], np.zeros(len(many), dtype=np.intp), value[many])
+    stack = _stacked(
+        pixel[many], share[many], depth_mm[many], np.zeros(len(many), dtype=np.intp), value[many]
+    )
     first = many[stack.nearest]
     keep = np.concatenate([once, first])
     covered = np.concatenate([share[once], 1.0 - stack.behind])
     mean = np.concatenate([value[once], stack.light / np.maximum(1.0 - stack.behind, 1e-12)])
-    return Layer(row[keep], column[keep], covered, depth_mm[keep], mean.astype(value.dtype), None if along is None else along[keep])
+    return Layer(
+        row[keep],
+        column[keep],
+        covered,
+        depth_mm[keep],
+        mean.astype(value.dtype),
+        None if along is None else along[keep],
+    )
 
 
 def _starts(sorted_values: Ints) -> Bools:
@@ -146,7 +191,8 @@ def _starts(sorted_values: Ints) -> Bools:
 
 
 STEP_PX = 8.0  # longest straight piece of an outline: the lens bends it by less than 1e-4 px
-RING_POINTS = ((64, 0.0, 7.0), (128, 7.0, 20.0), (512, 20.0, np.inf))  # round an end whose radius in px is above, up to
+# round an end whose radius in px is above, up to
+RING_POINTS = ((64, 0.0, 7.0), (128, 7.0, 20.0), (512, 20.0, np.inf))
 MARGIN_PX = 16.0  # beyond the image, where outlines are cut off; more than STEP_PX
 NEAREST_MM = 50.0
 NOTHING = 1e-4  # less cover than this is no cover
@@ -154,7 +200,9 @@ NOTHING = 1e-4  # less cover than this is no cover
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cover:
-    """Pairs of a solid and a pixel that it covers, n of them, sorted by solid: which solid, which pixel, how much of it."""
+    """Pairs of a solid and a pixel that it covers, n of them, sorted by solid: which solid, which
+    pixel, how much of it.
+    """
 
     solid: Ints
     row: Ints
@@ -165,7 +213,8 @@ class Cover:
 def cover(solids: Solids, camera: CameraModel) -> Cover:
     """Every pixel that every solid covers, hidden or not, with the share of its area.
 
-    ``solids`` are in the camera's frame. Raises ValueError for one that comes nearer than 50 mm to the camera's plane.
+    ``solids`` are in the camera's frame. Raises ValueError for one that comes nearer than 50 mm to
+    the camera's plane.
     """
     if len(solids) == 0:
         nothing = np.zeros(0, dtype=np.intp)
@@ -176,17 +225,24 @@ def cover(solids: Solids, camera: CameraModel) -> Cover:
 
 
 def cover_outlines(outlines: Sequence[Floats], camera: CameraModel) -> Cover:
-    """The same for flat polygons, each (m, 3) mm in the camera's frame, in front of the camera, one "solid" each."""
+    """The same for flat polygons, each (m, 3) mm in the camera's frame, in front of the camera, one
+    "solid" each.
+    """
     for outline in outlines:
         _refuse_near(float(outline[:, 2].min()), camera)
-    return _of_corners([outline[:, :2] / outline[:, 2:] for outline in outlines], list(range(len(outlines))), camera)
+    return _of_corners(
+        [outline[:, :2] / outline[:, 2:] for outline in outlines],
+        list(range(len(outlines))),
+        camera,
+    )
 
 
 def _refuse_near(nearest_mm: float, camera: CameraModel) -> None:
     if not nearest_mm >= NEAREST_MM:
         raise ValueError(
-            f"something in the scene comes within {nearest_mm:.0f} mm of the {camera.name} camera's plane; it must stay "
-            f"{NEAREST_MM:.0f} mm in front of it: move it away from the cameras"
+            f"something in the scene comes within {nearest_mm:.0f} mm of the {camera.name} camera's"
+            f" plane; it must stay {NEAREST_MM:.0f} mm in front of it: move it away from the"
+            " cameras"
         )
 
 
@@ -206,7 +262,9 @@ def _outlines(solids: Solids, camera: CameraModel) -> tuple[list[Floats], list[i
     owners: list[int] = []
     for points, above, up_to in RING_POINTS:
         which = np.flatnonzero((size_px > above) & (size_px <= up_to))
-        rings = np.concatenate([_ring(solids, which, points, True), _ring(solids, which, points, False)], axis=1)
+        rings = np.concatenate(
+            [_ring(solids, which, points, True), _ring(solids, which, points, False)], axis=1
+        )
         for solid, cloud in zip(which, rings[..., :2] / rings[..., 2:], strict=True):
             hull = cv2.convexHull(cloud.astype(np.float32), returnPoints=False)
             corners.append(cloud[hull[:, 0]])
@@ -215,7 +273,9 @@ def _outlines(solids: Solids, camera: CameraModel) -> tuple[list[Floats], list[i
 
 
 def _ring(solids: Solids, which: Ints, points: int, at_a: bool) -> Floats:
-    """Outline of one end of each solid, (k, points, 3): a disc's rim, or the circle where rays touch a ball."""
+    """Outline of one end of each solid, (k, points, 3): a disc's rim, or the circle where rays
+    touch a ball.
+    """
     centre = (solids.a if at_a else solids.b)[which]
     radius = (solids.radius_a if at_a else solids.radius_b)[which]
     flat = (solids.flat_a if at_a else solids.flat_b)[which]
@@ -226,7 +286,9 @@ def _ring(solids: Solids, which: Ints, points: int, at_a: bool) -> Floats:
     # A polygon inscribed in a circle is a little small; this one has the circle's area.
     step = 2.0 * np.pi / points
     radius = radius * np.sqrt(1.0 - shrink) * np.sqrt(step / np.sin(step))
-    helper = np.where(np.abs(across[:, :1]) < 0.7, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    helper = np.where(
+        np.abs(across[:, :1]) < 0.7, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    )
     u = np.cross(across, helper)
     u /= np.linalg.norm(u, axis=1)[:, None]
     v = np.cross(across, u)
@@ -235,8 +297,12 @@ def _ring(solids: Solids, which: Ints, points: int, at_a: bool) -> Floats:
     return np.asarray(centre[:, None, :] + radius[:, None, None] * circle)
 
 
-def _cut(owner: Ints, start: Floats, end: Floats, camera: CameraModel) -> tuple[Ints, Floats, Floats]:
-    """Cut edges in the ideal plane to STEP_PX, keep them near the image, and bend them as the lens does."""
+def _cut(
+    owner: Ints, start: Floats, end: Floats, camera: CameraModel
+) -> tuple[Ints, Floats, Floats]:
+    """Cut edges in the ideal plane to STEP_PX, keep them near the image, and bend them as the lens
+    does.
+    """
     length_px = np.linalg.norm((end - start) * camera.fc, axis=1)
     pieces = np.maximum(np.ceil(length_px / STEP_PX), 1.0).astype(np.intp)
     edge = np.repeat(np.arange(len(owner)), pieces)
@@ -250,7 +316,9 @@ def _cut(owner: Ints, start: Floats, end: Floats, camera: CameraModel) -> tuple[
 
 @lru_cache(maxsize=16)  # cameras are few and never change
 def _plane_window(camera: CameraModel) -> tuple[Floats, Floats]:
-    """A rectangle of the ideal plane that holds the image and its margin: beyond it a lens model may fold over."""
+    """A rectangle of the ideal plane that holds the image and its margin: beyond it a lens model
+    may fold over.
+    """
     w, h = camera.width_px + MARGIN_PX, camera.height_px + MARGIN_PX
     u, v = np.meshgrid(np.linspace(-MARGIN_PX, w, 9), np.linspace(-MARGIN_PX, h, 9))
     plane = camera.plane_from_pixels(np.column_stack([u.ravel(), v.ravel()]))
@@ -265,7 +333,9 @@ def _bent(plane: Floats, camera: CameraModel, low: Floats, high: Floats) -> Floa
 
 
 def _areas(count: int, owner: Ints, start: Floats, end: Floats, camera: CameraModel) -> Cover:
-    """Add up signed areas in one flat buffer of windows; every row of a closed outline sums to zero, so one running sum does."""
+    """Add up signed areas in one flat buffer of windows; every row of a closed outline sums to
+    zero, so one running sum does.
+    """
     left, top = np.full(count, np.inf), np.full(count, np.inf)
     right, bottom = np.full(count, -np.inf), np.full(count, -np.inf)
     np.minimum.at(left, owner, start[:, 0])
@@ -287,14 +357,17 @@ def _areas(count: int, owner: Ints, start: Floats, end: Floats, camera: CameraMo
     change = np.bincount(cell, rise - right_part, total) + np.bincount(cell + 1, right_part, total)
     share = np.minimum(np.abs(np.cumsum(change)), 1.0)
     flat = np.flatnonzero(share > NOTHING)
-    cells = np.diff(np.searchsorted(flat, offset))  # both are in order, so each solid's cells are one run
+    # both are in order, so each solid's cells are one run
+    cells = np.diff(np.searchsorted(flat, offset))
     solid = np.repeat(np.arange(count), cells)
     local = flat - np.repeat(offset[:-1], cells)
     across = np.repeat(width, cells)
     row = local // across
     column = local - row * across + np.repeat(x0, cells)
     row += np.repeat(y0, cells)
-    inside: Bools = (row >= 0) & (column >= 0) & (row < camera.height_px) & (column < camera.width_px)
+    inside: Bools = (
+        (row >= 0) & (column >= 0) & (row < camera.height_px) & (column < camera.width_px)
+    )
     return Cover(solid[inside], row[inside], column[inside], share[flat[inside]])
 
 
@@ -311,7 +384,8 @@ def _split_at_pixels(start: Floats, end: Floats) -> tuple[Ints, Floats, Floats]:
         before = np.concatenate([[0], np.cumsum(crossings)[:-1]])
         line = first[edge] + (np.arange(len(edge)) - before[edge])
         keys.append(edge + np.minimum((line - p[edge]) / (q - p)[edge], 1.0 - 1e-9))
-    key = np.sort(np.concatenate(keys))  # the edge's number and how far along it: one sort orders both
+    # the edge's number and how far along it: one sort orders both
+    key = np.sort(np.concatenate(keys))
     edge = np.minimum(key.astype(np.intp), len(start) - 1)
     along = key - edge
     last = np.append(edge[1:] != edge[:-1], True)

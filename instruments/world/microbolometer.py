@@ -1,8 +1,10 @@
-"""From heat to numbers: an uncooled thermal array, with noise along every direction of the three-dimensional noise model.
+"""From heat to numbers: an uncooled thermal array, with noise along every direction of the
+three-dimensional noise model.
 
-The seven components (Driggers, Cox and Edwards; NVESD's 3-D noise): of each pixel, row, column and of the whole frame, fresh or
-fixed. Between flat-field events level and pattern drift away linearly, each time another way; at an event the shutter may show.
-What is fixed comes from the camera's seed, what is fresh from the generator passed in, drift from the time. May not know of scenes.
+The seven components (Driggers, Cox and Edwards; NVESD's 3-D noise): of each pixel, row, column and
+of the whole frame, fresh or fixed. Between flat-field events level and pattern drift away linearly,
+each time another way; at an event the shutter may show. What is fixed comes from the camera's seed,
+what is fresh from the generator passed in, drift from the time. May not know of scenes.
 """
 
 from __future__ import annotations
@@ -24,9 +26,11 @@ KELVIN_AT_0_C = 273.15
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """What goes astray between flat-field events: ``level_k_per_min`` of all pixels, ``pattern_k_per_min`` of each, one sigma.
+    """What goes astray between flat-field events: ``level_k_per_min`` of all pixels,
+    ``pattern_k_per_min`` of each, one sigma.
 
-    An event comes every ``every_s`` and shows the shutter, which is at ``shutter_c``, for ``lasts_s`` (0: it is over at once).
+    An event comes every ``every_s`` and shows the shutter, which is at ``shutter_c``, for
+    ``lasts_s`` (0: it is over at once).
     """
 
     level_k_per_min: float = 0.03
@@ -37,18 +41,23 @@ class Drift:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.lasts_s < self.every_s:
-            raise ValueError(f"flat-field events must be over before the next one begins, are {self}")
+            raise ValueError(
+                f"flat-field events must be over before the next one begins, are {self}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
 class ThermalSensor:
-    """An uncooled array. ``width_px`` x ``height_px`` pixels; temperatures and noises in kelvin, one sigma.
+    """An uncooled array. ``width_px`` x ``height_px`` pixels; temperatures and noises in kelvin,
+    one sigma.
 
-    Fresh in each frame: ``netd_k`` of a pixel, ``row_flicker_k``, ``column_flicker_k``, ``level_flicker_k`` of the frame. Fixed:
-    ``fixed_k`` of a pixel, ``row_k``, ``column_k``. ``blur_px`` sigma of the lens's blur in sensor pixels, before the pixel's own area;
-    ``time_constant_s`` of a pixel: what moves trails behind itself. The 8-bit picture is automatic: from the 1st to the 99.5th
-    percentile of the frame, opened to at least ``least_span_k`` upwards and by ``headroom`` of that at both ends, so a room without
-    anything warm shows noise, not a stretched picture. ``mirrored`` and ``hot_is_black`` say how it is delivered.
+    Fresh in each frame: ``netd_k`` of a pixel, ``row_flicker_k``, ``column_flicker_k``,
+    ``level_flicker_k`` of the frame. Fixed: ``fixed_k`` of a pixel, ``row_k``, ``column_k``.
+    ``blur_px`` sigma of the lens's blur in sensor pixels, before the pixel's own area;
+    ``time_constant_s`` of a pixel: what moves trails behind itself. The 8-bit picture is automatic:
+    from the 1st to the 99.5th percentile of the frame, opened to at least ``least_span_k`` upwards
+    and by ``headroom`` of that at both ends, so a room without anything warm shows noise, not a
+    stretched picture. ``mirrored`` and ``hot_is_black`` say how it is delivered.
     """
 
     width_px: int = 160
@@ -71,17 +80,30 @@ class ThermalSensor:
 
     def __post_init__(self) -> None:
         if min(self.width_px, self.height_px, self.oversample) < 1:
-            raise ValueError(f"a thermal sensor needs at least one pixel each way, has {self.width_px} x {self.height_px}")
+            raise ValueError(
+                f"a thermal sensor needs at least one pixel each way, has {self.width_px} x"
+                f" {self.height_px}"
+            )
 
     @classmethod
     def from_calibration(cls, table: Mapping[str, Any]) -> ThermalSensor:
-        """A parsed calibration's thermal camera: sensor_size, mirrored and polarity from it where they stand there. Raises ValueError."""
+        """A parsed calibration's thermal camera: sensor_size, mirrored and polarity from it where
+        they stand there. Raises ValueError.
+        """
         entry = table.get("cameras", {}).get("thermal", {})
         width, height = entry.get("sensor_size", (cls().width_px, cls().height_px))
         polarity = entry.get("polarity", "hot_is_black")
         if polarity not in ("hot_is_black", "hot_is_white"):
-            raise ValueError(f'calibration: cameras.thermal.polarity must be "hot_is_black" or "hot_is_white", is {polarity!r}')
-        return cls(int(width), int(height), mirrored=bool(entry.get("mirrored", cls().mirrored)), hot_is_black=polarity == "hot_is_black")
+            raise ValueError(
+                'calibration: cameras.thermal.polarity must be "hot_is_black" or "hot_is_white",'
+                f" is {polarity!r}"
+            )
+        return cls(
+            int(width),
+            int(height),
+            mirrored=bool(entry.get("mirrored", cls().mirrored)),
+            hot_is_black=polarity == "hot_is_black",
+        )
 
 
 class ThermalReadout:
@@ -91,16 +113,26 @@ class ThermalReadout:
         rng = np.random.Generator(np.random.SFC64(seed))
         shape = (sensor.height_px, sensor.width_px)
         self.sensor = sensor
-        rows, columns = sensor.row_k * rng.standard_normal((shape[0], 1)), sensor.column_k * rng.standard_normal((1, shape[1]))
+        rows, columns = (
+            sensor.row_k * rng.standard_normal((shape[0], 1)),
+            sensor.column_k * rng.standard_normal((1, shape[1])),
+        )
         self._pattern_k: Floats = sensor.fixed_k * rng.standard_normal(shape) + rows + columns
         seed_of_drift = int(rng.integers(2**63))
-        self._astray = lru_cache(maxsize=2)(partial(_drawn_astray, sensor, seed_of_drift))  # no reference to self: no cycle
+        # no reference to self: no cycle
+        self._astray = lru_cache(maxsize=2)(partial(_drawn_astray, sensor, seed_of_drift))
 
     def gathered(self, radiance: Floats) -> Floats:
         """Radiance on the fine grid (oversample x) through lens and pixels: (height, width)."""
         fine = self.sensor.oversample
-        blurred = cv2.GaussianBlur(radiance, (0, 0), self.sensor.blur_px * fine, borderType=cv2.BORDER_REPLICATE)
-        return np.asarray(blurred.reshape(self.sensor.height_px, fine, self.sensor.width_px, fine).mean(axis=(1, 3)))
+        blurred = cv2.GaussianBlur(
+            radiance, (0, 0), self.sensor.blur_px * fine, borderType=cv2.BORDER_REPLICATE
+        )
+        return np.asarray(
+            blurred.reshape(self.sensor.height_px, fine, self.sensor.width_px, fine).mean(
+                axis=(1, 3)
+            )
+        )
 
     def drift_k(self, time_s: float) -> Floats:
         """How far each pixel has gone astray since the last flat-field event, (height, width)."""
@@ -112,7 +144,9 @@ class ThermalReadout:
         since, event = self._since(time_s)
         return event > 0 and since < self.sensor.drift.lasts_s
 
-    def expose(self, apparent_k: Floats, time_s: float, rng: np.random.Generator) -> NDArray[np.uint16]:
+    def expose(
+        self, apparent_k: Floats, time_s: float, rng: np.random.Generator
+    ) -> NDArray[np.uint16]:
         """One frame as centi-kelvin, 16 bits, un-mirrored, from apparent temperatures in kelvin."""
         sensor = self.sensor
         shape = (sensor.height_px, sensor.width_px)
@@ -120,17 +154,28 @@ class ThermalReadout:
             apparent_k = np.full(shape, sensor.drift.shutter_c + KELVIN_AT_0_C)
         fresh = sensor.netd_k * normal_noise(rng, shape)
         fresh = fresh + sensor.row_flicker_k * rng.standard_normal((shape[0], 1))
-        fresh += sensor.column_flicker_k * rng.standard_normal((1, shape[1])) + sensor.level_flicker_k * rng.standard_normal()
+        fresh += (
+            sensor.column_flicker_k * rng.standard_normal((1, shape[1]))
+            + sensor.level_flicker_k * rng.standard_normal()
+        )
         frame = apparent_k + self._pattern_k + self.drift_k(time_s) + fresh
         return np.clip(np.rint(100.0 * frame), 0.0, 65535.0).astype(np.uint16)
 
-    def delivered(self, centikelvin: NDArray[np.uint16], width_px: int, height_px: int) -> NDArray[np.uint8]:
-        """The 8-bit picture as the camera hands it over: automatic gain, blown up smoothly, mirrored, hot is black."""
+    def delivered(
+        self, centikelvin: NDArray[np.uint16], width_px: int, height_px: int
+    ) -> NDArray[np.uint8]:
+        """The 8-bit picture as the camera hands it over: automatic gain, blown up smoothly,
+        mirrored, hot is black.
+        """
         low, high = np.percentile(centikelvin, [1.0, 99.5]) / 100.0
         span = max(float(high - low), self.sensor.least_span_k)
-        grey = (centikelvin / 100.0 - low + self.sensor.headroom * span) / (span * (1.0 + 2.0 * self.sensor.headroom))
+        grey = (centikelvin / 100.0 - low + self.sensor.headroom * span) / (
+            span * (1.0 + 2.0 * self.sensor.headroom)
+        )
         grey = 1.0 - grey if self.sensor.hot_is_black else grey
-        picture = cv2.resize((255.0 * grey).astype(np.float32), (width_px, height_px), interpolation=cv2.INTER_LINEAR)
+        picture = cv2.resize(
+            (255.0 * grey).astype(np.float32), (width_px, height_px), interpolation=cv2.INTER_LINEAR
+        )
         picture = picture[:, ::-1] if self.sensor.mirrored else picture
         return np.ascontiguousarray(np.clip(np.rint(picture), 0.0, 255.0).astype(np.uint8))
 
@@ -143,7 +188,9 @@ class ThermalReadout:
 def _drawn_astray(sensor: ThermalSensor, seed: int, event: int) -> Floats:
     """Drift after an event, K a minute, (height, width)."""
     rng = np.random.Generator(np.random.SFC64([seed, event]))
-    pattern = sensor.drift.pattern_k_per_min * rng.standard_normal((sensor.height_px, sensor.width_px))
+    pattern = sensor.drift.pattern_k_per_min * rng.standard_normal(
+        (sensor.height_px, sensor.width_px)
+    )
     return np.asarray(pattern + sensor.drift.level_k_per_min * rng.standard_normal())
 
 

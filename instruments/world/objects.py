@@ -1,8 +1,9 @@
-"""What stands in the scene beside the phantom, as data: solids, paint and a temperature, made by name.
+"""What stands in the scene beside the phantom, as data: solids, paint and a temperature, made by
+name.
 
-A trial script names a kind and its parameters; `make_object` checks both and explains what is wrong. A temperature is
-in degC, or "teat" (the mean of the phantom's teats) or "ambient", plus an offset in kelvin.
-May not know of cameras, or how anything is drawn.
+A trial script names a kind and its parameters; `make_object` checks both and explains what is
+wrong. A temperature is in degC, or "teat" (the mean of the phantom's teats) or "ambient", plus an
+offset in kelvin. May not know of cameras, or how anything is drawn.
 """
 
 from __future__ import annotations
@@ -41,20 +42,29 @@ class SceneObject:
     def temperature_c(self, ambient_c: float, teat_c: float) -> float:
         """degC, where the room and the teats have these."""
         named = {"ambient": ambient_c, "teat": teat_c}
-        return (named[self.temperature] if isinstance(self.temperature, str) else self.temperature) + self.offset_k
+        return (
+            named[self.temperature] if isinstance(self.temperature, str) else self.temperature
+        ) + self.offset_k
 
 
-def phantom_objects(phantom: Phantom, paint: Paint, teat_temps_c: Iterable[float], hose_c: float) -> tuple[SceneObject, ...]:
+def phantom_objects(
+    phantom: Phantom, paint: Paint, teat_temps_c: Iterable[float], hose_c: float
+) -> tuple[SceneObject, ...]:
     """Teats, then flanges, then hoses. Flanges are as warm as the hoses that feed them."""
     upright, feet, bows = _hulls(phantom)
-    teats = [SceneObject(f"teat {i}", (hull,), paint, temp) for i, (hull, temp) in enumerate(zip(upright, teat_temps_c, strict=True))]
+    teats = [
+        SceneObject(f"teat {i}", (hull,), paint, temp)
+        for i, (hull, temp) in enumerate(zip(upright, teat_temps_c, strict=True))
+    ]
     flanges = [SceneObject(f"flange {i}", (hull,), paint, hose_c) for i, hull in enumerate(feet)]
     hoses = [SceneObject(f"hose {i}", hulls, HOSE_PAINT, hose_c) for i, hulls in enumerate(bows)]
     return (*teats, *flanges, *hoses)
 
 
 @lru_cache(maxsize=16)  # a state is asked for its things by every camera
-def _hulls(phantom: Phantom) -> tuple[tuple[Hull, ...], tuple[Hull, ...], tuple[tuple[Hull, ...], ...]]:
+def _hulls(
+    phantom: Phantom,
+) -> tuple[tuple[Hull, ...], tuple[Hull, ...], tuple[tuple[Hull, ...], ...]]:
     return phantom.teat_hulls(), phantom.flange_hulls(), phantom.hose_hulls()
 
 
@@ -64,26 +74,54 @@ def _cold_teat(
     gloss: float = TEAT_PAINT.gloss, emissivity: float = TEAT_PAINT.emissivity,
 ) -> SceneObject:  # fmt: skip
     """Section 5.2.3: shaped as a teat, not heated."""
-    hull = Hull((x_mm, y_mm, 0.0), (x_mm, y_mm, length_mm - radius_mm), radius_mm, radius_mm, flat_a=True)
-    return SceneObject("cold_teat", (hull,), Paint(albedo, gloss, emissivity), temperature, offset_k)
+    hull = Hull(
+        (x_mm, y_mm, 0.0), (x_mm, y_mm, length_mm - radius_mm), radius_mm, radius_mm, flat_a=True
+    )
+    return SceneObject(
+        "cold_teat", (hull,), Paint(albedo, gloss, emissivity), temperature, offset_k
+    )
 
 
 def _hot_cup(
-    x_mm: float = -192.0, y_mm: float = 240.0, height_mm: float = 85.0, radius_mm: float = 30.0, *, foot_radius_mm: float | None = None,
-    temperature: Warmth = "teat", offset_k: float = 1.0, albedo: float = 0.7, gloss: float = 0.1, emissivity: float = 0.94,
-) -> SceneObject:  # fmt: skip
-    """Section 5.2.4: a cup amid the teats that stands for the udder; wider at its rim than at its foot."""
+    x_mm: float = -192.0,
+    y_mm: float = 240.0,
+    height_mm: float = 85.0,
+    radius_mm: float = 30.0,
+    *,
+    foot_radius_mm: float | None = None,
+    temperature: Warmth = "teat",
+    offset_k: float = 1.0,
+    albedo: float = 0.7,
+    gloss: float = 0.1,
+    emissivity: float = 0.94,
+) -> SceneObject:
+    """Section 5.2.4: a cup amid the teats that stands for the udder; wider at its rim than at its
+    foot.
+    """
     foot = 0.8 * radius_mm if foot_radius_mm is None else foot_radius_mm
     hull = cylinder((x_mm, y_mm, 0.0), (x_mm, y_mm, height_mm), foot, radius_mm)
     return SceneObject("hot_cup", (hull,), Paint(albedo, gloss, emissivity), temperature, offset_k)
 
 
 def _warm_arm(
-    x_mm: float = -150.0, y_mm: float = 480.0, z_mm: float = 155.0, length_mm: float = 860.0, elbow_radius_mm: float = 52.0,
-    wrist_radius_mm: float = 34.0, rise_deg: float = -4.0, turn_deg: float = 4.0, *,
-    temperature: Warmth = "teat", offset_k: float = 0.6, albedo: float = 0.35, gloss: float = 0.02, emissivity: float = 0.98,
-) -> SceneObject:  # fmt: skip
-    """Section 5.2.5: a person's forearm and hand, lying behind the teat ends from left (elbow) to right."""
+    x_mm: float = -150.0,
+    y_mm: float = 480.0,
+    z_mm: float = 155.0,
+    length_mm: float = 860.0,
+    elbow_radius_mm: float = 52.0,
+    wrist_radius_mm: float = 34.0,
+    rise_deg: float = -4.0,
+    turn_deg: float = 4.0,
+    *,
+    temperature: Warmth = "teat",
+    offset_k: float = 0.6,
+    albedo: float = 0.35,
+    gloss: float = 0.02,
+    emissivity: float = 0.98,
+) -> SceneObject:
+    """Section 5.2.5: a person's forearm and hand, lying behind the teat ends from left (elbow) to
+    right.
+    """
     rise, turn = math.radians(rise_deg), math.radians(turn_deg)
     way = (math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise))
 
@@ -94,7 +132,9 @@ def _warm_arm(
     # Slices that overlap a little, so that no pixel lies half on one and half on the next.
     slices = [(start, end + JOINT_MM / length_mm) for start, end in pairwise(ARM_STATIONS)]
     radius = partial(_arm_radius, elbow_mm=elbow_radius_mm, wrist_mm=wrist_radius_mm)
-    forearm = tuple(cylinder(along(start), along(end), radius(start), radius(end)) for start, end in slices)
+    forearm = tuple(
+        cylinder(along(start), along(end), radius(start), radius(end)) for start, end in slices
+    )
     hulls = (*forearm, ball(along(0.0), radius(0.0)), ball(along(1.0), radius(1.0)))
     return SceneObject("warm_arm", hulls, Paint(albedo, gloss, emissivity), temperature, offset_k)
 
@@ -108,31 +148,69 @@ def _arm_radius(part: float, elbow_mm: float, wrist_mm: float) -> float:
 
 
 def _cooler_body(
-    x_mm: float = -190.0, y_mm: float = 480.0, z_mm: float = 0.0, height_mm: float = 180.0, radius_mm: float = 60.0,
-    top_radius_mm: float | None = None, *,
-    temperature: Warmth = "teat", offset_k: float = -5.0, albedo: float = 0.3, gloss: float = 0.02, emissivity: float = 0.97,
-) -> SceneObject:  # fmt: skip
-    """Section 5.2.6: a leg or a flank behind the teats, between room and teat temperature: stands upright, tapers, round on top."""
+    x_mm: float = -190.0,
+    y_mm: float = 480.0,
+    z_mm: float = 0.0,
+    height_mm: float = 180.0,
+    radius_mm: float = 60.0,
+    top_radius_mm: float | None = None,
+    *,
+    temperature: Warmth = "teat",
+    offset_k: float = -5.0,
+    albedo: float = 0.3,
+    gloss: float = 0.02,
+    emissivity: float = 0.97,
+) -> SceneObject:
+    """Section 5.2.6: a leg or a flank behind the teats, between room and teat temperature: stands
+    upright, tapers, round on top.
+    """
     top = 0.85 * radius_mm if top_radius_mm is None else top_radius_mm
     if not height_mm > top:
-        raise ValueError(f"height_mm must be more than the radius of the round top ({top:g} mm), is {height_mm:g}")
+        raise ValueError(
+            f"height_mm must be more than the radius of the round top ({top:g} mm), is"
+            f" {height_mm:g}"
+        )
     head = (x_mm, y_mm, z_mm + height_mm - top)
     hulls = (cylinder((x_mm, y_mm, z_mm), head, radius_mm, top), ball(head, top))
-    return SceneObject("cooler_body", hulls, Paint(albedo, gloss, emissivity), temperature, offset_k)
+    return SceneObject(
+        "cooler_body", hulls, Paint(albedo, gloss, emissivity), temperature, offset_k
+    )
 
 
 def _ball(
-    x_mm: float = -190.0, y_mm: float = 480.0, z_mm: float = 230.0, radius_mm: float = 60.0, *,
-    temperature: Warmth = "teat", offset_k: float = -5.0, albedo: float = 0.3, gloss: float = 0.02, emissivity: float = 0.97,
-) -> SceneObject:  # fmt: skip
+    x_mm: float = -190.0,
+    y_mm: float = 480.0,
+    z_mm: float = 230.0,
+    radius_mm: float = 60.0,
+    *,
+    temperature: Warmth = "teat",
+    offset_k: float = -5.0,
+    albedo: float = 0.3,
+    gloss: float = 0.02,
+    emissivity: float = 0.97,
+) -> SceneObject:
     """A sphere, hung anywhere."""
-    return SceneObject("ball", (ball((x_mm, y_mm, z_mm), radius_mm),), Paint(albedo, gloss, emissivity), temperature, offset_k)
+    return SceneObject(
+        "ball",
+        (ball((x_mm, y_mm, z_mm), radius_mm),),
+        Paint(albedo, gloss, emissivity),
+        temperature,
+        offset_k,
+    )
 
 
 def _rod(
-    x_mm: float = -190.0, y_mm: float = 600.0, height_mm: float = 300.0, radius_mm: float = 8.0, *,
-    temperature: Warmth = "ambient", offset_k: float = 0.0, albedo: float = 0.1, gloss: float = 0.0, emissivity: float = 0.95,
-) -> SceneObject:  # fmt: skip
+    x_mm: float = -190.0,
+    y_mm: float = 600.0,
+    height_mm: float = 300.0,
+    radius_mm: float = 8.0,
+    *,
+    temperature: Warmth = "ambient",
+    offset_k: float = 0.0,
+    albedo: float = 0.1,
+    gloss: float = 0.0,
+    emissivity: float = 0.95,
+) -> SceneObject:
     """An upright post behind the teats: clutter for the optical cameras."""
     hull = cylinder((x_mm, y_mm, 0.0), (x_mm, y_mm, height_mm), radius_mm)
     return SceneObject("rod", (hull,), Paint(albedo, gloss, emissivity), temperature, offset_k)
@@ -155,13 +233,19 @@ def parameters(kind: str) -> tuple[str, ...]:
 
 
 def make_object(kind: str, **params: Any) -> SceneObject:
-    """An object of the scene by name. Raises ValueError that names the unknown or wrong parameter and the likely one."""
+    """An object of the scene by name. Raises ValueError that names the unknown or wrong parameter
+    and the likely one.
+    """
     names = parameters(kind)
     for name, value in params.items():
         _known(f"parameter of {kind}", name, names)
         if name == "temperature" and isinstance(value, str):
             _known(f"temperature of {kind} (besides degC)", value, ("teat", "ambient"))
-        elif isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        elif (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
             raise ValueError(f"{kind}: {name} must be a finite number, is {value!r}")
     try:
         return KINDS[kind](**params)

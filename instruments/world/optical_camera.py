@@ -1,9 +1,12 @@
-"""What a camera sees of each thing, kept from one picture to the next: most of a scene stands still.
+"""What a camera sees of each thing, kept from one picture to the next: most of a scene stands
+still.
 
-A `View` is a camera with the ray of each of its pixels. What it works out about a thing depends on that thing alone, not on
-what stands before it, so it can be kept and put together with others anew. May not know of light, heat or noise.
+A `View` is a camera with the ray of each of its pixels. What it works out about a thing depends on
+that thing alone, not on what stands before it, so it can be kept and put together with others anew.
+May not know of light, heat or noise.
 
-The optical cameras at work: what never moves drawn once and kept, what stands before it laid over, lens and sensor.
+The optical cameras at work: what never moves drawn once and kept, what stands before it laid over,
+lens and sensor.
 
 May not know where a state comes from, nor what is made of a frame.
 """
@@ -23,7 +26,17 @@ from instruments.world.boards import Board, dark_parts_mm
 from instruments.world.compositing import Cover, Layer, cover, cover_outlines, lay_over, merged
 from instruments.world.objects import SceneObject
 from instruments.world.optics import CameraModel, Floats
-from instruments.world.sensor import Expected, Exposure, Grey, Image, OpticalReadout, OpticalSensor, blurred, blurred_by_depth, reach_px
+from instruments.world.sensor import (
+    Expected,
+    Exposure,
+    Grey,
+    Image,
+    OpticalReadout,
+    OpticalSensor,
+    blurred,
+    blurred_by_depth,
+    reach_px,
+)
 from instruments.world.shading import Lighting, irradiance, seen_light
 from instruments.world.solids import BLOCK, Ints, dot, meet
 from instruments.world.state import SceneState, Stage
@@ -33,7 +46,9 @@ KEPT_PIXELS = 400_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
-    """What each solid shows in each pixel that it covers, n pairs sorted by thing, hidden or not; camera's frame."""
+    """What each solid shows in each pixel that it covers, n pairs sorted by thing, hidden or not;
+    camera's frame.
+    """
 
     cover: Cover
     owner: Ints  # which thing of the stage
@@ -41,7 +56,9 @@ class Surfaces:
     depth_mm: Floats
     normals: Floats  # (3, n), unit
 
-    def by_thing(self, count: int, value: NDArray[np.float32] | Floats, along: Floats | None = None) -> list[Layer]:
+    def by_thing(
+        self, count: int, value: NDArray[np.float32] | Floats, along: Floats | None = None
+    ) -> list[Layer]:
         """A layer for each of ``count`` things, from a value for each pair."""
         ends = np.searchsorted(self.owner, np.arange(count + 1))
         seen = self.cover
@@ -60,7 +77,9 @@ class Surfaces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardSurface:
-    """A board in a camera: the pixels (n,) that it covers, what share of its part of each is dark, and the points seen (3, n), world."""
+    """A board in a camera: the pixels (n,) that it covers, what share of its part of each is dark,
+    and the points seen (3, n), world.
+    """
 
     cover: Cover
     dark: Floats
@@ -82,12 +101,18 @@ class View:
         covered = cover(solids, self.camera)
         x, y = self._rays(covered)
         depth, normals, _ = meet(solids, covered.solid, x, y)
-        return Surfaces(covered, stage.owner[covered.solid], np.stack([x, y, np.ones_like(x)]), depth, normals)
+        return Surfaces(
+            covered, stage.owner[covered.solid], np.stack([x, y, np.ones_like(x)]), depth, normals
+        )
 
     def heights(self, stage: Stage, seen: Surfaces) -> Floats:
-        """How far along its solid each surface lies, from 0 at the first end to 1 at the far side of the second, (n,)."""
+        """How far along its solid each surface lies, from 0 at the first end to 1 at the far side
+        of the second, (n,).
+        """
         solids = stage.solids.in_camera(self.camera)
-        reach = np.linalg.norm(solids.b - solids.a, axis=1) + np.where(solids.flat_b, 0.0, solids.radius_b)
+        reach = np.linalg.norm(solids.b - solids.a, axis=1) + np.where(
+            solids.flat_b, 0.0, solids.radius_b
+        )
         which = seen.cover.solid
         off = seen.depth_mm * seen.rays - solids.a[which].T
         return np.asarray(np.clip(dot(off, solids.axis[which].T) / reach[which], 0.0, 1.0))
@@ -104,15 +129,21 @@ class View:
         # A pixel at the board's edge may look past it: its depth stays within the board's.
         corners = camera.camera_from_world(board.outline_mm)[:, 2]
         plane = float(normal @ camera.camera_from_world(np.asarray(board.corner_mm)[None, :])[0])
-        depth = np.clip(plane / np.where(np.abs(towards) > 1e-9, towards, 1e-9), corners.min(), corners.max())
-        points = camera.R.T @ (depth * np.stack([x, y, np.ones_like(x)])) + camera.centre_mm[:, None]
+        depth = np.clip(
+            plane / np.where(np.abs(towards) > 1e-9, towards, 1e-9), corners.min(), corners.max()
+        )
+        points = (
+            camera.R.T @ (depth * np.stack([x, y, np.ones_like(x)])) + camera.centre_mm[:, None]
+        )
         return BoardSurface(whole, dark, depth, points, facing)
 
     def _dark(self, board: Board, whole: Cover) -> Floats:
         parts = dark_parts_mm(board.pattern)
         if not parts:
             return np.zeros(len(whole.share))
-        seen = cover_outlines([self.camera.camera_from_world(board.placed(part)) for part in parts], self.camera)
+        seen = cover_outlines(
+            [self.camera.camera_from_world(board.placed(part)) for part in parts], self.camera
+        )
         area = np.zeros((self.camera.height_px, self.camera.width_px))
         np.add.at(area, (seen.row, seen.column), seen.share)
         return np.asarray(np.clip(area[whole.row, whole.column] / whole.share, 0.0, 1.0))
@@ -129,8 +160,12 @@ class KeptLayers:
         self._layers: dict[Hashable, Layer] = {}
         self._pixels = 0
 
-    def of(self, keys: Sequence[Hashable], make: Callable[[list[int]], Sequence[Layer]]) -> list[Layer]:
-        """The layer of each key; those that aren't there are made, all at once, by ``make`` from their places in ``keys``."""
+    def of(
+        self, keys: Sequence[Hashable], make: Callable[[list[int]], Sequence[Layer]]
+    ) -> list[Layer]:
+        """The layer of each key; those that aren't there are made, all at once, by ``make`` from
+        their places in ``keys``.
+        """
         missing = [i for i, key in enumerate(keys) if key not in self._layers]
         fresh = dict(zip(missing, make(missing), strict=True)) if missing else {}
         for i, key in enumerate(keys):
@@ -155,15 +190,21 @@ Slices = tuple[slice, slice]
 class OpticalCamera:
     """One optical camera: geometry, kept backdrops and layers, sensor."""
 
-    def __init__(self, camera: CameraModel, sensor: OpticalSensor, seed: np.random.SeedSequence) -> None:
+    def __init__(
+        self, camera: CameraModel, sensor: OpticalSensor, seed: np.random.SeedSequence
+    ) -> None:
         self.view = View(camera)
         self.readout = OpticalReadout(sensor, self.view.rays, seed)
         self._focal_px = float(camera.fc.mean())
-        self._backdrops: dict[tuple[Backdrop, Lighting, Exposure], tuple[Image, Image, Expected]] = {}
+        self._backdrops: dict[
+            tuple[Backdrop, Lighting, Exposure], tuple[Image, Image, Expected]
+        ] = {}
         self._layers = KeptLayers()
         self._latest: tuple[object, list[Expected]] = (None, [])
 
-    def expose(self, state: SceneState, shadows: ShadowMap | None, rng: np.random.Generator) -> Grey:
+    def expose(
+        self, state: SceneState, shadows: ShadowMap | None, rng: np.random.Generator
+    ) -> Grey:
         """One exposure, (height, width) uint8."""
         return self.readout.expose(self._parts(state, shadows), rng)
 
@@ -176,9 +217,19 @@ class OpticalCamera:
         return mean
 
     def _parts(self, state: SceneState, shadows: ShadowMap | None) -> list[Expected]:
-        """The empty scene, and over it the part of the image where anything stands or throws its shadow."""
+        """The empty scene, and over it the part of the image where anything stands or throws its
+        shadow.
+        """
         looks = tuple((thing.hulls, thing.paint) for thing in state.everything())
-        key = (looks, state.boards, state.lighting, state.backdrop, state.exposure, state.velocity_mm_s, shadows is None)
+        key = (
+            looks,
+            state.boards,
+            state.lighting,
+            state.backdrop,
+            state.exposure,
+            state.velocity_mm_s,
+            shadows is None,
+        )
         if self._latest[0] != key:
             self._latest = None, []  # let go before the next is drawn
             self._latest = key, self._drawn(state, shadows)
@@ -188,26 +239,48 @@ class OpticalCamera:
         empty, soft, whole = self._backdrop(state)
         moments = self._moments(state)
         layers = [self._seen(moment) for moment in moments]
-        dark = None if shadows is None else shade(shadows, state.backdrop, self.view.camera, self.view.rays)
-        around = _bounds([layer for seen in layers for layer in seen], dark, empty.shape, self._reach(layers))
+        dark = (
+            None
+            if shadows is None
+            else shade(shadows, state.backdrop, self.view.camera, self.view.rays)
+        )
+        around = _bounds(
+            [layer for seen in layers for layer in seen], dark, empty.shape, self._reach(layers)
+        )
         if around is None:
             return [whole]
-        light = sum(self._lens(around, empty, soft, dark, seen) for seen in layers) / np.float32(len(layers))
-        return [whole, self.readout.expected(np.asarray(light, dtype=np.float32), *around, state.exposure)]
+        light = sum(self._lens(around, empty, soft, dark, seen) for seen in layers) / np.float32(
+            len(layers)
+        )
+        return [
+            whole,
+            self.readout.expected(np.asarray(light, dtype=np.float32), *around, state.exposure),
+        ]
 
     def _moments(self, state: SceneState) -> list[SceneState]:
-        """The state at even moments of the exposure, close enough that nothing moves half a pixel from one to the next."""
+        """The state at even moments of the exposure, close enough that nothing moves half a pixel
+        from one to the next.
+        """
         if not state.moves:
             return [state]
-        speed = max(float(np.linalg.norm(v)) for v in (state.velocity_mm_s, *(board.velocity_mm_s for board in state.boards)))
+        speed = max(
+            float(np.linalg.norm(v))
+            for v in (state.velocity_mm_s, *(board.velocity_mm_s for board in state.boards))
+        )
         ends = [state.phantom.ends_mm, *(board.outline_mm for board in state.boards)]
         nearest = float(self.view.camera.camera_from_world(np.concatenate(ends))[:, 2].min())
         smear_px = speed * state.exposure.time_s * self._focal_px / max(nearest, 1.0)
         steps = min(int(np.ceil(2.0 * smear_px)) + 1, MOST_STEPS)
-        return [state.later(state.exposure.time_s * ((i + 0.5) / steps - 0.5)) for i in range(steps)]
+        return [
+            state.later(state.exposure.time_s * ((i + 0.5) / steps - 0.5)) for i in range(steps)
+        ]
 
-    def _lens(self, around: Slices, empty: Image, soft: Image, dark: Shade | None, layers: Sequence[Layer]) -> Image:
-        """Light on that part of the sensor: what is out of focus in layers of its own, far to near."""
+    def _lens(
+        self, around: Slices, empty: Image, soft: Image, dark: Shade | None, layers: Sequence[Layer]
+    ) -> Image:
+        """Light on that part of the sensor: what is out of focus in
+        layers of its own, far to near.
+        """
         sharp = self.readout.sensor.blur_px
         extra = [self._defocus(layer) for layer in layers]
         hazy = bool(extra and max(extra) > 0.0) or soft is not empty
@@ -239,31 +312,53 @@ class OpticalCamera:
         return reach_px(float(np.hypot(extra, self.readout.sensor.blur_px)))
 
     def _backdrop(self, state: SceneState) -> tuple[Image, Image, Expected]:
-        """Light from the empty scene before the lens, the same out of focus, and what the sensor makes of it."""
+        """Light from the empty scene before the lens, the same out of focus, and what the sensor
+        makes of it.
+        """
         key = (state.backdrop, state.lighting, state.exposure)
         if key not in self._backdrops:
             while len(self._backdrops) >= BACKDROPS_KEPT:
                 self._backdrops.pop(next(iter(self._backdrops)))
             sensor = self.readout.sensor
-            empty, depth = backdrops.draw(state.backdrop, state.lighting, self.view.camera, self.view.rays)
-            ends = np.array([depth.min(), depth.max()])  # blur grows both ways from what is in focus
-            out_of_focus = float(np.hypot(sensor.focus.sigma_px(ends, self._focal_px), sensor.blur_px).max()) - sensor.blur_px > SHARP_PX
+            empty, depth = backdrops.draw(
+                state.backdrop, state.lighting, self.view.camera, self.view.rays
+            )
+            # blur grows both ways from what is in focus
+            ends = np.array([depth.min(), depth.max()])
+            out_of_focus = (
+                float(np.hypot(sensor.focus.sigma_px(ends, self._focal_px), sensor.blur_px).max())
+                - sensor.blur_px
+                > SHARP_PX
+            )
             soft = blurred_by_depth(empty, self._sigma(depth)) if out_of_focus else empty
             whole = soft if out_of_focus else blurred(empty, sensor.blur_px)
-            self._backdrops[key] = empty, soft, self.readout.expected(whole, slice(None), slice(None), state.exposure)
+            self._backdrops[key] = (
+                empty,
+                soft,
+                self.readout.expected(whole, slice(None), slice(None), state.exposure),
+            )
         return self._backdrops[key]
 
     def _sigma(self, depth_mm: Image) -> Image:
         sensor = self.readout.sensor
-        return np.hypot(sensor.focus.sigma_px(depth_mm, self._focal_px), sensor.blur_px).astype(np.float32)
+        return np.hypot(sensor.focus.sigma_px(depth_mm, self._focal_px), sensor.blur_px).astype(
+            np.float32
+        )
 
     def _seen(self, state: SceneState) -> list[Layer]:
         """The layer of each thing and each board."""
         things, lighting = state.everything(), state.lighting
         keys = [(thing.hulls, thing.paint, lighting) for thing in things]
-        layers = self._layers.of(keys, lambda which: self._things([things[i] for i in which], lighting))
+        layers = self._layers.of(
+            keys, lambda which: self._things([things[i] for i in which], lighting)
+        )
         boards = [(board, lighting) for board in state.boards]
-        return [*layers, *self._layers.of(boards, lambda which: [self._board(state.boards[i], lighting) for i in which])]
+        return [
+            *layers,
+            *self._layers.of(
+                boards, lambda which: [self._board(state.boards[i], lighting) for i in which]
+            ),
+        ]
 
     def _things(self, things: Sequence[SceneObject], lighting: Lighting) -> list[Layer]:
         stage = Stage.of_things(things)
@@ -274,7 +369,14 @@ class OpticalCamera:
         """Light from each surface towards this camera, (n,)."""
         turn = self.view.camera.R.T.astype(np.float32)
         eye = self.view.camera.centre_mm.astype(np.float32)[:, None]
-        paints = np.array([(thing.paint.albedo, thing.paint.gloss) for thing in stage.things], dtype=np.float32).reshape(-1, 2).T
+        paints = (
+            np.array(
+                [(thing.paint.albedo, thing.paint.gloss) for thing in stage.things],
+                dtype=np.float32,
+            )
+            .reshape(-1, 2)
+            .T
+        )
         light = np.empty(len(seen.owner), dtype=np.float32)
         for start in range(0, len(light), BLOCK):
             part = slice(start, start + BLOCK)
@@ -296,8 +398,12 @@ def _depth(layer: Layer) -> float:
     return float(layer.depth_mm.mean()) if len(layer) else 0.0
 
 
-def _bounds(layers: Sequence[Layer], dark: Shade | None, shape: tuple[int, ...], reach: int) -> Slices | None:
-    """The part of an image that surfaces and shadows change, with the reach of the lens's blur around it."""
+def _bounds(
+    layers: Sequence[Layer], dark: Shade | None, shape: tuple[int, ...], reach: int
+) -> Slices | None:
+    """The part of an image that surfaces and shadows change, with the reach of the lens's blur
+    around it.
+    """
     seen = [layer for layer in layers if len(layer)]
     rows = [(int(layer.row.min()), int(layer.row.max()) + 1) for layer in seen]
     columns = [(int(layer.column.min()), int(layer.column.max()) + 1) for layer in seen]
@@ -309,7 +415,10 @@ def _bounds(layers: Sequence[Layer], dark: Shade | None, shape: tuple[int, ...],
 
 def _around(spans: list[tuple[int, int]], size: int, reach: int) -> slice:
     # Twice the reach: what is cut off there would otherwise be mirrored into the part.
-    return slice(max(min(low for low, _ in spans) - 2 * reach, 0), min(max(high for _, high in spans) + 2 * reach, size))
+    return slice(
+        max(min(low for low, _ in spans) - 2 * reach, 0),
+        min(max(high for _, high in spans) + 2 * reach, size),
+    )
 
 
 def _within(part: slice, whole: slice) -> slice:

@@ -1,9 +1,9 @@
 """The cameras of the simulated scene: a lens model of the scene's own, exact both ways.
 
-It shares no code with the detector, so that the two can't be wrong together; `cv2.projectPoints` is the referee
-of both. The model is Bouguet's (and OpenCV's): two or three radial terms, two tangential, a skew. Undoing the
-distortion is a Newton iteration to convergence, so a ray and its pixel agree to rounding error.
-May not know what is in the scene, nor anything of sensors and light.
+It shares no code with the detector, so that the two can't be wrong together; `cv2.projectPoints` is
+the referee of both. The model is Bouguet's (and OpenCV's): two or three radial terms, two
+tangential, a skew. Undoing the distortion is a Newton iteration to convergence, so a ray and its
+pixel agree to rounding error. May not know what is in the scene, nor anything of sensors and light.
 """
 
 from __future__ import annotations
@@ -39,8 +39,9 @@ def _cross_matrix(v: Floats) -> Floats:
 class CameraModel:
     """One camera: lens and pose. Pixel centres are at whole numbers, the first one at (0, 0).
 
-    ``width_px``, ``height_px`` the image; ``fc``, ``cc`` (2,) focal length and principal point in px; ``alpha_c``
-    skew; ``kc`` (5,) k1 k2 p1 p2 k3; ``R`` (3, 3), ``t_mm`` (3,) the motion camera_from_world: X_camera = R X_world + t.
+    ``width_px``, ``height_px`` the image; ``fc``, ``cc`` (2,) focal length and principal point in
+    px; ``alpha_c`` skew; ``kc`` (5,) k1 k2 p1 p2 k3; ``R`` (3, 3), ``t_mm`` (3,) the motion
+    camera_from_world: X_camera = R X_world + t.
     """
 
     name: str
@@ -63,7 +64,9 @@ class CameraModel:
         return np.asarray(points_mm @ self.R.T + self.t_mm)
 
     def project(self, points_mm: Floats) -> Floats:
-        """World points (n, 3) mm to pixels (n, 2). A point behind the camera has no picture: its row is nan."""
+        """World points (n, 3) mm to pixels (n, 2). A point behind the camera has no picture: its
+        row is nan.
+        """
         seen = self.camera_from_world(np.asarray(points_mm, dtype=np.float64).reshape(-1, 3))
         depth = np.where(seen[:, 2] > 0.0, seen[:, 2], np.nan)
         return self.pixels_from_plane(seen[:, :2] / depth[:, None])
@@ -71,16 +74,21 @@ class CameraModel:
     def pixels_from_plane(self, plane: Floats) -> Floats:
         """Normalised image plane (n, 2), x = X/Z, to distorted pixels (n, 2)."""
         x, y = _distort(plane[:, 0], plane[:, 1], self.kc)
-        return np.column_stack([self.fc[0] * (x + self.alpha_c * y) + self.cc[0], self.fc[1] * y + self.cc[1]])
+        return np.column_stack(
+            [self.fc[0] * (x + self.alpha_c * y) + self.cc[0], self.fc[1] * y + self.cc[1]]
+        )
 
     def plane_from_pixels(self, pixels: Floats) -> Floats:
-        """Pixels (n, 2) to the normalised image plane (n, 2): the inverse of `pixels_from_plane`."""
+        """Pixels (n, 2) to the normalised image plane (n, 2): the inverse of
+        `pixels_from_plane`.
+        """
         y = (pixels[:, 1] - self.cc[1]) / self.fc[1]
         x = (pixels[:, 0] - self.cc[0]) / self.fc[0] - self.alpha_c * y
         return np.column_stack(_undistort(x, y, self.kc, self.name))
 
     def rays(self) -> tuple[Floats, Floats]:
-        """The ray (x, y, 1) of every pixel centre, in the camera's frame: two arrays (height, width).
+        """The ray (x, y, 1) of every pixel centre, in the camera's frame: two arrays (height,
+        width).
 
         Exact, and dear (about 0.2 s for 1.4 million pixels): keep the answer.
         """
@@ -99,18 +107,25 @@ class CameraModel:
         # The corner of the first pixel is at (-0.5, -0.5) on either grid.
         cc = (self.cc + 0.5) * scale - 0.5
         alpha_c = self.alpha_c
-        return CameraModel(self.name, width_px, height_px, self.fc * scale, cc, alpha_c, self.kc, self.R, self.t_mm)
+        return CameraModel(
+            self.name, width_px, height_px, self.fc * scale, cc, alpha_c, self.kc, self.R, self.t_mm
+        )
 
 
 def _distort(x: Floats, y: Floats, kc: Floats) -> tuple[Floats, Floats]:
     k1, k2, p1, p2, k3 = kc
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+    )
 
 
 def _undistort(x_d: Floats, y_d: Floats, kc: Floats, name: str) -> tuple[Floats, Floats]:
-    """Newton's iteration on both coordinates at once; raises ValueError where the lens model folds over."""
+    """Newton's iteration on both coordinates at once; raises ValueError where the lens model folds
+    over.
+    """
     k1, k2, p1, p2, k3 = kc
     x, y = x_d, y_d
     if not np.any(kc):
@@ -126,18 +141,27 @@ def _undistort(x_d: Floats, y_d: Floats, kc: Floats, name: str) -> tuple[Floats,
         yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
         cross = slope * xy + 2.0 * p1 * x + 2.0 * p2 * y
         scale = 1.0 / (xx * yy - cross * cross)
-        step_x, step_y = (yy * miss_x - cross * miss_y) * scale, (xx * miss_y - cross * miss_x) * scale
+        step_x, step_y = (
+            (yy * miss_x - cross * miss_y) * scale,
+            (xx * miss_y - cross * miss_x) * scale,
+        )
         x, y = x - step_x, y - step_y
         if max(float(np.abs(step_x).max()), float(np.abs(step_y).max())) < CONVERGED:
             return x, y
-    raise ValueError(f"camera {name}: the distortion kc = {kc.tolist()} can't be undone over the whole image; check kc in the calibration")
+    raise ValueError(
+        f"camera {name}: the distortion kc = {kc.tolist()} can't be undone over the whole image;"
+        " check kc in the calibration"
+    )
 
 
-def cameras_from_calibration(table: Mapping[str, Any]) -> tuple[CameraModel, CameraModel, CameraModel]:
+def cameras_from_calibration(
+    table: Mapping[str, Any],
+) -> tuple[CameraModel, CameraModel, CameraModel]:
     """(left, right, thermal) from a parsed calibration file (recording-format.md).
 
-    X_right = R X_left + T, X_thermal = R X_left + T, X_world = R X_right + T; the thermal camera is the un-mirrored
-    one. Raises ValueError that names the key which is missing or has the wrong form.
+    X_right = R X_left + T, X_thermal = R X_left + T, X_world = R X_right + T; the thermal camera is
+    the un-mirrored one. Raises ValueError that names the key which is missing or has the wrong
+    form.
     """
     right_from_left = _motion(table, "stereo")
     thermal_from_left = _motion(table, "thermal")
@@ -145,7 +169,11 @@ def cameras_from_calibration(table: Mapping[str, Any]) -> tuple[CameraModel, Cam
     right = _inverse(world_from_right)
     left = _after(_inverse(right_from_left), right)
     thermal = _after(thermal_from_left, left)
-    return _camera(table, "left", left), _camera(table, "right", right), _camera(table, "thermal", thermal)
+    return (
+        _camera(table, "left", left),
+        _camera(table, "right", right),
+        _camera(table, "thermal", thermal),
+    )
 
 
 Motion = tuple[Floats, Floats]
@@ -168,7 +196,9 @@ def _camera(table: Mapping[str, Any], name: str, camera_from_world: Motion) -> C
     at = ("cameras", name)
     width, height = (round(size) for size in _numbers(table, (*at, "image_size"), 2))
     if min(width, height) < 1:
-        raise ValueError(f"calibration: cameras.{name}.image_size must be at least 1 x 1, is {width} x {height}")
+        raise ValueError(
+            f"calibration: cameras.{name}.image_size must be at least 1 x 1, is {width} x {height}"
+        )
     fc = _numbers(table, (*at, "fc"), 2)
     if not np.all(fc > 0.0):
         raise ValueError(f"calibration: cameras.{name}.fc must be above zero, is {fc.tolist()}")
@@ -186,7 +216,11 @@ def _numbers(table: Mapping[str, Any], path: tuple[str, ...], count: int) -> Flo
     try:
         numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
     except (TypeError, ValueError):
-        raise ValueError(f"calibration: {'.'.join(path)} must be {count} number(s), is {value!r}") from None
+        raise ValueError(
+            f"calibration: {'.'.join(path)} must be {count} number(s), is {value!r}"
+        ) from None
     if numbers.shape != (count,) or not np.all(np.isfinite(numbers)):
-        raise ValueError(f"calibration: {'.'.join(path)} must be {count} finite number(s), is {value!r}")
+        raise ValueError(
+            f"calibration: {'.'.join(path)} must be {count} finite number(s), is {value!r}"
+        )
     return numbers

@@ -1,9 +1,10 @@
 """The phantom udder as values: teats on a plate.
 
-A teat is a cylinder with a hemispherical end, standing end up; what its end is says `instruments.teat_end`. Base flanges and the
-warm hoses between them belong to the phantom too; their places follow from the teats'.
-The plate's frame is the world's when the pose is zero; the pose turns the plate about `PIVOT_MM` and then shifts it.
-May not know of cameras, temperatures or instruments.
+A teat is a cylinder with a hemispherical end, standing end up; what its end is says
+`instruments.teat_end`. Base flanges and the warm hoses between them belong to the phantom too;
+their places follow from the teats'. The plate's frame is the world's when the pose is zero; the
+pose turns the plate about `PIVOT_MM` and then shifts it. May not know of cameras, temperatures or
+instruments.
 """
 
 from __future__ import annotations
@@ -18,29 +19,44 @@ from instruments.teat_end import apex_mm
 from instruments.world.optics import Floats
 from instruments.world.solids import Hull, Point, cylinder
 
-PIVOT_MM = (-189.4, 235.8)  # the middle of the four teats of table 5.1: where the stage's turntable has its axis
+# the middle of the four teats of table 5.1: where the stage's turntable has its axis
+PIVOT_MM = (-189.4, 235.8)
 FLANGE_RADIUS_MM, FLANGE_HEIGHT_MM = 18.0, 8.0
 HOSE_RADIUS_MM, HOSE_PIECES = 5.0, 8
-TABLE_5_1_MM = ((-110.2, 284.2, 134.2), (-161.9, 192.6, 137.6), (-224.9, 199.4, 136.7), (-260.6, 267.1, 136.3))
+TABLE_5_1_MM = (
+    (-110.2, 284.2, 134.2),
+    (-161.9, 192.6, 137.6),
+    (-224.9, 199.4, 136.7),
+    (-260.6, 267.1, 136.3),
+)
 
 
 @dataclass(frozen=True, slots=True)
 class TeatShape:
-    """``length_mm`` from the plate to the apex along the axis, ``radius_mm`` of the cylinder and of its rounded end."""
+    """``length_mm`` from the plate to the apex along the axis, ``radius_mm`` of the cylinder and of
+    its rounded end.
+    """
 
     length_mm: float = 135.0
     radius_mm: float = 11.0
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.length_mm) and 0.0 < self.radius_mm < self.length_mm - FLANGE_HEIGHT_MM):
-            raise ValueError(f"a teat needs a radius above zero and a length of at least radius + {FLANGE_HEIGHT_MM:g} mm, has {self}")
+        if not (
+            np.isfinite(self.length_mm) and 0.0 < self.radius_mm < self.length_mm - FLANGE_HEIGHT_MM
+        ):
+            raise ValueError(
+                "a teat needs a radius above zero and a length of at least radius +"
+                f" {FLANGE_HEIGHT_MM:g} mm, has {self}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
 class Teat:
-    """One teat: where its axis leaves the plate (x, y, plate frame), its shape, and its lean towards +x and +y, radians.
+    """One teat: where its axis leaves the plate (x, y, plate frame), its shape, and its lean
+    towards +x and +y, radians.
 
-    ``name`` says which of the udder's teats it is: LF, RF, LR, RR, or nothing where that was not said.
+    ``name`` says which of the udder's teats it is: LF, RF, LR, RR, or nothing where that was not
+    said.
     """
 
     base_mm: tuple[float, float]
@@ -50,7 +66,10 @@ class Teat:
 
     def __post_init__(self) -> None:
         if not max(abs(angle) for angle in self.tilt_rad) < np.radians(60.0):
-            raise ValueError(f"a teat may lean by less than 60 degrees each way, leans by {np.degrees(self.tilt_rad).round(1).tolist()}")
+            raise ValueError(
+                "a teat may lean by less than 60 degrees each way, leans by"
+                f" {np.degrees(self.tilt_rad).round(1).tolist()}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +91,16 @@ class PlatePose:
         """This pose on a plate that itself is moved ``by``: first this one, then the other."""
         c, s = np.cos(by.yaw_rad), np.sin(by.yaw_rad)
         x, y = c * self.x_mm - s * self.y_mm, s * self.x_mm + c * self.y_mm
-        return PlatePose(float(x) + by.x_mm, float(y) + by.y_mm, self.z_mm + by.z_mm, self.yaw_rad + by.yaw_rad)
+        return PlatePose(
+            float(x) + by.x_mm, float(y) + by.y_mm, self.z_mm + by.z_mm, self.yaw_rad + by.yaw_rad
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class Phantom:
-    """Teats on a plate. Teats are numbered from 0 in the order of ``teats``. ``name`` is the layout's, ``emissivity`` the paint's."""
+    """Teats on a plate. Teats are numbered from 0 in the order of ``teats``. ``name`` is the
+    layout's, ``emissivity`` the paint's.
+    """
 
     teats: tuple[Teat, ...]
     pose: PlatePose = field(default_factory=PlatePose)
@@ -91,13 +114,17 @@ class Phantom:
     @property
     def bases_mm(self) -> Floats:
         """Where the axes meet the plate, world frame, (n, 3) mm."""
-        flat = np.array([(*teat.base_mm, 0.0) for teat in self.teats], dtype=np.float64).reshape(-1, 3)
+        flat = np.array([(*teat.base_mm, 0.0) for teat in self.teats], dtype=np.float64).reshape(
+            -1, 3
+        )
         return self._placed(flat)
 
     @property
     def axes(self) -> Floats:
         """Unit vectors from base to end, world frame, (n, 3). Tangents of the two leans add up."""
-        lean = np.array([(*np.tan(teat.tilt_rad), 1.0) for teat in self.teats], dtype=np.float64).reshape(-1, 3)
+        lean = np.array(
+            [(*np.tan(teat.tilt_rad), 1.0) for teat in self.teats], dtype=np.float64
+        ).reshape(-1, 3)
         return np.asarray(lean / np.linalg.norm(lean, axis=1)[:, None] @ self._turn().T)
 
     @property
@@ -114,23 +141,37 @@ class Phantom:
         hulls = []
         for teat, base, axis in zip(self.teats, self.bases_mm, self.axes, strict=True):
             radius = teat.shape.radius_mm
-            foot, top = base + 0.5 * FLANGE_HEIGHT_MM * axis, base + (teat.shape.length_mm - radius) * axis
+            foot, top = (
+                base + 0.5 * FLANGE_HEIGHT_MM * axis,
+                base + (teat.shape.length_mm - radius) * axis,
+            )
             hulls.append(Hull(_point(foot), _point(top), radius, radius, flat_a=True))
         return tuple(hulls)
 
     def flange_hulls(self) -> tuple[Hull, ...]:
-        """The discs that the teats stand in; they reach down to the table where the plate is lifted."""
+        """The discs that the teats stand in; they reach down to the table where the plate is
+        lifted.
+        """
         tops = self.bases_mm + np.array([0.0, 0.0, FLANGE_HEIGHT_MM])
         radii = [max(FLANGE_RADIUS_MM, teat.shape.radius_mm + 4.0) for teat in self.teats]
-        return tuple(cylinder((top[0], top[1], 0.0), _point(top), radius) for top, radius in zip(tops, radii, strict=True))
+        return tuple(
+            cylinder((top[0], top[1], 0.0), _point(top), radius)
+            for top, radius in zip(tops, radii, strict=True)
+        )
 
     def hose_hulls(self) -> tuple[tuple[Hull, ...], ...]:
-        """Hoses from flange to flange in the order of the teats, a supply before the first and a return after the last."""
-        bases = np.array([(*teat.base_mm, HOSE_RADIUS_MM) for teat in self.teats], dtype=np.float64).reshape(-1, 3)
+        """Hoses from flange to flange in the order of the teats, a supply before the first and a
+        return after the last.
+        """
+        bases = np.array(
+            [(*teat.base_mm, HOSE_RADIUS_MM) for teat in self.teats], dtype=np.float64
+        ).reshape(-1, 3)
         if len(bases) == 0:
             return ()
         middle = bases.mean(axis=0)
-        away = np.array([[70.0, 25.0, 0.0]]) * np.where(bases[[0, -1]][:, :1] >= middle[0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0])
+        away = np.array([[70.0, 25.0, 0.0]]) * np.where(
+            bases[[0, -1]][:, :1] >= middle[0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]
+        )
         legs = [(bases[0] + away[0], bases[0]), *pairwise(bases), (bases[-1], bases[-1] + away[1])]
         return tuple(self._hose(start, end, middle) for start, end in legs)
 
@@ -140,7 +181,9 @@ class Phantom:
         out = 0.5 * (start + end) - middle
         bow = out / max(float(np.linalg.norm(out)), 1.0) * 24.0 + np.array([0.0, 0.0, 14.0])
         path = self._placed(start + t * (end - start) + 4.0 * t * (1.0 - t) * bow)
-        return tuple(Hull(_point(a), _point(b), HOSE_RADIUS_MM, HOSE_RADIUS_MM) for a, b in pairwise(path))
+        return tuple(
+            Hull(_point(a), _point(b), HOSE_RADIUS_MM, HOSE_RADIUS_MM) for a, b in pairwise(path)
+        )
 
     def _turn(self) -> Floats:
         c, s = np.cos(self.pose.yaw_rad), np.sin(self.pose.yaw_rad)

@@ -1,14 +1,17 @@
-"""What the heated circuit is made of: volumes, heats, losses and how its controller is tuned. Values only.
+"""What the heated circuit is made of: volumes, heats, losses and how its controller is tuned.
+Values only.
 
 Water-bath fact sheet, section 5; a figure that is inferred there is inferred here.
 
-The heated circuit: heater, bath, hoses, four teats, sensor and controller, as one lumped model in fixed steps.
+The heated circuit: heater, bath, hoses, four teats, sensor and controller, as one lumped model in
+fixed steps.
 
-Every exchange of heat is booked on both sides, so the energy balance closes. Time comes in from outside and is
-made up in whole steps, and each step has its own draw of noise: how often somebody looks changes nothing. The
-plant may not know a clock, a register or a thread; who shares it holds the lock. Equations and constants:
-water-bath fact sheet, section 5. Float switch and cut-out stand in the heater's own circuit and work whatever the
-controller does; a circulator knows of them and latches its alarm, a controller of its own (``fit``) does not.
+Every exchange of heat is booked on both sides, so the energy balance closes. Time comes in from
+outside and is made up in whole steps, and each step has its own draw of noise: how often somebody
+looks changes nothing. The plant may not know a clock, a register or a thread; who shares it holds
+the lock. Equations and constants: water-bath fact sheet, section 5. Float switch and cut-out stand
+in the heater's own circuit and work whatever the controller does; a circulator knows of them and
+latches its alarm, a controller of its own (``fit``) does not.
 """
 
 from __future__ import annotations
@@ -26,7 +29,9 @@ HEAT_CAPACITY_J_PER_L_K = 0.994 * 4179.0  # water at 33 degC; 12 L give 49.8 kJ/
 
 @dataclass(frozen=True, slots=True)
 class PlantConstants:
-    """What the circuit is made of and how its controller is tuned. Defaults: fact sheet, section 5."""
+    """What the circuit is made of and how its controller is tuned.
+    Defaults: fact sheet, section 5.
+    """
 
     volume_l: float = 12.0
     volume_min_l: float = 9.0  # the float switch; below it heater and pump are cut
@@ -55,32 +60,47 @@ class PlantConstants:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.step_s <= 1.0:
-            raise ValueError(f"step_s = {self.step_s}: the fastest lag is 6 s, so a step of 0 < step_s <= 1 s is needed")
+            raise ValueError(
+                f"step_s = {self.step_s}: the fastest lag is 6 s, so a step of 0 < step_s <= 1 s is"
+                " needed"
+            )
 
 
 TEATS = 4
 NOISE_BLOCK = 1024
-LOOP_BREAK_S, LOOP_BREAK_K = 120.0, 0.3  # full output for so long without so much of a rise (fact sheet, 4.1.5)
+# full output for so long without so much of a rise (fact sheet, 4.1.5)
+LOOP_BREAK_S, LOOP_BREAK_K = 120.0, 0.3
 
 Alarm = Literal["", "level", "sensor", "over-temperature"]
 Pump = Literal["with run", "on", "off"]
 
 
 class Plant:
-    """The circuit at one moment. All temperatures in degC, starting at ``start_c``, in a room at ``ambient_c``.
+    """The circuit at one moment. All temperatures in degC, starting at ``start_c``, in a room at
+    ``ambient_c``.
 
-    ``stuck_heater``, ``dead_heater``, ``stopped_pump``, ``broken_sensor`` and ``frozen_sensor`` are faults to set from
-    outside; ``output_max``, ``manual_output`` (None: the controller decides) and ``ramp_k_per_min`` are settings.
-    ``loop_broken`` is what the controller concludes from an output that does nothing.
+    ``stuck_heater``, ``dead_heater``, ``stopped_pump``, ``broken_sensor`` and ``frozen_sensor`` are
+    faults to set from outside; ``output_max``, ``manual_output`` (None: the controller decides) and
+    ``ramp_k_per_min`` are settings. ``loop_broken`` is what the controller concludes from an output
+    that does nothing.
     """
 
-    def __init__(self, seed: int, *, ambient_c: float = 20.0, start_c: float = 20.0, constants: PlantConstants | None = None) -> None:
+    def __init__(
+        self,
+        seed: int,
+        *,
+        ambient_c: float = 20.0,
+        start_c: float = 20.0,
+        constants: PlantConstants | None = None,
+    ) -> None:
         self.constants = k = constants or PlantConstants()
         self.ambient_c = ambient_c
         self.set_point_c = start_c
         self.running = False
         self.pump: Pump = "with run"
-        self.stuck_heater = self.dead_heater = self.stopped_pump = self.broken_sensor = self.frozen_sensor = False
+        self.stuck_heater = self.dead_heater = self.stopped_pump = self.broken_sensor = (
+            self.frozen_sensor
+        ) = False
         self.alarm: Alarm = ""
         self.loop_broken = False
         self.manual_output: float | None = None
@@ -102,7 +122,9 @@ class Plant:
         self._return = deque([start_c])
         self.set_flow(k.flow_l_per_min)
         self._sensor_follows = 1.0 - math.exp(-k.step_s / k.sensor_lag_s)
-        self._slope_follows = 1.0 - math.exp(-k.step_s * 8.0 / k.derivative_s) if k.derivative_s else 0.0
+        self._slope_follows = (
+            1.0 - math.exp(-k.step_s * 8.0 / k.derivative_s) if k.derivative_s else 0.0
+        )
 
     @property
     def t_s(self) -> float:
@@ -143,7 +165,8 @@ class Plant:
         return self._working_c
 
     def fit(self, *, circulator: bool) -> None:
-        """What controls the bath: a circulator, or a controller that knows only its sensor and turns no pump.
+        """What controls the bath: a circulator, or a controller that knows only its sensor and
+        turns no pump.
 
         Then the pump stands until something else switches it: a relay, or whoever sets ``pump``.
         """
@@ -156,7 +179,9 @@ class Plant:
         return self._slope * 60.0
 
     def run(self, set_point_c: float) -> None:
-        """Controller on, and the pump where it turns with it. The integral starts from nothing, a ramp from the present temperature."""
+        """Controller on, and the pump where it turns with it. The integral starts from nothing, a
+        ramp from the present temperature.
+        """
         self.set_point_c = set_point_c
         if not self.running:
             self.running = True
@@ -169,7 +194,9 @@ class Plant:
         self.output = 0.0
 
     def acknowledge(self) -> None:
-        """Clear the alarm, and the cut-out by hand; both come back with the next step when their cause is still there."""
+        """Clear the alarm, and the cut-out by hand; both come back with the next step when their
+        cause is still there.
+        """
         self.alarm = ""
         self._cut_out = False
 
@@ -183,7 +210,11 @@ class Plant:
         self.flow_l_per_min = flow_l_per_min
         self._flow_w_per_k = flow_l_per_min / 60.0 * HEAT_CAPACITY_J_PER_L_K
         self._hose_keeps = math.exp(-k.hose_loss_w_per_k / self._flow_w_per_k)
-        self._teat_takes = self._flow_w_per_k / TEATS * (1.0 - math.exp(-k.teat_in_w_per_k * TEATS / self._flow_w_per_k))
+        self._teat_takes = (
+            self._flow_w_per_k
+            / TEATS
+            * (1.0 - math.exp(-k.teat_in_w_per_k * TEATS / self._flow_w_per_k))
+        )
         transit = max(1, round(k.hose_l / flow_l_per_min * 60.0 / k.step_s))
         self._supply = deque([sum(self._supply) / len(self._supply)] * transit, transit)
         self._return = deque([sum(self._return) / len(self._return)] * transit, transit)
@@ -245,10 +276,16 @@ class Plant:
     def _ramp(self) -> None:
         most = self.ramp_k_per_min / 60.0 * self.constants.step_s
         away = self.set_point_c - self._working_c
-        self._working_c = self.set_point_c if not most or abs(away) <= most else self._working_c + math.copysign(most, away)
+        self._working_c = (
+            self.set_point_c
+            if not most or abs(away) <= most
+            else self._working_c + math.copysign(most, away)
+        )
 
     def _circulate(self) -> float:
-        """One step of water round the hoses and through the four teats side by side; what comes back, degC."""
+        """One step of water round the hoses and through the four teats side by side; what comes
+        back, degC.
+        """
         k, dt, room = self.constants, self.constants.step_s, self.ambient_c
         supply_c = self._supply[0]
         self._supply.append(room + (self.bath_c - room) * self._hose_keeps)
@@ -256,7 +293,9 @@ class Plant:
         for i, teat_c in enumerate(self._teats):
             taken_w = self._teat_takes * (supply_c - teat_c)
             given_w += taken_w
-            self._teats[i] = teat_c + (taken_w - k.teat_out_w_per_k * (teat_c - room)) * dt / k.teat_j_per_k
+            self._teats[i] = (
+                teat_c + (taken_w - k.teat_out_w_per_k * (teat_c - room)) * dt / k.teat_j_per_k
+            )
         back_c = self._return[0]
         left_c = supply_c - given_w / self._flow_w_per_k
         self._return.append(room + (left_c - room) * self._hose_keeps)
@@ -270,7 +309,9 @@ class Plant:
     def _measure(self) -> None:
         k = self.constants
         if not self._noise:
-            self._noise = (self._noise_source.standard_normal(NOISE_BLOCK) * k.sensor_noise_k).tolist()
+            self._noise = (
+                self._noise_source.standard_normal(NOISE_BLOCK) * k.sensor_noise_k
+            ).tolist()
         self._sensor_c += self._sensor_follows * (self.bath_c - self._sensor_c)
         before, seen_c = self.pv_c, self._sensor_c + self._noise.pop()
         if self.frozen_sensor:

@@ -1,16 +1,19 @@
-"""The simulated scene and its renderer: one `SceneState` in, one frame set of the three cameras out.
+"""The simulated scene and its renderer: one `SceneState` in, one frame set of the three cameras
+out.
 
-Analytic: every solid's share of every pixel is an area computed exactly (coverage), its depth and normal a root of a quadratic
-(raycast), so nothing is sampled and no edge depends on its sub-pixel phase. What never moves is drawn once a
-camera and kept. Visibility of the teat ends comes from the same solids by rays of its own.
-Same state, same generator: same bytes. May not know of any detector, of instruments or of the bench.
+Analytic: every solid's share of every pixel is an area computed exactly (coverage), its depth and
+normal a root of a quadratic (raycast), so nothing is sampled and no edge depends on its sub-pixel
+phase. What never moves is drawn once a camera and kept. Visibility of the teat ends comes from the
+same solids by rays of its own. Same state, same generator: same bytes. May not know of any
+detector, of instruments or of the bench.
 
 What is modelled and what isn't stands in docs/scene.md.
 
 A contact sheet: several states of the scene side by side, for a person to look at.
 
-Each row is one state: left and right image whole, the left one's middle at full size, the thermal picture as delivered. A small cross
-in the close-up stands on each teat end, a ring where that camera can't see it.
+Each row is one state: left and right image whole, the left one's middle at full size, the thermal
+picture as delivered. A small cross in the close-up stands on each teat end, a ring where that
+camera can't see it.
 """
 
 from __future__ import annotations
@@ -38,7 +41,9 @@ LEAST_SEEN = 0.5  # of a rounded end's near side
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedSet:
-    """``left``, ``right`` uint8; ``thermal_8bit`` uint8 as delivered; ``thermal_ck`` uint16 centi-kelvin, sensor's grid, un-mirrored."""
+    """``left``, ``right`` uint8; ``thermal_8bit`` uint8 as delivered; ``thermal_ck`` uint16
+    centi-kelvin, sensor's grid, un-mirrored.
+    """
 
     left: NDArray[np.uint8]
     right: NDArray[np.uint8]
@@ -49,7 +54,8 @@ class RenderedSet:
 class Renderer:
     """Three cameras before one scene.
 
-    ``cameras`` left, right, thermal; ``camera_seed`` fixes what is peculiar to these very cameras (their fixed patterns).
+    ``cameras`` left, right, thermal; ``camera_seed`` fixes what is peculiar to these very cameras
+    (their fixed patterns).
     """
 
     def __init__(
@@ -69,13 +75,27 @@ class Renderer:
 
     @classmethod
     def from_calibration(
-        cls, table: Mapping[str, Any], camera_seed: int, *, optical: OpticalSensor | None = None, thermal: ThermalSensor | None = None
+        cls,
+        table: Mapping[str, Any],
+        camera_seed: int,
+        *,
+        optical: OpticalSensor | None = None,
+        thermal: ThermalSensor | None = None,
     ) -> Renderer:
-        """From a parsed calibration file; without a ``thermal`` sensor its size and form are taken from there. Raises ValueError."""
-        return cls(cameras_from_calibration(table), camera_seed, optical, thermal or ThermalSensor.from_calibration(table))
+        """From a parsed calibration file; without a ``thermal`` sensor its size and form are taken
+        from there. Raises ValueError.
+        """
+        return cls(
+            cameras_from_calibration(table),
+            camera_seed,
+            optical,
+            thermal or ThermalSensor.from_calibration(table),
+        )
 
     def render(self, view: SceneState, rng: np.random.Generator) -> RenderedSet:
-        """A frame set with fresh noise from ``rng``. Raises ValueError where something stands too near a camera."""
+        """A frame set with fresh noise from ``rng``. Raises ValueError where something stands too
+        near a camera.
+        """
         shadows = self.shadows(view)
         left = self.left.expose(view, shadows, rng).astype(np.uint8, copy=False)
         right = self.right.expose(view, shadows, rng).astype(np.uint8, copy=False)
@@ -85,17 +105,24 @@ class Renderer:
         """The shadows on the table; kept while nothing moves."""
         hulls = tuple(thing.hulls for thing in state.everything())
         if self._shadows[0] != (state.lighting, hulls):
-            self._shadows = (state.lighting, hulls), shadow_map(state.lighting, Stage.of(state).solids)
+            self._shadows = (
+                (state.lighting, hulls),
+                shadow_map(state.lighting, Stage.of(state).solids),
+            )
         return self._shadows[1]
 
     def visible_ends(self, state: SceneState) -> Bools:
         """Whether each teat end shows in left, right, thermal: (n_teats, 3).
 
-        It does where the apex is in the image, no other solid and no board stands before it, and at least half of the rounded end's
-        near side is free. The teat's own surface doesn't count: cameras a little below the ends never see an apex that points up.
+        It does where the apex is in the image, no other solid and no board stands before it, and at
+        least half of the rounded end's near side is free. The teat's own surface doesn't count:
+        cameras a little below the ends never see an apex that points up.
         """
         stage = Stage.of(state)
-        columns = [seen_share(state.phantom, stage.solids, camera, state.boards) >= LEAST_SEEN for camera in self.cameras]
+        columns = [
+            seen_share(state.phantom, stage.solids, camera, state.boards) >= LEAST_SEEN
+            for camera in self.cameras
+        ]
         return np.column_stack(columns)
 
 
@@ -112,8 +139,14 @@ def contact_sheet(states: Mapping[str, SceneState], renderer: Renderer, seed: in
     rows = []
     for number, (name, state) in enumerate(states.items()):
         frames = renderer.render(state, np.random.Generator(np.random.SFC64([seed, number])))
-        close_up = _close_up(_marked(frames.left, state, renderer), renderer.cameras[0].project(state.phantom.ends_mm))
-        row = np.concatenate([_whole(frames.left), _whole(frames.right), close_up, _whole(frames.thermal_8bit)], axis=1)
+        close_up = _close_up(
+            _marked(frames.left, state, renderer),
+            renderer.cameras[0].project(state.phantom.ends_mm),
+        )
+        row = np.concatenate(
+            [_whole(frames.left), _whole(frames.right), close_up, _whole(frames.thermal_8bit)],
+            axis=1,
+        )
         rows.append(_label(name, row))
     return np.concatenate(rows)
 
@@ -121,7 +154,11 @@ def contact_sheet(states: Mapping[str, SceneState], renderer: Renderer, seed: in
 def _marked(image: Grey8, state: SceneState, renderer: Renderer) -> Grey8:
     marked = image.copy()
     visible = renderer.visible_ends(state)
-    for (u, v), seen in zip(renderer.cameras[0].project(state.phantom.ends_mm).round().astype(int), visible[:, 0], strict=True):
+    for (u, v), seen in zip(
+        renderer.cameras[0].project(state.phantom.ends_mm).round().astype(int),
+        visible[:, 0],
+        strict=True,
+    ):
         grey = 0 if np.mean(image[max(v - 9, 0) : v + 1, max(u - 4, 0) : u + 5]) > 110 else 255
         at = (int(u), int(v))
         if seen:
@@ -133,12 +170,18 @@ def _marked(image: Grey8, state: SceneState, renderer: Renderer) -> Grey8:
 
 def _whole(image: Grey8) -> Grey8:
     width = round(image.shape[1] * ROW_PX / image.shape[0])
-    return np.asarray(cv2.resize(image, (width, ROW_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return np.asarray(
+        cv2.resize(image, (width, ROW_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8
+    )
 
 
 def _close_up(image: Grey8, ends_px: NDArray[np.float64]) -> Grey8:
     width, height = CLOSE_UP_PX
-    middle = ends_px.mean(axis=0) if len(ends_px) else np.array([image.shape[1] / 2.0, image.shape[0] / 2.0])
+    middle = (
+        ends_px.mean(axis=0)
+        if len(ends_px)
+        else np.array([image.shape[1] / 2.0, image.shape[0] / 2.0])
+    )
     left = int(np.clip(round(middle[0] - width / 2), 0, max(image.shape[1] - width, 0)))
     top = int(np.clip(round(middle[1] - height / 3), 0, max(image.shape[0] - height, 0)))
     cut = image[top : top + height, left : left + width]

@@ -1,16 +1,18 @@
 """Fast unit normal noise for whole frames. Chance comes in as a generator.
 
-The lens's blur, with a transfer function that can be written down, and the depth that a lens has sharp.
+The lens's blur, with a transfer function that can be written down, and the depth that a lens has
+sharp.
 
-Pixels gather light over their area (coverage is exact), so what is left for the lens is a kernel on the grid of pixels. The kernel is
-the discrete Gaussian (Lindeberg 1990): its variance is exactly sigma^2 however narrow it is, and its transfer function is
-exp(sigma^2 (cos 2 pi f - 1)); a Gaussian cut to pixels has neither. May not know what is in an image.
+Pixels gather light over their area (coverage is exact), so what is left for the lens is a kernel on
+the grid of pixels. The kernel is the discrete Gaussian (Lindeberg 1990): its variance is exactly
+sigma^2 however narrow it is, and its transfer function is exp(sigma^2 (cos 2 pi f - 1)); a Gaussian
+cut to pixels has neither. May not know what is in an image.
 
 From light to grey levels: an optical sensor by the model of EMVA 1288.
 
-What is fixed about one camera (pixels that are a little brighter, an offset of their own) comes from the camera's seed; what
-is fresh in each frame comes from the generator passed in. Shot noise is taken as normal, which it is to a few electrons.
-May not know of scenes or lenses' geometry.
+What is fixed about one camera (pixels that are a little brighter, an offset of their own) comes
+from the camera's seed; what is fresh in each frame comes from the generator passed in. Shot noise
+is taken as normal, which it is to a few electrons. May not know of scenes or lenses' geometry.
 """
 
 from __future__ import annotations
@@ -33,13 +35,18 @@ NOISE_LEVELS = 65536
 @cache
 def _normal_levels() -> Image:
     """Quantiles of the unit normal at (k + 1/2) / 65536, scaled to unit variance."""
-    half = [NormalDist().inv_cdf((k + 0.5) / NOISE_LEVELS) for k in range(NOISE_LEVELS // 2, NOISE_LEVELS)]
+    half = [
+        NormalDist().inv_cdf((k + 0.5) / NOISE_LEVELS)
+        for k in range(NOISE_LEVELS // 2, NOISE_LEVELS)
+    ]
     levels = np.concatenate([-np.array(half)[::-1], half])
     return np.asarray(levels / levels.std(), dtype=np.float32)
 
 
 def normal_noise(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
-    """Unit normal noise, float32, by looking 16 random bits up in a table of quantiles: reaches 4.3 sigma, seven times as fast."""
+    """Unit normal noise, float32, by looking 16 random bits up in a table of quantiles: reaches 4.3
+    sigma, seven times as fast.
+    """
     count = shape[0] * shape[1]
     bits = rng.integers(0, 2**64, size=-(-count // 4), dtype=np.uint64, endpoint=False)
     level = bits.astype("<u8", copy=False).view("<u2")[:count].reshape(shape)
@@ -52,8 +59,13 @@ LEVELS_PX = 0.25  # blurs between which pictures are interpolated
 
 
 def transfer(sigma_px: float, cycles_per_px: Floats) -> Floats:
-    """Modulation of lens and square pixel together along rows or columns, at spatial frequencies (n,): the declared MTF."""
-    return np.asarray(np.abs(np.sinc(cycles_per_px)) * np.exp(sigma_px**2 * (np.cos(2.0 * np.pi * cycles_per_px) - 1.0)))
+    """Modulation of lens and square pixel together along rows or columns, at spatial frequencies
+    (n,): the declared MTF.
+    """
+    return np.asarray(
+        np.abs(np.sinc(cycles_per_px))
+        * np.exp(sigma_px**2 * (np.cos(2.0 * np.pi * cycles_per_px) - 1.0))
+    )
 
 
 @lru_cache(maxsize=64)
@@ -77,11 +89,16 @@ def blurred(image: Image, sigma_px: float) -> Image:
     if sigma_px <= 0.0:
         return image
     weights = kernel(sigma_px)
-    return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, weights, weights, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
+    return np.asarray(
+        cv2.sepFilter2D(image, cv2.CV_32F, weights, weights, borderType=cv2.BORDER_REPLICATE),
+        dtype=np.float32,
+    )
 
 
 def blurred_by_depth(image: Image, sigma_px: Image) -> Image:
-    """An image through a blur that differs from pixel to pixel, (h, w): interpolated between even blurs."""
+    """An image through a blur that differs from pixel to pixel, (h, w): interpolated between even
+    blurs.
+    """
     low, high = float(sigma_px.min()), float(sigma_px.max())
     count = max(int(np.ceil((high - low) / LEVELS_PX)) + 1, 2)
     levels = np.linspace(low, high, count)
@@ -89,28 +106,46 @@ def blurred_by_depth(image: Image, sigma_px: Image) -> Image:
         return blurred(image, high)
     result = np.zeros_like(image)
     for level in levels:
-        share = np.clip(1.0 - np.abs(sigma_px - np.float32(level)) * np.float32((count - 1) / (high - low)), 0.0, 1.0)
+        share = np.clip(
+            1.0 - np.abs(sigma_px - np.float32(level)) * np.float32((count - 1) / (high - low)),
+            0.0,
+            1.0,
+        )
         result += share * blurred(image, float(level))
     return result
 
 
 @dataclass(frozen=True, slots=True)
 class Focus:
-    """A thin lens: ``aperture_mm`` of its pupil, ``distance_mm`` that it has sharp. Raises ValueError for one without sense.
+    """A thin lens: ``aperture_mm`` of its pupil, ``distance_mm`` that it has sharp. Raises
+    ValueError for one without sense.
 
-    A 6 mm lens at f/4, focused on the teats, is the default; what is a little off still falls on one pixel.
+    A 6 mm lens at f/4, focused on the teats, is the default; what is a little off still falls on
+    one pixel.
     """
 
     aperture_mm: float = 1.5
     distance_mm: float = 1080.0
 
     def __post_init__(self) -> None:
-        if not (self.aperture_mm >= 0.0 and self.distance_mm > 0.0 and np.isfinite([self.aperture_mm, self.distance_mm]).all()):
-            raise ValueError(f"a lens needs an aperture of 0 mm or more and a distance above zero, has {self}")
+        if not (
+            self.aperture_mm >= 0.0
+            and self.distance_mm > 0.0
+            and np.isfinite([self.aperture_mm, self.distance_mm]).all()
+        ):
+            raise ValueError(
+                f"a lens needs an aperture of 0 mm or more and a distance above zero, has {self}"
+            )
 
     def sigma_px(self, depth_mm: NDArray[np.floating] | float, focal_px: float) -> Floats:
-        """Blur at a depth: the circle of confusion is aperture f |1/z - 1/z_focus| across; a disc's sigma is a quarter of that."""
-        across = self.aperture_mm * focal_px * np.abs(1.0 / np.asarray(depth_mm, dtype=np.float64) - 1.0 / self.distance_mm)
+        """Blur at a depth: the circle of confusion is aperture f |1/z - 1/z_focus| across; a disc's
+        sigma is a quarter of that.
+        """
+        across = (
+            self.aperture_mm
+            * focal_px
+            * np.abs(1.0 / np.asarray(depth_mm, dtype=np.float64) - 1.0 / self.distance_mm)
+        )
         return np.asarray(0.25 * across)
 
 
@@ -120,24 +155,28 @@ Grey = NDArray[np.unsignedinteger]
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """How a camera is set: ``time_s`` its shutter is open, ``gain`` on top of the sensor's own. Raises ValueError."""
+    """How a camera is set: ``time_s`` its shutter is open, ``gain`` on top of the sensor's own.
+    Raises ValueError.
+    """
 
     time_s: float = NORMAL_EXPOSURE_S
     gain: float = 1.0
 
     def __post_init__(self) -> None:
         if not (0.0 < self.time_s <= 10.0 and 0.0 < self.gain <= 100.0):
-            raise ValueError(f"an exposure takes up to 10 s, with a gain above 0 and up to 100, is {self}")
+            raise ValueError(
+                f"an exposure takes up to 10 s, with a gain above 0 and up to 100, is {self}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
 class OpticalSensor:
-    """A CCD of the ICX205's class. At `NORMAL_EXPOSURE_S` light 1.0 fills a pixel to ``full_well_e`` electrons, which is
-    ``white_dn`` grey levels over the offset at gain 1.
+    """A CCD of the ICX205's class. At `NORMAL_EXPOSURE_S` light 1.0 fills a pixel to
+    ``full_well_e`` electrons, which is ``white_dn`` grey levels over the offset at gain 1.
 
-    ``read_noise_e`` electrons rms, ``dark_e_per_s`` dark current; ``prnu`` spread of the pixels' gain, ``dsnu_e`` of their offset;
-    ``bits`` of the converter; ``blur_px`` sigma of the sharp lens (`instruments.world.blur`); ``vignetting`` is the share of the cos^4
-    law that the lens shows.
+    ``read_noise_e`` electrons rms, ``dark_e_per_s`` dark current; ``prnu`` spread of the pixels'
+    gain, ``dsnu_e`` of their offset; ``bits`` of the converter; ``blur_px`` sigma of the sharp lens
+    (`instruments.world.blur`); ``vignetting`` is the share of the cos^4 law that the lens shows.
     """
 
     full_well_e: float = 13000.0
@@ -164,7 +203,9 @@ class OpticalSensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Expected:
-    """A frame before noise, or a part of one: mean grey level, unrounded, and its standard deviation, at those rows and columns."""
+    """A frame before noise, or a part of one: mean grey level, unrounded, and its standard
+    deviation, at those rows and columns.
+    """
 
     rows: slice
     columns: slice
@@ -175,7 +216,9 @@ class Expected:
 class OpticalReadout:
     """One optical camera's sensor: its fixed pattern and its grey levels."""
 
-    def __init__(self, sensor: OpticalSensor, rays: tuple[Floats, Floats], seed: np.random.SeedSequence) -> None:
+    def __init__(
+        self, sensor: OpticalSensor, rays: tuple[Floats, Floats], seed: np.random.SeedSequence
+    ) -> None:
         rng = np.random.Generator(np.random.SFC64(seed))
         x, y = (ray.astype(np.float32) for ray in rays)
         shape = (x.shape[0], x.shape[1])
@@ -185,7 +228,9 @@ class OpticalReadout:
         vignette = 1.0 - np.float32(sensor.vignetting) * (1.0 - cos4)
         self._response = vignette * (1.0 + np.float32(sensor.prnu) * normal_noise(rng, shape))
 
-    def expected(self, light: Image, rows: slice, columns: slice, exposure: Exposure | None = None) -> Expected:
+    def expected(
+        self, light: Image, rows: slice, columns: slice, exposure: Exposure | None = None
+    ) -> Expected:
         """What light (h, w) on that part of the sensor gives.
 
         Variance: K^2 (electrons + read noise^2), EMVA 1288. A full well holds no more.
@@ -194,13 +239,18 @@ class OpticalReadout:
         sensor, gain = self.sensor, self.sensor.gain_dn_per_e * shutter.gain
         filled = np.float32(sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S)
         dark = np.float32(sensor.dark_e_per_s * shutter.time_s)
-        electrons = np.minimum(light * self._response[rows, columns] * filled + dark, np.float32(sensor.full_well_e))
+        electrons = np.minimum(
+            light * self._response[rows, columns] * filled + dark, np.float32(sensor.full_well_e)
+        )
         spread = cv2.sqrt(np.float32(gain**2) * (electrons + np.float32(sensor.read_noise_e**2)))
-        mean = np.float32(gain) * (electrons + self._dark_e[rows, columns]) + np.float32(sensor.offset_dn)
+        mean = np.float32(gain) * (electrons + self._dark_e[rows, columns]) + np.float32(
+            sensor.offset_dn
+        )
         return Expected(rows, columns, mean, np.asarray(spread, dtype=np.float32))
 
     def expose(self, parts: Sequence[Expected], rng: np.random.Generator) -> Grey:
-        """One exposure of the whole sensor: fresh noise, then grey levels, uint8 (uint16 for more than 8 bits).
+        """One exposure of the whole sensor: fresh noise, then grey levels, uint8 (uint16 for more
+        than 8 bits).
 
         The first part is the whole image, later ones lie over it.
         """
@@ -210,5 +260,13 @@ class OpticalReadout:
         exposed = np.empty(shape, dtype=np.uint16 if deep else np.uint8)
         for part in parts:
             at = (part.rows, part.columns)
-            exposed[at] = cv2.add(cv2.multiply(noise[at], part.spread), part.mean, dtype=cv2.CV_16U if deep else cv2.CV_8U)
-        return np.minimum(exposed, exposed.dtype.type(2**self.sensor.bits - 1)) if self.sensor.bits not in (8, 16) else exposed
+            exposed[at] = cv2.add(
+                cv2.multiply(noise[at], part.spread),
+                part.mean,
+                dtype=cv2.CV_16U if deep else cv2.CV_8U,
+            )
+        return (
+            np.minimum(exposed, exposed.dtype.type(2**self.sensor.bits - 1))
+            if self.sensor.bits not in (8, 16)
+            else exposed
+        )

@@ -1,10 +1,11 @@
 """Light on paint: what leaves a surface towards a camera, and how warm it looks to a thermal one.
 
-Visible light: two lamps and the light of the room, Lambert's law, falling off with distance, and a weak gloss
-(Blinn and Phong) that puts the highlight on a rounded end. Heat: in a band of 8 to 13 um near 300 K radiance goes with
-T^4.8 (Planck's law: d ln L / d ln T = c2 / (lambda T) at the band's middle wavelength, 10 um), which is within 0.1 K of the band integral
-from 10 to 45 degC; a surface sends its own share (emissivity) and reflects the room with the rest.
-May not know of pixels, sensors or which object a surface belongs to.
+Visible light: two lamps and the light of the room, Lambert's law, falling off with distance, and a
+weak gloss (Blinn and Phong) that puts the highlight on a rounded end. Heat: in a band of 8 to 13 um
+near 300 K radiance goes with T^4.8 (Planck's law: d ln L / d ln T = c2 / (lambda T) at the band's
+middle wavelength, 10 um), which is within 0.1 K of the band integral from 10 to 45 degC; a surface
+sends its own share (emissivity) and reflects the room with the rest. May not know of pixels,
+sensors or which object a surface belongs to.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ Rows = NDArray[Any]  # float32 or float64; vectors as (3, n)
 
 @dataclass(frozen=True, slots=True)
 class Paint:
-    """A surface: ``albedo`` (share of light scattered back), ``gloss`` (strength of the highlight), ``emissivity``."""
+    """A surface: ``albedo`` (share of light scattered back), ``gloss`` (strength of the highlight),
+    ``emissivity``.
+    """
 
     albedo: float
     gloss: float = 0.0
@@ -42,7 +45,9 @@ class Paint:
 
 @dataclass(frozen=True, slots=True)
 class Lamp:
-    """A lamp in the world frame; ``power`` is the irradiance that it gives a surface square to it at 1 m."""
+    """A lamp in the world frame; ``power`` is the irradiance that it gives a surface square to it
+    at 1 m.
+    """
 
     at_mm: Point
     power: float
@@ -50,10 +55,15 @@ class Lamp:
 
 @dataclass(frozen=True, slots=True)
 class Lighting:
-    """The light of the room. ``brightness`` scales all of it; 1 exposes a light board well, 0.3 is a dim room."""
+    """The light of the room. ``brightness`` scales all of it; 1 exposes a light board well, 0.3 is
+    a dim room.
+    """
 
     brightness: float = 1.0
-    lamps: tuple[Lamp, ...] = (Lamp((450.0, -350.0, 1350.0), 2.6), Lamp((-1300.0, -700.0, 1100.0), 1.5))
+    lamps: tuple[Lamp, ...] = (
+        Lamp((450.0, -350.0, 1350.0), 2.6),
+        Lamp((-1300.0, -700.0, 1100.0), 1.5),
+    )
     ambient: float = 0.50
 
     def __post_init__(self) -> None:
@@ -62,7 +72,9 @@ class Lighting:
 
 
 def irradiance(lighting: Lighting, points_mm: Rows, normals: Rows) -> Rows:
-    """Light that falls on surface points (3, n) mm with unit normals (3, n) or (3, 1), world frame: (n,)."""
+    """Light that falls on surface points (3, n) mm with unit normals (3, n) or (3, 1), world frame:
+    (n,).
+    """
     # The sky of a room is its ceiling and walls: what faces up sees more of it.
     light = lighting.ambient * (0.65 + 0.35 * normals[2]) + np.zeros_like(points_mm[0])
     for lamp in lighting.lamps:
@@ -71,8 +83,11 @@ def irradiance(lighting: Lighting, points_mm: Rows, normals: Rows) -> Rows:
     return np.asarray(light * lighting.brightness)
 
 
-def seen_light(lighting: Lighting, points_mm: Rows, normals: Rows, eye_mm: Rows, albedo: Rows, gloss: Rows) -> Rows:
-    """Light that leaves surface points (3, n) towards ``eye_mm`` (3, 1): Lambert's law, and a highlight of each lamp. (n,).
+def seen_light(
+    lighting: Lighting, points_mm: Rows, normals: Rows, eye_mm: Rows, albedo: Rows, gloss: Rows
+) -> Rows:
+    """Light that leaves surface points (3, n) towards ``eye_mm`` (3, 1): Lambert's law, and a
+    highlight of each lamp. (n,).
 
     ``albedo`` and ``gloss`` (n,) are those of `Paint`.
     """
@@ -102,7 +117,10 @@ def _towards(lamp: Lamp, points_mm: Rows) -> tuple[Rows, Rows]:
 
 def radiance_from_c(temperature_c: ArrayLike) -> Floats:
     """In-band radiance of a black body, in units of one at 300 K."""
-    return np.asarray(((np.asarray(temperature_c, dtype=np.float64) + KELVIN_AT_0_C) / REFERENCE_K) ** BAND_EXPONENT)
+    return np.asarray(
+        ((np.asarray(temperature_c, dtype=np.float64) + KELVIN_AT_0_C) / REFERENCE_K)
+        ** BAND_EXPONENT
+    )
 
 
 def kelvin_from_radiance(radiance: ArrayLike) -> Floats:
@@ -111,9 +129,10 @@ def kelvin_from_radiance(radiance: ArrayLike) -> Floats:
 
 
 def directional_emissivity(emissivity: Floats, facing: Floats) -> Floats:
-    """Emissivity (n,) at an angle whose cosine is ``facing`` (n,): a dielectric mirrors more and more towards grazing.
+    """Emissivity (n,) at an angle whose cosine is ``facing`` (n,): a dielectric mirrors more and
+    more towards grazing.
 
-    Schlick's approximation of Fresnel's reflectance (Computer Graphics Forum 13, 1994), with the normal reflectance 1 - emissivity;
-    by Kirchhoff's law what isn't mirrored is emitted.
+    Schlick's approximation of Fresnel's reflectance (Computer Graphics Forum 13, 1994), with the
+    normal reflectance 1 - emissivity; by Kirchhoff's law what isn't mirrored is emitted.
     """
     return np.asarray(emissivity * (1.0 - (1.0 - np.clip(facing, 0.0, 1.0)) ** 5))

@@ -1,21 +1,24 @@
 """The one solid of which everything in the scene is made: the convex hull of two round ends.
 
-A ball or a disc at each end of an axis gives spheres, capsules, tapered capsules (arms), cylinders, cups, and teats
-(disc below, ball above). One kind of solid means one intersection and one outline, which then run over all
-the scene's solids at once. `Solids` is the same data as columns, in a frame of reference.
-May not know what a solid stands for, nor its colour or temperature, nor how it is seen.
+A ball or a disc at each end of an axis gives spheres, capsules, tapered capsules (arms), cylinders,
+cups, and teats (disc below, ball above). One kind of solid means one intersection and one outline,
+which then run over all the scene's solids at once. `Solids` is the same data as columns, in a frame
+of reference. May not know what a solid stands for, nor its colour or temperature, nor how it is
+seen.
 
-Where a ray meets a solid: depth, normal and whether it meets it at all, over any number of pairs at once.
+Where a ray meets a solid: depth, normal and whether it meets it at all, over any number of pairs at
+once.
 
-Rays start at the camera and pass through (x, y, 1), so the parameter along a ray is the depth. A ray that just misses
-still gets the depth and normal of the limb: a pixel that is half covered has its centre off the solid. Vectors are
-rows, (3, n): sums over three rows are several times as fast as sums along three columns.
-May not know of pixels, paint or lights.
+Rays start at the camera and pass through (x, y, 1), so the parameter along a ray is the depth. A
+ray that just misses still gets the depth and normal of the limb: a pixel that is half covered has
+its centre off the solid. Vectors are rows, (3, n): sums over three rows are several times as fast
+as sums along three columns. May not know of pixels, paint or lights.
 
-How near two solids come to each other: between round ones, the distance of their axes less their radii.
+How near two solids come to each other: between round ones, the distance of their axes less their
+radii.
 
-Exact for capsules and balls; flat ends and cones err to the near side, so that what is called free is free.
-May not know what the solids are.
+Exact for capsules and balls; flat ends and cones err to the near side, so that what is called free
+is free. May not know what the solids are.
 """
 
 from __future__ import annotations
@@ -36,10 +39,11 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Hull:
-    """Convex hull of two round ends, world frame, mm. An end is a ball, or a disc across the axis where ``flat_…``.
+    """Convex hull of two round ends, world frame, mm. An end is a ball, or a disc across the axis
+    where ``flat_…``.
 
-    A disc and a ball together must have equal radii. Two balls at one place are a sphere. Raises ValueError
-    for a radius that isn't above zero, and where one end would swallow the other.
+    A disc and a ball together must have equal radii. Two balls at one place are a sphere. Raises
+    ValueError for a radius that isn't above zero, and where one end would swallow the other.
     """
 
     a_mm: Point
@@ -55,11 +59,20 @@ class Hull:
         if not np.all(np.isfinite(numbers)) or min(self.radius_a_mm, self.radius_b_mm) <= 0.0:
             raise ValueError(f"a solid needs finite ends and radii above zero, has {self}")
         if self.flat_a != self.flat_b and self.radius_a_mm != self.radius_b_mm:
-            raise ValueError(f"a solid with one flat and one round end needs equal radii, has {self}")
+            raise ValueError(
+                f"a solid with one flat and one round end needs equal radii, has {self}"
+            )
         if (self.flat_a or self.flat_b) and length == 0.0:
             raise ValueError(f"a solid with a flat end needs a length above zero, has {self}")
-        if not (self.flat_a or self.flat_b) and length > 0.0 and abs(self.radius_a_mm - self.radius_b_mm) >= length:
-            raise ValueError(f"one round end of a solid swallows the other: move them apart or make it a sphere, {self}")
+        if (
+            not (self.flat_a or self.flat_b)
+            and length > 0.0
+            and abs(self.radius_a_mm - self.radius_b_mm) >= length
+        ):
+            raise ValueError(
+                "one round end of a solid swallows the other: move them apart or make it a sphere,"
+                f" {self}"
+            )
 
 
 def ball(centre_mm: Point, radius_mm: float) -> Hull:
@@ -69,16 +82,23 @@ def ball(centre_mm: Point, radius_mm: float) -> Hull:
 
 def cylinder(a_mm: Point, b_mm: Point, radius_mm: float, radius_b_mm: float | None = None) -> Hull:
     """A flat-ended cylinder, or a cone's frustum where the second radius differs."""
-    return Hull(a_mm, b_mm, radius_mm, radius_mm if radius_b_mm is None else radius_b_mm, flat_a=True, flat_b=True)
+    return Hull(
+        a_mm,
+        b_mm,
+        radius_mm,
+        radius_mm if radius_b_mm is None else radius_b_mm,
+        flat_a=True,
+        flat_b=True,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solids:
     """Solids as columns: k of them, in one frame of reference; lengths in mm.
 
-    ``a``, ``b``, ``axis`` (k, 3); ``radius_a``, ``radius_b``; ``flat_a``, ``flat_b`` (k,). The body between the ends
-    is a cone around the axis: it runs from height ``low`` to ``high`` (measured from a), its radius at height h is
-    ``radius_0 + slope h``.
+    ``a``, ``b``, ``axis`` (k, 3); ``radius_a``, ``radius_b``; ``flat_a``, ``flat_b`` (k,). The body
+    between the ends is a cone around the axis: it runs from height ``low`` to ``high`` (measured
+    from a), its radius at height h is ``radius_0 + slope h``.
     """
 
     a: Floats
@@ -105,14 +125,27 @@ class Solids:
         length = np.linalg.norm(b - a, axis=1)
         safe = np.where(length > 0.0, length, 1.0)
         axis = np.where(length[:, None] > 0.0, (b - a) / safe[:, None], np.array([0.0, 0.0, 1.0]))
-        # A cone that touches two balls does so on circles set back from their middles by r sin(beta).
+        # A cone that touches two balls does so on circles set back from their middles by r
+        # sin(beta).
         sine = np.where(flat_a | flat_b, 0.0, (radius_a - radius_b) / safe)
         cosine = np.sqrt(1.0 - sine**2)
         low = np.where(flat_a, 0.0, radius_a * sine)
         high = length + np.where(flat_b, 0.0, radius_b * sine)
         body = np.where(high > low, high - low, 1.0)
         slope = (radius_b - radius_a) * cosine / body
-        return cls(a, b, axis, radius_a, radius_b, flat_a, flat_b, low, high, radius_a * cosine - slope * low, slope)
+        return cls(
+            a,
+            b,
+            axis,
+            radius_a,
+            radius_b,
+            flat_a,
+            flat_b,
+            low,
+            high,
+            radius_a * cosine - slope * low,
+            slope,
+        )
 
     def __len__(self) -> int:
         return len(self.radius_a)
@@ -126,7 +159,9 @@ class Solids:
         )  # fmt: skip
 
     def nearest_depth(self) -> Floats:
-        """The least z of each solid, (k,): in a camera's frame, its depth; in the world, its height over the table."""
+        """The least z of each solid, (k,): in a camera's frame, its depth; in the world, its height
+        over the table.
+        """
         across = np.sqrt(np.clip(1.0 - self.axis[:, 2] ** 2, 0.0, 1.0))
         low_a = self.a[:, 2] - self.radius_a * np.where(self.flat_a, across, 1.0)
         low_b = self.b[:, 2] - self.radius_b * np.where(self.flat_b, across, 1.0)
@@ -137,12 +172,15 @@ BLOCK = 8192  # pairs at a time: what is worked out on the way stays in the proc
 
 
 def dot(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
-    """Scalar products of the columns of (3, n) with those of (3, n), (3, 1) or (3,), float32 or float64."""
+    """Scalar products of the columns of (3, n) with those of (3, n), (3, 1) or (3,), float32 or
+    float64.
+    """
     return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
 
 
 def meet(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats, Bools]:
-    """Ray (x, y, 1) with solid ``which``, each (n,): depth (n,) mm, outward unit normal (3, n), truly hit (n,).
+    """Ray (x, y, 1) with solid ``which``, each (n,): depth (n,) mm, outward unit normal (3, n),
+    truly hit (n,).
 
     ``solids`` are in the camera's frame; the camera must be outside of them.
     """
@@ -156,39 +194,61 @@ def meet(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Flo
 def _meet_block(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats, Bools]:
     depth, height, hit = _meet_cone(solids, which, x, y)
     rays = np.stack([x, y, np.ones_like(x)])
-    slope, radius_0, *vectors = np.take(np.stack([solids.slope, solids.radius_0, *solids.a.T, *solids.axis.T]), which, axis=1)
+    slope, radius_0, *vectors = np.take(
+        np.stack([solids.slope, solids.radius_0, *solids.a.T, *solids.axis.T]), which, axis=1
+    )
     # Off the axis, and tilted by the cone's slope: n = p - a - h axis - k (r0 + k h) axis.
     along = height + slope * (radius_0 + slope * height)
-    normal = np.stack([depth * ray - start - along * axis for ray, start, axis in zip(rays, vectors[:3], vectors[3:], strict=True)])
+    normal = np.stack(
+        [
+            depth * ray - start - along * axis
+            for ray, start, axis in zip(rays, vectors[:3], vectors[3:], strict=True)
+        ]
+    )
     for below in (True, False):
         beyond = height < solids.low[which] if below else height > solids.high[which]
         flat = (solids.flat_a if below else solids.flat_b)[which]
         for solve, chosen in ((_meet_disc, beyond & flat), (_meet_ball, beyond & ~flat)):
             index = np.flatnonzero(chosen)
             if len(index):
-                hit[index] = solve(solids, which[index], rays[:, index], below, depth, normal, index)
+                hit[index] = solve(
+                    solids, which[index], rays[:, index], below, depth, normal, index
+                )
     normal /= np.sqrt(dot(normal, normal))
     return depth, normal, hit
 
 
 def _meet_cone(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats, Bools]:
-    """The endless cone of the body: |p|^2 - h^2 = (r0 + k h)^2, a quadratic in the depth, with the camera as origin."""
+    """The endless cone of the body: |p|^2 - h^2 = (r0 + k h)^2, a quadratic in the depth, with the
+    camera as origin.
+    """
     a, axis, r0, k = solids.a.T, solids.axis.T, solids.radius_0, solids.slope
     h0 = -dot(a, axis)
     bend = 1.0 + k * k
     # qb is linear in the ray: its coefficients, and those of the height, are one for each solid.
     to_b = -a - (bend * h0 + k * r0) * axis
     qc = dot(a, a) - bend * h0 * h0 - 2.0 * k * r0 * h0 - r0 * r0
-    axis_x, axis_y, axis_z, b_x, b_y, b_z, bend, h0, qc = np.take(np.stack([*axis, *to_b, bend, h0, qc]), which, axis=1)
+    axis_x, axis_y, axis_z, b_x, b_y, b_z, bend, h0, qc = np.take(
+        np.stack([*axis, *to_b, bend, h0, qc]), which, axis=1
+    )
     dh = x * axis_x + y * axis_y + axis_z
     qb = x * b_x + y * b_y + b_z
-    qa = np.maximum(x * x + y * y + 1.0 - bend * dh * dh, 1e-9)  # a ray along the axis meets an end, never the body
+    # a ray along the axis meets an end, never the body
+    qa = np.maximum(x * x + y * y + 1.0 - bend * dh * dh, 1e-9)
     under = qb * qb - qa * qc
     depth = (-qb - np.sqrt(np.maximum(under, 0.0))) / qa
     return depth, h0 + depth * dh, under >= 0.0
 
 
-def _meet_ball(solids: Solids, which: Ints, rays: Floats, below: bool, depth: Floats, normal: Floats, index: Ints) -> Bools:
+def _meet_ball(
+    solids: Solids,
+    which: Ints,
+    rays: Floats,
+    below: bool,
+    depth: Floats,
+    normal: Floats,
+    index: Ints,
+) -> Bools:
     centre = (solids.a if below else solids.b)[which].T
     radius = (solids.radius_a if below else solids.radius_b)[which]
     qa = dot(rays, rays)
@@ -201,7 +261,15 @@ def _meet_ball(solids: Solids, which: Ints, rays: Floats, below: bool, depth: Fl
     return np.asarray(under >= 0.0)
 
 
-def _meet_disc(solids: Solids, which: Ints, rays: Floats, below: bool, depth: Floats, normal: Floats, index: Ints) -> Bools:
+def _meet_disc(
+    solids: Solids,
+    which: Ints,
+    rays: Floats,
+    below: bool,
+    depth: Floats,
+    normal: Floats,
+    index: Ints,
+) -> Bools:
     centre = (solids.a if below else solids.b)[which].T
     radius = (solids.radius_a if below else solids.radius_b)[which]
     outward = solids.axis[which].T * (-1.0 if below else 1.0)
@@ -217,11 +285,18 @@ def _meet_disc(solids: Solids, which: Ints, rays: Floats, below: bool, depth: Fl
 
 
 def clearance_mm(one: Hull, other: Hull) -> float:
-    """Least distance between the surfaces, mm; negative where they share room. Of two tapered solids one counts with its wider end."""
+    """Least distance between the surfaces, mm; negative where they share room. Of two tapered
+    solids one counts with its wider end.
+    """
     (a, b), (c, d) = _axis(one), _axis(other)
-    wide, other_wide = max(one.radius_a_mm, one.radius_b_mm), max(other.radius_a_mm, other.radius_b_mm)
+    wide, other_wide = (
+        max(one.radius_a_mm, one.radius_b_mm),
+        max(other.radius_a_mm, other.radius_b_mm),
+    )
     coarse = segments_apart_mm(a, b, c, d) - wide - other_wide
-    if coarse >= 0.0 or (one.radius_a_mm == one.radius_b_mm and other.radius_a_mm == other.radius_b_mm):
+    if coarse >= 0.0 or (
+        one.radius_a_mm == one.radius_b_mm and other.radius_a_mm == other.radius_b_mm
+    ):
         return coarse
     if one.radius_a_mm != one.radius_b_mm:
         return _tapered_mm(one, c, d) - other_wide
@@ -229,16 +304,26 @@ def clearance_mm(one: Hull, other: Hull) -> float:
 
 
 def _tapered_mm(cone: Hull, start: Floats, end: Floats) -> float:
-    """Least distance from a tapered solid's surface to a segment: a convex function of the place along its axis, searched by thirds."""
+    """Least distance from a tapered solid's surface to a segment: a convex function of the place
+    along its axis, searched by thirds.
+    """
     a, b = _axis(cone)
 
     def gap_mm(part: float) -> float:
-        return _point_apart_mm(a + part * (b - a), start, end) - cone.radius_a_mm - part * (cone.radius_b_mm - cone.radius_a_mm)
+        return (
+            _point_apart_mm(a + part * (b - a), start, end)
+            - cone.radius_a_mm
+            - part * (cone.radius_b_mm - cone.radius_a_mm)
+        )
 
     low, high = 0.0, 1.0
     while high - low > 1e-6:
         third = (high - low) / 3.0
-        low, high = (low, high - third) if gap_mm(low + third) < gap_mm(high - third) else (low + third, high)
+        low, high = (
+            (low, high - third)
+            if gap_mm(low + third) < gap_mm(high - third)
+            else (low + third, high)
+        )
     return gap_mm((low + high) / 2.0)
 
 
@@ -249,7 +334,8 @@ def _axis(hull: Hull) -> tuple[Floats, Floats]:
 def segments_apart_mm(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
     """Least distance between the segments a b and c d, each end (3,).
 
-    The lines' own nearest points where they lie within both segments, else the nearest of the four ends to the other segment.
+    The lines' own nearest points where they lie within both segments, else the nearest of the four
+    ends to the other segment.
     """
     u, v, w = b - a, d - c, a - c
     uu, uv, vv, uw, vw = (float(np.dot(*pair)) for pair in ((u, u), (u, v), (v, v), (u, w), (v, w)))
@@ -265,5 +351,7 @@ def segments_apart_mm(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
 def _point_apart_mm(point: Floats, start: Floats, end: Floats) -> float:
     along = end - start
     length2 = float(np.dot(along, along))
-    part = 0.0 if length2 == 0.0 else float(np.clip(np.dot(point - start, along) / length2, 0.0, 1.0))
+    part = (
+        0.0 if length2 == 0.0 else float(np.clip(np.dot(point - start, along) / length2, 0.0, 1.0))
+    )
     return float(np.linalg.norm(point - start - part * along))

@@ -1,4 +1,5 @@
-"""What the cameras can see at one moment, as a value: `SceneState`; and all its solids as columns: `Stage`.
+"""What the cameras can see at one moment, as a value: `SceneState`; and all its solids as columns:
+`Stage`.
 
 Checks that a scene makes sense. May not know of cameras, or how anything is drawn.
 """
@@ -19,18 +20,23 @@ from instruments.world.shading import Lighting, Paint
 from instruments.world.solids import Ints, Point, Solids
 
 LOWEST_MM = 1.0  # below the table: paint and play
-TEAT_FALL = 0.048  # twice the plant's 0.046 / 1.9: the skin is as warm as the water at the base, and farthest behind it at the end
+# twice the plant's 0.046 / 1.9: the skin is as warm as the water at the base, and farthest behind
+# it at the end
+TEAT_FALL = 0.048
 STILL: Point = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class SceneState:
-    """Everything that the cameras can see at one moment. Temperatures in degC, one for each teat, in the phantom's order.
+    """Everything that the cameras can see at one moment. Temperatures in degC, one for each teat,
+    in the phantom's order.
 
-    A teat's temperature is its mean: from base to end it falls by ``teat_fall`` of what it is above the room. ``teat_paint`` is the
-    phantom's paint; the room (board, table, what is mirrored in paint) is at ``ambient_c``. ``exposure`` is how the optical cameras
-    are set, ``velocity_mm_s`` how the phantom moves while their shutters are open, ``time_s`` what the thermal camera's drift
-    goes by. Raises ValueError where the number of temperatures is wrong, or an object reaches below the table or behind the board.
+    A teat's temperature is its mean: from base to end it falls by ``teat_fall`` of what it is above
+    the room. ``teat_paint`` is the phantom's paint; the room (board, table, what is mirrored in
+    paint) is at ``ambient_c``. ``exposure`` is how the optical cameras are set, ``velocity_mm_s``
+    how the phantom moves while their shutters are open, ``time_s`` what the thermal camera's drift
+    goes by. Raises ValueError where the number of temperatures is wrong, or an object reaches below
+    the table or behind the board.
     """
 
     phantom: Phantom
@@ -49,11 +55,20 @@ class SceneState:
 
     def __post_init__(self) -> None:
         if len(self.teat_temps_c) != len(self.phantom.teats):
-            raise ValueError(f"the phantom has {len(self.phantom.teats)} teats, but there are {len(self.teat_temps_c)} teat temperatures")
-        temps = {"a teat": self.teat_temps_c, "the hoses": (self.hose_temp_c,), "the room": (self.ambient_c,)}
+            raise ValueError(
+                f"the phantom has {len(self.phantom.teats)} teats, but there are"
+                f" {len(self.teat_temps_c)} teat temperatures"
+            )
+        temps = {
+            "a teat": self.teat_temps_c,
+            "the hoses": (self.hose_temp_c,),
+            "the room": (self.ambient_c,),
+        }
         for what, values in temps.items():
             if not all(-60.0 <= value <= 200.0 for value in values):
-                raise ValueError(f"the temperature of {what} must be from -60 to 200 degC, is {values}")
+                raise ValueError(
+                    f"the temperature of {what} must be from -60 to 200 degC, is {values}"
+                )
         _refuse_outside(Stage.of(self), self.backdrop)
 
     @property
@@ -64,24 +79,42 @@ class SceneState:
     def later(self, seconds: float) -> SceneState:
         """The same with everything that moves a little farther on its way."""
         pose, (vx, vy, vz) = self.phantom.pose, self.velocity_mm_s
-        there = replace(pose, x_mm=pose.x_mm + vx * seconds, y_mm=pose.y_mm + vy * seconds, z_mm=max(pose.z_mm + vz * seconds, 0.0))
+        there = replace(
+            pose,
+            x_mm=pose.x_mm + vx * seconds,
+            y_mm=pose.y_mm + vy * seconds,
+            z_mm=max(pose.z_mm + vz * seconds, 0.0),
+        )
         boards = tuple(board.moved(seconds) for board in self.boards)
-        return replace(self, phantom=self.phantom.moved(there), boards=boards, time_s=self.time_s + seconds)
+        return replace(
+            self, phantom=self.phantom.moved(there), boards=boards, time_s=self.time_s + seconds
+        )
 
     def temperature_c(self, warmth: Warmth) -> float:
-        """degC of "teat" (the mean of the teats, or the room where there are none), "ambient", or a number."""
+        """degC of "teat" (the mean of the teats, or the room where there are none), "ambient", or a
+        number.
+        """
         if isinstance(warmth, str):
-            return float(np.mean(self.teat_temps_c)) if warmth == "teat" and self.teat_temps_c else self.ambient_c
+            return (
+                float(np.mean(self.teat_temps_c))
+                if warmth == "teat" and self.teat_temps_c
+                else self.ambient_c
+            )
         return warmth
 
     def everything(self) -> tuple[SceneObject, ...]:
         """All that stands on the table: the teats first, in their order."""
-        return (*phantom_objects(self.phantom, self.teat_paint, self.teat_temps_c, self.hose_temp_c), *self.objects)
+        return (
+            *phantom_objects(self.phantom, self.teat_paint, self.teat_temps_c, self.hose_temp_c),
+            *self.objects,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stage:
-    """All solids of a state as columns in the world frame, and which thing of ``things`` each belongs to, (k,)."""
+    """All solids of a state as columns in the world frame, and which thing of ``things`` each
+    belongs to, (k,).
+    """
 
     things: tuple[SceneObject, ...]
     solids: Solids
@@ -96,14 +129,25 @@ class Stage:
     def of_things(cls, things: Sequence[SceneObject]) -> Stage:
         """Just these."""
         solids = Solids.from_hulls([hull for thing in things for hull in thing.hulls])
-        return cls(tuple(things), solids, np.repeat(np.arange(len(things)), [len(thing.hulls) for thing in things]))
+        return cls(
+            tuple(things),
+            solids,
+            np.repeat(np.arange(len(things)), [len(thing.hulls) for thing in things]),
+        )
 
 
 def _refuse_outside(stage: Stage, backdrop: Backdrop) -> None:
     low = np.flatnonzero(stage.solids.nearest_depth() < -LOWEST_MM)
     if len(low):
-        raise ValueError(f"{stage.things[stage.owner[low[0]]].name} reaches below the table (z = 0): raise it")
-    far = np.flatnonzero(np.maximum(stage.solids.a[:, 1], stage.solids.b[:, 1]) > backdrop.board_y_mm)
+        raise ValueError(
+            f"{stage.things[stage.owner[low[0]]].name} reaches below the table (z = 0): raise it"
+        )
+    far = np.flatnonzero(
+        np.maximum(stage.solids.a[:, 1], stage.solids.b[:, 1]) > backdrop.board_y_mm
+    )
     if len(far):
         name = stage.things[stage.owner[far[0]]].name
-        raise ValueError(f"{name} stands behind the board (y = {backdrop.board_y_mm:g} mm), where no camera sees it")
+        raise ValueError(
+            f"{name} stands behind the board (y = {backdrop.board_y_mm:g} mm), where no camera"
+            " sees it"
+        )

@@ -1,6 +1,8 @@
-"""The thermal camera at work: radiance of everything on a grid finer than its sensor, lens and pixels, and the sensor.
+"""The thermal camera at work: radiance of everything on a grid finer than its sensor, lens and
+pixels, and the sensor.
 
-What moves trails behind itself, for a pixel's temperature follows the scene's with a time constant. May not know where a state comes from.
+What moves trails behind itself, for a pixel's temperature follows the scene's with a time constant.
+May not know where a state comes from.
 """
 
 from __future__ import annotations
@@ -28,23 +30,37 @@ TRAIL = 12  # moments of a lagging pixel's past
 class ThermalCamera:
     """The thermal camera: geometry on a grid finer than its sensor, and the sensor."""
 
-    def __init__(self, camera: CameraModel, sensor: ThermalSensor, seed: np.random.SeedSequence) -> None:
+    def __init__(
+        self, camera: CameraModel, sensor: ThermalSensor, seed: np.random.SeedSequence
+    ) -> None:
         self.camera = camera
-        self.view = View(camera.resized(sensor.width_px * sensor.oversample, sensor.height_px * sensor.oversample))
+        self.view = View(
+            camera.resized(
+                sensor.width_px * sensor.oversample, sensor.height_px * sensor.oversample
+            )
+        )
         self.readout = ThermalReadout(sensor, seed)
         self._layers = KeptLayers()
-        self._warmer = lru_cache(maxsize=3)(partial(_drawn_warmer, self.view.camera))  # no reference to self: no cycle
+        # no reference to self: no cycle
+        self._warmer = lru_cache(maxsize=3)(partial(_drawn_warmer, self.view.camera))
 
     def expected_k(self, state: SceneState) -> Floats:
-        """Apparent temperature of each sensor pixel before noise, kelvin, un-mirrored, (height, width)."""
+        """Apparent temperature of each sensor pixel before noise, kelvin, un-mirrored, (height,
+        width).
+        """
         moments = self._moments(state)
         radiance = np.mean([self._radiance(moment) for moment in moments], axis=0)
         return kelvin_from_radiance(self.readout.gathered(radiance))
 
-    def expose(self, state: SceneState, rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    def expose(
+        self, state: SceneState, rng: np.random.Generator
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
         """One frame: 8-bit as delivered, and centi-kelvin."""
         centikelvin = self.readout.expose(self.expected_k(state), state.time_s, rng)
-        return self.readout.delivered(centikelvin, self.camera.width_px, self.camera.height_px), centikelvin
+        return (
+            self.readout.delivered(centikelvin, self.camera.width_px, self.camera.height_px),
+            centikelvin,
+        )
 
     def _moments(self, state: SceneState) -> list[SceneState]:
         """The past of a pixel that follows exponentially, as moments of equal weight."""
@@ -57,28 +73,46 @@ class ThermalCamera:
         things = state.everything()
         keys = [(thing.hulls, thing.paint.emissivity) for thing in things]
         layers = self._layers.of(keys, lambda which: self._things([things[i] for i in which]))
-        boards = self._layers.of([*state.boards], lambda which: [self._board(state.boards[i]) for i in which])
+        boards = self._layers.of(
+            [*state.boards], lambda which: [self._board(state.boards[i]) for i in which]
+        )
         room = float(radiance_from_c(state.ambient_c))
-        own = [_own(state, i, thing, layer) for i, (thing, layer) in enumerate(zip(things, layers, strict=True))]
-        own += [_own_of_board(state, board, layer) for board, layer in zip(state.boards, boards, strict=True)]
+        own = [
+            _own(state, i, thing, layer)
+            for i, (thing, layer) in enumerate(zip(things, layers, strict=True))
+        ]
+        own += [
+            _own_of_board(state, board, layer)
+            for board, layer in zip(state.boards, boards, strict=True)
+        ]
         seen = [*layers, *boards]
         radiance = radiance_from_c(state.ambient_c + self._warmer(state.backdrop))
-        lay_over(radiance, seen, [room + layer.value * (black - room) for layer, black in zip(seen, own, strict=True)])
+        lay_over(
+            radiance,
+            seen,
+            [room + layer.value * (black - room) for layer, black in zip(seen, own, strict=True)],
+        )
         return radiance
 
     def _things(self, things: Sequence[SceneObject]) -> list[Layer]:
         stage = Stage.of_things(things)
         seen = self.view.surfaces(stage)
         facing = np.abs(dot(seen.rays, seen.normals)) / np.sqrt(dot(seen.rays, seen.rays))
-        emissivity = np.array([thing.paint.emissivity for thing in things], dtype=np.float64)[seen.owner]
-        return seen.by_thing(len(things), directional_emissivity(emissivity, facing), self.view.heights(stage, seen))
+        emissivity = np.array([thing.paint.emissivity for thing in things], dtype=np.float64)[
+            seen.owner
+        ]
+        return seen.by_thing(
+            len(things), directional_emissivity(emissivity, facing), self.view.heights(stage, seen)
+        )
 
     def _board(self, board: Board) -> Layer:
         seen = self.view.board(board)
         away = seen.points_mm - self.view.camera.centre_mm[:, None]
         facing = np.abs(board.normal @ away) / np.sqrt(dot(away, away))
         value = directional_emissivity(np.full(len(facing), board.emissivity), facing)
-        return Layer(seen.cover.row, seen.cover.column, seen.cover.share, seen.depth_mm, value, seen.dark)
+        return Layer(
+            seen.cover.row, seen.cover.column, seen.cover.share, seen.depth_mm, value, seen.dark
+        )
 
 
 def _drawn_warmer(camera: CameraModel, backdrop: Backdrop) -> Floats:
@@ -86,13 +120,19 @@ def _drawn_warmer(camera: CameraModel, backdrop: Backdrop) -> Floats:
 
 
 def _own(state: SceneState, number: int, thing: SceneObject, layer: Layer) -> Floats:
-    """Radiance of a black body as warm as each pixel of a thing, (n,) or (); the teats come first, each warmer at its base."""
+    """Radiance of a black body as warm as each pixel of a thing, (n,) or (); the teats come first,
+    each warmer at its base.
+    """
     if number < len(state.teat_temps_c) and layer.along is not None:
         mean_c = state.teat_temps_c[number]
-        return radiance_from_c(mean_c + state.teat_fall * (mean_c - state.ambient_c) * (0.5 - layer.along))
+        return radiance_from_c(
+            mean_c + state.teat_fall * (mean_c - state.ambient_c) * (0.5 - layer.along)
+        )
     return radiance_from_c(state.temperature_c(thing.temperature) + thing.offset_k)
 
 
 def _own_of_board(state: SceneState, board: Board, layer: Layer) -> Floats:
-    light, dark = (radiance_from_c(state.temperature_c(warmth)) for warmth in (board.light, board.dark))
+    light, dark = (
+        radiance_from_c(state.temperature_c(warmth)) for warmth in (board.light, board.dark)
+    )
     return np.asarray(light + (dark - light) * (0.0 if layer.along is None else layer.along))

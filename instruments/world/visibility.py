@@ -1,4 +1,5 @@
-"""Which teat ends a camera can see: rays to points of each rounded end, against every other solid and board.
+"""Which teat ends a camera can see: rays to points of each rounded end, against every other solid
+and board.
 
 Exact solids, no picture, no depth buffer: the truth doesn't depend on the resolution of a camera.
 """
@@ -18,17 +19,23 @@ RINGS_DEG = (30.0, 60.0, 85.0)
 ROUND = 16
 
 
-def seen_share(phantom: Phantom, solids: Solids, camera: CameraModel, boards: Sequence[Board] = ()) -> Floats:
-    """Share of each rounded end's near side that nothing else hides, (n,); 0 where the apex is hidden or outside the image.
+def seen_share(
+    phantom: Phantom, solids: Solids, camera: CameraModel, boards: Sequence[Board] = ()
+) -> Floats:
+    """Share of each rounded end's near side that nothing else hides, (n,); 0 where the apex is
+    hidden or outside the image.
 
-    ``solids`` (world frame) hold the phantom's teats first, in its order; the teat itself is no obstacle to its own end.
+    ``solids`` (world frame) hold the phantom's teats first, in its order; the teat itself is no
+    obstacle to its own end.
     """
     ends = phantom.ends_mm
     shares = np.zeros(len(ends))
     inside = _in_image(camera.project(ends), camera)
     seen = solids.in_camera(camera)
     for i, (end, axis) in enumerate(zip(ends, phantom.axes, strict=True)):
-        points = np.concatenate([end[None, :], _near_side(end, axis, phantom.teats[i].shape.radius_mm, camera)])
+        points = np.concatenate(
+            [end[None, :], _near_side(end, axis, phantom.teats[i].shape.radius_mm, camera)]
+        )
         free = _free(points, seen, i, camera) & _past_boards(points, boards, camera)
         shares[i] = float(free[1:].mean()) if inside[i] and free[0] else 0.0
     return shares
@@ -53,7 +60,9 @@ def _near_side(end_mm: Floats, axis: Floats, radius_mm: float, camera: CameraMod
 
 
 def _free(points_mm: Floats, solids: Solids, itself: int, camera: CameraModel) -> Bools:
-    """Whether nothing but solid number ``itself`` stands between the camera and each point (n, 3)."""
+    """Whether nothing but solid number ``itself`` stands between
+    the camera and each point (n, 3).
+    """
     seen = camera.camera_from_world(points_mm)
     count = len(solids)
     which = np.tile(np.arange(count), len(seen))
@@ -69,9 +78,13 @@ def _past_boards(points_mm: Floats, boards: Sequence[Board], camera: CameraModel
     away = points_mm - camera.centre_mm
     for board in boards:
         towards = away @ board.normal
-        part = ((np.asarray(board.corner_mm) - camera.centre_mm) @ board.normal) / np.where(np.abs(towards) > 1e-9, towards, 1e-9)
+        part = ((np.asarray(board.corner_mm) - camera.centre_mm) @ board.normal) / np.where(
+            np.abs(towards) > 1e-9, towards, 1e-9
+        )
         met = camera.centre_mm + part[:, None] * away - np.asarray(board.corner_mm)
         u, v = met @ np.asarray(board.across), met @ np.asarray(board.along)
         width, height = board.pattern.size_mm
-        free &= ~((part > 0.0) & (part < 1.0) & (u >= 0.0) & (u <= width) & (v >= 0.0) & (v <= height))
+        free &= ~(
+            (part > 0.0) & (part < 1.0) & (u >= 0.0) & (u <= width) & (v >= 0.0) & (v <= height)
+        )
     return free

@@ -1,7 +1,9 @@
-"""The one simulated world that all emulators share: plant, phantom, what stands around it, and the hand that holds the arm.
+"""The one simulated world that all emulators share: plant, phantom, what stands around it, and the
+hand that holds the arm.
 
-What the bath heats, the thermal camera sees; where the stage stands, the phantom stands; where the hand holds the
-tip, the arm reads. It may not know how any of them speaks on its wire. One lock guards it; time comes from the clock.
+What the bath heats, the thermal camera sees; where the stage stands, the phantom stands; where the
+hand holds the tip, the arm reads. It may not know how any of them speaks on its wire. One lock
+guards it; time comes from the clock.
 """
 
 from __future__ import annotations
@@ -24,14 +26,24 @@ from instruments.world.situations import Situation
 from instruments.world.solids import Point
 from instruments.world.state import STILL, SceneState
 
-HOSE_DROP_K = 0.02  # the hoses' skin against the water (bath sheet, section 4.3, foamed hose at 6 L/min)
+# the hoses' skin against the water (bath sheet, section 4.3, foamed hose at 6 L/min)
+HOSE_DROP_K = 0.02
 
 
 class World:
-    """``renderer`` draws it; ``stage_pose`` is asked how the stage's plate stands, zero at the stage's reference, ``stage_velocity`` how
-    it moves in mm/s: what moves is smeared in pictures."""
+    """``renderer`` draws it; ``stage_pose`` is asked how the stage's plate stands, zero at the
+    stage's reference, ``stage_velocity`` how it moves in mm/s: what moves is smeared in pictures.
+    """
 
-    def __init__(self, clock: Clock, seed: int, renderer: Renderer, *, ambient_c: float = 20.0, bath_start_c: float = 20.0) -> None:
+    def __init__(
+        self,
+        clock: Clock,
+        seed: int,
+        renderer: Renderer,
+        *,
+        ambient_c: float = 20.0,
+        bath_start_c: float = 20.0,
+    ) -> None:
         self.clock = clock
         self.seed = seed
         self.lock = threading.RLock()
@@ -47,11 +59,19 @@ class World:
         self._board: Board | None = None
 
     def close(self) -> None:
-        """Let go of the renderer, some 100 MB of pictures: a closed rig lies in reference cycles until the next full collection."""
+        """Let go of the renderer, some 100 MB of pictures: a closed rig lies in reference cycles
+        until the next full collection.
+        """
         self.__dict__.pop("renderer", None)
 
-    def arrange(self, phantom: Phantom, objects: Sequence[Mapping[str, Any]], situation: Situation | None = None) -> None:
-        """Put a phantom on the plate, and other things around it; light, background, paint and further things are a ``situation``'s.
+    def arrange(
+        self,
+        phantom: Phantom,
+        objects: Sequence[Mapping[str, Any]],
+        situation: Situation | None = None,
+    ) -> None:
+        """Put a phantom on the plate, and other things around it; light, background, paint and
+        further things are a ``situation``'s.
 
         Raises ValueError for a kind of object that isn't known.
         """
@@ -61,12 +81,18 @@ class World:
             self._situation = situation
 
     def show(self, board: Board | None) -> None:
-        """Hold a calibration board before the cameras, the phantom out of the way meanwhile; None puts the phantom back."""
+        """Hold a calibration board before the cameras, the phantom out of the way meanwhile; None
+        puts the phantom back.
+        """
         with self.lock:
             self._board = board
 
-    def hold(self, point_mm: NDArray[np.float64] | None, axis: NDArray[np.float64] | None = None) -> None:
-        """The hand holds the arm's tip at ``point_mm`` (3,), the stylus along ``axis`` (3,) from the tip up; None lets go."""
+    def hold(
+        self, point_mm: NDArray[np.float64] | None, axis: NDArray[np.float64] | None = None
+    ) -> None:
+        """The hand holds the arm's tip at ``point_mm`` (3,), the stylus along ``axis`` (3,) from
+        the tip up; None lets go.
+        """
         with self.lock:
             self._held = None if point_mm is None or axis is None else (point_mm, axis)
 
@@ -75,12 +101,16 @@ class World:
         return self._held
 
     def phantom(self) -> Phantom:
-        """The phantom where the stage has it now, with the pose at which it was put on the stage."""
+        """The phantom where the stage has it now, with the pose at
+        which it was put on the stage.
+        """
         with self.lock:
             return self._phantom.moved(self._phantom.pose.carried(self.stage_pose()))
 
     def ends_mm(self) -> NDArray[np.float64]:
-        """The exact teat ends (n, 3), world frame: kept aside by the bench, never shown to a detector."""
+        """The exact teat ends (n, 3), world frame: kept aside by the bench, never shown to a
+        detector.
+        """
         return self.phantom().ends_mm
 
     def scene(self) -> SceneState:
@@ -91,14 +121,27 @@ class World:
             teats_c = tuple(float(v) for v in np.resize(self.plant.teat_c, len(phantom.teats)))
             hose_c = float(self.plant.bath_c) - (HOSE_DROP_K if self.plant.pump_on else 0.0)
             constants = self.plant.constants
-            fall = 2.0 * constants.teat_out_w_per_k / constants.teat_in_w_per_k  # the skin's mean lag behind the water, twice
-            around = self._situation or Situation("", 0, "", phantom, teat_paint=replace(TEAT_PAINT, emissivity=phantom.emissivity))
+            # the skin's mean lag behind the water, twice
+            fall = 2.0 * constants.teat_out_w_per_k / constants.teat_in_w_per_k
+            around = self._situation or Situation(
+                "", 0, "", phantom, teat_paint=replace(TEAT_PAINT, emissivity=phantom.emissivity)
+            )
             things = (*around.objects, *self._objects)
             moment = {"time_s": self.clock.now(), "velocity_mm_s": self.stage_velocity()}
             if self._board is not None:
                 moment |= {"boards": (self._board,), "velocity_mm_s": STILL}
-            return around.state(teats_c, hose_c, self.ambient_c, phantom=phantom, objects=things, teat_fall=fall, **moment)
+            return around.state(
+                teats_c,
+                hose_c,
+                self.ambient_c,
+                phantom=phantom,
+                objects=things,
+                teat_fall=fall,
+                **moment,
+            )
 
     def frame_rng(self, kind: str, index: int) -> np.random.Generator:
-        """Chance for the ``index``-th frame set: the same for the same seed, whatever else was drawn."""
+        """Chance for the ``index``-th frame set: the same for the same seed, whatever else was
+        drawn.
+        """
         return np.random.default_rng([self.seed, *kind.encode(), index])

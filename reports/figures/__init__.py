@@ -1,13 +1,21 @@
 """The plots of a report: arrays in, SVG text out, the same bytes for the same arrays.
 
-Strategy: each function checks its arrays, then draws. Without data the figure says "not measured". Numbers that are not finite are
-refused, since a plot that drops them in silence shows something that was not measured. Importing this package loads matplotlib
-(some tenths of a second), so importers do it late. May not know: what a run, a detector or a trial is.
+Strategy: each function checks its arrays, then draws. Without data the figure says "not measured".
+Numbers that are not finite are refused, since a plot that drops them in silence shows something
+that was not measured. Importing this package loads matplotlib (some tenths of a second), so
+importers do it late. May not know: what a run, a detector or a trial is.
 """
 
 from reports.figures.calibration import precision_by_distance, residual_field
 from reports.figures.course import bath_curve, latency_strip
-from reports.figures.errors import change_scatter, error_drift, error_histogram, error_scatter, per_axis_errors, teat_boxes
+from reports.figures.errors import (
+    change_scatter,
+    error_drift,
+    error_histogram,
+    error_scatter,
+    per_axis_errors,
+    teat_boxes,
+)
 from reports.figures.plane import TeatPlaces, error_map, error_maps
 from reports.figures.rates import Slope, found_bars, slope_intervals
 from reports.figures.regions import MOST_GROUPS, ErrorGroup, error_regions

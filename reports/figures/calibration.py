@@ -1,18 +1,37 @@
-"""How good a camera calibration is, drawn: where its corners lie and which way they miss, and what a point is worth by distance."""
+"""How good a camera calibration is, drawn: where its corners lie and which way they miss, and what
+a point is worth by distance.
+"""
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from reports.figures.drawing import COLOURS, HALF_INCHES, WIDE_INCHES, LegendEntry, draw, legend, not_measured, together
+from reports.figures.drawing import (
+    COLOURS,
+    HALF_INCHES,
+    WIDE_INCHES,
+    LegendEntry,
+    draw,
+    legend,
+    not_measured,
+    together,
+)
 
 _MOST_ARROWS = 1500  # more says no more, and makes the page heavy
 
 
 def residual_field(
-    x_px: ArrayLike, y_px: ArrayLike, dx_px: ArrayLike, dy_px: ArrayLike, image_size: tuple[int, int], *, name: str
-) -> str:  # fmt: skip
-    """Corners (n,) where they lie in the picture, each with the way it misses its prediction, enlarged; the picture's frame around."""
+    x_px: ArrayLike,
+    y_px: ArrayLike,
+    dx_px: ArrayLike,
+    dy_px: ArrayLike,
+    image_size: tuple[int, int],
+    *,
+    name: str,
+) -> str:
+    """Corners (n,) where they lie in the picture, each with the way it misses its prediction,
+    enlarged; the picture's frame around.
+    """
     x, y, dx, dy = together("residual_field", x_px=x_px, y_px=y_px, dx_px=dx_px, dy_px=dy_px)
     inches = (HALF_INCHES, HALF_INCHES * image_size[1] / image_size[0] + 0.5)
     if not x.size:
@@ -25,17 +44,37 @@ def residual_field(
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot(aspect="equal")
         axes.quiver(
-            x[::every], y[::every], dx[::every], dy[::every], angles="xy", scale_units="xy", scale=1.0 / factor,
-            width=0.0022, color=COLOURS["ours"],
-        )  # fmt: skip
-        axes.set(xlim=(-0.5, image_size[0] - 0.5), ylim=(image_size[1] - 0.5, -0.5), xlabel="column (px)", ylabel="row (px)")
+            x[::every],
+            y[::every],
+            dx[::every],
+            dy[::every],
+            angles="xy",
+            scale_units="xy",
+            scale=1.0 / factor,
+            width=0.0022,
+            color=COLOURS["ours"],
+        )
+        axes.set(
+            xlim=(-0.5, image_size[0] - 0.5),
+            ylim=(image_size[1] - 0.5, -0.5),
+            xlabel="column (px)",
+            ylabel="row (px)",
+        )
         legend(figure, [(f"misses, {factor:.0f} times enlarged; rms {rms:.2f} px", "ours", "-")])
 
     return draw(name, inches, plot)
 
 
-def precision_by_distance(depth_m: ArrayLike, good_to_mm: ArrayLike, seen_m: tuple[float, float], *, name: str = "precision") -> str:
-    """What a point's place is good to (n,), mm, over its distance (n,), m; the distances at which the board was seen are shaded."""
+def precision_by_distance(
+    depth_m: ArrayLike,
+    good_to_mm: ArrayLike,
+    seen_m: tuple[float, float],
+    *,
+    name: str = "precision",
+) -> str:
+    """What a point's place is good to (n,), mm, over its distance (n,), m; the distances at which
+    the board was seen are shaded.
+    """
     depth, good = together("precision_by_distance", depth_m=depth_m, good_to_mm=good_to_mm)
     inches = (WIDE_INCHES, 2.8)
     if not depth.size:

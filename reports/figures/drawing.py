@@ -1,13 +1,15 @@
 """What every plot asks of its arrays: finite numbers, lengths that agree. Draws nothing.
 
-From a matplotlib figure to SVG that stands inside a page: the same bytes for the same input, the page's own colours and letters.
+From a matplotlib figure to SVG that stands inside a page: the same bytes for the same input, the
+page's own colours and letters.
 
-Strategy: matplotlib lays out and writes; then every tag is rewritten. Styles become attributes and classes, so that a style sheet can
-recolour them (dark, print) under a strict content security policy; ids nobody refers to go, the others get the figure's name in front;
-what a run of marks shares is said once.
-Knows nothing of what is plotted.
+Strategy: matplotlib lays out and writes; then every tag is rewritten. Styles become attributes and
+classes, so that a style sheet can recolour them (dark, print) under a strict content security
+policy; ids nobody refers to go, the others get the figure's name in front; what a run of marks
+shares is said once. Knows nothing of what is plotted.
 
-Which of many points a plot draws, so that a page stays light: the most telling ones, and an even choice of the rest. Draws nothing.
+Which of many points a plot draws, so that a page stays light: the most telling ones, and an even
+choice of the rest. Draws nothing.
 """
 
 from __future__ import annotations
@@ -38,23 +40,41 @@ def finite(function: str, argument: str, values: ArrayLike) -> Floats:
     array = np.asarray(values, dtype=np.float64)
     bad = int(array.size - np.isfinite(array).sum())
     if bad:
-        raise ValueError(f"{function}: {argument} holds {bad} of {array.size} values that are not finite; leave out what was not measured")
+        raise ValueError(
+            f"{function}: {argument} holds {bad} of {array.size} values that are not finite; leave"
+            " out what was not measured"
+        )
     return array
 
 
 def together(function: str, **named: ArrayLike) -> list[Floats]:
-    """The named arrays, each (n,), flat and of one length. Raises ValueError where they differ or are not finite."""
+    """The named arrays, each (n,), flat and of one length. Raises ValueError where they differ or
+    are not finite.
+    """
     arrays = {key: finite(function, key, values).ravel() for key, values in named.items()}
     if len({array.size for array in arrays.values()}) > 1:
-        raise ValueError(f"{function}: lengths differ: {', '.join(f'{key} {array.size}' for key, array in arrays.items())}")
+        raise ValueError(
+            f"{function}: lengths differ:"
+            f" {', '.join(f'{key} {array.size}' for key, array in arrays.items())}"
+        )
     return list(arrays.values())
 
 
-# One colour a role. The hex value is the light scheme's and stands in the file; the style sheet overrides it by class.
+# One colour a role. The hex value is the light scheme's and stands in the file; the style sheet
+# overrides it by class.
 COLOURS = {
-    "ink": "#1b2733", "muted": "#5a6875", "grid": "#d8dee5", "ours": "#1d5fa6", "theirs": "#8a5a00", "limit": "#b3261e",
-    "accept": "#7a4b9e", "good": "#1b7a3d", "band": "#cfe6d6", "span": "#dfe9f5", "paper": "#fdfdfe",
-}  # fmt: skip
+    "ink": "#1b2733",
+    "muted": "#5a6875",
+    "grid": "#d8dee5",
+    "ours": "#1d5fa6",
+    "theirs": "#8a5a00",
+    "limit": "#b3261e",
+    "accept": "#7a4b9e",
+    "good": "#1b7a3d",
+    "band": "#cfe6d6",
+    "span": "#dfe9f5",
+    "paper": "#fdfdfe",
+}
 HALF_INCHES, WIDE_INCHES = 4.7, 9.4
 Marker = Literal["o", "s", "^", "D", "v", "P"]
 LegendForm = Literal["-", "--", "patch"] | Marker
@@ -91,7 +111,10 @@ _LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}(?:e-?\d+)?")
 _FEWEST_ALIKE = 4  # marks, for which it is worth while to say once what they share
 _MARK = r'<use class="{0}" href="{1}" (?:x="[^"]*" y="[^"]*"){2}/>'
 _MARKS = re.compile(
-    _MARK.format('([^"]*)', '([^"]*)', '((?: [a-z-]+="[^"]*")*)') + "(?:" + _MARK.format(r"\1", r"\2", r"\3") + f"){{{_FEWEST_ALIKE - 1},}}"
+    _MARK.format('([^"]*)', '([^"]*)', '((?: [a-z-]+="[^"]*")*)')
+    + "(?:"
+    + _MARK.format(r"\1", r"\2", r"\3")
+    + f"){{{_FEWEST_ALIKE - 1},}}"
 )
 _LINK = r'<a href="[^"]*" tabindex="-1"><title>[^<]*</title><g clip-path="{0}">{1}</g></a>'
 _LINKS = re.compile(
@@ -101,18 +124,26 @@ _LINKS = re.compile(
 
 
 def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None]) -> str:
-    """The SVG of what `plot` draws on a figure of the given width and height; `name` is a slug, unique in the page.
+    """The SVG of what `plot` draws on a figure of the given width and height; `name` is a slug,
+    unique in the page.
 
-    matplotlib's settings are its own defaults and ours, whatever the user's matplotlibrc says, and are as before when this returns.
+    matplotlib's settings are its own defaults and ours, whatever the user's matplotlibrc says, and
+    are as before when this returns.
     """
     checked_slug(name, "figure name")
     with warnings.catch_warnings(), style.context(["default", _SETTINGS]):
-        # matplotlib's font only measures the text here; the page's font draws it, and may well have the letter.
+        # matplotlib's font only measures the text here; the page's font draws it, and may well have
+        # the letter.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         figure = Figure(figsize=inches, layout="constrained")
         plot(figure)
         written = io.StringIO()
-        figure.savefig(written, format="svg", transparent=True, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        figure.savefig(
+            written,
+            format="svg",
+            transparent=True,
+            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
+        )
     return _for_a_page(written.getvalue(), name)
 
 
@@ -120,15 +151,17 @@ def not_measured(name: str, inches: tuple[float, float], why: str) -> str:
     """A drawing of the same size that says so, for a figure without data."""
 
     def plot(figure: Figure) -> None:
-        figure.text(0.5, 0.55, "not measured", ha="center", va="center", fontsize=12, color=COLOURS["muted"])
+        figure.text(
+            0.5, 0.55, "not measured", ha="center", va="center", fontsize=12, color=COLOURS["muted"]
+        )
         figure.text(0.5, 0.42, why, ha="center", va="center", color=COLOURS["muted"])
 
     return draw(name, inches, plot)
 
 
 def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
-    """Above the plot, in as many rows as it takes: for each (text, role, form) a line ("-", "--"), a marker or a "patch" in the
-    role's colour.
+    """Above the plot, in as many rows as it takes: for each (text, role, form) a line ("-", "--"),
+    a marker or a "patch" in the role's colour.
     """
 
     def handle(text: str, role: str, form: LegendForm) -> Artist:
@@ -136,11 +169,26 @@ def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
             return Patch(facecolor=COLOURS[role], label=text)
         if form == "-" or form == "--":
             return Line2D([], [], color=COLOURS[role], linestyle=form, label=text)
-        return Line2D([], [], color=COLOURS[role], linestyle="none", marker=form, markersize=4.5, markeredgewidth=0, label=text)
+        return Line2D(
+            [],
+            [],
+            color=COLOURS[role],
+            linestyle="none",
+            marker=form,
+            markersize=4.5,
+            markeredgewidth=0,
+            label=text,
+        )
 
     handles = [handle(*entry) for entry in entries]
     for columns in range(len(entries), 0, -1):
-        made = figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False, handlelength=1.8)
+        made = figure.legend(
+            handles=handles,
+            loc="outside upper center",
+            ncols=columns,
+            frameon=False,
+            handlelength=1.8,
+        )
         if columns == 1 or made.get_window_extent().width <= figure.bbox.width:
             return
         made.remove()
@@ -157,7 +205,8 @@ def _for_a_page(svg: str, name: str) -> str:
     body = re.sub(r"<(style|metadata)\b.*?</\1>", "", body, flags=re.DOTALL)
     wanted = set(re.findall(r'(?:url\(|xlink:href=")#([^")]+)', body))
     known = dict.fromkeys(found for found in re.findall(r'\bid="([^"]*)"', body) if found in wanted)
-    defined = {known_id: f"{name}-{number}" for number, known_id in enumerate(known, 1)}  # short: every point of a cloud names one
+    # short: every point of a cloud names one
+    defined = {known_id: f"{name}-{number}" for number, known_id in enumerate(known, 1)}
     body = _TAG.sub(lambda tag: _rewritten(tag, name, defined), body)
     return _MARKS.sub(_marks, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
 
@@ -172,7 +221,11 @@ def _marks(run: re.Match[str]) -> str:
 def _links(run: re.Match[str]) -> str:
     """The same of marks that each open something."""
     clip, look, _, paint = run.groups()
-    inner = run.group(0).replace(f'<g clip-path="{clip}"><use class="{look}"', "<use").replace(f"{paint}/></g>", "/>")
+    inner = (
+        run.group(0)
+        .replace(f'<g clip-path="{clip}"><use class="{look}"', "<use")
+        .replace(f"{paint}/></g>", "/>")
+    )
     return f'<g class="{look}" clip-path="{clip}"{paint}>{inner}</g>'
 
 
@@ -182,14 +235,24 @@ def _rewritten(tag: re.Match[str], name: str, defined: Mapping[str, str]) -> str
         return tag.group(0)
     attributes: dict[str, str] = {}
     for key, value in _ATTRIBUTE.findall(rest):
-        attributes.update(_declarations(value) if key == "style" else {key.removeprefix("xlink:"): value})
+        attributes.update(
+            _declarations(value) if key == "style" else {key.removeprefix("xlink:"): value}
+        )
     if element == "svg":
-        attributes = {"class": f"plot plot-{name}", "viewBox": attributes["viewBox"], "xmlns": attributes["xmlns"]}
+        attributes = {
+            "class": f"plot plot-{name}",
+            "viewBox": attributes["viewBox"],
+            "xmlns": attributes["xmlns"],
+        }
     if element == "a":
         attributes = {"href": attributes["href"], "tabindex": "-1"}
-    kept = {key: value for key, value in _with_classes(attributes).items() if _kept(key, value, defined)}
+    kept = {
+        key: value for key, value in _with_classes(attributes).items() if _kept(key, value, defined)
+    }
     text = "".join(f' {key}="{_value(key, value, defined)}"' for key, value in kept.items())
-    name_of_link = f"<title>{attributes['href'].removeprefix('#')}</title>" if element == "a" else ""
+    name_of_link = (
+        f"<title>{attributes['href'].removeprefix('#')}</title>" if element == "a" else ""
+    )
     return f"<{element}{text}{empty}>{name_of_link}"
 
 
@@ -197,16 +260,27 @@ def _declarations(css: str) -> dict[str, str]:
     pairs = (part.split(":", 1) for part in css.split(";") if part.strip())
     known = {key.strip(): value.strip() for key, value in pairs}
     known.pop("font-family", None)  # the page's
-    return {key: value.removesuffix("px") if key == "font-size" else value for key, value in known.items()}
+    return {
+        key: value.removesuffix("px") if key == "font-size" else value
+        for key, value in known.items()
+    }
 
 
 def _with_classes(attributes: dict[str, str]) -> dict[str, str]:
-    classes = [f"{key}-{_ROLES[attributes[key]]}" for key in ("fill", "stroke") if attributes.get(key) in _ROLES]
+    classes = [
+        f"{key}-{_ROLES[attributes[key]]}"
+        for key in ("fill", "stroke")
+        if attributes.get(key) in _ROLES
+    ]
     return {"class": " ".join(classes), **attributes} if classes else attributes
 
 
 def _kept(key: str, value: str, defined: Mapping[str, str]) -> bool:
-    return not (key == "id" and value not in defined) and not (key == "transform" and value.startswith("rotate(-0 ")) and key != "target"
+    return (
+        not (key == "id" and value not in defined)
+        and not (key == "transform" and value.startswith("rotate(-0 "))
+        and key != "target"
+    )
 
 
 def _value(key: str, value: str, defined: Mapping[str, str]) -> str:
@@ -223,7 +297,9 @@ MOST_STEPS = 400  # of a curve
 
 
 def telling(weight: Floats, most: int = MOST_POINTS) -> NDArray[np.intp]:
-    """Indices, in order, of at most `most` of n points: the half with the greatest `weight` (n,), and every so-manieth of the others."""
+    """Indices, in order, of at most `most` of n points: the half with the greatest `weight` (n,),
+    and every so-manieth of the others.
+    """
     if weight.size <= most:
         return np.arange(weight.size)
     order = np.argsort(-weight, kind="stable")
@@ -238,9 +314,14 @@ def told(drawn: int, of: int) -> str:
 
 
 def envelope(values: Floats, most: int = MOST_STEPS) -> NDArray[np.intp]:
-    """Indices, in order, of the least and the greatest of each stretch of a curve (n,), its ends among them: no peak is lost."""
+    """Indices, in order, of the least and the greatest of each stretch of a curve (n,), its ends
+    among them: no peak is lost.
+    """
     if values.size <= 2 * most:
         return np.arange(values.size)
     edges = np.linspace(0, values.size, most + 1).round().astype(np.intp)
-    parts = [(start + int(values[start:end].argmin()), start + int(values[start:end].argmax())) for start, end in pairwise(edges)]
+    parts = [
+        (start + int(values[start:end].argmin()), start + int(values[start:end].argmax()))
+        for start, end in pairwise(edges)
+    ]
     return np.unique([0, *(index for pair in parts for index in pair), values.size - 1])

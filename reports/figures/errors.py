@@ -1,6 +1,7 @@
 """Two runs of the same scenes, drawn against each other. Knows only millimetres.
 
-Errors as plots: the cloud with its limit circle, the histogram, the strips of each axis. Knows nothing but millimetres.
+Errors as plots: the cloud with its limit circle, the histogram, the strips of each axis. Knows
+nothing but millimetres.
 
 Errors teat by teat, as boxes, and in the order of time. Knows only millimetres, minutes and names.
 """
@@ -38,8 +39,12 @@ from reports.figures.drawing import (
 _CHANGE_SQUARE = (HALF_INCHES, 4.2)
 
 
-def change_scatter(old_mm: ArrayLike, new_mm: ArrayLike, limit_mm: float, *, name: str = "change-scatter") -> str:
-    """Errors of the same scenes before (n,) and now (n,): above the diagonal it grew worse; the limit on both axes."""
+def change_scatter(
+    old_mm: ArrayLike, new_mm: ArrayLike, limit_mm: float, *, name: str = "change-scatter"
+) -> str:
+    """Errors of the same scenes before (n,) and now (n,): above the diagonal it grew worse; the
+    limit on both axes.
+    """
     old, new = together("change_scatter", old_mm=old_mm, new_mm=new_mm)
     if not old.size:
         return not_measured(name, _CHANGE_SQUARE, "no scene was found in both")
@@ -54,8 +59,14 @@ def change_scatter(old_mm: ArrayLike, new_mm: ArrayLike, limit_mm: float, *, nam
         drawn = telling(np.abs(new - old))
         for grown, role in ((new > old, "limit"), (new <= old, "good")):
             shown = drawn[grown[drawn]]
-            axes.scatter(old[shown], new[shown], s=18, color=COLOURS[role], alpha=0.75, linewidths=0)
-        entries: list[LegendEntry] = [("grew", "limit", "o"), ("not grown", "good", "o"), ("no change", "muted", "-")]
+            axes.scatter(
+                old[shown], new[shown], s=18, color=COLOURS[role], alpha=0.75, linewidths=0
+            )
+        entries: list[LegendEntry] = [
+            ("grew", "limit", "o"),
+            ("not grown", "good", "o"),
+            ("no change", "muted", "-"),
+        ]
         legend(figure, entries)
 
     return draw(name, _CHANGE_SQUARE, plot)
@@ -73,9 +84,11 @@ def error_scatter(
     links: Sequence[str] | None = None,
     name: str = "error-scatter",
 ) -> str:
-    """Error across (n,) against error along the viewing axis (n,), with the limit as a circle and, dashed, the acceptance limit.
+    """Error across (n,) against error along the viewing axis (n,), with the limit as a circle and,
+    dashed, the acceptance limit.
 
-    `links`: for each point the `#id` that a click opens. Equal scales, so that the shape of the cloud is the shape of the error.
+    `links`: for each point the `#id` that a click opens. Equal scales, so that the shape of the
+    cloud is the shape of the error.
     """
     across, along = together("error_scatter", lateral_mm=lateral_mm, depth_mm=depth_mm)
     if not across.size:
@@ -84,27 +97,57 @@ def error_scatter(
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot(aspect="equal")
         reach = 1.12 * max(limit_mm, float(np.abs(across).max()), float(np.abs(along).max()))
-        axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="lateral error (mm)", ylabel="depth error (mm)")
+        axes.set(
+            xlim=(-reach, reach),
+            ylim=(-reach, reach),
+            xlabel="lateral error (mm)",
+            ylabel="depth error (mm)",
+        )
         axes.axhline(0, color=COLOURS["muted"], linewidth=0.6)
         axes.axvline(0, color=COLOURS["muted"], linewidth=0.6)
-        axes.add_patch(Circle((0, 0), limit_mm, fill=False, edgecolor=COLOURS["limit"], linewidth=1.4))
+        axes.add_patch(
+            Circle((0, 0), limit_mm, fill=False, edgecolor=COLOURS["limit"], linewidth=1.4)
+        )
         if accept_mm is not None:
-            axes.add_patch(Circle((0, 0), accept_mm, fill=False, edgecolor=COLOURS["accept"], linewidth=1, linestyle="--"))
+            axes.add_patch(
+                Circle(
+                    (0, 0),
+                    accept_mm,
+                    fill=False,
+                    edgecolor=COLOURS["accept"],
+                    linewidth=1,
+                    linestyle="--",
+                )
+            )
         drawn = telling(np.hypot(across, along))
-        points = axes.scatter(across[drawn], along[drawn], s=18, color=COLOURS["ours"], alpha=0.7, linewidths=0)
+        points = axes.scatter(
+            across[drawn], along[drawn], s=18, color=COLOURS["ours"], alpha=0.7, linewidths=0
+        )
         if links is not None:
             points.set_urls([links[index] for index in drawn])
         legend(figure, _limits(limit_mm, accept_mm))
         if len(drawn) < across.size:
-            axes.set_title(told(len(drawn), across.size).strip(" ()"), loc="left", color=COLOURS["muted"])
+            axes.set_title(
+                told(len(drawn), across.size).strip(" ()"), loc="left", color=COLOURS["muted"]
+            )
 
     if links is not None and len(links) != across.size:
-        raise ValueError(f"error_scatter: {len(links)} links for {across.size} points; give one a point")
+        raise ValueError(
+            f"error_scatter: {len(links)} links for {across.size} points; give one a point"
+        )
     return draw(name, _SQUARE, plot)
 
 
-def error_histogram(errors_mm: ArrayLike, limit_mm: float, *, accept_mm: float | None = None, name: str = "error-histogram") -> str:
-    """Counts of the radial errors (n,) in bins of at most a tenth of the limit's range, their cumulative share, and the limit."""
+def error_histogram(
+    errors_mm: ArrayLike,
+    limit_mm: float,
+    *,
+    accept_mm: float | None = None,
+    name: str = "error-histogram",
+) -> str:
+    """Counts of the radial errors (n,) in bins of at most a tenth of the limit's range, their
+    cumulative share, and the limit.
+    """
     errors = finite("error_histogram", "errors_mm", errors_mm)
     if not errors.size:
         return not_measured(name, _SQUARE, "no teat end was paired with a truth")
@@ -112,13 +155,24 @@ def error_histogram(errors_mm: ArrayLike, limit_mm: float, *, accept_mm: float |
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
         reach = 1.12 * max(limit_mm, float(errors.max()))
-        axes.hist(errors, bins=np.linspace(0, reach, 23).tolist(), color=COLOURS["span"], edgecolor=COLOURS["ours"], linewidth=0.7)
+        axes.hist(
+            errors,
+            bins=np.linspace(0, reach, 23).tolist(),
+            color=COLOURS["span"],
+            edgecolor=COLOURS["ours"],
+            linewidth=0.7,
+        )
         axes.set(xlim=(0, reach), xlabel="radial error (mm)", ylabel="teat ends")
         axes.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
         share = axes.twinx()
         ordered = np.sort(errors)
         at = np.unique(np.linspace(0, errors.size - 1, MOST_STEPS).round().astype(np.intp))
-        share.step(np.r_[0, ordered[at], reach], np.r_[0, (at + 1) / errors.size, 1], where="post", color=COLOURS["ink"])
+        share.step(
+            np.r_[0, ordered[at], reach],
+            np.r_[0, (at + 1) / errors.size, 1],
+            where="post",
+            color=COLOURS["ink"],
+        )
         share.set(ylim=(0, 1.1), ylabel="share at or below")
         share.yaxis.set_major_formatter(PercentFormatter(1))
         share.grid(visible=False)
@@ -138,10 +192,18 @@ def per_axis_errors(
     axes_names: tuple[str, str, str] = ("x", "y", "z"),
     name: str = "per-axis-errors",
 ) -> str:
-    """Signed errors of each situation, (n_k, 3) in mm: every point, the mean as a bar, the limit on both sides; one panel an axis."""
+    """Signed errors of each situation, (n_k, 3) in mm: every point, the mean as a bar, the limit on
+    both sides; one panel an axis.
+    """
     if len(situations) != len(errors_mm):
-        raise ValueError(f"per_axis_errors: {len(situations)} situations for {len(errors_mm)} arrays; give one array a situation")
-    arrays = [finite("per_axis_errors", f"errors_mm[{k}]", errors).reshape(-1, 3) for k, errors in enumerate(errors_mm)]
+        raise ValueError(
+            f"per_axis_errors: {len(situations)} situations for {len(errors_mm)} arrays; give one"
+            " array a situation"
+        )
+    arrays = [
+        finite("per_axis_errors", f"errors_mm[{k}]", errors).reshape(-1, 3)
+        for k, errors in enumerate(errors_mm)
+    ]
     inches = (WIDE_INCHES, 0.9 + 0.3 * max(len(situations), 3))
     if not any(array.size for array in arrays):
         return not_measured(name, inches, "no teat end was paired with a truth")
@@ -157,13 +219,25 @@ def per_axis_errors(
                 panel.axvline(side, color=COLOURS["limit"], linewidth=1)
             for row, array in enumerate(arrays):
                 _strip(panel, row, array[:, axis], each)
-            panel.set(xlim=(-reach, reach), ylim=(len(situations) - 0.5, -0.5), xlabel=f"{plain(axes_names[axis])} error (mm)")
+            panel.set(
+                xlim=(-reach, reach),
+                ylim=(len(situations) - 0.5, -0.5),
+                xlabel=f"{plain(axes_names[axis])} error (mm)",
+            )
             panel.grid(visible=False, axis="y")
             panel.tick_params(axis="y", length=0)
         legend(
             figure,
             [
-                ("one teat end" if every else f"teat ends, at most {each} drawn, the worst among them", "ours", "o"),
+                (
+                    (
+                        "one teat end"
+                        if every
+                        else f"teat ends, at most {each} drawn, the worst among them"
+                    ),
+                    "ours",
+                    "o",
+                ),
                 ("mean", "ink", "-"),
                 (f"limit ± {limit_mm:g} mm", "limit", "-"),
             ],
@@ -174,14 +248,20 @@ def per_axis_errors(
 
 
 def _limits(limit_mm: float, accept_mm: float | None) -> list[LegendEntry]:
-    accepted: list[LegendEntry] = [] if accept_mm is None else [(f"accepted to {accept_mm:.3f} mm", "accept", "--")]
+    accepted: list[LegendEntry] = (
+        [] if accept_mm is None else [(f"accepted to {accept_mm:.3f} mm", "accept", "--")]
+    )
     return [(f"limit {limit_mm:g} mm", "limit", "-"), *accepted]
 
 
 def _strip(axes: Axes, row: int, values: Floats, most: int) -> None:
-    """Points of one situation, spread in a fixed zigzag so that equal values stay apart, and their mean."""
+    """Points of one situation, spread in a fixed zigzag so that equal values stay apart, and their
+    mean.
+    """
     if not values.size:
-        axes.text(0, row, "not measured", ha="center", va="center", color=COLOURS["muted"], fontsize=7.5)
+        axes.text(
+            0, row, "not measured", ha="center", va="center", color=COLOURS["muted"], fontsize=7.5
+        )
         return
     drawn = values[telling(np.abs(values), most)]
     axes.plot(
@@ -202,11 +282,24 @@ _HIGH = 3.6
 _MOST_BEYOND = 60  # points beyond the whiskers of a box
 
 
-def teat_boxes(teats: Sequence[str], errors_mm: Sequence[ArrayLike], limit_mm: float, *, name: str = "teat-boxes") -> str:
-    """Radial errors of each teat, (n_k,): quartiles and median as a box, whiskers to 1.5 quartile ranges, points beyond; counts below."""
+def teat_boxes(
+    teats: Sequence[str],
+    errors_mm: Sequence[ArrayLike],
+    limit_mm: float,
+    *,
+    name: str = "teat-boxes",
+) -> str:
+    """Radial errors of each teat, (n_k,): quartiles and median as a box, whiskers to 1.5 quartile
+    ranges, points beyond; counts below.
+    """
     if len(teats) != len(errors_mm):
-        raise ValueError(f"teat_boxes: {len(teats)} teats for {len(errors_mm)} arrays; give one array a teat")
-    arrays = [finite("teat_boxes", f"errors_mm[{k}]", errors).ravel() for k, errors in enumerate(errors_mm)]
+        raise ValueError(
+            f"teat_boxes: {len(teats)} teats for {len(errors_mm)} arrays; give one array a teat"
+        )
+    arrays = [
+        finite("teat_boxes", f"errors_mm[{k}]", errors).ravel()
+        for k, errors in enumerate(errors_mm)
+    ]
     if not any(array.size for array in arrays):
         return not_measured(name, (HALF_INCHES, _HIGH), "no teat end was paired with a truth")
 
@@ -218,45 +311,84 @@ def teat_boxes(teats: Sequence[str], errors_mm: Sequence[ArrayLike], limit_mm: f
         for box in boxes:
             box["fliers"] = box["fliers"][telling(box["fliers"], _MOST_BEYOND)]
         axes.bxp(
-            boxes, positions=places, widths=0.5, patch_artist=True,
-            boxprops={"facecolor": COLOURS["span"], "edgecolor": COLOURS["ours"], "linewidth": 1.1}, whiskerprops=line, capprops=line,
+            boxes,
+            positions=places,
+            widths=0.5,
+            patch_artist=True,
+            boxprops={"facecolor": COLOURS["span"], "edgecolor": COLOURS["ours"], "linewidth": 1.1},
+            whiskerprops=line,
+            capprops=line,
             medianprops={"color": COLOURS["ink"], "linewidth": 1.6},
-            flierprops={"marker": "o", "markersize": 3, "markerfacecolor": COLOURS["ours"], "markeredgewidth": 0},
-        )  # fmt: skip
+            flierprops={
+                "marker": "o",
+                "markersize": 3,
+                "markerfacecolor": COLOURS["ours"],
+                "markeredgewidth": 0,
+            },
+        )
         axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
-        axes.set(xlim=(-0.6, len(teats) - 0.4), ylim=(0, None), ylabel="distance to the teat end (mm)")
-        axes.set_xticks(range(len(teats)), [f"{plain(teat, 12)}\nn = {array.size}" for teat, array in zip(teats, arrays, strict=True)])
+        axes.set(
+            xlim=(-0.6, len(teats) - 0.4), ylim=(0, None), ylabel="distance to the teat end (mm)"
+        )
+        axes.set_xticks(
+            range(len(teats)),
+            [
+                f"{plain(teat, 12)}\nn = {array.size}"
+                for teat, array in zip(teats, arrays, strict=True)
+            ],
+        )
         axes.grid(visible=False, axis="x")
-        entries: list[LegendEntry] = [("middle half", "span", "patch"), ("median", "ink", "-"), (f"limit {limit_mm:g} mm", "limit", "-")]
+        entries: list[LegendEntry] = [
+            ("middle half", "span", "patch"),
+            ("median", "ink", "-"),
+            (f"limit {limit_mm:g} mm", "limit", "-"),
+        ]
         legend(figure, entries)
 
     return draw(name, (HALF_INCHES, _HIGH), plot)
 
 
 def error_drift(
-    time_min: ArrayLike, error_mm: ArrayLike, limit_mm: float, *, links: Sequence[str] | None = None, name: str = "error-drift"
+    time_min: ArrayLike,
+    error_mm: ArrayLike,
+    limit_mm: float,
+    *,
+    links: Sequence[str] | None = None,
+    name: str = "error-drift",
 ) -> str:
-    """Radial errors (n,) over the time of their capture (n,), with the line of least squares; `links` as of the scatter."""
+    """Radial errors (n,) over the time of their capture (n,), with the line of least squares;
+    `links` as of the scatter.
+    """
     time, errors = together("error_drift", time_min=time_min, error_mm=error_mm)
     if links is not None and len(links) != time.size:
-        raise ValueError(f"error_drift: {len(links)} links for {time.size} points; give one a point")
+        raise ValueError(
+            f"error_drift: {len(links)} links for {time.size} points; give one a point"
+        )
     if not time.size:
         return not_measured(name, (HALF_INCHES, _HIGH), "no teat end was paired with a truth")
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
         drawn = telling(errors)
-        points = axes.scatter(time[drawn], errors[drawn], s=16, color=COLOURS["ours"], alpha=0.7, linewidths=0)
+        points = axes.scatter(
+            time[drawn], errors[drawn], s=16, color=COLOURS["ours"], alpha=0.7, linewidths=0
+        )
         if links is not None:
             points.set_urls([links[index] for index in drawn])
         entries: list[LegendEntry] = [("one teat end", "ours", "o")]
         if np.ptp(time) > 0:
             slope, level = np.polyfit(time - time.mean(), errors, 1)
             ends = np.array([time.min(), time.max()])
-            axes.plot(ends, level + slope * (ends - time.mean()), color=COLOURS["ink"], linewidth=1.4)
+            axes.plot(
+                ends, level + slope * (ends - time.mean()), color=COLOURS["ink"], linewidth=1.4
+            )
             entries.append((f"line: {slope * np.ptp(time):+.2f} mm over the run", "ink", "-"))
         axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
-        axes.set(ylim=(0, 1.1 * max(limit_mm, float(errors.max()))), xlabel="time of the capture (min)", ylabel="distance (mm)")
+        axes.set(
+            ylim=(0, 1.1 * max(limit_mm, float(errors.max()))),
+            xlabel="time of the capture (min)",
+            ylabel="distance (mm)",
+        )
         legend(figure, [*entries, (f"limit {limit_mm:g} mm", "limit", "-")])
 
     return draw(name, (HALF_INCHES, _HIGH), plot)

@@ -1,7 +1,8 @@
-"""The error over places, seen from above and from the front: a disc at each place, its area the error; what was missed stands out.
+"""The error over places, seen from above and from the front: a disc at each place, its area the
+error; what was missed stands out.
 
-Several teats are small multiples, a column a teat, each about its own places and all on one scale: overlaid they would hide each other.
-Knows only millimetres and names.
+Several teats are small multiples, a column a teat, each about its own places and all on one scale:
+overlaid they would hide each other. Knows only millimetres and names.
 """
 
 from __future__ import annotations
@@ -31,17 +32,21 @@ from reports.figures.drawing import (
 _INCHES = (WIDE_INCHES, 5.6)
 _MARK = 90.0  # points squared, of an error at the limit; the area grows with the error
 _LEAST, _MOST = 6.0, 360.0
-_STEP, _COARSE_STEP = 1.0, 3.0  # of a disc's diameter, in points: each size is an outline of its own in the file, and in every panel
+# of a disc's diameter, in points: each size is an outline of its own in the file, and in every
+# panel
+_STEP, _COARSE_STEP = 1.0, 3.0
 _MOST_MARKS = 240  # discs, and as many triangles, of all panels together
 _ACROSS = 4  # columns; more teats begin another row
-_APART_MM = 10.0  # places that differ less in height are one plane, and a front view of it would be a line
+# places that differ less in height are one plane, and a front view of it would be a line
+_APART_MM = 10.0
 _VIEWS = {"above": (1, "y (mm)"), "front": (2, "z (mm)")}
 _LEAST_SPAN_MM = 40.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TeatPlaces:
-    """One teat: radial errors (n,) mm at places (n, 3) mm, and the places (m, 3) where it was missed.
+    """One teat: radial errors (n,) mm at places (n, 3) mm, and the places (m, 3) where it was
+    missed.
 
     ``links`` (n) and ``missed_links`` (m): the `#id` that a click on the mark opens.
     """
@@ -60,9 +65,16 @@ class TeatPlaces:
         missed = finite("error_map", "missed_mm", self.missed_mm).reshape(-1, 3)
         counts = {"error_mm": len(errors), "links": len(self.links) or len(places)}
         wrong = [f"{what} {n}" for what, n in counts.items() if n != len(places)]
-        wrong += [] if len(self.missed_links) in {0, len(missed)} else [f"missed_links {len(self.missed_links)} for {len(missed)} missed"]
+        wrong += (
+            []
+            if len(self.missed_links) in {0, len(missed)}
+            else [f"missed_links {len(self.missed_links)} for {len(missed)} missed"]
+        )
         if wrong:
-            raise ValueError(f"error_map: teat {self.name}: lengths differ: places_mm {len(places)}, {', '.join(wrong)}")
+            raise ValueError(
+                f"error_map: teat {self.name}: lengths differ: places_mm {len(places)},"
+                f" {', '.join(wrong)}"
+            )
         return _Marks(places, errors, missed, np.array(self.links), np.array(self.missed_links))
 
 
@@ -81,13 +93,17 @@ class _Marks:
     def thinned(self, most: int) -> _Marks:
         """At most so many discs and so many triangles."""
         found, gone = telling(self.errors, most), telling(np.zeros(len(self.missed)), most)
-        links, missed_links = (of[at] if len(of) else of for of, at in ((self.links, found), (self.missed_links, gone)))
-        return _Marks(self.places[found], self.errors[found], self.missed[gone], links, missed_links)
+        links, missed_links = (
+            of[at] if len(of) else of for of, at in ((self.links, found), (self.missed_links, gone))
+        )
+        return _Marks(
+            self.places[found], self.errors[found], self.missed[gone], links, missed_links
+        )
 
 
 def error_map(teat: TeatPlaces, limit_mm: float, *, name: str = "error-map") -> str:
-    """One teat's radial errors over a plane, from above, as discs whose area is the error, one colour within the limit and one beyond it;
-    a triangle where it was missed. Equal scales.
+    """One teat's radial errors over a plane, from above, as discs whose area is the error, one
+    colour within the limit and one beyond it; a triangle where it was missed. Equal scales.
     """
     marks = teat.checked()
     if not len(marks.everywhere):
@@ -105,11 +121,15 @@ def error_map(teat: TeatPlaces, limit_mm: float, *, name: str = "error-map") -> 
 
 
 def error_maps(teats: Sequence[TeatPlaces], limit_mm: float, *, name: str = "error-maps") -> str:
-    """The same for each teat beside the others, all on one scale; a view from the front besides where the places differ in height."""
+    """The same for each teat beside the others, all on one scale; a view from the front besides
+    where the places differ in height.
+    """
     columns = [teat.checked() for teat in teats]
     if not sum(len(marks.everywhere) for marks in columns):
         return not_measured(name, _INCHES, "no place had a truth")
-    spans = np.max([np.ptp(marks.everywhere, axis=0) for marks in columns if len(marks.everywhere)], axis=0)
+    spans = np.max(
+        [np.ptp(marks.everywhere, axis=0) for marks in columns if len(marks.everywhere)], axis=0
+    )
     views = ["above", "front"] if spans[2] > _APART_MM else ["above"]
     half = 0.5 * np.maximum(1.25 * spans, _LEAST_SPAN_MM)
     across = min(_ACROSS, len(columns))
@@ -117,7 +137,11 @@ def error_maps(teats: Sequence[TeatPlaces], limit_mm: float, *, name: str = "err
     drawn = [marks.thinned(_MOST_MARKS // (len(columns) * len(views))) for marks in columns]
 
     def plot(figure: Figure) -> None:
-        grid = figure.add_gridspec(bands * len(views), across, height_ratios=[half[_VIEWS[view][0]] for view in views] * bands)
+        grid = figure.add_gridspec(
+            bands * len(views),
+            across,
+            height_ratios=[half[_VIEWS[view][0]] for view in views] * bands,
+        )
         for row, view in enumerate(views):
             for k, (teat, marks) in enumerate(zip(teats, columns, strict=True)):
                 band, column = divmod(k, across)
@@ -125,16 +149,28 @@ def error_maps(teats: Sequence[TeatPlaces], limit_mm: float, *, name: str = "err
                 _view(axes, view, drawn[k], limit_mm, _COARSE_STEP)
                 _centre(axes, view, marks.everywhere, half)
                 if row == 0:
-                    axes.set_title(f"teat {plain(teat.name, 12)}\n{len(marks.places)} found, {len(marks.missed)} missed", loc="left")
-                axes.set(xlabel="x (mm)" if row == len(views) - 1 else "", ylabel=_VIEWS[view][1] if column == 0 else "")
+                    axes.set_title(
+                        f"teat {plain(teat.name, 12)}\n{len(marks.places)} found,"
+                        f" {len(marks.missed)} missed",
+                        loc="left",
+                    )
+                axes.set(
+                    xlabel="x (mm)" if row == len(views) - 1 else "",
+                    ylabel=_VIEWS[view][1] if column == 0 else "",
+                )
         _told(figure, columns, drawn, limit_mm)
 
-    high = sum(0.62 + 2.0 * half[_VIEWS[view][0]] / (2.0 * half[0]) * (WIDE_INCHES / across - 0.55) for view in views)
+    high = sum(
+        0.62 + 2.0 * half[_VIEWS[view][0]] / (2.0 * half[0]) * (WIDE_INCHES / across - 0.55)
+        for view in views
+    )
     return draw(name, (WIDE_INCHES, float(min(0.35 + bands * high, 14.0))), plot)
 
 
 def _view(axes: Axes, view: str, marks: _Marks, limit_mm: float, step: float) -> None:
-    """Discs in steps of size, one size at a time: the discs of a size share their outline in the file."""
+    """Discs in steps of size, one size at a time: the discs of a size share their outline in the
+    file.
+    """
     flat = [0, _VIEWS[view][0]]
     across = np.sqrt(np.clip(_MARK * marks.errors / limit_mm, _LEAST, _MOST))
     area = (np.maximum(np.round(across / step), 1.0) * step) ** 2
@@ -155,16 +191,29 @@ def _centre(axes: Axes, view: str, places: Floats, half: Floats) -> None:
     """Of one size in every panel; a teat that was nowhere has an empty one."""
     middle = (places.min(axis=0) + places.max(axis=0)) / 2.0 if len(places) else np.zeros(3)
     up = _VIEWS[view][0]
-    axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[up] - half[up], middle[up] + half[up]))
+    axes.set(
+        xlim=(middle[0] - half[0], middle[0] + half[0]),
+        ylim=(middle[up] - half[up], middle[up] + half[up]),
+    )
 
 
-def _told(figure: Figure, all_of: Sequence[_Marks], drawn: Sequence[_Marks], limit_mm: float) -> None:
+def _told(
+    figure: Figure, all_of: Sequence[_Marks], drawn: Sequence[_Marks], limit_mm: float
+) -> None:
     """The legend, and what isn't drawn where that is so."""
-    entries: list[LegendEntry] = [(f"within {limit_mm:g} mm", "good", "o"), ("beyond", "limit", "o"), ("not found", "muted", "v")]
+    entries: list[LegendEntry] = [
+        (f"within {limit_mm:g} mm", "good", "o"),
+        ("beyond", "limit", "o"),
+        ("not found", "muted", "v"),
+    ]
     legend(figure, entries)
     (found, missed), (of_found, of_missed) = (
-        (sum(len(marks.places) for marks in part), sum(len(marks.missed) for marks in part)) for part in (drawn, all_of)
+        (sum(len(marks.places) for marks in part), sum(len(marks.missed) for marks in part))
+        for part in (drawn, all_of)
     )
     if (found, missed) != (of_found, of_missed):
-        left_out = f"{found} of {of_found} found ends drawn, the worst among them, and {missed} of {of_missed} missed"
+        left_out = (
+            f"{found} of {of_found} found ends drawn, the worst among them, and {missed} of"
+            f" {of_missed} missed"
+        )
         figure.supxlabel(left_out, fontsize=8.5, color=COLOURS["muted"])

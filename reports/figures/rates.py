@@ -1,6 +1,7 @@
 """Shares as plots, with the counts that they come from. A share of nothing is "not measured".
 
-What each of many straight lines makes of its quantity's whole range, with intervals: a row a question. Knows only numbers and names.
+What each of many straight lines makes of its quantity's whole range, with intervals: a row a
+question. Knows only numbers and names.
 """
 
 from __future__ import annotations
@@ -14,7 +15,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from reports.figures.drawing import COLOURS, HALF_INCHES, WIDE_INCHES, draw, legend, not_measured, plain
+from reports.figures.drawing import (
+    COLOURS,
+    HALF_INCHES,
+    WIDE_INCHES,
+    draw,
+    legend,
+    not_measured,
+    plain,
+)
 
 
 def found_bars(
@@ -26,9 +35,14 @@ def found_bars(
     thesis_present: int = 4,
     name: str = "found-bars",
 ) -> str:
-    """Share of the teats found in each situation, ours over the thesis's, with the counts written out. None: the thesis gives no figure."""
+    """Share of the teats found in each situation, ours over the thesis's, with the counts written
+    out. None: the thesis gives no figure.
+    """
     if not len(situations) == len(found) == len(present) == len(thesis_found):
-        lengths = f"{len(situations)} situations, {len(found)} found, {len(present)} present, {len(thesis_found)} of the thesis"
+        lengths = (
+            f"{len(situations)} situations, {len(found)} found, {len(present)} present,"
+            f" {len(thesis_found)} of the thesis"
+        )
         raise ValueError(f"found_bars: {lengths}; the lengths differ")
     inches = (HALF_INCHES, 0.9 + 0.52 * max(len(situations), 3))
     if not situations:
@@ -40,7 +54,11 @@ def found_bars(
             _share_bar(axes, row - 0.2, ours, of, "ours")
             if theirs is not None:
                 _share_bar(axes, row + 0.2, theirs, thesis_present, "theirs")
-        axes.set(xlim=(0, 1.28), xlabel="share of visible teats found", ylim=(len(situations) - 0.45, -0.55))
+        axes.set(
+            xlim=(0, 1.28),
+            xlabel="share of visible teats found",
+            ylim=(len(situations) - 0.45, -0.55),
+        )
         axes.set_yticks(range(len(situations)), [plain(text) for text in situations])
         axes.set_xticks([0, 0.25, 0.5, 0.75, 1])
         axes.xaxis.set_major_formatter(PercentFormatter(1))
@@ -60,8 +78,9 @@ def _share_bar(axes: Axes, y: float, found: int, of: int, role: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Slope:
-    """One line: its question, the response that it asks of, and what it makes over the range with its interval; ``shown`` is whether it is
-    told from nothing."""
+    """One line: its question, the response that it asks of, and what it makes over the range with
+    its interval; ``shown`` is whether it is told from nothing.
+    """
 
     against: str
     response: str
@@ -71,11 +90,21 @@ class Slope:
     shown: bool
 
 
-def slope_intervals(slopes: Sequence[Slope], unit: str = "mm", *, name: str = "slope-intervals") -> str:
-    """A panel a response, a row a question: the value with its interval and a line at nothing. Raises ValueError for what isn't finite."""
-    bad = [slope.against for slope in slopes if not all(map(isfinite, (slope.value, slope.low, slope.high)))]
+def slope_intervals(
+    slopes: Sequence[Slope], unit: str = "mm", *, name: str = "slope-intervals"
+) -> str:
+    """A panel a response, a row a question: the value with its interval and a line at nothing.
+    Raises ValueError for what isn't finite.
+    """
+    bad = [
+        slope.against
+        for slope in slopes
+        if not all(map(isfinite, (slope.value, slope.low, slope.high)))
+    ]
     if bad:
-        raise ValueError(f"slope_intervals: {bad[0]} is not finite; leave out what was not measured")
+        raise ValueError(
+            f"slope_intervals: {bad[0]} is not finite; leave out what was not measured"
+        )
     rows = list(dict.fromkeys(slope.against for slope in slopes))
     panels = list(dict.fromkeys(slope.response for slope in slopes))
     if not rows:
@@ -83,16 +112,31 @@ def slope_intervals(slopes: Sequence[Slope], unit: str = "mm", *, name: str = "s
 
     def plot(figure: Figure) -> None:
         reach = 1.1 * max(1e-6, *(max(abs(slope.low), abs(slope.high)) for slope in slopes))
-        for axes, panel in zip(figure.subplots(1, len(panels), sharey=True, squeeze=False)[0], panels, strict=True):
+        for axes, panel in zip(
+            figure.subplots(1, len(panels), sharey=True, squeeze=False)[0], panels, strict=True
+        ):
             axes.axvline(0, color=COLOURS["muted"], linewidth=0.8)
             for slope in (one for one in slopes if one.response == panel):
                 y, colour = rows.index(slope.against), COLOURS["limit" if slope.shown else "ours"]
                 axes.plot([slope.low, slope.high], [y, y], color=colour, linewidth=1.4)
-                axes.plot([slope.value], [y], color=colour, marker="D" if slope.shown else "o", markersize=4.5, markeredgewidth=0)
-            axes.set(xlim=(-reach, reach), ylim=(len(rows) - 0.5, -0.5), xlabel=f"{plain(panel)} ({unit})")
+                axes.plot(
+                    [slope.value],
+                    [y],
+                    color=colour,
+                    marker="D" if slope.shown else "o",
+                    markersize=4.5,
+                    markeredgewidth=0,
+                )
+            axes.set(
+                xlim=(-reach, reach),
+                ylim=(len(rows) - 0.5, -0.5),
+                xlabel=f"{plain(panel)} ({unit})",
+            )
             axes.set_yticks(np.arange(len(rows)), [plain(row) for row in rows])
             axes.tick_params(axis="y", length=0)
             axes.grid(visible=False, axis="y")
-        legend(figure, [("no trend shown, 95 % interval", "ours", "o"), ("trend shown", "limit", "D")])
+        legend(
+            figure, [("no trend shown, 95 % interval", "ours", "o"), ("trend shown", "limit", "D")]
+        )
 
     return draw(name, (WIDE_INCHES, 0.9 + 0.28 * max(len(rows), 3)), plot)

@@ -1,4 +1,6 @@
-"""How errors grow with one quantity: a curve a method, what physics allows, and below it the share that was found. Knows only numbers."""
+"""How errors grow with one quantity: a curve a method, what physics allows, and below it the share
+that was found. Knows only numbers.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +11,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator, PercentFormatter
 from numpy.typing import ArrayLike
 
-from reports.figures.drawing import COLOURS, WIDE_INCHES, Floats, LegendEntry, draw, legend, not_measured, plain, together
+from reports.figures.drawing import (
+    COLOURS,
+    WIDE_INCHES,
+    Floats,
+    LegendEntry,
+    draw,
+    legend,
+    not_measured,
+    plain,
+    together,
+)
 
 _INCHES = (WIDE_INCHES, 5.0)
 _ROLES = ("ours", "theirs", "accept", "muted")  # of methods, in their order
@@ -19,7 +31,9 @@ _TICKS_MM = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
-    """One method: median and p95 errors (n,) mm where anything was found, at ``x`` (n,), and the share found (m,) at ``share_x`` (m,)."""
+    """One method: median and p95 errors (n,) mm where anything was found, at ``x`` (n,), and the
+    share found (m,) at ``share_x`` (m,).
+    """
 
     name: str
     x: ArrayLike
@@ -31,8 +45,9 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bound:
-    """What physics allows: the median error (n,) mm at ``x`` (n,) by noise alone, the same for a disparity that is good to so many
-    pixels, and the share (m,) that can be found at ``share_x`` (m,).
+    """What physics allows: the median error (n,) mm at ``x`` (n,) by noise alone, the same for a
+    disparity that is good to so many pixels, and the share (m,) that can be found at ``share_x``
+    (m,).
     """
 
     x: ArrayLike
@@ -43,28 +58,62 @@ class Bound:
     share: ArrayLike = ()
 
 
-def sensitivity(curves: Sequence[Curve], bound: Bound, label: str, *, logarithmic: bool = False, name: str = "sensitivity") -> str:
-    """Errors over the quantity ``label``: medians as lines with discs, p95 thin and dashed with triangles, bounds; shares found below.
+def sensitivity(
+    curves: Sequence[Curve],
+    bound: Bound,
+    label: str,
+    *,
+    logarithmic: bool = False,
+    name: str = "sensitivity",
+) -> str:
+    """Errors over the quantity ``label``: medians as lines with discs, p95 thin and dashed with
+    triangles, bounds; shares found below.
 
-    Raises ValueError for numbers that aren't finite, errors that aren't above zero on their logarithmic scale, or too many curves.
+    Raises ValueError for numbers that aren't finite, errors that aren't above zero on their
+    logarithmic scale, or too many curves.
     """
     if len(curves) > MOST_CURVES:
-        raise ValueError(f"sensitivity: {len(curves)} curves; at most {MOST_CURVES} can be told apart")
-    errors = [together("sensitivity", x=c.x, median_mm=c.median_mm, p95_mm=c.p95_mm) for c in curves]
+        raise ValueError(
+            f"sensitivity: {len(curves)} curves; at most {MOST_CURVES} can be told apart"
+        )
+    errors = [
+        together("sensitivity", x=c.x, median_mm=c.median_mm, p95_mm=c.p95_mm) for c in curves
+    ]
     shares = [together("sensitivity", share_x=c.share_x, share=c.share) for c in curves]
-    limit_x, limit_mm, disparity = together("sensitivity", x=bound.x, median_mm=bound.median_mm, disparity_mm=bound.disparity_mm)
+    limit_x, limit_mm, disparity = together(
+        "sensitivity", x=bound.x, median_mm=bound.median_mm, disparity_mm=bound.disparity_mm
+    )
     share_x, share = together("sensitivity", share_x=bound.share_x, share=bound.share)
-    if any((column <= 0.0).any() for _, *columns in [*errors, (limit_x, limit_mm, disparity)] for column in columns):
-        raise ValueError("sensitivity: an error that is not above 0 mm has no place on a logarithmic scale")
+    if any(
+        (column <= 0.0).any()
+        for _, *columns in [*errors, (limit_x, limit_mm, disparity)]
+        for column in columns
+    ):
+        raise ValueError(
+            "sensitivity: an error that is not above 0 mm has no place on a logarithmic scale"
+        )
     if not any(x.size for x, _ in shares):
         return not_measured(name, _INCHES, "no value was measured")
 
     def plot(figure: Figure) -> None:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1.2))
         for role, (x, median, p95), (at, found) in zip(_ROLES, errors, shares, strict=False):
-            above.plot(x, median, color=COLOURS[role], marker="o", markersize=4.2, markeredgewidth=0)
-            above.plot(x, p95, color=COLOURS[role], linestyle="--", marker="v", markersize=4.2, markeredgewidth=0, linewidth=1)
-            below.plot(at, found, color=COLOURS[role], marker="o", markersize=4.2, markeredgewidth=0)
+            above.plot(
+                x, median, color=COLOURS[role], marker="o", markersize=4.2, markeredgewidth=0
+            )
+            above.plot(
+                x,
+                p95,
+                color=COLOURS[role],
+                linestyle="--",
+                marker="v",
+                markersize=4.2,
+                markeredgewidth=0,
+                linewidth=1,
+            )
+            below.plot(
+                at, found, color=COLOURS[role], marker="o", markersize=4.2, markeredgewidth=0
+            )
         above.plot(limit_x, limit_mm, color=COLOURS["limit"], linewidth=1.2)
         above.plot(limit_x, disparity, color=COLOURS["good"], linestyle="--", linewidth=1)
         below.plot(share_x, share, color=COLOURS["limit"], linewidth=1.2)
@@ -74,7 +123,9 @@ def sensitivity(curves: Sequence[Curve], bound: Bound, label: str, *, logarithmi
             ("limit by noise", "limit", "-"),
             (f"disparity to {bound.disparity_px:g} px", "good", "--"),
         ]
-        entries: list[LegendEntry] = [(plain(curve.name), role, "-") for role, curve in zip(_ROLES, curves, strict=False)]
+        entries: list[LegendEntry] = [
+            (plain(curve.name), role, "-") for role, curve in zip(_ROLES, curves, strict=False)
+        ]
         legend(figure, [*entries, *bounds])
 
     return draw(name, _INCHES, plot)

@@ -1,7 +1,9 @@
-"""Every fault of every emulator in every state of a short run: what the bench does about it, as a table.
+"""Every fault of every emulator in every state of a short run: what the bench does about it, as a
+table.
 
-`python -m tests.bench.fault_catalogue` runs all of it and writes docs/faults.md; `test_fault_catalogue` runs some of it, and holds each
-row against the page. A fault is put into the emulator at the moment when the run comes into the state, and lasts FOR_S.
+`python -m tests.bench.fault_catalogue` runs all of it and writes docs/faults.md;
+`test_fault_catalogue` runs some of it, and holds each row against the page. A fault is put into the
+emulator at the moment when the run comes into the state, and lasts FOR_S.
 """
 
 from __future__ import annotations
@@ -34,7 +36,10 @@ FOR_S = 15.0
 INSTRUMENTS = ("arm", "bath", "cameras", "stage")
 NO_SUCH = {("bath", "bad CRC")}  # over Modbus TCP, as on the emulated rig, there is no check sum
 FAULTS = tuple(
-    (instrument, str(name)) for instrument in INSTRUMENTS for name in fault_names(instrument) if (instrument, str(name)) not in NO_SUCH
+    (instrument, str(name))
+    for instrument in INSTRUMENTS
+    for name in fault_names(instrument)
+    if (instrument, str(name)) not in NO_SUCH
 )
 HEAD = """# Faults and what the bench does
 
@@ -50,7 +55,9 @@ or dead heater, a pump that stopped) is over before it does; what then stops it 
 
 
 class Bringer(Silent):
-    """Puts the fault in when the run comes into ``state``; asks for a pause where that is the state."""
+    """Puts the fault in when the run comes into ``state``; asks for a pause where that is the
+    state.
+    """
 
     def __init__(self, state: str, fault: EmulatedFault) -> None:
         super().__init__()
@@ -84,7 +91,13 @@ def what_happens(instrument: str, name: str, state: str, folder: Path) -> RunRec
     with known_to(bringer):
         progress = WatchedProgress(bringer, None)
         with patch.object(progress, "event", bringer.event):
-            run, _ = run_script(rig, load_script(folder / "script.toml"), folder / "runs", progress, typed=bringer.typed)
+            run, _ = run_script(
+                rig,
+                load_script(folder / "script.toml"),
+                folder / "runs",
+                progress,
+                typed=bringer.typed,
+            )
     return read_run(run)
 
 
@@ -110,8 +123,13 @@ def check_sound(run: RunRecord) -> None:
     texts = [event["text"] for event in run.events]
     assert run.ending in ("finished", "faulted"), run.ending
     assert not any("a mistake of the bench" in text for text in texts), texts
-    assert "bath is safe" in texts or any("bath could not be made safe" in text for text in texts), texts
-    assert all(len({row["teat"] for row in trial.truth}) == 4 and trial.detections and trial.frames for trial in run.trials)
+    assert "bath is safe" in texts or any(
+        "bath could not be made safe" in text for text in texts
+    ), texts
+    assert all(
+        len({row["teat"] for row in trial.truth}) == 4 and trial.detections and trial.frames
+        for trial in run.trials
+    )
     assert run.ending == "faulted" or len(run.trials) + len(run.skipped) == 3
 
 
@@ -122,11 +140,18 @@ def reaction(run: RunRecord) -> str:
     if "trip" in run.facts:
         told.append(f"interlock {run.facts['trip']['rule']}")
     back = [event["text"].split()[1] for event in run.events if event["kind"] == "back"]
-    told += [f"paused for the {name}{f' {back.count(name)} times' if back.count(name) > 1 else ''}" for name in dict.fromkeys(back)]
+    told += [
+        f"paused for the {name}{f' {back.count(name)} times' if back.count(name) > 1 else ''}"
+        for name in dict.fromkeys(back)
+    ]
     told += ["waited in vain"] if "given up" in kinds else []
     told += ["frames taken again"] if "camera" in kinds else []
     told += ["suspended until stable"] if "suspended" in kinds else []
-    told += [f"{len(run.skipped)} trial{'s' if len(run.skipped) > 1 else ''} left out"] if run.skipped else []
+    told += (
+        [f"{len(run.skipped)} trial{'s' if len(run.skipped) > 1 else ''} left out"]
+        if run.skipped
+        else []
+    )
     if run.ending == "faulted":
         unsafe = any("could not be made safe" in event["text"] for event in run.events)
         told.append("ended, told as NOT SAFE" if unsafe else "ended, safe")
@@ -163,7 +188,10 @@ def main() -> int:
             sys.stdout.write(f"WRONG {type(error).__name__}: {error}\n")
         sys.stdout.flush()
     if not wrong:
-        PAGE.write_text(HEAD.format(for_s=FOR_S, count=len(FAULTS) * len(STATES)) + "\n".join(lines) + "\n", encoding="utf-8")
+        PAGE.write_text(
+            HEAD.format(for_s=FOR_S, count=len(FAULTS) * len(STATES)) + "\n".join(lines) + "\n",
+            encoding="utf-8",
+        )
     return wrong
 
 

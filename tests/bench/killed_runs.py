@@ -1,4 +1,6 @@
-"""Runs whose bench is killed at a moment of one's choice, as a process of its own, and what two records have in common."""
+"""Runs whose bench is killed at a moment of one's choice, as a process of its own, and what two
+records have in common.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,21 @@ from bench.run.start import resume_run, run_script
 from bench.script.model import load_script
 from instruments.clock import VirtualClock
 
-TABLES = ("trials", "skipped", "frames", "touches", "truth", "checks", "detections", "found", "scores", "bath", "invalidated")
-OF_THE_SESSION = ("session", "cold")  # which session it was, and which call was a process's first, is no part of the result
+TABLES = (
+    "trials",
+    "skipped",
+    "frames",
+    "touches",
+    "truth",
+    "checks",
+    "detections",
+    "found",
+    "scores",
+    "bath",
+    "invalidated",
+)
+# which session it was, and which call was a process's first, is no part of the result
+OF_THE_SESSION = ("session", "cold")
 
 
 class Silent:
@@ -41,7 +56,12 @@ class Silent:
 def start(folder: Path, out: str = "runs", progress: Silent | None = None) -> tuple[Path, Ending]:
     """The script in ``folder`` on the rig there, from the beginning."""
     rig = load_rig(folder / "rig.toml")
-    return run_script(rig, load_script(folder / "script.toml", rig.rig.limits.set_point_c), folder / out, progress or Silent())
+    return run_script(
+        rig,
+        load_script(folder / "script.toml", rig.rig.limits.set_point_c),
+        folder / out,
+        progress or Silent(),
+    )
 
 
 def only_run(folder: Path, out: str) -> Path:
@@ -65,7 +85,9 @@ def steps_of(work: Callable[[], Any]) -> int:
 
 
 def killed_at(step: int, work: Callable[[], Any]) -> bool:
-    """Do ``work`` in a process that is killed, as by the system, at the clock's ``step``; False where it was over before."""
+    """Do ``work`` in a process that is killed, as by the system, at the clock's ``step``; False
+    where it was over before.
+    """
     process = multiprocessing.get_context("fork").Process(target=_dying, args=(step, work))
     process.start()
     process.join(120)
@@ -74,7 +96,9 @@ def killed_at(step: int, work: Callable[[], Any]) -> bool:
 
 def killed_while(words: str, method: str, kind: type, work: Callable[[], Any]) -> bool:
     """The same, in the call of ``method`` of ``kind`` whose arguments have ``words`` in them."""
-    process = multiprocessing.get_context("fork").Process(target=_dying_in, args=(words, method, kind, work))
+    process = multiprocessing.get_context("fork").Process(
+        target=_dying_in, args=(words, method, kind, work)
+    )
     process.start()
     process.join(120)
     return process.exitcode == -signal.SIGKILL
@@ -116,7 +140,13 @@ def results(run: Path) -> dict[str, list[tuple[Any, ...]]]:
         found = {}
         for table in TABLES:
             columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})")]
-            kept = [name for name in columns if not name.startswith("wall") and name not in OF_THE_SESSION]
+            kept = [
+                name
+                for name in columns
+                if not name.startswith("wall") and name not in OF_THE_SESSION
+            ]
             if kept:
-                found[table] = sorted(db.execute(f"SELECT {', '.join(kept)} FROM {table}").fetchall(), key=repr)
+                found[table] = sorted(
+                    db.execute(f"SELECT {', '.join(kept)} FROM {table}").fetchall(), key=repr
+                )
         return found

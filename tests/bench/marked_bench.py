@@ -1,7 +1,9 @@
-"""The bench as a process that says when it comes to a step, and lingers in it, so that it can be killed in that very step.
+"""The bench as a process that says when it comes to a step, and lingers in it, so that it can be
+killed in that very step.
 
-All but the mark is the bench's own: its command's work without the report, its drivers, its guardian. Processes are forked from
-a server that has loaded everything, for there are many of them. Linux and macOS.
+All but the mark is the bench's own: its command's work without the report, its drivers, its
+guardian. Processes are forked from a server that has loaded everything, for there are many of them.
+Linux and macOS.
 """
 
 from __future__ import annotations
@@ -51,7 +53,9 @@ def put(owner: Any, name: str, instead: Callable[..., Any]) -> None:
 
 
 def begins(owner: Any, name: str, step: str, linger_s: float = 0.0) -> None:
-    """From now on ``step`` is told when ``owner.name`` is called; ``linger_s`` are spent in it before it does anything."""
+    """From now on ``step`` is told when ``owner.name`` is called; ``linger_s`` are spent in it
+    before it does anything.
+    """
     original: Callable[..., Any] = getattr(owner, name)
 
     def marked(*args: Any, **more: Any) -> Any:
@@ -77,7 +81,9 @@ def storing() -> None:
     write = Store._write
 
     def marked(store: Store, tables: Sequence[tuple[str, Sequence[Row]]]) -> None:
-        write(store, [(name, Lingering(rows) if name == "touches" else rows) for name, rows in tables])
+        write(
+            store, [(name, Lingering(rows) if name == "touches" else rows) for name, rows in tables]
+        )
 
     put(Store, "_write", marked)
 
@@ -102,7 +108,9 @@ def mistaken() -> None:
 
 
 class ClosingWindow:
-    """Stands in for Windows: a second after the bench has begun to settle it calls the handler, and ends the process behind it."""
+    """Stands in for Windows: a second after the bench has begun to settle it calls the handler, and
+    ends the process behind it.
+    """
 
     def __init__(self) -> None:
         self._handlers: list[Handler] = []
@@ -137,7 +145,9 @@ MARKS: dict[str, Callable[[], None]] = {
 }
 
 
-def child(answers: Connection, said: Connection, step: str, rig: Path, script: Path, out: Path) -> None:
+def child(
+    answers: Connection, said: Connection, step: str, rig: Path, script: Path, out: Path
+) -> None:
     """The process: a bench at the two pipes."""
     for theirs, ours in ((answers, 0), (said, 1), (said, 2)):
         os.dup2(theirs.fileno(), ours)
@@ -147,12 +157,17 @@ def child(answers: Connection, said: Connection, step: str, rig: Path, script: P
     sys.stdout = open(1, "w", encoding="utf-8", closefd=False, buffering=1)  # noqa: SIM115
     sys.stderr = sys.stdout
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        signal.signal(getattr(signal, name), signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
+        signal.signal(
+            getattr(signal, name),
+            signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL,
+        )
     MARKS.get(step, lambda: None)()
     register = ClosingWindow().register if step == "closing" else None
     loaded = load_rig(rig)
     with installed(register), TerminalProgress(Console()) as progress:
-        _, ending = run_script(loaded, load_script(script, loaded.rig.limits.set_point_c), out, progress)
+        _, ending = run_script(
+            loaded, load_script(script, loaded.rig.limits.set_point_c), out, progress
+        )
     print(f"ended: {ending.value}", flush=True)
     sys.exit(CODES[ending])
 
@@ -165,7 +180,9 @@ class MarkedBench:
         answers, self._answers = context.Pipe(duplex=False)
         self._said, said = context.Pipe(duplex=False)
         paths = (rig.rig_path, rig.script_path, rig.out)
-        self.process = context.Process(target=child, args=(answers, said, step, *paths), daemon=True)
+        self.process = context.Process(
+            target=child, args=(answers, said, step, *paths), daemon=True
+        )
         self.process.start()
         for end in (answers, said):
             end.close()
@@ -193,7 +210,9 @@ class MarkedBench:
         deadline = time.monotonic() + within_s
         while not there():
             assert time.monotonic() < deadline, f"never {what}:\n{self.said}"
-            assert self.process.exitcode is None, f"ended with {self.process.exitcode} before it {what}:\n{self.said}"
+            assert self.process.exitcode is None, (
+                f"ended with {self.process.exitcode} before it {what}:\n{self.said}"
+            )
             time.sleep(0.005)
 
     def until_longer(self, than: int, there: Callable[[], bool]) -> None:

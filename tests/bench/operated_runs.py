@@ -76,13 +76,30 @@ def files(
     script: str = SCRIPT,
     answers: str = "",
 ) -> list[str]:
-    """Rig, script and answers in ``folder``; gives back the arguments of the command that runs them."""
-    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    """Rig, script and answers in ``folder``; gives back the arguments of the command that runs
+    them.
+    """
+    (folder / "calibration.toml").write_text(
+        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     (folder / "answers.txt").write_text(answers, encoding="utf-8")
-    figures = {"operator": operator, "operator_more": operator_more, "stage": stage, "touches": touches, "check_point": check_point}
+    figures = {
+        "operator": operator,
+        "operator_more": operator_more,
+        "stage": stage,
+        "touches": touches,
+        "check_point": check_point,
+    }
     (folder / "rig.toml").write_text(RIG.format(**figures, emulation=emulation), encoding="utf-8")
     (folder / "script.toml").write_text(script, encoding="utf-8")
-    return ["run", str(folder / "script.toml"), "--rig", str(folder / "rig.toml"), "--out", str(folder / "runs")]
+    return [
+        "run",
+        str(folder / "script.toml"),
+        "--rig",
+        str(folder / "rig.toml"),
+        "--out",
+        str(folder / "runs"),
+    ]
 
 
 def run_of(folder: Path) -> RunRecord:

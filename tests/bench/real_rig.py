@@ -1,6 +1,8 @@
-"""A rig that is real to the bench: emulators in this process, the bench in another, real time between them.
+"""A rig that is real to the bench: emulators in this process, the bench in another, real time
+between them.
 
-What a kill of the bench leaves on the bath is seen from here, by the plant itself and by a second Modbus client.
+What a kill of the bench leaves on the bath is seen from here, by the plant itself and by a second
+Modbus client.
 """
 
 from __future__ import annotations
@@ -95,7 +97,9 @@ bath_silence_s = 3.0
 
 @dataclass
 class RealRig:
-    """``twin`` is what answers at the rig's URLs; ``folder`` holds rig file, script and the runs' folder."""
+    """``twin`` is what answers at the rig's URLs; ``folder`` holds rig file, script and the runs'
+    folder.
+    """
 
     twin: EmulatedRig
     folder: Path
@@ -127,19 +131,30 @@ def real_rig(
     pump: bool = False,
     pty: bool = False,
 ) -> Iterator[RealRig]:
-    """Emulators in real time, and the files that make them a real rig; the bath starts at the script's set point.
+    """Emulators in real time, and the files that make them a real rig; the bath starts at the
+    script's set point.
 
-    With a stage, each trial is a move of some seconds; with ``check_touches`` the arm is checked before and after the trials, with
-    ``pump`` a relay of its own turns the bath's. With ``pty`` whatever has a serial port is on a pseudo-terminal.
+    With a stage, each trial is a move of some seconds; with ``check_touches`` the arm is checked
+    before and after the trials, with ``pump`` a relay of its own turns the bath's. With ``pty``
+    whatever has a serial port is on a pseudo-terminal.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "calibration.toml").write_text(
+        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     (folder / "recording").symlink_to(recording, target_is_directory=True)
     clock = RealClock()
     try:
-        with EmulatedRig(at_set_point(folder, start_c, profile, pump=pump), clock, 3, pty=pty) as twin:
+        with EmulatedRig(
+            at_set_point(folder, start_c, profile, pump=pump), clock, 3, pty=pty
+        ) as twin:
             rig, script = folder / "lab.toml", folder / "short.toml"
-            figures = {"settle_s": settle_s, "limits": limits, "stage_part": STAGE.format(**twin.urls) if stage else "", "profile": profile}
+            figures = {
+                "settle_s": settle_s,
+                "limits": limits,
+                "stage_part": STAGE.format(**twin.urls) if stage else "",
+                "profile": profile,
+            }
             figures["pump_part"] = RELAY.format(twin.urls["pump"]) if pump else ""
             figures["check_part"] = CHECK.format(check_touches) if check_touches else ""
             rig.write_text(RIG.format(**twin.urls, **figures), encoding="utf-8")
@@ -152,8 +167,12 @@ def real_rig(
 def at_set_point(folder: Path, start_c: float, profile: str, *, pump: bool) -> LoadedRig:
     text, before = find_rig(None).read_text(encoding="utf-8"), 'profile = "julabo-presto"'
     assert before in text
-    text = text.replace(before, f'profile = "{profile}"\n{RELAY.format("emulator:") if pump else ""}')
-    (folder / "twin.toml").write_text(f"{text}\n[emulation]\nbath_start_c = {start_c}\n", encoding="utf-8")
+    text = text.replace(
+        before, f'profile = "{profile}"\n{RELAY.format("emulator:") if pump else ""}'
+    )
+    (folder / "twin.toml").write_text(
+        f"{text}\n[emulation]\nbath_start_c = {start_c}\n", encoding="utf-8"
+    )
     return load_rig(folder / "twin.toml")
 
 
@@ -193,14 +212,20 @@ class Bench:
         deadline = time.monotonic() + within_s
         while not there():
             assert time.monotonic() < deadline, f"never {what}:\n{self.said}"
-            assert self.process.poll() is None, f"ended with {self.process.returncode} before it {what}:\n{self.said}"
+            assert self.process.poll() is None, (
+                f"ended with {self.process.returncode} before it {what}:\n{self.said}"
+            )
             time.sleep(0.005)
 
 
-def touch_as_asked(rig: RealRig, said: Callable[[], str], enter: Callable[[], None], over: Callable[[], bool]) -> float:
-    """Answer whatever is asked after the first set-up, until it is ``over``; gives back when the last readings were taken.
+def touch_as_asked(
+    rig: RealRig, said: Callable[[], str], enter: Callable[[], None], over: Callable[[], bool]
+) -> float:
+    """Answer whatever is asked after the first set-up, until it is ``over``; gives back when the
+    last readings were taken.
 
-    On a busy machine a reading may not be good enough, or the arm be lost for a moment: then more is asked than once.
+    On a busy machine a reading may not be good enough, or the arm be lost for a moment: then more
+    is asked than once.
     """
     answered, read, read_s, deadline = 0, 0, time.monotonic(), time.monotonic() + 120.0
     while not over():
@@ -222,11 +247,28 @@ def touch_as_asked(rig: RealRig, said: Callable[[], str], enter: Callable[[], No
 @contextmanager
 def bench(rig: RealRig, more: Sequence[str] = ()) -> Iterator[Bench]:
     """`teatbench run` on the rig, in another process; killed at the end if it still runs."""
-    command = [sys.executable, "-m", "bench.cli", "run", str(rig.script_path), "--rig", str(rig.rig_path), "--out", str(rig.out), *more]
+    command = [
+        sys.executable,
+        "-m",
+        "bench.cli",
+        "run",
+        str(rig.script_path),
+        "--rig",
+        str(rig.rig_path),
+        "--out",
+        str(rig.out),
+        *more,
+    ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
     pipe = subprocess.PIPE
     with subprocess.Popen(
-        command, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, text=True, encoding="utf-8", env=environment
+        command,
+        stdin=pipe,
+        stdout=pipe,
+        stderr=subprocess.STDOUT,
+        text=True,
+        encoding="utf-8",
+        env=environment,
     ) as process:
         running = Bench(process)
         reader = threading.Thread(target=_listen, args=(running,), daemon=True)

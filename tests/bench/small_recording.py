@@ -1,4 +1,6 @@
-"""A recording of five frame sets of flat pictures with two teats in each: for what is done with answers, not for finding anything."""
+"""A recording of five frame sets of flat pictures with two teats in each: for what is done with
+answers, not for finding anything.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,15 @@ def write_recording(folder: Path) -> Path:
     for number in range(5):
         frame = folder / "frames" / f"{number:04d}"
         frame.mkdir()
-        for name, size in (("left", (1024, 1360)), ("right", (1024, 1360)), ("thermal", (480, 640))):
+        for name, size in (
+            ("left", (1024, 1360)),
+            ("right", (1024, 1360)),
+            ("thermal", (480, 640)),
+        ):
             cv2.imwrite(str(frame / f"{name}.png"), np.full(size, 40 * number, np.uint8))
         situation = "calm" if number < 2 else "windy"
-        lines += [f"{frame.name},{situation},{i},{x},{y},{z},1" for i, (x, y, z) in enumerate(ENDS_MM, 1)]
+        lines += [
+            f"{frame.name},{situation},{i},{x},{y},{z},1" for i, (x, y, z) in enumerate(ENDS_MM, 1)
+        ]
     (folder / "truth.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return folder

@@ -1,6 +1,8 @@
-"""A run of two trials whose pictures are a quarter of a camera's: whole, and small enough to be kept and to be damaged in many ways.
+"""A run of two trials whose pictures are a quarter of a camera's: whole, and small enough to be
+kept and to be damaged in many ways.
 
-``python -m tests.bench.small_run FOLDER`` wrote the folders in tests/bench/kept, each by the bench of its schema.
+``python -m tests.bench.small_run FOLDER`` wrote the folders in tests/bench/kept, each by the bench
+of its schema.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from tests.bench import operated_runs
 SMALLER = 4
 SCRIPT = (
     operated_runs.SCRIPT.replace("thesis", "fused").replace(
-        "poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0, yaw_deg = 4.0 }, {}]", "poses = [{ x_mm = 12.0 }]"
+        "poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0, yaw_deg = 4.0 }, {}]",
+        "poses = [{ x_mm = 12.0 }]",
     )
     + """
 [[trials]]
@@ -49,9 +52,13 @@ statistic = "max"
 
 def write_small_run(folder: Path) -> Path:
     """Run it, with all its files in ``folder``; gives back the run's folder."""
-    arguments = operated_runs.files(folder, script=SCRIPT, emulation="faults = []", stage=operated_runs.STAGE)
+    arguments = operated_runs.files(
+        folder, script=SCRIPT, emulation="faults = []", stage=operated_runs.STAGE
+    )
     calibration = folder / "calibration.toml"
-    calibration.write_text(smaller(calibration.read_text(encoding="utf-8")), encoding="utf-8", newline="\n")
+    calibration.write_text(
+        smaller(calibration.read_text(encoding="utf-8")), encoding="utf-8", newline="\n"
+    )
     main(arguments)
     (run,) = (folder / "runs").iterdir()
     return run
@@ -64,20 +71,32 @@ def smaller(calibration: str) -> str:
         values = [float(value) / SMALLER for value in found[2].split(",")]
         return f"{found[1]} = {[int(v) for v in values] if found[1].endswith('size') else values}"
 
-    return re.sub(r"^(image_size|fc|cc|sensor_size) = \[(.*)\]", scaled, calibration, flags=re.MULTILINE)
+    return re.sub(
+        r"^(image_size|fc|cc|sensor_size) = \[(.*)\]", scaled, calibration, flags=re.MULTILINE
+    )
 
 
 def written_anew(run: Path) -> Path:
-    """Make a record that was edited one that some bench could have written: digests of files and the chain as they would be then."""
+    """Make a record that was edited one that some bench could have written: digests of files and
+    the chain as they would be then.
+    """
     shutil.rmtree(run / "report", ignore_errors=True)
     with closing(sqlite3.connect(run / DATABASE)) as db:
         for table, name in (("frames", "path"), ("files", "name")):
             for rowid, file in db.execute(f"SELECT rowid, {name} FROM {table}").fetchall():
-                db.execute(f"UPDATE {table} SET sha256 = ? WHERE rowid = ?", (sha256_of(run / file), rowid))
+                db.execute(
+                    f"UPDATE {table} SET sha256 = ? WHERE rowid = ?", (sha256_of(run / file), rowid)
+                )
         db.execute("DELETE FROM chain")
         tables = [table for table in tables_of(db) if table not in ("chain", LATER_WORD)]
-        last = {table: db.execute(f"SELECT max(rowid) FROM {table}").fetchone()[0] for table in tables}
-        add_link(db, {table: (1, end) for table, end in last.items() if end}, [row[0] for row in db.execute("SELECT key FROM facts")])
+        last = {
+            table: db.execute(f"SELECT max(rowid) FROM {table}").fetchone()[0] for table in tables
+        }
+        add_link(
+            db,
+            {table: (1, end) for table, end in last.items() if end},
+            [row[0] for row in db.execute("SELECT key FROM facts")],
+        )
         db.commit()
     return run
 

@@ -20,7 +20,9 @@ def rig_with(tmp_path: Path, change: dict[str, str]) -> Path:
         text = text.replace(old, new)
     path = tmp_path / "rig.toml"
     path.write_text(text, encoding="utf-8")
-    (tmp_path / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    (tmp_path / "calibration.toml").write_text(
+        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     return path
 
 
@@ -81,21 +83,38 @@ def test_the_caret_stands_under_the_value(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({'url = "emulator:"\nprofile': 'url = "serial:x"\nprofile'}, 'allowed: "emulator:", "tcp://host:port"'),
+        (
+            {'url = "emulator:"\nprofile': 'url = "serial:x"\nprofile'},
+            'allowed: "emulator:", "tcp://host:port"',
+        ),
         ({'profile = "julabo-presto"': 'profile = "julabo-prest"'}, 'did you mean "julabo-presto"'),
         ({'profile = "julabo-presto"': 'profile = "mine.toml"'}, "no such file"),
-        ({'calibration = "calibration.toml"': 'calibration = "nowhere.toml"'}, "no such file beside the rig file"),
-        ({'[operator]\nurl = "emulator:"': '[operator]\nurl = "emulater:"'}, 'did you mean "emulator:"'),
+        (
+            {'calibration = "calibration.toml"': 'calibration = "nowhere.toml"'},
+            "no such file beside the rig file",
+        ),
+        (
+            {'[operator]\nurl = "emulator:"': '[operator]\nurl = "emulater:"'},
+            'did you mean "emulator:"',
+        ),
         ({'[stage]\nurl = "emulator:"': '[stage]\nurl = "COM5"'}, "don't mix"),
         ({"[cameras]": "[limits]\nset_point_c = [36, 20]\n[cameras]"}, "smaller one"),
         ({"[cameras]": "[cameras"}, "not TOML"),
         ({"[cameras]": "[cameras]\nsettle_s = inf"}, "cameras.settle_s"),
-        ({"[cameras]": '[cameras]\nsettle_s = "33"'}, "cameras.settle_s: input should be a valid number (found '33')"),
+        (
+            {"[cameras]": '[cameras]\nsettle_s = "33"'},
+            "cameras.settle_s: input should be a valid number (found '33')",
+        ),
         ({"seed = 1": "seed = true"}, "seed: input should be a valid integer (found True)"),
-        ({"[cameras]": "[limits]\nbath_plausible_c = [nan, 60]\n[cameras]"}, "limits.bath_plausible_c[1]: input should be a finite number"),
+        (
+            {"[cameras]": "[limits]\nbath_plausible_c = [nan, 60]\n[cameras]"},
+            "limits.bath_plausible_c[1]: input should be a finite number",
+        ),
     ],
 )
-def test_each_wrong_value_says_what_is_allowed(tmp_path: Path, change: dict[str, str], message: str) -> None:
+def test_each_wrong_value_says_what_is_allowed(
+    tmp_path: Path, change: dict[str, str], message: str
+) -> None:
     path = rig_with(tmp_path, change)
     with pytest.raises(ConfigError) as caught:
         load_rig(path)
@@ -105,7 +124,10 @@ def test_each_wrong_value_says_what_is_allowed(tmp_path: Path, change: dict[str,
 def test_a_fault_in_the_calibration_is_shown_in_the_calibration(tmp_path: Path) -> None:
     path = rig_with(tmp_path, {})
     calibration = tmp_path / "calibration.toml"
-    calibration.write_text(calibration.read_text(encoding="utf-8").replace("mirrored = true", 'mirrored = "yes"'), encoding="utf-8")
+    calibration.write_text(
+        calibration.read_text(encoding="utf-8").replace("mirrored = true", 'mirrored = "yes"'),
+        encoding="utf-8",
+    )
     with pytest.raises(ConfigError, match=r"cameras\.thermal\.mirrored") as caught:
         load_rig(path)
     assert str(caught.value).startswith(str(calibration))
@@ -115,9 +137,21 @@ def test_shipped_scripts_load() -> None:
     loaded = load_script(find_script(None))
     script = loaded.script
     assert [trial.situation for trial in script.trials] == [
-        "non_vertical", "overlapping", "spurious_teat", "hot_body_at_base", "hot_body_at_ends", "cooler_bodies",
-    ]  # fmt: skip
-    assert [trial.published.found for trial in script.trials if trial.published] == [4, 3, 4, 4, 0, 3]
+        "non_vertical",
+        "overlapping",
+        "spurious_teat",
+        "hot_body_at_base",
+        "hot_body_at_ends",
+        "cooler_bodies",
+    ]
+    assert [trial.published.found for trial in script.trials if trial.published] == [
+        4,
+        3,
+        4,
+        4,
+        0,
+        3,
+    ]
     assert len(loaded.planned) == 18
 
 
@@ -133,7 +167,11 @@ def test_shipped_scripts_load() -> None:
         ("rate = 0.95", "rate = 1.0", "rate"),
         ("window_s = 600.0", "window_s = 600.0\nwindov_s = 1", 'did you mean "window_s"'),
         ("mean_k = 0.10", "mean_k = 0.30", "bath.mean_k: 0.3 K is above leave_k = 0.15 K"),
-        ("mean_k = 0.10", "mean_k = 0.10\nleave_k = 0.05", "bath.mean_k: 0.1 K is above leave_k = 0.05 K"),
+        (
+            "mean_k = 0.10",
+            "mean_k = 0.10\nleave_k = 0.05",
+            "bath.mean_k: 0.1 K is above leave_k = 0.05 K",
+        ),
     ],
 )
 def test_a_wrong_script_says_where(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -144,7 +182,11 @@ def test_a_wrong_script_says_where(tmp_path: Path, old: str, new: str, message: 
     with pytest.raises(ConfigError) as caught:
         read_config(path, Script)
     assert message in str(caught.value)
-    line = next(i for i, line in enumerate(path.read_text(encoding="utf-8").split("\n"), 1) if new.split("\n")[-1] in line)
+    line = next(
+        i
+        for i, line in enumerate(path.read_text(encoding="utf-8").split("\n"), 1)
+        if new.split("\n")[-1] in line
+    )
     assert any(abs(fault.line - line) <= 2 for fault in caught.value.faults)
 
 
@@ -156,7 +198,9 @@ def test_a_wrong_script_says_where(tmp_path: Path, old: str, new: str, message: 
         ('"33"', "input should be a valid number (found '33')"),
     ],
 )
-def test_a_set_point_that_is_refused_is_shown_in_its_place(tmp_path: Path, value: str, why: str) -> None:
+def test_a_set_point_that_is_refused_is_shown_in_its_place(
+    tmp_path: Path, value: str, why: str
+) -> None:
     lines = find_script(None).read_text(encoding="utf-8").split("\n")
     at = next(i for i, line in enumerate(lines) if line.startswith("set_point_c"))
     lines[at] = f"set_point_c = {value}"
@@ -220,7 +264,10 @@ def test_bytes_that_are_no_utf8_are_named(tmp_path: Path) -> None:
 
 
 def test_places_of_arrays_strings_and_tables() -> None:
-    text = 'a = [\n  [1, 2],\n]\nt = """\n[no]\nx = 1\n"""\n[b.c]\nkey = 1 # ]\n[[d]]\nk = 1\n[[d]]\nk = { z = 1 }\n"quoted key" = 2\n'
+    text = (
+        'a = [\n  [1, 2],\n]\nt = """\n[no]\nx = 1\n"""\n[b.c]\nkey = 1 # ]\n[[d]]\nk = 1\n[[d]]\nk'
+        ' = { z = 1 }\n"quoted key" = 2\n'
+    )
     places = find_places(text)
     assert places["b", "c", "key"].line == 9
     assert places["d", 0, "k"].line == 11

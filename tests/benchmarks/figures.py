@@ -1,4 +1,5 @@
-"""Figures beside their aims: kept with the benchmark and printed, never asserted, for machines are noisy.
+"""Figures beside their aims: kept with the benchmark and printed, never asserted, for machines are
+noisy.
 
 `PEAK_KIB` is text for a child process: a function that gives its own peak memory.
 """
@@ -19,6 +20,8 @@ def peak_kib():
 
 
 def figure(benchmark: BenchmarkFixture, what: str, value: float, aim: str) -> None:
-    """Note ``value`` under ``what`` and print it beside its aim; `-s` shows it as it is measured."""
+    """Note ``value`` under ``what`` and print it beside its aim;
+    `-s` shows it as it is measured.
+    """
     benchmark.extra_info[what] = value
     print(f"\n{what}: {value:,.5g} (aim: {aim})")

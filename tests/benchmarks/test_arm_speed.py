@@ -1,4 +1,6 @@
-"""How fast the arm's wire, driver and kinematics are. Figures beside their aims; nothing is asserted about them."""
+"""How fast the arm's wire, driver and kinematics are. Figures beside their aims; nothing is
+asserted about them.
+"""
 
 from __future__ import annotations
 
@@ -45,8 +47,17 @@ Arms = Callable[..., tuple[MicroScribe, Listener]]
 def arms() -> Iterator[Arms]:
     made: list[tuple[MicroScribe, Listener, Clock]] = []
 
-    def make(clock: Clock, *, baud: int | None = None, latency_s: float = 0.0) -> tuple[MicroScribe, Listener]:
-        listener = Listener(ArmEmulator(Hand(), clock), clock, lock=threading.RLock(), name="arm", baud=baud, latency_s=latency_s)
+    def make(
+        clock: Clock, *, baud: int | None = None, latency_s: float = 0.0
+    ) -> tuple[MicroScribe, Listener]:
+        listener = Listener(
+            ArmEmulator(Hand(), clock),
+            clock,
+            lock=threading.RLock(),
+            name="arm",
+            baud=baud,
+            latency_s=latency_s,
+        )
         arm = MicroScribe(Link(listener.url, clock, who="arm"), clock)
         made.append((arm, listener, clock))
         arm.sign_on()
@@ -61,7 +72,9 @@ def arms() -> Iterator[Arms]:
 
 
 @pytest.mark.parametrize(("baud", "highest_hz"), [(115200, 434), (38400, 204)])
-def test_polls_a_second_on_a_paced_link(benchmark: BenchmarkFixture, arms: Arms, baud: int, highest_hz: int) -> None:
+def test_polls_a_second_on_a_paced_link(
+    benchmark: BenchmarkFixture, arms: Arms, baud: int, highest_hz: int
+) -> None:
     arm, _ = arms(RealClock(), baud=baud, latency_s=LATENCY_S)
 
     def some() -> None:
@@ -70,11 +83,18 @@ def test_polls_a_second_on_a_paced_link(benchmark: BenchmarkFixture, arms: Arms,
 
     benchmark.pedantic(some, rounds=20, iterations=1, warmup_rounds=1)
     share = 25 / best_s(benchmark) / highest_hz
-    figure(benchmark, f"polls at {baud} baud, share of the sheet's highest rate", share, "at least 0.95")
+    figure(
+        benchmark,
+        f"polls at {baud} baud, share of the sheet's highest rate",
+        share,
+        "at least 0.95",
+    )
 
 
 @pytest.mark.parametrize(("baud", "highest_hz"), [(115200, 823), (38400, 274)])
-def test_samples_a_second_streamed_on_a_paced_link(benchmark: BenchmarkFixture, arms: Arms, baud: int, highest_hz: int) -> None:
+def test_samples_a_second_streamed_on_a_paced_link(
+    benchmark: BenchmarkFixture, arms: Arms, baud: int, highest_hz: int
+) -> None:
     arm, _ = arms(RealClock(), baud=baud, latency_s=LATENCY_S)
     with arm.stream(stamped=False) as samples:
         next(samples)
@@ -85,12 +105,20 @@ def test_samples_a_second_streamed_on_a_paced_link(benchmark: BenchmarkFixture, 
 
         benchmark.pedantic(two_hundred, rounds=5, iterations=1, warmup_rounds=1)
     assert benchmark.stats is not None
-    share = 200 / benchmark.stats.stats.mean / highest_hz  # the mean: a round may find samples that waited for it
-    figure(benchmark, f"samples streamed at {baud} baud, share of the sheet's highest rate", share, "at least 0.95")
+    # the mean: a round may find samples that waited for it
+    share = 200 / benchmark.stats.stats.mean / highest_hz
+    figure(
+        benchmark,
+        f"samples streamed at {baud} baud, share of the sheet's highest rate",
+        share,
+        "at least 0.95",
+    )
 
 
 @pytest.mark.parametrize("clock", [RealClock, VirtualClock])
-def test_polls_a_second_of_the_driver_over_loopback(benchmark: BenchmarkFixture, arms: Arms, clock: type[Clock]) -> None:
+def test_polls_a_second_of_the_driver_over_loopback(
+    benchmark: BenchmarkFixture, arms: Arms, clock: type[Clock]
+) -> None:
     arm, _ = arms(clock())
 
     def thousand() -> None:
@@ -98,11 +126,15 @@ def test_polls_a_second_of_the_driver_over_loopback(benchmark: BenchmarkFixture,
             arm.poll()
 
     benchmark(thousand)
-    figure(benchmark, "polls of the driver over loopback a second", 1000 / best_s(benchmark), "none")
+    figure(
+        benchmark, "polls of the driver over loopback a second", 1000 / best_s(benchmark), "none"
+    )
 
 
 def test_round_trips_of_the_emulator_over_loopback(benchmark: BenchmarkFixture, arms: Arms) -> None:
-    """A bare socket asks, so that the emulator and the listener are what is measured, and not our driver."""
+    """A bare socket asks, so that the emulator and the listener are what is measured, and not our
+    driver.
+    """
     _, listener = arms(RealClock())
     with socket.create_connection(("127.0.0.1", listener.port)) as host:
         host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -117,19 +149,31 @@ def test_round_trips_of_the_emulator_over_loopback(benchmark: BenchmarkFixture, 
                 assert len(host.recv(100)) == 14
 
         benchmark(thousand)
-    figure(benchmark, "round trips of the emulator a second", 1000 / best_s(benchmark), "at least 10 000")
+    figure(
+        benchmark,
+        "round trips of the emulator a second",
+        1000 / best_s(benchmark),
+        "at least 10 000",
+    )
 
 
 def test_packets_decoded_in_bulk(benchmark: BenchmarkFixture) -> None:
     stream = AT_REST * 100_000
     packets = benchmark(lambda: PacketDecoder(0x03).feed(stream))
-    figure(benchmark, "packets decoded a second", len(packets) / best_s(benchmark), "at least 100 000")
+    figure(
+        benchmark, "packets decoded a second", len(packets) / best_s(benchmark), "at least 100 000"
+    )
 
 
 def test_kinematics_vectorised(benchmark: BenchmarkFixture) -> None:
     counts = np.random.default_rng(0).integers(0, 16384, (10_000, 6))
     tips, _ = benchmark(lambda: ARM.forward(counts))
-    figure(benchmark, "poses of the kinematics a second", len(tips) / best_s(benchmark), "at least 1 000 000")
+    figure(
+        benchmark,
+        "poses of the kinematics a second",
+        len(tips) / best_s(benchmark),
+        "at least 1 000 000",
+    )
 
 
 def test_inverse_kinematics(benchmark: BenchmarkFixture) -> None:

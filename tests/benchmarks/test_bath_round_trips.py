@@ -1,11 +1,13 @@
-"""A question to the bath through our driver against the same question by pymodbus's own asynchronous client, on the same link.
+"""A question to the bath through our driver against the same question by pymodbus's own
+asynchronous client, on the same link.
 
-Both ends live in this process and share its lock; the emulator's part is the same for both. Medians of many; the two take
-turns, so that whatever else the machine does meets both.
+Both ends live in this process and share its lock; the emulator's part is the same for both. Medians
+of many; the two take turns, so that whatever else the machine does meets both.
 
-Wire time at 9600 baud is the characters of question and answer at 10 bits each. In a poll of several questions the silence of 3.5
-characters that Modbus wants between frames (over serial line 1.02, section 2.5.1.1) counts as wire time too; before a
-single question it has passed already and does not. pymodbus leaves that silence out, so it is added to its polls.
+Wire time at 9600 baud is the characters of question and answer at 10 bits each. In a poll of
+several questions the silence of 3.5 characters that Modbus wants between frames (over serial line
+1.02, section 2.5.1.1) counts as wire time too; before a single question it has passed already and
+does not. pymodbus leaves that silence out, so it is added to its polls.
 """
 
 from __future__ import annotations
@@ -37,7 +39,8 @@ from tests.benchmarks.figures import figure
 
 AT_MOST, AT_MOST_OF_WIRE = 1.15, 1.1
 BAUD, BITS = 9600, 10
-GAP_CHARACTERS, LEAST_GAP_S = 3.5, 0.00175  # of silence that belong to each frame; the latter above 19200 baud
+# of silence that belong to each frame; the latter above 19200 baud
+GAP_CHARACTERS, LEAST_GAP_S = 3.5, 0.00175
 Client = AsyncModbusTcpClient | AsyncModbusSerialClient
 
 pty = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals: POSIX only")
@@ -79,18 +82,26 @@ def served(kind: str, family: str, baud: int | None = None) -> Iterator[Served]:
             terminal = PtyListener(emulator, clock, lock=lock, name="bath", baud=baud)
             stack.callback(terminal.close)
             url = terminal.url
-            yield Served(f"{url}?baud={baud or 115200}", profile, lambda: AsyncModbusSerialClient(url, baudrate=baud or 115200))
+            yield Served(
+                f"{url}?baud={baud or 115200}",
+                profile,
+                lambda: AsyncModbusSerialClient(url, baudrate=baud or 115200),
+            )
             return
         listener = Listener(emulator, clock, lock=lock, name="bath")
         stack.callback(listener.close)
         framer = FramerType.SOCKET if kind == "tcp" else FramerType.RTU
         yield Served(
-            f"{kind}://127.0.0.1:{listener.port}", profile, lambda: AsyncModbusTcpClient("127.0.0.1", port=listener.port, framer=framer)
+            f"{kind}://127.0.0.1:{listener.port}",
+            profile,
+            lambda: AsyncModbusTcpClient("127.0.0.1", port=listener.port, framer=framer),
         )
 
 
 def ours(bath: Served, count: int, pause_s: float) -> tuple[list[float], list[float]]:
-    """Seconds that each of ``count`` questions takes after a pause, and that each of as many polls does."""
+    """Seconds that each of ``count`` questions takes after a pause, and that each of as many polls
+    does.
+    """
     clock = RealClock()
     driver = Bath(bath.url, bath.profile, clock)
     questions, polls = [], []
@@ -109,10 +120,16 @@ def ours(bath: Served, count: int, pause_s: float) -> tuple[list[float], list[fl
 
 
 async def theirs(bath: Served, count: int, pause_s: float) -> tuple[list[float], list[float]]:
-    """The same by pymodbus alone, in one loop that keeps running; it knows no silence between frames."""
+    """The same by pymodbus alone, in one loop that keeps running; it knows no silence between
+    frames.
+    """
     client = bath.client()
     await client.connect()
-    ask = {2: client.read_discrete_inputs, 3: client.read_holding_registers, 4: client.read_input_registers}
+    ask = {
+        2: client.read_discrete_inputs,
+        3: client.read_holding_registers,
+        4: client.read_input_registers,
+    }
     questions, polls = [], []
     for _ in range(count):
         time.sleep(pause_s)
@@ -132,9 +149,17 @@ async def theirs(bath: Served, count: int, pause_s: float) -> tuple[list[float],
 
 def turns(bath: Served, count: int, rounds: int, pause_s: float) -> dict[str, float]:
     """Medians in seconds, each the median of the rounds'."""
-    medians: dict[str, list[float]] = {"question": [], "poll": [], "pymodbus question": [], "pymodbus poll": []}
+    medians: dict[str, list[float]] = {
+        "question": [],
+        "poll": [],
+        "pymodbus question": [],
+        "pymodbus poll": [],
+    }
     for _ in range(rounds):
-        for whose, took in (("", ours(bath, count, pause_s)), ("pymodbus ", asyncio.run(theirs(bath, count, pause_s)))):
+        for whose, took in (
+            ("", ours(bath, count, pause_s)),
+            ("pymodbus ", asyncio.run(theirs(bath, count, pause_s))),
+        ):
             medians[f"{whose}question"].append(statistics.median(took[0]))
             medians[f"{whose}poll"].append(statistics.median(took[1]))
     return {name: statistics.median(rounded) for name, rounded in medians.items()}
@@ -150,24 +175,41 @@ def turns(bath: Served, count: int, rounds: int, pause_s: float) -> dict[str, fl
         pytest.param("pty", "omega-cn7", marks=pty),
     ],
 )
-def test_a_question_takes_no_longer_than_by_pymodbus_alone(benchmark: BenchmarkFixture, kind: str, family: str) -> None:
+def test_a_question_takes_no_longer_than_by_pymodbus_alone(
+    benchmark: BenchmarkFixture, kind: str, family: str
+) -> None:
     with served(kind, family) as bath:
-        took_s = benchmark.pedantic(turns, args=(bath, 60, 15, 0.003 if kind == "pty" else 0.0), rounds=1)
+        took_s = benchmark.pedantic(
+            turns, args=(bath, 60, 15, 0.003 if kind == "pty" else 0.0), rounds=1
+        )
         silence_s = len(bath.polled) * LEAST_GAP_S if kind == "pty" else 0.0
     told(benchmark, f"{kind} {family}", took_s, silence_s)
 
 
 @pty
 @pytest.mark.parametrize("family", ["eurotherm-3200", "omega-cn7"])
-def test_at_9600_baud_a_question_takes_the_wires_time(benchmark: BenchmarkFixture, family: str) -> None:
+def test_at_9600_baud_a_question_takes_the_wires_time(
+    benchmark: BenchmarkFixture, family: str
+) -> None:
     with served("pty", family, BAUD) as bath:
         took_s = benchmark.pedantic(turns, args=(bath, 12, 2, 0.005), rounds=1)
     character_s = BITS / BAUD
-    size, sizes = answered(bath.function, bath.asked.words), [answered(block.function, block.count) for block in bath.polled]
-    question_s, poll_s = size * character_s, sum(size + GAP_CHARACTERS for size in sizes) * character_s
+    size, sizes = (
+        answered(bath.function, bath.asked.words),
+        [answered(block.function, block.count) for block in bath.polled],
+    )
+    question_s, poll_s = (
+        size * character_s,
+        sum(size + GAP_CHARACTERS for size in sizes) * character_s,
+    )
     told(benchmark, f"pty at {BAUD} {family}", took_s, len(sizes) * GAP_CHARACTERS * character_s)
     for name, wire_s in (("question", question_s), ("poll", poll_s)):
-        figure(benchmark, f"pty at {BAUD} {family}, {name} over its wire time", took_s[name] / wire_s, f"at most {AT_MOST_OF_WIRE}")
+        figure(
+            benchmark,
+            f"pty at {BAUD} {family}, {name} over its wire time",
+            took_s[name] / wire_s,
+            f"at most {AT_MOST_OF_WIRE}",
+        )
 
 
 def answered(function: int, count: int) -> int:
@@ -175,9 +217,23 @@ def answered(function: int, count: int) -> int:
     return 8 + 5 + (2 * count if function in (3, 4) else -(-count // 8))
 
 
-def told(benchmark: BenchmarkFixture, link: str, took_s: dict[str, float], silence_s: float) -> None:
-    """Ours over pymodbus's own, for single questions and for whole polls; ``silence_s`` is what a poll owes to the line."""
+def told(
+    benchmark: BenchmarkFixture, link: str, took_s: dict[str, float], silence_s: float
+) -> None:
+    """Ours over pymodbus's own, for single questions and for whole polls; ``silence_s`` is what a
+    poll owes to the line.
+    """
     benchmark.extra_info |= {name: float(f"{seconds:.4g}") for name, seconds in took_s.items()}
-    figure(benchmark, f"{link}, question over pymodbus's", took_s["question"] / took_s["pymodbus question"], f"at most {AT_MOST}")
+    figure(
+        benchmark,
+        f"{link}, question over pymodbus's",
+        took_s["question"] / took_s["pymodbus question"],
+        f"at most {AT_MOST}",
+    )
     whose = "pymodbus's and the silence that it leaves out" if silence_s else "pymodbus's"
-    figure(benchmark, f"{link}, poll over {whose}", took_s["poll"] / (took_s["pymodbus poll"] + silence_s), f"at most {AT_MOST}")
+    figure(
+        benchmark,
+        f"{link}, poll over {whose}",
+        took_s["poll"] / (took_s["pymodbus poll"] + silence_s),
+        f"at most {AT_MOST}",
+    )

@@ -1,4 +1,6 @@
-"""How fast the bath is polled and its plant steps. Figures only; comparisons are in `test_bath_round_trips`."""
+"""How fast the bath is polled and its plant steps. Figures only; comparisons are in
+`test_bath_round_trips`.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,12 @@ from instruments.world.plant import Plant
 @pytest.fixture(params=[VirtualClock, RealClock], ids=["virtual", "real"])
 def served(request: pytest.FixtureRequest) -> Iterator[tuple[Clock, Listener]]:
     clock = request.param()
-    listener = Listener(BathEmulator(Plant(1), load_profile("julabo-presto"), clock), clock, lock=threading.RLock(), name="bath")
+    listener = Listener(
+        BathEmulator(Plant(1), load_profile("julabo-presto"), clock),
+        clock,
+        lock=threading.RLock(),
+        name="bath",
+    )
     yield clock, listener
     listener.close()
     if isinstance(clock, RealClock):
@@ -36,7 +43,12 @@ def test_poll(benchmark: BenchmarkFixture, served: tuple[Clock, Listener]) -> No
 def test_heating_with_1200_polls(benchmark: BenchmarkFixture) -> None:
     def heat() -> float:
         clock = VirtualClock()
-        listener = Listener(BathEmulator(Plant(1), load_profile("julabo-presto"), clock), clock, lock=threading.RLock(), name="bath")
+        listener = Listener(
+            BathEmulator(Plant(1), load_profile("julabo-presto"), clock),
+            clock,
+            lock=threading.RLock(),
+            name="bath",
+        )
         bath = Bath(f"tcp://127.0.0.1:{listener.port}", load_profile("julabo-presto"), clock)
         bath.start(33.0)
         for _ in range(1200):

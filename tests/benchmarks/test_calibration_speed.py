@@ -1,4 +1,6 @@
-"""How long a calibration takes, and triangulation beside OpenCV's: printed, not asserted (`pytest tests/benchmarks --benchmark-only`)."""
+"""How long a calibration takes, and triangulation beside OpenCV's: printed, not asserted (`pytest
+tests/benchmarks --benchmark-only`).
+"""
 
 from __future__ import annotations
 
@@ -45,8 +47,12 @@ def two_cores() -> Iterator[None]:
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """24 pairs of 1360 x 1024, rendered."""
     folder = tmp_path_factory.mktemp("pictures")
-    renderer = Renderer.from_calibration(tomllib.loads((RIGS / "calibration.toml").read_text(encoding="utf-8")), 1)
-    for number, board in enumerate(poses(pattern_of(BOARD), renderer.cameras[:2], (500.0, 1200.0), 1, PAIRS)):
+    renderer = Renderer.from_calibration(
+        tomllib.loads((RIGS / "calibration.toml").read_text(encoding="utf-8")), 1
+    )
+    for number, board in enumerate(
+        poses(pattern_of(BOARD), renderer.cameras[:2], (500.0, 1200.0), 1, PAIRS)
+    ):
         state = SceneState(Phantom(()), (), 20.0, 20.0, boards=(board,))
         for name, camera in (("left", renderer.left), ("right", renderer.right)):
             image = camera.expose(state, None, np.random.default_rng([1, number]))
@@ -54,43 +60,89 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_from_files_to_a_calibration(benchmark: BenchmarkFixture, pictures: Path, two_cores: None) -> None:
+def test_from_files_to_a_calibration(
+    benchmark: BenchmarkFixture, pictures: Path, two_cores: None
+) -> None:
     result = benchmark.pedantic(
-        lambda: calibrate_pair(find_views(find_pictures([pictures]), BOARD, lambda _: None), Lens()), rounds=1, iterations=1
+        lambda: calibrate_pair(
+            find_views(find_pictures([pictures]), BOARD, lambda _: None), Lens()
+        ),
+        rounds=1,
+        iterations=1,
     )
     assert len(result.views.pairs()) >= PAIRS - 2
     assert benchmark.stats is not None
-    figure(benchmark, f"{PAIRS} pairs of 1360 x 1024, s on two cores", benchmark.stats.stats.min, "at most 60")
+    figure(
+        benchmark,
+        f"{PAIRS} pairs of 1360 x 1024, s on two cores",
+        benchmark.stats.stats.min,
+        "at most 60",
+    )
 
 
 def test_a_million_points_beside_opencv(benchmark: BenchmarkFixture, rig: Calibration) -> None:
-    """OpenCV triangulates undistorted points only: beside its own time stands that with cv2.undistortPoints, which does the same work."""
+    """OpenCV triangulates undistorted points only: beside its own time stands that with
+    cv2.undistortPoints, which does the same work.
+    """
     rng = np.random.default_rng(1)
-    in_right = np.column_stack([rng.uniform(-200, 200, POINTS), rng.uniform(-150, 150, POINTS), rng.uniform(900, 1300, POINTS)])
-    left_px, right_px = rig.left.project(rig.right_from_left.inverse().apply(in_right)), rig.right.project(in_right)
+    in_right = np.column_stack(
+        [
+            rng.uniform(-200, 200, POINTS),
+            rng.uniform(-150, 150, POINTS),
+            rng.uniform(900, 1300, POINTS),
+        ]
+    )
+    left_px, right_px = (
+        rig.left.project(rig.right_from_left.inverse().apply(in_right)),
+        rig.right.project(in_right),
+    )
 
     points = benchmark.pedantic(
-        lambda: triangulate(left_px, right_px, rig.left, rig.right, rig.right_from_left)[0], rounds=3, iterations=1, warmup_rounds=1
+        lambda: triangulate(left_px, right_px, rig.left, rig.right, rig.right_from_left)[0],
+        rounds=3,
+        iterations=1,
+        warmup_rounds=1,
     )
     assert benchmark.stats is not None
     figure(benchmark, "a million points, s", benchmark.stats.stats.min, "at most 1")
     begun = cv2.getTickCount()
-    flat = [_undistorted(camera, pixels) for camera, pixels in ((rig.left, left_px), (rig.right, right_px))]
+    flat = [
+        _undistorted(camera, pixels)
+        for camera, pixels in ((rig.left, left_px), (rig.right, right_px))
+    ]
     undistorted = cv2.getTickCount()
     theirs = _by_opencv(rig, *flat)
     ended = cv2.getTickCount()
-    figure(benchmark, "cv2.triangulatePoints, s", (ended - undistorted) / cv2.getTickFrequency(), "no aim: for comparison")
-    figure(benchmark, "cv2.undistortPoints and cv2.triangulatePoints, s", (ended - begun) / cv2.getTickFrequency(), "for comparison")
+    figure(
+        benchmark,
+        "cv2.triangulatePoints, s",
+        (ended - undistorted) / cv2.getTickFrequency(),
+        "no aim: for comparison",
+    )
+    figure(
+        benchmark,
+        "cv2.undistortPoints and cv2.triangulatePoints, s",
+        (ended - begun) / cv2.getTickFrequency(),
+        "for comparison",
+    )
     assert np.abs(points - theirs).max() < 1e-3
 
 
 def _undistorted(camera: Camera, pixels_px: Array) -> Array:
-    K = np.array([[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]])
-    return np.asarray(cv2.undistortPoints(pixels_px.reshape(-1, 1, 2), K, np.array(camera.kc)).reshape(-1, 2).T, dtype=np.float64)
+    K = np.array(
+        [[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]]
+    )
+    return np.asarray(
+        cv2.undistortPoints(pixels_px.reshape(-1, 1, 2), K, np.array(camera.kc)).reshape(-1, 2).T,
+        dtype=np.float64,
+    )
 
 
 def _by_opencv(rig: Calibration, left: Array, right: Array) -> Array:
     left_from_right = rig.right_from_left.inverse()
-    P_left, P_right = np.column_stack([left_from_right.R, left_from_right.T]), np.column_stack([np.eye(3), np.zeros(3)])
+    P_left, P_right = (
+        np.column_stack([left_from_right.R, left_from_right.T]),
+        np.column_stack([np.eye(3), np.zeros(3)]),
+    )
     found = cv2.triangulatePoints(P_left, P_right, left, right)
     return np.asarray((found[:3] / found[3]).T, dtype=np.float64)

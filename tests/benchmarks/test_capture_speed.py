@@ -1,4 +1,6 @@
-"""What listening in costs, and how fast a capture is read and played. Printed, not asserted: run with --benchmark-only."""
+"""What listening in costs, and how fast a capture is read and played. Printed, not asserted: run
+with --benchmark-only.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,9 @@ def poll(link: Link) -> None:
         link.read(len(PACKET), 5.0)
 
 
-def test_round_trips_with_and_without_a_capture(benchmark: BenchmarkFixture, captures: Captures) -> None:
+def test_round_trips_with_and_without_a_capture(
+    benchmark: BenchmarkFixture, captures: Captures
+) -> None:
     clock = RealClock()
     listener = Listener(Answering(), clock, lock=threading.RLock(), name="arm")
     link = Link(listener.url, clock, who="arm", tap=captures.tap("arm", clock))

@@ -1,4 +1,6 @@
-"""What the engine itself costs: a trial without frames, touches or a detection, with its looks, prompts, states and record."""
+"""What the engine itself costs: a trial without frames, touches or a detection, with its looks,
+prompts, states and record.
+"""
 
 from __future__ import annotations
 
@@ -41,14 +43,22 @@ def empty_trials(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         trials._attention.check()
         trials._settle()
         trials._settle_again(trial.id)
-        head = {"id": trial.id, "number": trial.number, "name": trial.name, "situation": trial.situation, "repeat": trial.repeat}
+        head = {
+            "id": trial.id,
+            "number": trial.number,
+            "name": trial.name,
+            "situation": trial.situation,
+            "repeat": trial.repeat,
+        }
         trials._store.finished(FinishedTrial({**head, "wall_time": ""}, [], [], [], [], [], []))
 
     monkeypatch.setattr("bench.run.trial.TrialRun.run", run)
     return began
 
 
-def test_overhead_of_a_trial_without_frames(benchmark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_overhead_of_a_trial_without_frames(
+    benchmark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     script = SCRIPT.replace("poses = [", f"repeats = {TRIALS // 3}\nposes = [")
     files(tmp_path, script=script)
     began = empty_trials(monkeypatch)
@@ -56,7 +66,12 @@ def test_overhead_of_a_trial_without_frames(benchmark: Any, tmp_path: Path, monk
     benchmark.pedantic(lambda: run_script(rig, loaded, tmp_path / "runs", Quiet()), rounds=1)
     assert len(began) == TRIALS
     in_order = [1e3 * (b - a) for a, b in pairwise(began)]
-    figure(benchmark, "ms of the engine for a trial without frames, median", median(in_order), "at most 2")
+    figure(
+        benchmark,
+        "ms of the engine for a trial without frames, median",
+        median(in_order),
+        "at most 2",
+    )
     third = TRIALS // 3
     ratio = median(in_order[-third:]) / median(in_order[:third])
     figure(benchmark, "the same, median of the last third over that of the first", ratio, "1")

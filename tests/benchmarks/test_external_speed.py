@@ -1,4 +1,6 @@
-"""What a process of its own costs a detector: a question and its answer, a start, and the files written outside of its time."""
+"""What a process of its own costs a detector: a question and its answer, a start, and the files
+written outside of its time.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,10 @@ def rig() -> Calibration:
 @pytest.fixture(scope="module")
 def frames() -> Pictures:
     noise = np.random.default_rng(2)
-    left, right, thermal = (noise.normal(120, 4, size).astype(np.uint8) for size in ((1024, 1360), (1024, 1360), (480, 640)))
+    left, right, thermal = (
+        noise.normal(120, 4, size).astype(np.uint8)
+        for size in ((1024, 1360), (1024, 1360), (480, 640))
+    )
     return Pictures(left, right, thermal)
 
 
@@ -37,17 +42,26 @@ def detector(tmp_path: Path) -> Iterator[ExternalDetector]:
     made.close()
 
 
-def test_a_question_and_its_answer(benchmark: BenchmarkFixture, detector: ExternalDetector, frames: Pictures, rig: Calibration) -> None:
+def test_a_question_and_its_answer(
+    benchmark: BenchmarkFixture, detector: ExternalDetector, frames: Pictures, rig: Calibration
+) -> None:
     def prepared() -> None:
         detector.prepare(frames, rig)
 
     found = benchmark.pedantic(lambda: detector.detect(frames, rig), setup=prepared, rounds=20)
     assert found.hidden == 1
     assert benchmark.stats is not None
-    figure(benchmark, "a question and its answer over pipes, ms", 1e3 * benchmark.stats.stats.median, "below 5 ms")
+    figure(
+        benchmark,
+        "a question and its answer over pipes, ms",
+        1e3 * benchmark.stats.stats.median,
+        "below 5 ms",
+    )
 
 
-def test_the_pictures_are_written(benchmark: BenchmarkFixture, detector: ExternalDetector, frames: Pictures, rig: Calibration) -> None:
+def test_the_pictures_are_written(
+    benchmark: BenchmarkFixture, detector: ExternalDetector, frames: Pictures, rig: Calibration
+) -> None:
     detector.prepare(frames, rig)
     benchmark.pedantic(lambda: detector.prepare(frames, rig), rounds=10)
     assert benchmark.stats is not None
@@ -59,9 +73,13 @@ def test_the_pictures_are_written(benchmark: BenchmarkFixture, detector: Externa
     )
 
 
-def test_a_start(benchmark: BenchmarkFixture, tmp_path: Path, frames: Pictures, rig: Calibration) -> None:
+def test_a_start(
+    benchmark: BenchmarkFixture, tmp_path: Path, frames: Pictures, rig: Calibration
+) -> None:
     def whole() -> ExternalDetector:
-        made = ExternalDetector("mine", [sys.executable, str(tmp_path / "program.py")], time.perf_counter)
+        made = ExternalDetector(
+            "mine", [sys.executable, str(tmp_path / "program.py")], time.perf_counter
+        )
         made.prepare(frames, rig)
         made.close()
         return made
@@ -69,4 +87,9 @@ def test_a_start(benchmark: BenchmarkFixture, tmp_path: Path, frames: Pictures, 
     (tmp_path / "program.py").write_text(GOOD, encoding="utf-8")
     made = benchmark.pedantic(whole, rounds=3)
     assert made.start_up_s is not None
-    figure(benchmark, "start of a small Python program with its leash, ms", 1e3 * made.start_up_s, "none")
+    figure(
+        benchmark,
+        "start of a small Python program with its leash, ms",
+        1e3 * made.start_up_s,
+        "none",
+    )

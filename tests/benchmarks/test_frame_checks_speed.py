@@ -21,4 +21,9 @@ def test_looking_at_a_frame_set(benchmark: BenchmarkFixture) -> None:
     noticed = benchmark.pedantic(lambda: looks.notice(next(frames)), rounds=20, warmup_rounds=2)
     assert noticed == []
     assert benchmark.stats is not None
-    figure(benchmark, "all looks at a frame set, ms", 1000.0 * benchmark.stats.stats.median, "at most 60, as long as drawing one")
+    figure(
+        benchmark,
+        "all looks at a frame set, ms",
+        1000.0 * benchmark.stats.stats.median,
+        "at most 60, as long as drawing one",
+    )

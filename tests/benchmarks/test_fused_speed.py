@@ -1,4 +1,6 @@
-"""The bench's own detector beside the thesis's on the same frame sets, one core: printed, not asserted."""
+"""The bench's own detector beside the thesis's on the same frame sets, one core: printed, not
+asserted.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ def one_core() -> Iterator[None]:
 
 @pytest.mark.usefixtures("one_core")
 @pytest.mark.parametrize("name", ["fused", "thesis"])
-def test_detectors_on_sixteen_frame_sets(benchmark: BenchmarkFixture, name: str, frames: list[FrameSet]) -> None:
+def test_detectors_on_sixteen_frame_sets(
+    benchmark: BenchmarkFixture, name: str, frames: list[FrameSet]
+) -> None:
     detector, calibration = registry.create(name), calibration_of_rig()
     detector.detect(frames[0], calibration)  # the first call loads code and fills caches
     times_ms: list[float] = []
@@ -53,8 +57,15 @@ def test_detectors_on_sixteen_frame_sets(benchmark: BenchmarkFixture, name: str,
             times_ms.append(1000.0 * (time.process_time() - start))
 
     benchmark.pedantic(all_frames, rounds=3, iterations=1)
-    figure(benchmark, f"{name}: median of processor time, ms a frame set", float(np.median(times_ms)), "at most 60")
-    figure(benchmark, f"{name}: 99th percentile, ms", float(np.percentile(times_ms, 99)), "at most 120")
+    figure(
+        benchmark,
+        f"{name}: median of processor time, ms a frame set",
+        float(np.median(times_ms)),
+        "at most 60",
+    )
+    figure(
+        benchmark, f"{name}: 99th percentile, ms", float(np.percentile(times_ms, 99)), "at most 120"
+    )
 
 
 def calibration_of_rig() -> Calibration:

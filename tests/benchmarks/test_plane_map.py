@@ -1,4 +1,6 @@
-"""The plane map of 156 poses, emulated, scored and reported: seconds, and what they go into, printed beside the aim and not asserted."""
+"""The plane map of 156 poses, emulated, scored and reported: seconds, and what they go into,
+printed beside the aim and not asserted.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ SPENT = {
 def run(out: Path) -> Path:
     """The plane map on the emulated rig; gives back the run's folder."""
     with TerminalProgress(Console(file=io.StringIO())) as progress:
-        folder, _ = run_script(load_rig(find_rig(None)), load_script(find_script("plane-map")), out, progress)
+        folder, _ = run_script(
+            load_rig(find_rig(None)), load_script(find_script("plane-map")), out, progress
+        )
     return folder
 
 
@@ -46,8 +50,18 @@ def test_the_plane_map(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
     folder = benchmark.pedantic(whole, rounds=1)
     assert len(read_run(folder).trials) == 156
     assert benchmark.stats is not None
-    figure(benchmark, "plane map of 156 poses, emulated, scored and reported, s", benchmark.stats.stats.mean, "at most 60 s")
-    figure(benchmark, "the same in seconds of one processor", spent_s[0], "less than the above; more means that the machine was busy")
+    figure(
+        benchmark,
+        "plane map of 156 poses, emulated, scored and reported, s",
+        benchmark.stats.stats.mean,
+        "at most 60 s",
+    )
+    figure(
+        benchmark,
+        "the same in seconds of one processor",
+        spent_s[0],
+        "less than the above; more means that the machine was busy",
+    )
 
 
 def test_what_it_goes_into(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
@@ -61,5 +75,12 @@ def test_what_it_goes_into(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
     }
     whole_s = spent_s["jobs.py", "run_script"]
     for what, where in SPENT.items():
-        assert where in spent_s, f"nothing called {where[1]} of {where[0]} was run; has it another name now?"
-        figure(benchmark, f"{what}, share in %", 100.0 * spent_s[where] / whole_s, "none: it tells where to look")
+        assert where in spent_s, (
+            f"nothing called {where[1]} of {where[0]} was run; has it another name now?"
+        )
+        figure(
+            benchmark,
+            f"{what}, share in %",
+            100.0 * spent_s[where] / whole_s,
+            "none: it tells where to look",
+        )

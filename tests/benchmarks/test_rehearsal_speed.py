@@ -1,4 +1,6 @@
-"""What a dry run of a thousand trials takes: the script gone through on emulators, with the frames of twelve."""
+"""What a dry run of a thousand trials takes: the script gone through on emulators, with the frames
+of twelve.
+"""
 
 from __future__ import annotations
 

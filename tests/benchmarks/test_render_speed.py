@@ -1,4 +1,6 @@
-"""How long the scene takes to draw, on one core: printed, not asserted. `pytest tests/benchmarks --benchmark-only`."""
+"""How long the scene takes to draw, on one core: printed, not asserted. `pytest tests/benchmarks
+--benchmark-only`.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ def one_core() -> Iterator[None]:
 
 
 def make_renderer() -> Renderer:
-    return Renderer.from_calibration(tomllib.loads(CALIBRATION.read_text(encoding="utf-8")), camera_seed=7)
+    return Renderer.from_calibration(
+        tomllib.loads(CALIBRATION.read_text(encoding="utf-8")), camera_seed=7
+    )
 
 
 def _time(benchmark: BenchmarkFixture, work: Callable[[], object], rounds: int) -> None:
@@ -70,14 +74,19 @@ def _median_ms(benchmark: BenchmarkFixture) -> float:
 
 @pytest.mark.parametrize("name", sorted(SITUATIONS))
 def test_frame_set_at_a_new_pose(benchmark: BenchmarkFixture, name: str) -> None:
-    """Two 1360 x 1024 and one thermal frame, a new pose of the phantom and fresh noise each time."""
+    """Two 1360 x 1024 and one thermal frame, a new pose of the
+    phantom and fresh noise each time.
+    """
     renderer, poses = make_renderer(), count()
     still = situation(name)
     renderer.render(still, np.random.default_rng(0))
 
     def draw() -> None:
         i = next(poses)
-        renderer.render(replace(still, phantom=still.phantom.moved(PlatePose(x_mm=0.37 * (i % 40)))), np.random.default_rng(i))
+        renderer.render(
+            replace(still, phantom=still.phantom.moved(PlatePose(x_mm=0.37 * (i % 40)))),
+            np.random.default_rng(i),
+        )
 
     _time(benchmark, draw, 15)
     figure(benchmark, f"{name}, new pose, median ms", _median_ms(benchmark), "at most 60")
@@ -99,21 +108,39 @@ def test_frame_set_of_a_new_scene(benchmark: BenchmarkFixture, name: str) -> Non
     states = [warm(member(name, seed)) for seed in range(8)]
     renderer.render(states[0], np.random.default_rng(0))
     _time(benchmark, lambda: renderer.render(states[next(seeds) % 8], np.random.default_rng(0)), 8)
-    figure(benchmark, f"{name}, new scene, median ms", _median_ms(benchmark), "none; two backgrounds are drawn")
+    figure(
+        benchmark,
+        f"{name}, new scene, median ms",
+        _median_ms(benchmark),
+        "none; two backgrounds are drawn",
+    )
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="peak memory is asked of the resource module, which Windows hasn't")
+@pytest.mark.skipif(
+    sys.platform == "win32",
+    reason="peak memory is asked of the resource module, which Windows hasn't",
+)
 def test_first_frame_set_and_peak_memory(benchmark: BenchmarkFixture) -> None:
-    """A process of its own: from its first import to the first frame set, and its peak after all eleven situations."""
+    """A process of its own: from its first import to the first frame set, and its peak after all
+    eleven situations.
+    """
     figures: list[list[float]] = []
 
     def start() -> None:
-        said = subprocess.run([sys.executable, "-c", ONE_START, str(CALIBRATION)], cwd=ROOT, capture_output=True, text=True, check=True)
+        said = subprocess.run(
+            [sys.executable, "-c", ONE_START, str(CALIBRATION)],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
         figures.append([float(word) for word in said.stdout.split()])
 
     benchmark.pedantic(start, rounds=3)
     first_s, peak_mib = np.median(figures, axis=0)
-    figure(benchmark, "first frame set after start, imports included, s", float(first_s), "at most 2")
+    figure(
+        benchmark, "first frame set after start, imports included, s", float(first_s), "at most 2"
+    )
     figure(benchmark, "peak memory, MiB", float(peak_mib), "under 500")
 
 

@@ -1,6 +1,8 @@
-"""A report of 1 000 trials with their frames: how long it takes, how large its page is, how fast a browser has it. Printed, not asserted.
+"""A report of 1 000 trials with their frames: how long it takes, how large its page is, how fast a
+browser has it. Printed, not asserted.
 
-A short run's trials are told again under new names, so every frame is read, cut and written as if it were another.
+A short run's trials are told again under new names, so every frame is read, cut and written as if
+it were another.
 """
 
 from __future__ import annotations
@@ -32,14 +34,22 @@ def run(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> RunReco
     short = read_run(folder)
     shutil.rmtree(folder / "report")
     told = [short.trials[k % len(short.trials)] for k in range(TRIALS)]
-    heads = [{**trial.head, "number": k, "id": f"{k:04d}-{trial.pose}"} for k, trial in enumerate(told, 1)]
-    return replace(short, trials=tuple(replace(trial, head=head) for trial, head in zip(told, heads, strict=True)))
+    heads = [
+        {**trial.head, "number": k, "id": f"{k:04d}-{trial.pose}"}
+        for k, trial in enumerate(told, 1)
+    ]
+    return replace(
+        short,
+        trials=tuple(replace(trial, head=head) for trial, head in zip(told, heads, strict=True)),
+    )
 
 
 def written(run: RunRecord) -> Path:
     rules = stored_rules(run.folder)
     folder = run.folder / "report"
-    page = build_page(run, rules, judge(run, rules), read_calibration(run.folder / "calibration.toml"), folder)
+    page = build_page(
+        run, rules, judge(run, rules), read_calibration(run.folder / "calibration.toml"), folder
+    )
     return write_report(page, folder)
 
 
@@ -49,11 +59,15 @@ def test_report_of_1000_trials(benchmark: BenchmarkFixture, run: RunRecord) -> N
     assert len(list((path.parent / "trials").iterdir())) == TRIALS
     assert path.stat().st_size <= 1_000_000  # no matter of speed, so it may be asserted
     assert benchmark.stats is not None
-    figure(benchmark, "report of 1 000 trials with frames, s", benchmark.stats.stats.max, "at most 30")
+    figure(
+        benchmark, "report of 1 000 trials with frames, s", benchmark.stats.stats.max, "at most 30"
+    )
     figure(benchmark, "its page, bytes", path.stat().st_size, "at most 1 000 000")
     with browser_page() as seen:
         page = seen.open(path)
-        loaded_ms = page.evaluate("() => performance.getEntriesByType('navigation')[0].loadEventEnd")
+        loaded_ms = page.evaluate(
+            "() => performance.getEntriesByType('navigation')[0].loadEventEnd"
+        )
         figure(benchmark, "its page loads in, s", loaded_ms / 1000, "at most 1")
         page.locator("#trial-500 a").click()
         assert set(seen.image_widths().values()) == {640, 1360}

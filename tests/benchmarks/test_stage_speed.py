@@ -1,6 +1,8 @@
-"""How many moves a second driver and emulated stage make over a loopback link under virtual time. Aim: 500 or more.
+"""How many moves a second driver and emulated stage make over a loopback link under virtual time.
+Aim: 500 or more.
 
-A poll costs a round trip, and there is one every 0.2 s of virtual time: long moves cost more than short ones.
+A poll costs a round trip, and there is one every 0.2 s of virtual time: long moves cost more than
+short ones.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ from tests.benchmarks.figures import figure
 
 @pytest.mark.parametrize("dialect", [CLASSIC, GRBL_HAL], ids=["grbl", "grblHAL"])
 @pytest.mark.parametrize(("step_mm", "feed_mm_min"), [(10.0, 3000.0), (20.0, 1500.0)])
-def test_moves_per_second(benchmark: BenchmarkFixture, dialect: Dialect, step_mm: float, feed_mm_min: float) -> None:
+def test_moves_per_second(
+    benchmark: BenchmarkFixture, dialect: Dialect, step_mm: float, feed_mm_min: float
+) -> None:
     clock = VirtualClock()
     emulator = StageEmulator(clock, dialect=dialect, play_mm=(0.05, 0.05, 0.0))
     listener = Listener(emulator, clock, lock=threading.RLock(), name="stage")
@@ -35,4 +39,9 @@ def test_moves_per_second(benchmark: BenchmarkFixture, dialect: Dialect, step_mm
         stage.close()
         listener.close()
     if benchmark.stats:
-        figure(benchmark, f"moves a second of {step_mm:g} mm, {dialect.name}", 1.0 / benchmark.stats["mean"], "at least 500")
+        figure(
+            benchmark,
+            f"moves a second of {step_mm:g} mm, {dialect.name}",
+            1.0 / benchmark.stats["mean"],
+            "at least 500",
+        )

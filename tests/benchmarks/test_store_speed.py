@@ -1,4 +1,6 @@
-"""What the record costs: events, steps in a long run, frames; beside bluesky's count plan where that is installed."""
+"""What the record costs: events, steps in a long run, frames; beside bluesky's count plan where
+that is installed.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,12 @@ def say(store: Store, events: int) -> None:
 
 def test_events_in_steps(benchmark: BenchmarkFixture, store: Store) -> None:
     benchmark.pedantic(lambda: say(store, EVENTS), rounds=5, warmup_rounds=1)
-    figure(benchmark, f"events a second, durable with their step of {A_STEP}", rate(EVENTS, benchmark), "at least 5 000")
+    figure(
+        benchmark,
+        f"events a second, durable with their step of {A_STEP}",
+        rate(EVENTS, benchmark),
+        "at least 5 000",
+    )
 
 
 def test_events_one_by_one(benchmark: BenchmarkFixture, store: Store) -> None:
@@ -58,22 +65,60 @@ def test_events_one_by_one(benchmark: BenchmarkFixture, store: Store) -> None:
             store.event(float(number), "state", "the stage moves to x = 120 mm", wall_time())
 
     benchmark.pedantic(events, rounds=3, warmup_rounds=1)
-    figure(benchmark, "events a second, each durable as it returns", rate(200, benchmark), "none: one sync of the disk each")
+    figure(
+        benchmark,
+        "events a second, each durable as it returns",
+        rate(200, benchmark),
+        "none: one sync of the disk each",
+    )
 
 
 def bare_trial(number: int) -> FinishedTrial:
     name = f"{number:06d}-x-1"
-    head: dict[str, Any] = {"id": name, "number": number, "name": "x", "situation": "s", "repeat": 1, "wall_time": "now"}
-    detection = {"trial": name, "detector": "thesis", "hidden": 0, "reason": None, "trace": "{}", "wall_seconds": 0.1}
-    found = {"trial": name, "detector": "thesis", "number": 1, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0}
-    truth = {"trial": name, "teat": "1", "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "u_mm": 0.2, "visible": 1}
+    head: dict[str, Any] = {
+        "id": name,
+        "number": number,
+        "name": "x",
+        "situation": "s",
+        "repeat": 1,
+        "wall_time": "now",
+    }
+    detection = {
+        "trial": name,
+        "detector": "thesis",
+        "hidden": 0,
+        "reason": None,
+        "trace": "{}",
+        "wall_seconds": 0.1,
+    }
+    found = {
+        "trial": name,
+        "detector": "thesis",
+        "number": 1,
+        "x_mm": 1.0,
+        "y_mm": 2.0,
+        "z_mm": 3.0,
+    }
+    truth = {
+        "trial": name,
+        "teat": "1",
+        "x_mm": 1.0,
+        "y_mm": 2.0,
+        "z_mm": 3.0,
+        "u_mm": 0.2,
+        "visible": 1,
+    }
     return FinishedTrial(head, [], [], [truth], [detection], [found], [])
 
 
-def test_a_step_late_in_a_run_of_100_000(benchmark: BenchmarkFixture, store: Store, tmp_path: Path) -> None:
-    """Beside a step early in another run, in turns, so that what else the machine does falls on both.
+def test_a_step_late_in_a_run_of_100_000(
+    benchmark: BenchmarkFixture, store: Store, tmp_path: Path
+) -> None:
+    """Beside a step early in another run, in turns, so that what else the machine does falls on
+    both.
 
-    In the thread's own time, without syncs, which would hide it: then what grows with the run is all that could show.
+    In the thread's own time, without syncs, which would hide it: then what grows with the run is
+    all that could show.
     """
     early = Store.create(tmp_path / "early", {})
     facts(early)
@@ -86,16 +131,29 @@ def test_a_step_late_in_a_run_of_100_000(benchmark: BenchmarkFixture, store: Sto
 
     def in_turns() -> None:
         for number in range(BLOCKS):
-            begun = [(store, LONG + 1 + number * A_BLOCK), (early, LONG // 100 + 1 + number * A_BLOCK)]
-            taken_s = {one: steps_s(one, first, A_BLOCK) for one, first in (begun if number % 2 else reversed(begun))}
+            begun = [
+                (store, LONG + 1 + number * A_BLOCK),
+                (early, LONG // 100 + 1 + number * A_BLOCK),
+            ]
+            taken_s = {
+                one: steps_s(one, first, A_BLOCK)
+                for one, first in (begun if number % 2 else reversed(begun))
+            }
             blocks.append((taken_s[store], taken_s[early]))
 
     benchmark.pedantic(in_turns, rounds=1)
     early.close()
     late_s, early_s = (median(some) for some in zip(*blocks, strict=True))
-    figure(benchmark, "a trial's step early in a run, without sync, us of the thread's time", 1e6 * early_s, "-")
+    figure(
+        benchmark,
+        "a trial's step early in a run, without sync, us of the thread's time",
+        1e6 * early_s,
+        "-",
+    )
     figure(benchmark, f"the same after {LONG}, us", 1e6 * late_s, "no more than that")
-    ratios(benchmark, "the one over the other", [late / early for late, early in blocks], "at most 1")
+    ratios(
+        benchmark, "the one over the other", [late / early for late, early in blocks], "at most 1"
+    )
 
 
 def steps_s(store: Store, first: int, count: int) -> float:
@@ -124,7 +182,10 @@ def test_frames(benchmark: BenchmarkFixture, store: Store, bits: int) -> None:
     y, x = np.mgrid[:480, :640]
     scene = 29_500 + 300 * np.exp(-((y - 200.0) ** 2 + (x - 300.0) ** 2) / 8000)
     raw = [(scene + chance.normal(0.0, 5.0, scene.shape)).astype(np.uint16) for _ in range(A_TRIAL)]
-    images = {f"camera-{k}": image if bits == 16 else (image // 118).astype(np.uint8) for k, image in enumerate(raw)}
+    images = {
+        f"camera-{k}": image if bits == 16 else (image // 118).astype(np.uint8)
+        for k, image in enumerate(raw)
+    }
     trials = itertools.count()
 
     def frames() -> None:
@@ -133,7 +194,12 @@ def test_frames(benchmark: BenchmarkFixture, store: Store, bits: int) -> None:
 
     benchmark.pedantic(frames, rounds=5, warmup_rounds=1)
     aim = "at least 300" if bits == 16 else "-"
-    figure(benchmark, f"frames of {bits} bits a second, hashed and synced, {A_TRIAL} a trial", rate(FRAMES, benchmark), aim)
+    figure(
+        benchmark,
+        f"frames of {bits} bits a second, hashed and synced, {A_TRIAL} a trial",
+        rate(FRAMES, benchmark),
+        aim,
+    )
 
 
 class Counter:
@@ -150,7 +216,9 @@ class Counter:
 
 @pytest.fixture
 def count_plan(tmp_path: Path) -> Iterator[Callable[[], None]]:
-    """Events of bluesky's ``count`` through its run engine into a file of JSON lines, which it never syncs."""
+    """Events of bluesky's ``count`` through its run engine into a file of JSON lines, which it
+    never syncs.
+    """
     if importlib.util.find_spec("bluesky") is None:
         pytest.skip("bluesky is not installed: nothing to compare with")
     engine: Any = importlib.import_module("bluesky").RunEngine({}, context_managers=[])
@@ -158,7 +226,10 @@ def count_plan(tmp_path: Path) -> Iterator[Callable[[], None]]:
 
     def count() -> None:
         with (tmp_path / "documents.jsonl").open("a", encoding="utf-8") as file:
-            engine(plans.count([Counter()], num=COUNTED), lambda name, doc: file.write(json.dumps([name, doc], default=str) + "\n"))
+            engine(
+                plans.count([Counter()], num=COUNTED),
+                lambda name, doc: file.write(json.dumps([name, doc], default=str) + "\n"),
+            )
 
     yield count
     engine.loop.call_soon_threadsafe(engine.loop.stop)
@@ -166,7 +237,9 @@ def count_plan(tmp_path: Path) -> Iterator[Callable[[], None]]:
     engine.loop.close()
 
 
-def test_events_beside_blueskys_count_plan(benchmark: BenchmarkFixture, store: Store, count_plan: Callable[[], None]) -> None:
+def test_events_beside_blueskys_count_plan(
+    benchmark: BenchmarkFixture, store: Store, count_plan: Callable[[], None]
+) -> None:
     """In turns in one run, so that what else the machine does falls on both."""
     turns: list[tuple[float, float]] = []
 
@@ -182,6 +255,16 @@ def test_events_beside_blueskys_count_plan(benchmark: BenchmarkFixture, store: S
     turns.clear()
     benchmark.pedantic(in_turns, rounds=1)
     ours, theirs = (median(some) for some in zip(*turns, strict=True))
-    figure(benchmark, "events a second, durable with their step, in turns with bluesky", ours, "at least 5 000")
-    figure(benchmark, "bluesky: events of the count plan a second, to JSON lines without sync", theirs, "for scale")
+    figure(
+        benchmark,
+        "events a second, durable with their step, in turns with bluesky",
+        ours,
+        "at least 5 000",
+    )
+    figure(
+        benchmark,
+        "bluesky: events of the count plan a second, to JSON lines without sync",
+        theirs,
+        "for scale",
+    )
     ratios(benchmark, "the one over the other", [one / other for one, other in turns], "-")

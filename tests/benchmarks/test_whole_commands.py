@@ -1,4 +1,6 @@
-"""Whole commands as a user calls them: seconds and peak memory, printed beside the aims and not asserted."""
+"""Whole commands as a user calls them: seconds and peak memory, printed beside the aims and not
+asserted.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,12 @@ def call(*arguments: str) -> str:
     """Run a command in a fresh process; its standard error."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        [sys.executable, "-c", CHILD, *arguments], env=environment, capture_output=True, text=True, encoding="utf-8", check=False
+        [sys.executable, "-c", CHILD, *arguments],
+        env=environment,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        check=False,
     )
     assert done.returncode in (0, 1, 4), done.stderr
     return done.stderr
@@ -40,13 +47,17 @@ def show(what: str, stderr: str, aim: str) -> None:
     print(f"\n{what}: peak memory {peak_mib:.0f} MiB (aims: {aim})")
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the peak memory is read from the POSIX module resource")
+@pytest.mark.skipif(
+    sys.platform == "win32", reason="the peak memory is read from the POSIX module resource"
+)
 def test_the_demo(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
     stderr = benchmark.pedantic(lambda: call("run", "--out", str(tmp_path)), rounds=1)
     show("demo, six situations, 3 repeats each", stderr, "at most 60 s, under 1024 MiB")
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the peak memory is read from the POSIX module resource")
+@pytest.mark.skipif(
+    sys.platform == "win32", reason="the peak memory is read from the POSIX module resource"
+)
 def test_help(benchmark: BenchmarkFixture) -> None:
     stderr = benchmark.pedantic(lambda: call("--help"), rounds=5, warmup_rounds=1)
     show("teatbench --help", stderr, "at most 0.3 s")

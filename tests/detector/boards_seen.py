@@ -1,4 +1,6 @@
-"""Boards before known cameras: corners with noise, by OpenCV's own projection, so that the project's geometry has a referee."""
+"""Boards before known cameras: corners with noise, by OpenCV's own projection, so that the
+project's geometry has a referee.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def thesis_rig() -> Calibration:
 
 
 def poses(seed: int, count: int, board: Board, spread: float) -> list[Motion]:
-    """left_from_board: the board's middle all over ``spread`` of the picture, tilted up to 40 degrees to every side, 0.8 to 1.4 m away."""
+    """left_from_board: the board's middle all over ``spread`` of the picture, tilted up to 40
+    degrees to every side, 0.8 to 1.4 m away.
+    """
     rng = np.random.default_rng([seed, 7])
     found = []
     for at in range(count):
@@ -34,9 +38,18 @@ def poses(seed: int, count: int, board: Board, spread: float) -> list[Motion]:
             2 * np.pi * (at + rng.uniform()) / count * 3,
             np.radians(rng.uniform(-15, 15)),
         )
-        R = cv2.Rodrigues(tilt * np.array([np.cos(way), np.sin(way), 0.0]))[0] @ cv2.Rodrigues(np.array([0.0, 0.0, turn]))[0]
+        R = (
+            cv2.Rodrigues(tilt * np.array([np.cos(way), np.sin(way), 0.0]))[0]
+            @ cv2.Rodrigues(np.array([0.0, 0.0, turn]))[0]
+        )
         depth = rng.uniform(800.0, 1400.0)
-        aim = np.array([spread * rng.uniform(-0.28, 0.28) * depth + 50.0, spread * rng.uniform(-0.2, 0.2) * depth, depth])
+        aim = np.array(
+            [
+                spread * rng.uniform(-0.28, 0.28) * depth + 50.0,
+                spread * rng.uniform(-0.2, 0.2) * depth,
+                depth,
+            ]
+        )
         middle = board.points_mm.mean(axis=0)
         found.append(Motion(R, aim - R @ middle))
     return found
@@ -44,7 +57,13 @@ def poses(seed: int, count: int, board: Board, spread: float) -> list[Motion]:
 
 def project(camera: Camera, camera_from_board: Motion, board_mm: Array) -> Array:
     K = np.array([[camera.fc[0], 0, camera.cc[0]], [0, camera.fc[1], camera.cc[1]], [0, 0, 1.0]])
-    seen = cv2.projectPoints(board_mm.reshape(-1, 1, 3), camera_from_board.om, camera_from_board.T, K, np.array(camera.kc))[0]
+    seen = cv2.projectPoints(
+        board_mm.reshape(-1, 1, 3),
+        camera_from_board.om,
+        camera_from_board.T,
+        K,
+        np.array(camera.kc),
+    )[0]
     return np.asarray(seen.reshape(-1, 2), dtype=np.float64)
 
 
@@ -53,9 +72,16 @@ def inside(camera: Camera, pixels_px: Array) -> bool:
 
 
 def seen(
-    rig: Calibration, seed: int, *, shape: Callable[[Array], Array] = lambda points: points, thermal: bool = False, count: int = 24
+    rig: Calibration,
+    seed: int,
+    *,
+    shape: Callable[[Array], Array] = lambda points: points,
+    thermal: bool = False,
+    count: int = 24,
 ) -> Mapping[str, list[View]]:
-    """Views by camera, with noise; ``shape`` bends the printed points into the real ones. The thermal camera wants a small board."""
+    """Views by camera, with noise; ``shape`` bends the printed points into the real ones. The
+    thermal camera wants a small board.
+    """
     rng = np.random.default_rng([seed, 8])
     cameras = {"left": (rig.left, Motion.identity()), "right": (rig.right, rig.right_from_left)}
     if thermal and rig.thermal.lens and rig.thermal_from_left:
@@ -66,14 +92,24 @@ def seen(
         for name, (camera, motion) in cameras.items():
             pixels = project(camera, motion @ pose, shape(board.points_mm))
             if inside(camera, pixels):
-                views[name].append(View(f"{number:02d}", board.points_mm, pixels + rng.normal(0.0, NOISE_PX, pixels.shape)))
+                views[name].append(
+                    View(
+                        f"{number:02d}",
+                        board.points_mm,
+                        pixels + rng.normal(0.0, NOISE_PX, pixels.shape),
+                    )
+                )
     return views
 
 
 def pair_views(views: Mapping[str, list[View]]) -> list[PairView]:
     right = {view.name: view for view in views["right"]}
     ids = np.arange(len(BOARD.points_mm))
-    return [PairView(v.name, ids, v.pixels_px, right[v.name].pixels_px) for v in views["left"] if v.name in right]
+    return [
+        PairView(v.name, ids, v.pixels_px, right[v.name].pixels_px)
+        for v in views["left"]
+        if v.name in right
+    ]
 
 
 def shifted(views: list[View], by_px: tuple[float, float]) -> list[View]:

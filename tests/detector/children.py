@@ -16,7 +16,9 @@ from detector.protocol import Detection, DetectionFailure
 from tests.detector.conftest import Pictures
 
 Start = Callable[..., ExternalDetector]
-PICTURES = Pictures(np.full((8, 9), 7, np.uint8), np.zeros((8, 9), np.uint8), None, np.full((3, 4), 305.15))
+PICTURES = Pictures(
+    np.full((8, 9), 7, np.uint8), np.zeros((8, 9), np.uint8), None, np.full((3, 4), 305.15)
+)
 
 HEAD = """\
 import json, os, subprocess, sys, time
@@ -44,7 +46,12 @@ def child(folder: Path, program: str, **limits: float | None) -> ExternalDetecto
     """A detector that runs ``program``."""
     path = folder / "program.py"
     path.write_text(program, encoding="utf-8")
-    return ExternalDetector("mine", [sys.executable, str(path)], time.perf_counter, limits=Limits(**limits))  # type: ignore[arg-type]
+    return ExternalDetector(
+        "mine",
+        [sys.executable, str(path)],
+        time.perf_counter,
+        limits=Limits(**limits),  # type: ignore[arg-type]
+    )
 
 
 @pytest.fixture

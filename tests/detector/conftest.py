@@ -1,4 +1,6 @@
-"""Frame sets and files that the detector's tests share: drawn here with OpenCV, or read from ../shared where it is there."""
+"""Frame sets and files that the detector's tests share: drawn here with OpenCV, or read from
+../shared where it is there.
+"""
 
 from __future__ import annotations
 
@@ -50,13 +52,24 @@ def shared() -> Path:
 
 @pytest.fixture(scope="session")
 def teats_mm() -> NDArray[np.float64]:
-    """Four teat ends (4, 3) in the world, as far apart as the phantom's, all well inside the thermal picture."""
-    return np.array([[-255.0, 275.0, 132.0], [-205.0, 200.0, 137.0], [-140.0, 205.0, 136.0], [-80.0, 270.0, 134.0]])
+    """Four teat ends (4, 3) in the world, as far apart as the phantom's, all well inside the
+    thermal picture.
+    """
+    return np.array(
+        [
+            [-255.0, 275.0, 132.0],
+            [-205.0, 200.0, 137.0],
+            [-140.0, 205.0, 136.0],
+            [-80.0, 270.0, 134.0],
+        ]
+    )
 
 
 @pytest.fixture(scope="session")
 def draw(rig: Calibration) -> Draw:
-    """A function that draws dark round-ended teats of 22 mm before a bright ground in all three cameras: flat, without a scene."""
+    """A function that draws dark round-ended teats of 22 mm before a bright ground in all three
+    cameras: flat, without a scene.
+    """
 
     def pictures(ends_mm: NDArray[np.float64], mirrored: bool = True) -> Pictures:
         assert rig.thermal.lens is not None
@@ -64,20 +77,34 @@ def draw(rig: Calibration) -> Draw:
         in_right = rig.world_from_right.inverse().apply(ends_mm)
         thermal_px = rig.thermal.lens.project(rig.thermal_from_right.apply(in_right))
         left_px, right_px = rig.project(ends_mm)
-        thermal = teats_picture((640, 480), thermal_px, 11 * rig.thermal.lens.fc[0] / in_right[:, 2])
+        thermal = teats_picture(
+            (640, 480), thermal_px, 11 * rig.thermal.lens.fc[0] / in_right[:, 2]
+        )
         left = teats_picture(rig.left.image_size, left_px, 11 * rig.left.fc[0] / in_right[:, 2])
         right = teats_picture(rig.right.image_size, right_px, 11 * rig.right.fc[0] / in_right[:, 2])
-        return Pictures(left, right, np.ascontiguousarray(thermal[:, ::-1]) if mirrored else thermal)
+        return Pictures(
+            left, right, np.ascontiguousarray(thermal[:, ::-1]) if mirrored else thermal
+        )
 
     return pictures
 
 
-def teats_picture(size: tuple[int, int], ends_px: NDArray[np.float64], radii_px: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Dark upright strokes with round tops at ends (n, 2) px, reaching far down, on a bright picture of size (columns, rows)."""
+def teats_picture(
+    size: tuple[int, int], ends_px: NDArray[np.float64], radii_px: NDArray[np.float64]
+) -> NDArray[np.uint8]:
+    """Dark upright strokes with round tops at ends (n, 2) px, reaching far down, on a bright
+    picture of size (columns, rows).
+    """
     picture = np.full((size[1], size[0]), 210, dtype=np.uint8)
     for (x, y), radius in zip(ends_px, radii_px, strict=True):
         top, foot = (round(x), round(y + radius)), (round(x), round(y + 10 * radius))
         cv2.line(picture, top, foot, 20, thickness=round(2 * radius))
         cv2.circle(picture, top, round(radius), 20, thickness=-1)
-        cv2.rectangle(picture, (foot[0] - round(radius) - 1, foot[1]), (foot[0] + round(radius) + 1, size[1]), 210, thickness=-1)
+        cv2.rectangle(
+            picture,
+            (foot[0] - round(radius) - 1, foot[1]),
+            (foot[0] + round(radius) + 1, size[1]),
+            210,
+            thickness=-1,
+        )
     return picture

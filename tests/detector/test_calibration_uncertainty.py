@@ -1,4 +1,6 @@
-"""The stated uncertainty of a triangulated point is the one that repeating the calibration shows."""
+"""The stated uncertainty of a triangulated point is the one that
+repeating the calibration shows.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from detector.calibration import Calibration, ParameterCovariance, Record, dump_calibration, load_calibration
+from detector.calibration import (
+    Calibration,
+    ParameterCovariance,
+    Record,
+    dump_calibration,
+    load_calibration,
+)
 from detector.calibration.bundle import POSE
 from detector.calibration.cameras import calibrate_camera, join_cameras
 from detector.calibration.homographies import fit_homography
@@ -17,15 +25,35 @@ from detector.geometry import Array, Motion, apply_homography
 from tests.detector.boards_seen import seen, thesis_rig
 
 POINTS = np.array([[-190.0, 235.0, 135.0], [-110.0, 284.0, 134.0], [-300.0, 180.0, 90.0]])
-TOUCHED = np.array([[x, y, z] for z in (40.0, 120.0) for x in (-300.0, -190.0, -80.0) for y in (150.0, 235.0, 320.0)])
+TOUCHED = np.array(
+    [
+        [x, y, z]
+        for z in (40.0, 120.0)
+        for x in (-300.0, -190.0, -80.0)
+        for y in (150.0, 235.0, 320.0)
+    ]
+)
 
 
 def with_covariance(covariance: ParameterCovariance) -> Calibration:
     rig = thesis_rig()
     return Calibration(
-        rig.left, rig.right, rig.thermal, rig.right_from_left, rig.thermal_from_left, rig.world_from_right, rig.homographies, covariance,
-        Record("2026-11-20", "A. Tester", 'board "B" of 9 x 6', {"left": "SN 1"}, {"left/01.png": "0" * 64}),
-    )  # fmt: skip
+        rig.left,
+        rig.right,
+        rig.thermal,
+        rig.right_from_left,
+        rig.thermal_from_left,
+        rig.world_from_right,
+        rig.homographies,
+        covariance,
+        Record(
+            "2026-11-20",
+            "A. Tester",
+            'board "B" of 9 x 6',
+            {"left": "SN 1"},
+            {"left/01.png": "0" * 64},
+        ),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -38,12 +66,22 @@ def covariance() -> ParameterCovariance:
     left, right = rig.project(TOUCHED)
     given = ParameterCovariance(names, fit.covariance)
     touched = {"pair_covariance": given, "pixel_sd_px": 0.1, "touch_sd_mm": 0.2}
-    return fit_world(rig.left, rig.right, rig.right_from_left, left, right, TOUCHED, **touched).covariance  # type: ignore[arg-type]
+    return fit_world(
+        rig.left,
+        rig.right,
+        rig.right_from_left,
+        left,
+        right,
+        TOUCHED,
+        **touched,  # type: ignore[arg-type]
+    ).covariance
 
 
 def drawn(pair: Pair, covariance: ParameterCovariance, count: int, seed: int) -> list[Pair]:
     """Pairs whose parameters are drawn from the covariance."""
-    draws = np.random.default_rng(seed).multivariate_normal(np.zeros(len(covariance.names)), covariance.matrix, count, method="eigh")
+    draws = np.random.default_rng(seed).multivariate_normal(
+        np.zeros(len(covariance.names)), covariance.matrix, count, method="eigh"
+    )
     pairs = []
     for draw in draws:
         changed = pair
@@ -58,21 +96,29 @@ def test_it_agrees_with_monte_carlo_within_ten_percent(covariance: ParameterCova
     left, right = rig.project(POINTS)
     rng = np.random.default_rng(2)
     pairs = drawn(rig.pair, covariance, 1000, 1)
-    shots = np.array([
-        pair.place(left + rng.normal(0, 0.2, left.shape), right + rng.normal(0, 0.2, right.shape)) for pair in pairs
-    ])  # fmt: skip
+    shots = np.array(
+        [
+            pair.place(
+                left + rng.normal(0, 0.2, left.shape), right + rng.normal(0, 0.2, right.shape)
+            )
+            for pair in pairs
+        ]
+    )
     stated = rig.covariance_of(POINTS, pixel_sd_px=0.2)
     for point in range(len(POINTS)):
         seen_sd = np.sqrt(np.linalg.eigvalsh(np.cov(shots[:, point].T)))
         np.testing.assert_allclose(np.sqrt(np.linalg.eigvalsh(stated[point])), seen_sd, rtol=0.1)
 
 
-def test_the_world_follows_the_lenses_so_that_errors_cancel_where_points_were_touched(covariance: ParameterCovariance) -> None:
+def test_the_world_follows_the_lenses_so_that_errors_cancel_where_points_were_touched(
+    covariance: ParameterCovariance,
+) -> None:
     apart = covariance.matrix.copy()
     world = np.array([owner == "world" for owner, _ in covariance.names])
     apart[np.ix_(world, ~world)] = apart[np.ix_(~world, world)] = 0.0
     together, without = (
-        np.trace(with_covariance(c).covariance_of(POINTS)[0]) for c in (covariance, ParameterCovariance(covariance.names, apart))
+        np.trace(with_covariance(c).covariance_of(POINTS)[0])
+        for c in (covariance, ParameterCovariance(covariance.names, apart))
     )
     assert together < 0.5 * without
 
@@ -82,51 +128,93 @@ def test_pixels_alone_give_the_depth_of_a_disparity() -> None:
     sd = 0.1
     along = rig.world_from_right.R[:, 2]
     (of_depth,) = rig.covariance_of(POINTS[:1], pixel_sd_px=sd)
-    assert np.sqrt(along @ of_depth @ along) == pytest.approx(np.sqrt(2) * sd * rig.depth_per_disparity_px_mm(POINTS[:1])[0], rel=0.05)
+    assert np.sqrt(along @ of_depth @ along) == pytest.approx(
+        np.sqrt(2) * sd * rig.depth_per_disparity_px_mm(POINTS[:1])[0], rel=0.05
+    )
     assert np.array_equal(rig.covariance_of(POINTS), np.zeros((3, 3, 3))), "no covariance, no noise"
 
 
 def test_repeated_calibrations_scatter_as_each_says(covariance: ParameterCovariance) -> None:
-    """The whole chain, boards and touches anew each time: in units of what each states, the mean squared error is about 1."""
+    """The whole chain, boards and touches anew each time: in units of what each states, the mean
+    squared error is about 1.
+    """
     rig, squared = thesis_rig(), []
     for seed in range(8):
         rng, views = np.random.default_rng([seed, 5]), seen(rig, 100 + seed)
-        alone = {name: calibrate_camera(name, views[name], (1360, 1024)) for name in ("left", "right")}
+        alone = {
+            name: calibrate_camera(name, views[name], (1360, 1024)) for name in ("left", "right")
+        }
         fit = join_cameras(alone, joint_lenses=("left", "right")).fit
-        names = tuple(("stereo", name) if name in POSE else (owner, name) for owner, name in fit.names)
+        names = tuple(
+            ("stereo", name) if name in POSE else (owner, name) for owner, name in fit.names
+        )
         left, right = rig.project(TOUCHED)
         left, right = left + rng.normal(0, 0.1, left.shape), right + rng.normal(0, 0.1, right.shape)
         cameras = fit.rig.cameras["left"], fit.rig.cameras["right"], fit.rig.from_reference["right"]
         given = ParameterCovariance(names, fit.covariance)
         touched = TOUCHED + rng.normal(0, 0.2, TOUCHED.shape)
-        world = fit_world(*cameras, left, right, touched, pair_covariance=given, pixel_sd_px=0.1, touch_sd_mm=0.2)
+        world = fit_world(
+            *cameras, left, right, touched, pair_covariance=given, pixel_sd_px=0.1, touch_sd_mm=0.2
+        )
         pair = Pair(*cameras, world.world_from_right)
         off = pair.place(*rig.project(POINTS[:1]))[0] - POINTS[0]
-        stated = Calibration(*cameras[:2], rig.thermal, cameras[2], None, world.world_from_right, rig.homographies, world.covariance)
+        stated = Calibration(
+            *cameras[:2],
+            rig.thermal,
+            cameras[2],
+            None,
+            world.world_from_right,
+            rig.homographies,
+            world.covariance,
+        )
         squared.append(off @ np.linalg.solve(stated.covariance_of(POINTS[:1])[0], off) / 3)
-    assert 0.4 < np.mean(squared) < 2.0, "chi-square of 24: its mean is 1, its standard deviation 0.29"
+    assert 0.4 < np.mean(squared) < 2.0, (
+        "chi-square of 24: its mean is 1, its standard deviation 0.29"
+    )
 
 
 class TestFile:
-    def test_covariance_and_record_come_back(self, covariance: ParameterCovariance, tmp_path: Path) -> None:
+    def test_covariance_and_record_come_back(
+        self, covariance: ParameterCovariance, tmp_path: Path
+    ) -> None:
         written = with_covariance(covariance)
         path = tmp_path / "calibration.toml"
         path.write_text(dump_calibration(written), encoding="utf-8")
         read = load_calibration(path)
         assert read.covariance is not None
         assert read.covariance.names == covariance.names
-        np.testing.assert_allclose(read.covariance_of(POINTS), written.covariance_of(POINTS), rtol=1e-3)
+        np.testing.assert_allclose(
+            read.covariance_of(POINTS), written.covariance_of(POINTS), rtol=1e-3
+        )
         assert read.record == written.record
 
     @pytest.mark.parametrize(
         ("block", "said"),
         [
             ('[uncertainty]\nparameters = ["left fx"]\ncovariance = [[-1.0]]', "not a covariance"),
-            ('[uncertainty]\nparameters = ["left fx"]\ncovariance = [[1.0], [0.0, 1.0]]', "1 x 1 finite numbers"),
-            ('[uncertainty]\nparameters = ["left focus"]\ncovariance = [[1.0]]', "no such parameter: left focus"),
-            ('[uncertainty]\nparameters = ["left fx", "left fx"]\ncovariance = [[1.0], [0.0, 1.0]]', "named twice"),
-            ('[uncertainty]\nparameters = ["left fx"]\ncovariance = [[1.0, 2.0]]', "lower triangle"),
-            ('[record]\nmade = "yesterday"\nby = ""\nwith_what = ""\ncameras = {}\ninputs = {}', "a day such as"),
+            (
+                '[uncertainty]\nparameters = ["left fx"]\ncovariance = [[1.0], [0.0, 1.0]]',
+                "1 x 1 finite numbers",
+            ),
+            (
+                '[uncertainty]\nparameters = ["left focus"]\ncovariance = [[1.0]]',
+                "no such parameter: left focus",
+            ),
+            (
+                (
+                    '[uncertainty]\nparameters = ["left fx", "left fx"]\ncovariance = [[1.0], [0.0,'
+                    " 1.0]]"
+                ),
+                "named twice",
+            ),
+            (
+                '[uncertainty]\nparameters = ["left fx"]\ncovariance = [[1.0, 2.0]]',
+                "lower triangle",
+            ),
+            (
+                '[record]\nmade = "yesterday"\nby = ""\nwith_what = ""\ncameras = {}\ninputs = {}',
+                "a day such as",
+            ),
         ],
     )
     def test_faults_are_told(self, tmp_path: Path, block: str, said: str) -> None:
@@ -167,7 +255,14 @@ def test_a_rotation_near_half_a_turn_keeps_its_covariance() -> None:
     turned = Motion.from_vectors([3.13, 0.01, 0.0], [0.0, 0.0, 0.0])
     left, right = rig.project(TOUCHED)
     fit = fit_world(
-        rig.left, rig.right, rig.right_from_left, left, right, turned.apply(rig.world_from_right.inverse().apply(TOUCHED)),
-        pair_covariance=None, pixel_sd_px=0.1, touch_sd_mm=0.2,
-    )  # fmt: skip
+        rig.left,
+        rig.right,
+        rig.right_from_left,
+        left,
+        right,
+        turned.apply(rig.world_from_right.inverse().apply(TOUCHED)),
+        pair_covariance=None,
+        pixel_sd_px=0.1,
+        touch_sd_mm=0.2,
+    )
     assert max(fit.covariance.sd("world", name) or 0.0 for name in POSE[:3]) < 0.01

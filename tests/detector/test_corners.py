@@ -1,4 +1,6 @@
-"""Boards in pictures: found to a fraction of a pixel, told which end is which, or refused with the reason."""
+"""Boards in pictures: found to a fraction of a pixel, told which end is which, or refused with the
+reason.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,18 @@ def printed(board: Board, dots_per_mm: int = 8) -> tuple[Gray, Array]:
     """The board's print with a margin, and the map from board mm to its pixels."""
     margin = 30.0
     width, height = board.size_mm
-    paper = np.full((round((height + 2 * margin) * dots_per_mm), round((width + 2 * margin) * dots_per_mm)), 255, np.uint8)
-    to_paper = np.array([[dots_per_mm, 0, (margin + board.pitch_mm) * dots_per_mm - 0.5], [0, dots_per_mm, 0], [0, 0, 1.0]])
+    paper = np.full(
+        (round((height + 2 * margin) * dots_per_mm), round((width + 2 * margin) * dots_per_mm)),
+        255,
+        np.uint8,
+    )
+    to_paper = np.array(
+        [
+            [dots_per_mm, 0, (margin + board.pitch_mm) * dots_per_mm - 0.5],
+            [0, dots_per_mm, 0],
+            [0, 0, 1.0],
+        ]
+    )
     to_paper[1, 2] = to_paper[0, 2]
     if board.kind == "charuco":
         inner = board.aruco.generateImage((round(width * dots_per_mm), round(height * dots_per_mm)))
@@ -31,7 +43,10 @@ def printed(board: Board, dots_per_mm: int = 8) -> tuple[Gray, Array]:
         paper[edge : edge + inner.shape[0], edge : edge + inner.shape[1]] = inner
         return paper, to_paper
     rows, columns = np.mgrid[0 : paper.shape[0], 0 : paper.shape[1]]
-    x, y = ((columns + 0.5) / dots_per_mm - margin) / board.pitch_mm, ((rows + 0.5) / dots_per_mm - margin) / board.pitch_mm
+    x, y = (
+        ((columns + 0.5) / dots_per_mm - margin) / board.pitch_mm,
+        ((rows + 0.5) / dots_per_mm - margin) / board.pitch_mm,
+    )
     if board.kind == "chessboard":
         on = (x >= 0) & (y >= 0) & (x < board.columns + 1) & (y < board.rows + 1)
         paper[on & ((np.floor(x) + np.floor(y)) % 2 == 0)] = 0
@@ -39,20 +54,36 @@ def printed(board: Board, dots_per_mm: int = 8) -> tuple[Gray, Array]:
     assert board.circle_mm
     radius = board.circle_mm / 2 / board.pitch_mm
     x, y = x - radius, y - radius
-    nearest_x, nearest_y = np.clip(np.rint(x), 0, board.columns - 1), np.clip(np.rint(y), 0, board.rows - 1)
+    nearest_x, nearest_y = (
+        np.clip(np.rint(x), 0, board.columns - 1),
+        np.clip(np.rint(y), 0, board.rows - 1),
+    )
     paper[np.hypot(x - nearest_x, y - nearest_y) < radius] = 0
     to_paper[:2, 2] = (margin + board.circle_mm / 2) * dots_per_mm - 0.5
     return paper, to_paper
 
 
-def picture(board: Board, H: Array = TILTED, *, blur_px: float = 0.8, moved_px: int = 0, noise: float = 1.0) -> Gray:
-    """The board through a homography from board mm to px, sampled finely, blurred, and with noise; dark 40, bright 210."""
+def picture(
+    board: Board, H: Array = TILTED, *, blur_px: float = 0.8, moved_px: int = 0, noise: float = 1.0
+) -> Gray:
+    """The board through a homography from board mm to px, sampled finely, blurred, and with noise;
+    dark 40, bright 210.
+    """
     paper, to_paper = printed(board)
     finer = np.array([[SUPER, 0, (SUPER - 1) / 2], [0, SUPER, (SUPER - 1) / 2], [0, 0, 1.0]])
-    large = cv2.warpPerspective(paper, finer @ H @ np.linalg.inv(to_paper), (SIZE[0] * SUPER, SIZE[1] * SUPER), borderValue=255)
-    small = cv2.GaussianBlur(cv2.resize(large, SIZE, interpolation=cv2.INTER_AREA).astype(np.float64), (0, 0), blur_px)
+    large = cv2.warpPerspective(
+        paper,
+        finer @ H @ np.linalg.inv(to_paper),
+        (SIZE[0] * SUPER, SIZE[1] * SUPER),
+        borderValue=255,
+    )
+    small = cv2.GaussianBlur(
+        cv2.resize(large, SIZE, interpolation=cv2.INTER_AREA).astype(np.float64), (0, 0), blur_px
+    )
     small = cv2.blur(small, (max(moved_px, 1), 1))
-    return np.clip(40 + small / 255 * 170 + np.random.default_rng(1).normal(0, noise, small.shape), 0, 255).astype(np.uint8)
+    return np.clip(
+        40 + small / 255 * 170 + np.random.default_rng(1).normal(0, noise, small.shape), 0, 255
+    ).astype(np.uint8)
 
 
 def missed_px(found: Found, board: Board, H: Array = TILTED) -> Array:
@@ -95,12 +126,16 @@ def test_boards_that_read_the_same_turned_are_counted_alike_in_both_cameras() ->
     assert np.array_equal(order_alike(found, found.turned(board), board).ids, found.ids)
     assert order_alike(found, found, board) is found
     assert not CHESS.reads_the_same_turned
-    assert order_alike(found, found.turned(board), CHESS).ids[0] == 47, "colours have told it already"
+    assert order_alike(found, found.turned(board), CHESS).ids[0] == 47, (
+        "colours have told it already"
+    )
 
 
 class TestRefusals:
     def test_no_board(self) -> None:
-        with pytest.raises(ViewRefusedError, match="no 8 x 5 chessboard found: is the whole board in the picture"):
+        with pytest.raises(
+            ViewRefusedError, match="no 8 x 5 chessboard found: is the whole board in the picture"
+        ):
             find_board(np.full((480, 640), 90, np.uint8), CHESS)
 
     def test_blurred(self) -> None:
@@ -124,11 +159,25 @@ class TestRefusals:
             ({"marker_mm": 3.0}, "belong to a charuco board"),
             ({"kind": "charuco", "marker_mm": 40.0, "dictionary": "4x4_50"}, "does not fit"),
             ({"kind": "charuco", "marker_mm": 20.0, "dictionary": "9x9"}, "no marker dictionary"),
-            ({"kind": "charuco", "marker_mm": 20.0, "dictionary": "4x4_50", "columns": 20, "rows": 20}, "needs 220 markers"),
+            (
+                {
+                    "kind": "charuco",
+                    "marker_mm": 20.0,
+                    "dictionary": "4x4_50",
+                    "columns": 20,
+                    "rows": 20,
+                },
+                "needs 220 markers",
+            ),
             ({"kind": "circles"}, "circle_mm belongs"),
         ],
     )
     def test_boards_that_are_none(self, faulty: dict[str, object], said: str) -> None:
-        wanted: dict[str, object] = {"kind": "chessboard", "columns": 8, "rows": 5, "pitch_mm": 30.0} | faulty
+        wanted: dict[str, object] = {
+            "kind": "chessboard",
+            "columns": 8,
+            "rows": 5,
+            "pitch_mm": 30.0,
+        } | faulty
         with pytest.raises(ValueError, match=said):
             Board(**wanted)  # type: ignore[arg-type]

@@ -10,7 +10,13 @@ import pytest
 
 from detector.calibration.cameras import View, calibrate_camera, join_cameras
 from detector.calibration.coverage import coverage
-from detector.calibration.diagnosis import Finding, against_the_arm, measured_again, outlier_views, swapped
+from detector.calibration.diagnosis import (
+    Finding,
+    against_the_arm,
+    measured_again,
+    outlier_views,
+    swapped,
+)
 from detector.calibration.remeasure import remeasure
 from detector.calibration.split_half import pair_of
 from detector.calibration.uncertainty import Pair
@@ -33,7 +39,9 @@ def calibrated(views: Views) -> Pair:
 
 
 def found(pair: Pair, views: Views) -> list[str]:
-    return [finding.name for finding in measured_again(remeasure(pair, BOARD, pair_views(views)), pair)]
+    return [
+        finding.name for finding in measured_again(remeasure(pair, BOARD, pair_views(views)), pair)
+    ]
 
 
 def bowl(points: Array) -> Array:
@@ -51,7 +59,9 @@ def test_a_sound_calibration_is_not_accused(pair: Pair, seed: int) -> None:
 
 
 def test_one_percent_of_baseline(pair: Pair) -> None:
-    longer = replace(pair, right_from_left=Motion(pair.right_from_left.R, 1.01 * pair.right_from_left.T))
+    longer = replace(
+        pair, right_from_left=Motion(pair.right_from_left.R, 1.01 * pair.right_from_left.T)
+    )
     again = remeasure(longer, BOARD, pair_views(seen(thesis_rig(), 40)))
     (finding,) = measured_again(again, longer)
     assert finding.name == "wrong baseline"
@@ -59,7 +69,9 @@ def test_one_percent_of_baseline(pair: Pair) -> None:
     assert "too large at every distance" in finding.sentence
 
 
-@pytest.mark.parametrize(("by_px", "names"), [((0.0, 0.5), ["shifted rows"]), ((0.5, 0.0), ["shifted columns"])])
+@pytest.mark.parametrize(
+    ("by_px", "names"), [((0.0, 0.5), ["shifted rows"]), ((0.5, 0.0), ["shifted columns"])]
+)
 def test_half_a_pixel(pair: Pair, by_px: tuple[float, float], names: list[str]) -> None:
     views = seen(thesis_rig(), 41)
     assert found(pair, {"left": views["left"], "right": shifted(views["right"], by_px)}) == names
@@ -69,7 +81,9 @@ def test_swapped_cameras(pair: Pair) -> None:
     views = seen(thesis_rig(), 42)
     other_way: Views = {"left": views["right"], "right": views["left"]}
     assert found(pair, other_way) == ["swapped cameras"]
-    assert [finding.name for finding in swapped(calibrated(other_way).right_from_left)] == ["swapped cameras"]
+    assert [finding.name for finding in swapped(calibrated(other_way).right_from_left)] == [
+        "swapped cameras"
+    ]
 
 
 def test_a_bent_board_is_named_even_by_the_calibration_that_was_made_with_it() -> None:
@@ -78,13 +92,32 @@ def test_a_bent_board_is_named_even_by_the_calibration_that_was_made_with_it() -
 
 
 def world_of(scale: float, seed: int = 3) -> WorldFit:
-    """18 points on the table, touched with 0.2 mm, seen by a pair whose board's squares were told wrongly by ``scale``."""
+    """18 points on the table, touched with 0.2 mm, seen by a pair whose board's squares were told
+    wrongly by ``scale``.
+    """
     rig, rng = thesis_rig(), np.random.default_rng(seed)
-    touched = np.array([[x, y, z] for z in (40.0, 120.0) for x in (-300.0, -190.0, -80.0) for y in (150.0, 235.0, 320.0)])
+    touched = np.array(
+        [
+            [x, y, z]
+            for z in (40.0, 120.0)
+            for x in (-300.0, -190.0, -80.0)
+            for y in (150.0, 235.0, 320.0)
+        ]
+    )
     left, right = (pixels + rng.normal(0, 0.1, pixels.shape) for pixels in rig.project(touched))
     told = Motion(rig.right_from_left.R, rig.right_from_left.T / scale)
     seen_mm = touched + rng.normal(0, 0.2, touched.shape)
-    return fit_world(rig.left, rig.right, told, left, right, seen_mm, pair_covariance=None, pixel_sd_px=0.1, touch_sd_mm=0.2)
+    return fit_world(
+        rig.left,
+        rig.right,
+        told,
+        left,
+        right,
+        seen_mm,
+        pair_covariance=None,
+        pixel_sd_px=0.1,
+        touch_sd_mm=0.2,
+    )
 
 
 def test_a_wrong_square_size_shows_against_the_arm() -> None:
@@ -100,7 +133,9 @@ def test_outlier_views_are_listed() -> None:
     errors = {str(n): 0.1 + 0.01 * n for n in range(8)} | {"7": 0.6}
     said = "view 7 of left misses by 0.60 px, the median view by 0.14 px: look at it, and decide"
     assert outlier_views(errors, "left") == [Finding("outlier view", said)]
-    assert outlier_views({"1": 0.1, "2": 9.0}, "left") == [], "of two nobody can say which is the outlier"
+    assert outlier_views({"1": 0.1, "2": 9.0}, "left") == [], (
+        "of two nobody can say which is the outlier"
+    )
 
 
 class TestCoverage:
@@ -110,15 +145,27 @@ class TestCoverage:
         shown = coverage([view.pixels_px for view in views], SIZE, poses)
         assert shown.share > 0.7
         assert min(shown.tilted) >= 2
-        assert not any("tilt" in text or "more views" in text or "nearer" in text for text in shown.missing)
+        assert not any(
+            "tilt" in text or "more views" in text or "nearer" in text for text in shown.missing
+        )
 
     @pytest.mark.parametrize(
         ("om", "side"),
-        [([0.0, 0.5, 0.0], "right"), ([0.0, -0.5, 0.0], "left"), ([0.5, 0.0, 0.0], "upper"), ([-0.5, 0.0, 0.0], "lower")],
+        [
+            ([0.0, 0.5, 0.0], "right"),
+            ([0.0, -0.5, 0.0], "left"),
+            ([0.5, 0.0, 0.0], "upper"),
+            ([-0.5, 0.0, 0.0], "lower"),
+        ],
     )
     def test_a_tilt_is_told_by_the_edge_that_comes_nearer(self, om: list[float], side: str) -> None:
         pose = Motion.from_vectors(om, [0.0, 0.0, 1000.0])
-        edges = {"left": [-100.0, 0, 0], "right": [100.0, 0, 0], "upper": [0, -100.0, 0], "lower": [0, 100.0, 0]}
+        edges = {
+            "left": [-100.0, 0, 0],
+            "right": [100.0, 0, 0],
+            "upper": [0, -100.0, 0],
+            "lower": [0, 100.0, 0],
+        }
         depth = {name: float(pose.apply(np.array(point))[2]) for name, point in edges.items()}
         assert min(depth, key=lambda name: depth[name]) == side, "the referee: which edge is nearer"
         still = coverage([np.zeros((4, 2))] * 2, SIZE, [pose] * 2).missing

@@ -1,4 +1,6 @@
-"""Whatever frames and calibration any shipped detector meets: it works, or says in one sentence why not."""
+"""Whatever frames and calibration any shipped detector meets: it works, or says in one sentence why
+not.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def frames(draw: Draw, teats_mm: NDArray[np.float64]) -> Pictures:
 def every(change: Callable[[NDArray[Any]], NDArray[Any]]) -> Callable[[Pictures], Pictures]:
     def changed(frames: Pictures) -> Pictures:
         assert frames.thermal is not None
-        return Pictures(change(frames.left), change(frames.right), change(frames.thermal), frames.thermal_k)
+        return Pictures(
+            change(frames.left), change(frames.right), change(frames.thermal), frames.thermal_k
+        )
 
     return changed
 
@@ -56,20 +60,25 @@ MET: dict[str, Callable[[Pictures], Pictures]] = {
     "swapped": lambda f: replace(f, left=f.right, right=f.left),
     "no thermal": lambda f: replace(f, thermal=None),
     "kelvin of one pixel": lambda f: replace(f, thermal=None, thermal_k=np.full((1, 1), 305.0)),
-    "kelvin not a number": lambda f: replace(f, thermal=None, thermal_k=np.full((120, 160), np.nan)),
+    "kelvin not a number": lambda f: replace(
+        f, thermal=None, thermal_k=np.full((120, 160), np.nan)
+    ),
     "kelvin in a row": lambda f: replace(f, thermal=None, thermal_k=np.full(7, 305.0)),
 }
 HOPELESS = {
     *("1 x 1", "1 x 1 thermal", "1 x 1 left", "half size", "turned", "empty", "one row"),
     *("black", "saturated", "thermal black", "no thermal"),
 }
-DECEPTIVE = {"noise only", "thermal noise", "swapped"}  # the published chain doesn't ask whether what it sees are teats
+# the published chain doesn't ask whether what it sees are teats
+DECEPTIVE = {"noise only", "thermal noise", "swapped"}
 
 
 def told(found: Detection) -> None:
     """Held to be an answer: numbers that are finite, or one sentence."""
     assert isinstance(found, Detection)
-    assert all(np.isfinite(teat.world_mm).all() and teat.world_mm.shape == (3,) for teat in found.teats)
+    assert all(
+        np.isfinite(teat.world_mm).all() and teat.world_mm.shape == (3,) for teat in found.teats
+    )
     assert 0 <= found.hidden <= 4
     if not found.teats:
         assert found.reason
@@ -91,7 +100,9 @@ def test_it_works_or_says_why_not(name: str, what: str, frames: Pictures, rig: C
 
 
 @pytest.mark.parametrize("what", sorted(DECEPTIVE))
-def test_the_published_chain_takes_anything_for_teats(what: str, frames: Pictures, rig: Calibration) -> None:
+def test_the_published_chain_takes_anything_for_teats(
+    what: str, frames: Pictures, rig: Calibration
+) -> None:
     """Its faults are the original's: docs/detectors.md tells of this one."""
     assert len(create("thesis", []).detect(MET[what](frames), rig).teats) == 4
 
@@ -108,11 +119,14 @@ def test_16_bit_pictures_are_the_8_bit_ones(name: str, frames: Pictures, rig: Ca
     narrow, wide = (create(name, []).detect(f, rig) for f in (frames, MET["16-bit"](frames)))
     assert len(narrow.teats) == len(wide.teats)
     for a, b in zip(narrow.teats, wide.teats, strict=True):
-        assert np.allclose(a.world_mm, b.world_mm, atol=0.5)  # edges as hard as drawn ones fall on either side of a pixel by rounding
+        # edges as hard as drawn ones fall on either side of a pixel by rounding
+        assert np.allclose(a.world_mm, b.world_mm, atol=0.5)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_pictures_that_cannot_be_written_to_are_enough(name: str, frames: Pictures, rig: Calibration) -> None:
+def test_pictures_that_cannot_be_written_to_are_enough(
+    name: str, frames: Pictures, rig: Calibration
+) -> None:
     for picture in (frames.left, frames.right, frames.thermal):
         assert picture is not None
         picture.setflags(write=False)

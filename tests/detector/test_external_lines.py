@@ -1,4 +1,6 @@
-"""The codec between the bench and a detector in a process of its own: whatever comes, it is an answer or one of two refusals."""
+"""The codec between the bench and a detector in a process of its own: whatever comes, it is an
+answer or one of two refusals.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from detector.calibration import Calibration
-from detector.external.lines import BadAnswer, Garbled, answer_line, check_ready, parse_answer, request_line, shown
+from detector.external.lines import (
+    BadAnswer,
+    Garbled,
+    answer_line,
+    check_ready,
+    parse_answer,
+    request_line,
+    shown,
+)
 from detector.protocol import Detection, Teat
 
 
@@ -21,14 +31,25 @@ def line(**answer: Any) -> bytes:
 
 
 def test_a_question_names_the_pictures_that_there_are() -> None:
-    asked = json.loads(request_line("7", {"left": Path("l.png"), "right": Path("r.png")}, Path("ü/c.toml")))
-    assert asked == {"frame": "7", "left": "l.png", "right": "r.png", "calibration": str(Path("ü/c.toml"))}
+    asked = json.loads(
+        request_line("7", {"left": Path("l.png"), "right": Path("r.png")}, Path("ü/c.toml"))
+    )
+    assert asked == {
+        "frame": "7",
+        "left": "l.png",
+        "right": "r.png",
+        "calibration": str(Path("ü/c.toml")),
+    }
     assert request_line("7", {}, Path("x")).count(b"\n") == 1
 
 
 def test_world_points_are_taken_as_they_are(rig: Calibration) -> None:
     spread = [[1.0, 0.1, 0], [0.1, 1, 0], [0, 0, 2]]
-    told = line(teats=[{"world_mm": [1, 2.5, -3], "covariance_mm2": spread, "colour": "pink"}], hidden=3, reason="one is dark")
+    told = line(
+        teats=[{"world_mm": [1, 2.5, -3], "covariance_mm2": spread, "colour": "pink"}],
+        hidden=3,
+        reason="one is dark",
+    )
     found = parse_answer(told, "7", rig)
     assert (found.hidden, found.reason) == (3, "one is dark")
     assert found.teats[0].world_mm.tolist() == [1, 2.5, -3]
@@ -39,7 +60,9 @@ def test_world_points_are_taken_as_they_are(rig: Calibration) -> None:
 def test_pixel_pairs_are_triangulated(rig: Calibration) -> None:
     end = np.array([[-140.0, 205.0, 136.0]])
     left, right = rig.project(end)
-    (teat,) = parse_answer(line(teats=[{"left_px": left[0].tolist(), "right_px": right[0].tolist()}]), "7", rig).teats
+    (teat,) = parse_answer(
+        line(teats=[{"left_px": left[0].tolist(), "right_px": right[0].tolist()}]), "7", rig
+    ).teats
     assert np.allclose(teat.world_mm, end[0], atol=1e-6)
     assert teat.left_px is not None
     assert np.allclose(teat.left_px, left[0])
@@ -47,7 +70,9 @@ def test_pixel_pairs_are_triangulated(rig: Calibration) -> None:
 
 @pytest.mark.parametrize("left", [[float("nan"), 1.0], [1e308, -1e308], [float("inf"), 0.0]])
 def test_pixels_that_lead_nowhere_are_told_as_pixels(rig: Calibration, left: list[float]) -> None:
-    with pytest.raises(BadAnswer, match=r'"left_px" .* and "right_px" .* of teat 1 lead to no point in space'):
+    with pytest.raises(
+        BadAnswer, match=r'"left_px" .* and "right_px" .* of teat 1 lead to no point in space'
+    ):
         parse_answer(line(teats=[{"left_px": left, "right_px": [1.0, 2.0]}]), "7", rig)
 
 
@@ -83,7 +108,10 @@ def test_what_is_no_answer_is_garbled(rig: Calibration, sent: bytes, told: str) 
         ({"teats": [{"world_mm": [1, 2, None]}]}, "not 3 numbers"),
         ({"teats": [{"world_mm": [1, [2], 3]}]}, "not 3 numbers"),
         ({"teats": [{"world_mm": [1, 2, 10**400]}]}, "not 3 numbers"),
-        ({"teats": [{"world_mm": [1, 2, 3], "covariance_mm2": [[1, 0], [0, 1]]}]}, "not 3 x 3 numbers"),
+        (
+            {"teats": [{"world_mm": [1, 2, 3], "covariance_mm2": [[1, 0], [0, 1]]}]},
+            "not 3 x 3 numbers",
+        ),
         ({"hidden": "two"}, "not a whole number"),
         ({"hidden": True}, "not a whole number"),
         ({"hidden": 1.5}, "not a whole number"),
@@ -98,7 +126,9 @@ def test_wrong_values_are_told(rig: Calibration, answer: dict[str, Any], told: s
 def test_the_first_line_says_ready() -> None:
     check_ready(b'{"ready": true, "name": "mine"}\n')
     for wrong in (b'{"ready": 1}', b"ready", b'{"frame": "1"}', b"null"):
-        with pytest.raises(Garbled, match=r'its first line must be {"ready": true}, (is|but its line is)'):
+        with pytest.raises(
+            Garbled, match=r'its first line must be {"ready": true}, (is|but its line is)'
+        ):
             check_ready(wrong)
 
 
@@ -111,12 +141,20 @@ def test_what_serve_says_is_what_the_bench_hears(rig: Calibration) -> None:
 
 anything = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["world_mm", "left_px", "right_px", "x"]), inner),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(st.sampled_from(["world_mm", "left_px", "right_px", "x"]), inner)
+    ),
     max_leaves=12,
 )
 
 
-@given(st.fixed_dictionaries({"frame": st.just("7")}, optional={"teats": anything, "hidden": anything, "reason": anything}))
+@given(
+    st.fixed_dictionaries(
+        {"frame": st.just("7")},
+        optional={"teats": anything, "hidden": anything, "reason": anything},
+    )
+)
 def test_any_json_is_an_answer_or_refused(rig: Calibration, answer: dict[str, Any]) -> None:
     try:
         found = parse_answer(json.dumps(answer).encode(), "7", rig)

@@ -1,4 +1,6 @@
-"""What holds a detector's processes: memory watched, and an end for all of them, whoever ends first."""
+"""What holds a detector's processes: memory watched, and an end for all of them, whoever ends
+first.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from tests.conftest import ROOT
 from tests.detector.children import GOOD, HEAD, Start, answering, ask, failure, start
 
 __all__ = ["start"]
-linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a process's memory and all its descendants")
+linux = pytest.mark.skipif(
+    sys.platform != "linux", reason="only Linux tells a process's memory and all its descendants"
+)
 
 
 def look_for_a_minute(detector: ExternalDetector) -> None:
@@ -32,7 +36,9 @@ def test_memory_is_watched_during_and_after_a_call(start: Start, rig: Calibratio
     hoard = "kept = bytearray(os.urandom(1)) * (200 << 20)\n"
     during = start(answering(hoard + "time.sleep(60)"), memory_mib=120.0)
     assert "MiB of memory, 120 MiB are allowed" in str(failure(during, rig))
-    after = start(answering('say({"frame": asked["frame"], "teats": []})\n' + hoard), memory_mib=120.0)
+    after = start(
+        answering('say({"frame": asked["frame"], "teats": []})\n' + hoard), memory_mib=120.0
+    )
     ask(after, rig)
     with pytest.raises(DetectionFailure, match="MiB of memory"):
         look_for_a_minute(after)
@@ -59,9 +65,17 @@ with open(%r, "w") as file: file.write(f"{os.getpid()} {grandchild.pid}")
 
 @linux
 @pytest.mark.parametrize("ending", ["close", "crash", "timeout"])
-def test_a_grandchild_in_a_session_of_its_own_ends_too(start: Start, rig: Calibration, tmp_path: Path, ending: str) -> None:
-    deed = {"close": 'say({"frame": asked["frame"], "teats": []})', "crash": "sys.exit(1)", "timeout": "time.sleep(60)"}[ending]
-    detector = start(answering(deed, GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})'), answer_s=0.5)
+def test_a_grandchild_in_a_session_of_its_own_ends_too(
+    start: Start, rig: Calibration, tmp_path: Path, ending: str
+) -> None:
+    deed = {
+        "close": 'say({"frame": asked["frame"], "teats": []})',
+        "crash": "sys.exit(1)",
+        "timeout": "time.sleep(60)",
+    }[ending]
+    detector = start(
+        answering(deed, GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})'), answer_s=0.5
+    )
     if ending == "close":
         ask(detector, rig)
     else:
@@ -90,7 +104,9 @@ os.kill(os.getppid(), signal.SIGKILL)
 
 @linux
 @pytest.mark.parametrize("goes_on", [True, False], ids=["answers on", "falls silent"])
-def test_one_that_kills_its_supervisor_leaves_nothing_behind(start: Start, rig: Calibration, tmp_path: Path, goes_on: bool) -> None:
+def test_one_that_kills_its_supervisor_leaves_nothing_behind(
+    start: Start, rig: Calibration, tmp_path: Path, goes_on: bool
+) -> None:
     then = 'say({"frame": asked["frame"], "teats": []})' if goes_on else "time.sleep(600)"
     detector = start(answering(f"{ESCAPE % str(tmp_path / 'pids')}{then}"), answer_s=600.0)
     told = "has lost its supervisor, which was ended by signal 9"
@@ -109,7 +125,9 @@ def test_one_that_kills_its_supervisor_leaves_nothing_behind(start: Start, rig: 
 
 
 @linux
-def test_the_system_refuses_a_process_far_more_memory_than_allowed(start: Start, rig: Calibration) -> None:
+def test_the_system_refuses_a_process_far_more_memory_than_allowed(
+    start: Start, rig: Calibration
+) -> None:
     """Memory that was never touched is not resident, so that only the hard limit can see it."""
     what = """import mmap
 try:
@@ -126,7 +144,8 @@ say({"frame": asked["frame"], "teats": [], "reason": said})"""
 @linux
 def test_nothing_outlives_a_bench_that_is_killed(tmp_path: Path) -> None:
     (tmp_path / "program.py").write_text(
-        HEAD + GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})\ntime.sleep(600)', encoding="utf-8"
+        HEAD + GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})\ntime.sleep(600)',
+        encoding="utf-8",
     )
     bench = f"""
 import sys, time
@@ -138,7 +157,9 @@ child.line(60.0)
 print("up", flush=True)
 time.sleep(600)
 """
-    with subprocess.Popen([sys.executable, "-c", bench], cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", bench], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "up\n"
         pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
@@ -166,7 +187,10 @@ def test_one_that_does_not_go_is_made_to(start: Start, rig: Calibration) -> None
 
 def test_closing_removes_the_pictures(start: Start, rig: Calibration, tmp_path: Path) -> None:
     place = tmp_path / "where"
-    what = f'open({str(place)!r}, "w").write(asked["left"])\nsay({{"frame": asked["frame"], "teats": []}})'
+    what = (
+        f'open({str(place)!r}, "w").write(asked["left"])\nsay({{"frame": asked["frame"], "teats":'
+        " []})"
+    )
     detector = start(answering(what))
     ask(detector, rig)
     left = Path(place.read_text(encoding="utf-8"))

@@ -1,4 +1,6 @@
-"""A detector in Python behind the protocol: the same answers as without it, over pipes and over files."""
+"""A detector in Python behind the protocol: the same answers as without it, over pipes and over
+files.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ from tests.conftest import ROOT
 from tests.detector.conftest import Draw, Pictures
 
 
-def test_the_thesis_gives_the_same_ends_from_a_process_of_its_own(draw: Draw, teats_mm: NDArray[np.float64], rig: Calibration) -> None:
+def test_the_thesis_gives_the_same_ends_from_a_process_of_its_own(
+    draw: Draw, teats_mm: NDArray[np.float64], rig: Calibration
+) -> None:
     frames = draw(teats_mm)
     command = [sys.executable, "-m", "detector.external.serve", "thesis"]
     there = ExternalDetector("there", command, time.perf_counter, folder=ROOT)
@@ -33,7 +37,8 @@ def test_the_thesis_gives_the_same_ends_from_a_process_of_its_own(draw: Draw, te
             here, far = create("thesis").detect(frames, rig), there.detect(frames, rig)
             assert len(here.teats) == len(far.teats) == 4
             for one, other in zip(here.teats, far.teats, strict=True):
-                assert np.allclose(one.world_mm, other.world_mm, atol=1e-4)  # a calibration file has ten digits
+                # a calibration file has ten digits
+                assert np.allclose(one.world_mm, other.world_mm, atol=1e-4)
     finally:
         there.close()
     assert there.said() == ""
@@ -42,7 +47,12 @@ def test_the_thesis_gives_the_same_ends_from_a_process_of_its_own(draw: Draw, te
 def test_it_says_ready_and_answers_every_line(tmp_path: Path, rig_file: Path) -> None:
     for name in ("left", "right"):
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((4, 4), np.uint8))
-    asked = {"frame": "5", "left": str(tmp_path / "left.png"), "right": str(tmp_path / "right.png"), "calibration": str(rig_file)}
+    asked = {
+        "frame": "5",
+        "left": str(tmp_path / "left.png"),
+        "right": str(tmp_path / "right.png"),
+        "calibration": str(rig_file),
+    }
     answers = io.BytesIO()
     serve("thesis", io.BytesIO((json.dumps(asked) + "\n").encode() * 2), answers)
     ready, *lines = [json.loads(line) for line in answers.getvalue().splitlines()]
@@ -60,14 +70,25 @@ class Loud:
 """
 
 
-def test_what_a_served_detector_prints_is_no_line_of_ours(tmp_path: Path, rig: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_served_detector_prints_is_no_line_of_ours(
+    tmp_path: Path, rig: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "loud.py").write_text(PRINTS, encoding="utf-8")
     info = tmp_path / "loud-1.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: loud\nVersion: 1\n", encoding="utf-8")
-    (info / "entry_points.txt").write_text("[teatbench.detectors]\nloud = loud:Loud\n", encoding="utf-8")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: loud\nVersion: 1\n", encoding="utf-8"
+    )
+    (info / "entry_points.txt").write_text(
+        "[teatbench.detectors]\nloud = loud:Loud\n", encoding="utf-8"
+    )
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(ROOT)]))
-    there = ExternalDetector("there", [sys.executable, "-m", "detector.external.serve", "loud"], time.perf_counter, folder=ROOT)
+    there = ExternalDetector(
+        "there",
+        [sys.executable, "-m", "detector.external.serve", "loud"],
+        time.perf_counter,
+        folder=ROOT,
+    )
     frames = Pictures(np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8))
     try:
         assert [there.detect(frames, rig).hidden for _ in range(2)] == [3, 3]
@@ -76,10 +97,17 @@ def test_what_a_served_detector_prints_is_no_line_of_ours(tmp_path: Path, rig: C
     assert there.said().splitlines() == ["debug: here", "debug: here"]
 
 
-@pytest.mark.parametrize(("words", "told"), [([], "needs the name of one detector"), (["fusde"], "did you mean 'fused'")])
+@pytest.mark.parametrize(
+    ("words", "told"), [([], "needs the name of one detector"), (["fusde"], "did you mean 'fused'")]
+)
 def test_serving_nobody_is_a_sentence(words: list[str], told: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "detector.external.serve", *words], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
+        [sys.executable, "-m", "detector.external.serve", *words],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert told in done.stderr
@@ -87,7 +115,10 @@ def test_serving_nobody_is_a_sentence(words: list[str], told: str) -> None:
 
 
 def test_kelvin_come_as_hundredths(tmp_path: Path) -> None:
-    for name, picture in (("left", np.zeros((2, 2), np.uint8)), ("thermal_radiometric", np.full((2, 2), 30515, np.uint16))):
+    for name, picture in (
+        ("left", np.zeros((2, 2), np.uint8)),
+        ("thermal_radiometric", np.full((2, 2), 30515, np.uint16)),
+    ):
         cv2.imwrite(str(tmp_path / f"{name}.png"), picture)
     left, kelvin = str(tmp_path / "left.png"), str(tmp_path / "thermal_radiometric.png")
     found = read_pictures({"left": left, "right": left, "thermal_radiometric": kelvin})
@@ -99,7 +130,9 @@ def test_kelvin_come_as_hundredths(tmp_path: Path) -> None:
         read_pictures({"left": str(tmp_path / "left.png")})
 
 
-def test_pictures_that_png_cannot_hold_are_a_failure_before_anything_starts(rig: Calibration) -> None:
+def test_pictures_that_png_cannot_hold_are_a_failure_before_anything_starts(
+    rig: Calibration,
+) -> None:
     detector = ExternalDetector("never", ["/no/such/program"], time.perf_counter)
     with pytest.raises(DetectionFailure, match=r"the left picture .* can't be written as PNG"):
         detector.prepare(Pictures(np.zeros((0, 3), np.uint8), np.zeros((2, 2), np.uint8)), rig)

@@ -33,15 +33,26 @@ print(int(status.partition("VmHWM:")[2].split()[0]) // 1024)
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a program's own peak, without that of whoever started it")
+@pytest.mark.skipif(
+    sys.platform != "linux",
+    reason="only Linux tells a program's own peak, without that of whoever started it",
+)
 @pytest.mark.parametrize("name", list(available([])))
-def test_it_needs_little_memory(name: str, draw: Draw, teats_mm: NDArray[np.float64], rig_file: Path, tmp_path: Path) -> None:
+def test_it_needs_little_memory(
+    name: str, draw: Draw, teats_mm: NDArray[np.float64], rig_file: Path, tmp_path: Path
+) -> None:
     frames = draw(teats_mm)
-    for what, picture in (("left", frames.left), ("right", frames.right), ("thermal", frames.thermal)):
+    for what, picture in (
+        ("left", frames.left),
+        ("right", frames.right),
+        ("thermal", frames.thermal),
+    ):
         assert picture is not None
         cv2.imwrite(str(tmp_path / f"{what}.png"), picture)
     command = [sys.executable, "-c", PROGRAM, name, str(rig_file), str(tmp_path), str(CALLS)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=300)
+    done = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=300
+    )
     *found, peak_mib = (int(line) for line in done.stdout.split())
     assert found == [4] * CALLS
     assert peak_mib < MOST_MIB

@@ -1,4 +1,6 @@
-"""The thesis's detector on frames that another program rendered: it must answer every one, well or badly."""
+"""The thesis's detector on frames that another program rendered: it must answer every one, well or
+badly.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def recording(shared: Path) -> Path:
 def read(recording: Path) -> Callable[[Path], Recorded]:
     def frame(folder: Path) -> Recorded:
         names = ("left", "right", "thermal", "thermal_radiometric")
-        left, right, thermal, centikelvin = (cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_UNCHANGED) for name in names)
+        left, right, thermal, centikelvin = (
+            cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_UNCHANGED) for name in names
+        )
         assert left is not None
         assert right is not None
         return Recorded(left, right, thermal, None if centikelvin is None else centikelvin / 100.0)
@@ -59,7 +63,9 @@ def test_every_frame_is_answered(recording: Path, read: Callable[[Path], Recorde
             assert np.isfinite(teat.world_mm).all()
 
 
-def test_radiometric_frames_alone_are_answered(recording: Path, read: Callable[[Path], Recorded]) -> None:
+def test_radiometric_frames_alone_are_answered(
+    recording: Path, read: Callable[[Path], Recorded]
+) -> None:
     calibration, detector = load_calibration(recording / "calibration.toml"), create("thesis")
     whole = read(recording / "frames" / "0000")
     found = detector.detect(Recorded(whole.left, whole.right, None, whole.thermal_k), calibration)

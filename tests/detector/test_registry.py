@@ -1,4 +1,6 @@
-"""The table of detectors: cheap to list, exact about what it doesn't have, and in peace with what other packages bring."""
+"""The table of detectors: cheap to list, exact about what it doesn't have, and in peace with what
+other packages bring.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,14 @@ from pathlib import Path
 import pytest
 
 from detector.calibration import Calibration
-from detector.registry import GROUP, BrokenDetectorError, UnknownDetectorError, available, broken, create
+from detector.registry import (
+    GROUP,
+    BrokenDetectorError,
+    UnknownDetectorError,
+    available,
+    broken,
+    create,
+)
 from tests.conftest import ROOT
 from tests.detector.conftest import Pictures
 
@@ -53,7 +62,20 @@ def plugs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, EntryPoi
     (tmp_path / "udders.py").write_text(PACKAGE, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "udders", raising=False)
-    values = ["Plain", "Told", "ready", "made", "fails", "number", "Leaves", "Panics", "Speechless", "Odd", "Round", "nothing"]
+    values = [
+        "Plain",
+        "Told",
+        "ready",
+        "made",
+        "fails",
+        "number",
+        "Leaves",
+        "Panics",
+        "Speechless",
+        "Odd",
+        "Round",
+        "nothing",
+    ]
     return {value: EntryPoint(value.lower(), f"udders:{value}", GROUP) for value in values}
 
 
@@ -80,9 +102,15 @@ def test_listing_loads_no_picture_library() -> None:
 
 
 @pytest.mark.parametrize("how", ["Told", "ready", "made"])
-def test_a_package_may_bring_an_object_a_class_or_what_makes_one(plugs: dict[str, EntryPoint], rig: Calibration, how: str) -> None:
+def test_a_package_may_bring_an_object_a_class_or_what_makes_one(
+    plugs: dict[str, EntryPoint], rig: Calibration, how: str
+) -> None:
     detector = create(how.lower(), plugs.values())
-    assert (detector.name, detector.version, dict(detector.parameters)) == (how.lower(), "7", {"gain": 2})
+    assert (detector.name, detector.version, dict(detector.parameters)) == (
+        how.lower(),
+        "7",
+        {"gain": 2},
+    )
     assert detector.detect(Pictures(None, None), rig).reason == "plain"  # type: ignore[arg-type]
 
 
@@ -92,7 +120,9 @@ def test_what_it_does_not_say_of_itself_is_filled_in(plugs: dict[str, EntryPoint
 
 
 def test_whatever_it_says_of_itself_can_be_kept(plugs: dict[str, EntryPoint]) -> None:
-    """Names, versions and settings go into the record and into a hash, whatever a package made them of."""
+    """Names, versions and settings go into the record and into a hash, whatever a package made them
+    of.
+    """
     detector = create("odd", plugs.values())
     assert detector.version == "1 2 ?"
     assert detector.parameters == {"1": 2, "a": {"3": 4, "b": [[1.0, 0.0], [0.0, 1.0]]}, "c": "{5}"}
@@ -112,7 +142,10 @@ def test_whatever_it_says_of_itself_can_be_kept(plugs: dict[str, EntryPoint]) ->
     ],
 )
 def test_a_broken_one_is_told_by_name(plugs: dict[str, EntryPoint], how: str, told: str) -> None:
-    with pytest.raises(BrokenDetectorError, match=f"detector '{how.lower()}' of .*udders:{how}.* can't be loaded: .*{told}"):
+    with pytest.raises(
+        BrokenDetectorError,
+        match=f"detector '{how.lower()}' of .*udders:{how}.* can't be loaded: .*{told}",
+    ):
         create(how.lower(), plugs.values())
     assert told in broken(plugs.values())[how.lower()]
     assert "plain" not in broken(plugs.values())
@@ -120,7 +153,11 @@ def test_a_broken_one_is_told_by_name(plugs: dict[str, EntryPoint], how: str, to
 
 
 def test_a_shipped_name_and_a_second_of_one_name_are_left_out(plugs: dict[str, EntryPoint]) -> None:
-    given = [EntryPoint("thesis", "udders:Plain", GROUP), plugs["Plain"], EntryPoint("plain", "udders:Told", GROUP)]
+    given = [
+        EntryPoint("thesis", "udders:Plain", GROUP),
+        plugs["Plain"],
+        EntryPoint("plain", "udders:Told", GROUP),
+    ]
     assert create("thesis", given).parameters["canny_sigma_px"] == 12.0
     assert create("plain", given).version == "unknown"
     assert "the name of one that ships" in broken(given)["thesis"]
@@ -135,12 +172,18 @@ def test_a_name_that_no_file_could_bear_is_left_out() -> None:
         create("../up", given)
 
 
-def test_an_installed_package_is_found_and_a_broken_one_does_not_stop_the_list(tmp_path: Path) -> None:
+def test_an_installed_package_is_found_and_a_broken_one_does_not_stop_the_list(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "udders.py").write_text(PACKAGE, encoding="utf-8")
     info = tmp_path / "udders-1.5.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: udders\nVersion: 1.5\n", encoding="utf-8")
-    (info / "entry_points.txt").write_text(f"[{GROUP}]\nmine = udders:Plain\nbad = udders:fails\n", encoding="utf-8")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: udders\nVersion: 1.5\n", encoding="utf-8"
+    )
+    (info / "entry_points.txt").write_text(
+        f"[{GROUP}]\nmine = udders:Plain\nbad = udders:fails\n", encoding="utf-8"
+    )
     path = os.pathsep.join([str(tmp_path), str(ROOT)])
     environment = {**os.environ, "PYTHONPATH": path}
     done = subprocess.run(
@@ -155,5 +198,9 @@ def test_an_installed_package_is_found_and_a_broken_one_does_not_stop_the_list(t
     lines = done.stdout.splitlines()
     assert "mine: from udders 1.5 (udders:Plain)" in lines
     (fault,) = [line for line in lines if "BROKEN" in line]
-    assert fault == "bad: BROKEN: detector 'bad' of udders 1.5 (udders:fails) can't be loaded: RuntimeError: no licence"
+    assert (
+        fault
+        == "bad: BROKEN: detector 'bad' of udders 1.5 (udders:fails) can't be loaded: RuntimeError:"
+        " no licence"
+    )
     assert any(line.startswith("thesis: ") for line in lines)

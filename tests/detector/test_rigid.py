@@ -1,4 +1,6 @@
-"""Fits side by side, and what is said of their errors: against closed forms, and against noise that was put in."""
+"""Fits side by side, and what is said of their errors: against closed forms, and against noise that
+was put in.
+"""
 
 from __future__ import annotations
 
@@ -24,15 +26,25 @@ from detector.calibration.rigid import (
 from detector.geometry import Motion
 
 CUBE = np.array([[x, y, z] for x in (0.0, 100.0) for y in (0.0, 80.0) for z in (0.0, 60.0)])
-SQUARE = np.array([[-100.0, -100.0, 5.0], [100.0, -100.0, 5.0], [100.0, 100.0, 5.0], [-100.0, 100.0, 5.0]])
+SQUARE = np.array(
+    [[-100.0, -100.0, 5.0], [100.0, -100.0, 5.0], [100.0, 100.0, 5.0], [-100.0, 100.0, 5.0]]
+)
 TURNED = Motion.from_vectors((0.2, -0.4, 1.1), (30.0, -70.0, 12.0))
 
 
-@given(st.tuples(*[st.floats(-1.7, 1.7)] * 3), st.tuples(*[st.floats(-500, 500)] * 3), st.floats(0.5, 2.0))
+@given(
+    st.tuples(*[st.floats(-1.7, 1.7)] * 3),
+    st.tuples(*[st.floats(-500, 500)] * 3),
+    st.floats(0.5, 2.0),
+)
 @settings(max_examples=60, deadline=None)
-def test_each_model_finds_what_it_can_express(om: tuple[float, ...], shift: tuple[float, ...], scale: float) -> None:
+def test_each_model_finds_what_it_can_express(
+    om: tuple[float, ...], shift: tuple[float, ...], scale: float
+) -> None:
     motion = Motion.from_vectors(om, shift)
-    assert np.allclose(fit_rigid(motion.apply(CUBE), CUBE).apply(CUBE), motion.apply(CUBE), atol=1e-9)
+    assert np.allclose(
+        fit_rigid(motion.apply(CUBE), CUBE).apply(CUBE), motion.apply(CUBE), atol=1e-9
+    )
     similar = fit_similarity(motion.apply(scale * CUBE), CUBE)
     assert np.allclose(similar.A, scale * motion.R, atol=1e-9)
     bent = np.array([[1.01, 0.02, 0.0], [0.0, 0.99, -0.01], [0.0, 0.0, 1.02]])
@@ -74,7 +86,9 @@ def test_held_out_points_tell_more_than_residuals() -> None:
     assert held["affine"] is not None
     assert held["rigid"] is not None
     assert held["affine"] > found.affine.fre_mm
-    assert held["affine"] > held["rigid"], "freedom that isn't needed costs where nothing was fitted"
+    assert held["affine"] > held["rigid"], (
+        "freedom that isn't needed costs where nothing was fitted"
+    )
 
 
 def test_three_points_hold_none_out() -> None:
@@ -93,7 +107,10 @@ def test_points_on_a_line_are_refused(fit: object) -> None:
 
 def test_fiducial_error_is_what_the_formula_says() -> None:
     rng = np.random.default_rng(2)
-    seen = [fit_rigid(TURNED.apply(CUBE) + rng.normal(0.0, 0.2, CUBE.shape), CUBE).fre_mm ** 2 for _ in range(600)]
+    seen = [
+        fit_rigid(TURNED.apply(CUBE) + rng.normal(0.0, 0.2, CUBE.shape), CUBE).fre_mm ** 2
+        for _ in range(600)
+    ]
     expected = expected_fre_mm(0.2 * 3**0.5, len(CUBE))
     assert np.sqrt(np.mean(seen)) == pytest.approx(expected, rel=0.03)
     assert fle_from_fre_mm(expected, len(CUBE)) == pytest.approx(0.2 * 3**0.5)
@@ -111,13 +128,17 @@ def test_target_error_is_what_the_formula_says() -> None:
     formula = target_error_mm(0.2 * 3**0.5, SQUARE, at)[0]
     covariance = target_covariance(SQUARE, 0.2, at)
     assert np.sqrt(np.mean(np.sum(np.square(missed), axis=1))) == pytest.approx(formula, rel=0.04)
-    assert np.trace(covariance) == pytest.approx(formula**2, rel=1e-9), "both are the same first-order error"
+    assert np.trace(covariance) == pytest.approx(formula**2, rel=1e-9), (
+        "both are the same first-order error"
+    )
     assert np.allclose(np.cov(np.transpose(missed)), covariance, atol=0.1 * np.trace(covariance))
 
 
 def test_the_centre_of_the_points_is_known_best() -> None:
     centre = SQUARE.mean(axis=0)
-    at_centre, away = target_error_mm(1.0, SQUARE, np.array([centre, centre + np.array([300.0, 0.0, 0.0])]))
+    at_centre, away = target_error_mm(
+        1.0, SQUARE, np.array([centre, centre + np.array([300.0, 0.0, 0.0])])
+    )
     assert at_centre == pytest.approx(0.5)
     assert away > at_centre
 

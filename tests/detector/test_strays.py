@@ -1,4 +1,6 @@
-"""Corners beside their places are told by their neighbours; lens and tilt are not mistaken for it."""
+"""Corners beside their places are told by their neighbours; lens
+and tilt are not mistaken for it.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ def seen(om: list[float], distance_mm: float = 420.0) -> Array:
     return WIDE.project(pose.apply(BOARD.points_mm)).reshape(6, 9, 2)
 
 
-@pytest.mark.parametrize("om", [[0.0, 0.0, 0.0], [0.0, 0.7, 0.0], [-0.7, 0.0, 0.2], [0.4, 0.5, 0.0]])
+@pytest.mark.parametrize(
+    "om", [[0.0, 0.0, 0.0], [0.0, 0.7, 0.0], [-0.7, 0.0, 0.2], [0.4, 0.5, 0.0]]
+)
 def test_a_wide_lens_and_a_strong_tilt_make_none(om: list[float]) -> None:
     assert not strays(seen(om)).any()
 
@@ -29,4 +33,6 @@ def test_one_beside_its_place_is_told_and_its_neighbours_are_not(at: tuple[int, 
     beside = grid.copy()
     beside[at] += (15.0, -21.0)
     assert np.argwhere(strays(beside)).tolist() == [list(at)]
-    assert np.linalg.norm(between_neighbours(beside)[at] - grid[at]) < 6.0, "near enough for a sub-pixel window"
+    assert np.linalg.norm(between_neighbours(beside)[at] - grid[at]) < 6.0, (
+        "near enough for a sub-pixel window"
+    )

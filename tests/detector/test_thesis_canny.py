@@ -1,4 +1,6 @@
-"""The edge detector on pictures whose edges are known, and its parts against direct evaluations of what they stand for."""
+"""The edge detector on pictures whose edges are known, and its parts against direct evaluations of
+what they stand for.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from detector.thesis.canny import Edges, automatic_threshold, canny, gradient, hysteresis, kernels, ridges, thin_once
+from detector.thesis.canny import (
+    Edges,
+    automatic_threshold,
+    canny,
+    gradient,
+    hysteresis,
+    kernels,
+    ridges,
+    thin_once,
+)
 
 
 def edges(picture: NDArray[np.uint8], sigma: float = 12.0) -> Edges:
@@ -25,7 +36,8 @@ def test_a_straight_step_gives_one_edge_on_the_step(at: int, turned: bool) -> No
     mask = mask.T if turned else mask
     rows, columns = np.nonzero(mask)
     assert np.abs(columns - (at - 0.5)).max() <= 1
-    # all the way down but for the ends: the outermost pixels are never ridges, and a doubled line's end loses one more to the thinning
+    # all the way down but for the ends: the outermost pixels are never ridges, and a doubled line's
+    # end loses one more to the thinning
     assert set(range(3, 197)) <= set(rows.tolist())
     assert len(rows) == len(set(rows.tolist()))
 
@@ -61,7 +73,9 @@ def test_tiny_pictures_do_no_harm(shape: tuple[int, int]) -> None:
 
 
 def test_edges_do_not_hang_on_gain_offset_or_polarity() -> None:
-    picture = np.kron(np.random.default_rng(2).integers(0, 2, (6, 8)), np.ones((40, 40))).astype(np.uint8)
+    picture = np.kron(np.random.default_rng(2).integers(0, 2, (6, 8)), np.ones((40, 40))).astype(
+        np.uint8
+    )
     base = edges(picture * 100 + 20).mask
     # rounding in 32 bits may move a tie by a pixel: nearly all must agree
     assert np.count_nonzero(base ^ edges(picture * 200).mask) < 0.01 * np.count_nonzero(base)
@@ -104,7 +118,8 @@ def test_ridges_are_the_maxima_along_the_gradient() -> None:
     diagonal = np.exp(-(((x - y - 8.4) / 5) ** 2)).astype(np.float32)
     keep = ridges(np.ones_like(length), -np.ones_like(length), diagonal, 0.1)
     rows, columns = np.nonzero(keep)
-    assert set(columns - rows) == {8, 9}  # a step along the diagonal passes over every other one of them
+    # a step along the diagonal passes over every other one of them
+    assert set(columns - rows) == {8, 9}
     assert not keep[[0, -1]].any()
 
 
@@ -114,7 +129,9 @@ def test_hysteresis_is_reconstruction(seed: int) -> None:
     rng = np.random.default_rng(seed)
     weak = rng.random((20, 30)) < 0.4
     strong = weak & (rng.random((20, 30)) < 0.1)
-    assert np.array_equal(hysteresis(weak, strong), ndimage.binary_propagation(strong, np.ones((3, 3)), weak))
+    assert np.array_equal(
+        hysteresis(weak, strong), ndimage.binary_propagation(strong, np.ones((3, 3)), weak)
+    )
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -1,4 +1,6 @@
-"""The whole chain: on drawn frames, on frames that can't be used, and under changes whose effect is known beforehand."""
+"""The whole chain: on drawn frames, on frames that can't be used, and under changes whose effect is
+known beforehand.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,8 @@ def test_it_is_a_detector() -> None:
 def test_four_plain_teats_are_found(frames: Any, rig: Calibration, teats_mm: Array) -> None:
     found = ThesisDetector().detect(frames, rig)
     assert (len(found.teats), found.hidden, found.reason) == (4, 0, None)
-    # not a claim of accuracy: each is nearer to its own teat than to any other, and the method's dilations sink every end
+    # not a claim of accuracy: each is nearer to its own teat than to any other, and the method's
+    # dilations sink every end
     assert np.linalg.norm(places(found) - teats_mm, axis=1).max() < 25
     assert ((places(found) - teats_mm)[:, 2] < 0).all()
 
@@ -69,17 +72,23 @@ def test_every_stage_is_kept(frames: Any, rig: Calibration) -> None:
     assert thermal is not None
     kept = ends.data["left_px"], ends.data["right_px"], thermal.data["points_px"]
     for i, teat in enumerate(found.teats):
-        for seen, of_stage in zip((teat.left_px, teat.right_px, teat.thermal_px), kept, strict=True):
+        for seen, of_stage in zip(
+            (teat.left_px, teat.right_px, teat.thermal_px), kept, strict=True
+        ):
             assert seen is not None
             assert np.array_equal(seen, of_stage[i])
         assert teat.covariance_mm2 is None
-    right_mm, _ = triangulate(ends.data["left_px"], ends.data["right_px"], rig.left, rig.right, rig.right_from_left)
+    right_mm, _ = triangulate(
+        ends.data["left_px"], ends.data["right_px"], rig.left, rig.right, rig.right_from_left
+    )
     assert np.allclose(places(found), rig.world_from_right.apply(right_mm))
     assert found.stage("no such stage") is None
 
 
 def test_the_same_frames_give_the_same_answer(frames: Any, rig: Calibration) -> None:
-    assert np.array_equal(places(ThesisDetector().detect(frames, rig)), places(ThesisDetector().detect(frames, rig)))
+    assert np.array_equal(
+        places(ThesisDetector().detect(frames, rig)), places(ThesisDetector().detect(frames, rig))
+    )
 
 
 def test_a_turned_world_turns_the_answers(frames: Any, rig: Calibration) -> None:
@@ -92,17 +101,25 @@ def test_a_turned_world_turns_the_answers(frames: Any, rig: Calibration) -> None
 def test_an_unmirrored_camera_gives_the_same_answer(frames: Any, rig: Calibration) -> None:
     straight = replace(frames, thermal=np.ascontiguousarray(frames.thermal[:, ::-1]))
     calibration = replace(rig, thermal=replace(rig.thermal, mirrored=False))
-    assert np.array_equal(places(ThesisDetector().detect(straight, calibration)), places(ThesisDetector().detect(frames, rig)))
+    assert np.array_equal(
+        places(ThesisDetector().detect(straight, calibration)),
+        places(ThesisDetector().detect(frames, rig)),
+    )
 
 
 def test_what_surrounds_the_regions_does_not_matter(frames: Any, rig: Calibration) -> None:
     left = frames.left.copy()
     left[:300] = 0
-    assert np.array_equal(places(ThesisDetector().detect(replace(frames, left=left), rig)), places(ThesisDetector().detect(frames, rig)))
+    assert np.array_equal(
+        places(ThesisDetector().detect(replace(frames, left=left), rig)),
+        places(ThesisDetector().detect(frames, rig)),
+    )
 
 
 def test_shifted_optical_pictures_shift_the_ends(frames: Any, rig: Calibration) -> None:
-    shifted = replace(frames, left=np.roll(frames.left, 2, axis=0), right=np.roll(frames.right, 2, axis=0))
+    shifted = replace(
+        frames, left=np.roll(frames.left, 2, axis=0), right=np.roll(frames.right, 2, axis=0)
+    )
     before, after = ThesisDetector().detect(frames, rig), ThesisDetector().detect(shifted, rig)
     for a, b in zip(before.teats, after.teats, strict=True):
         assert a.left_px is not None
@@ -111,8 +128,14 @@ def test_shifted_optical_pictures_shift_the_ends(frames: Any, rig: Calibration) 
 
 
 def test_16_bit_pictures_are_the_8_bit_ones(frames: Any, rig: Calibration) -> None:
-    wide = replace(frames, left=frames.left.astype(np.uint16) * 257, thermal=frames.thermal.astype(np.uint16) * 257)
-    assert np.array_equal(places(ThesisDetector().detect(wide, rig)), places(ThesisDetector().detect(frames, rig)))
+    wide = replace(
+        frames,
+        left=frames.left.astype(np.uint16) * 257,
+        thermal=frames.thermal.astype(np.uint16) * 257,
+    )
+    assert np.array_equal(
+        places(ThesisDetector().detect(wide, rig)), places(ThesisDetector().detect(frames, rig))
+    )
 
 
 def test_a_radiometric_frame_alone_will_do(frames: Any, rig: Calibration) -> None:
@@ -120,10 +143,15 @@ def test_a_radiometric_frame_alone_will_do(frames: Any, rig: Calibration) -> Non
     kelvin = 306.0 - straight.astype(np.float64) * 0.05
     found = ThesisDetector().detect(replace(frames, thermal=None, thermal_k=kelvin), rig)
     assert len(found.teats) == 4
-    assert np.linalg.norm(places(found) - places(ThesisDetector().detect(frames, rig)), axis=1).max() < 8
+    assert (
+        np.linalg.norm(places(found) - places(ThesisDetector().detect(frames, rig)), axis=1).max()
+        < 8
+    )
 
 
-def test_the_original_stopped_where_the_window_left_the_picture(frames: Any, rig: Calibration) -> None:
+def test_the_original_stopped_where_the_window_left_the_picture(
+    frames: Any, rig: Calibration
+) -> None:
     strict = ThesisDetector(Parameters(window_outside="refuse")).detect(frames, rig)
     assert strict.teats == ()
     assert strict.reason is not None
@@ -139,16 +167,31 @@ def flat(shape: tuple[int, int], grey: int) -> NDArray[np.uint8]:
 
 
 BAD: list[tuple[dict[str, Any], str]] = [
-    ({"thermal": flat((1, 1), 0)}, "the thermal picture is 1 x 1, the calibration is for 640 x 480"),
+    (
+        {"thermal": flat((1, 1), 0)},
+        "the thermal picture is 1 x 1, the calibration is for 640 x 480",
+    ),
     ({"left": flat((1, 1), 0)}, "the left picture is 1 x 1, the calibration is for 1360 x 1024"),
-    ({"right": flat((1360, 1024), 0)}, "the right picture is 1024 x 1360, the calibration is for 1360 x 1024"),
-    ({"left": np.zeros((1024, 1360, 3), dtype=np.uint8)}, "the left picture must be a grey picture"),
+    (
+        {"right": flat((1360, 1024), 0)},
+        "the right picture is 1024 x 1360, the calibration is for 1360 x 1024",
+    ),
+    (
+        {"left": np.zeros((1024, 1360, 3), dtype=np.uint8)},
+        "the left picture must be a grey picture",
+    ),
     ({"left": np.zeros((0,), dtype=np.uint8)}, "the left picture must be a grey picture"),
     ({"right": np.zeros((1024, 1360))}, "must have 8-bit or 16-bit pixels"),
     ({"thermal": None}, "there is no thermal picture"),
     ({"thermal": None, "thermal_k": np.full((120, 160), np.nan)}, "finite kelvin"),
-    ({"thermal": None, "thermal_k": np.zeros((2, 2))}, "the radiometric thermal picture is 2 x 2, the calibration is for 160 x 120"),
-    ({"thermal": None, "thermal_k": np.zeros(7)}, "the radiometric thermal picture is 7, the calibration is for 160 x 120"),
+    (
+        {"thermal": None, "thermal_k": np.zeros((2, 2))},
+        "the radiometric thermal picture is 2 x 2, the calibration is for 160 x 120",
+    ),
+    (
+        {"thermal": None, "thermal_k": np.zeros(7)},
+        "the radiometric thermal picture is 7, the calibration is for 160 x 120",
+    ),
     ({"thermal": None, "thermal_k": np.full((120, 160), 300.0)}, "no vertical line"),
     ({"thermal": flat((480, 640), 0)}, "no vertical line"),
     ({"thermal": flat((480, 640), 255)}, "no vertical line"),
@@ -156,7 +199,9 @@ BAD: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("change", "reason"), BAD)
-def test_frames_that_cannot_be_used_give_a_reason(frames: Any, rig: Calibration, change: dict[str, Any], reason: str) -> None:
+def test_frames_that_cannot_be_used_give_a_reason(
+    frames: Any, rig: Calibration, change: dict[str, Any], reason: str
+) -> None:
     found = ThesisDetector().detect(replace(frames, **change), rig)
     assert found.teats == ()
     assert found.reason is not None
@@ -164,7 +209,9 @@ def test_frames_that_cannot_be_used_give_a_reason(frames: Any, rig: Calibration,
 
 
 def test_all_black_frames_give_a_reason(frames: Any, rig: Calibration) -> None:
-    black = replace(frames, left=flat((1024, 1360), 0), right=flat((1024, 1360), 0), thermal=flat((480, 640), 0))
+    black = replace(
+        frames, left=flat((1024, 1360), 0), right=flat((1024, 1360), 0), thermal=flat((480, 640), 0)
+    )
     found = ThesisDetector().detect(black, rig)
     assert (found.teats, found.hidden) == ((), 4)
     assert found.reason is not None
@@ -172,8 +219,12 @@ def test_all_black_frames_give_a_reason(frames: Any, rig: Calibration) -> None:
 
 @pytest.mark.parametrize("coarse", [1, 4, 16])
 def test_noise_never_raises(frames: Any, rig: Calibration, coarse: int) -> None:
-    thermal = np.kron(noise((480 // coarse, 640 // coarse)), np.ones((coarse, coarse), dtype=np.uint8))
-    found = ThesisDetector().detect(replace(frames, thermal=thermal, left=noise((1024, 1360)), right=noise((1024, 1360))), rig)
+    thermal = np.kron(
+        noise((480 // coarse, 640 // coarse)), np.ones((coarse, coarse), dtype=np.uint8)
+    )
+    found = ThesisDetector().detect(
+        replace(frames, thermal=thermal, left=noise((1024, 1360)), right=noise((1024, 1360))), rig
+    )
     assert np.isfinite(places(found)).all()
     assert found.teats or found.reason
 
@@ -191,21 +242,30 @@ def test_tall_edges_without_tops_are_no_teats(frames: Any, rig: Calibration) -> 
     thermal[:, 200:260] = 30
     found = ThesisDetector().detect(replace(frames, thermal=thermal), rig)
     assert found.teats == ()
-    assert found.reason == "the thermal picture shows no short horizontal line near the ends of the vertical ones"
+    assert (
+        found.reason
+        == "the thermal picture shows no short horizontal line near the ends of the vertical ones"
+    )
     assert found.hidden == 4
 
 
-def test_a_nomination_outside_of_an_optical_picture_is_left_out(frames: Any, rig: Calibration) -> None:
+def test_a_nomination_outside_of_an_optical_picture_is_left_out(
+    frames: Any, rig: Calibration
+) -> None:
     far = rig.homographies.left.copy()
     far[0, 2] -= 5000
-    found = ThesisDetector().detect(frames, replace(rig, homographies=replace(rig.homographies, left=far)))
+    found = ThesisDetector().detect(
+        frames, replace(rig, homographies=replace(rig.homographies, left=far))
+    )
     assert found.teats == ()
     assert found.reason == "4 of 4 nominated teats lie outside of an optical picture"
 
 
 def test_a_homography_that_leads_nowhere_is_survived(frames: Any, rig: Calibration) -> None:
     nowhere = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 1]])
-    found = ThesisDetector().detect(frames, replace(rig, homographies=replace(rig.homographies, left=nowhere)))
+    found = ThesisDetector().detect(
+        frames, replace(rig, homographies=replace(rig.homographies, left=nowhere))
+    )
     assert found.teats == ()
     assert found.reason is not None
 

@@ -1,4 +1,6 @@
-"""The thesis's chain on its own tables: the stages' pictures as kept in golden/, and those held against what the thesis printed."""
+"""The thesis's chain on its own tables: the stages' pictures as kept in golden/, and those held
+against what the thesis printed.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,12 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.calibration.thesis_rig import thesis_published
 from detector.protocol import Detection
-from detector.thesis.detector import ThesisDetector, no_refinement, published_homography, published_homography_no_refinement
+from detector.thesis.detector import (
+    ThesisDetector,
+    no_refinement,
+    published_homography,
+    published_homography_no_refinement,
+)
 from tests.detector import thesis_tables as tables
 
 # Canny's edges at sigma 12 lie where the outline's corners are smoothed away, not on the outline
@@ -65,7 +72,9 @@ def test_every_stage_gives_its_picture(name: str) -> None:
 def test_the_kept_verticals_end_where_table_4_1_says() -> None:
     mask = golden("verticals") > 0
     for column, row in tables.TABLE_4_1 - 1:
-        strip = np.asarray(mask[:, int(column) - SIDE_COLUMNS : int(column) + SIDE_COLUMNS + 1].any(axis=1))
+        strip = np.asarray(
+            mask[:, int(column) - SIDE_COLUMNS : int(column) + SIDE_COLUMNS + 1].any(axis=1)
+        )
         assert abs(int(np.argmax(strip)) - row) <= SIDE_ROWS
         assert strip[int(row) + SIDE_ROWS :].mean() > 0.95
     assert not mask[:, : 103 - SIDE_COLUMNS - 1].any()
@@ -74,7 +83,10 @@ def test_the_kept_verticals_end_where_table_4_1_says() -> None:
 
 def test_the_kept_horizontals_lie_where_table_4_2_says() -> None:
     rows, columns = np.nonzero(golden("horizontals"))
-    groups = [(columns > low) & (columns < high) for low, high in ((103, 147), (181, 221), (271, 315), (358, 406))]
+    groups = [
+        (columns > low) & (columns < high)
+        for low, high in ((103, 147), (181, 221), (271, 315), (358, 406))
+    ]
     assert sum(int(group.sum()) for group in groups) == len(columns)
     for group, (column, row) in zip(groups, tables.SECTION_4_1_7 - 1, strict=True):
         assert abs(columns[group].mean() - column) <= END_COLUMNS
@@ -105,26 +117,52 @@ def test_each_variant_differs_in_the_stage_that_it_names(found: Detection) -> No
     assert len(kept.teats) == 4
 
 
-def test_the_printed_homographies_are_those_of_the_printed_calibration_and_of_no_other(rig: Calibration) -> None:
+def test_the_printed_homographies_are_those_of_the_printed_calibration_and_of_no_other(
+    rig: Calibration,
+) -> None:
     frames = tables.frames()
     printed, ours = published_homography().detect(frames, rig), ThesisDetector().detect(frames, rig)
     same = ThesisDetector().detect(frames, thesis_published())
-    assert np.array_equal(points(printed, "nominations", "left_px"), points(same, "nominations", "left_px"))
-    off = np.linalg.norm(points(printed, "nominations", "right_px") - points(ours, "nominations", "right_px"), axis=1)
-    # published.toml, [derived]: at the plane of the teat ends the published homographies are about 5.8 px off
+    assert np.array_equal(
+        points(printed, "nominations", "left_px"), points(same, "nominations", "left_px")
+    )
+    off = np.linalg.norm(
+        points(printed, "nominations", "right_px") - points(ours, "nominations", "right_px"), axis=1
+    )
+    # published.toml, [derived]: at the plane of the teat ends the published homographies are about
+    # 5.8 px off
     assert np.abs(off - 5.8).max() < 2.5
 
 
 def test_the_printed_homographies_are_refused_for_other_pictures(rig: Calibration) -> None:
     frames = tables.frames()
     halved = replace(frames, left=np.ascontiguousarray(frames.left[::2, ::2]))
-    told = published_homography_no_refinement().detect(halved, replace(rig, left=replace(rig.left, image_size=(680, 512))))
+    told = published_homography_no_refinement().detect(
+        halved, replace(rig, left=replace(rig.left, image_size=(680, 512)))
+    )
     assert told.teats == ()
-    assert told.reason == "the published homographies are for pictures of 640 x 480 and 1360 x 1024, not for the calibration's"
+    assert (
+        told.reason
+        == "the published homographies are for pictures of 640 x 480 and 1360 x 1024, not for the"
+        " calibration's"
+    )
 
 
 def test_names_and_settings_tell_the_variants_apart() -> None:
-    made = [published_homography(), no_refinement(), published_homography_no_refinement(), ThesisDetector()]
+    made = [
+        published_homography(),
+        no_refinement(),
+        published_homography_no_refinement(),
+        ThesisDetector(),
+    ]
     assert len({detector.name for detector in made}) == 4
-    told = {(detector.parameters["homographies"], detector.parameters["refinement"]) for detector in made}
-    assert told == {("published", True), ("calibration", False), ("published", False), ("calibration", True)}
+    told = {
+        (detector.parameters["homographies"], detector.parameters["refinement"])
+        for detector in made
+    }
+    assert told == {
+        ("published", True),
+        ("calibration", False),
+        ("published", False),
+        ("calibration", True),
+    }

@@ -1,4 +1,6 @@
-"""Verticals, horizontals and teat ends: against the thesis's tables, and against its loops written out one step at a time."""
+"""Verticals, horizontals and teat ends: against the thesis's tables, and against its loops written
+out one step at a time.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,19 @@ from detector.thesis.parameters import Domain, Parameters
 from detector.thesis.thermal import order_filter
 
 P = Parameters()
-TABLE_4_1 = np.array([[104, 126], [148, 116], [182, 140], [222, 145], [272, 129], [316, 134], [359, 110], [407, 121]], dtype=np.float64)
+TABLE_4_1 = np.array(
+    [
+        [104, 126],
+        [148, 116],
+        [182, 140],
+        [222, 145],
+        [272, 129],
+        [316, 134],
+        [359, 110],
+        [407, 121],
+    ],
+    dtype=np.float64,
+)
 TABLE_4_2 = np.array([[373, 88], [126, 100], [288, 107], [186, 112]], dtype=np.float64)
 SECTION_4_1_7 = [[126, 100], [186, 112], [288, 107], [373, 88]]
 
@@ -38,7 +52,8 @@ def test_table_4_2_gives_section_4_1_7() -> None:
 
 
 def test_table_4_1_gives_a_window_that_just_fits_the_picture() -> None:
-    # the means are 251.25 and 127.6 in Matlab's count, so the window's first column is the picture's first: 251 - 250 = 1
+    # the means are 251.25 and 127.6 in Matlab's count, so the window's first column is the
+    # picture's first: 251 - 250 = 1
     centre = window_centre(TABLE_4_1 - 1)
     assert centre == (250, 127)
     assert window_fits((480, 640), centre, P)
@@ -49,8 +64,13 @@ def test_table_4_1_gives_a_window_that_just_fits_the_picture() -> None:
 
 
 def test_lines_drawn_from_the_tables_come_out_as_the_tables() -> None:
-    """Sides that begin at table 4.1's ends, tops at table 4.2's middles: all the steps between the filters and section 4.1.7."""
-    verticals, horizontals = np.zeros((480, 640), dtype=np.bool_), np.zeros((480, 640), dtype=np.bool_)
+    """Sides that begin at table 4.1's ends, tops at table 4.2's middles: all the steps between the
+    filters and section 4.1.7.
+    """
+    verticals, horizontals = (
+        np.zeros((480, 640), dtype=np.bool_),
+        np.zeros((480, 640), dtype=np.bool_),
+    )
     for x, y in (TABLE_4_1 - 1).astype(int):
         verticals[y : y + 150, x] = True
     for x, y in (TABLE_4_2 - 1).astype(int):
@@ -58,8 +78,11 @@ def test_lines_drawn_from_the_tables_come_out_as_the_tables() -> None:
     ends = vertical_ends(verticals, P)
     assert (ends + 1).tolist() == TABLE_4_1.tolist()
     middles = horizontal_middles(horizontals, window_centre(ends), P)
-    # the first six of ten points have their middle 2 left of x (halves up), the published shift adds 2, the slip of the window 1
-    assert (middles + 1).tolist() == sorted(([x + 1, y + 1] for x, y in TABLE_4_2.tolist()), key=lambda m: m[1])
+    # the first six of ten points have their middle 2 left of x (halves up), the published shift
+    # adds 2, the slip of the window 1
+    assert (middles + 1).tolist() == sorted(
+        ([x + 1, y + 1] for x, y in TABLE_4_2.tolist()), key=lambda m: m[1]
+    )
     found, hidden = teat_ends(middles, P)
     assert found.tolist() == SECTION_4_1_7
     assert hidden == 0
@@ -84,13 +107,21 @@ def test_merging_columns_is_the_double_loop(columns: list[int], reach: int, in_o
 
 def test_merging_columns_is_the_double_loop_at_full_size() -> None:
     rng = np.random.default_rng(3)
-    columns = np.sort(np.concatenate([rng.normal(c, 2.5, 60) for c in (40, 90, 101, 140)]).astype(int)).tolist()
+    columns = np.sort(
+        np.concatenate([rng.normal(c, 2.5, 60) for c in (40, 90, 101, 140)]).astype(int)
+    ).tolist()
     assert merge_columns(columns, 4) == literal_merge_columns(columns, 4)
 
 
-@given(st.lists(st.tuples(st.integers(0, 25), st.integers(0, 60)), max_size=50), st.integers(0, 3), st.integers(0, 20))
+@given(
+    st.lists(st.tuples(st.integers(0, 25), st.integers(0, 60)), max_size=50),
+    st.integers(0, 3),
+    st.integers(0, 20),
+)
 @settings(max_examples=300)
-def test_merging_rows_is_the_double_loop(points: list[tuple[int, int]], row_reach: int, column_reach: int) -> None:
+def test_merging_rows_is_the_double_loop(
+    points: list[tuple[int, int]], row_reach: int, column_reach: int
+) -> None:
     points = sorted(points)
     rows, columns = (np.array([p[k] for p in points], dtype=np.int64) for k in (0, 1))
     y = rows.tolist()
@@ -156,7 +187,9 @@ def test_horizontal_lines_have_6_to_49_points(length: int) -> None:
 
 def test_only_the_window_counts_and_it_may_leave_the_picture() -> None:
     mask = np.zeros((480, 640), dtype=np.bool_)
-    mask[34, 20:30] = mask[35, 60:70] = mask[150, 100:110] = mask[151, 140:150] = mask[100, 381:391] = True
+    mask[34, 20:30] = mask[35, 60:70] = mask[150, 100:110] = mask[151, 140:150] = mask[
+        100, 381:391
+    ] = True
     rows = horizontal_middles(mask, (100, 100), P)[:, 1]
     assert rows.tolist() == [36, 151]  # rows 35 to 150 of the window, each a pixel low as published
     assert horizontal_middles(mask, (-900, -900), P).shape == (0, 2)
@@ -164,10 +197,12 @@ def test_only_the_window_counts_and_it_may_leave_the_picture() -> None:
 
 def test_teat_ends_are_apart_level_and_four() -> None:
     row_of = [(50, 100), (75, 100), (90, 131), (120, 100), (170, 100), (230, 100), (300, 100)]
-    ends, hidden = teat_ends(np.array(row_of, dtype=np.float64), P)  # mean row 104.4: 131 is within 30 of it
+    # mean row 104.4: 131 is within 30 of it
+    ends, hidden = teat_ends(np.array(row_of, dtype=np.float64), P)
     assert ends.tolist() == [[50, 100], [90, 131], [170, 100], [230, 100]]
     assert hidden == 0
-    ends, hidden = teat_ends(np.array([[50.0, 10.0], [150.0, 200.0]]), P)  # 95 rows from their mean: neither
+    # 95 rows from their mean: neither
+    ends, hidden = teat_ends(np.array([[50.0, 10.0], [150.0, 200.0]]), P)
     assert (len(ends), hidden) == (0, 4)
 
 
@@ -176,8 +211,12 @@ def test_one_teat_is_one_teat() -> None:
     assert (ends.tolist(), hidden) == ([[50, 10]], 3)
 
 
-@pytest.mark.parametrize("domain", [P.horizontal_domain, P.vertical_domain, ((1, 0, 1), (0, 0, 0), (0, 1, 0))])
+@pytest.mark.parametrize(
+    "domain", [P.horizontal_domain, P.vertical_domain, ((1, 0, 1), (0, 0, 0), (0, 1, 0))]
+)
 def test_order_filter_is_scipys_rank_filter(domain: Domain) -> None:
     mask: NDArray[np.bool_] = np.random.default_rng(4).random((60, 70)) < 0.8
-    expected = ndimage.rank_filter(mask.astype(np.uint8), 0, footprint=np.array(domain), mode="constant", cval=0)
+    expected = ndimage.rank_filter(
+        mask.astype(np.uint8), 0, footprint=np.array(domain), mode="constant", cval=0
+    )
     assert np.array_equal(order_filter(mask, domain), expected.astype(np.bool_))

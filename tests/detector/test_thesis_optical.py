@@ -8,15 +8,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from detector.thesis.optical import binary_dilation, cut_region, grey_dilation, locate_end, nominate, refine
+from detector.thesis.optical import (
+    binary_dilation,
+    cut_region,
+    grey_dilation,
+    locate_end,
+    nominate,
+    refine,
+)
 from detector.thesis.parameters import Parameters
 
 P = Parameters()
-FIGURE_4_12 = np.array([[int(c) for c in row] for row in ("0011111100", "0111111110", *["1111111111"] * 7)])
+FIGURE_4_12 = np.array(
+    [[int(c) for c in row] for row in ("0011111100", "0111111110", *["1111111111"] * 7)]
+)
 
 
 def matlab_dilation(image: NDArray[np.uint8], element: NDArray[np.int_]) -> NDArray[np.uint8]:
-    """max over the element of image(x - b), b counted from the element's origin floor((size + 1) / 2), outside of the picture nothing."""
+    """max over the element of image(x - b), b counted from the element's origin floor((size + 1) /
+    2), outside of the picture nothing.
+    """
     rows, columns = element.shape
     origin = (rows + 1) // 2 - 1, (columns + 1) // 2 - 1
     result = np.zeros_like(image)
@@ -70,11 +81,14 @@ def test_a_line_may_reach_the_regions_edge() -> None:
     end = locate_end(dark_region((15, 29, 40), (16, 0, 0)), P)
     assert end is not None
     assert end.tolist() == [34.5, 15 - 5.5]  # from column 29 to the last, 40
-    assert locate_end(dark_region((15, 31, 40), (16, 0, 0)), P) is None  # ten pixels, but the search ends at column 30
+    # ten pixels, but the search ends at column 30
+    assert locate_end(dark_region((15, 31, 40), (16, 0, 0)), P) is None
 
 
 def literal_search(dark: NDArray[np.bool_]) -> tuple[int, int, int] | None:
-    """The listing's search, in its own count from 1: row, first column, column after the last (or the last of the region)."""
+    """The listing's search, in its own count from 1: row, first column, column after the last (or
+    the last of the region).
+    """
 
     def at(row: int, column: int) -> bool:
         return bool(dark[row - 1, column - 1])
@@ -88,7 +102,9 @@ def literal_search(dark: NDArray[np.bool_]) -> tuple[int, int, int] | None:
         while ind + 10 < s + 1:
             if all(at(row, c) for c in range(ind, ind + 10)):
                 return row, ind, next((c for c in range(ind, s + 1) if not at(row, c)), s)
-            step = next((f for f, c in enumerate(range(ind + 1, 41), start=1) if not at(row, c)), None)
+            step = next(
+                (f for f, c in enumerate(range(ind + 1, 41), start=1) if not at(row, c)), None
+            )
             if step is None:
                 break
             ind += step + 1
@@ -114,7 +130,8 @@ def test_a_dark_teat_on_a_bright_ground_is_moved() -> None:
     picture[95:, 138:164] = 20  # 26 px wide, its end at row 95
     refined = refine(picture, np.array([150.0, 90.0]), P)
     assert refined.moved
-    # what the dilations leave: the dark top sinks by 4 + 5 rows, the width shrinks from 26 to 26 - 9 - 6 = 11 columns
+    # what the dilations leave: the dark top sinks by 4 + 5 rows, the width shrinks from 26 to 26 -
+    # 9 - 6 = 11 columns
     first, after, row = 138 + 5 + 3, 138 + 5 + 3 + 11, 95 + 4 + 5
     assert refined.end_px.tolist() == [(first + after) / 2 + 1, row - 5.5 + 1]
 

@@ -1,4 +1,6 @@
-"""A capture while it is written: what stands in it, that it is there at once, and that nothing it meets reaches the link."""
+"""A capture while it is written: what stands in it, that it is there at once, and that nothing it
+meets reaches the link.
+"""
 
 from __future__ import annotations
 
@@ -82,10 +84,15 @@ def test_a_link_tells_all_it_sees_and_why_it_broke(tmp_path: Path) -> None:
         link.close()
         link.close()
     listener.close()
-    assert [(line["event"], line.get("data"), line.get("why")) for line in told(tmp_path / "c")] == [
-        ("opened", None, None), ("received", b"hello".hex(), None), ("sent", b"x".hex(), None), ("received", b"X".hex(), None),
+    assert [
+        (line["event"], line.get("data"), line.get("why")) for line in told(tmp_path / "c")
+    ] == [
+        ("opened", None, None),
+        ("received", b"hello".hex(), None),
+        ("sent", b"x".hex(), None),
+        ("received", b"X".hex(), None),
         ("closed", None, "the other end hung up"),
-    ]  # fmt: skip
+    ]
 
 
 def test_several_links_from_several_threads_share_a_file(tmp_path: Path) -> None:
@@ -108,8 +115,12 @@ def test_several_links_from_several_threads_share_a_file(tmp_path: Path) -> None
     read = read_capture(tmp_path / "c")  # which refuses times that go back
     assert len(read.links) == 4
     for conversations in read.links.values():
-        assert [int.from_bytes(one.asked, "big") for one in conversations[0].exchanges[1:]] == list(range(500))
-        assert [len(one.came[0].data) for one in conversations[0].exchanges[1:]] == [2 * (n % 40 + 1) for n in range(500)]
+        assert [int.from_bytes(one.asked, "big") for one in conversations[0].exchanges[1:]] == list(
+            range(500)
+        )
+        assert [len(one.came[0].data) for one in conversations[0].exchanges[1:]] == [
+            2 * (n % 40 + 1) for n in range(500)
+        ]
 
 
 def test_long_writes_are_cut_into_lines_that_the_reader_takes(tmp_path: Path) -> None:
@@ -154,16 +165,23 @@ def test_where_no_file_can_be_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows allows few of these in a file's name")
-@pytest.mark.parametrize("name", ["-rf", "two\nlines", "a b;c'd\"e", "ü\u202e", "%s{0}$HOME", "\x1b[2J", "*"])
+@pytest.mark.parametrize(
+    "name", ["-rf", "two\nlines", "a b;c'd\"e", "ü\u202e", "%s{0}$HOME", "\x1b[2J", "*"]
+)
 def test_a_file_may_be_called_anything(tmp_path: Path, name: str) -> None:
     with CaptureFile(tmp_path / name, FACTS) as capture:
         capture.tap("arm", VirtualClock()).opened("u")
     assert list(read_capture(tmp_path / name).links) == ["arm"]
 
 
-@pytest.mark.parametrize("name", ["", "two words", "a\nb", "../up", "1", "ä", "x" * 33, "\x1b[2J", 'a"b'])
+@pytest.mark.parametrize(
+    "name", ["", "two words", "a\nb", "../up", "1", "ä", "x" * 33, "\x1b[2J", 'a"b']
+)
 def test_a_link_may_not(tmp_path: Path, name: str) -> None:
-    with CaptureFile(tmp_path / "c", FACTS) as capture, pytest.raises(ValueError, match="no name for a link"):
+    with (
+        CaptureFile(tmp_path / "c", FACTS) as capture,
+        pytest.raises(ValueError, match="no name for a link"),
+    ):
         capture.tap(name, VirtualClock())
 
 

@@ -1,4 +1,6 @@
-"""A capture when it is read: grouped as it was said, with every fault of the file in its line, and none for a killed bench."""
+"""A capture when it is read: grouped as it was said, with every fault of the file in its line, and
+none for a killed bench.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,10 @@ from instruments.captures.reader import read_capture
 from instruments.clock import VirtualClock
 from tests.conftest import ROOT
 
-HEAD = '{"format": "teatbench capture", "version": 1, "wall_time": "w", "teatbench": "0", "command": "c", "machine": "m"}\n'
+HEAD = (
+    '{"format": "teatbench capture", "version": 1, "wall_time": "w", "teatbench": "0", "command":'
+    ' "c", "machine": "m"}\n'
+)
 OPENED = '{"t_s": 0.5, "link": "arm", "event": "opened", "url": "COM5"}\n'
 SENT = '{"t_s": 1.0, "link": "arm", "event": "sent", "data": "03"}\n'
 RECEIVED = '{"t_s": 1.25, "link": "arm", "event": "received", "data": "83 00"}\n'
@@ -44,16 +49,26 @@ def test_what_was_said_is_grouped_by_what_was_asked(tmp_path: Path) -> None:
         '{"t_s": 2.6, "link": "stage", "event": "closed", "why": "unplugged"}\n',
         '{"t_s": 2.7, "link": "stage", "event": "opened", "url": "socket://h:1"}\n',
     ]
-    read = read_capture(written(tmp_path, HEAD + OPENED + SENT + RECEIVED + CLOSED + "".join(stage)))
+    read = read_capture(
+        written(tmp_path, HEAD + OPENED + SENT + RECEIVED + CLOSED + "".join(stage))
+    )
     assert read.facts == {"wall_time": "w", "teatbench": "0", "command": "c", "machine": "m"}
     assert not read.cut
     (arm,) = read.links["arm"]
     assert (arm.url, arm.opened_s, arm.closed_s, arm.broke) == ("COM5", 0.5, 2.0, "")
-    assert [(one.asked, one.asked_s, one.line) for one in arm.exchanges] == [(b"", 0.5, 2), (b"\x03", 1.0, 3)]
-    assert [(piece.t_s, piece.data, piece.line) for piece in arm.exchanges[1].came] == [(1.25, b"\x83\x00", 4)]
+    assert [(one.asked, one.asked_s, one.line) for one in arm.exchanges] == [
+        (b"", 0.5, 2),
+        (b"\x03", 1.0, 3),
+    ]
+    assert [(piece.t_s, piece.data, piece.line) for piece in arm.exchanges[1].came] == [
+        (1.25, b"\x83\x00", 4)
+    ]
     first, second = read.links["stage"]
     assert first.broke == "unplugged"
-    assert [(one.asked, one.asked_s, one.line) for one in first.exchanges] == [(b"", 2.0, 6), (b"$I\n", 2.3, 8)]
+    assert [(one.asked, one.asked_s, one.line) for one in first.exchanges] == [
+        (b"", 2.0, 6),
+        (b"$I\n", 2.3, 8),
+    ]
     assert [piece.data for piece in first.exchanges[0].came] == [b"\r\n"]
     assert [piece.data for piece in first.exchanges[1].came] == [b"o", b"k"]
     assert (second.opened_s, second.closed_s, len(second.exchanges)) == (2.7, None, 1)
@@ -67,10 +82,14 @@ def test_the_example_of_the_documentation_is_a_capture(tmp_path: Path) -> None:
     assert arm.broke == "the other end hung up"
 
 
-def test_what_is_written_into_a_broken_link_never_arrived_and_what_is_read_from_it_did(tmp_path: Path) -> None:
+def test_what_is_written_into_a_broken_link_never_arrived_and_what_is_read_from_it_did(
+    tmp_path: Path,
+) -> None:
     broke = CLOSED.replace('"closed"', '"closed", "why": "reset"')
     late = RECEIVED.replace("1.25", "3") + SENT.replace("1.0", "3")
-    (arm,) = read_capture(written(tmp_path, HEAD + OPENED + SENT + broke + late + CLOSED.replace("2", "4"))).links["arm"]
+    (arm,) = read_capture(
+        written(tmp_path, HEAD + OPENED + SENT + broke + late + CLOSED.replace("2", "4"))
+    ).links["arm"]
     assert [one.asked for one in arm.exchanges] == [b"", b"\x03"]
     assert [piece.data for piece in arm.exchanges[1].came] == [b"\x83\x00"]
     assert (arm.closed_s, arm.broke) == (2.0, "reset")
@@ -85,7 +104,11 @@ def test_what_is_written_into_a_broken_link_never_arrived_and_what_is_read_from_
         ("[1]\n", 1, "not a JSON object"),
         ("{}\n", 1, 'no "format": "teatbench capture"'),
         ('{"format": "pcap", "version": 1}\n', 1, 'no "format"'),
-        (HEAD.replace("1", "2", 1), 1, "written in version 2 of the format, and only 1 is understood"),
+        (
+            HEAD.replace("1", "2", 1),
+            1,
+            "written in version 2 of the format, and only 1 is understood",
+        ),
         (HEAD.replace("1", "true", 1), 1, "version True"),
         (HEAD.replace('"machine"', '"engine"'), 1, "machine: missing"),
         (HEAD.replace('"m"', "7"), 1, "machine is no text: 7"),
@@ -94,14 +117,22 @@ def test_what_is_written_into_a_broken_link_never_arrived_and_what_is_read_from_
         (HEAD + CLOSED, 2, "arm was closed before it was opened"),
         (HEAD + OPENED + "\n", 3, "not JSON"),
         (HEAD + OPENED + SENT[:30] + "\n" + RECEIVED, 3, "not JSON"),
-        (HEAD + OPENED + SENT.replace("sent", "said"), 3, "no event 'said'; there are opened, sent, received, closed"),
+        (
+            HEAD + OPENED + SENT.replace("sent", "said"),
+            3,
+            "no event 'said'; there are opened, sent, received, closed",
+        ),
         (HEAD + OPENED + SENT.replace('"sent"', "[]"), 3, "no event \\[\\]"),
         (HEAD + OPENED + SENT.replace("03", "3"), 3, "data is not hex: '3'"),
         (HEAD + OPENED + SENT.replace("03", "0g"), 3, "data is not hex"),
         (HEAD + OPENED + SENT.replace("03", ""), 3, "data is empty"),
         (HEAD + OPENED + SENT.replace('"03"', "3"), 3, "data is no text: 3"),
         (HEAD + OPENED + SENT.replace('"03"', '"03", "data": "04"'), 3, "a key is there twice"),
-        (HEAD + OPENED + SENT.replace('"03"', '"03", "\\u001b[2J": 1'), 3, r"'\\x1b\[2J': unknown here"),
+        (
+            HEAD + OPENED + SENT.replace('"03"', '"03", "\\u001b[2J": 1'),
+            3,
+            r"'\\x1b\[2J': unknown here",
+        ),
         (HEAD + OPENED + SENT.replace(', "data": "03"', ""), 3, "data: missing"),
         (HEAD + OPENED + SENT.replace("1.0", '"1"'), 3, "t_s is no time: '1'"),
         (HEAD + OPENED + SENT.replace("1.0", "true"), 3, "t_s is no time: True"),
@@ -120,7 +151,9 @@ def test_what_is_written_into_a_broken_link_never_arrived_and_what_is_read_from_
         (b"\x89PNG\r\n\x1a\n\0\0", 1, "not UTF-8"),
     ],
 )
-def test_a_fault_is_told_in_its_line(tmp_path: Path, text: str | bytes, line: int, message: str) -> None:
+def test_a_fault_is_told_in_its_line(
+    tmp_path: Path, text: str | bytes, line: int, message: str
+) -> None:
     path = written(tmp_path, text)
     with pytest.raises(CaptureError, match=message) as caught:
         read_capture(path)
@@ -130,7 +163,9 @@ def test_a_fault_is_told_in_its_line(tmp_path: Path, text: str | bytes, line: in
 
 def test_all_faults_are_told_and_of_many_the_first(tmp_path: Path) -> None:
     with pytest.raises(CaptureError) as caught:
-        read_capture(written(tmp_path, HEAD + OPENED + "x\n" + SENT + "y\n" + RECEIVED.replace("00", "0")))
+        read_capture(
+            written(tmp_path, HEAD + OPENED + "x\n" + SENT + "y\n" + RECEIVED.replace("00", "0"))
+        )
     assert [line for line, _ in caught.value.faults] == [3, 5, 6]
     with pytest.raises(CaptureError) as caught:
         read_capture(written(tmp_path, HEAD + "x\n" * 100_000))
@@ -158,12 +193,22 @@ def test_a_last_line_that_is_whole_and_wrong_is_a_fault(tmp_path: Path) -> None:
         read_capture(written(tmp_path, HEAD + OPENED + SENT.replace("03", "0x").rstrip()))
 
 
-EVENTS = st.lists(st.tuples(st.sampled_from(["arm", "bath"]), st.sampled_from(["opened", "sent", "received", "closed"]), st.binary()))
+EVENTS = st.lists(
+    st.tuples(
+        st.sampled_from(["arm", "bath"]),
+        st.sampled_from(["opened", "sent", "received", "closed"]),
+        st.binary(),
+    )
+)
 
 
 @given(EVENTS)
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
-def test_whatever_taps_are_told_is_read_back(tmp_path: Path, events: list[tuple[str, str, bytes]]) -> None:
+@settings(
+    max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+)
+def test_whatever_taps_are_told_is_read_back(
+    tmp_path: Path, events: list[tuple[str, str, bytes]]
+) -> None:
     path = tmp_path / "c"
     path.unlink(missing_ok=True)
     clock = VirtualClock()
@@ -184,19 +229,25 @@ def test_whatever_taps_are_told_is_read_back(tmp_path: Path, events: list[tuple[
     for link in taps:
         mine = [(event, data) for name, event, data in events if name == link]
         assert len(read.links[link]) == 1 + sum(event == "opened" for event, _ in mine)
-        came = b"".join(p.data for talk in read.links[link] for one in talk.exchanges for p in one.came)
+        came = b"".join(
+            p.data for talk in read.links[link] for one in talk.exchanges for p in one.came
+        )
         assert came == b"".join(data for event, data in mine if event == "received")
 
 
 @given(st.binary() | st.binary().map(lambda tail: (HEAD + OPENED).encode() + tail))
-@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(
+    max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+)
 def test_no_file_gives_an_error_but_ours(tmp_path: Path, content: bytes) -> None:
     with contextlib.suppress(CaptureError):
         read_capture(written(tmp_path, content))
 
 
 @given(st.integers(0, 300), st.integers(0, 255))
-@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(
+    max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+)
 def test_no_damaged_byte_gives_an_error_but_ours(tmp_path: Path, at: int, byte: int) -> None:
     content = bytearray((HEAD + OPENED + SENT + RECEIVED + CLOSED).encode())
     content[at] = byte
@@ -223,7 +274,11 @@ while True:
 @pytest.mark.parametrize("after_s", [0.05, 0.11, 0.17])
 def test_kill_9_leaves_all_that_was_captured(tmp_path: Path, after_s: float) -> None:
     path = tmp_path / "c"
-    child = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    child = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(path)],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
     try:
         deadline = time.monotonic() + 60
         while not (path.exists() and path.stat().st_size > 1000) and time.monotonic() < deadline:

@@ -1,4 +1,6 @@
-"""Ctrl-C at any instruction of a conversation under virtual time: the link can go on, and nothing hangs."""
+"""Ctrl-C at any instruction of a conversation under virtual time: the link can go on, and nothing
+hangs.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,9 @@ def alarm() -> Iterator[Alarm]:
     signal.signal(signal.SIGALRM, before)
 
 
-def test_a_conversation_that_was_interrupted_anywhere_goes_on(alarm: Alarm, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_conversation_that_was_interrupted_anywhere_goes_on(
+    alarm: Alarm, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("instruments.link.COUNTED_S", 0.05)
     clock = VirtualClock()
     listener = Listener(Echo(), clock, lock=threading.RLock(), name="echo")

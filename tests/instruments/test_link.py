@@ -105,9 +105,13 @@ def test_a_closed_link_says_so_to_every_call_until_it_is_opened_again(clock: Clo
     link = Link(listener.url, clock, who="echo")
     link.close()
     for call in (
-        lambda: link.write(b"a"), lambda: link.receive(1.0), lambda: link.read(1, 1.0), lambda: link.read_until(b"\n", 1.0),
-        lambda: link.drain(0.0), lambda: link.set_baud(9600),
-    ):  # fmt: skip
+        lambda: link.write(b"a"),
+        lambda: link.receive(1.0),
+        lambda: link.read(1, 1.0),
+        lambda: link.read_until(b"\n", 1.0),
+        lambda: link.drain(0.0),
+        lambda: link.set_baud(9600),
+    ):
         with pytest.raises(LinkError, match="the link is closed"):
             call()
     link.reopen()
@@ -185,8 +189,12 @@ def test_a_tap_hears_every_byte_once_and_in_order() -> None:
     link.close()
     listener.close()
     assert tap.told == [
-        ("opened", listener.url), ("received", b"hello\n"), ("sent", b"one\ntwo"), ("received", b"ONE\nTWO"), ("closed", ""),
-    ]  # fmt: skip
+        ("opened", listener.url),
+        ("received", b"hello\n"),
+        ("sent", b"one\ntwo"),
+        ("received", b"ONE\nTWO"),
+        ("closed", ""),
+    ]
 
 
 def test_a_reopened_link_has_forgotten_what_came_before() -> None:
@@ -229,8 +237,12 @@ def test_what_was_sent_is_taken_before_time_moves() -> None:
     assert device.heard_s == [0.0, 1.0, 2.0, 3.0, 4.0]
 
 
-def test_an_emulator_that_is_held_up_amid_sending_does_not_let_time_move(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a loaded machine its thread may stand still between counting bytes and writing them for longer than a host waits for them."""
+def test_an_emulator_that_is_held_up_amid_sending_does_not_let_time_move(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """On a loaded machine its thread may stand still between counting bytes and writing them for
+    longer than a host waits for them.
+    """
     monkeypatch.setattr("instruments.link.COUNTED_S", 0.01)
     clock = VirtualClock()
     listener = Listener(Echo(), clock, lock=threading.RLock(), name="echo")

@@ -1,4 +1,6 @@
-"""A listener with the pace of a serial line: never faster than the wire, nothing lost, in order, and closed whole."""
+"""A listener with the pace of a serial line: never faster than the wire, nothing lost, in order,
+and closed whole.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ LATE_S = 4.0  # what a loaded machine may add to any time here
 
 
 class Echo:
-    """Answers with what it hears; ``x`` is answered with a farewell, and the cable broken; notes the pieces."""
+    """Answers with what it hears; ``x`` is answered with a farewell, and the cable broken; notes
+    the pieces.
+    """
 
     def __init__(self) -> None:
         self.heard: list[bytes] = []
@@ -41,7 +45,14 @@ class Bench:
     def __init__(self, baud: int | None, latency_s: float = 0.0) -> None:
         self.clock = RealClock()
         self.echo = Echo()
-        self.listener = Listener(self.echo, self.clock, lock=threading.RLock(), name="echo", baud=baud, latency_s=latency_s)
+        self.listener = Listener(
+            self.echo,
+            self.clock,
+            lock=threading.RLock(),
+            name="echo",
+            baud=baud,
+            latency_s=latency_s,
+        )
         self.link = Link(self.listener.url, self.clock, who="echo")
 
     def close(self) -> None:
@@ -68,7 +79,8 @@ def test_bytes_follow_one_another_on_a_line() -> None:
 def test_a_thousand_late_wakes_do_not_add_up() -> None:
     line = Line(0.001)
     for k in range(1000):
-        line.carry(1, from_s=0.001 * k + 0.0004 * (k % 2))  # every other byte is put on the line late
+        # every other byte is put on the line late
+        line.carry(1, from_s=0.001 * k + 0.0004 * (k % 2))
     assert line.free_s == pytest.approx(1.0004)
 
 
@@ -188,10 +200,20 @@ def test_an_unpaced_line_has_no_wait(benches: list[Bench]) -> None:
 @pytest.mark.parametrize(("baud", "latency_s"), [(115200, 0.0), (None, 0.016)])
 def test_a_pace_is_refused_under_virtual_time(baud: int | None, latency_s: float) -> None:
     with pytest.raises(ValueError, match="keeps real time and can't be had under virtual time"):
-        Listener(Echo(), VirtualClock(), lock=threading.RLock(), name="echo", baud=baud, latency_s=latency_s)
+        Listener(
+            Echo(),
+            VirtualClock(),
+            lock=threading.RLock(),
+            name="echo",
+            baud=baud,
+            latency_s=latency_s,
+        )
 
 
-@pytest.mark.parametrize(("baud", "latency_s", "message"), [(0, 0.0, "1 baud at least, not 0"), (9600, -1.0, "0 s or more, not -1")])
+@pytest.mark.parametrize(
+    ("baud", "latency_s", "message"),
+    [(0, 0.0, "1 baud at least, not 0"), (9600, -1.0, "0 s or more, not -1")],
+)
 def test_a_pace_that_no_line_has_is_refused(baud: int, latency_s: float, message: str) -> None:
     clock = RealClock()
     with pytest.raises(ValueError, match=message):

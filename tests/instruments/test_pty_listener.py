@@ -1,4 +1,6 @@
-"""A device on a pseudo-terminal, opened as an adapter's port is: by pyserial, and by nothing but the system."""
+"""A device on a pseudo-terminal, opened as an adapter's port is: by pyserial, and by nothing but
+the system.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from instruments.pty_listener import PtyListener
 
 LATE_S = 10.0  # what a loaded machine may add to any time here
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them")
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them"
+)
 
 
 class Echo:
@@ -69,18 +73,23 @@ def until(true: Callable[[], bool]) -> bool:
     return true()
 
 
-def test_a_link_opens_it_as_it_opens_an_adapter(listener: PtyListener, echo: Echo, clock: RealClock) -> None:
+def test_a_link_opens_it_as_it_opens_an_adapter(
+    listener: PtyListener, echo: Echo, clock: RealClock
+) -> None:
     assert listener.url.startswith("/dev/")
     link = Link(listener.url, clock, who="echo")
     assert link.read_until(b"\n", 5.0) == b"hello\n"
-    every = bytes(range(256)) * 4  # nothing is echoed, turned into a line end, or taken for a command
+    # nothing is echoed, turned into a line end, or taken for a command
+    every = bytes(range(256)) * 4
     link.write(every)
     assert link.read(len(every), 5.0) == every.upper()
     link.close()
     assert until(lambda: echo.gone == 1)
 
 
-def test_a_host_that_closes_has_unplugged_and_may_plug_in_again(listener: PtyListener, echo: Echo, clock: RealClock) -> None:
+def test_a_host_that_closes_has_unplugged_and_may_plug_in_again(
+    listener: PtyListener, echo: Echo, clock: RealClock
+) -> None:
     url = listener.url
     link = Link(url, clock, who="echo")
     for turn in range(3):
@@ -96,7 +105,9 @@ def test_a_host_that_closes_has_unplugged_and_may_plug_in_again(listener: PtyLis
     link.close()
 
 
-def test_a_host_that_opens_again_at_once_has_replugged(listener: PtyListener, echo: Echo, clock: RealClock) -> None:
+def test_a_host_that_opens_again_at_once_has_replugged(
+    listener: PtyListener, echo: Echo, clock: RealClock
+) -> None:
     link = Link(listener.url, clock, who="echo")
     for turn in range(10):
         assert link.read_until(b"\n", 5.0) == b"hello\n", f"turn {turn}"
@@ -124,7 +135,9 @@ def test_what_a_host_says_before_it_is_noticed_is_heard(listener: PtyListener, e
     assert until(lambda: echo.gone == 1)
 
 
-def test_a_device_that_hangs_up_breaks_the_link_and_comes_back_elsewhere(listener: PtyListener, echo: Echo, clock: RealClock) -> None:
+def test_a_device_that_hangs_up_breaks_the_link_and_comes_back_elsewhere(
+    listener: PtyListener, echo: Echo, clock: RealClock
+) -> None:
     echo.obeys, before = True, listener.url
     link = Link(before, clock, who="echo")
     link.read_until(b"\n", 5.0)
@@ -139,7 +152,9 @@ def test_a_device_that_hangs_up_breaks_the_link_and_comes_back_elsewhere(listene
     again.close()
 
 
-def test_a_device_learns_the_rate_that_the_host_set(listener: PtyListener, echo: Echo, clock: RealClock) -> None:
+def test_a_device_learns_the_rate_that_the_host_set(
+    listener: PtyListener, echo: Echo, clock: RealClock
+) -> None:
     for baud in (9600, 57600):
         link = Link(listener.url, clock, who="echo", baud=baud)
         link.read_until(b"\n", 5.0)
@@ -194,11 +209,15 @@ def test_bytes_that_no_host_reads_are_lost_as_on_a_port(echo: Echo, clock: RealC
 
 
 def test_virtual_time_is_refused(echo: Echo) -> None:
-    with pytest.raises(ValueError, match=r"arm: a pseudo-terminal keeps real time.*take a Listener"):
+    with pytest.raises(
+        ValueError, match=r"arm: a pseudo-terminal keeps real time.*take a Listener"
+    ):
         PtyListener(echo, VirtualClock(), lock=threading.RLock(), name="arm")
 
 
-def test_a_system_without_terminals_says_so(echo: Echo, clock: RealClock, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_system_without_terminals_says_so(
+    echo: Echo, clock: RealClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delattr(os, "openpty")
     with pytest.raises(OSError, match=r"arm: this system has no pseudo-terminals .*TCP"):
         PtyListener(echo, clock, lock=threading.RLock(), name="arm")

@@ -1,4 +1,6 @@
-"""The far end of a capture that is typed by hand, played to a link: what it says, when, and what it tells on."""
+"""The far end of a capture that is typed by hand, played to a link: what it says, when, and what it
+tells on.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,10 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.link import Link
 
-HEAD = '{"format": "teatbench capture", "version": 1, "wall_time": "w", "teatbench": "0", "command": "c", "machine": "m"}\n'
+HEAD = (
+    '{"format": "teatbench capture", "version": 1, "wall_time": "w", "teatbench": "0", "command":'
+    ' "c", "machine": "m"}\n'
+)
 SERIAL = "/dev/ttyUSB0"
 Line = tuple[float, str, str]
 TALK: list[Line] = [
@@ -49,13 +54,21 @@ def write(tmp_path: Path) -> Write:
 
 
 class Bench:
-    def __init__(self, capture: Capture, clock: Clock, *, fast: bool = False, again: bool = False) -> None:
+    def __init__(
+        self, capture: Capture, clock: Clock, *, fast: bool = False, again: bool = False
+    ) -> None:
         self.clock = clock
         self.replay = Replay(capture, clock, fast=fast, again=again)
         self.links: list[Link] = []
 
     def link(self, name: str = "arm") -> Link:
-        self.links.append(Link(self.replay.urls[name].replace("tcp://", "socket://").split("?")[0], self.clock, who=name))
+        self.links.append(
+            Link(
+                self.replay.urls[name].replace("tcp://", "socket://").split("?")[0],
+                self.clock,
+                who=name,
+            )
+        )
         return self.links[-1]
 
     @property
@@ -98,7 +111,13 @@ def test_each_answer_comes_after_the_recorded_while(write: Write, play: Play) ->
         while bench.clock.now() < start + wait_s:
             if data := link.receive(start + wait_s - bench.clock.now()):
                 came.append((round(bench.clock.now() - start, 3), data))
-    assert came == [(0.4, b"hello"), (0.2, b"it is "), (0.3, b"me"), (2.0, b"!alarm"), (0.0, b"done")]
+    assert came == [
+        (0.4, b"hello"),
+        (0.2, b"it is "),
+        (0.3, b"me"),
+        (2.0, b"!alarm"),
+        (0.0, b"done"),
+    ]
     assert bench.told == []
     link.close()
     assert bench.replay.unplayed == []
@@ -124,7 +143,9 @@ def test_fast_answers_at_once(write: Write, play: Play) -> None:
 
 
 @given(cuts=st.sets(st.integers(1, 8)))
-@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(
+    max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+)
 def test_requests_may_be_cut_anywhere(write: Write, cuts: set[int]) -> None:
     bench = Bench(write(*TALK), VirtualClock())
     try:
@@ -137,7 +158,9 @@ def test_requests_may_be_cut_anywhere(write: Write, cuts: set[int]) -> None:
         bench.close()
 
 
-def test_a_host_that_is_faster_than_it_was_gets_everything_in_order(write: Write, play: Play) -> None:
+def test_a_host_that_is_faster_than_it_was_gets_everything_in_order(
+    write: Write, play: Play
+) -> None:
     bench = play(write(*TALK))
     link = bench.link()
     link.write(b"who?")
@@ -148,7 +171,9 @@ def test_a_host_that_is_faster_than_it_was_gets_everything_in_order(write: Write
     assert bench.told == []
 
 
-def test_what_the_host_sends_otherwise_is_told_and_answered_by_silence(write: Write, play: Play) -> None:
+def test_what_the_host_sends_otherwise_is_told_and_answered_by_silence(
+    write: Write, play: Play
+) -> None:
     bench = play(write(*TALK))
     link = bench.link()
     link.write(b"who?")
@@ -157,9 +182,14 @@ def test_what_the_host_sends_otherwise_is_told_and_answered_by_silence(write: Wr
     assert link.drain(5.0) == b""
     link.write(b"reset")
     assert link.drain(5.0) == b""
-    expected = "arm: line 8: connection 1, request 2: byte 3 of it is another than recorded (expected 'reset', got 'rest')"
+    expected = (
+        "arm: line 8: connection 1, request 2: byte 3 of it is another than recorded (expected"
+        " 'reset', got 'rest')"
+    )
     assert bench.told == [expected]
-    assert bench.replay.unplayed == ["arm: connection 1: 1 of 2 requests as recorded, then a mismatch"]
+    assert bench.replay.unplayed == [
+        "arm: connection 1: 1 of 2 requests as recorded, then a mismatch"
+    ]
 
 
 def test_of_a_long_request_the_place_is_shown(write: Write, play: Play) -> None:
@@ -174,7 +204,9 @@ def test_of_a_long_request_the_place_is_shown(write: Write, play: Play) -> None:
 
 
 def settled(bench: Bench, wanted: Callable[[], bool]) -> bool:
-    """Whether ``wanted`` comes true within real time that is ample for a thread to see that a host has gone."""
+    """Whether ``wanted`` comes true within real time that is ample for a thread to see that a host
+    has gone.
+    """
     clock = RealClock()
     while not wanted() and clock.now() < 5.0:
         clock.sleep(0.005)
@@ -198,11 +230,18 @@ def test_a_host_that_goes_on_where_it_had_closed_is_told_on(write: Write, play: 
     link = bench.link()
     link.write(b"who?reset\x03")
     link.drain(5.0)
-    assert bench.told == ["arm: line 8: the host sends more than was recorded on this connection (expected nothing, got 03)"]
+    assert bench.told == [
+        (
+            "arm: line 8: the host sends more than was recorded on this connection (expected nothing,"
+            " got 03)"
+        )
+    ]
 
 
 @pytest.mark.parametrize("more", ["", '{"t_s": 14.5, "li'])
-def test_at_the_end_of_a_capture_that_was_killed_there_is_silence(write: Write, play: Play, more: str) -> None:
+def test_at_the_end_of_a_capture_that_was_killed_there_is_silence(
+    write: Write, play: Play, more: str
+) -> None:
     bench = play(write(*TALK, more=more))
     link = bench.link()
     link.write(b"who?reset")
@@ -277,7 +316,9 @@ def test_an_url_has_the_form_that_the_recorded_driver_takes(
 
 
 def test_only_some_links_are_played_if_one_wishes(write: Write) -> None:
-    capture = write(*TALK, more='{"t_s": 20, "link": "bath", "event": "opened", "url": "tcp://192.168.0.40"}\n')
+    capture = write(
+        *TALK, more='{"t_s": 20, "link": "bath", "event": "opened", "url": "tcp://192.168.0.40"}\n'
+    )
     with Replay(capture, VirtualClock()) as replay:
         assert list(replay.urls) == ["arm", "bath"]
     with Replay(capture, VirtualClock(), links=["bath"]) as replay:
@@ -285,7 +326,13 @@ def test_only_some_links_are_played_if_one_wishes(write: Write) -> None:
 
 
 def test_in_real_time_too(write: Write, play: Play) -> None:
-    lines: list[Line] = [(0.0, "opened", SERIAL), (0.1, "sent", "a"), (0.15, "received", "b"), (0.2, "sent", "c"), (0.2, "received", "d")]
+    lines: list[Line] = [
+        (0.0, "opened", SERIAL),
+        (0.1, "sent", "a"),
+        (0.15, "received", "b"),
+        (0.2, "sent", "c"),
+        (0.2, "received", "d"),
+    ]
     bench = play(write(*lines, (0.3, "closed", "gone")), RealClock())
     link = bench.link()
     start = bench.clock.now()
@@ -335,7 +382,10 @@ def test_an_answer_carries_the_id_of_its_own_request(write: Write, play: Play, s
     requests = b"\xab\xcd" + as_bytes(READ)[2:] + b"\xab\xce" + as_bytes(OTHER)[2:]
     for at in range(0, len(requests), step):
         link.write(requests[at : at + step])
-    assert link.drain(1.0) == b"\xab\xcd" + as_bytes(ANSWER)[2:] + b"\xab\xce" + as_bytes(OTHER_ANSWER)[2:]
+    assert (
+        link.drain(1.0)
+        == b"\xab\xcd" + as_bytes(ANSWER)[2:] + b"\xab\xce" + as_bytes(OTHER_ANSWER)[2:]
+    )
     assert bench.told == []
 
 
@@ -359,7 +409,13 @@ def test_on_a_link_that_is_no_modbus_no_byte_is_free(write: Write, play: Play) -
 
 
 def test_nonsense_on_a_modbus_link_is_played_as_it_came(write: Write, play: Play) -> None:
-    bench = play(write((0.0, "opened", "tcp://bath:502"), (1.0, "sent", READ), (1.1, "received", "HTTP/1.1 400 Bad")))
+    bench = play(
+        write(
+            (0.0, "opened", "tcp://bath:502"),
+            (1.0, "sent", READ),
+            (1.1, "received", "HTTP/1.1 400 Bad"),
+        )
+    )
     link = bench.link()
     link.write(b"\0\1" + as_bytes(READ)[2:])
     assert link.drain(1.0) == b"HTTP/1.1 400 Bad"

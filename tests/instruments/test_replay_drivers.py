@@ -1,4 +1,6 @@
-"""A session of each driver with its emulator, captured and replayed: the driver finds the same again, and no byte differs."""
+"""A session of each driver with its emulator, captured and replayed: the driver finds the same
+again, and no byte differs.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,11 @@ class Hand:
 
 
 def arm_session(url: str, clock: Clock, tap: Tap | None) -> Found:
-    arm = MicroScribe(Link(url, clock, who="arm", tap=tap), clock, answer_s=ANSWER_S if isinstance(clock, VirtualClock) else 30.0)
+    arm = MicroScribe(
+        Link(url, clock, who="arm", tap=tap),
+        clock,
+        answer_s=ANSWER_S if isinstance(clock, VirtualClock) else 30.0,
+    )
     try:
         found: Found = [asdict(arm.sign_on()), asdict(arm.parameters), arm.beta_rad]
         arm.confirm_homed()
@@ -95,7 +101,11 @@ SESSIONS: dict[str, Session] = {"arm": arm_session, "stage": stage_session, "bat
 def device(name: str, clock: Clock) -> Device:
     if name == "arm":
         return ArmEmulator(Hand(clock), clock, seed=3)
-    return StageEmulator(clock) if name == "stage" else BathEmulator(Plant(3), load_profile("julabo-presto"), clock)
+    return (
+        StageEmulator(clock)
+        if name == "stage"
+        else BathEmulator(Plant(3), load_profile("julabo-presto"), clock)
+    )
 
 
 @contextmanager
@@ -113,7 +123,9 @@ def captured(name: str, path: Path, session: Session, far_end: Callable[[Clock],
         return session(url, clock, capture.tap(name, clock))
 
 
-def replayed(capture: Capture, name: str, session: Session, clock: Clock, *, fast: bool = False) -> tuple[Found, list[str]]:
+def replayed(
+    capture: Capture, name: str, session: Session, clock: Clock, *, fast: bool = False
+) -> tuple[Found, list[str]]:
     """What the session finds now, and what the replay has to tell."""
     with Replay(capture, clock, fast=fast) as replay:
         found = session(replay.urls[name], clock, None)
@@ -136,19 +148,28 @@ def test_listening_in_changes_nothing(name: str, tmp_path: Path) -> None:
     clock = VirtualClock()
     with served(device(name, clock), clock, name) as url:
         plain = SESSIONS[name](url, clock, None)
-    assert captured(name, tmp_path / "c", SESSIONS[name], lambda clock: device(name, clock)) == plain
+    assert (
+        captured(name, tmp_path / "c", SESSIONS[name], lambda clock: device(name, clock)) == plain
+    )
 
 
 def test_a_replay_can_be_captured_and_is_the_capture(tmp_path: Path) -> None:
     """All but the times, which a replay keeps to within its lead."""
     captured("stage", tmp_path / "one", stage_session, lambda clock: device("stage", clock))
     clock = VirtualClock()
-    with CaptureFile(tmp_path / "two", FACTS) as capture, Replay(read_capture(tmp_path / "one"), clock) as replay:
+    with (
+        CaptureFile(tmp_path / "two", FACTS) as capture,
+        Replay(read_capture(tmp_path / "one"), clock) as replay,
+    ):
         stage_session(replay.urls["stage"], clock, capture.tap("stage", clock))
     (one,), (two,) = (read_capture(tmp_path / name).links["stage"] for name in ("one", "two"))
     assert [e.asked for e in one.exchanges] == [e.asked for e in two.exchanges]
-    assert [b"".join(p.data for p in e.came) for e in one.exchanges] == [b"".join(p.data for p in e.came) for e in two.exchanges]
-    assert [e.asked_s for e in one.exchanges] == pytest.approx([e.asked_s for e in two.exchanges], abs=1e-3)
+    assert [b"".join(p.data for p in e.came) for e in one.exchanges] == [
+        b"".join(p.data for p in e.came) for e in two.exchanges
+    ]
+    assert [e.asked_s for e in one.exchanges] == pytest.approx(
+        [e.asked_s for e in two.exchanges], abs=1e-3
+    )
 
 
 @pytest.mark.parametrize("name", ["arm", "bath"])
@@ -163,7 +184,10 @@ def test_a_session_in_real_time_is_replayed_in_real_time(name: str, tmp_path: Pa
 
     clock, again = RealClock(), RealClock()
     try:
-        with CaptureFile(tmp_path / "c", FACTS) as capture, served(device(name, clock), clock, name) as url:
+        with (
+            CaptureFile(tmp_path / "c", FACTS) as capture,
+            served(device(name, clock), clock, name) as url,
+        ):
             found = short(url, clock, capture.tap(name, clock))
         assert replayed(read_capture(tmp_path / "c"), name, short, again, fast=True) == (found, [])
     finally:
@@ -185,7 +209,9 @@ def failing(session: Session) -> Session:
 
 @pytest.mark.parametrize("fault", Fault, ids=str)
 def test_an_arm_with_a_fault_has_it_again(fault: Fault, tmp_path: Path) -> None:
-    """Whether the driver finds its way or gives up, it does the same, byte for byte, and says the same."""
+    """Whether the driver finds its way or gives up, it does the same, byte for byte, and says the
+    same.
+    """
 
     def faulty(clock: Clock) -> Device:
         arm = ArmEmulator(Hand(clock), clock, seed=3)
@@ -193,7 +219,10 @@ def test_an_arm_with_a_fault_has_it_again(fault: Fault, tmp_path: Path) -> None:
         return arm
 
     found = captured("arm", tmp_path / "c", failing(arm_session), faulty)
-    assert replayed(read_capture(tmp_path / "c"), "arm", failing(arm_session), VirtualClock()) == (found, [])
+    assert replayed(read_capture(tmp_path / "c"), "arm", failing(arm_session), VirtualClock()) == (
+        found,
+        [],
+    )
 
 
 def test_a_bath_on_rtu_is_on_rtu_again(tmp_path: Path) -> None:
@@ -227,9 +256,16 @@ class PulledCable:
 
 
 def test_a_pulled_cable_is_pulled_again(tmp_path: Path) -> None:
-    found = captured("stage", tmp_path / "c", failing(stage_session), lambda clock: PulledCable(StageEmulator(clock), 12.0))
+    found = captured(
+        "stage",
+        tmp_path / "c",
+        failing(stage_session),
+        lambda clock: PulledCable(StageEmulator(clock), 12.0),
+    )
     assert found == ["LinkError", "the link broke while reading: the other end hung up"]
-    assert replayed(read_capture(tmp_path / "c"), "stage", failing(stage_session), VirtualClock()) == (found, [])
+    assert replayed(
+        read_capture(tmp_path / "c"), "stage", failing(stage_session), VirtualClock()
+    ) == (found, [])
 
 
 def test_a_bath_that_broke_off_is_met_anew_in_the_replay(tmp_path: Path) -> None:
@@ -243,7 +279,12 @@ def test_a_bath_that_broke_off_is_met_anew_in_the_replay(tmp_path: Path) -> None
             else:
                 super().receive(connection, data)
 
-    found = captured("bath", tmp_path / "c", bath_session, lambda clock: Shaky(Plant(3), load_profile("julabo-presto"), clock))
+    found = captured(
+        "bath",
+        tmp_path / "c",
+        bath_session,
+        lambda clock: Shaky(Plant(3), load_profile("julabo-presto"), clock),
+    )
     capture = read_capture(tmp_path / "c")
     assert len(capture.links["bath"]) > 2
     assert all(talk.broke for talk in capture.links["bath"][:-1])

@@ -29,7 +29,11 @@ class Document:
         return next(element for element in self.elements if element.attributes.get("id") == name)
 
     def values(self, attribute: str) -> list[str]:
-        return [element.attributes[attribute] for element in self.elements if attribute in element.attributes]
+        return [
+            element.attributes[attribute]
+            for element in self.elements
+            if attribute in element.attributes
+        ]
 
 
 def read(html: str) -> Document:
@@ -58,7 +62,9 @@ class _Reader(HTMLParser):
 
     def handle_endtag(self, tag: str) -> None:
         if not self.open or self.open[-1].tag != tag:
-            self.document.misplaced.append(f"</{tag}> inside {[element.tag for element in self.open[-3:]]}")
+            self.document.misplaced.append(
+                f"</{tag}> inside {[element.tag for element in self.open[-3:]]}"
+            )
             return
         self.open.pop()
 

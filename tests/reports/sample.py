@@ -1,4 +1,6 @@
-"""A small but complete page with its images, for the tests and for looking at: six situations, four requirements, every kind of part."""
+"""A small but complete page with its images, for the tests and for looking at: six situations, four
+requirements, every kind of part.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +12,27 @@ from numpy.typing import NDArray
 from reports import figures
 from reports.frames import Circle, Cross, ImageView, Label, Overlay, Polyline, Rect
 from reports.page import Banner, Page, Section, TrialPart
-from reports.parts import Cell, Code, Column, Figure, KeyValues, Notes, Paragraph, Requirement, Requirements, Table
+from reports.parts import (
+    Cell,
+    Code,
+    Column,
+    Figure,
+    KeyValues,
+    Notes,
+    Paragraph,
+    Requirement,
+    Requirements,
+    Table,
+)
 
-SITUATIONS = ("Not vertical", "Overlapping", "Spurious teat", "Hot body at the base", "Hot body at the ends", "Cooler bodies")
+SITUATIONS = (
+    "Not vertical",
+    "Overlapping",
+    "Spurious teat",
+    "Hot body at the base",
+    "Hot body at the ends",
+    "Cooler bodies",
+)
 THESIS_FOUND = (4, 3, 4, 4, 0, 3)
 ENDS_PX = ((190.0, 250.0), (285.0, 215.0), (380.0, 255.0), (470.0, 225.0))
 SIZE = (640, 480)
@@ -36,7 +56,10 @@ def outcomes(repeats: int) -> list[Outcome]:
     rng = np.random.default_rng(20)
     return [
         Outcome(
-            1 + k * repeats + repeat, situation, rng.normal((0.2, -0.4, 0.1), (0.7, 1.9, 0.6), (found, 3)), float(rng.uniform(0.3, 0.7))
+            1 + k * repeats + repeat,
+            situation,
+            rng.normal((0.2, -0.4, 0.1), (0.7, 1.9, 0.6), (found, 3)),
+            float(rng.uniform(0.3, 0.7)),
         )
         for k, (situation, found) in enumerate(zip(SITUATIONS, THESIS_FOUND, strict=True))
         for repeat in range(repeats)
@@ -44,38 +67,89 @@ def outcomes(repeats: int) -> list[Outcome]:
 
 
 def write_frames(folder: Path, anchor: str) -> None:
-    """Three pictures of four pale teats on a dark ground, 640 x 480, as PNG in `folder/frames/<anchor>/`."""
+    """Three pictures of four pale teats on a dark ground, 640 x 480, as PNG in
+    `folder/frames/<anchor>/`.
+    """
     (folder / "frames" / anchor).mkdir(parents=True)
     for number, camera in enumerate(("left", "right", "thermal")):
         picture = np.full((SIZE[1], SIZE[0]), 40 + 15 * number, np.uint8)
         for x, y in ENDS_PX:
-            cv2.ellipse(picture, (int(x) + 4 * number, int(y) - 60), (22, 62), 0, 0, 360, 190 - 30 * number, -1, cv2.LINE_AA)
+            cv2.ellipse(
+                picture,
+                (int(x) + 4 * number, int(y) - 60),
+                (22, 62),
+                0,
+                0,
+                360,
+                190 - 30 * number,
+                -1,
+                cv2.LINE_AA,
+            )
         encoded = cv2.imencode(".png", cv2.GaussianBlur(picture, (0, 0), 1.5))[1]
         (folder / "frames" / anchor / f"{camera}.png").write_bytes(encoded.tobytes())
 
 
 def frame_views(anchor: str) -> tuple[ImageView, ...]:
-    truth = Overlay("truth", "truth", tuple(Circle(x, y, 9, title=f"teat {k}") for k, (x, y) in enumerate(ENDS_PX, 1)))
-    final = Overlay("point", "final point", tuple(Cross(x + 2, y - 1, 9, turned=True) for x, y in ENDS_PX))
-    region = Overlay("region", "region searched", tuple(Rect(x - 20.5, y - 20.5, 41, 41) for x, y in ENDS_PX))
-    hot = Overlay("nomination", "thermal nomination", tuple(Cross(x - 6, y + 5, 8) for x, y in ENDS_PX))
-    names = Overlay("other", "numbers", tuple(Label(x + 14, y + 14, str(k)) for k, (x, y) in enumerate(ENDS_PX, 1)))
+    truth = Overlay(
+        "truth",
+        "truth",
+        tuple(Circle(x, y, 9, title=f"teat {k}") for k, (x, y) in enumerate(ENDS_PX, 1)),
+    )
+    final = Overlay(
+        "point", "final point", tuple(Cross(x + 2, y - 1, 9, turned=True) for x, y in ENDS_PX)
+    )
+    region = Overlay(
+        "region", "region searched", tuple(Rect(x - 20.5, y - 20.5, 41, 41) for x, y in ENDS_PX)
+    )
+    hot = Overlay(
+        "nomination", "thermal nomination", tuple(Cross(x - 6, y + 5, 8) for x, y in ENDS_PX)
+    )
+    names = Overlay(
+        "other",
+        "numbers",
+        tuple(Label(x + 14, y + 14, str(k)) for k, (x, y) in enumerate(ENDS_PX, 1)),
+    )
     line = Overlay("model", "lower edge", (Polyline(ENDS_PX, title="lower edge"),))
     part = (140, 100, 400, 240)
     return (
-        ImageView("Left camera", f"frames/{anchor}/left.png", *SIZE, "Four teats from the left", (truth, hot, region, final, names), part),
         ImageView(
-            "Right camera", f"frames/{anchor}/right.png", *SIZE, "Four teats from the right", (truth, hot, region, final, names), part
+            "Left camera",
+            f"frames/{anchor}/left.png",
+            *SIZE,
+            "Four teats from the left",
+            (truth, hot, region, final, names),
+            part,
         ),
-        ImageView("Thermal camera, un-mirrored", f"frames/{anchor}/thermal.png", *SIZE, "Four warm teats", (truth, hot, line)),
+        ImageView(
+            "Right camera",
+            f"frames/{anchor}/right.png",
+            *SIZE,
+            "Four teats from the right",
+            (truth, hot, region, final, names),
+            part,
+        ),
+        ImageView(
+            "Thermal camera, un-mirrored",
+            f"frames/{anchor}/thermal.png",
+            *SIZE,
+            "Four warm teats",
+            (truth, hot, line),
+        ),
     )
 
 
 def trial_part(outcome: Outcome) -> TrialPart:
     radial = np.linalg.norm(outcome.errors_mm, axis=1)
-    columns = (Column("teat"), *(Column(axis, "right", "mm") for axis in ("x error", "y error", "z error", "radial")))
+    columns = (
+        Column("teat"),
+        *(Column(axis, "right", "mm") for axis in ("x error", "y error", "z error", "radial")),
+    )
     rows: list[tuple[str | Cell, ...]] = [
-        (f"teat {k}", *(f"{value:+.2f}".replace("-", "−") for value in error), Cell(f"{r:.2f}", "bad" if r > 5 else "plain"))
+        (
+            f"teat {k}",
+            *(f"{value:+.2f}".replace("-", "−") for value in error),
+            Cell(f"{r:.2f}", "bad" if r > 5 else "plain"),
+        )
         for k, (error, r) in enumerate(zip(outcome.errors_mm, radial, strict=True), 1)
     ]
     missed = 4 - len(rows)
@@ -85,22 +159,42 @@ def trial_part(outcome: Outcome) -> TrialPart:
         situation=outcome.situation,
         status=f"{len(rows)} of 4 found",
         tone="bad" if not rows else "warn" if missed else "good",
-        summary=(("Found, missed, false", f"{len(rows)}, {missed}, 0"), ("Time", f"{outcome.seconds:.3f} s"), ("Bath", "33.01 °C")),
+        summary=(
+            ("Found, missed, false", f"{len(rows)}, {missed}, 0"),
+            ("Time", f"{outcome.seconds:.3f} s"),
+            ("Bath", "33.01 °C"),
+        ),
         images=frame_views(outcome.anchor),
         tables=(Table("Errors of the teats found", columns, tuple(rows)),),
-        notes=("The detector refused: no vertical line ends in the thermal image.",) if not rows else (),
+        notes=(
+            ("The detector refused: no vertical line ends in the thermal image.",)
+            if not rows
+            else ()
+        ),
     )
 
 
 def trial_table(runs: list[Outcome]) -> Table:
-    measured = (Column("Found", "right"), Column("Worst error", "right", "mm"), Column("Time", "right", "s"))
+    measured = (
+        Column("Found", "right"),
+        Column("Worst error", "right", "mm"),
+        Column("Time", "right", "s"),
+    )
     columns = (Column("Trial"), Column("Situation"), *measured)
     rows = tuple(
         (
             Cell(run.anchor, href=f"#{run.anchor}"),
             run.situation,
-            Cell(f"{len(run.errors_mm)} of 4", "good" if len(run.errors_mm) == 4 else "warn", sort=len(run.errors_mm)),
-            f"{np.linalg.norm(run.errors_mm, axis=1).max():.2f}" if len(run.errors_mm) else Cell("not measured", "muted"),
+            Cell(
+                f"{len(run.errors_mm)} of 4",
+                "good" if len(run.errors_mm) == 4 else "warn",
+                sort=len(run.errors_mm),
+            ),
+            (
+                f"{np.linalg.norm(run.errors_mm, axis=1).max():.2f}"
+                if len(run.errors_mm)
+                else Cell("not measured", "muted")
+            ),
             f"{run.seconds:.3f}",
         )
         for run in runs
@@ -132,8 +226,18 @@ def requirements() -> Requirements:
                 "not met",
                 "thesis, section 1.4.3",
             ),
-            Requirement("No false teat", "No detection beyond the gate of 25 mm", 18, "0", "0", "0", "met"),
-            Requirement("Detection within 1 s", "p95 of the detection times", 18, "0.71 s", "1 s", "+0.29 s", "met"),
+            Requirement(
+                "No false teat", "No detection beyond the gate of 25 mm", 18, "0", "0", "0", "met"
+            ),
+            Requirement(
+                "Detection within 1 s",
+                "p95 of the detection times",
+                18,
+                "0.71 s",
+                "1 s",
+                "+0.29 s",
+                "met",
+            ),
         ),
         "Frames of one pose are not independent trials: n counts poses.",
     )
@@ -141,7 +245,10 @@ def requirements() -> Requirements:
 
 def accuracy_section(runs: list[Outcome]) -> Section:
     errors = np.concatenate([run.errors_mm for run in runs])
-    by_situation = [np.concatenate([run.errors_mm for run in runs if run.situation == name]) for name in SITUATIONS]
+    by_situation = [
+        np.concatenate([run.errors_mm for run in runs if run.situation == name])
+        for name in SITUATIONS
+    ]
     links = [f"#{run.anchor}" for run in runs for _ in run.errors_mm]
     scatter = figures.error_scatter(errors[:, 0], errors[:, 1], 5.0, accept_mm=4.611, links=links)
     histogram = figures.error_histogram(np.linalg.norm(errors, axis=1), 5.0, accept_mm=4.611)
@@ -150,24 +257,46 @@ def accuracy_section(runs: list[Outcome]) -> Section:
         "Accuracy",
         (
             Figure(scatter, "Teats found; a click opens the trial.", "Lateral and depth errors"),
-            Figure(histogram, "Radial errors and their cumulative share.", "Histogram of the radial errors"),
-            Figure(figures.per_axis_errors(SITUATIONS, by_situation, 5.0), "Signed errors, world axes.", "Errors by axis", wide=True),
+            Figure(
+                histogram,
+                "Radial errors and their cumulative share.",
+                "Histogram of the radial errors",
+            ),
+            Figure(
+                figures.per_axis_errors(SITUATIONS, by_situation, 5.0),
+                "Signed errors, world axes.",
+                "Errors by axis",
+                wide=True,
+            ),
         ),
     )
 
 
 def rates_section(runs: list[Outcome]) -> Section:
-    found = [sum(len(run.errors_mm) for run in runs if run.situation == name) for name in SITUATIONS]
+    found = [
+        sum(len(run.errors_mm) for run in runs if run.situation == name) for name in SITUATIONS
+    ]
     present = [4 * sum(run.situation == name for run in runs) for name in SITUATIONS]
     bars = figures.found_bars(SITUATIONS, found, present, THESIS_FOUND)
     strip = figures.latency_strip([run.seconds for run in runs], [1.0, 2.0])
-    columns = (Column("Situation"), Column("Found", "right", "of visible"), Column("Thesis", "right", "of 4"))
-    rows = tuple((name, f"{f} of {p}", str(t)) for name, f, p, t in zip(SITUATIONS, found, present, THESIS_FOUND, strict=True))
+    columns = (
+        Column("Situation"),
+        Column("Found", "right", "of visible"),
+        Column("Thesis", "right", "of 4"),
+    )
+    rows = tuple(
+        (name, f"{f} of {p}", str(t))
+        for name, f, p, t in zip(SITUATIONS, found, present, THESIS_FOUND, strict=True)
+    )
     return Section(
         "rates",
         "Rates, beside the thesis",
         (
-            Figure(bars, "Teats found of teats visible.", "Bars of the share found, beside the thesis's"),
+            Figure(
+                bars,
+                "Teats found of teats visible.",
+                "Bars of the share found, beside the thesis's",
+            ),
             Figure(strip, "Detection times against the limits.", "All detection times below 1 s"),
             Table("Found of present", columns, rows),
         ),
@@ -177,8 +306,14 @@ def rates_section(runs: list[Outcome]) -> Section:
 def bath_section() -> Section:
     times = np.arange(0.0, 3600.0, 10.0)
     temps = 33.0 - 13.0 * np.exp(-times / 350.0) + 0.02 * np.sin(times / 70.0)
-    curve = figures.bath_curve(times, temps, 33.0, 0.1, np.arange(2400.0, 3500.0, 60.0), [(2300.0, 3600.0)], temps - 0.4)
-    return Section("bath", "Bath", (Figure(curve, "Bath, captures marked.", "Bath reaches 33 °C and stays there", wide=True),))
+    curve = figures.bath_curve(
+        times, temps, 33.0, 0.1, np.arange(2400.0, 3500.0, 60.0), [(2300.0, 3600.0)], temps - 0.4
+    )
+    return Section(
+        "bath",
+        "Bath",
+        (Figure(curve, "Bath, captures marked.", "Bath reaches 33 °C and stays there", wide=True),),
+    )
 
 
 def provenance_section() -> Section:
@@ -188,14 +323,20 @@ def provenance_section() -> Section:
         ("Arm", "MicroScribe G2X, serial 40317, emulated"),
         ("Seed", "20260101"),
     )
-    files = (("Trials as CSV", Cell("trials.csv", href="trials.csv")), ("Run as JSON", Cell("run.json", href="run.json")))
+    files = (
+        ("Trials as CSV", Cell("trials.csv", href="trials.csv")),
+        ("Run as JSON", Cell("run.json", href="run.json")),
+    )
     return Section(
         "provenance",
         "Provenance",
         (
             KeyValues("Item and bench", entries),
             KeyValues("Files", files),
-            Code("The command that repeats it", "teatbench run six-situations --rig emulated --seed 20260101"),
+            Code(
+                "The command that repeats it",
+                "teatbench run six-situations --rig emulated --seed 20260101",
+            ),
             Notes("Deviations", ("Trial 13: the detector refused.", "The stage was homed twice.")),
             Notes("Exclusions", ()),
             Paragraph("The truth is the apex of the teat's rounded end on its own axis.", "info"),
@@ -211,9 +352,12 @@ def sample_page(folder: Path, repeats: int = 1) -> Page:
     banner = Banner(
         "emulated",
         "not met",
-        f"Detector thesis 1.0 on the thesis's six situations, {repeats} of each: {len(runs)} poses of the heated phantom, 4 teats each.",
-        "9 of 18 scenes had every visible teat found; the requirement is 95 %. No teat's end was found where a hot body touched it.",
-        "A success rate between 26 % and 74 % is shown with 95 % confidence; truth is known to 0.23 mm.",
+        f"Detector thesis 1.0 on the thesis's six situations, {repeats} of each: {len(runs)} poses"
+        " of the heated phantom, 4 teats each.",
+        "9 of 18 scenes had every visible teat found; the requirement is 95 %. No teat's end was"
+        " found where a hot body touched it.",
+        "A success rate between 26 % and 74 % is shown with 95 % confidence; truth is known to"
+        " 0.23 mm.",
         "Look at the trials of “Hot body at the ends” first: the detector refuses all of them.",
     )
     return Page(
@@ -229,6 +373,9 @@ def sample_page(folder: Path, repeats: int = 1) -> Page:
             provenance_section(),
         ),
         tuple(trial_part(run) for run in runs),
-        trials_note="What was seen, what was found, and where the truth is. Trials are data; the verdict is above.",
+        trials_note=(
+            "What was seen, what was found, and where the truth is. Trials are data; the verdict is"
+            " above."
+        ),
         footer=("teatbench 0.1.0, run 20260103-1015-six-situations",),
     )

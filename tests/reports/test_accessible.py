@@ -18,17 +18,27 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     few, many = tmp_path_factory.mktemp("few"), tmp_path_factory.mktemp("many")
     write_report(sample_page(few), few)
     write_report(sample_page(many, 7), many)
-    return {"page": few / "index.html", "list": many / "index.html", "trial": many / "trials" / "trial-004.html"}
+    return {
+        "page": few / "index.html",
+        "list": many / "index.html",
+        "trial": many / "trials" / "trial-004.html",
+    }
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize(("which", "width"), [("page", 1440), ("page", 390), ("list", 1440), ("trial", 390)])
-def test_axe_is_content(browser: Browser, folders: dict[str, Path], which: str, width: int, scheme: Scheme) -> None:
+@pytest.mark.parametrize(
+    ("which", "width"), [("page", 1440), ("page", 390), ("list", 1440), ("trial", 390)]
+)
+def test_axe_is_content(
+    browser: Browser, folders: dict[str, Path], which: str, width: int, scheme: Scheme
+) -> None:
     with window(browser, width=width, scheme=scheme) as seen:
         assert violations(seen.open(folders[which])) == []
 
 
-def test_axe_is_content_with_a_zoomed_frame_and_the_list_of_keys(browser: Browser, folders: dict[str, Path]) -> None:
+def test_axe_is_content_with_a_zoomed_frame_and_the_list_of_keys(
+    browser: Browser, folders: dict[str, Path]
+) -> None:
     with window(browser, width=390, scheme="dark") as seen:
         page = seen.open(folders["page"], "trial-002")
         page.keyboard.press("+")

@@ -1,4 +1,6 @@
-"""The page in a real browser, from disk, offline: nothing is asked of a network, everything shows, keys and switches work."""
+"""The page in a real browser, from disk, offline: nothing is asked of a network, everything shows,
+keys and switches work.
+"""
 
 import re
 from collections.abc import Iterator
@@ -52,7 +54,10 @@ def test_deep_link_shows_its_trial(seen: Seen, report: Path) -> None:
 
 def test_overlays_switch_one_by_one_and_all_at_once(seen: Seen) -> None:
     page = seen.page
-    truth, region = page.locator("#trial-001 .pane .layer-truth").first, page.locator("#trial-001 .pane .layer-region").first
+    truth, region = (
+        page.locator("#trial-001 .pane .layer-truth").first,
+        page.locator("#trial-001 .pane .layer-region").first,
+    )
     expect(truth).to_be_visible()
     page.get_by_label("truth").uncheck()
     expect(truth).to_be_hidden()
@@ -65,7 +70,9 @@ def test_overlays_switch_one_by_one_and_all_at_once(seen: Seen) -> None:
 
 
 def test_overlay_lies_over_its_pixel_in_both_views(seen: Seen) -> None:
-    """The first teat's truth, pixel (190, 250), is where that pixel of the picture is drawn, cropped and whole."""
+    """The first teat's truth, pixel (190, 250), is where that pixel of the picture is drawn,
+    cropped and whole.
+    """
     gap = """() => { const pane = document.querySelector('#trial-001 .pane'), image = pane.querySelector('img').getBoundingClientRect();
         const mark = pane.querySelector('.layer-truth circle').getBoundingClientRect();
         const x = image.left + (190.5 / 640) * image.width, y = image.top + (250.5 / 480) * image.height;
@@ -131,7 +138,9 @@ def test_nothing_sticks_out_of_the_page(seen: Seen, width: int) -> None:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_text_stands_out_from_its_ground(browser: Browser, report: Path, scheme: Scheme) -> None:
-    """WCAG 2.1, 1.4.3: 4.5 : 1 for every text of the page, against the first opaque ground behind it."""
+    """WCAG 2.1, 1.4.3: 4.5 : 1 for every text of the page, against the first opaque ground behind
+    it.
+    """
     with window(browser, scheme=scheme) as seen:
         seen.open(report)
         weak = seen.page.evaluate(
@@ -180,4 +189,6 @@ def test_a_frame_is_enlarged_and_back(seen: Seen) -> None:
     assert large > 2.5 * small
     expect(button).to_have_attribute("aria-pressed", "true")
     button.click()
-    assert frame.locator("img").evaluate("image => image.getBoundingClientRect().width") == pytest.approx(small)
+    assert frame.locator("img").evaluate(
+        "image => image.getBoundingClientRect().width"
+    ) == pytest.approx(small)

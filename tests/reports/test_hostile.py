@@ -1,4 +1,6 @@
-"""Hostile text in every field of a page: it must come out as text. Hostile addresses and drawings: they must be refused."""
+"""Hostile text in every field of a page: it must come out as text. Hostile addresses and drawings:
+they must be refused.
+"""
 
 import dataclasses
 from typing import Any
@@ -10,20 +12,43 @@ from hypothesis import strategies as st
 from reports import figures
 from reports.frames import Circle, ImageView, Label, Overlay
 from reports.page import Banner, Page, Section, TrialPart
-from reports.parts import Cell, Code, Column, Figure, KeyValues, Notes, Paragraph, Requirement, Requirements, Table
+from reports.parts import (
+    Cell,
+    Code,
+    Column,
+    Figure,
+    KeyValues,
+    Notes,
+    Paragraph,
+    Requirement,
+    Requirements,
+    Table,
+)
 from reports.render import render
 from reports.trust import PageError
 from tests.reports.markup import read
 
-HOSTILE = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>&amp;{{ 7*7 }}{% raw %}]]>--></style></svg>\x00\u202e"
+HOSTILE = (
+    "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>&amp;{{ 7*7 }}{% raw"
+    " %}]]>--></style></svg>\x00\u202e"
+)
 DRAWING = figures.error_histogram([], 5.0)
 
 
 def page_of(text: str) -> Page:
     """A page that has `text` in every field that takes a text."""
     cell = Cell(text, "bad", "#trial-001", mono=True)
-    table = Table(text, (Column(text, "left", text, text), Column(text, "right", text, text)), ((text, cell),), text, searchable=True)
-    layers = (Overlay("truth", text, (Circle(1, 2, 3, text),)), Overlay("other", text, (Label(1, 2, text),)))
+    table = Table(
+        text,
+        (Column(text, "left", text, text), Column(text, "right", text, text)),
+        ((text, cell),),
+        text,
+        searchable=True,
+    )
+    layers = (
+        Overlay("truth", text, (Circle(1, 2, 3, text),)),
+        Overlay("other", text, (Label(1, 2, text),)),
+    )
     image = ImageView(text, "frames/a b#?%.png", 64, 48, text, layers, (1, 2, 30, 20))
     parts = (
         Requirements(text, (Requirement(text, text, 1, text, text, text, "met", text),), text),
@@ -34,8 +59,19 @@ def page_of(text: str) -> Page:
         Notes(text, (text,)),
         Code(text, text),
     )
-    trial = TrialPart("trial-001", text, text, text, "good", ((text, cell),), (image,), (table,), (text,))
-    return Page(text, text, Banner("real", "met", text, text, text, text), (Section("one", text, parts),), (trial,), text, text, (text,))
+    trial = TrialPart(
+        "trial-001", text, text, text, "good", ((text, cell),), (image,), (table,), (text,)
+    )
+    return Page(
+        text,
+        text,
+        Banner("real", "met", text, text, text, text),
+        (Section("one", text, parts),),
+        (trial,),
+        text,
+        text,
+        (text,),
+    )
 
 
 def shape(html: str) -> list[tuple[str, tuple[str, ...]]]:
@@ -59,7 +95,9 @@ def test_hostile_text_reaches_the_reader_without_what_would_steer_it() -> None:
 
 
 def test_every_text_field_was_tried() -> None:
-    """Every str field of every dataclass of the page holds the marker, except ids, addresses and words from a list."""
+    """Every str field of every dataclass of the page holds the marker, except ids, addresses and
+    words from a list.
+    """
     closed = {"id", "src", "href", "original", "tone", "verdict", "kind", "align", "svg"}
     missed: list[str] = []
 
@@ -83,9 +121,14 @@ def test_every_text_field_was_tried() -> None:
 def test_any_text_leaves_the_structure_alone(text: str) -> None:
     html = render(page_of(text))
     html.encode("utf-8")
-    assert shape(html) == shape(render(page_of(text or "x"))) if text else read(html).misplaced == []
+    assert (
+        shape(html) == shape(render(page_of(text or "x"))) if text else read(html).misplaced == []
+    )
     assert read(html).misplaced == []
-    assert [element.tag for element in read(html).all("script", "style", "iframe", "object")] == ["style", "script"]
+    assert [element.tag for element in read(html).all("script", "style", "iframe", "object")] == [
+        "style",
+        "script",
+    ]
 
 
 def test_file_names_are_percent_encoded() -> None:
@@ -155,7 +198,22 @@ def test_drawings_with_more_than_a_plot_are_refused(svg: str) -> None:
 def test_hostile_names_in_a_plot_are_text() -> None:
     names = ["<script>x</script>", "$\\frac{1}$ & more", '"quoted" \x00\n牛🐄', "_hidden"]
     svg = figures.found_bars(names, [1, 2, 3, 4], [4, 4, 4, 4], [None] * 4)
-    document = read(render(Page("t", "", Banner("real", "met", "", "", "", ""), (Section("s", "s", (Figure(svg, "c", "a"),)),))))
-    drawn = next(element for element in document.all("svg") if "plot" in element.attributes["class"]).text
-    assert [text for text in ("<script>x</script>", "$\\frac{1}$ & more", '"quoted" \ufffd 牛🐄', "_hidden") if text not in drawn] == []
+    document = read(
+        render(
+            Page(
+                "t",
+                "",
+                Banner("real", "met", "", "", "", ""),
+                (Section("s", "s", (Figure(svg, "c", "a"),)),),
+            )
+        )
+    )
+    drawn = next(
+        element for element in document.all("svg") if "plot" in element.attributes["class"]
+    ).text
+    assert [
+        text
+        for text in ("<script>x</script>", "$\\frac{1}$ & more", '"quoted" \ufffd 牛🐄', "_hidden")
+        if text not in drawn
+    ] == []
     assert len(document.all("script")) == 1

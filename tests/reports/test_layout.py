@@ -1,4 +1,6 @@
-"""Where parts stand: figures of half a page alone in their row, values that need a line of their own, links of the first screen."""
+"""Where parts stand: figures of half a page alone in their row, values that need a line of their
+own, links of the first screen.
+"""
 
 import dataclasses
 from pathlib import Path
@@ -26,7 +28,10 @@ def wide(name: str) -> Figure:
 def classes(*parts: Part) -> list[str]:
     """What the page's figures are, in order: half, alone over the page, or wide."""
     found = read(render(Page("p", "", BANNER, (Section("s", "s", parts),)))).all("figure")
-    return [element.attributes["class"].removeprefix("part drawn").strip() or "half" for element in found]
+    return [
+        element.attributes["class"].removeprefix("part drawn").strip() or "half"
+        for element in found
+    ]
 
 
 TEXT = Paragraph("text")
@@ -41,7 +46,12 @@ def test_two_halves_share_a_row_and_a_third_has_one_of_its_own() -> None:
 
 def test_a_half_beside_nothing_gets_the_row() -> None:
     assert classes(half("a")) == [ALONE]
-    assert classes(half("a"), TEXT, half("b"), half("c"), TEXT, half("d")) == [ALONE, "half", "half", ALONE]
+    assert classes(half("a"), TEXT, half("b"), half("c"), TEXT, half("d")) == [
+        ALONE,
+        "half",
+        "half",
+        ALONE,
+    ]
 
 
 def test_a_drawing_made_for_half_a_page_is_not_blown_up() -> None:
@@ -53,12 +63,20 @@ def test_a_drawing_made_for_half_a_page_is_not_blown_up() -> None:
 @pytest.mark.parametrize(("value", "expected"), [("short", "entry"), ("x" * 61, "entry long")])
 def test_a_long_value_has_a_line_of_its_own(value: str, expected: str) -> None:
     page = Page("p", "", BANNER, (Section("s", "s", (KeyValues("k", (("name", value),)),)),))
-    assert expected in [element.attributes.get("class") for element in read(render(page)).all("div")]
+    assert expected in [
+        element.attributes.get("class") for element in read(render(page)).all("div")
+    ]
 
 
 def test_the_first_screen_leads_to_the_worst_three(tmp_path: Path) -> None:
-    page = dataclasses.replace(sample_page(tmp_path), worst=("trial-005", "trial-002", "trial-006", "trial-001"))
-    looks = next(element for element in read(render(page)).all("span") if element.attributes.get("class") == "looks")
+    page = dataclasses.replace(
+        sample_page(tmp_path), worst=("trial-005", "trial-002", "trial-006", "trial-001")
+    )
+    looks = next(
+        element
+        for element in read(render(page)).all("span")
+        if element.attributes.get("class") == "looks"
+    )
     assert looks.text == "Look first at Trial 5, Trial 2, Trial 6."
     assert '<a href="#trial-005">Trial 5</a>, <a href="#trial-002">' in render(page)
     aborted = dataclasses.replace(page, banner=dataclasses.replace(page.banner, verdict="aborted"))

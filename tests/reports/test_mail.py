@@ -1,4 +1,6 @@
-"""The single file for mail: pictures in it, the worst trials first, never larger than allowed; and the PDF by a browser."""
+"""The single file for mail: pictures in it, the worst trials first, never larger than allowed; and
+the PDF by a browser.
+"""
 
 import dataclasses
 import sys
@@ -23,27 +25,45 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Page, Path]:
 
 
 def articles(path: Path) -> list[str]:
-    return [element.attributes["id"] for element in read(path.read_text(encoding="utf-8")).all("article")]
+    return [
+        element.attributes["id"]
+        for element in read(path.read_text(encoding="utf-8")).all("article")
+    ]
 
 
 def test_everything_is_in_the_one_file(made: tuple[Page, Path], tmp_path: Path) -> None:
     alone = write_single_file(*made, tmp_path / "alone.html")
     document = read(alone.read_text(encoding="utf-8"))
     assert articles(alone) == [f"trial-{number:03}" for number in range(1, 7)]
-    assert [value for value in document.values("src") if not value.startswith("data:image/png;base64,")] == []
-    assert [link.attributes["href"] for link in document.all("a") if not link.attributes["href"].startswith("#")] == []
+    assert [
+        value for value in document.values("src") if not value.startswith("data:image/png;base64,")
+    ] == []
+    assert [
+        link.attributes["href"]
+        for link in document.all("a")
+        if not link.attributes["href"].startswith("#")
+    ] == []
     assert "trials.csv" in document.by_id("provenance").text
 
 
-def test_the_worst_trials_go_first_where_there_is_no_room(made: tuple[Page, Path], tmp_path: Path) -> None:
-    bare = len(write_single_file(dataclasses.replace(made[0], trials_note="x" * 200), made[1], tmp_path / "all.html").read_bytes())
+def test_the_worst_trials_go_first_where_there_is_no_room(
+    made: tuple[Page, Path], tmp_path: Path
+) -> None:
+    bare = len(
+        write_single_file(
+            dataclasses.replace(made[0], trials_note="x" * 200), made[1], tmp_path / "all.html"
+        ).read_bytes()
+    )
     for most in (bare * 7 // 10, bare * 4 // 5):
         small = write_single_file(*made, tmp_path / "small.html", most)
         kept = articles(small)
         assert small.stat().st_size <= most
         assert 0 < len(kept) < 6
         assert "trial-005" in kept
-        assert f"{len(kept)} of 6 trials are in this file" in read(small.read_text(encoding="utf-8")).by_id("trials").text
+        assert (
+            f"{len(kept)} of 6 trials are in this file"
+            in read(small.read_text(encoding="utf-8")).by_id("trials").text
+        )
 
 
 def test_a_page_that_fits_no_way_is_refused(made: tuple[Page, Path], tmp_path: Path) -> None:
@@ -56,7 +76,9 @@ def test_only_jpeg_and_png_travel(made: tuple[Page, Path], tmp_path: Path) -> No
     trial = made[0].trials[0]
     odd = dataclasses.replace(trial.images[0], src="odd.bmp", original="")
     (made[1] / "odd.bmp").write_bytes(b"BM")
-    page = dataclasses.replace(made[0], trials=(dataclasses.replace(trial, images=(odd,)), *made[0].trials[1:]))
+    page = dataclasses.replace(
+        made[0], trials=(dataclasses.replace(trial, images=(odd,)), *made[0].trials[1:])
+    )
     with pytest.raises(PageError, match=r"odd\.bmp: a file for mail holds JPEG and PNG, no \.bmp"):
         write_single_file(page, made[1], tmp_path / "no.html")
 
@@ -81,7 +103,9 @@ def test_a_browser_prints_the_page(made: tuple[Page, Path], tmp_path: Path) -> N
 
 
 def test_a_program_that_prints_nothing_is_told(made: tuple[Page, Path], tmp_path: Path) -> None:
-    with pytest.raises(PageError, match=r"report\.pdf: .* ended with code 2 and printed nothing: .*unknown option"):
+    with pytest.raises(
+        PageError, match=r"report\.pdf: .* ended with code 2 and printed nothing: .*unknown option"
+    ):
         print_pdf(write_report(*made), tmp_path / "report.pdf", sys.executable)
     with pytest.raises(PageError, match="could not print it"):
         print_pdf(write_report(*made), tmp_path / "report.pdf", str(tmp_path / "no-such-browser"))

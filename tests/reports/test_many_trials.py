@@ -1,4 +1,6 @@
-"""Many trials: each has a file of its own, the list leads to them with and without a script, and the page stays small."""
+"""Many trials: each has a file of its own, the list leads to them with and without a script, and
+the page stays small.
+"""
 
 import dataclasses
 from collections.abc import Iterator
@@ -8,7 +10,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from reports.page import Page, Section
-from reports.parts import Table
+from reports.parts import Part, Table
 from reports.render import IN_PAGE, render, write_report
 from reports.trust import PageError
 from tests.chromium import Seen, window
@@ -43,7 +45,9 @@ def test_the_page_has_the_list_and_no_trial(document: Document) -> None:
     assert COUNT > IN_PAGE
     assert document.all("article") == []
     assert document.all("img") == []
-    rows = [element.attributes["id"] for element in document.all("tr") if "id" in element.attributes]
+    rows = [
+        element.attributes["id"] for element in document.all("tr") if "id" in element.attributes
+    ]
     assert rows == [f"trial-{number:03}" for number in range(1, COUNT + 1)]
     links = [value for value in document.values("href") if value.startswith("trials/")]
     assert links == [f"trials/{name}.html" for name in rows]
@@ -55,16 +59,28 @@ def test_every_fragment_leads_to_a_row_or_a_chapter(document: Document) -> None:
     assert fragments - set(document.values("id")) == set()
 
 
-def test_each_trial_has_a_file_whose_pictures_and_neighbours_are_there(page: tuple[Page, Path]) -> None:
+def test_each_trial_has_a_file_whose_pictures_and_neighbours_are_there(
+    page: tuple[Page, Path],
+) -> None:
     folder = page[1] / "trials"
     assert len(list(folder.iterdir())) == COUNT
-    for name, steps in (("trial-001", ["trial-002.html"]), ("trial-020", ["trial-019.html", "trial-021.html"])):
+    for name, steps in (
+        ("trial-001", ["trial-002.html"]),
+        ("trial-020", ["trial-019.html", "trial-021.html"]),
+    ):
         alone = read((folder / f"{name}.html").read_text(encoding="utf-8"))
         assert alone.misplaced == []
         assert [element.attributes["id"] for element in alone.all("article")] == [name]
-        references = [*alone.values("src"), *(value for value in alone.values("href") if not value.startswith("#"))]
+        references = [
+            *alone.values("src"),
+            *(value for value in alone.values("href") if not value.startswith("#")),
+        ]
         assert [value for value in references if not (folder / value.split("#")[0]).is_file()] == []
-        near = [element.attributes["href"] for element in alone.all("a") if element.attributes.get("rel") in ("prev", "next")]
+        near = [
+            element.attributes["href"]
+            for element in alone.all("a")
+            if element.attributes.get("rel") in ("prev", "next")
+        ]
         assert [link.removeprefix("../trials/") for link in near] == steps
         assert len(alone.all("h1")) == 1
 
@@ -72,17 +88,28 @@ def test_each_trial_has_a_file_whose_pictures_and_neighbours_are_there(page: tup
 def test_a_trial_that_no_list_begins_a_row_with_is_refused(page: tuple[Page, Path]) -> None:
     sections = tuple(section for section in page[0].sections if section.id != "trial-list")
     bare = dataclasses.replace(page[0], sections=(*sections, Section("trial-list", "x", ())))
-    with pytest.raises(PageError, match=r"no searchable table begins a row with a link to \['trial-001'"):
+    with pytest.raises(
+        PageError, match=r"no searchable table begins a row with a link to \['trial-001'"
+    ):
         render(bare)
 
 
-def test_a_trial_with_two_rows_has_one_id_and_the_filter_keeps_both(page: tuple[Page, Path]) -> None:
+def test_a_trial_with_two_rows_has_one_id_and_the_filter_keeps_both(
+    page: tuple[Page, Path],
+) -> None:
     """As where two detectors were run."""
 
-    def twice(part: object) -> object:
-        return dataclasses.replace(part, rows=tuple(row for row in part.rows for _ in "ab")) if isinstance(part, Table) else part
+    def twice(part: Part) -> Part:
+        return (
+            dataclasses.replace(part, rows=tuple(row for row in part.rows for _ in "ab"))
+            if isinstance(part, Table)
+            else part
+        )
 
-    sections = tuple(dataclasses.replace(s, parts=tuple(map(twice, s.parts))) for s in page[0].sections)  # type: ignore[arg-type]
+    sections = tuple(
+        dataclasses.replace(s, parts=tuple(twice(part) for part in s.parts))
+        for s in page[0].sections
+    )
     both = read(render(dataclasses.replace(page[0], sections=sections)))
     ids = both.values("id")
     assert len(ids) == len(set(ids))
@@ -152,7 +179,9 @@ def test_a_point_of_the_plot_opens_its_trial_s_file(seen: Seen) -> None:
 
 
 @pytest.mark.browser
-def test_without_a_script_the_list_still_leads_to_the_trials(browser: Browser, page: tuple[Page, Path]) -> None:
+def test_without_a_script_the_list_still_leads_to_the_trials(
+    browser: Browser, page: tuple[Page, Path]
+) -> None:
     with window(browser, javascript=False) as seen:
         opened = seen.open(page[1] / "index.html", "trial-040")
         expect(opened.locator("tr#trial-040")).to_be_in_viewport()

@@ -1,4 +1,6 @@
-"""The printed report: what the PDF says of itself, its pages and links; a browser that hangs or is not there."""
+"""The printed report: what the PDF says of itself, its pages and links; a browser that hangs or is
+not there.
+"""
 
 import re
 import stat
@@ -17,20 +19,32 @@ from tests.reports.sample import sample_page
 
 A4_PT = (210 / 25.4 * 72, 297 / 25.4 * 72)
 LINK = b"/A <</S /URI\n/URI (file:///runs/2026%20one/report/trials.csv)>>"
-INFO = b"<</Title (Six)\n/Creator (Mozilla/5.0 \\(X11; Linux x86_64\\) HeadlessChrome/156.0.0.0)\n/Producer (Skia/PDF m156)>>"
+INFO = (
+    b"<</Title (Six)\n/Creator (Mozilla/5.0 \\(X11; Linux x86_64\\)"
+    b" HeadlessChrome/156.0.0.0)\n/Producer (Skia/PDF m156)>>"
+)
 
 
 @pytest.fixture(scope="module")
 def printed(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     folder = tmp_path_factory.mktemp("printed")
-    return print_pdf(write_report(sample_page(folder), folder), folder / "report.pdf", chromium()).read_bytes()
+    return print_pdf(
+        write_report(sample_page(folder), folder), folder / "report.pdf", chromium()
+    ).read_bytes()
 
 
 def strings(pdf: bytes, key: bytes) -> list[str]:
-    """The text strings of a key, ISO 32000-1, 7.9.2.2: letter for letter, or UTF-16 in hexadecimal digits."""
+    """The text strings of a key, ISO 32000-1, 7.9.2.2: letter for letter, or UTF-16 in hexadecimal
+    digits.
+    """
     found = re.findall(rb"/" + key + rb" (?:\(((?:[^()\\]|\\.)*)\)|<([0-9A-F]+)>)", pdf)
     return [
-        bytes.fromhex(coded.decode()).decode("utf-16") if coded else re.sub(rb"\\(.)", rb"\1", plain).decode() for plain, coded in found
+        (
+            bytes.fromhex(coded.decode()).decode("utf-16")
+            if coded
+            else re.sub(rb"\\(.)", rb"\1", plain).decode()
+        )
+        for plain, coded in found
     ]
 
 
@@ -39,7 +53,11 @@ def test_it_is_titled_by_the_verdict_signed_and_has_an_outline(printed: bytes) -
     titles = strings(printed, b"Title")
     assert titles[0] == "Six situations: not met"
     assert re.search("Verdict.*not met", titles[1], re.IGNORECASE)
-    assert [title for title in ("Requirements", "Accuracy", "Provenance", "Trial 6") if title not in titles[2:]] == []
+    assert [
+        title
+        for title in ("Requirements", "Accuracy", "Provenance", "Trial 6")
+        if title not in titles[2:]
+    ] == []
     assert strings(printed, b"Author") == ["teatbench"]
     assert b"HeadlessChrome" not in printed
 
@@ -50,7 +68,9 @@ def test_six_trials_take_a_few_sheets_of_a4(printed: bytes) -> None:
     assert len(boxes) == len(re.findall(rb"/Type /Page\b", printed))
     assert 5 <= len(boxes) <= 9
     for box in boxes:
-        assert tuple(float(value) for value in box.split()) == pytest.approx((0, 0, *A4_PT), abs=1.5)
+        assert tuple(float(value) for value in box.split()) == pytest.approx(
+            (0, 0, *A4_PT), abs=1.5
+        )
 
 
 @pytest.mark.browser
@@ -72,11 +92,20 @@ def test_nothing_is_cut_off_on_paper_and_a_trial_stays_whole(tmp_path: Path) -> 
             wide_px,
         )
         assert sticking_out == []
-        heads = page.evaluate("() => [...document.querySelectorAll('thead')].map((e) => getComputedStyle(e).display)")
+        heads = page.evaluate(
+            "() => [...document.querySelectorAll('thead')].map((e) => getComputedStyle(e).display)"
+        )
         assert set(heads) == {"table-header-group"}
-        assert page.locator(".trial").first.evaluate("e => getComputedStyle(e).breakInside") == "avoid"
-        assert page.evaluate("() => getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
-        tall = page.locator(".trial").evaluate_all("found => Math.max(...found.map((e) => e.getBoundingClientRect().height))")
+        assert (
+            page.locator(".trial").first.evaluate("e => getComputedStyle(e).breakInside") == "avoid"
+        )
+        assert (
+            page.evaluate("() => getComputedStyle(document.body).backgroundColor")
+            == "rgb(255, 255, 255)"
+        )
+        tall = page.locator(".trial").evaluate_all(
+            "found => Math.max(...found.map((e) => e.getBoundingClientRect().height))"
+        )
         assert tall < (297 - 30) / 2 / 25.4 * 96  # two on a sheet
         assert page.locator(".tools:visible, .filter:visible, #contents:visible").count() == 0
 
@@ -86,7 +115,9 @@ def test_a_link_gets_its_path_and_the_author_his_place_without_a_byte_more() -> 
     after = travelling(before, Path("/runs/2026 one/report"))
     assert len(after) == len(before)
     assert strings(after, b"URI") == ["trials.csv"]
-    assert strings(travelling(before, Path("/runs/2026 one/report/pdf")), b"URI") == ["../trials.csv"]
+    assert strings(travelling(before, Path("/runs/2026 one/report/pdf")), b"URI") == [
+        "../trials.csv"
+    ]
     assert (strings(after, b"Author"), strings(after, b"Creator")) == (["teatbench"], ["teatbench"])
     assert after.replace(b" ", b"").endswith(b"/URI(trials.csv)>>")
 
@@ -99,11 +130,16 @@ def test_what_has_no_room_stays_as_it_is() -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="the browser that hangs is a shell script")
 def test_a_browser_that_hangs_is_ended(tmp_path: Path) -> None:
     hanging = tmp_path / "browser"
-    hanging.write_text(f"#!/bin/sh\necho $$ > '{tmp_path}/pid'\nexec sleep 3600\n", encoding="utf-8")
+    hanging.write_text(
+        f"#!/bin/sh\necho $$ > '{tmp_path}/pid'\nexec sleep 3600\n", encoding="utf-8"
+    )
     hanging.chmod(hanging.stat().st_mode | stat.S_IXUSR)
     (tmp_path / "index.html").write_text("<p>x", encoding="utf-8")
     began = time.monotonic()
-    with pytest.raises(PageError, match=r"report\.pdf: .*browser could not print it: .* timed out after 2\.0 seconds"):
+    with pytest.raises(
+        PageError,
+        match=r"report\.pdf: .*browser could not print it: .* timed out after 2\.0 seconds",
+    ):
         print_pdf(tmp_path / "index.html", tmp_path / "report.pdf", str(hanging), 2.0)
     assert time.monotonic() - began < 600
     assert not (tmp_path / "report.pdf").exists()

@@ -1,4 +1,6 @@
-"""The plot of errors over a quantity: any amount of data, stable bytes, the style sheet's colours, and what it refuses."""
+"""The plot of errors over a quantity: any amount of data, stable bytes, the style sheet's colours,
+and what it refuses.
+"""
 
 import re
 from dataclasses import replace
@@ -24,12 +26,23 @@ def _bound() -> Bound:
 @pytest.mark.parametrize("found", [0, 1, 3])
 @pytest.mark.parametrize("logarithmic", [True, False])
 def test_any_amount_of_data_makes_a_sound_and_stable_drawing(found: int, logarithmic: bool) -> None:
-    svg = sensitivity([_curve("fused", found), _curve("thesis")], _bound(), "NETD (K)", logarithmic=logarithmic)
-    assert svg == sensitivity([_curve("fused", found), _curve("thesis")], _bound(), "NETD (K)", logarithmic=logarithmic)
+    svg = sensitivity(
+        [_curve("fused", found), _curve("thesis")], _bound(), "NETD (K)", logarithmic=logarithmic
+    )
+    assert svg == sensitivity(
+        [_curve("fused", found), _curve("thesis")], _bound(), "NETD (K)", logarithmic=logarithmic
+    )
     facts = svg_facts(svg, "drawing")
     assert facts.ids == tuple(dict.fromkeys(facts.ids))
     assert set(re.findall(r'(?:fill|stroke)="([^"]*)"', svg)) <= {"none", *COLOURS.values()}
-    for text in ("fused", "thesis", "NETD (K)", "limit by noise", "disparity to 0.03 px", "found of visible"):
+    for text in (
+        "fused",
+        "thesis",
+        "NETD (K)",
+        "limit by noise",
+        "disparity to 0.03 px",
+        "found of visible",
+    ):
         assert text in svg
     assert "nan" not in svg.lower()
 
@@ -41,7 +54,9 @@ def test_a_quantity_without_a_measurement_says_so() -> None:
 
 def test_a_limit_of_no_share_is_left_out() -> None:
     without = replace(_bound(), share_x=(), share=())
-    assert sensitivity([_curve("fused")], without, "range (m)") != sensitivity([_curve("fused")], _bound(), "range (m)")
+    assert sensitivity([_curve("fused")], without, "range (m)") != sensitivity(
+        [_curve("fused")], _bound(), "range (m)"
+    )
 
 
 def test_what_has_no_place_is_refused() -> None:

@@ -1,4 +1,6 @@
-"""The page as text: headings, ids, references, the policy, and that the same page gives the same bytes."""
+"""The page as text: headings, ids, references, the policy, and that the same page gives the same
+bytes.
+"""
 
 import base64
 import hashlib
@@ -41,14 +43,29 @@ def test_headings_descend_one_level_at_a_time(document: Document) -> None:
 
 
 def test_chapters_stand_in_the_page_s_order_and_in_the_contents(document: Document) -> None:
-    chapters = ["verdict", "requirements", "trial-list", "rates", "accuracy", "bath", "provenance", "trials"]
+    chapters = [
+        "verdict",
+        "requirements",
+        "trial-list",
+        "rates",
+        "accuracy",
+        "bath",
+        "provenance",
+        "trials",
+    ]
     assert [element.attributes["id"] for element in document.all("section")] == chapters
     contents = document.by_id("contents").text
-    assert [title for title in ("Requirements", "Rates, beside the thesis", "Trial by trial") if title not in contents] == []
+    assert [
+        title
+        for title in ("Requirements", "Rates, beside the thesis", "Trial by trial")
+        if title not in contents
+    ] == []
 
 
 def test_trials_have_their_anchors(document: Document) -> None:
-    assert [element.attributes["id"] for element in document.all("article")] == [f"trial-{number:03}" for number in range(1, 7)]
+    assert [element.attributes["id"] for element in document.all("article")] == [
+        f"trial-{number:03}" for number in range(1, 7)
+    ]
 
 
 def test_ids_are_unique_and_every_fragment_leads_to_one(document: Document) -> None:
@@ -61,12 +78,20 @@ def test_ids_are_unique_and_every_fragment_leads_to_one(document: Document) -> N
 
 def test_nothing_points_to_a_network(sample: tuple[Page, Path]) -> None:
     html = render(sample[0])
-    assert set(re.findall(r'[\w:-]*="?[^"\s]*https?://[^"\s]*', html)) <= {'xmlns="http://www.w3.org/2000/svg'}
-    references = [value for name in ("href", "src", "srcset", "action", "data") for value in read(html).values(name)]
+    assert set(re.findall(r'[\w:-]*="?[^"\s]*https?://[^"\s]*', html)) <= {
+        'xmlns="http://www.w3.org/2000/svg'
+    }
+    references = [
+        value
+        for name in ("href", "src", "srcset", "action", "data")
+        for value in read(html).values(name)
+    ]
     assert [value for value in references if ":" in value or value.startswith("/")] == []
 
 
-def test_images_are_relative_lazy_sized_described_and_there(sample: tuple[Page, Path], document: Document) -> None:
+def test_images_are_relative_lazy_sized_described_and_there(
+    sample: tuple[Page, Path], document: Document
+) -> None:
     images = document.all("img")
     assert len(images) == 18
     for image in images:
@@ -85,13 +110,17 @@ def test_overlays_are_drawn_on_pixel_centres(document: Document) -> None:
     pane = next(element for element in document.all("svg") if "data-whole" in element.attributes)
     assert pane.attributes["viewbox"] == "139.5 99.5 400 240"
     assert pane.attributes["data-whole"] == "-0.5 -0.5 640 480"
-    truth = [element.attributes for element in document.all("circle") if element.attributes["r"] == "9"]
+    truth = [
+        element.attributes for element in document.all("circle") if element.attributes["r"] == "9"
+    ]
     assert (truth[0]["cx"], truth[0]["cy"]) == ("190", "250")
 
 
 def test_policy_allows_exactly_this_style_and_script(sample: tuple[Page, Path]) -> None:
     html = render(sample[0])
-    policy = next(meta for meta in read(html).all("meta") if "http-equiv" in meta.attributes).attributes["content"]
+    policy = next(
+        meta for meta in read(html).all("meta") if "http-equiv" in meta.attributes
+    ).attributes["content"]
     assert policy.startswith("default-src 'none'; ")
     assert "unsafe" not in policy
     for tag in ("style", "script"):
@@ -102,10 +131,22 @@ def test_policy_allows_exactly_this_style_and_script(sample: tuple[Page, Path]) 
     assert read(html).values("style") == []
 
 
-def test_first_screen_says_what_whether_how_sure_and_what_next(sample: tuple[Page, Path], document: Document) -> None:
+def test_first_screen_says_what_whether_how_sure_and_what_next(
+    sample: tuple[Page, Path], document: Document
+) -> None:
     banner = sample[0].banner
     said = document.by_id("verdict").text
-    assert [text for text in (banner.tested, banner.sentence, banner.confidence, banner.next_action, "not met") if text not in said] == []
+    assert [
+        text
+        for text in (
+            banner.tested,
+            banner.sentence,
+            banner.confidence,
+            banner.next_action,
+            "not met",
+        )
+        if text not in said
+    ] == []
     assert "EMULATED INSTRUMENTS" in document.all("header")[0].text
     assert document.all("title")[0].text == "Six situations: not met"
 
@@ -117,20 +158,33 @@ def test_verdict_words_are_written_out(word: str) -> None:
     assert "REAL INSTRUMENTS" in page.all("header")[0].text
 
 
-def test_two_renderings_and_two_processes_give_the_same_bytes(sample: tuple[Page, Path], tmp_path: Path) -> None:
+def test_two_renderings_and_two_processes_give_the_same_bytes(
+    sample: tuple[Page, Path], tmp_path: Path
+) -> None:
     here = write_report(sample[0], sample[1]).read_bytes()
     assert render(sample[0]).encode() == here
     code = (
-        "import sys; from pathlib import Path; from tests.reports.sample import sample_page; from reports.render import write_report\n"
-        "folder = Path(sys.argv[1]); write_report(sample_page(folder), folder)"
+        "import sys; from pathlib import Path; from tests.reports.sample import sample_page; from"
+        " reports.render import write_report\nfolder = Path(sys.argv[1]);"
+        " write_report(sample_page(folder), folder)"
     )
-    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True, cwd=Path(__file__).resolve().parents[2])
+    subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)],
+        check=True,
+        cwd=Path(__file__).resolve().parents[2],
+    )
     assert (tmp_path / "index.html").read_bytes() == here
 
 
 def test_the_file_is_written_whole_or_not_at_all(sample: tuple[Page, Path], tmp_path: Path) -> None:
     (tmp_path / "index.html").write_text("the last report", encoding="utf-8")
-    with pytest.raises(PageError, match=r"18 images are not there: frames/trial-001/left\.png.* and 13 more; write the images before"):
+    with pytest.raises(
+        PageError,
+        match=(
+            r"18 images are not there: frames/trial-001/left\.png.* and 13 more; write the images"
+            r" before"
+        ),
+    ):
         write_report(sample[0], tmp_path)
     assert (tmp_path / "index.html").read_text(encoding="utf-8") == "the last report"
     written = write_report(sample[0], sample[1])
@@ -139,5 +193,8 @@ def test_the_file_is_written_whole_or_not_at_all(sample: tuple[Page, Path], tmp_
 
 
 def test_the_page_can_be_described_without_matplotlib_or_jinja() -> None:
-    code = "import sys, reports, reports.page; sys.exit(any(name in sys.modules for name in ('matplotlib', 'jinja2', 'numpy')))"
+    code = (
+        "import sys, reports, reports.page; sys.exit(any(name in sys.modules for name in"
+        " ('matplotlib', 'jinja2', 'numpy')))"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -45,7 +45,9 @@ def places(e: Floats, t: Floats) -> figures.TeatPlaces:
         lambda e, t: figures.latency_strip(np.abs(e), [1.0]),
         lambda e, t: figures.error_map(places(e, t), 5.0),
         lambda e, t: figures.error_maps([places(e, t)] * 4, 5.0),
-        lambda e, t: figures.error_regions([figures.ErrorGroup("1", [np.column_stack([e, t])] * 3)] * 4, [("x", "y")] * 3, 5.0),
+        lambda e, t: figures.error_regions(
+            [figures.ErrorGroup("1", [np.column_stack([e, t])] * 3)] * 4, [("x", "y")] * 3, 5.0
+        ),
         lambda e, t: figures.error_drift(t, np.abs(e), 5.0, links=["#trial-001"] * e.size),
         lambda e, t: figures.change_scatter(np.abs(e), np.abs(t), 5.0),
         lambda e, t: figures.teat_boxes(["1", "2"], [np.abs(e), np.abs(t)], 5.0),
@@ -66,5 +68,7 @@ def test_a_plot_says_that_it_doesn_t_draw_all() -> None:
     told = "120 of 20000 found ends drawn, the worst among them, and 120 of 20000 missed"
     assert told in figures.error_maps([places(errors, errors)] * 4, 5.0)
     assert "80 of 20000 drawn, the worst among them" in figures.error_regions(
-        [figures.ErrorGroup(str(k), [np.column_stack([errors, errors])] * 3) for k in range(4)], [("x", "y")] * 3, 5.0
+        [figures.ErrorGroup(str(k), [np.column_stack([errors, errors])] * 3) for k in range(4)],
+        [("x", "y")] * 3,
+        5.0,
     )

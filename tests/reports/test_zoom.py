@@ -1,4 +1,6 @@
-"""Zoom and pan of a trial's frames in a real browser: wheel, keys, buttons, drag, pinch, double click; all frames of a trial together."""
+"""Zoom and pan of a trial's frames in a real browser: wheel, keys, buttons, drag, pinch, double
+click; all frames of a trial together.
+"""
 
 import re
 from collections.abc import Iterator
@@ -14,13 +16,16 @@ pytestmark = pytest.mark.browser
 View = list[float]
 PART: View = [139.5, 99.5, 400, 240]  # of the left and the right frame, at first
 WHOLE: View = [-0.5, -0.5, 640, 480]
-BY_POINTER = 2.0  # screen pixels: a pointer tells whole ones, and what it is short of grows with the zoom
+# screen pixels: a pointer tells whole ones, and what it is short of grows with the zoom
+BY_POINTER = 2.0
 TEAT_2 = (285, 215)  # its truth, in pixels of every camera of the sample
 
 
 @pytest.fixture
 def seen(browser: Browser, report: Path) -> Iterator[Seen]:
-    """The report at its first trial; whatever is done there asks nothing of a network and offends no policy."""
+    """The report at its first trial; whatever is done there asks nothing of a network and offends
+    no policy.
+    """
     with window(browser) as fresh:
         fresh.open(report, "trial-001")
         yield fresh
@@ -33,7 +38,10 @@ def pane(page: Page, number: int = 0, trial: str = "trial-001") -> Locator:
 
 
 def view(page: Page, number: int = 0, trial: str = "trial-001") -> View:
-    return [float(value) for value in str(pane(page, number, trial).locator("svg").get_attribute("viewBox")).split()]
+    return [
+        float(value)
+        for value in str(pane(page, number, trial).locator("svg").get_attribute("viewBox")).split()
+    ]
 
 
 def middle(shown: View) -> tuple[float, float]:
@@ -49,7 +57,10 @@ def box(page: Page, number: int = 0) -> FloatRect:
 def on_screen(page: Page, pixel: tuple[float, float], number: int = 0) -> tuple[float, float]:
     """Where a pixel of the image is drawn, by the drawing over it."""
     at, shown = box(page, number), view(page, number)
-    return at["x"] + (pixel[0] - shown[0]) / shown[2] * at["width"], at["y"] + (pixel[1] - shown[1]) / shown[3] * at["height"]
+    return (
+        at["x"] + (pixel[0] - shown[0]) / shown[2] * at["width"],
+        at["y"] + (pixel[1] - shown[1]) / shown[3] * at["height"],
+    )
 
 
 def changed(page: Page, before: View, number: int = 0) -> View:
@@ -84,7 +95,9 @@ def test_the_wheel_scrolls_the_page_over_a_frame_that_was_not_clicked(seen: Seen
 def test_keys_zoom_and_move_the_frame_with_the_focus(seen: Seen) -> None:
     page = seen.page
     pane(page).focus()
-    expect(pane(page)).to_have_attribute("aria-label", "Left camera: + and − zoom, arrow keys move, 0 goes back")
+    expect(pane(page)).to_have_attribute(
+        "aria-label", "Left camera: + and − zoom, arrow keys move, 0 goes back"
+    )
     page.keyboard.press("+")
     assert view(page) == pytest.approx([139.5 + 400 / 6, 99.5 + 240 / 6, 400 / 1.5, 160])
     page.keyboard.press("ArrowLeft")
@@ -143,15 +156,24 @@ def test_two_fingers_pinch(seen: Seen) -> None:
     page = seen.page
     touch = page.context.new_cdp_session(page)
     touch.send("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
-    page.wait_for_function("() => matchMedia('(pointer: coarse)').matches")  # buttons are larger then: the page moves
+    # buttons are larger then: the page moves
+    page.wait_for_function("() => matchMedia('(pointer: coarse)').matches")
     x, y = on_screen(page, TEAT_2)
     for kind, apart in (("touchStart", 20), ("touchMove", 30), ("touchMove", 40)):
         touch.send(
             "Input.dispatchTouchEvent",
-            {"type": kind, "touchPoints": [{"x": x - apart, "y": y, "id": 1}, {"x": x + apart, "y": y, "id": 2}]},
+            {
+                "type": kind,
+                "touchPoints": [
+                    {"x": x - apart, "y": y, "id": 1},
+                    {"x": x + apart, "y": y, "id": 2},
+                ],
+            },
         )
     touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
-    page.wait_for_function("() => document.querySelector('#trial-001 .pane svg').viewBox.baseVal.width < 201")
+    page.wait_for_function(
+        "() => document.querySelector('#trial-001 .pane svg').viewBox.baseVal.width < 201"
+    )
     assert view(page)[2] == pytest.approx(200, rel=0.01)
     assert on_screen(page, TEAT_2) == pytest.approx((x, y), abs=1.0)
 
@@ -166,7 +188,10 @@ def test_the_frames_of_a_trial_go_together_to_the_same_teat(seen: Seen) -> None:
     assert thermal[2] == pytest.approx(640 / 6.25)
     teat = [on_screen(page, TEAT_2, number) for number in (0, 2)]
     boxes = [box(page, number) for number in (0, 2)]
-    parts = [((x - at["x"]) / at["width"], (y - at["y"]) / at["height"]) for (x, y), at in zip(teat, boxes, strict=True)]
+    parts = [
+        ((x - at["x"]) / at["width"], (y - at["y"]) / at["height"])
+        for (x, y), at in zip(teat, boxes, strict=True)
+    ]
     assert parts[1] == pytest.approx(parts[0], abs=0.06)
     assert view(page, trial="trial-002") == PART
 
@@ -191,10 +216,15 @@ def test_strokes_and_letters_keep_their_size_and_pixels_become_squares(seen: See
     page = seen.page
     label, image = pane(page).locator(".layer-other text").nth(1), pane(page).locator("img")
     assert (
-        page.evaluate("() => new Set([...document.querySelectorAll('.pane .layer *')].map((e) => getComputedStyle(e).vectorEffect)).size")
+        page.evaluate(
+            "() => new Set([...document.querySelectorAll('.pane .layer *')].map((e) =>"
+            " getComputedStyle(e).vectorEffect)).size"
+        )
         == 1
     )
-    expect(pane(page).locator(".layer-truth circle").first).to_have_css("vector-effect", "non-scaling-stroke")
+    expect(pane(page).locator(".layer-truth circle").first).to_have_css(
+        "vector-effect", "non-scaling-stroke"
+    )
     expect(image).to_have_css("image-rendering", "auto")
     height = label.evaluate("e => e.getBoundingClientRect().height")
     pane(page).focus()
@@ -202,8 +232,12 @@ def test_strokes_and_letters_keep_their_size_and_pixels_become_squares(seen: See
         page.keyboard.press("+")
     assert view(page)[2] == pytest.approx(16)
     expect(image).to_have_css("image-rendering", "pixelated")
-    expect(pane(page).locator("xpath=..").get_by_role("button", name="Zoom back, Left camera")).to_have_text("25.0×")
-    assert label.evaluate("e => e.getBoundingClientRect().height") == pytest.approx(height, rel=0.05)
+    expect(
+        pane(page).locator("xpath=..").get_by_role("button", name="Zoom back, Left camera")
+    ).to_have_text("25.0×")
+    assert label.evaluate("e => e.getBoundingClientRect().height") == pytest.approx(
+        height, rel=0.05
+    )
     page.keyboard.press("0")
     expect(image).to_have_css("image-rendering", "auto")
 
@@ -227,7 +261,9 @@ def test_buttons_do_the_same_and_are_large_enough_for_a_finger(seen: Seen) -> No
     page = seen.page
     page.get_by_role("button", name="Zoom in, Right camera").first.click()
     assert view(page)[2] == pytest.approx(400 / 1.5)
-    back = page.locator("#trial-001").get_by_role("button", name="Zoom back, Thermal camera, un-mirrored")
+    back = page.locator("#trial-001").get_by_role(
+        "button", name="Zoom back, Thermal camera, un-mirrored"
+    )
     expect(back).to_have_text("1.5×")
     back.click()
     assert [view(page, number) for number in range(3)] == [PART, PART, WHOLE]
@@ -242,7 +278,9 @@ def test_what_a_mark_is_shows_on_hovering(seen: Seen) -> None:
     page = seen.page
     x, y = on_screen(page, (TEAT_2[0], TEAT_2[1] - 9))  # on the ring
     told = page.evaluate(
-        "([x, y]) => document.elementsFromPoint(x, y).map((e) => e.querySelector(':scope > title')?.textContent).filter(Boolean)", [x, y]
+        "([x, y]) => document.elementsFromPoint(x, y).map((e) => e.querySelector(':scope >"
+        " title')?.textContent).filter(Boolean)",
+        [x, y],
     )
     assert "teat 2" in told
 

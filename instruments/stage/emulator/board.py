@@ -1,6 +1,7 @@
 """The board on its cable: the device that a listener serves, and where its faults come from.
 
-It may not know the driver, or who watches the carriage: the world asks ``position_mm`` whenever it likes.
+It may not know the driver, or who watches the carriage: the world asks ``position_mm`` whenever it
+likes.
 """
 
 from __future__ import annotations
@@ -17,7 +18,14 @@ from instruments.listener import Connection
 from instruments.stage.emulator.carriage import Carriage, Drive
 from instruments.stage.emulator.controller import Controller
 from instruments.stage.emulator.dialect import CLASSIC, Dialect
-from instruments.stage.emulator.faults import BROKEN_SWITCHES, IN_MOTION, LOST_MM, NOISE, NOT_WHILE_HOMING, Fault
+from instruments.stage.emulator.faults import (
+    BROKEN_SWITCHES,
+    IN_MOTION,
+    LOST_MM,
+    NOISE,
+    NOT_WHILE_HOMING,
+    Fault,
+)
 from instruments.stage.emulator.motion import Vector
 from instruments.stage.emulator.store import Store
 
@@ -25,10 +33,11 @@ GLANCE_S = 1e-3  # over which a velocity is told
 
 
 class StageEmulator:
-    """The board and its mechanics, of 3 ``axes`` or 4. ``settings`` differ from the defaults by number ($130 is 130); ``start_mm``
-    is where the carriage stands at first, in machine coordinates (0 at the switches), in the middle if not given;
-    ``play_mm`` is the backlash by axis (degrees for A); with a ``fresh_eeprom`` the first words are an error and a dump of settings.
-    Raises ValueError for settings or axes that the board doesn't have.
+    """The board and its mechanics, of 3 ``axes`` or 4. ``settings`` differ from the defaults by
+    number ($130 is 130); ``start_mm`` is where the carriage stands at first, in machine coordinates
+    (0 at the switches), in the middle if not given; ``play_mm`` is the backlash by axis (degrees
+    for A); with a ``fresh_eeprom`` the first words are an error and a dump of settings. Raises
+    ValueError for settings or axes that the board doesn't have.
     """
 
     def __init__(
@@ -45,7 +54,9 @@ class StageEmulator:
         self._clock = clock
         store = Store(settings, dialect=dialect, axes=axes)
         start = start_mm or tuple(-travel / 2 for travel in store.travel_mm)
-        self._carriage = Carriage(Drive(start, store.travel_mm, play_mm or (0.0,) * axes, store.at_far_end))
+        self._carriage = Carriage(
+            Drive(start, store.travel_mm, play_mm or (0.0,) * axes, store.at_far_end)
+        )
         self._controller = Controller(clock, store, dialect, self._carriage, self._answer)
         self._first_words = ("error:7", *store.lines()) if fresh_eeprom else ()
         self._connection: Connection | None = None
@@ -55,19 +66,26 @@ class StageEmulator:
         self._wake_planned_s = math.inf
 
     def position_mm(self) -> NDArray[np.float64]:
-        """Where the carriage stands now, (3,) or (4,): mm in machine coordinates, and degrees for A."""
+        """Where the carriage stands now, (3,) or (4,): mm in machine coordinates, and degrees for
+        A.
+        """
         return np.array(self._carriage.place_mm(self._clock.now()), dtype=np.float64)
 
     def velocity(self) -> NDArray[np.float64]:
-        """How the carriage moves now, each axis a second, as the controller steps it, (3,) or (4,)."""
+        """How the carriage moves now, each axis a second, as the
+        controller steps it, (3,) or (4,).
+        """
         now = self._clock.now()
         if not self._carriage.moving(now):
             return np.zeros_like(self.position_mm())
-        here, there = (np.array(self._carriage.count_mm(at), dtype=np.float64) for at in (now, now + GLANCE_S))
+        here, there = (
+            np.array(self._carriage.count_mm(at), dtype=np.float64) for at in (now, now + GLANCE_S)
+        )
         return np.asarray((there - here) / GLANCE_S)
 
     def inject(self, fault: Fault, after_s: float = 0.0, *, lost_mm: float = LOST_MM) -> None:
-        """Make ``fault`` happen: one of a motion ``after_s`` into it, a late answer ``after_s`` late, others from now on.
+        """Make ``fault`` happen: one of a motion ``after_s`` into it, a late answer ``after_s``
+        late, others from now on.
 
         A lost step loses ``lost_mm`` on the linear axis that goes furthest.
         """
@@ -83,7 +101,9 @@ class StageEmulator:
         self._tell_switches()
 
     def lose_steps(self, lost_mm: Vector) -> None:
-        """Shift the carriage against the count at once, as a knock does that makes the motors lose steps."""
+        """Shift the carriage against the count at once, as a knock does that makes the motors lose
+        steps.
+        """
         self._carriage.knock(lost_mm, self._clock.now())
 
     def connect(self, connection: Connection) -> None:
@@ -108,7 +128,9 @@ class StageEmulator:
             self._connection = None
 
     def _settle(self) -> None:
-        """After anything has happened: send what was said, plan when to look again, and plan faults of a new motion."""
+        """After anything has happened: send what was said, plan when to look again, and plan faults
+        of a new motion.
+        """
         out, self._controller.out = bytes(self._controller.out), bytearray()
         if Fault.SILENT not in self._faults:
             self._send(out)
@@ -146,12 +168,16 @@ class StageEmulator:
             self._later(late, lambda: self._send(text.encode("ascii") + b"\r\n"))
 
     def _tell_switches(self) -> None:
-        self._controller.broken_switches = dict(switch for fault, switch in BROKEN_SWITCHES.items() if fault in self._faults)
+        self._controller.broken_switches = dict(
+            switch for fault, switch in BROKEN_SWITCHES.items() if fault in self._faults
+        )
         self._controller.probe_closed = Fault.PROBE_CLOSED in self._faults
 
     def _arm(self) -> None:
         """Plan the faults that strike in the motion that runs now."""
-        ready = IN_MOTION & self._faults.keys() - (NOT_WHILE_HOMING if self._carriage.homing else frozenset())
+        ready = IN_MOTION & self._faults.keys() - (
+            NOT_WHILE_HOMING if self._carriage.homing else frozenset()
+        )
         for fault in sorted(ready, key=lambda fault: fault.value):
             after = self._faults.pop(fault)
             self._later(after, partial(self._strike, fault))

@@ -1,19 +1,24 @@
-"""From the counted position to the carriage's place, axis by axis: lost steps, a stall, play in the screws, the rails' ends.
+"""From the counted position to the carriage's place, axis by axis: lost steps, a stall, play in the
+screws, the rails' ends.
 
-The motor turns as the steps do, less those that it has lost. The carriage follows within the play: nothing moves
-after a reversal until the play is taken up. At the rails' ends the carriage stands, and the motor loses the steps that
-push further. Fed with the ends of straight lines, in order, this is exact. It may not know time, plans or the protocol.
+The motor turns as the steps do, less those that it has lost. The carriage follows within the play:
+nothing moves after a reversal until the play is taken up. At the rails' ends the carriage stands,
+and the motor loses the steps that push further. Fed with the ends of straight lines, in order, this
+is exact. It may not know time, plans or the protocol.
 
 The mechanics: the counted position over time, and the carriage that follows it.
 
-The controller counts steps; whether the carriage follows it can't know. A stall, lost steps, play or a power cut make them
-differ, homing brings them together. It may not know the protocol, or a clock: the moment is an argument, and never goes back.
+The controller counts steps; whether the carriage follows it can't know. A stall, lost steps, play
+or a power cut make them differ, homing brings them together. It may not know the protocol, or a
+clock: the moment is an argument, and never goes back.
 
-Where the phantom's plate stands on the table when the carriage is somewhere: how the stage is mounted, and its errors of geometry.
+Where the phantom's plate stands on the table when the carriage is somewhere: how the stage is
+mounted, and its errors of geometry.
 
-The carriage's place is in the controller's own millimetres; scale, squareness and the stage's yaw on the table decide what
-they are worth there. What the motors and screws do wrong (lost steps, play) is in the carriage's place already. It may not know
-time, the protocol, or what stands on the plate.
+The carriage's place is in the controller's own millimetres; scale, squareness and the stage's yaw
+on the table decide what they are worth there. What the motors and screws do wrong (lost steps,
+play) is in the carriage's place already. It may not know time, the protocol, or what stands on the
+plate.
 """
 
 from __future__ import annotations
@@ -32,8 +37,9 @@ PRESSED_MM = 0.005  # how far past its edge a limit switch is closed
 
 @dataclass
 class AxisDrive:
-    """One axis. ``low``, ``high``: the rails' ends, mm; ``play``: how far the motor turns after a reversal before the carriage
-    moves; ``at_far_end``: its switch is at ``low``, and homing leaves it by moving up. ``count`` is what the controller counts.
+    """One axis. ``low``, ``high``: the rails' ends, mm; ``play``: how far the motor turns after a
+    reversal before the carriage moves; ``at_far_end``: its switch is at ``low``, and homing leaves
+    it by moving up. ``count`` is what the controller counts.
     """
 
     place: float
@@ -63,12 +69,16 @@ class AxisDrive:
         self._carry(min(max(self.place, self.motor - below), self.motor + above))
 
     def _carry(self, wanted: float) -> None:
-        """Bring the carriage to ``wanted``, or to the rail's end; what is missing, the motor has lost."""
+        """Bring the carriage to ``wanted``, or to the rail's end; what is missing, the motor has
+        lost.
+        """
         self.place = min(max(wanted, self.low), self.high)
         over = wanted - self.place
         if over:
             self.motor -= over
-            self.pressed = self.pressed or (over < -PRESSED_MM if self.at_far_end else over > PRESSED_MM)
+            self.pressed = self.pressed or (
+                over < -PRESSED_MM if self.at_far_end else over > PRESSED_MM
+            )
 
     def recount(self, count: float) -> None:
         """Nothing moves; from now on the controller counts from here."""
@@ -95,12 +105,18 @@ class AxisDrive:
 
 
 class Drive:
-    """All axes, as a carriage at ``place_mm`` on rails of ``travel_mm``; ``play_mm`` and ``at_far_end`` by axis."""
+    """All axes, as a carriage at ``place_mm`` on rails of ``travel_mm``; ``play_mm`` and
+    ``at_far_end`` by axis.
+    """
 
-    def __init__(self, place_mm: Vector, travel_mm: Vector, play_mm: Vector, at_far_end: frozenset[int]) -> None:
+    def __init__(
+        self, place_mm: Vector, travel_mm: Vector, play_mm: Vector, at_far_end: frozenset[int]
+    ) -> None:
         self.axes = [
             AxisDrive(place, low=-travel, high=0.0, play=play, at_far_end=axis in at_far_end)
-            for axis, (place, travel, play) in enumerate(zip(place_mm, travel_mm, play_mm, strict=True))
+            for axis, (place, travel, play) in enumerate(
+                zip(place_mm, travel_mm, play_mm, strict=True)
+            )
         ]
 
     @property
@@ -154,7 +170,9 @@ class Drive:
 
 
 class Carriage:
-    """Motors, screws, carriage. All places in mm (degrees for A) in machine coordinates: 0 at the switches."""
+    """Motors, screws, carriage. All places in mm (degrees for A) in machine coordinates: 0 at the
+    switches.
+    """
 
     def __init__(self, drive: Drive) -> None:
         self._zero = tuple(0.0 for _ in drive.axes)
@@ -205,7 +223,9 @@ class Carriage:
             return self._homing[1] + self._homing[0].end_s
         return self._motion.next_end_s(now_s)
 
-    def go(self, target_mm: Vector, feed_mm_s: float | None, rates: AxisRates, now_s: float) -> None:
+    def go(
+        self, target_mm: Vector, feed_mm_s: float | None, rates: AxisRates, now_s: float
+    ) -> None:
         """Plan a move after all that is planned; None is as fast as possible."""
         self._follow(now_s)
         still = not self.moving(now_s)
@@ -262,7 +282,10 @@ class Carriage:
         if run.alarm is not None:
             self.halt(now_s)
         else:
-            homed = (home if track else at for home, at, track in zip(home_mm, place, run.tracks, strict=True))
+            homed = (
+                home if track else at
+                for home, at, track in zip(home_mm, place, run.tracks, strict=True)
+            )
             self._motion = Motion(home_mm)
             self._end_homing(self._stalled_homing or tuple(homed), now_s)
         return run.alarm
@@ -279,7 +302,9 @@ class Carriage:
             self._drive.stall(True)
 
     def lose_steps(self, amount_mm: float, now_s: float) -> None:
-        """From now on lose steps until this much is lost, on the linear axis that the running move takes furthest."""
+        """From now on lose steps until this much is lost, on the linear axis that the running move
+        takes furthest.
+        """
         self._follow(now_s)
         blocks = self.blocks(now_s)
         unit = blocks[0].unit[:3] if blocks else (1.0,)
@@ -341,11 +366,13 @@ def _closing_s(drive: Drive, leg: Leg, start_s: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """A stage of ``axes`` (as "XYZA") that carries the plate; at ``reference`` (X Y Z in mm, A in degrees) the pose is zero.
+    """A stage of ``axes`` (as "XYZA") that carries the plate; at ``reference`` (X Y Z in mm, A in
+    degrees) the pose is zero.
 
-    ``scale_errors`` by axis X Y Z A: 0.001 moves a thousandth too far. ``squareness_rad``: by how much the angle from the
-    X axis to the Y axis exceeds a right one. ``yaw_rad``: by how much the X axis is turned from the world's, x towards y.
-    A turns the plate from x towards y; the turntable stands on X and Y.
+    ``scale_errors`` by axis X Y Z A: 0.001 moves a thousandth too far. ``squareness_rad``: by how
+    much the angle from the X axis to the Y axis exceeds a right one. ``yaw_rad``: by how much the X
+    axis is turned from the world's, x towards y. A turns the plate from x towards y; the turntable
+    stands on X and Y.
     """
 
     axes: str
@@ -355,11 +382,15 @@ class Mounting:
     yaw_rad: float = 0.0
 
     def pose(self, place: Sequence[float]) -> PlatePose:
-        """The plate's pose for a place of the carriage, X Y Z in mm and A in degrees where there is one.
+        """The plate's pose for a place of the carriage, X Y Z in mm and A in degrees where there is
+        one.
 
         Driven below its reference, the plate rests on the table.
         """
-        x, y, z, a = (self._way(axis, at) for axis, at in zip("XYZA", (*place, self.reference[3])[:4], strict=True))
+        x, y, z, a = (
+            self._way(axis, at)
+            for axis, at in zip("XYZA", (*place, self.reference[3])[:4], strict=True)
+        )
         lean = math.pi / 2 + self.squareness_rad + self.yaw_rad
         return PlatePose(
             x_mm=x * math.cos(self.yaw_rad) + y * math.cos(lean),
@@ -369,6 +400,12 @@ class Mounting:
         )
 
     def _way(self, axis: str, at: float) -> float:
-        """How far the plate has gone along ``axis`` from the reference; 0 on an axis that carries nothing."""
+        """How far the plate has gone along ``axis`` from the reference; 0 on an axis that carries
+        nothing.
+        """
         index = "XYZA".index(axis)
-        return (1.0 + self.scale_errors[index]) * (at - self.reference[index]) if axis in self.axes else 0.0
+        return (
+            (1.0 + self.scale_errors[index]) * (at - self.reference[index])
+            if axis in self.axes
+            else 0.0
+        )

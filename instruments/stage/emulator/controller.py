@@ -1,10 +1,13 @@
-"""The firmware: states, resets, alarms, real-time bytes, and the main loop that takes one line after the other.
+"""The firmware: states, resets, alarms, real-time bytes, and the main loop that takes one line
+after the other.
 
-A line runs as a generator (``lines.execute``): it yields when it has to wait for a full planner, a dwell or
-homing, and is asked again when that may be over; while it waits, further bytes stay in the receive buffer.
-Real-time bytes act at once. What is said gathers in ``out``. It may not know a connection, or faults.
+A line runs as a generator (``lines.execute``): it yields when it has to wait for a full planner, a
+dwell or homing, and is asked again when that may be over; while it waits, further bytes stay in the
+receive buffer. Real-time bytes act at once. What is said gathers in ``out``. It may not know a
+connection, or faults.
 
-Sources: the firmware's interface and command documents, and its behaviour as recorded in a simulator.
+Sources: the firmware's interface and command documents, and its behaviour as recorded in a
+simulator.
 """
 
 from __future__ import annotations
@@ -29,9 +32,18 @@ RESTART_S = 0.02
 
 
 class Controller:
-    """One board's firmware with a carriage on its motors. ``answer`` gets the one answer of each line."""
+    """One board's firmware with a carriage on its motors. ``answer`` gets the one answer of each
+    line.
+    """
 
-    def __init__(self, clock: Clock, settings: Store, dialect: Dialect, carriage: Carriage, answer: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        clock: Clock,
+        settings: Store,
+        dialect: Dialect,
+        carriage: Carriage,
+        answer: Callable[[str], None],
+    ) -> None:
         self._clock = clock
         self.settings = settings
         self.dialect = dialect
@@ -137,7 +149,11 @@ class Controller:
 
     def heed_switches(self) -> None:
         """A limit switch that the carriage has run into is an alarm, where $21 says so."""
-        if self._hard_limits and self.carriage.take_pressed(self.now) and self.mode is not Mode.CRITICAL:
+        if (
+            self._hard_limits
+            and self.carriage.take_pressed(self.now)
+            and self.mode is not Mode.CRITICAL
+        ):
             self.alarm(1, critical=True)
 
     @property
@@ -208,7 +224,8 @@ class Controller:
             self.mode = Mode.DOOR if door else Mode.HOLD
 
     def _resume(self) -> None:
-        if self.mode in (Mode.HOLD, Mode.DOOR) and not self.moving:  # while it still brakes, the byte is lost
+        # while it still brakes, the byte is lost
+        if self.mode in (Mode.HOLD, Mode.DOOR) and not self.moving:
             self._resume_s = self.now + PASS_S
 
     def _override(self, byte: bytes) -> None:

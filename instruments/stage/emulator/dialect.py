@@ -1,8 +1,8 @@
 """How the two firmwares differ, as far as a driver meets it. Facts only.
 
-The classic firmware's are recorded. Of grblHAL, welcome, buffer size, more fields and the answer to ``?`` in alarm 2 are
-recorded; the number of planner blocks, the fourth axis, the homing passes and the alarm of two motors out of square are from
-that firmware's source.
+The classic firmware's are recorded. Of grblHAL, welcome, buffer size, more fields and the answer to
+``?`` in alarm 2 are recorded; the number of planner blocks, the fourth axis, the homing passes and
+the alarm of two motors out of square are from that firmware's source.
 
 What the firmware is in, beside moving or not, and what it calls that. Tables only.
 """
@@ -16,9 +16,11 @@ from enum import Enum
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """A firmware: what it says after a reset, its buffers, its additions to a report, what it can have.
+    """A firmware: what it says after a reset, its buffers, its additions to a report, what it can
+    have.
 
-    ``options``: as `$I` prints them. grblHAL's receive buffer holds a byte less than it tells there.
+    ``options``: as `$I` prints them. grblHAL's receive buffer holds a byte less than it tells
+    there.
     """
 
     name: str
@@ -82,7 +84,8 @@ class Mode(Enum):
 
 
 DEAF = frozenset({Mode.CRITICAL, Mode.HOLD, Mode.DOOR, Mode.SLEEP})  # lines wait
-STUBBORN = frozenset({Mode.LOCKED, Mode.CRITICAL, Mode.HOMING, Mode.SLEEP})  # holds, resumes and overrides are ignored
+# holds, resumes and overrides are ignored
+STUBBORN = frozenset({Mode.LOCKED, Mode.CRITICAL, Mode.HOMING, Mode.SLEEP})
 _NAMES: dict[Mode, tuple[str, str]] = {  # at rest, and while moving
     Mode.READY: ("Idle", "Run"),
     Mode.LOCKED: ("Alarm", "Alarm"),

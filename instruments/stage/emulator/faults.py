@@ -16,7 +16,8 @@ class Fault(Enum):
     GARBAGE = "garbage"  # noise on the line before the next answer to a line
     LIMIT_HIT = "limit hit"  # a limit switch closes in a motion
     DISCONNECT = "disconnect"  # the cable comes out in a motion
-    STALL = "stall"  # the motor stalls in a motion and the carriage stands; the controller counts on
+    # the motor stalls in a motion and the carriage stands; the controller counts on
+    STALL = "stall"
     LOST_STEP = "lost step"  # the motor loses steps in a motion; the controller counts on
     RESTART = "restart"  # the power dips in a motion, and the controller starts anew
     NO_SWITCH = "no switch"  # X's homing switch never closes
@@ -25,9 +26,16 @@ class Fault(Enum):
     PROBE_CLOSED = "probe closed"  # the probe's contact is closed
 
 
-IN_MOTION = frozenset({Fault.LIMIT_HIT, Fault.DISCONNECT, Fault.STALL, Fault.LOST_STEP, Fault.RESTART})
-NOT_WHILE_HOMING = frozenset({Fault.LIMIT_HIT, Fault.LOST_STEP})  # homing is there to hit switches, and heals lost steps
-BROKEN_SWITCHES = {Fault.NO_SWITCH: (0, Switch.MISSING), Fault.STUCK_SWITCH: (0, Switch.STUCK), Fault.CROOKED_GANTRY: (1, Switch.CROOKED)}
+IN_MOTION = frozenset(
+    {Fault.LIMIT_HIT, Fault.DISCONNECT, Fault.STALL, Fault.LOST_STEP, Fault.RESTART}
+)
+# homing is there to hit switches, and heals lost steps
+NOT_WHILE_HOMING = frozenset({Fault.LIMIT_HIT, Fault.LOST_STEP})
+BROKEN_SWITCHES = {
+    Fault.NO_SWITCH: (0, Switch.MISSING),
+    Fault.STUCK_SWITCH: (0, Switch.STUCK),
+    Fault.CROOKED_GANTRY: (1, Switch.CROOKED),
+}
 NOISE = b"\xff\x00<Ru|\x1b\r\n"
 LOST_MM = 1.0  # lost by a lost step of which no amount is said
 LATE_S = 3.0  # how late a late answer is of which no amount is said

@@ -1,8 +1,9 @@
-"""The G-code that the emulated controller understands: one line to one command, with the modes it leaves behind.
+"""The G-code that the emulated controller understands: one line to one command, with the modes it
+leaves behind.
 
-Straight moves, dwell, units, distance mode, machine coordinates, the G92 offset, jogs and probing; spindle, coolant
-and program words are taken and do nothing. Arcs, tool offsets and further work coordinates are
-refused with error 20. It may not know positions over time, or a clock.
+Straight moves, dwell, units, distance mode, machine coordinates, the G92 offset, jogs and probing;
+spindle, coolant and program words are taken and do nothing. Arcs, tool offsets and further work
+coordinates are refused with error 20. It may not know positions over time, or a clock.
 """
 
 from __future__ import annotations
@@ -25,7 +26,11 @@ _GROUPS = {
     "path": {61.0},
     "arc distance": {91.1},
 }
-_M_GROUPS = {"program": {0.0, 1.0, 2.0, 30.0}, "spindle": {3.0, 4.0, 5.0}, "coolant": {7.0, 8.0, 9.0}}
+_M_GROUPS = {
+    "program": {0.0, 1.0, 2.0, 30.0},
+    "spindle": {3.0, 4.0, 5.0},
+    "coolant": {7.0, 8.0, 9.0},
+}
 _JOG_GROUPS = {"units", "distance", "other"}
 _INCH_MM = 25.4
 _AXES = "XYZA"
@@ -41,7 +46,9 @@ class GcodeError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """What lines leave behind for later lines. ``offset_mm``: work coordinates' zero in machine coordinates."""
+    """What lines leave behind for later lines. ``offset_mm``: work coordinates' zero in machine
+    coordinates.
+    """
 
     offset_mm: Vector
     motion: float = 0.0
@@ -52,8 +59,8 @@ class Modes:
     def describe(self) -> str:
         """As ``$G`` prints them."""
         return (
-            f"[GC:G{self.motion:g} G54 G17 G{20 if self.inches else 21} G{91 if self.relative else 90} G94 M5 M9 T0 "
-            f"F{self.feed_mm_min:.0f} S0]"
+            f"[GC:G{self.motion:g} G54 G17 G{20 if self.inches else 21}"
+            f" G{91 if self.relative else 90} G94 M5 M9 T0 F{self.feed_mm_min:.0f} S0]"
         )
 
 
@@ -67,7 +74,9 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """Move until the probe closes (opens, where it goes ``away``); if it ``must`` and doesn't, that is an alarm."""
+    """Move until the probe closes (opens, where it goes ``away``); if it ``must`` and doesn't, that
+    is an alarm.
+    """
 
     move: Move
     away: bool
@@ -108,7 +117,9 @@ def words(text: str, axes: int, most_line_number: float) -> Words:
     return Words(groups, values)
 
 
-def _place(letter: str, value: float, axes: str, groups: dict[str, float], values: dict[str, float]) -> None:
+def _place(
+    letter: str, value: float, axes: str, groups: dict[str, float], values: dict[str, float]
+) -> None:
     if letter in "GM":
         known = _GROUPS if letter == "G" else _M_GROUPS
         group = next((name for name, members in known.items() if value in members), None)
@@ -127,8 +138,12 @@ def _place(letter: str, value: float, axes: str, groups: dict[str, float], value
         values[letter] = value
 
 
-def command(text: str, modes: Modes, at_mm: Vector, most_line_number: float) -> tuple[Modes, Move | Probe | Dwell | None]:
-    """What ``text`` asks for, where the last planned move ends at ``at_mm``. Raises GcodeError; then nothing changes."""
+def command(
+    text: str, modes: Modes, at_mm: Vector, most_line_number: float
+) -> tuple[Modes, Move | Probe | Dwell | None]:
+    """What ``text`` asks for, where the last planned move ends at ``at_mm``. Raises GcodeError;
+    then nothing changes.
+    """
     line = words(text, len(at_mm), most_line_number)
     after = _new_modes(line, modes)
     axes = _axes(line, after.inches)
@@ -142,7 +157,9 @@ def command(text: str, modes: Modes, at_mm: Vector, most_line_number: float) -> 
     if other == 92.0:
         if not axes:
             raise GcodeError(26)
-        offset = (at_mm[i] - axes[i] if i in axes else after.offset_mm[i] for i in range(len(at_mm)))
+        offset = (
+            at_mm[i] - axes[i] if i in axes else after.offset_mm[i] for i in range(len(at_mm))
+        )
         return replace(after, offset_mm=tuple(offset)), None
     move = _move(line, after, axes, at_mm)
     return after, _probe(line, move, after.motion, at_mm) if 38.0 < after.motion < 39.0 else move
@@ -173,14 +190,28 @@ def jog(text: str, modes: Modes, at_mm: Vector, most_line_number: float) -> Move
 def _new_modes(line: Words, modes: Modes) -> Modes:
     inches = line.groups.get("units", 20.0 if modes.inches else 21.0) == 20.0
     relative = line.groups.get("distance", 91.0 if modes.relative else 90.0) == 91.0
-    feed = line.values["F"] * (_INCH_MM if inches else 1.0) if "F" in line.values else modes.feed_mm_min
-    return replace(modes, motion=line.groups.get("motion", modes.motion), inches=inches, relative=relative, feed_mm_min=feed)
+    feed = (
+        line.values["F"] * (_INCH_MM if inches else 1.0)
+        if "F" in line.values
+        else modes.feed_mm_min
+    )
+    return replace(
+        modes,
+        motion=line.groups.get("motion", modes.motion),
+        inches=inches,
+        relative=relative,
+        feed_mm_min=feed,
+    )
 
 
 def _axes(line: Words, inches: bool) -> dict[int, float]:
     """By number; the rotation A is in degrees whatever the units."""
-    values = {_AXES.index(letter): value for letter, value in line.values.items() if letter in _AXES}
-    return {axis: value * (_INCH_MM if inches and axis < 3 else 1.0) for axis, value in values.items()}
+    values = {
+        _AXES.index(letter): value for letter, value in line.values.items() if letter in _AXES
+    }
+    return {
+        axis: value * (_INCH_MM if inches and axis < 3 else 1.0) for axis, value in values.items()
+    }
 
 
 def _move(line: Words, modes: Modes, axes: dict[int, float], at_mm: Vector) -> Move | None:

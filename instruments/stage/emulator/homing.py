@@ -1,8 +1,9 @@
 """The homing cycle as a function of time: pass by pass, the axes of a pass together.
 
-Each axis runs to its switch fast, backs off, finds it again slowly and backs off for good; between two runs
-the controller waits for the switch to calm down. A run to a switch stops dead, for the steps are cut when it
-closes. Axes move on their own here, so each has its own track. It may not know a clock: time starts at 0.
+Each axis runs to its switch fast, backs off, finds it again slowly and backs off for good; between
+two runs the controller waits for the switch to calm down. A run to a switch stops dead, for the
+steps are cut when it closes. Axes move on their own here, so each has its own track. It may not
+know a clock: time starts at 0.
 """
 
 from __future__ import annotations
@@ -28,8 +29,10 @@ class Switch(Enum):
 
 @dataclass(frozen=True, slots=True)
 class HomingRates:
-    """What the settings say: mm, mm/s, mm/s², s. ``passes`` holds the axes of each pass; ``at_far_end`` those whose
-    switch is at minus the travel; ``crooked_alarm`` is the firmware's alarm for two motors out of square."""
+    """What the settings say: mm, mm/s, mm/s², s. ``passes`` holds the axes of each pass;
+    ``at_far_end`` those whose switch is at minus the travel; ``crooked_alarm`` is the firmware's
+    alarm for two motors out of square.
+    """
 
     travel_mm: Vector
     seek_mm_s: float
@@ -48,10 +51,16 @@ class HomingRates:
     def home_mm(self, before_mm: Vector) -> Vector:
         """Where the stage is said to stand after homing; an axis without a pass keeps its count."""
         homed = {axis for axes in self.passes for axis in axes}
-        return tuple(self._home_of(axis) if axis in homed else count for axis, count in enumerate(before_mm))
+        return tuple(
+            self._home_of(axis) if axis in homed else count for axis, count in enumerate(before_mm)
+        )
 
     def _home_of(self, axis: int) -> float:
-        return -self.travel_mm[axis] + self.pull_off_mm if axis in self.at_far_end else -self.pull_off_mm
+        return (
+            -self.travel_mm[axis] + self.pull_off_mm
+            if axis in self.at_far_end
+            else -self.pull_off_mm
+        )
 
 
 @dataclass
@@ -78,7 +87,9 @@ class HomingRun:
             place = phase.place_mm(now_s)
         return place
 
-    def run(self, axis: int, way_mm: float, speed: float, accel: float, *, dead_stop: bool) -> float:
+    def run(
+        self, axis: int, way_mm: float, speed: float, accel: float, *, dead_stop: bool
+    ) -> float:
         """Append one axis's run of ``way_mm`` (with its sign) from ``end_s`` on; its seconds."""
         place = self._axis(axis, self.end_s)
         sign = 1.0 if way_mm >= 0 else -1.0
@@ -90,7 +101,9 @@ class HomingRun:
 
 
 def homing(start_mm: Vector, rates: HomingRates, broken: Mapping[int, Switch]) -> HomingRun:
-    """The whole cycle from where the carriage stands. ``broken`` names axes with a broken switch."""
+    """The whole cycle from where the carriage stands. ``broken``
+    names axes with a broken switch.
+    """
     run = HomingRun(start_mm)
     for axes in rates.passes:
         _cycle(run, axes, rates, broken)
@@ -99,7 +112,9 @@ def homing(start_mm: Vector, rates: HomingRates, broken: Mapping[int, Switch]) -
     return run
 
 
-def _cycle(run: HomingRun, axes: tuple[int, ...], rates: HomingRates, broken: Mapping[int, Switch]) -> None:
+def _cycle(
+    run: HomingRun, axes: tuple[int, ...], rates: HomingRates, broken: Mapping[int, Switch]
+) -> None:
     search = SEARCH * max(rates.travel_mm[axis] for axis in axes)
     for approach, reach, speed in (
         (True, search, rates.seek_mm_s),
@@ -114,7 +129,13 @@ def _cycle(run: HomingRun, axes: tuple[int, ...], rates: HomingRates, broken: Ma
 
 
 def _together(
-    run: HomingRun, axes: tuple[int, ...], rates: HomingRates, broken: Mapping[int, Switch], approach: bool, reach: float, speed: float
+    run: HomingRun,
+    axes: tuple[int, ...],
+    rates: HomingRates,
+    broken: Mapping[int, Switch],
+    approach: bool,
+    reach: float,
+    speed: float,
 ) -> float:
     """One run of all axes of a cycle; the seconds until the last has ended."""
     longest = 0.0
@@ -127,7 +148,8 @@ def _together(
             if fault is Switch.STUCK:
                 run.alarm = 8
         elif fault is Switch.MISSING or gap > reach:
-            way, dead = towards * max(0.0, min(gap, reach)), True  # the carriage stops at the end of its rails, the motor goes on
+            # the carriage stops at the end of its rails, the motor goes on
+            way, dead = towards * max(0.0, min(gap, reach)), True
             run.alarm = 9
             longest = max(longest, reach / speed)
         else:

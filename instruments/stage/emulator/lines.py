@@ -1,7 +1,9 @@
-"""What one line does to the board: G-code, ``$`` commands, jogs and homing, each as a generator that yields when it must wait.
+"""What one line does to the board: G-code, ``$`` commands, jogs and homing, each as a generator
+that yields when it must wait.
 
-It yields the moment at which to ask again (``inf``: only after a reset) and returns the line's error code, 0
-for ``ok``, or None where the board has to restart. What it may touch of the board is the protocol ``Board``.
+It yields the moment at which to ask again (``inf``: only after a reset) and returns the line's
+error code, 0 for ``ok``, or None where the board has to restart. What it may touch of the board is
+the protocol ``Board``.
 """
 
 from __future__ import annotations
@@ -65,7 +67,9 @@ def execute(board: Board, text: str) -> Task:
     if board.locked or board.jogging:
         return 9
     try:
-        modes, what = command(text, board.modes, board.carriage.target_mm, board.dialect.most_line_number)
+        modes, what = command(
+            text, board.modes, board.carriage.target_mm, board.dialect.most_line_number
+        )
     except GcodeError as error:
         return error.code
     if modes.offset_mm != board.modes.offset_mm:
@@ -120,7 +124,9 @@ def _plan(board: Board, move: Move) -> Wait:
     while len(board.carriage.blocks(now := board.now)) >= board.dialect.planner_blocks:
         yield board.carriage.due_s(now)
     feed = None if move.feed_mm_min is None else move.feed_mm_min / 60
-    board.carriage.go(board.settings.whole_steps(move.target_mm), feed, board.settings.rates, board.now)
+    board.carriage.go(
+        board.settings.whole_steps(move.target_mm), feed, board.settings.rates, board.now
+    )
 
 
 def _until_still(board: Board) -> Wait:
@@ -179,7 +185,9 @@ def _write(board: Board, text: str) -> int:
 
 
 def _home_mm(board: Board) -> Vector:
-    return board.settings.whole_steps(board.settings.homing.home_mm(board.carriage.count_mm(board.now)))
+    return board.settings.whole_steps(
+        board.settings.homing.home_mm(board.carriage.count_mm(board.now))
+    )
 
 
 def _home(board: Board) -> Task:

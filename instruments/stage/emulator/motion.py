@@ -2,18 +2,19 @@
 
 It may not know in which direction the line lies, or whose it is.
 
-Straight moves with limited acceleration, one after the other without stopping where the corner allows it.
+Straight moves with limited acceleration, one after the other without stopping where the corner
+allows it.
 
-A plan is a row of legs, each a line in space and its phases. It may not know G-code or a clock: the moment is
-an argument.
+A plan is a row of legs, each a line in space and its phases. It may not know G-code or a clock: the
+moment is an argument.
 
-Source: S.-K. Jeon's description of GRBL's planner (look-ahead in two passes; the speed at a corner is that on
-a circle which leaves the corner by at most the junction deviation, setting $11).
+Source: S.-K. Jeon's description of GRBL's planner (look-ahead in two passes; the speed at a corner
+is that on a circle which leaves the corner by at most the junction deviation, setting $11).
 
 The counted position as a function of time: one plan, looked into at any moment.
 
-What is left of the plan is planned anew, from the speed of that moment, when a block is added, an override
-changes, or a hold begins. It may not know what the carriage does with the count.
+What is left of the plan is planned anew, from the speed of that moment, when a block is added, an
+override changes, or a hold begins. It may not know what the carriage does with the count.
 """
 
 from __future__ import annotations
@@ -22,13 +23,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-Vector = tuple[float, ...]  # one number an axis: X Y Z, and A where the board has it; mm, and degrees for A
+# one number an axis: X Y Z, and A where the board has it; mm, and degrees for A
+Vector = tuple[float, ...]
 SOON_S = 1e-9  # two moments nearer than this are one: sums of times differ in their last bits
 
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """Constant acceleration along a line; times in s from any origin, places in mm along the line."""
+    """Constant acceleration along a line; times in s from any
+    origin, places in mm along the line.
+    """
 
     start_s: float
     seconds: float
@@ -45,14 +49,20 @@ class Phase:
         return self.start_mm + self.speed_mm_s * t + self.accel_mm_s2 * t * t / 2
 
     def speed_at(self, now_s: float) -> float:
-        return self.speed_mm_s + self.accel_mm_s2 * min(max(now_s - self.start_s, 0.0), self.seconds)
+        return self.speed_mm_s + self.accel_mm_s2 * min(
+            max(now_s - self.start_s, 0.0), self.seconds
+        )
 
 
-def profile(length_mm: float, entry: float, cruise: float, leave: float, accel: float) -> list[tuple[float, float, float]]:
-    """The fastest way along ``length_mm`` from speed ``entry`` to ``leave`` at no more than ``cruise``.
+def profile(
+    length_mm: float, entry: float, cruise: float, leave: float, accel: float
+) -> list[tuple[float, float, float]]:
+    """The fastest way along ``length_mm`` from speed ``entry`` to ``leave`` at no more than
+    ``cruise``.
 
-    Phases as (seconds, speed at its start, acceleration); speeds in mm/s, ``accel`` in mm/s² and positive. An
-    ``entry`` above ``cruise`` is braked first; where the length is too short to brake, the braking is harder.
+    Phases as (seconds, speed at its start, acceleration); speeds in mm/s, ``accel`` in mm/s² and
+    positive. An ``entry`` above ``cruise`` is braked first; where the length is too short to brake,
+    the braking is harder.
     """
     if length_mm <= 0:
         return []
@@ -70,7 +80,9 @@ def profile(length_mm: float, entry: float, cruise: float, leave: float, accel: 
     return [phase for phase in phases if phase[0] > 0]
 
 
-def lay(phases: Sequence[tuple[float, float, float]], start_s: float, start_mm: float = 0.0) -> tuple[Phase, ...]:
+def lay(
+    phases: Sequence[tuple[float, float, float]], start_s: float, start_mm: float = 0.0
+) -> tuple[Phase, ...]:
     """Phases one after the other from ``start_s`` and ``start_mm`` on."""
     laid = []
     for seconds, speed, accel in phases:
@@ -90,7 +102,10 @@ class AxisRates:
 
     def along(self, unit: Vector, of: Vector) -> float:
         """The most that a motion along ``unit`` may have without any axis exceeding ``of``."""
-        return min((most / abs(u) for u, most in zip(unit, of, strict=True) if abs(u) > 1e-12), default=math.inf)
+        return min(
+            (most / abs(u) for u, most in zip(unit, of, strict=True) if abs(u) > 1e-12),
+            default=math.inf,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,16 +129,25 @@ class Block:
 
     def cruise_mm_s(self, feed_percent: int, rapid_percent: int) -> float:
         """The speed asked for, under the overrides."""
-        return self.top_mm_s * rapid_percent / 100 if self.rapid else min(self.feed_mm_s * feed_percent / 100, self.top_mm_s)
+        return (
+            self.top_mm_s * rapid_percent / 100
+            if self.rapid
+            else min(self.feed_mm_s * feed_percent / 100, self.top_mm_s)
+        )
 
     def place(self, along_mm: float) -> Vector:
         if along_mm >= self.length_mm:
             return self.target_mm
-        return tuple([start + u * along_mm for start, u in zip(self.start_mm, self.unit, strict=True)])
+        return tuple(
+            [start + u * along_mm for start, u in zip(self.start_mm, self.unit, strict=True)]
+        )
 
 
-def block_to(start: Vector, target: Vector, feed_mm_s: float | None, rates: AxisRates, before: Block | None) -> Block | None:
-    """The block from ``start`` to ``target``; None where there is nothing to go. ``feed_mm_s`` None is a rapid move.
+def block_to(
+    start: Vector, target: Vector, feed_mm_s: float | None, rates: AxisRates, before: Block | None
+) -> Block | None:
+    """The block from ``start`` to ``target``; None where there is nothing to go. ``feed_mm_s`` None
+    is a rapid move.
 
     ``before`` is the block that it follows without a stop.
     """
@@ -146,7 +170,9 @@ def block_to(start: Vector, target: Vector, feed_mm_s: float | None, rates: Axis
 
 
 def junction_speed(before: Vector, after: Vector, rates: AxisRates) -> float:
-    """The speed at a corner: that on a circle which touches both lines and passes the corner at the deviation."""
+    """The speed at a corner: that on a circle which touches both lines and passes the corner at the
+    deviation.
+    """
     cosine = -sum(b * a for b, a in zip(before, after, strict=True))
     if cosine > 0.999999:
         return 0.0
@@ -181,31 +207,57 @@ class Leg:
         return next((phase for phase in self.phases if now_s < phase.end_s), self.phases[-1])
 
 
-def plan(blocks: Sequence[Block], now_s: float, speed_mm_s: float, percent: tuple[int, int]) -> tuple[Leg, ...]:
-    """Legs through all ``blocks``, from ``speed_mm_s`` to rest. ``percent``: the feed and rapid overrides."""
+def plan(
+    blocks: Sequence[Block], now_s: float, speed_mm_s: float, percent: tuple[int, int]
+) -> tuple[Leg, ...]:
+    """Legs through all ``blocks``, from ``speed_mm_s`` to rest. ``percent``: the feed and rapid
+    overrides.
+    """
     cruise = [block.cruise_mm_s(*percent) for block in blocks]
-    entry = [speed_mm_s] + [min(b.junction_mm_s, cruise[i], cruise[i + 1]) for i, b in enumerate(blocks[1:])] + [0.0]
+    entry = (
+        [speed_mm_s]
+        + [min(b.junction_mm_s, cruise[i], cruise[i + 1]) for i, b in enumerate(blocks[1:])]
+        + [0.0]
+    )
     for i in range(len(blocks) - 1, 0, -1):
-        entry[i] = min(entry[i], math.sqrt(entry[i + 1] ** 2 + 2 * blocks[i].accel_mm_s2 * blocks[i].left_mm))
+        entry[i] = min(
+            entry[i], math.sqrt(entry[i + 1] ** 2 + 2 * blocks[i].accel_mm_s2 * blocks[i].left_mm)
+        )
     legs = []
     for i, block in enumerate(blocks):
-        entry[i + 1] = min(entry[i + 1], math.sqrt(entry[i] ** 2 + 2 * block.accel_mm_s2 * block.left_mm))
-        phases = lay(profile(block.left_mm, entry[i], cruise[i], entry[i + 1], block.accel_mm_s2), now_s, block.from_mm)
+        entry[i + 1] = min(
+            entry[i + 1], math.sqrt(entry[i] ** 2 + 2 * block.accel_mm_s2 * block.left_mm)
+        )
+        phases = lay(
+            profile(block.left_mm, entry[i], cruise[i], entry[i + 1], block.accel_mm_s2),
+            now_s,
+            block.from_mm,
+        )
         now_s = phases[-1].end_s if phases else now_s
         legs.append(Leg(block, phases, now_s, block.length_mm))
     return tuple(legs)
 
 
-def brake(blocks: Sequence[Block], now_s: float, speed_mm_s: float) -> tuple[tuple[Leg, ...], tuple[Block, ...]]:
+def brake(
+    blocks: Sequence[Block], now_s: float, speed_mm_s: float
+) -> tuple[tuple[Leg, ...], tuple[Block, ...]]:
     """Legs that stop as soon as the acceleration allows, and what is left of the blocks then."""
     legs: list[Leg] = []
     left = list(blocks)
     while left and speed_mm_s > 0:
         block = left.pop(0)
         way = speed_mm_s**2 / (2 * block.accel_mm_s2)
-        after = math.sqrt(max(0.0, speed_mm_s**2 - 2 * block.accel_mm_s2 * block.left_mm)) if way > block.left_mm else 0.0
+        after = (
+            math.sqrt(max(0.0, speed_mm_s**2 - 2 * block.accel_mm_s2 * block.left_mm))
+            if way > block.left_mm
+            else 0.0
+        )
         end = min(block.from_mm + way, block.length_mm)
-        phases = lay([((speed_mm_s - after) / block.accel_mm_s2, speed_mm_s, -block.accel_mm_s2)], now_s, block.from_mm)
+        phases = lay(
+            [((speed_mm_s - after) / block.accel_mm_s2, speed_mm_s, -block.accel_mm_s2)],
+            now_s,
+            block.from_mm,
+        )
         now_s, speed_mm_s = phases[-1].end_s, after
         legs.append(Leg(block, phases, now_s, end))
         if end < block.length_mm:
@@ -223,7 +275,9 @@ class Motion:
         self.percent = (100, 100)
 
     def position(self, now_s: float) -> Vector:
-        leg = next((leg for leg in self._legs if now_s < leg.end_s), self._legs[-1] if self._legs else None)
+        leg = next(
+            (leg for leg in self._legs if now_s < leg.end_s), self._legs[-1] if self._legs else None
+        )
         return leg.block.place(leg.place_mm(now_s)) if leg else self._rest
 
     def turns(self, since_s: float, now_s: float) -> list[Vector]:
@@ -244,9 +298,12 @@ class Motion:
 
     def blocks(self, now_s: float) -> tuple[Block, ...]:
         """What is not finished, the running one first."""
-        # A leg that ends short of its block is braking for a hold; what is left of its block is among the held.
+        # A leg that ends short of its block is braking for a hold; what is left of its block is
+        # among the held.
         unfinished = (leg for leg in self._legs if leg.end_s > now_s + SOON_S)
-        return tuple(leg.block for leg in unfinished if leg.end_mm >= leg.block.length_mm) + self._held
+        return (
+            tuple(leg.block for leg in unfinished if leg.end_mm >= leg.block.length_mm) + self._held
+        )
 
     def next_end_s(self, now_s: float) -> float:
         """When the running block ends, or stops; ``inf`` at rest."""
@@ -260,7 +317,9 @@ class Motion:
         return self._legs[-1].block.place(self._legs[-1].end_mm) if self._legs else self._rest
 
     def go(self, target: Vector, feed_mm_s: float | None, rates: AxisRates, now_s: float) -> bool:
-        """Plan a move to ``target`` after all that is planned; False where there is nothing to go."""
+        """Plan a move to ``target`` after all that is planned;
+        False where there is nothing to go.
+        """
         waiting = self.blocks(now_s)
         block = block_to(self.target, target, feed_mm_s, rates, waiting[-1] if waiting else None)
         if block:

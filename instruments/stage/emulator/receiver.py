@@ -1,6 +1,8 @@
-"""The controller's receive buffer and line assembly. Bytes beyond the buffer are lost, as on the real board.
+"""The controller's receive buffer and line assembly. Bytes beyond the buffer are lost, as on the
+real board.
 
-It may not know what a line means. Source: the firmware's interface document (128 byte buffer, 80 character line).
+It may not know what a line means. Source: the firmware's interface document (128 byte buffer, 80
+character line).
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ def split(data: bytes) -> Iterator[tuple[bool, bytes]]:
 
 
 class Receiver:
-    """Bytes in, lines out, as the main loop asks for them. A line that was too long comes out as ``OVERFLOW``."""
+    """Bytes in, lines out, as the main loop asks for them. A line that was too long comes out as
+    ``OVERFLOW``.
+    """
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
@@ -45,7 +49,9 @@ class Receiver:
         self._waiting += data[: self.room]
 
     def lines(self) -> Iterator[str]:
-        """Complete lines: capitals, without blanks and comments. Each is taken from the buffer only when asked for."""
+        """Complete lines: capitals, without blanks and comments. Each is taken from the buffer only
+        when asked for.
+        """
         while self._waiting:
             sign = chr(self._waiting.pop(0))
             if sign in "\r\n":

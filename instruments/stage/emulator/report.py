@@ -1,7 +1,8 @@
 """How the emulated controller writes a status report, and which fields are due in it.
 
-The two slow fields come with the first report after a reset, then every 10 to 30 reports, never together. It
-may not know why anything is so. Source: the firmware's interface document, section on status reports.
+The two slow fields come with the first report after a reset, then every 10 to 30 reports, never
+together. It may not know why anything is so. Source: the firmware's interface document, section on
+status reports.
 """
 
 from __future__ import annotations
@@ -21,7 +22,12 @@ _BUSY_OV_EVERY = 20
 
 def numbers(place: Vector, inches: bool) -> str:
     """The axes' numbers as reports write them; the rotation A is in degrees whatever the units."""
-    return ",".join([f"{v / 25.4 + 0.0:.4f}" if inches and axis < 3 else f"{v + 0.0:.3f}" for axis, v in enumerate(place)])
+    return ",".join(
+        [
+            f"{v / 25.4 + 0.0:.4f}" if inches and axis < 3 else f"{v + 0.0:.3f}"
+            for axis, v in enumerate(place)
+        ]
+    )
 
 
 class SlowFields:
@@ -81,7 +87,9 @@ def status_report(board: Reporting) -> str:
     parts = [state_name(board.mode, moving=moving, jogging=board.jogging)]
     parts.append(f"MPos:{numbers(place, inches)}" if bits & 1 else f"WPos:{numbers(work, inches)}")
     if bits & 2:
-        parts.append(f"Bf:{board.dialect.planner_blocks - len(board.carriage.blocks(now))},{board.room}")
+        parts.append(
+            f"Bf:{board.dialect.planner_blocks - len(board.carriage.blocks(now))},{board.room}"
+        )
     parts.append(f"FS:{board.carriage.speed_mm_s(now) * 60:.0f},0")
     due = board.slow.due(moving or board.mode in (Mode.HOLD, Mode.DOOR))
     if due == "WCO":

@@ -1,8 +1,9 @@
-"""The emulated controller's stored settings: defaults, how they print, what may be written, and what they mean in mm and s.
+"""The emulated controller's stored settings: defaults, how they print, what may be written, and
+what they mean in mm and s.
 
-It may not know the state of the board; whether writing is allowed now is the board's business. Numbers up to $132 are
-those of the sheet; that a fourth axis has $103 to $133, and $44 to $46 name the axes of each homing pass, is from grblHAL's
-source and not recorded.
+It may not know the state of the board; whether writing is allowed now is the board's business.
+Numbers up to $132 are those of the sheet; that a fourth axis has $103 to $133, and $44 to $46 name
+the axes of each homing pass, is from grblHAL's source and not recorded.
 """
 
 from __future__ import annotations
@@ -24,23 +25,38 @@ DEFAULTS: dict[int, float] = {
     130: 300, 131: 275, 132: 50,
 }  # fmt: skip
 HAL_DEFAULTS: dict[int, float] = {40: 0, 43: 1, 44: 4, 45: 3, 46: 0}
-ROTARY_DEFAULTS: dict[int, float] = {46: 8, 103: 100, 113: 3600, 123: 360, 133: 360}  # per degree; homed in a pass of its own
+# per degree; homed in a pass of its own
+ROTARY_DEFAULTS: dict[int, float] = {46: 8, 103: 100, 113: 3600, 123: 360, 133: 360}
 _WITH_DECIMALS = frozenset({11, 12, 24, 25, 27, *range(100, 140)})
 _CLASSIC_PASSES = ((2,), (0, 1))
 
 
 class Store:
-    """Settings by number; ``axes`` is 3, or 4 with a rotation A. Raises ValueError for a number that the controller doesn't have."""
+    """Settings by number; ``axes`` is 3, or 4 with a rotation A. Raises ValueError for a number
+    that the controller doesn't have.
+    """
 
-    def __init__(self, changes: Mapping[int, float] | None = None, *, dialect: Dialect = CLASSIC, axes: int = 3) -> None:
+    def __init__(
+        self,
+        changes: Mapping[int, float] | None = None,
+        *,
+        dialect: Dialect = CLASSIC,
+        axes: int = 3,
+    ) -> None:
         if not 3 <= axes <= dialect.most_axes:
             raise ValueError(f"{dialect.name} has 3 to {dialect.most_axes} axes, not {axes}")
         self.axes = axes
         self._dialect = dialect
-        known = DEFAULTS | (HAL_DEFAULTS if dialect.homing_passes else {}) | (ROTARY_DEFAULTS if axes > 3 else {})
+        known = (
+            DEFAULTS
+            | (HAL_DEFAULTS if dialect.homing_passes else {})
+            | (ROTARY_DEFAULTS if axes > 3 else {})
+        )
         unknown = set(changes or {}) - set(known)
         if unknown:
-            raise ValueError(f"the stage has no settings ${', $'.join(str(n) for n in sorted(unknown))}")
+            raise ValueError(
+                f"the stage has no settings ${', $'.join(str(n) for n in sorted(unknown))}"
+            )
         self._values = dict(sorted((known | dict(changes or {})).items()))
 
     def __getitem__(self, number: int) -> float:
@@ -48,7 +64,10 @@ class Store:
 
     def lines(self) -> list[str]:
         """As ``$$`` prints them."""
-        return [f"${n}={value:.3f}" if n in _WITH_DECIMALS else f"${n}={value:.0f}" for n, value in self._values.items()]
+        return [
+            f"${n}={value:.3f}" if n in _WITH_DECIMALS else f"${n}={value:.0f}"
+            for n, value in self._values.items()
+        ]
 
     def write(self, number: float, value: float) -> int:
         """Store a setting; 0, or the error code of a refusal."""
@@ -76,7 +95,9 @@ class Store:
 
     @property
     def rates(self) -> AxisRates:
-        return AxisRates(tuple([rate / 60 for rate in self._axes(110)]), self._axes(120), self._values[11])
+        return AxisRates(
+            tuple([rate / 60 for rate in self._axes(110)]), self._axes(120), self._values[11]
+        )
 
     @property
     def homing(self) -> HomingRates:
@@ -94,11 +115,19 @@ class Store:
 
     def whole_steps(self, at_mm: Vector) -> Vector:
         """The nearest place that a whole number of steps reaches."""
-        return tuple([round(place * steps) / steps for place, steps in zip(at_mm, self._axes(100), strict=True)])
+        return tuple(
+            [
+                round(place * steps) / steps
+                for place, steps in zip(at_mm, self._axes(100), strict=True)
+            ]
+        )
 
     def beyond_travel(self, target_mm: Vector) -> bool:
         """Whether a target lies outside machine space, which is negative."""
-        return any(place > 0 or place < -travel for place, travel in zip(target_mm, self.travel_mm, strict=True))
+        return any(
+            place > 0 or place < -travel
+            for place, travel in zip(target_mm, self.travel_mm, strict=True)
+        )
 
     def _passes(self) -> tuple[tuple[int, ...], ...]:
         if not self._dialect.homing_passes:

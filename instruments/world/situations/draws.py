@@ -1,4 +1,5 @@
-"""What families have in common: udders, paints, light and backgrounds, each drawn at random within what is usual.
+"""What families have in common: udders, paints, light and backgrounds, each drawn at random within
+what is usual.
 
 May not know which family asks.
 """
@@ -15,7 +16,8 @@ from instruments.world.objects import SceneObject, make_object
 from instruments.world.phantom import Phantom, Teat, TeatShape
 from instruments.world.shading import Lamp, Lighting, Paint
 
-PLACES = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))  # near left, near right, far left, far right
+# near left, near right, far left, far right
+PLACES = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))
 
 
 class Draw:
@@ -45,8 +47,12 @@ class Draw:
         return known[self.count(0, len(known) - 1)]
 
 
-def udder(draw: Draw, *, lean_deg: tuple[float, float] = (0.0, 2.0), spread: float = 1.0) -> Phantom:
-    """Four teats, the two near ones closer together, as an udder's are seen from behind; ``lean_deg`` from least to most, any way."""
+def udder(
+    draw: Draw, *, lean_deg: tuple[float, float] = (0.0, 2.0), spread: float = 1.0
+) -> Phantom:
+    """Four teats, the two near ones closer together, as an udder's are seen from behind;
+    ``lean_deg`` from least to most, any way.
+    """
     middle = draw.between(-165.0, -95.0), draw.between(215.0, 265.0)
     wide, deep = (draw.between(26.0, 42.0), draw.between(52.0, 78.0)), draw.between(30.0, 50.0)
     teats = []
@@ -57,7 +63,10 @@ def udder(draw: Draw, *, lean_deg: tuple[float, float] = (0.0, 2.0), spread: flo
         )
         shape = TeatShape(draw.between(118.0, 150.0), draw.between(9.5, 12.5))
         lean, way = np.radians(draw.between(*lean_deg)), draw.between(0.0, 2.0 * np.pi)
-        tilt = float(np.arctan(np.tan(lean) * np.cos(way))), float(np.arctan(np.tan(lean) * np.sin(way)))
+        tilt = (
+            float(np.arctan(np.tan(lean) * np.cos(way))),
+            float(np.arctan(np.tan(lean) * np.sin(way))),
+        )
         teats.append(Teat(base, shape, tilt))
     return Phantom(tuple(teats))
 
@@ -76,21 +85,42 @@ def lighting(draw: Draw, brightness: tuple[float, float] = (0.95, 1.35)) -> Ligh
     """Two lamps or three, about where the usual two hang."""
     lamps = [
         Lamp(
-            (450.0 + draw.between(-250.0, 250.0), -350.0 + draw.between(-250.0, 200.0), 1350.0 + draw.between(-150.0, 250.0)),
+            (
+                450.0 + draw.between(-250.0, 250.0),
+                -350.0 + draw.between(-250.0, 200.0),
+                1350.0 + draw.between(-150.0, 250.0),
+            ),
             draw.between(1.8, 3.0),
         ),
         Lamp(
-            (-1300.0 + draw.between(-200.0, 300.0), -700.0 + draw.between(-150.0, 250.0), 1100.0 + draw.between(-150.0, 250.0)),
+            (
+                -1300.0 + draw.between(-200.0, 300.0),
+                -700.0 + draw.between(-150.0, 250.0),
+                1100.0 + draw.between(-150.0, 250.0),
+            ),
             draw.between(1.0, 1.9),
         ),
     ]
     if draw.chance(0.3):
-        lamps.append(Lamp((draw.between(-600.0, 300.0), draw.between(100.0, 700.0), draw.between(1300.0, 1700.0)), draw.between(0.5, 1.2)))
+        lamps.append(
+            Lamp(
+                (
+                    draw.between(-600.0, 300.0),
+                    draw.between(100.0, 700.0),
+                    draw.between(1300.0, 1700.0),
+                ),
+                draw.between(0.5, 1.2),
+            )
+        )
     return Lighting(draw.between(*brightness), tuple(lamps), draw.between(0.40, 0.60))
 
 
 def backdrop(
-    draw: Draw, board_albedo: tuple[float, float], *, texture: tuple[float, float] = (0.02, 0.07), weave: Weave = "cloud"
+    draw: Draw,
+    board_albedo: tuple[float, float],
+    *,
+    texture: tuple[float, float] = (0.02, 0.07),
+    weave: Weave = "cloud",
 ) -> Backdrop:
     """A board of that albedo and texture behind a light table."""
     return Backdrop(
@@ -126,30 +156,53 @@ def cooler_bodies(draw: Draw, count: int) -> tuple[SceneObject, ...]:
     """Legs, flanks and bellies behind the teats, a few kelvin cooler."""
     things = []
     for _ in range(count):
-        look = {"offset_k": -draw.between(2.5, 7.0), "albedo": draw.between(0.1, 0.5), "gloss": draw.between(0.0, 0.06)}
+        look = {
+            "offset_k": -draw.between(2.5, 7.0),
+            "albedo": draw.between(0.1, 0.5),
+            "gloss": draw.between(0.0, 0.06),
+        }
         x, y = draw.between(-420.0, 160.0), draw.between(390.0, 640.0)
         if draw.chance(0.3):
-            things.append(make_object("ball", x_mm=x, y_mm=y, z_mm=draw.between(140.0, 260.0), radius_mm=draw.between(45.0, 95.0), **look))
+            things.append(
+                make_object(
+                    "ball",
+                    x_mm=x,
+                    y_mm=y,
+                    z_mm=draw.between(140.0, 260.0),
+                    radius_mm=draw.between(45.0, 95.0),
+                    **look,
+                )
+            )
         else:
             radius = draw.between(35.0, 80.0)
             top = radius * draw.between(0.6, 0.95)
             things.append(
                 make_object(
-                    "cooler_body", x_mm=x, y_mm=y, height_mm=draw.between(150.0, 330.0), radius_mm=radius, top_radius_mm=top, **look
+                    "cooler_body",
+                    x_mm=x,
+                    y_mm=y,
+                    height_mm=draw.between(150.0, 330.0),
+                    radius_mm=radius,
+                    top_radius_mm=top,
+                    **look,
                 )
             )
     return tuple(things)
 
 
 def apart(phantom: Phantom, eyes_mm: Sequence[tuple[float, float, float]]) -> float:
-    """Least room between two teats as any eye sees them side by side, in mm at the nearer one; below zero where one covers the other."""
+    """Least room between two teats as any eye sees them side by side, in mm at the nearer one;
+    below zero where one covers the other.
+    """
     least = np.inf
     hulls = phantom.teat_hulls()
     for eye in eyes_mm:
         bearings = []
         for hull in hulls:
             ends = np.array([hull.a_mm, hull.b_mm]) - np.asarray(eye)
-            bearings.append((ends[:, 0] / ends[:, 1], hull.radius_a_mm / ends[:, 1].mean(), ends[:, 1].mean()))
+            bearings.append(
+                (ends[:, 0] / ends[:, 1], hull.radius_a_mm / ends[:, 1].mean(), ends[:, 1].mean())
+            )
         for i, (one, r_one, y_one) in enumerate(bearings):
             for other, r_other, y_other in bearings[i + 1 :]:
                 gaps = np.abs(one - other) - r_one - r_other

@@ -1,9 +1,11 @@
 """A situation as a value. May not know how situations are drawn.
 
-Whether a situation can be set up: nothing within anything else, ends within reach of arm and cameras.
+Whether a situation can be set up: nothing within anything else, ends within reach of arm and
+cameras.
 
-The cameras are those of the thesis's rig, as a box of bearings that all three see; a rig whose cameras stand elsewhere
-gets its truth from `Renderer.visible_ends` all the same. Hoses give way to what stands among them. May not know how situations are drawn.
+The cameras are those of the thesis's rig, as a box of bearings that all three see; a rig whose
+cameras stand elsewhere gets its truth from `Renderer.visible_ends` all the same. Hoses give way to
+what stands among them. May not know how situations are drawn.
 """
 
 from __future__ import annotations
@@ -28,9 +30,11 @@ from instruments.world.state import SceneState
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """One member of a family: what stands where, how it is lit and painted, how the optical cameras are set.
+    """One member of a family: what stands where, how it is lit and painted, how the optical cameras
+    are set.
 
-    ``about`` tells a person in one sentence what to set up. Temperatures of the teats are the bath's affair, and no part of it.
+    ``about`` tells a person in one sentence what to set up. Temperatures of the teats are the
+    bath's affair, and no part of it.
     """
 
     name: str
@@ -44,17 +48,33 @@ class Situation:
     teat_paint: Paint = TEAT_PAINT
     exposure: Exposure = field(default_factory=Exposure)
 
-    def state(self, teat_temps_c: tuple[float, ...], hose_temp_c: float, ambient_c: float, **more: Any) -> SceneState:
-        """What the cameras see of it where the plant has these temperatures; ``more`` are further fields of `SceneState`."""
+    def state(
+        self, teat_temps_c: tuple[float, ...], hose_temp_c: float, ambient_c: float, **more: Any
+    ) -> SceneState:
+        """What the cameras see of it where the plant has these temperatures; ``more`` are further
+        fields of `SceneState`.
+        """
         fields: dict[str, Any] = {
-            "phantom": self.phantom, "objects": self.objects, "boards": self.boards, "lighting": self.lighting,
-            "backdrop": self.backdrop, "teat_paint": self.teat_paint, "exposure": self.exposure,
-        }  # fmt: skip
-        return SceneState(teat_temps_c=teat_temps_c, hose_temp_c=hose_temp_c, ambient_c=ambient_c, **(fields | more))
+            "phantom": self.phantom,
+            "objects": self.objects,
+            "boards": self.boards,
+            "lighting": self.lighting,
+            "backdrop": self.backdrop,
+            "teat_paint": self.teat_paint,
+            "exposure": self.exposure,
+        }
+        return SceneState(
+            teat_temps_c=teat_temps_c,
+            hose_temp_c=hose_temp_c,
+            ambient_c=ambient_c,
+            **(fields | more),
+        )
 
 
-EYES_MM = ((-263.0, -840.0, 62.0), (-163.0, -841.0, 62.0), (-212.0, -841.0, 62.0))  # left, right, thermal
-BEARINGS = (-0.050, 0.225)  # to the right, per mm away: the thermal camera's view and some room to spare
+# left, right, thermal
+EYES_MM = ((-263.0, -840.0, 62.0), (-163.0, -841.0, 62.0), (-212.0, -841.0, 62.0))
+# to the right, per mm away: the thermal camera's view and some room to spare
+BEARINGS = (-0.050, 0.225)
 RISE = 0.103
 REACH_MM = ((-330.0, 100.0, 60.0), (50.0, 420.0, 185.0))  # where the arm touches with ease
 STYLUS_MM = 12.0  # room around the stylus, which comes from above
@@ -72,7 +92,10 @@ def _out_of_reach(situation: Situation) -> Iterator[str]:
     for i, end in enumerate(situation.phantom.ends_mm):
         if not np.all((end >= low) & (end <= high)):
             yield f"the end of teat {i + 1} at {end.round().tolist()} mm is out of the arm's reach"
-    stylus = [Hull((x, y, z + STYLUS_MM + 1.0), (x, y, z + STYLUS_LONG_MM), 1.0, 1.0) for x, y, z in situation.phantom.ends_mm.tolist()]
+    stylus = [
+        Hull((x, y, z + STYLUS_MM + 1.0), (x, y, z + STYLUS_LONG_MM), 1.0, 1.0)
+        for x, y, z in situation.phantom.ends_mm.tolist()
+    ]
     for i, above in enumerate(stylus):
         for thing in situation.objects:
             if any(_gap(above, hull) < STYLUS_MM for hull in thing.hulls):
@@ -109,14 +132,20 @@ def collisions(situation: Situation) -> Iterator[str]:
 
 
 def hidden_ways(situation: Situation) -> Bools:
-    """Whether each end (n,) is hidden from each of the three eyes (n, 3) by an object or a board; the teats themselves don't count."""
+    """Whether each end (n,) is hidden from each of the three eyes (n, 3) by an object or a board;
+    the teats themselves don't count.
+    """
     ends = situation.phantom.ends_mm
     hidden = np.zeros((len(ends), len(EYES_MM)), dtype=np.bool_)
     for e, eye in enumerate(EYES_MM):
         for i, end in enumerate(ends):
             way = Hull(eye, tuple(eye + 0.995 * (end - eye)), 0.01, 0.01)
-            solid = any(_gap(way, hull) < 0.0 for thing in situation.objects for hull in thing.hulls)
-            hidden[i, e] = solid or any(_crosses(np.asarray(eye), end, board.outline_mm) for board in situation.boards)
+            solid = any(
+                _gap(way, hull) < 0.0 for thing in situation.objects for hull in thing.hulls
+            )
+            hidden[i, e] = solid or any(
+                _crosses(np.asarray(eye), end, board.outline_mm) for board in situation.boards
+            )
     return hidden
 
 
@@ -128,7 +157,9 @@ def _crosses(start: Floats, end: Floats, outline: Floats) -> bool:
 
 
 def _gap(one: Hull, other: Hull) -> float:
-    """Room between two solids, taken as round at both ends; below zero where they overlap. A little too small where ends are flat."""
+    """Room between two solids, taken as round at both ends; below zero where they overlap. A little
+    too small where ends are flat.
+    """
     a, b, c, d = (np.asarray(point) for point in (one.a_mm, one.b_mm, other.a_mm, other.b_mm))
     t = np.linspace(0.0, 1.0, 33)[:, None]
     points = a + t * (b - a)
@@ -136,7 +167,9 @@ def _gap(one: Hull, other: Hull) -> float:
     span = d - c
     along = np.clip((points - c) @ span / max(float(span @ span), 1e-9), 0.0, 1.0)
     away = np.linalg.norm(points - c - along[:, None] * span, axis=1)
-    return float((away - radii - other.radius_a_mm - along * (other.radius_b_mm - other.radius_a_mm)).min())
+    return float(
+        (away - radii - other.radius_a_mm - along * (other.radius_b_mm - other.radius_a_mm)).min()
+    )
 
 
 def _from_points(points: Floats, hull: Hull) -> float:

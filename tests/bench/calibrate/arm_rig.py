@@ -1,4 +1,6 @@
-"""What the arm's tests share: a session of virtual time with an emulated arm whose hand follows the dialogue."""
+"""What the arm's tests share: a session of virtual time with an emulated arm whose hand follows the
+dialogue.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ MADE = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
 
 @dataclass
 class Follower:
-    """A person who does as told, and remembers it. ``instead`` may put another step in a step's place."""
+    """A person who does as told, and remembers it. ``instead`` may put another step in a step's
+    place.
+    """
 
     hand: TryingArm
     instead: Callable[[Step], Step] = lambda step: step
@@ -43,7 +47,9 @@ def emulated(
 ) -> Iterator[tuple[MicroScribe, TryingArm]]:
     """A signed-on, homed emulated arm under virtual time, and what brings its tip to places."""
     clock = VirtualClock()
-    with TryingArm(clock, seed=seed, accuracy_mm=accuracy_mm, placed=placed, length_mm=length_mm) as trying:
+    with TryingArm(
+        clock, seed=seed, accuracy_mm=accuracy_mm, placed=placed, length_mm=length_mm
+    ) as trying:
         arm = MicroScribe(Link(trying.url, clock, who="arm"), clock)
         try:
             arm.sign_on()

@@ -1,4 +1,6 @@
-"""A command at a pseudo-terminal, driven as a person drives it: read what it says, type an answer."""
+"""A command at a pseudo-terminal, driven as a person drives it:
+read what it says, type an answer.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,10 @@ from tests.conftest import ROOT
 PATIENCE_S = 60.0
 ENTER = "Enter"
 COLUMNS, ROWS = 200, 24
-OWN_TERMINAL = "import fcntl, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); from bench.cli import main; sys.exit(main())"
+OWN_TERMINAL = (
+    "import fcntl, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); from bench.cli import main;"
+    " sys.exit(main())"
+)
 
 
 class Rendered:
@@ -36,7 +41,9 @@ class Rendered:
     def rows(self) -> list[str]:
         """All rows from the first, with what has scrolled away, each as wide as the terminal."""
         across = range(self._screen.columns)
-        return ["".join(row[x].data for x in across) for row in self._screen.history.top] + self._screen.display
+        return [
+            "".join(row[x].data for x in across) for row in self._screen.history.top
+        ] + self._screen.display
 
     @property
     def text(self) -> str:
@@ -45,7 +52,9 @@ class Rendered:
 
 
 class Terminal:
-    """The person's side of a running command. ``text`` is all that it has said, ``screen`` what is to be seen of it."""
+    """The person's side of a running command. ``text`` is all that it has said, ``screen`` what is
+    to be seen of it.
+    """
 
     def __init__(self, child: subprocess.Popen[bytes], fd: int, columns: int) -> None:
         self._child = child
@@ -55,7 +64,9 @@ class Terminal:
         self.screen = Rendered(columns)
 
     def expect(self, words: str) -> str:
-        """Wait until it says ``words``, after what was expected before; gives back what came up to their end."""
+        """Wait until it says ``words``, after what was expected before; gives back what came up to
+        their end.
+        """
         deadline = time.monotonic() + PATIENCE_S
         while words not in self.text[self._at :]:
             assert time.monotonic() < deadline, f"waited for {words!r}; it said:\n{self.text}"
@@ -103,7 +114,9 @@ class Terminal:
 
 @contextmanager
 def at_terminal(arguments: Sequence[str], columns: int = COLUMNS) -> Iterator[Terminal]:
-    """``teatbench`` with ``arguments`` at a terminal of its own, which Ctrl-C and hanging up work on; skipped where there are none."""
+    """``teatbench`` with ``arguments`` at a terminal of its own, which Ctrl-C and hanging up work
+    on; skipped where there are none.
+    """
     if sys.platform == "win32":
         pytest.skip("needs a pseudo-terminal, which Windows has not")
     import pty
@@ -115,7 +128,15 @@ def at_terminal(arguments: Sequence[str], columns: int = COLUMNS) -> Iterator[Te
     for of_another in ("COLUMNS", "LINES"):
         environment.pop(of_another, None)
     command = [sys.executable, "-c", OWN_TERMINAL, *arguments]
-    child = subprocess.Popen(command, stdin=far, stdout=far, stderr=far, env=environment, cwd=ROOT, start_new_session=True)
+    child = subprocess.Popen(
+        command,
+        stdin=far,
+        stdout=far,
+        stderr=far,
+        env=environment,
+        cwd=ROOT,
+        start_new_session=True,
+    )
     os.close(far)
     terminal = Terminal(child, near, columns)
     try:

@@ -1,4 +1,6 @@
-"""Pictures of boards before small cameras, drawn by intersecting every pixel's rays with the board: no code of the project's renderer."""
+"""Pictures of boards before small cameras, drawn by intersecting every pixel's rays with the board:
+no code of the project's renderer.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ SAMPLES = 4  # a side of a pixel
 
 
 def poses(count: int, seed: int = 1, board: Board = BOARD, spread: float = 1.0) -> list[Motion]:
-    """left_from_board: about a metre away, all over ``spread`` of the picture, tilted to every side in turn."""
+    """left_from_board: about a metre away, all over ``spread`` of the picture, tilted to every side
+    in turn.
+    """
     rng = np.random.default_rng(seed)
     found = []
     for at in range(count):
@@ -36,7 +40,13 @@ def poses(count: int, seed: int = 1, board: Board = BOARD, spread: float = 1.0) 
             @ cv2.Rodrigues(np.array([0.0, 0.0, rng.uniform(-0.2, 0.2)]))[0]
         )
         depth = rng.uniform(650.0, 1050.0)
-        aim = np.array([spread * rng.uniform(-0.22, 0.22) * depth + 50.0, spread * rng.uniform(-0.16, 0.16) * depth, depth])
+        aim = np.array(
+            [
+                spread * rng.uniform(-0.22, 0.22) * depth + 50.0,
+                spread * rng.uniform(-0.16, 0.16) * depth,
+                depth,
+            ]
+        )
         found.append(Motion(R, aim - R @ board.points_mm.mean(axis=0)))
     return found
 
@@ -50,57 +60,99 @@ def picture(
     board: Board = BOARD,
     bend_mm: float = 0.0,
 ) -> NDArray[np.uint8]:
-    """An 8-bit picture of the board (printed at ``pitch_mm``, its rim ``bend_mm`` behind its middle) on a grey wall, with noise."""
+    """An 8-bit picture of the board (printed at ``pitch_mm``, its rim ``bend_mm`` behind its
+    middle) on a grey wall, with noise.
+    """
     height, width = camera.image_size[1], camera.image_size[0]
     flat, by_column, by_row = _undistorted(camera)
     board_from_camera = camera_from_board.inverse()
 
     def look(at: NDArray[np.bool_] | slice, dx: float, dy: float) -> Array:
-        return _brightness(flat[at] + dx * by_column[at] + dy * by_row[at], board_from_camera, pitch_mm, board, bend_mm)
+        return _brightness(
+            flat[at] + dx * by_column[at] + dy * by_row[at],
+            board_from_camera,
+            pitch_mm,
+            board,
+            bend_mm,
+        )
 
     middle = look(slice(None), 0.0, 0.0)
     around, three = middle.reshape(height, width), np.ones((3, 3), np.uint8)
     edge = (cv2.dilate(around, three) != cv2.erode(around, three)).ravel()
     offsets = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
     middle[edge] = np.mean([look(edge, dx, dy) for dx in offsets for dy in offsets], axis=0)
-    noisy = cv2.GaussianBlur(middle.reshape(height, width), (0, 0), 0.6) + np.random.default_rng(seed).normal(0.0, 1.0, (height, width))
+    noisy = cv2.GaussianBlur(middle.reshape(height, width), (0, 0), 0.6) + np.random.default_rng(
+        seed
+    ).normal(0.0, 1.0, (height, width))
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
 @cache
 def _undistorted(camera: Camera) -> tuple[Array, Array, Array]:
-    """Each pixel's place (n, 2) on the plane before the camera, and how it goes on by a column and by a row: straight within a pixel."""
+    """Each pixel's place (n, 2) on the plane before the camera, and how it goes on by a column and
+    by a row: straight within a pixel.
+    """
     K = np.array([[camera.fc[0], 0, camera.cc[0]], [0, camera.fc[1], camera.cc[1]], [0, 0, 1.0]])
     rows, columns = np.mgrid[0 : camera.image_size[1], 0 : camera.image_size[0]].astype(np.float64)
     pixels = np.column_stack([columns.ravel(), rows.ravel()]).reshape(-1, 1, 2)
-    flat = np.asarray(cv2.undistortPoints(pixels, K, np.array(camera.kc)).reshape(-1, 2), dtype=np.float64)
+    flat = np.asarray(
+        cv2.undistortPoints(pixels, K, np.array(camera.kc)).reshape(-1, 2), dtype=np.float64
+    )
     by_row, by_column = np.gradient(flat.reshape(*rows.shape, 2), axis=(0, 1))
     return flat, by_column.reshape(-1, 2), by_row.reshape(-1, 2)
 
 
-def _brightness(flat: Array, board_from_camera: Motion, pitch_mm: float, board: Board, bend_mm: float) -> Array:
+def _brightness(
+    flat: Array, board_from_camera: Motion, pitch_mm: float, board: Board, bend_mm: float
+) -> Array:
     rays = np.column_stack([flat, np.ones(len(flat))]) @ board_from_camera.R.T
     at = board_from_camera.T[:2] - rays[:, :2] * (board_from_camera.T[2] / rays[:, 2])[:, None]
     middle = board.points_mm[:, :2].mean(axis=0)
-    for _ in range(3 if bend_mm else 0):  # where the ray meets the bowl, from where it met the plane
+    # where the ray meets the bowl, from where it met the plane
+    for _ in range(3 if bend_mm else 0):
         height = bend_mm * np.sum((at - middle) ** 2, axis=1) / float(middle @ middle)
-        at = board_from_camera.T[:2] - rays[:, :2] * ((board_from_camera.T[2] - np.clip(height, 0, 3 * bend_mm)) / rays[:, 2])[:, None]
+        at = (
+            board_from_camera.T[:2]
+            - rays[:, :2]
+            * ((board_from_camera.T[2] - np.clip(height, 0, 3 * bend_mm)) / rays[:, 2])[:, None]
+        )
     x, y = (at / pitch_mm + 1.0).T
     width, height = board.columns + 1, board.rows + 1
     paper = (x > -0.6) & (y > -0.6) & (x < width + 0.6) & (y < height + 0.6)
     if board.circle_mm is not None:
-        nearest_x, nearest_y = np.clip(np.rint(x), 1, board.columns), np.clip(np.rint(y), 1, board.rows)
+        nearest_x, nearest_y = (
+            np.clip(np.rint(x), 1, board.columns),
+            np.clip(np.rint(y), 1, board.rows),
+        )
         black = np.hypot(x - nearest_x, y - nearest_y) < board.circle_mm / 2 / board.pitch_mm
     else:
-        black = (x >= 0) & (y >= 0) & (x < width) & (y < height) & ((np.floor(x) + np.floor(y)) % 2 == 0)
+        black = (
+            (x >= 0)
+            & (y >= 0)
+            & (x < width)
+            & (y < height)
+            & ((np.floor(x) + np.floor(y)) % 2 == 0)
+        )
     return np.where(black, 35.0, np.where(paper, 205.0, 120.0))
 
 
-def write_pairs(folder: Path, count: int, *, seed: int = 1, pitch_mm: float = BOARD.pitch_mm, bend_mm: float = 0.0) -> Path:
+def write_pairs(
+    folder: Path,
+    count: int,
+    *,
+    seed: int = 1,
+    pitch_mm: float = BOARD.pitch_mm,
+    bend_mm: float = 0.0,
+) -> Path:
     """``count`` pairs of pictures as left/NN.png and right/NN.png."""
     for number, pose in enumerate(poses(count, seed)):
-        for name, camera, motion in (("left", LEFT, Motion.identity()), ("right", RIGHT, RIGHT_FROM_LEFT)):
-            image = picture(camera, motion @ pose, 100 * seed + number, pitch_mm=pitch_mm, bend_mm=bend_mm)
+        for name, camera, motion in (
+            ("left", LEFT, Motion.identity()),
+            ("right", RIGHT, RIGHT_FROM_LEFT),
+        ):
+            image = picture(
+                camera, motion @ pose, 100 * seed + number, pitch_mm=pitch_mm, bend_mm=bend_mm
+            )
             write_image(folder / name / f"{number:02d}.png", image)
     return folder
 

@@ -1,4 +1,6 @@
-"""A day's pictures and the cameras calibrated from them: drawn once for all files of this folder."""
+"""A day's pictures and the cameras calibrated from them: drawn
+once for all files of this folder.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from tests.bench.calibrate.board_pictures import BOARD_TOML, write_pairs
 
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the board's file, twelve pairs of pictures as day1, and cameras.toml with its page."""
+    """A folder with the board's file, twelve pairs of pictures as day1, and cameras.toml with its
+    page.
+    """
     folder = tmp_path_factory.mktemp("lab")
     (folder / "board.toml").write_text(BOARD_TOML, encoding="utf-8")
     write_pairs(folder / "day1", 12)
@@ -20,7 +24,20 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def calibrate_cameras(lab: Path, out: Path, *more: str, frames: str = "day1", board: str = "board.toml") -> int:
+def calibrate_cameras(
+    lab: Path, out: Path, *more: str, frames: str = "day1", board: str = "board.toml"
+) -> int:
     """The exit code of `calibrate cameras` on a folder of the lab."""
-    given = ["calibrate", "cameras", str(lab / frames), "--board", str(lab / board), "--model", "k1 k2", "--out", str(out), *more]
+    given = [
+        "calibrate",
+        "cameras",
+        str(lab / frames),
+        "--board",
+        str(lab / board),
+        "--model",
+        "k1 k2",
+        "--out",
+        str(out),
+        *more,
+    ]
     return main(given)

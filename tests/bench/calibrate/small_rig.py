@@ -1,4 +1,6 @@
-"""A copy of the emulated rig with optical cameras of half the size in pixels, so that a live calibration takes a few seconds."""
+"""A copy of the emulated rig with optical cameras of half the size in pixels, so that a live
+calibration takes a few seconds.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +20,14 @@ def small_calibration() -> Calibration:
 
 def write_rig(folder: Path, *more: str, operator: str = "emulator:") -> Path:
     """The rig's file with its calibration beside it; ``more`` are lines of TOML at its end."""
-    part = replace(small_calibration().part, homographies=None)  # those of the large cameras: derived anew when read
+    # those of the large cameras: derived anew when read
+    part = replace(small_calibration().part, homographies=None)
     (folder / "calibration.toml").write_text(dump_calibration(part), encoding="utf-8")
-    text = (RIGS / "emulated.toml").read_text(encoding="utf-8").replace('[operator]\nurl = "emulator:"', f'[operator]\nurl = "{operator}"')
+    text = (
+        (RIGS / "emulated.toml")
+        .read_text(encoding="utf-8")
+        .replace('[operator]\nurl = "emulator:"', f'[operator]\nurl = "{operator}"')
+    )
     path = folder / "small.toml"
     path.write_text("\n".join([text, *more]), encoding="utf-8")
     return path
@@ -30,4 +37,9 @@ def _half(camera: Camera) -> Camera:
     columns, rows = camera.image_size
     fx, fy = camera.fc
     u, v = camera.cc
-    return replace(camera, image_size=(columns // 2, rows // 2), fc=(fx / 2, fy / 2), cc=((u + 0.5) / 2 - 0.5, (v + 0.5) / 2 - 0.5))
+    return replace(
+        camera,
+        image_size=(columns // 2, rows // 2),
+        fc=(fx / 2, fy / 2),
+        cc=((u + 0.5) / 2 - 0.5, (v + 0.5) / 2 - 0.5),
+    )

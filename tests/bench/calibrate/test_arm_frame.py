@@ -1,4 +1,6 @@
-"""The table frame: what was put in is found, what can't be one is refused, and its uncertainty is what it shows."""
+"""The table frame: what was put in is found, what can't be one is refused, and its uncertainty is
+what it shows.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,10 @@ place = st.tuples(*[st.floats(-900.0, 900.0)] * 3)
 
 
 def frame_of(arm_mm: np.ndarray, *checks: TouchedPoint) -> TableFrame:
-    points = [TouchedPoint(name, (float(p[0]), float(p[1]), float(p[2]))) for name, p in zip(NAMES, arm_mm, strict=True)]
+    points = [
+        TouchedPoint(name, (float(p[0]), float(p[1]), float(p[2])))
+        for name, p in zip(NAMES, arm_mm, strict=True)
+    ]
     return TableFrame.from_touches(MADE, "40937", [*points, *checks])
 
 
@@ -45,15 +50,23 @@ def test_a_table_turned_by_a_right_angle() -> None:
 @pytest.mark.parametrize(
     ("touched", "sentence"),
     [
-        ([[0, 0, 0], [99, 0, 0], [0, 200, 0]], "the touch on the x axis is 99.0 mm from the origin; 100 mm are needed"),
-        ([[0, 0, 0], [300, 0, 0], [200, 99, 0]], "the third touch is 99.0 mm from the x axis, so the three are nearly in a line"),
+        (
+            [[0, 0, 0], [99, 0, 0], [0, 200, 0]],
+            "the touch on the x axis is 99.0 mm from the origin; 100 mm are needed",
+        ),
+        (
+            [[0, 0, 0], [300, 0, 0], [200, 99, 0]],
+            "the third touch is 99.0 mm from the x axis, so the three are nearly in a line",
+        ),
         ([[0, 0, 0], [300, 0, 0], [600, 0, 0]], "nearly in a line"),
         ([[0, 0, 0], [0, 0, 0], [0, 200, 0]], "0.0 mm from the origin"),
         ([[0, 0, 0], [300, 0, 0], [float("nan"), 0, 0]], "three points in space"),
         ([[0, 0, 0], [300, 0, 0]], "three points in space"),
     ],
 )
-def test_what_gives_no_frame_is_refused_with_a_sentence(touched: list[list[float]], sentence: str) -> None:
+def test_what_gives_no_frame_is_refused_with_a_sentence(
+    touched: list[list[float]], sentence: str
+) -> None:
     with pytest.raises(FrameError, match=sentence.replace("(", r"\(")):
         world_from_arm(touched)
 
@@ -63,7 +76,9 @@ def test_fewer_than_three_touches_and_names_given_twice_are_refused() -> None:
     with pytest.raises(FrameError, match="three touches"):
         TableFrame.from_touches(MADE, "1", [origin])
     with pytest.raises(FrameError, match="same name"):
-        TableFrame.from_touches(MADE, "1", [origin, dataclasses.replace(origin, name="x axis"), origin])
+        TableFrame.from_touches(
+            MADE, "1", [origin, dataclasses.replace(origin, name="x axis"), origin]
+        )
 
 
 def test_residuals_are_distances_from_the_plane_or_from_the_known_place() -> None:
@@ -95,17 +110,25 @@ def test_the_registration_uncertainty_is_the_spread_over_many_frames(target: Tri
     chance = np.random.default_rng(7)
     seen = PLACED.inverse().apply(target)
     exact = PLACED.inverse().apply(WORLD)
-    found = np.array([world_from_arm(exact + chance.normal(0.0, 0.23, (3, 3))).apply(seen) for _ in range(4000)])
+    found = np.array(
+        [world_from_arm(exact + chance.normal(0.0, 0.23, (3, 3))).apply(seen) for _ in range(4000)]
+    )
     spread = float(np.sqrt(np.mean(np.var(found, axis=0))))
     assert frame_of(exact).u_registration_mm(target, 0.23) == pytest.approx(spread, rel=0.05)
 
 
 def test_frames_put_in_are_found_within_the_arms_noise() -> None:
-    """Over seeds and places: at the teats, the frame that was touched is off by no more than its own uncertainty says."""
+    """Over seeds and places: at the teats, the frame that was touched is off by no more than its
+    own uncertainty says.
+    """
     chance = np.random.default_rng(3)
     off, u = [], []
     for seed in range(12):
-        yaw, x, y = chance.uniform(-0.6, 0.9), chance.uniform(60.0, 220.0), chance.uniform(-200.0, -80.0)
+        yaw, x, y = (
+            chance.uniform(-0.6, 0.9),
+            chance.uniform(60.0, 220.0),
+            chance.uniform(-200.0, -80.0),
+        )
         put_in = Motion.from_vectors((0.02, -0.01, yaw), (x, y, 8.0))
         with emulated(seed=seed, placed=put_in) as (arm, trying):
             frame = touch_frame(arm, Follower(trying), [None], MADE)
@@ -127,7 +150,11 @@ def test_points_too_near_are_asked_for_again() -> None:
         slips = iter([True])
 
         def instead(step: Step) -> Step:
-            return dataclasses.replace(step, what="origin") if step.what == "x axis" and next(slips, False) else step
+            return (
+                dataclasses.replace(step, what="origin")
+                if step.what == "x axis" and next(slips, False)
+                else step
+            )
 
         person = Follower(trying, instead)
         frame = touch_frame(arm, person, [], MADE)
@@ -162,7 +189,11 @@ def test_a_frame_that_turned_over_is_asked_about() -> None:
     with emulated() as (arm, trying):
 
         def instead(step: Step) -> Step:
-            return dataclasses.replace(step, what="check", world_mm=(100.0, -110.0, 0.0)) if step.what == "plane" else step
+            return (
+                dataclasses.replace(step, what="check", world_mm=(100.0, -110.0, 0.0))
+                if step.what == "plane"
+                else step
+            )
 
         person = Follower(trying, instead)
         frame = touch_frame(arm, person, [], MADE)

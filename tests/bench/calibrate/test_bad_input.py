@@ -1,4 +1,6 @@
-"""Whatever is wrong with a set of pictures or a table, the answer is one sentence that says what, where and what to do, and no file."""
+"""Whatever is wrong with a set of pictures or a table, the answer is one sentence that says what,
+where and what to do, and no file.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,14 @@ import numpy as np
 import pytest
 
 from bench.calibrate.board_print import board_figure, board_pdf, sheet_mm
-from bench.calibrate.exchange import read_bouguet, read_opencv, read_ros, write_bouguet, write_opencv, write_ros
+from bench.calibrate.exchange import (
+    read_bouguet,
+    read_opencv,
+    read_ros,
+    write_bouguet,
+    write_opencv,
+    write_ros,
+)
 from bench.cli.main import main
 from bench.config import ConfigError
 from bench.rig.board import BOARDS, load_board
@@ -16,7 +25,14 @@ from bench.rig.loading import RIGS
 from detector.calibration import load_calibration
 from detector.calibration.corners import find_board
 from detector.calibration.thesis_rig import thesis_published
-from tests.bench.calibrate.board_pictures import BOARD_TOML, LEFT, picture, poses, write_image, write_pairs
+from tests.bench.calibrate.board_pictures import (
+    BOARD_TOML,
+    LEFT,
+    picture,
+    poses,
+    write_image,
+    write_pairs,
+)
 
 
 @pytest.fixture
@@ -32,14 +48,30 @@ def three_pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def said(lab: Path, frames: Path, capsys: pytest.CaptureFixture[str], *more: str) -> str:
     out = lab / "cameras.toml"
-    assert main(["calibrate", "cameras", str(frames), "--board", str(lab / "board.toml"), "--out", str(out), *more]) == 2
+    assert (
+        main(
+            [
+                "calibrate",
+                "cameras",
+                str(frames),
+                "--board",
+                str(lab / "board.toml"),
+                "--out",
+                str(out),
+                *more,
+            ]
+        )
+        == 2
+    )
     assert not out.exists()
     return capsys.readouterr().err
 
 
 class TestPictures:
     def test_no_folder(self, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        assert "nowhere: no such folder; a set of pictures is a folder with left/NAME.png" in said(lab, lab / "nowhere", capsys)
+        assert "nowhere: no such folder; a set of pictures is a folder with left/NAME.png" in said(
+            lab, lab / "nowhere", capsys
+        )
 
     def test_an_empty_folder(self, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert "no picture found; wanted: left/NAME.png" in said(lab, lab, capsys)
@@ -47,9 +79,13 @@ class TestPictures:
     def test_no_board_in_them(self, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
         for camera in ("left", "right"):
             write_image(lab / "empty" / camera / "00.png", np.full((360, 480), 128, np.uint8))
-        assert "left has 0 usable views of the board, at least 3 are needed" in said(lab, lab / "empty", capsys)
+        assert "left has 0 usable views of the board, at least 3 are needed" in said(
+            lab, lab / "empty", capsys
+        )
 
-    def test_too_few_views(self, lab: Path, three_pairs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_too_few_views(
+        self, lab: Path, three_pairs: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
         assert "2 usable views of the board" in said(lab, three_pairs, capsys, "--max-views", "2")
 
     def test_all_views_from_one_side(self, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -59,7 +95,9 @@ class TestPictures:
                 write_image(lab / "same" / camera / f"{number}.png", one)
         assert "from one side" in said(lab, lab / "same", capsys)
 
-    def test_mixed_sizes(self, lab: Path, three_pairs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_mixed_sizes(
+        self, lab: Path, three_pairs: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
         for path in three_pairs.rglob("*.png"):
             target = lab / "mixed" / path.relative_to(three_pairs)
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -71,17 +109,25 @@ class TestPictures:
         for camera in ("left", "right"):
             (lab / "broken" / camera).mkdir(parents=True)
             (lab / "broken" / camera / "00.png").write_bytes(b"no picture at all")
-        assert "00.png: is not an image that can be read (17 bytes)" in said(lab, lab / "broken", capsys)
+        assert "00.png: is not an image that can be read (17 bytes)" in said(
+            lab, lab / "broken", capsys
+        )
 
-    def test_no_picture_of_one_camera(self, lab: Path, three_pairs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_no_picture_of_one_camera(
+        self, lab: Path, three_pairs: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
         for path in (three_pairs / "left").iterdir():
             target = lab / "half" / "left" / path.name
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(path.read_bytes())
         assert "no picture of the right camera was found" in said(lab, lab / "half", capsys)
 
-    def test_a_board_that_is_none(self, lab: Path, three_pairs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        (lab / "board.toml").write_text('kind = "chessboard"\ncolumns = 7\nrows = 5\n', encoding="utf-8")
+    def test_a_board_that_is_none(
+        self, lab: Path, three_pairs: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        (lab / "board.toml").write_text(
+            'kind = "chessboard"\ncolumns = 7\nrows = 5\n', encoding="utf-8"
+        )
         told = said(lab, three_pairs, capsys)
         assert "board.toml" in told
         assert "pitch_mm" in told
@@ -92,19 +138,56 @@ class TestTables:
         ("text", "wanted"),
         [
             ("a,b\n1,2\n", "are missing; the first line must name left_x"),
-            ("left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n1,2,3,4,5,six,7\n", "y_mm must be a number, is 'six'"),
-            ("left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n1,2,3,4,5,6,7\n", "1 touched points are too few: at least 4"),
+            (
+                "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n1,2,3,4,5,six,7\n",
+                "y_mm must be a number, is 'six'",
+            ),
+            (
+                "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n1,2,3,4,5,6,7\n",
+                "1 touched points are too few: at least 4",
+            ),
         ],
     )
-    def test_touched_points(self, lab: Path, text: str, wanted: str, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_touched_points(
+        self, lab: Path, text: str, wanted: str, capsys: pytest.CaptureFixture[str]
+    ) -> None:
         (lab / "points.csv").write_text(text, encoding="utf-8")
         cameras = str(RIGS / "thesis-calibration.toml")
-        assert main(["calibrate", "world", str(lab / "points.csv"), "--cameras", cameras, "--out", str(lab / "w.toml")]) == 2
+        assert (
+            main(
+                [
+                    "calibrate",
+                    "world",
+                    str(lab / "points.csv"),
+                    "--cameras",
+                    cameras,
+                    "--out",
+                    str(lab / "w.toml"),
+                ]
+            )
+            == 2
+        )
         assert wanted in capsys.readouterr().err
 
-    def test_pairs_need_the_pictures_size(self, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        (lab / "pairs.csv").write_text("thermal_x,thermal_y,left_x,left_y,right_x,right_y\n", encoding="utf-8")
-        assert main(["calibrate", "thermal", "--pairs", str(lab / "pairs.csv"), "--out", str(lab / "t.toml")]) == 2
+    def test_pairs_need_the_pictures_size(
+        self, lab: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        (lab / "pairs.csv").write_text(
+            "thermal_x,thermal_y,left_x,left_y,right_x,right_y\n", encoding="utf-8"
+        )
+        assert (
+            main(
+                [
+                    "calibrate",
+                    "thermal",
+                    "--pairs",
+                    str(lab / "pairs.csv"),
+                    "--out",
+                    str(lab / "t.toml"),
+                ]
+            )
+            == 2
+        )
         assert "--pairs needs --image-size" in capsys.readouterr().err
         assert main(["calibrate", "thermal", "--out", str(lab / "t.toml")]) == 2
         assert "or a table with --pairs" in capsys.readouterr().err
@@ -130,10 +213,27 @@ class TestPrint:
         np.testing.assert_allclose(slopes[:2] / dots_per_mm, np.eye(2), atol=1e-3)
         assert f"/MediaBox [ 0 0 {width * 72 / 25.4:.4f}"[:22].encode() in board_pdf(board)
 
-    def test_a_sheet_that_is_too_small(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        assert main(["calibrate", "board", "chessboard-9x6-40", "--pdf", str(tmp_path / "b.pdf"), "--paper", "A4"]) == 2
+    def test_a_sheet_that_is_too_small(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert (
+            main(
+                [
+                    "calibrate",
+                    "board",
+                    "chessboard-9x6-40",
+                    "--pdf",
+                    str(tmp_path / "b.pdf"),
+                    "--paper",
+                    "A4",
+                ]
+            )
+            == 2
+        )
         assert "more than A4 has; it fits A2" in capsys.readouterr().err
-        assert main(["calibrate", "board", "chessboard-9x6-40", "--pdf", str(tmp_path / "b.pdf")]) == 0
+        assert (
+            main(["calibrate", "board", "chessboard-9x6-40", "--pdf", str(tmp_path / "b.pdf")]) == 0
+        )
         assert (tmp_path / "b.pdf").read_bytes().startswith(b"%PDF")
         nowhere = tmp_path / "typo" / "b.pdf"
         assert main(["calibrate", "board", "chessboard-9x6-40", "--pdf", str(nowhere)]) == 2
@@ -165,17 +265,47 @@ class TestExchange:
             read_opencv(path, (640, 480))
 
     @pytest.mark.parametrize("kind", ["opencv", "bouguet", "ros"])
-    def test_what_is_none_of_them(self, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_what_is_none_of_them(
+        self, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
         (tmp_path / "x.yml").write_text("hello: [1, 2\n", encoding="utf-8")
         out = tmp_path / "cameras.toml"
-        assert main(["calibrate", "import", str(tmp_path / "x.yml"), "--format", kind, "--out", str(out)]) == 2
+        assert (
+            main(
+                [
+                    "calibrate",
+                    "import",
+                    str(tmp_path / "x.yml"),
+                    "--format",
+                    kind,
+                    "--out",
+                    str(out),
+                ]
+            )
+            == 2
+        )
         assert "x.yml" in capsys.readouterr().err
         assert not out.exists()
 
     def test_by_command(self, tmp_path: Path) -> None:
         mat, out = tmp_path / "c.mat", tmp_path / "cameras.toml"
-        assert main(["calibrate", "export", str(RIGS / "thesis-calibration.toml"), "--format", "bouguet", "--out", str(mat)]) == 0
-        assert main(["calibrate", "import", str(mat), "--format", "bouguet", "--out", str(out)]) == 0
+        assert (
+            main(
+                [
+                    "calibrate",
+                    "export",
+                    str(RIGS / "thesis-calibration.toml"),
+                    "--format",
+                    "bouguet",
+                    "--out",
+                    str(mat),
+                ]
+            )
+            == 0
+        )
+        assert (
+            main(["calibrate", "import", str(mat), "--format", "bouguet", "--out", str(out)]) == 0
+        )
         assert 'with_what = "teatbench' in out.read_text(encoding="utf-8")
 
 

@@ -1,4 +1,6 @@
-"""A whole calibration held against points that the arm touches: it holds, or says what has moved."""
+"""A whole calibration held against points that the arm touches:
+it holds, or says what has moved.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from tests.bench.calibrate.board_pictures import LEFT, RIGHT, RIGHT_FROM_LEFT
 from tests.bench.calibrate.touched import TOUCHED, WORLD_FROM_RIGHT, write_touched
 
 NOISE = {"pixel_sd_px": 0.1, "touch_sd_mm": 0.25}
-WHOLE = Part(left=LEFT, right=RIGHT, right_from_left=RIGHT_FROM_LEFT, world_from_right=WORLD_FROM_RIGHT)
+WHOLE = Part(
+    left=LEFT, right=RIGHT, right_from_left=RIGHT_FROM_LEFT, world_from_right=WORLD_FROM_RIGHT
+)
 
 
 def touched(seed: int, count: int = 18) -> TouchedPoints:
@@ -26,7 +30,9 @@ def touched(seed: int, count: int = 18) -> TouchedPoints:
     in_right = WORLD_FROM_RIGHT.inverse().apply(points)
     left, right = LEFT.project(RIGHT_FROM_LEFT.inverse().apply(in_right)), RIGHT.project(in_right)
     return TouchedPoints(
-        left + rng.normal(0, 0.1, left.shape), right + rng.normal(0, 0.1, right.shape), points + rng.normal(0, 0.25, points.shape)
+        left + rng.normal(0, 0.1, left.shape),
+        right + rng.normal(0, 0.1, right.shape),
+        points + rng.normal(0, 0.25, points.shape),
     )
 
 
@@ -46,7 +52,12 @@ def test_the_expected_distance_is_what_comes_on_the_mean() -> None:
 
 @pytest.mark.parametrize(("count", "by_mm"), [(1, 30.0), (18, 6.0)])
 def test_cameras_that_were_pushed(count: int, by_mm: float) -> None:
-    pushed = replace(WHOLE, world_from_right=Motion(WORLD_FROM_RIGHT.R, WORLD_FROM_RIGHT.T + np.array([by_mm, 0.0, 0.0])))
+    pushed = replace(
+        WHOLE,
+        world_from_right=Motion(
+            WORLD_FROM_RIGHT.R, WORLD_FROM_RIGHT.T + np.array([by_mm, 0.0, 0.0])
+        ),
+    )
     (finding,) = check_points(pushed, touched(1, count), **NOISE)[1]
     assert finding.name == "moved cameras"
     x_mm = float(finding.sentence.partition("(")[2].partition(",")[0])
@@ -56,7 +67,9 @@ def test_cameras_that_were_pushed(count: int, by_mm: float) -> None:
 def test_points_mistaken_for_each_other() -> None:
     points = touched(2)
     order = [1, 0, *range(2, 18)]
-    (finding,) = check_points(WHOLE, replace(points, touched_mm=points.touched_mm[order]), **NOISE)[1]
+    (finding,) = check_points(WHOLE, replace(points, touched_mm=points.touched_mm[order]), **NOISE)[
+        1
+    ]
     assert finding.name == "scattered points"
     assert "points scatter by" in finding.sentence
 
@@ -69,11 +82,32 @@ def test_a_calibration_without_a_world_is_refused() -> None:
 def test_by_command_with_its_page(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     points = write_touched(lab / "again.csv")
     cameras = load_part(lab / "cameras.toml")
-    assert main(["calibrate", "world", str(points), "--cameras", str(lab / "cameras.toml"), "--out", str(lab / "wc.toml")]) == 0
+    assert (
+        main(
+            [
+                "calibrate",
+                "world",
+                str(points),
+                "--cameras",
+                str(lab / "cameras.toml"),
+                "--out",
+                str(lab / "wc.toml"),
+            ]
+        )
+        == 0
+    )
     world = load_part(lab / "wc.toml")
     whole = replace(cameras, world_from_right=world.world_from_right, covariance=world.covariance)
     (lab / "whole.toml").write_text(dump_calibration(whole), encoding="utf-8")
-    given = ["calibrate", "check", str(lab / "whole.toml"), "--points", str(points), "--page", str(lab / "points.page")]
+    given = [
+        "calibrate",
+        "check",
+        str(lab / "whole.toml"),
+        "--points",
+        str(points),
+        "--page",
+        str(lab / "points.page"),
+    ]
     assert main(given) == 0
     assert "18 points: missed by" in capsys.readouterr().out
     page = (lab / "points.page" / "index.html").read_text(encoding="utf-8")
@@ -85,7 +119,13 @@ def test_by_command_with_its_page(lab: Path, capsys: pytest.CaptureFixture[str])
         expected.append(float(capsys.readouterr().out.partition("rms, ")[2].split()[0]))
     assert expected[0] + 1.0 < min(expected[1:]), "who touches or sees worse may expect worse"
     lines = points.read_text(encoding="utf-8").splitlines()
-    pushed = [lines[0], *(",".join([*line.split(",")[:-1], str(float(line.split(",")[-1]) + 40.0)]) for line in lines[1:])]
+    pushed = [
+        lines[0],
+        *(
+            ",".join([*line.split(",")[:-1], str(float(line.split(",")[-1]) + 40.0)])
+            for line in lines[1:]
+        ),
+    ]
     points.write_text("\n".join(pushed), encoding="utf-8")
     assert main(given) == 1
     said = capsys.readouterr()

@@ -1,4 +1,6 @@
-"""Each of five faults is put in, and the quality page names it; a sound calibration's page accuses nobody."""
+"""Each of five faults is put in, and the quality page names it; a sound calibration's page accuses
+nobody.
+"""
 
 from __future__ import annotations
 
@@ -22,21 +24,36 @@ def named(page: Path) -> str:
     """What stands in the page's section of faults, as a reader sees it."""
     text = page.read_text(encoding="utf-8")
     start = text.index('id="findings"')
-    return html.unescape(re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text[start : text.index("</section>", start)])))
+    return html.unescape(
+        re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text[start : text.index("</section>", start)]))
+    )
 
 
 def checked(lab: Path, part: Part, name: str) -> tuple[int, str]:
-    """Exit code and faults of `calibrate check`, of a calibration that is held against the day's pictures."""
+    """Exit code and faults of `calibrate check`, of a calibration that is held against the day's
+    pictures.
+    """
     path = lab / f"{name}.toml"
     path.write_text(dump_calibration(part), encoding="utf-8")
     page = lab / f"{name}.page"
-    given = ["calibrate", "check", str(path), str(lab / "day1"), "--board", str(lab / "board.toml"), "--page", str(page)]
+    given = [
+        "calibrate",
+        "check",
+        str(path),
+        str(lab / "day1"),
+        "--board",
+        str(lab / "board.toml"),
+        "--page",
+        str(page),
+    ]
     return main(given), named(page / "index.html")
 
 
 def longer(part: Part) -> Part:
     assert part.right_from_left is not None
-    return replace(part, right_from_left=Motion(part.right_from_left.R, 1.01 * part.right_from_left.T))
+    return replace(
+        part, right_from_left=Motion(part.right_from_left.R, 1.01 * part.right_from_left.T)
+    )
 
 
 def shifted(part: Part, columns_px: float, rows_px: float) -> Part:
@@ -52,12 +69,26 @@ def test_a_sound_one_accuses_nobody(lab: Path) -> None:
 @pytest.mark.parametrize(
     ("fault", "put_in", "said"),
     [
-        ("baseline", longer, r"wrong baseline: the board is measured (0\.9|1\.0)\d % too large at every distance"),
-        ("columns", lambda part: shifted(part, 0.5, 0.0), r"shifted columns: the board is measured .* as by 0\.[3-7]\d px"),
-        ("rows", lambda part: shifted(part, 0.0, 0.5), r"shifted rows: the right camera's rows are 0\.[45]\d px too high"),
+        (
+            "baseline",
+            longer,
+            r"wrong baseline: the board is measured (0\.9|1\.0)\d % too large at every distance",
+        ),
+        (
+            "columns",
+            lambda part: shifted(part, 0.5, 0.0),
+            r"shifted columns: the board is measured .* as by 0\.[3-7]\d px",
+        ),
+        (
+            "rows",
+            lambda part: shifted(part, 0.0, 0.5),
+            r"shifted rows: the right camera's rows are 0\.[45]\d px too high",
+        ),
     ],
 )
-def test_a_calibration_that_went_wrong(lab: Path, fault: str, put_in: Callable[[Part], Part], said: str) -> None:
+def test_a_calibration_that_went_wrong(
+    lab: Path, fault: str, put_in: Callable[[Part], Part], said: str
+) -> None:
     code, faults = checked(lab, put_in(load_part(lab / "cameras.toml")), fault)
     assert code == 1
     assert re.search(said, faults), faults
@@ -77,14 +108,34 @@ def test_swapped_cameras(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_bent_board(lab: Path) -> None:
     write_pairs(lab / "bent", 12, bend_mm=4.0)
     assert calibrate_cameras(lab, lab / "bent.toml", frames="bent") == 1
-    assert re.search(r"bent board: the board's middle stands \d\.\d\d mm before its rim", named(lab / "bent.page" / "index.html"))
+    assert re.search(
+        r"bent board: the board's middle stands \d\.\d\d mm before its rim",
+        named(lab / "bent.page" / "index.html"),
+    )
 
 
 def test_a_wrong_square_size_against_the_arm(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (lab / "wrong.toml").write_text(BOARD_TOML.replace("40.0", "39.0"), encoding="utf-8")
-    assert calibrate_cameras(lab, lab / "short.toml", board="wrong.toml") == 0, "the pictures alone can't tell"
+    assert calibrate_cameras(lab, lab / "short.toml", board="wrong.toml") == 0, (
+        "the pictures alone can't tell"
+    )
     points = write_touched(lab / "points3.csv")
-    assert main(["calibrate", "world", str(points), "--cameras", str(lab / "short.toml"), "--out", str(lab / "sw.toml")]) == 1
+    assert (
+        main(
+            [
+                "calibrate",
+                "world",
+                str(points),
+                "--cameras",
+                str(lab / "short.toml"),
+                "--out",
+                str(lab / "sw.toml"),
+            ]
+        )
+        == 1
+    )
     faults = named(lab / "sw.page" / "index.html")
-    assert re.search(r"wrong square size: lengths come out 2\.\d\d % too short against the arm", faults), faults
+    assert re.search(
+        r"wrong square size: lengths come out 2\.\d\d % too short against the arm", faults
+    ), faults
     assert "wrong square size" in capsys.readouterr().err

@@ -1,4 +1,6 @@
-"""The guide: asks for what is missing, in words and in a picture, and is content when nothing is."""
+"""The guide: asks for what is missing, in words and in a
+picture, and is content when nothing is.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +31,15 @@ NOTHING: NDArray[np.uint8] = np.full((SIZE[1], SIZE[0]), 120, np.uint8)
 
 
 def in_cell(cell: int) -> Motion:
-    """left_from_board: the board's middle in the middle of that cell of twelve, tilted to each side and near and far in turn."""
-    column, row, way, depth_mm = cell % 4, cell // 4, (cell % 4) * np.pi / 2, (520.0, 700.0)[(cell // 4 + cell) % 2]
+    """left_from_board: the board's middle in the middle of that cell of twelve, tilted to each side
+    and near and far in turn.
+    """
+    column, row, way, depth_mm = (
+        cell % 4,
+        cell // 4,
+        (cell % 4) * np.pi / 2,
+        (520.0, 700.0)[(cell // 4 + cell) % 2],
+    )
     R = Motion.from_vectors(TILT_RAD * np.array([np.cos(way), np.sin(way), 0.0]), np.zeros(3)).R
     u, v = (column + 0.5) * SIZE[0] / 4, (row + 0.5) * SIZE[1] / 3
     aim = depth_mm * np.array([(u - LEFT.cc[0]) / LEFT.fc[0], (v - LEFT.cc[1]) / LEFT.fc[1], 1.0])
@@ -38,7 +47,9 @@ def in_cell(cell: int) -> Motion:
 
 
 class Room:
-    """An operator who holds the board in each cell in turn, before one camera; now and then nothing is in the picture."""
+    """An operator who holds the board in each cell in turn, before one camera; now and then nothing
+    is in the picture.
+    """
 
     def __init__(self, *, empty: tuple[int, ...] = (), enough_at: int | None = None) -> None:
         self.asked: list[BoardAsked] = []
@@ -54,7 +65,15 @@ class Room:
         if self.asked[-1].number in self._empty:
             return {"left": NOTHING}
         self._shown += 1
-        return {"left": picture(LEFT, in_cell((self._shown - 1) % 12), self._shown, board=SMALL, pitch_mm=SMALL.pitch_mm)}
+        return {
+            "left": picture(
+                LEFT,
+                in_cell((self._shown - 1) % 12),
+                self._shown,
+                board=SMALL,
+                pitch_mm=SMALL.pitch_mm,
+            )
+        }
 
     def gather(self, folder: Path, wanted: ViewsRequest = LEFT_ALONE) -> int:
         return gather(self.look, self, SMALL, wanted, folder, self.told.append)
@@ -68,25 +87,40 @@ def test_it_asks_for_less_and_less_and_ends_when_nothing_is_missing(tmp_path: Pa
     assert room.told[2].startswith("view 3: left refused: no 7 x 5 chessboard found")
     assert len(find_pictures([tmp_path]).pictures["left"]) == kept
     first, late = room.asked[0].instruction, room.asked[-1].instruction
-    for words in ("where left sees all of it. Missing: left: show the board in the picture's top far left, top left", "; and 3 more."):
+    for words in (
+        (
+            "where left sees all of it. Missing: left: show the board in the picture's top far"
+            " left, top left"
+        ),
+        "; and 3 more.",
+    ):
         assert words in first
-    assert late.endswith("Missing: left: show the board in the picture's bottom far right; left: 1 more view.")
+    assert late.endswith(
+        "Missing: left: show the board in the picture's bottom far right; left: 1 more view."
+    )
 
 
 def test_the_picture_is_green_where_it_is_covered(tmp_path: Path) -> None:
     Room(enough_at=3).gather(tmp_path)
     drawn = np.asarray(cv2.imread(str(tmp_path / GUIDE))).astype(int)
     high, wide = drawn.shape[0] // 3, drawn.shape[1] // 4
-    redder = [drawn[5 + high : 60 + high, 5 + at * wide : wide - 5 + at * wide, 2].mean() for at in range(4)]
+    redder = [
+        drawn[5 + high : 60 + high, 5 + at * wide : wide - 5 + at * wide, 2].mean()
+        for at in range(4)
+    ]
     green = [drawn[70 : high - 5, 5 + at * wide : 30 + at * wide] for at in (0, 1)]
-    assert all((cell[..., 1] > cell[..., 2]).mean() > 0.9 for cell in green), "the two cells where the board was"
+    assert all((cell[..., 1] > cell[..., 2]).mean() > 0.9 for cell in green), (
+        "the two cells where the board was"
+    )
     assert min(redder) > drawn[5 + high : 60 + high, :, 1].mean(), "the row below, where it was not"
 
 
 def test_who_has_had_enough_is_told_what_is_missing(tmp_path: Path) -> None:
     room = Room(enough_at=5)
     assert room.gather(tmp_path) == 4
-    assert room.told[-1].startswith("Enough: his arms are tired. Still missing: left: show the board in the picture's")
+    assert room.told[-1].startswith(
+        "Enough: his arms are tired. Still missing: left: show the board in the picture's"
+    )
 
 
 def test_without_a_camera_to_guide_so_many_views_are_taken(tmp_path: Path) -> None:
@@ -119,7 +153,11 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_both_sides_mean_the_same_board() -> None:
-    for board in (SMALL, Board("charuco", 11, 7, 25.0, 18.0, "4x4_50"), Board("circles", 7, 5, 18.0, circle_mm=9.0)):
+    for board in (
+        SMALL,
+        Board("charuco", 11, 7, 25.0, 18.0, "4x4_50"),
+        Board("circles", 7, 5, 18.0, circle_mm=9.0),
+    ):
         pattern = pattern_of(board)
         apart = pattern.corners_mm - pattern.corners_mm[0] - board.points_mm[:, :2]
         assert np.abs(apart).max() < 1e-9

@@ -1,4 +1,6 @@
-"""Live calibration on an emulated rig, end to end: boards held before its cameras, and touched with its arm, by the emulated operator."""
+"""Live calibration on an emulated rig, end to end: boards held before its cameras, and touched with
+its arm, by the emulated operator.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ BOARD, HEATED = "chessboard-9x6-40", "heated-circles-7x5-18"
 
 @pytest.fixture(scope="module")
 def bench_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a small rig, its cameras calibrated live, and what was said meanwhile as said.txt."""
+    """A folder with a small rig, its cameras calibrated live, and what was said meanwhile as
+    said.txt.
+    """
     folder = tmp_path_factory.mktemp("room")
     write_rig(folder)
     with pytest.MonkeyPatch.context() as patch:
@@ -31,7 +35,17 @@ def bench_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def live(folder: Path, step: str, *more: str, rig: str = "small.toml") -> int:
-    return main(["calibrate", step, "--rig", str(folder / rig), "--out", str(folder / f"{step}.toml"), *more])
+    return main(
+        [
+            "calibrate",
+            step,
+            "--rig",
+            str(folder / rig),
+            "--out",
+            str(folder / f"{step}.toml"),
+            *more,
+        ]
+    )
 
 
 def made(folder: Path, step: str, board: str) -> Part:
@@ -53,7 +67,12 @@ class TestCameras:
         assert part.right_from_left is not None
         assert within(part, "left", "fx", part.left.fc[0] - put_in.left.fc[0])
         for at, name in enumerate(("T1", "T2", "T3")):
-            assert within(part, "stereo", name, float(part.right_from_left.T[at] - put_in.right_from_left.T[at]))
+            assert within(
+                part,
+                "stereo",
+                name,
+                float(part.right_from_left.T[at] - put_in.right_from_left.T[at]),
+            )
 
     def test_the_record_says_which_cameras_these_are(self, bench_room: Path) -> None:
         record = load_part(bench_room / "cameras.toml").record
@@ -61,38 +80,76 @@ class TestCameras:
         assert record.cameras == {"left": "emulated 680 x 512", "right": "emulated 680 x 512"}
         assert "left/01.png" in record.inputs
 
-    def test_the_operator_is_told_of_each_view_and_of_what_is_missing(self, bench_room: Path) -> None:
+    def test_the_operator_is_told_of_each_view_and_of_what_is_missing(
+        self, bench_room: Path
+    ) -> None:
         said = (bench_room / "said.txt").read_text(encoding="utf-8").splitlines()
-        assert re.fullmatch(r"view 1: left (found, 54 points|refused: .+); right (found, 54 points|refused: .+)", said[0])
+        assert re.fullmatch(
+            r"view 1: left (found, 54 points|refused: .+); right (found, 54 points|refused: .+)",
+            said[0],
+        )
         assert any(
-            line.startswith("Enough: the emulated operator has shown the board 24 times. Still missing: left and right") for line in said
+            line.startswith(
+                "Enough: the emulated operator has shown the board 24 times. Still missing: left"
+                " and right"
+            )
+            for line in said
         )
         assert said[-1].startswith("24 views in ")
 
     def test_the_guides_picture_marks_cells_and_corners(self, bench_room: Path) -> None:
         picture = np.asarray(cv2.imread(str(bench_room / "cameras.pictures" / "guide.png")))
         assert picture.shape == (480, 2 * 638, 3)
-        red, green = picture[-40, 20], picture[200, 300]  # a board over the table never comes to the lower edge
+        # a board over the table never comes to the lower edge
+        red, green = picture[-40, 20], picture[200, 300]
         assert red[2] > red[1] + 10
         assert green[1] > green[2] + 10
 
     def test_the_pictures_that_were_kept_give_the_same_again(self, bench_room: Path) -> None:
         out = bench_room / "again.toml"
-        assert main(["calibrate", "cameras", str(bench_room / "cameras.pictures"), "--board", BOARD, "--out", str(out)]) == 0
+        assert (
+            main(
+                [
+                    "calibrate",
+                    "cameras",
+                    str(bench_room / "cameras.pictures"),
+                    "--board",
+                    BOARD,
+                    "--out",
+                    str(out),
+                ]
+            )
+            == 0
+        )
         first, again = load_part(bench_room / "cameras.toml"), load_part(out)
         for one, other in ((first.left, again.left), (first.right, again.right)):
             assert one is not None
             assert other is not None
-            np.testing.assert_allclose((*one.fc, *one.cc), (*other.fc, *other.cc), rtol=1e-6)  # OpenCV's threads add up in any order
+            # OpenCV's threads add up in any order
+            np.testing.assert_allclose((*one.fc, *one.cc), (*other.fc, *other.cc), rtol=1e-6)
 
     def test_pictures_are_never_written_over(self, bench_room: Path) -> None:
-        kept = sorted(path.stat().st_mtime_ns for path in (bench_room / "cameras.pictures" / "left").iterdir())
-        (bench_room / "answers.txt").write_text("otherwise board: go\nboard (view 2): enough\n", encoding="utf-8")
+        kept = sorted(
+            path.stat().st_mtime_ns for path in (bench_room / "cameras.pictures" / "left").iterdir()
+        )
+        (bench_room / "answers.txt").write_text(
+            "otherwise board: go\nboard (view 2): enough\n", encoding="utf-8"
+        )
         text = (bench_room / "small.toml").read_text(encoding="utf-8")
-        (bench_room / "scripted.toml").write_text(text.replace('url = "emulator:"', 'url = "script:answers.txt"', 1), encoding="utf-8")
-        assert live(bench_room, "cameras", "--board", BOARD, "--replace", rig="scripted.toml") == 2, "one view is too few"
+        (bench_room / "scripted.toml").write_text(
+            text.replace('url = "emulator:"', 'url = "script:answers.txt"', 1), encoding="utf-8"
+        )
+        assert (
+            live(bench_room, "cameras", "--board", BOARD, "--replace", rig="scripted.toml") == 2
+        ), "one view is too few"
         assert len(list((bench_room / "cameras.pictures-2" / "left").iterdir())) == 1
-        assert sorted(path.stat().st_mtime_ns for path in (bench_room / "cameras.pictures" / "left").iterdir()) == kept
+        assert (
+            sorted(
+                path.stat().st_mtime_ns
+                for path in (bench_room / "cameras.pictures" / "left").iterdir()
+            )
+            == kept
+        )
 
 
 class TestWorld:
@@ -100,24 +157,47 @@ class TestWorld:
         part, put_in = made(bench_room, "world", BOARD), small_calibration()
         assert part.world_from_right is not None
         places = np.array([[-250.0, 180.0, 60.0], [-120.0, 300.0, 200.0]])
-        apart = part.world_from_right.apply(put_in.world_from_right.inverse().apply(places)) - places
+        apart = (
+            part.world_from_right.apply(put_in.world_from_right.inverse().apply(places)) - places
+        )
         assert np.linalg.norm(apart, axis=1).max() < 1.5, "mm, among the touched places"
         for at, name in enumerate(("T1", "T2", "T3")):
-            assert within(part, "world", name, float(part.world_from_right.T[at] - put_in.world_from_right.T[at]))
+            assert within(
+                part,
+                "world",
+                name,
+                float(part.world_from_right.T[at] - put_in.world_from_right.T[at]),
+            )
         kept = {path.name for path in (bench_room / "world.pictures").iterdir()}
-        assert kept == {"left", "right", "points.csv", *(f"position-{n}-{c}-numbered.png" for n in (1, 2) for c in ("left", "right"))}
+        assert kept == {
+            "left",
+            "right",
+            "points.csv",
+            *(f"position-{n}-{c}-numbered.png" for n in (1, 2) for c in ("left", "right")),
+        }
 
     def test_the_points_are_a_table_that_can_be_used_again(self, bench_room: Path) -> None:
         made(bench_room, "world", BOARD)
-        given = ["calibrate", "world", str(bench_room / "world.pictures" / "points.csv"), "--cameras", str(bench_room / "cameras.toml")]
+        given = [
+            "calibrate",
+            "world",
+            str(bench_room / "world.pictures" / "points.csv"),
+            "--cameras",
+            str(bench_room / "cameras.toml"),
+        ]
         assert main([*given, "--out", str(bench_room / "world-again.toml")]) == 0
-        first, again = (load_part(bench_room / f"{name}.toml").world_from_right for name in ("world", "world-again"))
+        first, again = (
+            load_part(bench_room / f"{name}.toml").world_from_right
+            for name in ("world", "world-again")
+        )
         assert first is not None
         assert again is not None
         np.testing.assert_array_equal(first.T, again.T)
 
 
-def test_it_still_holds_on_another_day(bench_room: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_still_holds_on_another_day(
+    bench_room: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     rig = ["--rig", str(bench_room / "small.toml"), "--seed", "9"]
     given = ["calibrate", "check", str(bench_room / "cameras.toml"), *rig, "--board", BOARD]
     assert main(given) == 0
@@ -129,8 +209,14 @@ def test_it_still_holds_on_another_day(bench_room: Path, capsys: pytest.CaptureF
 def test_all_live_steps_make_one_calibration_that_is_as_good_as_it_says(bench_room: Path) -> None:
     for step, board in (("thermal", HEATED), ("world", BOARD)):
         made(bench_room, step, board)
-    parts, whole = [str(bench_room / f"{step}.toml") for step in ("cameras", "thermal", "world")], bench_room / "calibration-live.toml"
-    assert main(["calibrate", "merge", *parts, "--out", str(whole), "--by", "A. Tester", "--replace"]) == 0
+    parts, whole = (
+        [str(bench_room / f"{step}.toml") for step in ("cameras", "thermal", "world")],
+        bench_room / "calibration-live.toml",
+    )
+    assert (
+        main(["calibrate", "merge", *parts, "--out", str(whole), "--by", "A. Tester", "--replace"])
+        == 0
+    )
     found, put_in = load_calibration(whole), small_calibration()
     places = np.array([[-300.0, 150.0, 60.0], [-190.0, 235.0, 135.0], [-90.0, 330.0, 200.0]])
     left, right = put_in.project(places)
@@ -141,21 +227,42 @@ def test_all_live_steps_make_one_calibration_that_is_as_good_as_it_says(bench_ro
     assert found.record.cameras["thermal"].startswith("emulated")
 
 
-def test_cameras_of_another_rig_are_refused(bench_room: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    given = ["calibrate", "check", str(bench_room / "cameras.toml"), "--rig", "emulated", "--board", BOARD]
+def test_cameras_of_another_rig_are_refused(
+    bench_room: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [
+        "calibrate",
+        "check",
+        str(bench_room / "cameras.toml"),
+        "--rig",
+        "emulated",
+        "--board",
+        BOARD,
+    ]
     assert main(given) == 3
     said = " ".join(capsys.readouterr().err.split())
-    assert "made for the left camera 'emulated 680 x 512', but the one that answers is 'emulated 1360 x 1024'" in said
+    assert (
+        "made for the left camera 'emulated 680 x 512', but the one that answers is 'emulated 1360"
+        " x 1024'" in said
+    )
 
 
 def test_the_thermal_camera_with_a_heated_board(bench_room: Path) -> None:
     part, put_in = made(bench_room, "thermal", HEATED), small_calibration()
     assert part.thermal is not None
-    assert (part.thermal.mirrored, part.thermal.polarity) == (put_in.thermal.mirrored, put_in.thermal.polarity)
+    assert (part.thermal.mirrored, part.thermal.polarity) == (
+        put_in.thermal.mirrored,
+        put_in.thermal.polarity,
+    )
     assert part.thermal_from_left is not None
     assert put_in.thermal_from_left is not None
     for at, name in enumerate(("T1", "T2")):
-        assert within(part, "thermal pose", name, float(part.thermal_from_left.T[at] - put_in.thermal_from_left.T[at]))
+        assert within(
+            part,
+            "thermal pose",
+            name,
+            float(part.thermal_from_left.T[at] - put_in.thermal_from_left.T[at]),
+        )
 
 
 @pytest.mark.parametrize(
@@ -167,7 +274,9 @@ def test_the_thermal_camera_with_a_heated_board(bench_room: Path) -> None:
         (["thermal", "--rig", "emulated"], "--rig with --board and --cameras"),
     ],
 )
-def test_what_is_asked_wrongly(tmp_path: Path, given: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_asked_wrongly(
+    tmp_path: Path, given: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["calibrate", *given, "--out", str(tmp_path / "x.toml")]) == 2
     assert said in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

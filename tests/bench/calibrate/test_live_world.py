@@ -1,4 +1,6 @@
-"""What the world's live step does with touches that go wrong, with boards that aren't seen, and with a ball tip."""
+"""What the world's live step does with touches that go wrong, with boards that aren't seen, and
+with a ball tip.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +30,13 @@ RADIUS_MM = 1.5
 
 
 class Lab:
-    """An arm whose tip is where the operator put it, a board that the cameras see at some looks, and what was asked and told."""
+    """An arm whose tip is where the operator put it, a board that the cameras see at some looks,
+    and what was asked and told.
+    """
 
-    def __init__(self, *, wrong: Mapping[int, int] | None = None, moves_at: int = 0, hidden_looks: int = 0) -> None:
+    def __init__(
+        self, *, wrong: Mapping[int, int] | None = None, moves_at: int = 0, hidden_looks: int = 0
+    ) -> None:
         self.wrong = dict(wrong or {})  # at that touch (from 1) another of the board's points
         self.moves_at, self.hidden_looks = moves_at, hidden_looks
         self.touches, self.looks = 0, 0
@@ -69,7 +75,9 @@ class Lab:
 
     def points(self, folder: Path, board: Board = BOARD) -> Array:
         tip = TipReader(self, Arm(url="emulator:"), None)
-        return gather_points(Asking(self.look, self, tip, RADIUS_MM, self.told.append), board, folder).touched_mm
+        return gather_points(
+            Asking(self.look, self, tip, RADIUS_MM, self.told.append), board, folder
+        ).touched_mm
 
 
 def expected() -> Array:
@@ -82,7 +90,11 @@ def test_nine_points_at_each_of_two_positions_the_ball_allowed_for(tmp_path: Pat
     np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)
     assert [(asked.number, asked.fixed) for asked in lab.boards] == [(1, True), (2, True)]
     assert lab.touches == 18
-    assert (tmp_path / "points.csv").read_text(encoding="utf-8").startswith("left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n")
+    assert (
+        (tmp_path / "points.csv")
+        .read_text(encoding="utf-8")
+        .startswith("left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n")
+    )
 
 
 def test_another_point_is_asked_for_again(tmp_path: Path) -> None:

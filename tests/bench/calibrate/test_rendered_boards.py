@@ -1,8 +1,10 @@
-"""Boards before the emulated cameras, rendered, found and calibrated: what was put in comes back within what is claimed, over 20 seeds.
+"""Boards before the emulated cameras, rendered, found and calibrated: what was put in comes back
+within what is claimed, over 20 seeds.
 
-The emulated rig's own cameras and sensors at half their size in pixels, and once as they are, with 24 poses. Corners miss by noise and by
-what the corner finder makes of a picture; both are new with every pose. A chi-square over all parameters says whether the stated
-covariance is right, no more and no less.
+The emulated rig's own cameras and sensors at half their size in pixels, and once as they are, with
+24 poses. Corners miss by noise and by what the corner finder makes of a picture; both are new with
+every pose. A chi-square over all parameters says whether the stated covariance is right, no more
+and no less.
 """
 
 from __future__ import annotations
@@ -44,12 +46,21 @@ def half_size() -> dict[str, Any]:
     return table
 
 
-def rendered_views(table: Mapping[str, Any], seed: int, count: int = VIEWS) -> dict[str, list[View]]:
-    """Boards in new poses before cameras with fixed patterns and noise of their own, found in the pictures."""
+def rendered_views(
+    table: Mapping[str, Any], seed: int, count: int = VIEWS
+) -> dict[str, list[View]]:
+    """Boards in new poses before cameras with fixed patterns and noise of their own, found in the
+    pictures.
+    """
     renderer = Renderer.from_calibration(table, seed)
     views: dict[str, list[View]] = {"left": [], "right": []}
-    for number, board in enumerate(poses(pattern_of(BOARD), renderer.cameras[:2], DEPTHS_MM, seed, count)):
-        state, rng = SceneState(Phantom(()), (), 20.0, 20.0, boards=(board,)), np.random.default_rng([seed, number])
+    for number, board in enumerate(
+        poses(pattern_of(BOARD), renderer.cameras[:2], DEPTHS_MM, seed, count)
+    ):
+        state, rng = (
+            SceneState(Phantom(()), (), 20.0, 20.0, boards=(board,)),
+            np.random.default_rng([seed, number]),
+        )
         for name, camera in (("left", renderer.left), ("right", renderer.right)):
             try:
                 found = find_board(camera.expose(state, None, rng).astype(np.uint8), BOARD)
@@ -71,9 +82,15 @@ def missed(found: Calibrated, table: Mapping[str, Any]) -> Array:
     for name, lens in (("left", pair.left), ("right", pair.right)):
         camera = table["cameras"][name]
         known = [*camera["fc"], *camera["cc"], *camera["kc"]]
-        off |= {(name, p): got - was for p, got, was in zip(LENS, (*lens.fc, *lens.cc, *lens.kc), known, strict=True)}
+        off |= {
+            (name, p): got - was
+            for p, got, was in zip(LENS, (*lens.fc, *lens.cc, *lens.kc), known, strict=True)
+        }
     motion, known = pair.right_from_left, [*table["stereo"]["om"], *table["stereo"]["T"]]
-    off |= {("right", p): got - was for p, got, was in zip(POSE, (*motion.om, *motion.T), known, strict=True)}
+    off |= {
+        ("right", p): got - was
+        for p, got, was in zip(POSE, (*motion.om, *motion.T), known, strict=True)
+    }
     return np.array([off[name] for name in found.fit.names])
 
 
@@ -86,23 +103,33 @@ def twenty() -> list[tuple[Array, Array]]:
     return [(missed(one, table), one.fit.covariance) for one in found]
 
 
-def test_no_more_parameters_lie_beyond_two_deviations_than_chance_allows(twenty: list[tuple[Array, Array]]) -> None:
-    beyond = np.array([np.abs(miss) / np.sqrt(np.diag(covariance)) > 2.0 for miss, covariance in twenty])
+def test_no_more_parameters_lie_beyond_two_deviations_than_chance_allows(
+    twenty: list[tuple[Array, Array]],
+) -> None:
+    beyond = np.array(
+        [np.abs(miss) / np.sqrt(np.diag(covariance)) > 2.0 for miss, covariance in twenty]
+    )
     assert beyond.shape == (SEEDS, 22)
     assert beyond.mean() <= 0.0455, "of a normal distribution"
 
 
-def test_the_stated_covariance_is_neither_too_small_nor_too_large(twenty: list[tuple[Array, Array]]) -> None:
+def test_the_stated_covariance_is_neither_too_small_nor_too_large(
+    twenty: list[tuple[Array, Array]],
+) -> None:
     distances = [float(miss @ np.linalg.solve(covariance, miss)) for miss, covariance in twenty]
     freedom = 22 * SEEDS
     low, high = chi2.ppf([0.001, 0.999], freedom)
-    assert low < sum(distances) < high, f"{sum(distances) / freedom:.2f} a degree of freedom, 1 is expected"
+    assert low < sum(distances) < high, (
+        f"{sum(distances) / freedom:.2f} a degree of freedom, 1 is expected"
+    )
     assert max(distances) < chi2.ppf(1.0 - 0.001 / SEEDS, 22)
 
 
 def test_no_parameter_is_wrong_on_the_mean(twenty: list[tuple[Array, Array]]) -> None:
     standardised = np.array([miss / np.sqrt(np.diag(covariance)) for miss, covariance in twenty])
-    assert np.abs(standardised.mean(axis=0)).max() * np.sqrt(SEEDS) < 3.5, "of 22 means one beyond 3.5 comes once in a hundred times"
+    assert np.abs(standardised.mean(axis=0)).max() * np.sqrt(SEEDS) < 3.5, (
+        "of 22 means one beyond 3.5 comes once in a hundred times"
+    )
 
 
 def test_24_poses_before_the_cameras_as_they_are_give_them_back() -> None:
@@ -113,5 +140,7 @@ def test_24_poses_before_the_cameras_as_they_are_give_them_back() -> None:
     found = calibrated(views, (width, height))
     miss, covariance = missed(found, table), found.fit.covariance
     within = np.abs(miss) < 2.0 * np.sqrt(np.diag(covariance))
-    assert np.count_nonzero(~within) <= binom.ppf(0.99, 22, 0.0455), "no more beyond two deviations than chance has"
+    assert np.count_nonzero(~within) <= binom.ppf(0.99, 22, 0.0455), (
+        "no more beyond two deviations than chance has"
+    )
     assert float(miss @ np.linalg.solve(covariance, miss)) < chi2.ppf(0.99, 22)

@@ -1,4 +1,6 @@
-"""The steps of a calibration as a user goes through them: pictures in, files and pages out, one calibration at the end."""
+"""The steps of a calibration as a user goes through them: pictures in, files and pages out, one
+calibration at the end.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ def write_pairs_table(path: Path) -> Path:
     rng = np.random.default_rng(5)
     lines = ["thermal_x,thermal_y,left_x,left_y,right_x,right_y"]
     for x, y in rng.uniform((10, 10), (630, 470), (40, 2)):
-        lines.append(f"{x:.2f},{y:.2f},{0.2 * x + 160:.3f},{0.2 * y + 120:.3f},{0.2 * x + 110:.3f},{0.2 * y + 130:.3f}")
+        lines.append(
+            f"{x:.2f},{y:.2f},{0.2 * x + 160:.3f},{0.2 * y + 120:.3f},{0.2 * x + 110:.3f},{0.2 * y + 130:.3f}"
+        )
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
 
@@ -31,7 +35,11 @@ def test_cameras_come_out_as_they_were_put_in(lab: Path) -> None:
     for name, at in (("fx", 0), ("fy", 1)):
         assert abs(part.left.fc[at] - LEFT.fc[at]) < 4 * (part.covariance.sd("left", name) or 0.0)
     off = part.right_from_left.T - RIGHT_FROM_LEFT.T
-    assert np.all(np.abs(off) < 4 * np.array([part.covariance.sd("stereo", name) for name in ("T1", "T2", "T3")], dtype=float))
+    assert np.all(
+        np.abs(off)
+        < 4
+        * np.array([part.covariance.sd("stereo", name) for name in ("T1", "T2", "T3")], dtype=float)
+    )
     assert part.record is not None
     assert len(part.record.inputs) == 25, "24 pictures and the board"
 
@@ -49,7 +57,9 @@ def test_its_page_says_what_it_is_good_for(lab: Path) -> None:
         assert said in page
 
 
-def test_a_second_day_shows_that_it_still_holds_or_not(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_second_day_shows_that_it_still_holds_or_not(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_pairs(lab / "day2", 5, seed=2)
     given = [
         "calibrate",
@@ -74,8 +84,32 @@ def test_a_second_day_shows_that_it_still_holds_or_not(lab: Path, capsys: pytest
 def test_all_steps_make_one_calibration(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cameras = ["--cameras", str(lab / "cameras.toml")]
     points, pairs = write_touched(lab / "points.csv"), write_pairs_table(lab / "pairs.csv")
-    assert main(["calibrate", "world", str(points), *cameras, "--out", str(lab / "world.toml"), "--by", "A. Tester"]) == 0
-    thermal = ["calibrate", "thermal", "--pairs", str(pairs), "--image-size", "640x480", "--mirrored", "--out", str(lab / "thermal.toml")]
+    assert (
+        main(
+            [
+                "calibrate",
+                "world",
+                str(points),
+                *cameras,
+                "--out",
+                str(lab / "world.toml"),
+                "--by",
+                "A. Tester",
+            ]
+        )
+        == 0
+    )
+    thermal = [
+        "calibrate",
+        "thermal",
+        "--pairs",
+        str(pairs),
+        "--image-size",
+        "640x480",
+        "--mirrored",
+        "--out",
+        str(lab / "thermal.toml"),
+    ]
     assert main(thermal) == 0
     whole = lab / "calibration.toml"
     parts = [str(lab / f"{name}.toml") for name in ("cameras", "world", "thermal")]
@@ -90,7 +124,9 @@ def test_all_steps_make_one_calibration(lab: Path, capsys: pytest.CaptureFixture
     assert found.record is not None
     assert found.record.by == "A. Tester"
     assert "world.toml: points.csv" in found.record.inputs
-    assert "Mapped points miss the arm" in (lab / "world.page" / "index.html").read_text(encoding="utf-8")
+    assert "Mapped points miss the arm" in (lab / "world.page" / "index.html").read_text(
+        encoding="utf-8"
+    )
     capsys.readouterr()
 
 
@@ -98,7 +134,16 @@ def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path) -> None:
     points = write_touched(lab / "points3.csv")
     sds: list[float] = []
     for noise in ((), ("--touch-sd", "2.5"), ("--pixel-sd", "2.5")):
-        given = ["calibrate", "world", str(points), "--cameras", str(lab / "cameras.toml"), "--out", str(lab / "w3.toml"), *noise]
+        given = [
+            "calibrate",
+            "world",
+            str(points),
+            "--cameras",
+            str(lab / "cameras.toml"),
+            "--out",
+            str(lab / "w3.toml"),
+            *noise,
+        ]
         assert main([*given, *(("--replace",) if sds else ())]) in (0, 1)
         covariance = load_part(lab / "w3.toml").covariance
         assert covariance is not None
@@ -107,7 +152,9 @@ def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path) -> None:
 
 
 def test_whose_cameras_they_are_is_on_record(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert calibrate_cameras(lab, lab / "named.toml", "--identity", "left=L-17", "--identity", "right=R-18") in (0, 1)
+    assert calibrate_cameras(
+        lab, lab / "named.toml", "--identity", "left=L-17", "--identity", "right=R-18"
+    ) in (0, 1)
     assert load_part(lab / "named.toml").record is not None
     text = (lab / "named.toml").read_text(encoding="utf-8")
     assert "L-17" in text
@@ -116,17 +163,63 @@ def test_whose_cameras_they_are_is_on_record(lab: Path, capsys: pytest.CaptureFi
     assert "say left=SERIAL" in capsys.readouterr().err
 
 
-def test_parts_that_do_not_belong_together_are_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_parts_that_do_not_belong_together_are_refused(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     points = write_touched(lab / "points2.csv")
-    assert main(["calibrate", "world", str(points), "--cameras", str(lab / "cameras.toml"), "--out", str(lab / "w.toml")]) == 0
+    assert (
+        main(
+            [
+                "calibrate",
+                "world",
+                str(points),
+                "--cameras",
+                str(lab / "cameras.toml"),
+                "--out",
+                str(lab / "w.toml"),
+            ]
+        )
+        == 0
+    )
     assert calibrate_cameras(lab, lab / "other.toml", "--max-views", "10") in (0, 1)
     out = ["--out", str(lab / "never.toml")]
     assert main(["calibrate", "merge", str(lab / "other.toml"), str(lab / "w.toml"), *out]) == 2
-    assert "[cameras.thermal] is in none of the files: add the file that 'teatbench calibrate thermal' wrote" in capsys.readouterr().err
+    assert (
+        "[cameras.thermal] is in none of the files: add the file that 'teatbench calibrate thermal'"
+        " wrote" in capsys.readouterr().err
+    )
     pairs = write_pairs_table(lab / "pairs2.csv")
-    assert main(["calibrate", "thermal", "--pairs", str(pairs), "--image-size", "640x480", "--out", str(lab / "t.toml")]) == 0
-    assert main(["calibrate", "merge", str(lab / "other.toml"), str(lab / "w.toml"), str(lab / "t.toml"), *out]) == 2
+    assert (
+        main(
+            [
+                "calibrate",
+                "thermal",
+                "--pairs",
+                str(pairs),
+                "--image-size",
+                "640x480",
+                "--out",
+                str(lab / "t.toml"),
+            ]
+        )
+        == 0
+    )
+    assert (
+        main(
+            [
+                "calibrate",
+                "merge",
+                str(lab / "other.toml"),
+                str(lab / "w.toml"),
+                str(lab / "t.toml"),
+                *out,
+            ]
+        )
+        == 2
+    )
     assert "was made with another cameras' file" in capsys.readouterr().err
-    assert main(["calibrate", "merge", str(lab / "cameras.toml"), str(lab / "other.toml"), *out]) == 2
+    assert (
+        main(["calibrate", "merge", str(lab / "cameras.toml"), str(lab / "other.toml"), *out]) == 2
+    )
     assert "leave one of them out" in capsys.readouterr().err
     assert not (lab / "never.toml").exists()

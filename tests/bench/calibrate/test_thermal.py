@@ -1,4 +1,6 @@
-"""The thermal camera as a third camera: a heated board, mirrored and inverted as such cameras deliver it."""
+"""The thermal camera as a third camera: a heated board, mirrored and inverted as such cameras
+deliver it.
+"""
 
 from __future__ import annotations
 
@@ -27,17 +29,35 @@ from tests.bench.calibrate.board_pictures import (
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("lab")
     (folder / "heated.toml").write_text(HEATED_TOML, encoding="utf-8")
-    pair = Part(left=LEFT, right=RIGHT, right_from_left=RIGHT_FROM_LEFT, record=Record("2026-11-20", "", "test", {}, {}))
+    pair = Part(
+        left=LEFT,
+        right=RIGHT,
+        right_from_left=RIGHT_FROM_LEFT,
+        record=Record("2026-11-20", "", "test", {}, {}),
+    )
     (folder / "cameras.toml").write_text(dump_calibration(pair), encoding="utf-8")
     for number, pose in enumerate(poses(10, 3, HEATED, 0.3)):
-        write_image(folder / "day" / "left" / f"{number:02d}.png", picture(LEFT, pose, number, board=HEATED, pitch_mm=HEATED.pitch_mm))
-        seen = picture(THERMAL, THERMAL_FROM_LEFT @ pose, 50 + number, board=HEATED, pitch_mm=HEATED.pitch_mm)
+        write_image(
+            folder / "day" / "left" / f"{number:02d}.png",
+            picture(LEFT, pose, number, board=HEATED, pitch_mm=HEATED.pitch_mm),
+        )
+        seen = picture(
+            THERMAL, THERMAL_FROM_LEFT @ pose, 50 + number, board=HEATED, pitch_mm=HEATED.pitch_mm
+        )
         write_image(folder / "day" / "thermal" / f"{number:02d}.png", (255 - seen)[:, ::-1].copy())
     return folder
 
 
 def calibrate(lab: Path, out: str, *more: str) -> int:
-    given = ["calibrate", "thermal", str(lab / "day"), "--board", str(lab / "heated.toml"), "--cameras", str(lab / "cameras.toml")]
+    given = [
+        "calibrate",
+        "thermal",
+        str(lab / "day"),
+        "--board",
+        str(lab / "heated.toml"),
+        "--cameras",
+        str(lab / "cameras.toml"),
+    ]
     return main([*given, "--out", str(lab / out), *more])
 
 
@@ -52,7 +72,9 @@ def test_lens_and_pose_come_out_as_they_were_put_in(lab: Path) -> None:
     found, put_in = part.thermal.lens, THERMAL
     for name, off in (("fx", found.fc[0] - put_in.fc[0]), ("fy", found.fc[1] - put_in.fc[1])):
         assert abs(off) < 4 * (part.covariance.sd("thermal", name) or 0.0)
-    place_sd = np.array([part.covariance.sd("thermal pose", name) for name in ("T1", "T2", "T3")], dtype=float)
+    place_sd = np.array(
+        [part.covariance.sd("thermal pose", name) for name in ("T1", "T2", "T3")], dtype=float
+    )
     assert np.all(np.abs(part.thermal_from_left.T - THERMAL_FROM_LEFT.T) < 4 * place_sd)
     page = (lab / "thermal.page" / "index.html").read_text(encoding="utf-8")
     assert "10 views of a heated" in page
@@ -71,7 +93,18 @@ def test_the_derived_homography_maps_a_point_of_its_plane(lab: Path) -> None:
 
 
 def test_without_the_pair_it_is_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (lab / "empty.toml").write_text('[record]\nmade = "2026-11-20"\nby = ""\nwith_what = ""\ncameras = {}\ninputs = {}\n', encoding="utf-8")
-    given = ["calibrate", "thermal", str(lab / "day"), "--board", str(lab / "heated.toml"), "--cameras", str(lab / "empty.toml")]
+    (lab / "empty.toml").write_text(
+        '[record]\nmade = "2026-11-20"\nby = ""\nwith_what = ""\ncameras = {}\ninputs = {}\n',
+        encoding="utf-8",
+    )
+    given = [
+        "calibrate",
+        "thermal",
+        str(lab / "day"),
+        "--board",
+        str(lab / "heated.toml"),
+        "--cameras",
+        str(lab / "empty.toml"),
+    ]
     assert main([*given, "--out", str(lab / "t.toml")]) == 2
     assert "must hold cameras.left, cameras.right and stereo" in capsys.readouterr().err

@@ -10,7 +10,14 @@ from detector.geometry import Motion
 from tests.bench.calibrate.board_pictures import LEFT, RIGHT, RIGHT_FROM_LEFT
 
 WORLD_FROM_RIGHT = Motion.from_vectors([-1.57, 0.02, -0.02], [-160.0, -840.0, 60.0])
-TOUCHED = np.array([[x, y, z] for z in (40.0, 120.0) for x in (-300.0, -190.0, -80.0) for y in (60.0, 160.0, 250.0)])
+TOUCHED = np.array(
+    [
+        [x, y, z]
+        for z in (40.0, 120.0)
+        for x in (-300.0, -190.0, -80.0)
+        for y in (60.0, 160.0, 250.0)
+    ]
+)
 
 
 def write_touched(path: Path, noise_mm: float = 0.1) -> Path:
@@ -18,6 +25,9 @@ def write_touched(path: Path, noise_mm: float = 0.1) -> Path:
     in_right = WORLD_FROM_RIGHT.inverse().apply(TOUCHED)
     left, right = LEFT.project(RIGHT_FROM_LEFT.inverse().apply(in_right)), RIGHT.project(in_right)
     rows = np.column_stack([left, right, TOUCHED + rng.normal(0, noise_mm, TOUCHED.shape)])
-    lines = ["left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm", *(",".join(f"{v:.4f}" for v in row) for row in rows)]
+    lines = [
+        "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm",
+        *(",".join(f"{v:.4f}" for v in row) for row in rows),
+    ]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path

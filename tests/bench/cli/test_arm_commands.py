@@ -1,4 +1,6 @@
-"""`teatbench arm …`: as a person at a terminal uses it, as another program does, and with everything that can be wrong."""
+"""`teatbench arm …`: as a person at a terminal uses it, as another program does, and with
+everything that can be wrong.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ from tests.conftest import ROOT
 HOMING = "Was the stylus on its peg"
 
 
-PATIENT = ["--answer-s", "60"]  # the emulated arm of a test waits for a processor, never for the arm
+# the emulated arm of a test waits for a processor, never for the arm
+PATIENT = ["--answer-s", "60"]
 
 
 @contextmanager
@@ -57,7 +60,9 @@ def wait_for_packets(trying: TryingArm, n: int = 10) -> None:
 
 def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
     out = tmp_path / "arm-frame.toml"
-    with at_terminal(["arm", "frame", "--port", "emulator:", "--out", str(out), "--check", "100,100,0"]) as terminal:
+    with at_terminal(
+        ["arm", "frame", "--port", "emulator:", "--out", str(out), "--check", "100,100,0"]
+    ) as terminal:
         answer(terminal, HOMING)
         answer(terminal, "Touch the table's origin")
         answer(terminal, "Touch a point on the x axis")
@@ -75,10 +80,21 @@ def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
 def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
     out = tmp_path / "arm-verification.toml"
     plan = ["--distances", "1", "--touches", "5", "--length-mm", "250", "--directions", "2"]
-    with at_terminal(["arm", "verify", "--port", "emulator:", "--out", str(out), *plan]) as terminal:
+    with at_terminal(
+        ["arm", "verify", "--port", "emulator:", "--out", str(out), *plan]
+    ) as terminal:
         answer(terminal, HOMING)
         answer(terminal, "Fix the divot at half the arm's reach")
-        for number, lean in enumerate(("upright", "leaning left", "leaning right", "leaning towards you", "leaning away from you"), 1):
+        for number, lean in enumerate(
+            (
+                "upright",
+                "leaning left",
+                "leaning right",
+                "leaning towards you",
+                "leaning away from you",
+            ),
+            1,
+        ):
             answer(terminal, f"touch {number} of 5: tip in the divot, the stylus {lean}")
         for where in ("pointing away from the arm", "across in front of the arm"):
             answer(terminal, f"Fix the calibrated length flat, {where}")
@@ -114,11 +130,25 @@ def test_what_is_not_understood_is_asked_again(tmp_path: Path) -> None:
 
 
 def test_a_pedal_is_as_good_as_enter(tmp_path: Path) -> None:
-    """Both hands are on the arm: nothing is typed but the answer on homing, which asks for Enter alone."""
+    """Both hands are on the arm: nothing is typed but the answer on homing, which asks for Enter
+    alone.
+    """
     out = tmp_path / "frame.toml"
     with (
         arm_in_hand() as trying,
-        at_terminal(["arm", "frame", *PATIENT, "--port", trying.url, "--out", str(out), "--plane-checks", "0"]) as terminal,
+        at_terminal(
+            [
+                "arm",
+                "frame",
+                *PATIENT,
+                "--port",
+                trying.url,
+                "--out",
+                str(out),
+                "--plane-checks",
+                "0",
+            ]
+        ) as terminal,
     ):
         answer(terminal, HOMING)
         for what in ("origin", "x axis", "plane"):
@@ -135,7 +165,10 @@ def test_a_pedal_is_as_good_as_enter(tmp_path: Path) -> None:
 def test_a_bad_arm_is_not_verified(tmp_path: Path) -> None:
     out = tmp_path / "verification.toml"
     command = ["arm", "verify", "--out", str(out), "--homed", "--distances", "1", "--touches", "5"]
-    with arm_in_hand(accuracy_mm=3.0) as trying, at_terminal([*command, *PATIENT, "--port", trying.url]) as terminal:
+    with (
+        arm_in_hand(accuracy_mm=3.0) as trying,
+        at_terminal([*command, *PATIENT, "--port", trying.url]) as terminal,
+    ):
         answer(terminal, "Fix the divot")
         for touch in range(5):
             terminal.expect("tip in the divot")
@@ -152,9 +185,16 @@ def test_a_frame_whose_check_point_is_off_is_not_written(tmp_path: Path, limit: 
     out = tmp_path / "frame.toml"
     with (
         arm_in_hand() as trying,
-        at_terminal(["arm", "frame", *PATIENT, "--port", trying.url, "--out", str(out), "--homed", *limit]) as terminal,
+        at_terminal(
+            ["arm", "frame", *PATIENT, "--port", trying.url, "--out", str(out), "--homed", *limit]
+        ) as terminal,
     ):
-        for step in (Step("origin", 0, ""), Step("x axis", 0, ""), Step("plane", 0, ""), Step("check", 0, "", (120.0, 90.0, 6.0))):
+        for step in (
+            Step("origin", 0, ""),
+            Step("x axis", 0, ""),
+            Step("plane", 0, ""),
+            Step("check", 0, "", (120.0, 90.0, 6.0)),
+        ):
             terminal.expect("Touch" if step.what != "check" else "Check point")
             trying.go(step)
             answer(terminal, ENTER)
@@ -162,7 +202,9 @@ def test_a_frame_whose_check_point_is_off_is_not_written(tmp_path: Path, limit: 
     if limit:
         assert out.exists()
         return
-    assert re.search(r"a check point is [56]\.\d\d mm off, limit 1.5 mm; nothing was written", terminal.text)
+    assert re.search(
+        r"a check point is [56]\.\d\d mm off, limit 1.5 mm; nothing was written", terminal.text
+    )
     assert not out.exists()
 
 
@@ -170,7 +212,9 @@ def test_touches_that_are_all_at_one_place_are_asked_for_again() -> None:
     """Nobody moves the arm: it says why that is no frame, and an abort ends it."""
     with (
         arm_in_hand() as trying,
-        at_terminal(["arm", "frame", *PATIENT, "--port", trying.url, "--out", "none.toml", "--homed"]) as terminal,
+        at_terminal(
+            ["arm", "frame", *PATIENT, "--port", trying.url, "--out", "none.toml", "--homed"]
+        ) as terminal,
     ):
         for _ in range(3):
             answer(terminal, ENTER)
@@ -180,7 +224,12 @@ def test_touches_that_are_all_at_one_place_are_asked_for_again() -> None:
 
 
 def test_watch_shows_tip_pedals_and_rate_live() -> None:
-    with arm_in_hand() as trying, at_terminal(["arm", "watch", *PATIENT, "--port", trying.url, "--homed", "--seconds", "3"]) as terminal:
+    with (
+        arm_in_hand() as trying,
+        at_terminal(
+            ["arm", "watch", *PATIENT, "--port", trying.url, "--homed", "--seconds", "3"]
+        ) as terminal,
+    ):
         terminal.expect("left up, right up")
         trying.emulator.buttons = 1
         terminal.expect("left up, right DOWN")
@@ -189,7 +238,10 @@ def test_watch_shows_tip_pedals_and_rate_live() -> None:
         trying.go(Step("origin", 0, ""))
         x, y, z = PLACED.inverse().apply([0.0, 0.0, 0.0])
         assert terminal.code() == 0, terminal.text
-    tips = [[float(v) for v in found] for found in re.findall(r"tip +(-?[\d.]+) +(-?[\d.]+) +(-?[\d.]+) mm", terminal.text)]
+    tips = [
+        [float(v) for v in found]
+        for found in re.findall(r"tip +(-?[\d.]+) +(-?[\d.]+) +(-?[\d.]+) mm", terminal.text)
+    ]
     assert math.dist(tips[-1], (x, y, z)) < 2.0
     assert math.dist(tips[0], (54.2, -51.8, 212.2)) < 0.1
     rates = [float(v) for v in re.findall(r"([\d.]+) packets/s", terminal.text)]
@@ -208,7 +260,10 @@ def test_ctrl_c_is_how_watching_ends() -> None:
 
 
 def test_home_asks_for_the_peg_first() -> None:
-    with arm_in_hand() as trying, at_terminal(["arm", "home", *PATIENT, "--port", trying.url]) as terminal:
+    with (
+        arm_in_hand() as trying,
+        at_terminal(["arm", "home", *PATIENT, "--port", trying.url]) as terminal,
+    ):
         answer(terminal, "Put the arm's stylus on its peg and let go of it.")
         assert terminal.code() == 0, terminal.text
     assert "Homed. The tip stands at 54.20, -51.84, 212.20 mm" in terminal.text
@@ -218,7 +273,9 @@ def test_home_asks_for_the_peg_first() -> None:
 
 
 def test_read_gives_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
-    """The arm on its peg: some 75 mm from the base axis and 212 mm above the origin (the fact sheet, One real arm)."""
+    """The arm on its peg: some 75 mm from the base axis and 212 mm above the origin (the fact
+    sheet, One real arm).
+    """
     assert main(["arm", "read", "--port", "emulator:", "--homed", "--json"]) == 0
     (text,) = capsys.readouterr().out.strip().split("\n")
     line = json.loads(text)
@@ -229,19 +286,28 @@ def test_read_gives_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
     assert line["serial_number"] == "40937"
 
 
-def test_read_in_the_world_uses_the_frame_of_this_arm_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_read_in_the_world_uses_the_frame_of_this_arm_only(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "frame.toml"
-    with at_terminal(["arm", "frame", "--port", "emulator:", "--out", str(out), "--homed", "--plane-checks", "0"]) as terminal:
+    with at_terminal(
+        ["arm", "frame", "--port", "emulator:", "--out", str(out), "--homed", "--plane-checks", "0"]
+    ) as terminal:
         for _ in range(3):
             answer(terminal, ENTER)
         assert terminal.code() == 0, terminal.text
-    assert main(["arm", "read", "--port", "emulator:", "--homed", "--json", "--frame", str(out)]) == 0
+    assert (
+        main(["arm", "read", "--port", "emulator:", "--homed", "--json", "--frame", str(out)]) == 0
+    )
     line = json.loads(capsys.readouterr().out)
     assert line["world_mm"] == pytest.approx(PLACED.apply(line["tip_mm"]).tolist(), abs=1.5)
     out.write_text(out.read_text(encoding="utf-8").replace('"40937"', '"11111"'), encoding="utf-8")
     assert main(["arm", "read", "--port", "emulator:", "--homed", "--frame", str(out)]) == 2
     said = capsys.readouterr().err
-    assert f"{out}:4: serial_number: this file is of the arm 11111, but the arm that answers is 40937" in said
+    assert (
+        f"{out}:4: serial_number: this file is of the arm 11111, but the arm that answers is 40937"
+        in said
+    )
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
@@ -272,10 +338,16 @@ def test_every_command_of_the_guide_is_one() -> None:
 
 
 def test_the_guides_pieces_of_files_are_right() -> None:
-    rig, script = (tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", GUIDE, re.DOTALL))
+    rig, script = (
+        tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", GUIDE, re.DOTALL)
+    )
     Arm.model_validate({"url": "emulator:", **rig["arm"]})
     (rule,) = script["requirements"]
     told = ArmRequirement.model_validate(rule)
     assert set(rule) | {"source"} == set(ArmRequirement.model_fields)
-    (shipped,) = [r for r in load_script(find_script(None)).script.requirements if isinstance(r, ArmRequirement)]
+    (shipped,) = [
+        r
+        for r in load_script(find_script(None)).script.requirements
+        if isinstance(r, ArmRequirement)
+    ]
     assert told.model_copy(update={"dated_required": False, "source": shipped.source}) == shipped

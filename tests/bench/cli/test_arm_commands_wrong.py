@@ -33,7 +33,9 @@ class Chatter(Silent):
         connection.send(b"error: expected command letter\r\n")
 
 
-@pytest.mark.parametrize(("device", "words"), [(Silent, ("arm", "switched on")), (Chatter, ("arm", "not"))])
+@pytest.mark.parametrize(
+    ("device", "words"), [(Silent, ("arm", "switched on")), (Chatter, ("arm", "not"))]
+)
 def test_who_does_not_answer_as_an_arm_is_told(
     device: Callable[[], Silent], words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -53,7 +55,11 @@ def test_who_does_not_answer_as_an_arm_is_told(
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["read", "--port", "ttyUSB0", "--homed"], 2, '--port ttyUSB0: not a link; allowed: "emulator:"'),
+        (
+            ["read", "--port", "ttyUSB0", "--homed"],
+            2,
+            '--port ttyUSB0: not a link; allowed: "emulator:"',
+        ),
         (["read", "--port", "/dev/no-such-port", "--homed"], 3, "Is the adapter plugged in"),
         (["read", "--port", "socket://127.0.0.1:1", "--homed"], 3, "nothing takes the connection"),
         (["read", "--port", "emulator:"], 2, "nobody is at a terminal to confirm it. Give --homed"),
@@ -62,14 +68,31 @@ def test_who_does_not_answer_as_an_arm_is_told(
         (["verify", "--port", "emulator:", "--out", "new.toml"], 2, "Give --homed"),
         (["home", "--port", "emulator:"], 2, "give --on-peg"),
         (["frame", "--port", "emulator:", "--homed", "--out", "there.toml"], 2, "is there already"),
-        (["verify", "--port", "emulator:", "--homed", "--out", "nowhere/new.toml"], 2, "a folder that is there"),
         (
-            ["verify", "--port", "emulator:", "--homed", "--out", "new.toml", "--script", "bare.toml"],
+            ["verify", "--port", "emulator:", "--homed", "--out", "nowhere/new.toml"],
+            2,
+            "a folder that is there",
+        ),
+        (
+            [
+                "verify",
+                "--port",
+                "emulator:",
+                "--homed",
+                "--out",
+                "new.toml",
+                "--script",
+                "bare.toml",
+            ],
             2,
             "no requirement of the kind arm_verified",
         ),
         (["read", "--port", "emulator:", "--homed", "--frame", "none.toml"], 2, "can't be read"),
-        (["frame", "--port", "emulator:", "--homed", "--out", "new.toml"], 3, "nobody is at the terminal any more; nothing was written"),
+        (
+            ["frame", "--port", "emulator:", "--homed", "--out", "new.toml"],
+            3,
+            "nobody is at the terminal any more; nothing was written",
+        ),
         (
             ["frame", "--port", "emulator:", "--homed", "--out", "new.toml", "--check", "2000,0,0"],
             2,
@@ -78,7 +101,12 @@ def test_who_does_not_answer_as_an_arm_is_told(
     ],
 )
 def test_bad_input_gives_a_sentence(
-    arguments: list[str], code: int, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    code: int,
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     import io
 
@@ -87,7 +115,9 @@ def test_bad_input_gives_a_sentence(
     (tmp_path / "there.toml").write_text("precious", encoding="utf-8")
     script = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
     parts = re.split(r"(?=\[\[)", script)
-    (tmp_path / "bare.toml").write_text("".join(p for p in parts if '"arm_verified"' not in p), encoding="utf-8")
+    (tmp_path / "bare.toml").write_text(
+        "".join(p for p in parts if '"arm_verified"' not in p), encoding="utf-8"
+    )
     assert main(["arm", *arguments]) == code
     said = capsys.readouterr().err
     assert message in said, said
@@ -132,7 +162,20 @@ def test_a_port_that_another_program_has_is_told(capsys: pytest.CaptureFixture[s
 def test_writing_over_has_to_be_asked_for(tmp_path: Path) -> None:
     out = tmp_path / "frame.toml"
     out.write_text("old", encoding="utf-8")
-    with at_terminal(["arm", "frame", "--port", "emulator:", "--out", str(out), "--homed", "--plane-checks", "0", "--replace"]) as terminal:
+    with at_terminal(
+        [
+            "arm",
+            "frame",
+            "--port",
+            "emulator:",
+            "--out",
+            str(out),
+            "--homed",
+            "--plane-checks",
+            "0",
+            "--replace",
+        ]
+    ) as terminal:
         for _ in range(3):
             answer(terminal, ENTER)
         assert terminal.code() == 0, terminal.text

@@ -1,4 +1,6 @@
-"""`bath read|set|watch|standby|acknowledge` on an emulated bath of another thread, with good and bad input."""
+"""`bath read|set|watch|standby|acknowledge` on an emulated bath of another thread, with good and
+bad input.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,17 @@ from dataclasses import dataclass
 import pytest
 from rich.console import Console
 
-from bench.cli.live_view import BathSample, BathView, open_bath, output_strip, plot, profile_of, rate_k_per_s, seconds_to_stable, watch_bath
+from bench.cli.live_view import (
+    BathSample,
+    BathView,
+    open_bath,
+    output_strip,
+    plot,
+    profile_of,
+    rate_k_per_s,
+    seconds_to_stable,
+    watch_bath,
+)
 from bench.cli.main import main
 from bench.safety.stability import StabilityGate
 from instruments.bath.emulator import BathEmulator
@@ -37,7 +49,11 @@ def bath() -> Iterator[Served]:
     emulator = BathEmulator(plant, load_profile("julabo-presto"), clock)
     listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
     try:
-        yield Served(plant, emulator, ["--port", listener.url.replace("socket://", "tcp://"), "--profile", "julabo-presto"])
+        yield Served(
+            plant,
+            emulator,
+            ["--port", listener.url.replace("socket://", "tcp://"), "--profile", "julabo-presto"],
+        )
     finally:
         listener.close()
         clock.close()
@@ -47,7 +63,12 @@ def test_read_says_everything_with_units(bath: Served, capsys: pytest.CaptureFix
     assert main(["bath", "read", *bath.at, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["temp_c"] == pytest.approx(25.0, abs=0.05)
-    assert (told["run"], told["output_percent"], told["alarm"], told["comms_loss"]) == ("standby", 0.0, 0, "hold")
+    assert (told["run"], told["output_percent"], told["alarm"], told["comms_loss"]) == (
+        "standby",
+        0.0,
+        0,
+        "hold",
+    )
     assert main(["bath", "read", *bath.at]) == 0
     lines = dict(line.split(": ", 1) for line in capsys.readouterr().out.strip().split("\n"))
     assert list(lines) == list(told)
@@ -61,14 +82,18 @@ def test_read_leaves_a_hot_bath_as_it_is(bath: Served, capsys: pytest.CaptureFix
     assert bath.plant.running
 
 
-def test_set_changes_the_set_point_and_starts_nothing(bath: Served, capsys: pytest.CaptureFixture[str]) -> None:
+def test_set_changes_the_set_point_and_starts_nothing(
+    bath: Served, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["bath", "set", *bath.at, "33.5"]) == 0
     assert "33.50 degC; the bath is in standby" in capsys.readouterr().out
     assert bath.plant.set_point_c == pytest.approx(33.5)
     assert not bath.plant.running
 
 
-def test_standby_stops_a_bath_with_an_alarm_and_a_broken_sensor(bath: Served, capsys: pytest.CaptureFixture[str]) -> None:
+def test_standby_stops_a_bath_with_an_alarm_and_a_broken_sensor(
+    bath: Served, capsys: pytest.CaptureFixture[str]
+) -> None:
     bath.plant.run(33.0)
     bath.emulator.fault("sensor break")
     assert main(["bath", "standby", *bath.at]) == 0
@@ -76,7 +101,9 @@ def test_standby_stops_a_bath_with_an_alarm_and_a_broken_sensor(bath: Served, ca
     assert "in standby; no temperature" in capsys.readouterr().out
 
 
-def test_watch_prints_a_line_a_second_without_a_terminal(bath: Served, capsys: pytest.CaptureFixture[str]) -> None:
+def test_watch_prints_a_line_a_second_without_a_terminal(
+    bath: Served, capsys: pytest.CaptureFixture[str]
+) -> None:
     bath.plant.run(33.0)
     assert main(["bath", "watch", *bath.at, "--seconds", "2.5"]) == 0
     lines = capsys.readouterr().out.strip().split("\n")
@@ -86,7 +113,9 @@ def test_watch_prints_a_line_a_second_without_a_terminal(bath: Served, capsys: p
 
 
 class Shown(io.StringIO):
-    """A terminal at which somebody presses Ctrl-C when it has been drawn anew after each of three readings."""
+    """A terminal at which somebody presses Ctrl-C when it has been drawn anew after each of three
+    readings.
+    """
 
     pressed = False
 
@@ -102,7 +131,10 @@ def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
     bath.plant.run(33.0)
     shown = Shown()
     console = Console(file=shown, force_terminal=True, width=120, height=40, color_system=None)
-    with open_bath(bath.at[1], profile_of("julabo-presto")) as (driver, clock), pytest.raises(KeyboardInterrupt):
+    with (
+        open_bath(bath.at[1], profile_of("julabo-presto")) as (driver, clock),
+        pytest.raises(KeyboardInterrupt),
+    ):
         watch_bath(driver, clock, console)
     frames = shown.getvalue().split("last ")
     last = frames[-2] + frames[-1]
@@ -124,7 +156,9 @@ def test_a_stable_bath_says_so_and_one_on_its_way_says_when() -> None:
     assert "stable in 1:36 min at the earliest" in lines[10], lines[10]
     assert "settling, stable in 0:" in lines[80]
     assert lines[-1].endswith("stable, stable now")
-    strip = output_strip([BathSample(float(t), 33.0, 100.0 if t < 36 else 3.0) for t in range(72)], width=72)
+    strip = output_strip(
+        [BathSample(float(t), 33.0, 100.0 if t < 36 else 3.0) for t in range(72)], width=72
+    )
     assert (strip.count("█"), strip.count("▁")) == (35, 36), "one column is that of now"
 
 
@@ -149,14 +183,28 @@ def a_reading(t_s: float, temp_c: float, output_percent: float | None) -> BathRe
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["read", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto"], 3, "nothing took the connection"),
-        (["read", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-prest"], 2, 'did you mean "julabo-presto"'),
+        (
+            ["read", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto"],
+            3,
+            "nothing took the connection",
+        ),
+        (
+            ["read", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-prest"],
+            2,
+            'did you mean "julabo-presto"',
+        ),
         (["read", "--port", "tcp://127.0.0.1:1", "--profile", "none.toml"], 2, "can't be read"),
-        (["standby", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto"], 3, "nothing took the connection"),
+        (
+            ["standby", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto"],
+            3,
+            "nothing took the connection",
+        ),
         (["acknowledge", "no-such-rig"], 2, 'no rig "no-such-rig"'),
     ],
 )
-def test_bad_input_gets_a_sentence(arguments: list[str], code: int, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_gets_a_sentence(
+    arguments: list[str], code: int, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["bath", *arguments]) == code
     said = capsys.readouterr().err
     assert message in said
@@ -169,19 +217,40 @@ def test_bad_input_gets_a_sentence(arguments: list[str], code: int, message: str
         (["read", "--profile", "julabo-presto"], "--port"),
         (["read", "--port", "emulator:", "--profile", "julabo-presto"], "teatbench emulate"),
         (["read", "--port", "over there", "--profile", "julabo-presto"], "'over there' is no bath"),
-        (["set", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto", "warm"], "'warm' is not a temperature"),
-        (["set", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto", "nan"], "'nan' is not a temperature"),
-        (["watch", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto", "--seconds", "0"], "'0' is not a number of seconds"),
+        (
+            ["set", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto", "warm"],
+            "'warm' is not a temperature",
+        ),
+        (
+            ["set", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto", "nan"],
+            "'nan' is not a temperature",
+        ),
+        (
+            [
+                "watch",
+                "--port",
+                "tcp://127.0.0.1:1",
+                "--profile",
+                "julabo-presto",
+                "--seconds",
+                "0",
+            ],
+            "'0' is not a number of seconds",
+        ),
     ],
 )
-def test_bad_arguments_get_a_sentence(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_arguments_get_a_sentence(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["bath", *arguments])
     assert caught.value.code == 2
     assert message in capsys.readouterr().err
 
 
-def test_a_set_point_beyond_the_profile_is_refused_and_not_sent(bath: Served, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_set_point_beyond_the_profile_is_refused_and_not_sent(
+    bath: Served, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["bath", "set", *bath.at, "45"]) == 2
     assert "takes 5 to 36 degC" in capsys.readouterr().err
     assert bath.plant.set_point_c == 25.0
@@ -197,13 +266,18 @@ def test_the_plot_has_the_set_point_as_a_line_and_the_bath_as_points() -> None:
     assert {len(line) for line in lines[:10]} == {48}
     (line,) = [text for text in lines if "33.00" in text]
     assert "─" in line
-    columns = [next((i for i, text in enumerate(lines[:10]) if text[8 + x] == "•"), None) for x in range(40)]
+    columns = [
+        next((i for i, text in enumerate(lines[:10]) if text[8 + x] == "•"), None)
+        for x in range(40)
+    ]
     assert None not in columns
     assert columns == sorted(columns, key=lambda row: -(row or 0)), "it rises from left to right"
 
 
 def test_a_steady_bath_does_not_fill_the_plot_with_its_noise() -> None:
-    lines = plot(samples({float(t): 33.0 + 0.004 * (t % 2) for t in range(60)}), 33.0, width=40, height=11)
+    lines = plot(
+        samples({float(t): 33.0 + 0.004 * (t % 2) for t in range(60)}), 33.0, width=40, height=11
+    )
     assert sum("•" in line for line in lines[:11]) <= 2
 
 
@@ -215,10 +289,15 @@ def test_a_steady_bath_does_not_fill_the_plot_with_its_noise() -> None:
         ({float(t): 24.0 for t in range(3)}, None),
         ({float(t): 33.0 + 0.01 * (t % 3) for t in range(101)}, 500.0),
         ({float(t): 33.0 + 0.01 * (t % 3) for t in range(701)}, 0.0),
-        ({float(t): min(33.0, 20.0 + t * 0.02) + 0.01 * (t % 3) for t in range(801)}, 600.0 - (800 - 643)),
+        (
+            {float(t): min(33.0, 20.0 + t * 0.02) + 0.01 * (t % 3) for t in range(801)},
+            600.0 - (800 - 643),
+        ),
     ],
 )
-def test_the_time_to_stable_is_way_and_window(temps: dict[float, float], expected: float | None) -> None:
+def test_the_time_to_stable_is_way_and_window(
+    temps: dict[float, float], expected: float | None
+) -> None:
     gate = StabilityGate(33.0)
     for t_s, temp_c in temps.items():
         gate.add(t_s, temp_c)
@@ -230,7 +309,15 @@ def test_a_bath_that_cannot_be_read_is_told_beside_its_last_reading() -> None:
     view = BathView(StabilityGate(33.0))
     assert view.line() == "no reading yet"
     reading = BathReading(
-        t_s=1.0, temp_c=24.0, raw=(1,), external_c=None, power_percent=None, safety_c=None, alarm=3, warning=0, remote=True
+        t_s=1.0,
+        temp_c=24.0,
+        raw=(1,),
+        external_c=None,
+        power_percent=None,
+        safety_c=None,
+        alarm=3,
+        warning=0,
+        remote=True,
     )
     view.add(reading, 33.0, started=True)
     view.trouble = "NO READING: cable"

@@ -1,4 +1,6 @@
-"""`teatbench camera`: on the emulated rig, on MJPEG streams, and on a GigE Vision camera of another program."""
+"""`teatbench camera`: on the emulated rig, on MJPEG streams, and on a GigE Vision camera of another
+program.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,10 @@ Capture = pytest.CaptureFixture[str]
 @pytest.fixture
 def streams() -> Iterator[list[str]]:
     """Left, right and thermal as streams of this process."""
-    with closing(RealClock()) as clock, closing(StreamServer(EmulatedCameras(GalleryWorld(clock=clock)), clock)) as server:
+    with (
+        closing(RealClock()) as clock,
+        closing(StreamServer(EmulatedCameras(GalleryWorld(clock=clock)), clock)) as server,
+    ):
         yield [f"opencv:{url}" for url in server.urls.values()]
 
 
@@ -52,7 +57,9 @@ def test_show_the_emulated_rig(capsys: Capture) -> None:
 
 
 def test_show_tells_a_fault_and_exits_3(tmp_path: Path, capsys: Capture) -> None:
-    rig = with_emulation(tmp_path, 'faults = [{ instrument = "cameras", name = "saturated", camera = "right" }]')
+    rig = with_emulation(
+        tmp_path, 'faults = [{ instrument = "cameras", name = "saturated", camera = "right" }]'
+    )
     assert main(["camera", "show", str(rig)]) == 3
     captured = capsys.readouterr()
     assert "right: emulated 1360 x 1024" in captured.out
@@ -115,7 +122,9 @@ def test_grab_is_a_recording_that_is_added_to(tmp_path: Path, capsys: Capture) -
 
 
 def test_grab_takes_again_what_has_a_fault(tmp_path: Path, capsys: Capture) -> None:
-    rig = with_emulation(tmp_path, 'faults = [{ instrument = "cameras", name = "half a frame", times = 1 }]')
+    rig = with_emulation(
+        tmp_path, 'faults = [{ instrument = "cameras", name = "half a frame", times = 1 }]'
+    )
     assert main(["camera", "grab", str(rig), "--out", str(tmp_path / "grabbed")]) == 0
     assert "left camera: half a frame: 50 % of its rows" in capsys.readouterr().err
     assert Recording(tmp_path / "grabbed").load("0000").left[-1].any()
@@ -132,12 +141,30 @@ def test_grab_streams_without_a_rig(streams: list[str], tmp_path: Path, capsys: 
 def test_a_gige_vision_camera(tmp_path: Path, capsys: Capture) -> None:
     with gige_camera() as serial:
         assert main(["camera", "list"]) == 0
-        assert f"genicam:Aravis-Fake-{serial}  Aravis Fake {serial} GigEVision at {ADDRESS}" in capsys.readouterr().out
+        assert (
+            f"genicam:Aravis-Fake-{serial}  Aravis Fake {serial} GigEVision at {ADDRESS}"
+            in capsys.readouterr().out
+        )
         assert main(["camera", "show", f"genicam:{ADDRESS}"]) == 0
         assert f"single: Aravis Fake {serial} (512 x 512, Mono8)" in capsys.readouterr().out
-        assert main(["camera", "focus", f"genicam:{ADDRESS}", "--seconds", "0.3", "--every", "0.1"]) == 0
+        assert (
+            main(["camera", "focus", f"genicam:{ADDRESS}", "--seconds", "0.3", "--every", "0.1"])
+            == 0
+        )
         capsys.readouterr()
-        assert main(["camera", "grab", f"genicam:{ADDRESS}", "genicam:Fake_1", "--out", str(tmp_path / "grabbed")]) == 0
+        assert (
+            main(
+                [
+                    "camera",
+                    "grab",
+                    f"genicam:{ADDRESS}",
+                    "genicam:Fake_1",
+                    "--out",
+                    str(tmp_path / "grabbed"),
+                ]
+            )
+            == 0
+        )
     frames = Recording(tmp_path / "grabbed").load("0000")
     assert frames.left.shape == frames.right.shape == (512, 512)
 
@@ -149,10 +176,16 @@ def test_a_gige_vision_camera(tmp_path: Path, capsys: Capture) -> None:
         (["show", "emulated", "lab.example"], 2, "one rig, or one to three cameras by URL"),
         (["show", "opencv:0", "opencv:1", "opencv:2", "opencv:3"], 2, "at most 3 cameras"),
         (["show", "opencv:a.avi", "socket:1"], 2, "not a camera; allowed"),
-        (["show", "opencv:/no/such/file.avi"], 3, "single camera at /no/such/file.avi: can't be opened"),
+        (
+            ["show", "opencv:/no/such/file.avi"],
+            3,
+            "single camera at /no/such/file.avi: can't be opened",
+        ),
     ],
 )
-def test_what_cannot_be_is_said(arguments: list[str], code: int, message: str, capsys: Capture) -> None:
+def test_what_cannot_be_is_said(
+    arguments: list[str], code: int, message: str, capsys: Capture
+) -> None:
     assert main(["camera", *arguments]) == code
     assert message in capsys.readouterr().err
 

@@ -40,7 +40,11 @@ from tests.conftest import ROOT
     ],
 )
 def test_wrong_use_gives_2_and_a_sentence(
-    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 2
@@ -59,7 +63,9 @@ def damaged_recording(folder: Path) -> None:
     for name in ("left", "right", "thermal"):
         (folder / "frames" / "0000" / f"{name}.png").write_bytes(whole)
     at = len(whole) // 2
-    (folder / "frames" / "0000" / "left.png").write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
+    (folder / "frames" / "0000" / "left.png").write_bytes(
+        whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :]
+    )
 
 
 @pytest.mark.parametrize(
@@ -67,21 +73,39 @@ def damaged_recording(folder: Path) -> None:
     [
         (["detect", "recording"], "the checksum of its chunk b'IDAT' from byte "),
         (["camera", "show", "opencv:97"], "camera at 97: can't be opened"),
-        (["camera", "show", "opencv:http://127.0.0.1:9/video"], "camera at http://127.0.0.1:9/video: can't be opened"),
+        (
+            ["camera", "show", "opencv:http://127.0.0.1:9/video"],
+            "camera at http://127.0.0.1:9/video: can't be opened",
+        ),
     ],
     ids=["libpng", "OpenCV", "FFmpeg"],
 )
-def test_what_a_library_would_write_to_the_terminal_is_told_in_our_words(arguments: list[str], message: str, tmp_path: Path) -> None:
+def test_what_a_library_would_write_to_the_terminal_is_told_in_our_words(
+    arguments: list[str], message: str, tmp_path: Path
+) -> None:
     """In a process of its own, for they are told to be quiet before they are loaded."""
     damaged_recording(tmp_path / "recording")
     command = [sys.executable, "-m", "bench.cli", *arguments]
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("OPENCV_")}
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env={**environment, "PYTHONPATH": str(ROOT)}, check=False)
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith("OPENCV_")
+    }
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={**environment, "PYTHONPATH": str(ROOT)},
+        check=False,
+    )
     assert message in done.stdout + done.stderr
-    assert [line for line in done.stderr.splitlines() if not line.startswith(("teatbench: ", "  "))] == []
+    assert [
+        line for line in done.stderr.splitlines() if not line.startswith(("teatbench: ", "  "))
+    ] == []
 
 
-@pytest.mark.parametrize("arguments", [[], ["fly"], ["run", "--seed", "x"], ["run", "--seed", "-1"]])
+@pytest.mark.parametrize(
+    "arguments", [[], ["fly"], ["run", "--seed", "x"], ["run", "--seed", "-1"]]
+)
 def test_wrong_arguments_give_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(arguments)
@@ -89,14 +113,20 @@ def test_wrong_arguments_give_2(arguments: list[str], capsys: pytest.CaptureFixt
     assert "usage" in capsys.readouterr().err
 
 
-def test_runs_that_cannot_be_kept_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_that_cannot_be_kept_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     assert main(["run", "--out", str(tmp_path / "file")]) == 2
     assert "--out" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("gate", ["mean_k = 0.30", "mean_k = 0.10\nleave_k = 0.05", "leave_k = 0.05"])
-def test_a_gate_that_cannot_be_leaves_no_folder(gate: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "gate", ["mean_k = 0.30", "mean_k = 0.10\nleave_k = 0.05", "leave_k = 0.05"]
+)
+def test_a_gate_that_cannot_be_leaves_no_folder(
+    gate: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
     (tmp_path / "script.toml").write_text(text.replace("mean_k = 0.10", gate), encoding="utf-8")
     assert main(["run", str(tmp_path / "script.toml"), "--out", str(tmp_path / "runs")]) == 2
@@ -104,15 +134,21 @@ def test_a_gate_that_cannot_be_leaves_no_folder(gate: str, tmp_path: Path, capsy
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize("arguments", [["run"], ["run", "--rig"], ["score"], ["detect"], ["report"], ["emulate"]])
-def test_a_name_that_is_too_long_is_told_as_that(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "arguments", [["run"], ["run", "--rig"], ["score"], ["detect"], ["report"], ["emulate"]]
+)
+def test_a_name_that_is_too_long_is_told_as_that(
+    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main([*arguments, str(tmp_path / ("long" * 80))]) == 2
     said = capsys.readouterr().err
     assert "disk full" not in said
     assert "Traceback" not in said
 
 
-def test_a_recording_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_is_not_written_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "rec").mkdir()
     (tmp_path / "rec" / "mine.txt").write_text("precious", encoding="utf-8")
     assert main(["run", "--out", str(tmp_path / "runs"), "--record", str(tmp_path / "rec")]) == 2
@@ -123,11 +159,22 @@ def test_a_recording_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureF
 def test_check_prints_every_instrument(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check"]) == 0
     said = capsys.readouterr().out
-    for words in ("arm: ok", "serial_number: 40937", "bath: ok", "temperature: 20.0", "stage: ok", "Grbl", "cameras: ok", "1360 x 1024"):
+    for words in (
+        "arm: ok",
+        "serial_number: 40937",
+        "bath: ok",
+        "temperature: 20.0",
+        "stage: ok",
+        "Grbl",
+        "cameras: ok",
+        "1360 x 1024",
+    ):
         assert words in said, words
 
 
-def test_check_names_every_instrument_that_does_not_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_names_every_instrument_that_does_not_answer(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = (ROOT / "bench" / "rigs" / "lab.example.toml").read_text(encoding="utf-8")
     for real, dead in {
         '"/dev/ttyUSB0"            #': '"/dev/no-such-port" #',
@@ -147,7 +194,9 @@ def test_check_names_every_instrument_that_does_not_answer(tmp_path: Path, capsy
     assert "Traceback" not in said
 
 
-def test_detect_prints_the_lines_of_the_format(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_detect_prints_the_lines_of_the_format(
+    shared_data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["detect", str(shared_data / "path_traced"), "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.strip().split("\n")]
     assert len(lines) == 33
@@ -158,13 +207,18 @@ def test_detect_prints_the_lines_of_the_format(shared_data: Path, capsys: pytest
     assert any(line["teats"] for line in lines)
 
 
-def test_score_runs_over_frames_that_another_program_rendered(shared_data: Path, tmp_path: Path) -> None:
+def test_score_runs_over_frames_that_another_program_rendered(
+    shared_data: Path, tmp_path: Path
+) -> None:
     assert main(["score", str(shared_data / "path_traced"), "--out", str(tmp_path)]) in (0, 1, 4)
     (folder,) = tmp_path.iterdir()
     table = json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))
     assert len(table["trials"]) == 33
     visible = sum(row["visible"] for trial in table["trials"] for row in trial["truth"])
-    scored = sum(len(t["scores"]["thesis"]["pairs"]) + len(t["scores"]["thesis"]["missed"]) for t in table["trials"])
+    scored = sum(
+        len(t["scores"]["thesis"]["pairs"]) + len(t["scores"]["thesis"]["missed"])
+        for t in table["trials"]
+    )
     assert scored == visible == 129
     assert "RECORDED FRAMES" in (folder / "report" / "index.html").read_text(encoding="utf-8")
 
@@ -227,4 +281,6 @@ def test_a_mistake_of_the_bench_is_no_requirement_that_is_not_met(
     assert main(["check"]) == 3
     said = capsys.readouterr().err
     assert "ZeroDivisionError: a mistake" in said
-    assert said.endswith("teatbench: a mistake of the bench, not yours: please report what stands above\n")
+    assert said.endswith(
+        "teatbench: a mistake of the bench, not yours: please report what stands above\n"
+    )

@@ -1,4 +1,6 @@
-"""`teatbench compare` end to end: frames recorded from the scene, scored by a detector and by the same with a fault, then the gate."""
+"""`teatbench compare` end to end: frames recorded from the scene, scored by a detector and by the
+same with a fault, then the gate.
+"""
 
 from __future__ import annotations
 
@@ -50,8 +52,12 @@ class Faulted:
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
         motion = np.array([[1.0, 0.0, self._fault_px], [0.0, 1.0, 0.0]])
         size = frames.left.shape[::-1]
-        left = cv2.warpAffine(frames.left, motion, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        return self._inner.detect(Shifted(left, frames.right, frames.thermal, frames.thermal_k), calibration)
+        left = cv2.warpAffine(
+            frames.left, motion, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        )
+        return self._inner.detect(
+            Shifted(left, frames.right, frames.thermal, frames.thermal_k), calibration
+        )
 
 
 @pytest.fixture(scope="module")
@@ -68,14 +74,27 @@ def baseline(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def score(recording: Path, out: Path, *detectors: str) -> Path:
     """Score the recording; the run's folder."""
-    main(["score", str(recording), "--out", str(out), *(word for name in detectors for word in ("--detector", name))])
+    main(
+        [
+            "score",
+            str(recording),
+            "--out",
+            str(out),
+            *(word for name in detectors for word in ("--detector", name)),
+        ]
+    )
     (folder,) = out.iterdir()
     return folder
 
 
 @pytest.mark.parametrize("fault_px", [0.2, -0.2])
 def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
-    recording: Path, baseline: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], fault_px: float
+    recording: Path,
+    baseline: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    fault_px: float,
 ) -> None:
     create = registry.create
     monkeypatch.setattr(registry, "create", lambda name: Faulted(create(name), fault_px))
@@ -87,8 +106,10 @@ def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
     assert f"{SCENES} scenes, each in the very same frames." in told
     assert "the mean distance to the teat end grew by 1." in told
     assert main(["compare", str(baseline), str(new)]) == 0  # without --gate it only tells
-    assert main(["compare", str(new), str(baseline), "--gate"]) == 4  # nothing got worse, but three poses can't show that
-    assert main(["compare", str(baseline), str(new), "--gate", "--margin-mm", "5"]) != 1  # who allows so much is told nothing red
+    # nothing got worse, but three poses can't show that
+    assert main(["compare", str(new), str(baseline), "--gate"]) == 4
+    # who allows so much is told nothing red
+    assert main(["compare", str(baseline), str(new), "--gate", "--margin-mm", "5"]) != 1
 
 
 def test_of_too_few_poses_the_gate_says_how_many_it_takes(
@@ -98,14 +119,22 @@ def test_of_too_few_poses_the_gate_says_how_many_it_takes(
     capsys.readouterr()
     assert main(["compare", str(baseline), str(again), "--gate"]) == 4
     told = " ".join(capsys.readouterr().out.split())
-    assert "in 3 poses; poses that were not run may hide that it grew by 3.538 mm (margin 0.25 mm): 72 poses with such changes" in told
+    assert (
+        "in 3 poses; poses that were not run may hide that it grew by 3.538 mm (margin 0.25 mm): 72"
+        " poses with such changes" in told
+    )
     assert main(["compare", str(baseline), str(again), "--gate", "--margin-mm", "4"]) == 0
     told = " ".join(capsys.readouterr().out.split())
-    assert "The new one is not worse: no scene lost, no false or missed teat more over all poses the mean distance grew by at most" in told
+    assert (
+        "The new one is not worse: no scene lost, no false or missed teat more over all poses the"
+        " mean distance grew by at most" in told
+    )
     assert "at most 70.8 % of poses are lost anew (3 poses, 97.5 % confidence each)" in told
 
 
-def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_detectors_of_one_run_and_the_page(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = score(recording, tmp_path / "runs", "fused", "thesis")
     capsys.readouterr()
     assert main(["compare", str(run), "--gate", "--json", "--out", str(tmp_path / "page")]) == 1
@@ -147,57 +176,94 @@ def changed(run: Path, to: Path, *statements: str, other_frames: bool = False) -
     return written_anew(to)
 
 
-def test_a_namesake_at_another_place_is_not_the_same_scene(baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    near = changed(baseline, tmp_path / "near", "UPDATE truth SET x_mm = x_mm + 5", other_frames=True)
+def test_a_namesake_at_another_place_is_not_the_same_scene(
+    baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    near = changed(
+        baseline, tmp_path / "near", "UPDATE truth SET x_mm = x_mm + 5", other_frames=True
+    )
     assert len(compare_folders([baseline, near])[0].pairs) == SCENES
-    far = changed(baseline, tmp_path / "far", "UPDATE truth SET x_mm = x_mm + 25 WHERE trial LIKE '001-%'", other_frames=True)
+    far = changed(
+        baseline,
+        tmp_path / "far",
+        "UPDATE truth SET x_mm = x_mm + 25 WHERE trial LIKE '001-%'",
+        other_frames=True,
+    )
     (found,) = compare_folders([baseline, far])
     assert (len(found.pairs), found.only_old, found.elsewhere) == (SCENES - 1, 1, 1)
     assert main(["compare", str(baseline), str(far), "--gate"]) == 4
     assert "1 trials of the old run have a namesake" in " ".join(capsys.readouterr().out.split())
-    nowhere = changed(baseline, tmp_path / "nowhere", "UPDATE truth SET x_mm = x_mm + 25", other_frames=True)
+    nowhere = changed(
+        baseline, tmp_path / "nowhere", "UPDATE truth SET x_mm = x_mm + 25", other_frames=True
+    )
     assert main(["compare", str(baseline), str(nowhere)]) == 2
-    assert f"{SCENES} have the same name, but their teats stood at other places" in capsys.readouterr().err
+    assert (
+        f"{SCENES} have the same name, but their teats stood at other places"
+        in capsys.readouterr().err
+    )
 
 
 def test_what_was_held_against_other_limits_is_not_compared(baseline: Path, tmp_path: Path) -> None:
-    wider = changed(baseline, tmp_path / "wider", "UPDATE scores SET score = replace(score, '\"limit_mm\": 5.0', '\"limit_mm\": 9.0')")
+    wider = changed(
+        baseline,
+        tmp_path / "wider",
+        "UPDATE scores SET score = replace(score, '\"limit_mm\": 5.0', '\"limit_mm\": 9.0')",
+    )
     with pytest.raises(ConfigError, match=r"different limits \(5 and 9 mm\).*by the same rules"):
         compare_folders([baseline, wider])
     slower = changed(baseline, tmp_path / "slower")
     rules = (slower / "rules.toml").read_text(encoding="utf-8")
-    (slower / "rules.toml").write_text(rules.replace("time_limit_s = 2.0", "time_limit_s = 4.0"), encoding="utf-8")
+    (slower / "rules.toml").write_text(
+        rules.replace("time_limit_s = 2.0", "time_limit_s = 4.0"), encoding="utf-8"
+    )
     with pytest.raises(ConfigError, match=r"different limits \(2 and 4 s\)"):
         compare_folders([baseline, slower])
 
 
 def test_what_else_differs_is_told(baseline: Path, tmp_path: Path) -> None:
-    other = changed(baseline, tmp_path / "other", "UPDATE facts SET value = '\"emulated\"' WHERE key = 'kind'")
+    other = changed(
+        baseline, tmp_path / "other", "UPDATE facts SET value = '\"emulated\"' WHERE key = 'kind'"
+    )
     (found,) = compare_folders([baseline, other])
     assert "The runs also differ in kind: recorded (old), emulated (new)." in list(notes(found))
-    assert not [note for note in notes(compare_folders([baseline, baseline])[0]) if "also differ" in note]
+    assert not [
+        note for note in notes(compare_folders([baseline, baseline])[0]) if "also differ" in note
+    ]
 
 
-def test_a_run_without_results(baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_without_results(
+    baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     empty = changed(baseline, tmp_path / "empty", "DELETE FROM scores")
     assert main(["compare", str(baseline), str(empty), "--gate"]) == 2
     assert "no scored trial in common" in capsys.readouterr().err
 
 
-def test_one_recording_scored_twice_is_the_same_poses_and_not_twice_as_many(baseline: Path, tmp_path: Path) -> None:
+def test_one_recording_scored_twice_is_the_same_poses_and_not_twice_as_many(
+    baseline: Path, tmp_path: Path
+) -> None:
     again = changed(baseline, tmp_path / "again")
     together = scored_together([read_run(baseline), read_run(again)], "fused")
     assert (together.success.trials, len(together.scores)) == (SCENES, 2 * SCENES)
 
 
-def test_runs_are_judged_together_by_their_counts(baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_are_judged_together_by_their_counts(
+    baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     again = changed(baseline, tmp_path / "again")
-    other = changed(baseline, tmp_path / "other", "UPDATE facts SET value = '\"another recording\"' WHERE key = 'about'")
+    other = changed(
+        baseline,
+        tmp_path / "other",
+        "UPDATE facts SET value = '\"another recording\"' WHERE key = 'about'",
+    )
     for second, poses in ((again, SCENES), (other, 2 * SCENES)):
         assert main(["compare", str(baseline), str(second), "--together", "--json"]) == 0
         (told,) = json.loads(capsys.readouterr().out)
-        assert {decision["n"] for decision in told["decisions"] if decision["unit"] in ("mm", "%", "")} == {poses}
-    assert main(["compare", str(baseline), str(other), "--together", "--gate"]) == 4  # six poses show little
+        assert {
+            decision["n"] for decision in told["decisions"] if decision["unit"] in ("mm", "%", "")
+        } == {poses}
+    # six poses show little
+    assert main(["compare", str(baseline), str(other), "--together", "--gate"]) == 4
     said = capsys.readouterr().out
     assert "fused, all runs together: inconclusive" in said
     assert f"0 in {2 * SCENES} scenes" in said
@@ -205,7 +271,11 @@ def test_runs_are_judged_together_by_their_counts(baseline: Path, tmp_path: Path
 
 
 def test_what_cannot_be_judged_together(baseline: Path, tmp_path: Path) -> None:
-    wider = changed(baseline, tmp_path / "wider", "UPDATE scores SET score = replace(score, '\"limit_mm\": 5.0', '\"limit_mm\": 9.0')")
+    wider = changed(
+        baseline,
+        tmp_path / "wider",
+        "UPDATE scores SET score = replace(score, '\"limit_mm\": 5.0', '\"limit_mm\": 9.0')",
+    )
     with pytest.raises(ConfigError, match="different limits"):
         judge_folders([baseline, wider])
     with pytest.raises(ConfigError, match="no detector of those named is in all runs"):
@@ -219,7 +289,9 @@ def test_what_cannot_be_judged_together(baseline: Path, tmp_path: Path) -> None:
         (["--detector", "fusedd"], 'did you mean "fused"'),
     ],
 )
-def test_what_cannot_be_compared(baseline: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_compared(
+    baseline: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["compare", str(baseline), *arguments]) == 2
     assert says in capsys.readouterr().err
 

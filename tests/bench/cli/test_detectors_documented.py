@@ -1,4 +1,6 @@
-"""docs/detectors.md does what it says: its example runs as it stands, and its file holds the defaults."""
+"""docs/detectors.md does what it says: its example runs as it stands, and its file holds the
+defaults.
+"""
 
 from __future__ import annotations
 
@@ -28,12 +30,19 @@ def block(language: str) -> str:
     return found[1]
 
 
-def test_the_example_is_a_detector_in_20_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_example_is_a_detector_in_20_lines(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     recording, program = write_recording(tmp_path / "five"), block("python")
     assert len(program.strip().splitlines()) <= 20
     (tmp_path / "my_detector.py").write_text(program, encoding="utf-8")
-    (tmp_path / "example.toml").write_text(block("toml").replace('"python3"', json.dumps(sys.executable)), encoding="utf-8")
-    assert main(["detect", str(recording), "--json", "--detector", str(tmp_path / "example.toml")]) == 0
+    (tmp_path / "example.toml").write_text(
+        block("toml").replace('"python3"', json.dumps(sys.executable)), encoding="utf-8"
+    )
+    assert (
+        main(["detect", str(recording), "--json", "--detector", str(tmp_path / "example.toml")])
+        == 0
+    )
     lines = [json.loads(line) for line in capsys.readouterr().out.strip().splitlines()]
     assert len(lines) == 5
     for line in lines:
@@ -56,5 +65,7 @@ def test_every_variant_of_the_thesis_is_told() -> None:
 
 def test_the_published_failures_are_told() -> None:
     told = re.findall(r"^\| `(\w+)` \| (\d) \|", PAGE, re.MULTILINE)
-    assert [(name, int(found)) for name, found in told] == [(one.name, one.found) for one in thesis().situations]
+    assert [(name, int(found)) for name, found in told] == [
+        (one.name, one.found) for one in thesis().situations
+    ]
     assert {one.present for one in thesis().situations} == {4}

@@ -1,4 +1,6 @@
-"""`run --dry-run`: what it says and exits with, on emulated and real rigs, and that it leaves nothing behind."""
+"""`run --dry-run`: what it says and exits with, on emulated and real rigs, and that it leaves
+nothing behind.
+"""
 
 from __future__ import annotations
 
@@ -17,24 +19,43 @@ from bench.script.model import find_script
 from instruments.clock import RealClock
 
 
-def test_the_command_says_what_and_exits_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    text = (find_script("repeatability")).read_text(encoding="utf-8").replace("x_mm = 104.0, y_mm = 96.0", "x_mm = 160.0, y_mm = 96.0")
+def test_the_command_says_what_and_exits_with_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (
+        (find_script("repeatability"))
+        .read_text(encoding="utf-8")
+        .replace("x_mm = 104.0, y_mm = 96.0", "x_mm = 160.0, y_mm = 96.0")
+    )
     text = text.replace("cycles = 30", "cycles = 2")
     path = tmp_path / "wide.toml"
     path.write_text(text, encoding="utf-8")
     assert main(["run", str(path), "--dry-run", "--out", str(tmp_path / "runs")]) == 2
     said = capsys.readouterr().out
-    assert "p-2: limits: x +160 mm, y +96 mm needs the stage's X axis at 10, which goes from -300 to 0" in said
+    assert (
+        "p-2: limits: x +160 mm, y +96 mm needs the stage's X axis at 10, which goes from -300 to 0"
+        in said
+    )
     assert "10 trials at 5 poses: 1 problem. Nothing was moved." in said
-    assert "gone through on emulators, in virtual time: 8 of 10 trials; frames of 4 were rendered" in said
-    assert "not gone through: 2 trials" in said, "what would end the run at once doesn't keep the others from being looked at"
+    assert (
+        "gone through on emulators, in virtual time: 8 of 10 trials; frames of 4 were rendered"
+        in said
+    )
+    assert "not gone through: 2 trials" in said, (
+        "what would end the run at once doesn't keep the others from being looked at"
+    )
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_clean_script_exits_with_0(short_script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_clean_script_exits_with_0(
+    short_script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["run", str(short_script), "--dry-run", "--out", str(tmp_path / "runs")]) == 0
     gone_through, first, time, room = capsys.readouterr().out.splitlines()
-    assert gone_through.startswith("gone through on emulators, in virtual time: 6 of 6 trials; frames of 6 were rendered and checked")
+    assert gone_through.startswith(
+        "gone through on emulators, in virtual time: 6 of 6 trials; frames of 6 were rendered and"
+        " checked"
+    )
     assert first == "6 trials at 6 poses: nothing wrong. Nothing was moved."
     assert time.startswith("about 12 min of the bench's time: preparing 12 s, settling 12 min, ")
     assert room.endswith(" MB and the report, 89 prompts")
@@ -51,53 +72,136 @@ def trials():
 """
 
 
-def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "one.py").write_text(PYTHON, encoding="utf-8")
     rig = lab(tmp_path, "/dev/tty-there-is-none")
-    assert main(["run", str(tmp_path / "one.py"), "--dry-run", "--rig", str(rig), "--out", str(tmp_path / "runs")]) == 0
+    assert (
+        main(
+            [
+                "run",
+                str(tmp_path / "one.py"),
+                "--dry-run",
+                "--rig",
+                str(rig),
+                "--out",
+                str(tmp_path / "runs"),
+            ]
+        )
+        == 0
+    )
     said = capsys.readouterr().out
     assert "not checked: the stage's travel: its controller doesn't answer" in said
     assert "1 trials at 1 poses: nothing wrong." in said
     assert "; the operator's by assumed times, see 'teatbench trials show'" in said
 
 
-def test_what_a_run_is_refused_for_is_told_by_its_dry_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_run_is_refused_for_is_told_by_its_dry_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "one.py").write_text(PYTHON, encoding="utf-8")
     rig = lab(tmp_path, "/dev/tty-there-is-none")
-    (tmp_path / "lab.tripped.json").write_text('{"rule": "bath too hot", "why": "38 degC"}', encoding="utf-8")
-    assert main(["run", str(tmp_path / "one.py"), "--dry-run", "--rig", str(rig), "--out", str(tmp_path / "runs")]) == 2
-    assert "the rig: latched: interlock bath too hot at an unknown time: 38 degC" in capsys.readouterr().out
+    (tmp_path / "lab.tripped.json").write_text(
+        '{"rule": "bath too hot", "why": "38 degC"}', encoding="utf-8"
+    )
+    assert (
+        main(
+            [
+                "run",
+                str(tmp_path / "one.py"),
+                "--dry-run",
+                "--rig",
+                str(rig),
+                "--out",
+                str(tmp_path / "runs"),
+            ]
+        )
+        == 2
+    )
+    assert (
+        "the rig: latched: interlock bath too hot at an unknown time: 38 degC"
+        in capsys.readouterr().out
+    )
     text = rig.read_text(encoding="utf-8")
-    rig.write_text(text[: text.index("[stage]")] + text[text.index("[cameras]") :], encoding="utf-8")
-    assert main(["run", "plane-map", "--dry-run", "--rig", str(rig), "--out", str(tmp_path / "runs")]) == 2
+    rig.write_text(
+        text[: text.index("[stage]")] + text[text.index("[cameras]") :], encoding="utf-8"
+    )
+    assert (
+        main(["run", "plane-map", "--dry-run", "--rig", str(rig), "--out", str(tmp_path / "runs")])
+        == 2
+    )
     assert "needs a stage" in capsys.readouterr().err
 
 
-def test_a_stage_is_not_asked_while_a_run_has_its_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_stage_is_not_asked_while_a_run_has_its_rig(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Opening its port resets most boards."""
     (tmp_path / "one.py").write_text(PYTHON, encoding="utf-8")
     rig = lab(tmp_path, "/dev/tty-there-is-none")
-    arguments = ["run", str(tmp_path / "one.py"), "--dry-run", "--rig", str(rig), "--out", str(tmp_path / "runs")]
-    held = {"host": "another machine", "pid": 1, "since": "2026-11-01T12:00:00", "run": "runs/other"}
+    arguments = [
+        "run",
+        str(tmp_path / "one.py"),
+        "--dry-run",
+        "--rig",
+        str(rig),
+        "--out",
+        str(tmp_path / "runs"),
+    ]
+    held = {
+        "host": "another machine",
+        "pid": 1,
+        "since": "2026-11-01T12:00:00",
+        "run": "runs/other",
+    }
     (tmp_path / "lab.lock.json").write_text(json.dumps(held), encoding="utf-8")
     assert main(arguments) == 0
     assert "not checked: the stage's travel: another bench has the rig" in capsys.readouterr().out
 
 
-def test_a_script_of_which_no_trial_is_within_the_travel(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "one.py").write_text(PYTHON.replace('"One teat."', '"One teat.", "pose": {"x_mm": 170.0}'), encoding="utf-8")
-    assert main(["run", str(tmp_path / "one.py"), "--dry-run", "--out", str(tmp_path / "runs")]) == 2
-    assert "not checked: the script as a whole: no trial is within the stage's travel" in capsys.readouterr().out
+def test_a_script_of_which_no_trial_is_within_the_travel(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "one.py").write_text(
+        PYTHON.replace('"One teat."', '"One teat.", "pose": {"x_mm": 170.0}'), encoding="utf-8"
+    )
+    assert (
+        main(["run", str(tmp_path / "one.py"), "--dry-run", "--out", str(tmp_path / "runs")]) == 2
+    )
+    assert (
+        "not checked: the script as a whole: no trial is within the stage's travel"
+        in capsys.readouterr().out
+    )
 
 
-def test_a_controllers_own_settings_are_asked_for_and_rehearsed_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "one.py").write_text(PYTHON.replace('"One teat."', '"One teat.", "pose": {"x_mm": 170.0}'), encoding="utf-8")
+def test_a_controllers_own_settings_are_asked_for_and_rehearsed_with(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "one.py").write_text(
+        PYTHON.replace('"One teat."', '"One teat.", "pose": {"x_mm": 170.0}'), encoding="utf-8"
+    )
     rig = load_rig(find_rig(None))
     wide = rig.rig.emulation.model_copy(update={"stage": EmulatedStage(settings={130: 640.0})})
     clock = RealClock()
-    with closing(clock), EmulatedRig(replace(rig, rig=rig.rig.model_copy(update={"emulation": wide})), clock, 1) as there:
+    with (
+        closing(clock),
+        EmulatedRig(
+            replace(rig, rig=rig.rig.model_copy(update={"emulation": wide})), clock, 1
+        ) as there,
+    ):
         path = lab(tmp_path, there.urls["stage"], reference="reference_mm = [-320.0, -137.5]")
-        main(["run", str(tmp_path / "one.py"), "--dry-run", "--rig", str(path), "--out", str(tmp_path / "runs")])
+        main(
+            [
+                "run",
+                str(tmp_path / "one.py"),
+                "--dry-run",
+                "--rig",
+                str(path),
+                "--out",
+                str(tmp_path / "runs"),
+            ]
+        )
     said = capsys.readouterr().out
     assert "limits" not in said
     assert "the stage's travel" not in said
@@ -109,6 +213,10 @@ def lab(folder: Path, stage: str, reference: str = "") -> Path:
     text = (RIGS / "lab.example.toml").read_text(encoding="utf-8")
     assert '"/dev/ttyACM0"' in text
     known = "reference_mm = [-150.0, -137.5]"
-    (folder / "lab.toml").write_text(text.replace("/dev/ttyACM0", stage).replace(known, reference or known), encoding="utf-8")
-    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "lab.toml").write_text(
+        text.replace("/dev/ttyACM0", stage).replace(known, reference or known), encoding="utf-8"
+    )
+    (folder / "calibration.toml").write_text(
+        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     return folder / "lab.toml"

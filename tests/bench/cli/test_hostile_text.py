@@ -1,4 +1,6 @@
-"""Text from files, detectors and the wire that would steer a terminal, break XML or be a formula: shown everywhere, doing nothing."""
+"""Text from files, detectors and the wire that would steer a terminal, break XML or be a formula:
+shown everywhere, doing nothing.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ from tests.conftest import ROOT
 HOSTILE = "\x1b[2J\x1b]0;owned\x07\x9b31m\x00\u202edlrow\u2066 [/red][link=http://evil]here"
 UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 REPLACED = "\N{REPLACEMENT CHARACTER}"
-TOML = json.dumps("=1+1" + HOSTILE.replace("\x00", ""))  # TOML has JSON's escapes, and this one holds neither surrogates nor DEL
+# TOML has JSON's escapes, and this one holds neither surrogates nor DEL
+TOML = json.dumps("=1+1" + HOSTILE.replace("\x00", ""))
 
 PROGRAM = f"""
 import json, sys
@@ -53,7 +56,15 @@ def on_a_terminal(folder: Path, *arguments: str) -> tuple[int, str]:
     near, far = os.openpty()
     command = [sys.executable, "-m", "bench.cli", *arguments]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm-256color", "COLUMNS": "100"}
-    with subprocess.Popen(command, cwd=folder, env=environment, stdin=far, stdout=far, stderr=far, start_new_session=True) as process:
+    with subprocess.Popen(
+        command,
+        cwd=folder,
+        env=environment,
+        stdin=far,
+        stdout=far,
+        stderr=far,
+        start_new_session=True,
+    ) as process:
         os.close(far)
         written = b""
         while True:
@@ -71,7 +82,8 @@ def on_a_terminal(folder: Path, *arguments: str) -> tuple[int, str]:
 def check_terminal(text: str) -> None:
     """Only what rich and our own progress write is left, and the hostile text is there as text."""
     assert f"{REPLACED}[2J{REPLACED}]0;owned" in text.replace("\r\n", "").replace(" ", "")
-    own = re.sub("\x1b\\[[0-9;?]*[A-Zmhl]", "", text.replace("\x1b[2J", "HOSTILE"))  # colours, and the cursor's moves of a progress bar
+    # colours, and the cursor's moves of a progress bar
+    own = re.sub("\x1b\\[[0-9;?]*[A-Zmhl]", "", text.replace("\x1b[2J", "HOSTILE"))
     assert "HOSTILE" not in own
     assert UNSAFE.findall(own.replace("\r", "")) == []
 
@@ -88,15 +100,32 @@ def check_files(run: Path) -> None:
 
 def check_cells(table: Path) -> None:
     """No cell steers anything or begins a formula; a number may begin with its sign."""
-    cells = [cell for row in csv.reader(io.StringIO(table.read_bytes().decode(), newline="")) for cell in row]
+    cells = [
+        cell
+        for row in csv.reader(io.StringIO(table.read_bytes().decode(), newline=""))
+        for cell in row
+    ]
     assert UNSAFE.findall("".join(cells)) == []
-    assert [cell for cell in cells if cell.startswith(("=", "+", "@", "-")) and not re.fullmatch(r"[-+][\d.e+-]+", cell)] == []
+    assert [
+        cell
+        for cell in cells
+        if cell.startswith(("=", "+", "@", "-")) and not re.fullmatch(r"[-+][\d.e+-]+", cell)
+    ] == []
 
 
-def test_names_of_a_recording_and_words_of_a_detector(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recording = write_recording(tmp_path / f"five{'' if sys.platform == 'win32' else HOSTILE.replace('/', '').translate({0: None})}")
+def test_names_of_a_recording_and_words_of_a_detector(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = write_recording(
+        tmp_path
+        / f"five{'' if sys.platform == 'win32' else HOSTILE.replace('/', '').translate({0: None})}"
+    )
     truth = recording / "truth.csv"
-    named = truth.read_text(encoding="utf-8").replace(",calm,", f",=calm{HOSTILE},".replace("\x00", "")).replace(",windy,", ",-windy,")
+    named = (
+        truth.read_text(encoding="utf-8")
+        .replace(",calm,", f",=calm{HOSTILE},".replace("\x00", ""))
+        .replace(",windy,", ",-windy,")
+    )
     truth.write_text(named, encoding="utf-8")
     (tmp_path / "mine.py").write_text(PROGRAM, encoding="utf-8")
     declared = f"version = {TOML}\ncommand = [{json.dumps(sys.executable)}, 'mine.py']\n"
@@ -109,7 +138,10 @@ def test_names_of_a_recording_and_words_of_a_detector(tmp_path: Path, capsys: py
     assert f"@{REPLACED}[2J{REPLACED}]0;owned" in said
     (run,) = (tmp_path / "runs").iterdir()
     check_files(run)
-    assert main(["store", "export", str(run), "--format", "csv", "--out", str(tmp_path / "tables")]) == 0
+    assert (
+        main(["store", "export", str(run), "--format", "csv", "--out", str(tmp_path / "tables")])
+        == 0
+    )
     for table in (tmp_path / "tables").glob("*.csv"):
         check_cells(table)
 
@@ -118,15 +150,21 @@ def test_names_of_a_recording_and_words_of_a_detector(tmp_path: Path, capsys: py
 def test_a_script_and_a_rig_on_a_real_terminal(tmp_path: Path) -> None:
     script = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
     head, _, trials = script.partition("[[trials]]")
-    head = head.replace('title = "Six situations"', f"title = {TOML}").replace('name = "reliability"', f"name = {TOML}")
+    head = head.replace('title = "Six situations"', f"title = {TOML}").replace(
+        'name = "reliability"', f"name = {TOML}"
+    )
     head = head.replace("repeats = 3", "repeats = 1").replace("about =", "about = " + TOML + " #")
     first = re.sub("set_up = .*", lambda _: f"set_up = {TOML}", trials.partition("[[trials]]")[0])
     (tmp_path / "script.toml").write_text(f"{head}[[trials]]{first}", encoding="utf-8")
     shutil.copy(RIGS / "calibration.toml", tmp_path)
     rig = (RIGS / "emulated.toml").read_text(encoding="utf-8").replace('"emulated rig"', TOML)
-    (tmp_path / "rig.toml").write_text(rig.replace('"emulator:"', '"script:answers.txt"', 1), encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(
+        rig.replace('"emulator:"', '"script:answers.txt"', 1), encoding="utf-8"
+    )
     kinds = ("homing", "check point", "set up", "touch")
-    (tmp_path / "answers.txt").write_text("".join(f"otherwise {kind}: go\n" for kind in kinds), encoding="utf-8")
+    (tmp_path / "answers.txt").write_text(
+        "".join(f"otherwise {kind}: go\n" for kind in kinds), encoding="utf-8"
+    )
     code, said = on_a_terminal(tmp_path, "run", "script.toml", "--rig", "rig.toml", "--out", "runs")
     assert code in (1, 4), said
     check_terminal(said)
@@ -138,14 +176,18 @@ def test_a_script_and_a_rig_on_a_real_terminal(tmp_path: Path) -> None:
 
 
 def test_words_on_the_wire(capsys: pytest.CaptureFixture[str]) -> None:
-    """A board that welcomes as Grbl does, and answers whatever it is asked with a version that would clear the screen."""
+    """A board that welcomes as Grbl does, and answers whatever it is asked with a version that
+    would clear the screen.
+    """
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def serve() -> None:
             with contextlib.suppress(OSError), server.accept()[0] as connection:
                 connection.sendall(b"\r\nGrbl 1.1h ['$' for help]\r\n")
                 while connection.recv(1024):
-                    connection.sendall(f"$13={HOSTILE[:13]}\r\n[VER:1.1h.20190825:{HOSTILE[:13]}]\r\nok\r\n".encode())
+                    connection.sendall(
+                        f"$13={HOSTILE[:13]}\r\n[VER:1.1h.20190825:{HOSTILE[:13]}]\r\nok\r\n".encode()
+                    )
 
         board = threading.Thread(target=serve)
         board.start()
@@ -156,7 +198,9 @@ def test_words_on_the_wire(capsys: pytest.CaptureFixture[str]) -> None:
     assert "[2J" in said
 
 
-def test_the_console_shows_no_markup_and_no_controls_of_others(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_console_shows_no_markup_and_no_controls_of_others(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     Terminal().print("x[/red]\x1b[2J", Text("\u202ey"))
     assert capsys.readouterr().out == f"x[/red]{REPLACED}[2J {REPLACED}y\n"
 
@@ -167,19 +211,38 @@ def test_any_text_is_xml_and_no_formula(text: str) -> None:
     assert UNSAFE.findall(kept.replace("\r\n", "\n")) == []
     ET.fromstring(f"<a>{kept.translate({ord(c): ' ' for c in '<>&'})}</a>")
     assert sanitized(kept) == kept
-    ((cell, number),) = csv.reader([csv_text([[text, -1.5]])], strict=True) if "\n" not in kept and "\r" not in kept else (("", "-1.5"),)
+    ((cell, number),) = (
+        csv.reader([csv_text([[text, -1.5]])], strict=True)
+        if "\n" not in kept and "\r" not in kept
+        else (("", "-1.5"),)
+    )
     assert number == "-1.5"
     assert not cell.startswith(("=", "@"))
 
 
 def test_text_in_other_scripts_stays() -> None:
-    for text in ("Zitze 4 µm – ±0,1 °C", "乳头 🐄 👩\u200d🌾", "نوک پستان\u200cها", "a\tb\nc\r\nd", "no\u00a0break"):
+    for text in (
+        "Zitze 4 µm – ±0,1 °C",
+        "乳头 🐄 👩\u200d🌾",
+        "نوک پستان\u200cها",
+        "a\tb\nc\r\nd",
+        "no\u00a0break",
+    ):
         assert sanitized(text) == text
 
 
 @pytest.mark.parametrize(
     ("value", "cell"),
-    [("=1", "'=1"), ("-cmd", "'-cmd"), (" @x", "' @x"), ("＝1", "'＝1"), ("-5", "-5"), ("+1e3", "+1e3"), (-5.0, "-5.0"), (None, "")],
+    [
+        ("=1", "'=1"),
+        ("-cmd", "'-cmd"),
+        (" @x", "' @x"),
+        ("＝1", "'＝1"),
+        ("-5", "-5"),
+        ("+1e3", "+1e3"),
+        (-5.0, "-5.0"),
+        (None, ""),
+    ],
 )
 def test_formulas_are_text_and_numbers_are_numbers(value: object, cell: str) -> None:
     assert list(csv.reader([csv_text([[value, "x"]]).rstrip("\n")])) == [[cell, "x"]]

@@ -1,4 +1,6 @@
-"""`teatbench plan`: what it says of claims, of the poses that there are, and of what makes no sense."""
+"""`teatbench plan`: what it says of claims, of the poses that there are, and of what makes no
+sense.
+"""
 
 from __future__ import annotations
 
@@ -35,21 +37,44 @@ def test_what_the_poses_that_there_are_can_show(capsys: pytest.CaptureFixture[st
     assert "A difference of 0.896 mm in mean distance" in told  # TTestPower of statsmodels: 0.8958
 
 
-def test_a_scripts_poses_count_once_however_often_they_are_repeated(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scripts_poses_count_once_however_often_they_are_repeated(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert "6 poses without a failure show 60.7 %" in said(["--script", "six-situations"], capsys)
 
 
-def test_how_near_to_its_limit_the_largest_error_may_lie(capsys: pytest.CaptureFixture[str]) -> None:
+def test_how_near_to_its_limit_the_largest_error_may_lie(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     told = said(["--limit-mm", "5", "--u-mm", "0.23", "--rate", "0.95"], capsys)
-    assert "u = 0.23 mm along an axis: accepted up to 4.611 mm; near that limit more poses are needed:" in told
-    assert "95 %: 59 poses show it where the largest is at most 4.332 mm; 91 up to the acceptance limit." in told
-    for n, largest, verdict in ((59, 4.332, "met"), (59, 4.334, "inconclusive"), (91, 4.610, "met"), (90, 4.610, "inconclusive")):
-        decision = decide_error("error", [largest] * n, limit_mm=5.0, u_mm=0.23, rate=0.95, confidence=0.95)
+    assert (
+        "u = 0.23 mm along an axis: accepted up to 4.611 mm; near that limit more poses are needed:"
+        in told
+    )
+    assert (
+        "95 %: 59 poses show it where the largest is at most 4.332 mm; 91 up to the acceptance"
+        " limit." in told
+    )
+    for n, largest, verdict in (
+        (59, 4.332, "met"),
+        (59, 4.334, "inconclusive"),
+        (91, 4.610, "met"),
+        (90, 4.610, "inconclusive"),
+    ):
+        decision = decide_error(
+            "error", [largest] * n, limit_mm=5.0, u_mm=0.23, rate=0.95, confidence=0.95
+        )
         assert decision.verdict.value == verdict
-    assert "70 poses show it where the largest is at most 4.552 mm" in said(["--limit-mm", "5", "--u-mm", "0.23", "--trials", "70"], capsys)
-    assert "no number up to the acceptance limit" in said(["--limit-mm", "5", "--u-mm", "0.23", "--confidence", "0.99"], capsys)
+    assert "70 poses show it where the largest is at most 4.552 mm" in said(
+        ["--limit-mm", "5", "--u-mm", "0.23", "--trials", "70"], capsys
+    )
+    assert "no number up to the acceptance limit" in said(
+        ["--limit-mm", "5", "--u-mm", "0.23", "--confidence", "0.99"], capsys
+    )
     assert "the truth is too uncertain" in said(["--limit-mm", "5", "--u-mm", "2.5"], capsys)
-    assert "10 poses don't show it" in said(["--limit-mm", "5", "--u-mm", "0.23", "--trials", "10"], capsys)
+    assert "10 poses don't show it" in said(
+        ["--limit-mm", "5", "--u-mm", "0.23", "--trials", "10"], capsys
+    )
 
 
 def test_what_is_just_missed_is_not_rounded_away(capsys: pytest.CaptureFixture[str]) -> None:
@@ -61,7 +86,22 @@ def test_what_is_just_missed_is_not_rounded_away(capsys: pytest.CaptureFixture[s
 
 def test_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
     told = json.loads(
-        said(["--trials", "93", "--rate", "0.95", "--true-rate", "0.99", "--sd-mm", "1", "--shift-mm", "0.5", "--json"], capsys)
+        said(
+            [
+                "--trials",
+                "93",
+                "--rate",
+                "0.95",
+                "--true-rate",
+                "0.99",
+                "--sd-mm",
+                "1",
+                "--shift-mm",
+                "0.5",
+                "--json",
+            ],
+            capsys,
+        )
     )
     chance = pytest.approx(0.99**93 + 93 * 0.01 * 0.99**92)
     (claim,) = told["claims"]
@@ -103,6 +143,8 @@ def test_wrong_use(arguments: list[str], says: str, capsys: pytest.CaptureFixtur
         (["--u-mm", "0.2"], "--limit-mm and --u-mm belong together"),
     ],
 )
-def test_questions_that_do_not_fit_together(arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_questions_that_do_not_fit_together(
+    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["plan", *arguments]) == 2
     assert says in capsys.readouterr().err

@@ -1,4 +1,6 @@
-"""`teatbench scene sheet` and `scene record`: what they write, that it can be scored, and what they refuse."""
+"""`teatbench scene sheet` and `scene record`: what they write, that it can be scored, and what they
+refuse.
+"""
 
 from __future__ import annotations
 
@@ -18,38 +20,68 @@ from instruments.camera.recording import Recording, RecordingError
 from instruments.world.situations import SITUATIONS, situation
 
 
-def test_a_recording_of_situations_can_be_read_and_has_exact_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_of_situations_can_be_read_and_has_exact_truth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "situations"
-    said = ["scene", "record", "--situation", "overlapping", "--situation", "missing_or_hidden", "--seeds", "2", "--first", "3"]
+    said = [
+        "scene",
+        "record",
+        "--situation",
+        "overlapping",
+        "--situation",
+        "missing_or_hidden",
+        "--seeds",
+        "2",
+        "--first",
+        "3",
+    ]
     assert main([*said, "--out", str(out)]) == 0
     assert "4 frames in" in capsys.readouterr().out
     recording = Recording(out)
-    assert recording.frames == ("missing_or_hidden-0003", "missing_or_hidden-0004", "overlapping-0003", "overlapping-0004")
+    assert recording.frames == (
+        "missing_or_hidden-0003",
+        "missing_or_hidden-0004",
+        "overlapping-0003",
+        "overlapping-0004",
+    )
     renderer = rig_renderer(load_rig(find_rig(None)), 1)
     for name in ("overlapping", "missing_or_hidden"):
         found = situation(name, 4)
         rows = recording.truth[f"{name}-0004"]
-        assert np.array([row.xyz_mm for row in rows]) == pytest.approx(found.phantom.ends_mm, abs=1e-9)
-        assert [row.visible for row in rows] == renderer.visible_ends(warm(found)).all(axis=1).tolist()
+        assert np.array([row.xyz_mm for row in rows]) == pytest.approx(
+            found.phantom.ends_mm, abs=1e-9
+        )
+        assert [row.visible for row in rows] == renderer.visible_ends(warm(found)).all(
+            axis=1
+        ).tolist()
         assert {row.situation for row in rows} == {name}
     frames = recording.load("overlapping-0003")
     assert frames.left.shape == (1024, 1360)
     assert frames.thermal_ck is not None
     assert frames.thermal_ck.shape == (120, 160)
-    assert load_rig(find_rig(None)).calibration_path.read_bytes() == (out / "calibration.toml").read_bytes()
+    assert (
+        load_rig(find_rig(None)).calibration_path.read_bytes()
+        == (out / "calibration.toml").read_bytes()
+    )
 
 
 def test_a_frame_is_the_same_whatever_else_is_recorded(tmp_path: Path) -> None:
     rig = load_rig(find_rig(None))
     for folder, seeds in (("one", [5]), ("two", [4, 5])):
         list(record(rig, ["dim_light"], seeds, tmp_path / folder, seed=1))
-    files = [sorted((tmp_path / folder / "frames" / "dim_light-0005").iterdir()) for folder in ("one", "two")]
+    files = [
+        sorted((tmp_path / folder / "frames" / "dim_light-0005").iterdir())
+        for folder in ("one", "two")
+    ]
     assert [one.read_bytes() for one in files[0]] == [two.read_bytes() for two in files[1]]
     with pytest.raises(RecordingError, match="there is such a frame already"):
         list(record(rig, ["dim_light"], [5], tmp_path / "one", seed=1))
 
 
-def test_a_sheet_has_a_row_for_each_member(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sheet_has_a_row_for_each_member(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "sheet.png"
     assert main(["scene", "sheet", "--situation", "ideal", "--seeds", "2", "--out", str(out)]) == 0
     assert str(out) in capsys.readouterr().out
@@ -67,15 +99,33 @@ def test_a_sheet_has_a_row_for_each_member(tmp_path: Path, capsys: pytest.Captur
         (["--rig", "no-such-rig"], "no-such-rig"),
     ],
 )
-def test_wrong_use_is_explained(arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_use_is_explained(
+    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["scene", "record", *arguments, "--out", str(tmp_path / "out")]) == 2
     assert said in capsys.readouterr().err
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_place_that_cannot_be_written_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     for command, why in (("record", "can't be written"), ("sheet", "there is no folder")):
-        assert main(["scene", command, "--situation", "ideal", "--seeds", "1", "--out", str(tmp_path / "file" / "x")]) == 2
+        assert (
+            main(
+                [
+                    "scene",
+                    command,
+                    "--situation",
+                    "ideal",
+                    "--seeds",
+                    "1",
+                    "--out",
+                    str(tmp_path / "file" / "x"),
+                ]
+            )
+            == 2
+        )
         assert why in capsys.readouterr().err
     assert main(["scene", "sheet", "--out", str(tmp_path / "typo" / "sheet.png")]) == 2
     refused = capsys.readouterr().err
@@ -92,10 +142,14 @@ def test_all_families_are_chosen_by_naming_none() -> None:
 
 def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
     text = find_rig(None).read_text(encoding="utf-8")
-    (tmp_path / "calibration.toml").write_bytes(load_rig(find_rig(None)).calibration_path.read_bytes())
+    (tmp_path / "calibration.toml").write_bytes(
+        load_rig(find_rig(None)).calibration_path.read_bytes()
+    )
     rig = tmp_path / "rig.toml"
     more = "\n[emulation.optical]\nread_noise_e = 9.0\naperture_mm = 3.0\n"
-    more += "\n[emulation.thermal]\nsensor_size = [80, 60]\nnetd_k = 0.05\nflat_field_every_s = 60.0\n"
+    more += (
+        "\n[emulation.thermal]\nsensor_size = [80, 60]\nnetd_k = 0.05\nflat_field_every_s = 60.0\n"
+    )
     rig.write_text(text + more, encoding="utf-8")
     said = read_config(rig, Rig).emulation
     renderer = rig_renderer(load_rig(rig), 1)
@@ -103,7 +157,12 @@ def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
     assert renderer.left.readout.sensor.read_noise_e == 9.0
     assert renderer.left.readout.sensor.focus.aperture_mm == 3.0
     thermal = renderer.thermal.readout.sensor
-    assert (thermal.width_px, thermal.height_px, thermal.netd_k, thermal.drift.every_s) == (80, 60, 0.05, 60.0)
+    assert (thermal.width_px, thermal.height_px, thermal.netd_k, thermal.drift.every_s) == (
+        80,
+        60,
+        0.05,
+        60.0,
+    )
     assert EmulatedThermal().sensor({}).width_px == 160
     assert EmulatedOptical().sensor().full_well_e == 13000.0
     taken = renderer.render(warm(situation("ideal", 0)), np.random.default_rng(1))
@@ -114,9 +173,26 @@ def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
         read_config(rig, Rig)
 
 
-def test_boards_are_found_in_their_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The shipped chessboard, drawn by the scene, is what OpenCV's finder sees; it is whole in both pictures."""
-    assert main(["scene", "boards", "chessboard-9x6-40", "--poses", "2", "--out", str(tmp_path / "boards")]) == 0
+def test_boards_are_found_in_their_pictures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The shipped chessboard, drawn by the scene, is what OpenCV's finder sees; it is whole in both
+    pictures.
+    """
+    assert (
+        main(
+            [
+                "scene",
+                "boards",
+                "chessboard-9x6-40",
+                "--poses",
+                "2",
+                "--out",
+                str(tmp_path / "boards"),
+            ]
+        )
+        == 0
+    )
     assert "2 frames in" in capsys.readouterr().out
     recording = Recording(tmp_path / "boards")
     assert recording.truth == {}
@@ -127,7 +203,17 @@ def test_boards_are_found_in_their_pictures(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_a_heated_board_of_circles_fits_the_thermal_view(tmp_path: Path) -> None:
-    said = ["scene", "boards", "heated-circles-7x5-18", "--warmer-k", "14", "--poses", "1", "--out", str(tmp_path / "boards")]
+    said = [
+        "scene",
+        "boards",
+        "heated-circles-7x5-18",
+        "--warmer-k",
+        "14",
+        "--poses",
+        "1",
+        "--out",
+        str(tmp_path / "boards"),
+    ]
     assert main([*said, "--camera", "thermal", "--camera", "left"]) == 0
     warmth = Recording(tmp_path / "boards").load("pose-00").thermal_ck
     assert warmth is not None
@@ -135,6 +221,23 @@ def test_a_heated_board_of_circles_fits_the_thermal_view(tmp_path: Path) -> None
     assert spots - 1 == 35
 
 
-def test_a_board_too_large_for_a_view_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scene", "boards", "chessboard-9x6-40", "--camera", "thermal", "--poses", "1", "--out", str(tmp_path / "boards")]) == 2
+def test_a_board_too_large_for_a_view_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        main(
+            [
+                "scene",
+                "boards",
+                "chessboard-9x6-40",
+                "--camera",
+                "thermal",
+                "--poses",
+                "1",
+                "--out",
+                str(tmp_path / "boards"),
+            ]
+        )
+        == 2
+    )
     assert "take a smaller board" in capsys.readouterr().err

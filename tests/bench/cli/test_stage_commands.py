@@ -1,4 +1,6 @@
-"""`stage status|home|move|jog|recover` on an emulated stage of another thread, with good and bad input."""
+"""`stage status|home|move|jog|recover` on an emulated stage of another thread, with good and bad
+input.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,11 @@ from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.stage.emulator import GRBL_HAL, Fault, StageEmulator
 
-FAST = {24: 6000, 25: 60000, 26: 1} | {110 + axis: 60000 for axis in range(3)} | {120 + axis: 20000 for axis in range(3)}
+FAST = (
+    {24: 6000, 25: 60000, 26: 1}
+    | {110 + axis: 60000 for axis in range(3)}
+    | {120 + axis: 20000 for axis in range(3)}
+)
 
 
 @dataclass
@@ -29,7 +35,9 @@ class Served:
 def stage() -> Iterator[Served]:
     """``at`` are the arguments that lead to it. Its axes are quick, so that real time is short."""
     clock = RealClock()
-    emulator = StageEmulator(clock, dialect=GRBL_HAL, axes=4, settings=FAST | {113: 60000, 123: 20000})
+    emulator = StageEmulator(
+        clock, dialect=GRBL_HAL, axes=4, settings=FAST | {113: 60000, 123: 20000}
+    )
     listener = Listener(emulator, clock, lock=threading.RLock(), name="stage")
     try:
         yield Served(emulator, ["--port", listener.url, "--axes", "XYZA"])
@@ -38,28 +46,60 @@ def stage() -> Iterator[Served]:
         clock.close()
 
 
-def test_status_says_everything_with_units(stage: Served, capsys: pytest.CaptureFixture[str]) -> None:
+def test_status_says_everything_with_units(
+    stage: Served, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["stage", "status", *stage.at, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert (told["dialect"], told["version"], told["state"], told["homed"]) == ("grblHAL", "1.1f", "Alarm", False)
+    assert (told["dialect"], told["version"], told["state"], told["homed"]) == (
+        "grblHAL",
+        "1.1f",
+        "Alarm",
+        False,
+    )
     assert told["travel_x_mm"] == [-300.0, 0.0]
     assert told["travel_a_deg"] == [-360.0, 0.0]
     assert {"x_mm", "y_mm", "z_mm", "a_deg", "soft_limits", "hard_limits", "homing"} <= told.keys()
     assert main(["stage", "status", *stage.at]) == 0
-    assert [line.split(": ")[0] for line in capsys.readouterr().out.strip().split("\n")] == list(told)
+    assert [line.split(": ")[0] for line in capsys.readouterr().out.strip().split("\n")] == list(
+        told
+    )
 
 
 def test_home_move_and_jog(stage: Served, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stage", "home", *stage.at]) == 0
     assert capsys.readouterr().out == "homed: X -1.000 mm, Y -1.000 mm, Z -1.000 mm, A -1.000 deg\n"
-    assert main(["stage", "move", *stage.at, "-20", "-30.5", "--z", "-5", "--a", "-90", "--feed", "60000"]) == 0
-    assert capsys.readouterr().out.endswith("moved: X -20.000 mm, Y -30.500 mm, Z -5.000 mm, A -90.000 deg\n")
+    assert (
+        main(
+            [
+                "stage",
+                "move",
+                *stage.at,
+                "-20",
+                "-30.5",
+                "--z",
+                "-5",
+                "--a",
+                "-90",
+                "--feed",
+                "60000",
+            ]
+        )
+        == 0
+    )
+    assert capsys.readouterr().out.endswith(
+        "moved: X -20.000 mm, Y -30.500 mm, Z -5.000 mm, A -90.000 deg\n"
+    )
     assert stage.emulator.position_mm() == pytest.approx([-20, -30.5, -5, -90])
     assert main(["stage", "jog", *stage.at, "X-5", "x-2y-1.5", "A-10"]) == 0
-    assert capsys.readouterr().out.endswith("moved: X -8.000 mm, Y -2.500 mm, Z -1.000 mm, A -11.000 deg\n")
+    assert capsys.readouterr().out.endswith(
+        "moved: X -8.000 mm, Y -2.500 mm, Z -1.000 mm, A -11.000 deg\n"
+    )
 
 
-def test_beyond_the_travel_nothing_moves_at_all(stage: Served, capsys: pytest.CaptureFixture[str]) -> None:
+def test_beyond_the_travel_nothing_moves_at_all(
+    stage: Served, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = stage.emulator.position_mm()
     assert main(["stage", "move", *stage.at, "-20", "5"]) == 2
     assert "Y = 5.000 mm is outside the travel, -275 to 0 mm" in capsys.readouterr().err
@@ -68,7 +108,9 @@ def test_beyond_the_travel_nothing_moves_at_all(stage: Served, capsys: pytest.Ca
     assert "X = 1.000 mm is outside the travel" in capsys.readouterr().err
 
 
-def test_a_fault_ends_at_a_stand_with_what_to_do(stage: Served, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fault_ends_at_a_stand_with_what_to_do(
+    stage: Served, capsys: pytest.CaptureFixture[str]
+) -> None:
     stage.emulator.inject(Fault.NO_SWITCH)
     assert main(["stage", "home", *stage.at]) == 3
     assert "alarm 9: homing found no switch" in capsys.readouterr().err
@@ -91,7 +133,9 @@ def test_a_fault_ends_at_a_stand_with_what_to_do(stage: Served, capsys: pytest.C
         (["home", "--port", "COM5", "--axes", "X"], "invalid choice: 'X'"),
     ],
 )
-def test_wrong_use_is_told(arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_use_is_told(
+    arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as left:
         main(["stage", *arguments])
     assert left.value.code == 2

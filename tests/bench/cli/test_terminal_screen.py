@@ -1,4 +1,6 @@
-"""What a person sees of a run at a terminal: the screen as a terminal emulator shows it, not the bytes that were written."""
+"""What a person sees of a run at a terminal: the screen as a terminal emulator shows it, not the
+bytes that were written.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ import pytest
 from tests.bench.calibrate.arm_terminal import at_terminal
 from tests.bench.operated_runs import SCRIPT, files, run_of
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not")
+pytestmark = pytest.mark.skipif(
+    sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not"
+)
 
 ONE = SCRIPT.replace("poses = [", "poses = [{ x_mm = 12.0 }]\n#")
 IN_TRIAL = "s REASON = skip this trial, r = repeat it from its set-up, "
@@ -18,24 +22,43 @@ LAST_WORDS = "? = explain, a = abort the run): "
 
 
 @pytest.mark.parametrize("columns", [37, 80, 200])
-def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(columns: int, tmp_path: Path) -> None:
+def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(
+    columns: int, tmp_path: Path
+) -> None:
     """The sentences wrap at 37 and 80 columns, and their last row may be as good as full."""
-    asked = ["on its peg", "Situation ideal", *(f"teat {teat} of 4; " for teat in (1, 2)), "Once more"]
+    asked = [
+        "on its peg",
+        "Situation ideal",
+        *(f"teat {teat} of 4; " for teat in (1, 2)),
+        "Once more",
+    ]
     asked += [f"teat {teat} of 4; " for teat in (3, 4)]
     mistake = 'mistakes = ["wrong teat"]'
-    with at_terminal(files(tmp_path, operator="console:", script=ONE, emulation=mistake), columns) as terminal:
+    with at_terminal(
+        files(tmp_path, operator="console:", script=ONE, emulation=mistake), columns
+    ) as terminal:
         for words in asked:
             terminal.expect(words)
             terminal.expect(LAST_WORDS)
             terminal.type("")
         terminal.code()
     seen = terminal.screen.text
-    (refused,) = (touch["refused"] for touch in run_of(tmp_path).trials[0].touches if touch["refused"])
+    (refused,) = (
+        touch["refused"] for touch in run_of(tmp_path).trials[0].touches if touch["refused"]
+    )
     assert f"{refused} Touch teat 2." in seen
     assert seen.count(f"Enter to go on ({LAST_WORDS}") == 1
     assert seen.count(f"Enter to go on ({IN_TRIAL}{LAST_WORDS}") == 5
-    assert seen.count(f"if teat ends are hidden from a camera, their numbers first (1 to 4) ({IN_TRIAL}{LAST_WORDS}") == 1
-    assert sum(row.startswith("trials ") for row in terminal.screen.rows) == 1, "the bar is there once, at the end"
+    assert (
+        seen.count(
+            "if teat ends are hidden from a camera, their numbers first (1 to 4)"
+            f" ({IN_TRIAL}{LAST_WORDS}"
+        )
+        == 1
+    )
+    assert sum(row.startswith("trials ") for row in terminal.screen.rows) == 1, (
+        "the bar is there once, at the end"
+    )
 
 
 def test_beside_a_refusal_there_is_no_bar(tmp_path: Path) -> None:

@@ -13,7 +13,9 @@ from bench.run.estimate import ASSUMED, estimate, move_s
 from bench.script.model import TRIALS, find_script, load_script
 
 
-def test_each_script_that_ships_is_listed_with_what_it_is_about(capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_script_that_ships_is_listed_with_what_it_is_about(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["trials"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(": ")[0] for line in lines] == shipped(TRIALS)
@@ -36,8 +38,15 @@ def test_show_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     told = json.loads(capsys.readouterr().out)
     assert len(told["trials"]) == 150
     assert told["trials"][1] == {
-        "id": "002-p-2-1", "pose": "p-2", "repeat": 1, "x_mm": 104.0, "y_mm": 96.0, "z_mm": 0.0, "yaw_deg": 0.0, "from": None,
-    }  # fmt: skip
+        "id": "002-p-2-1",
+        "pose": "p-2",
+        "repeat": 1,
+        "x_mm": 104.0,
+        "y_mm": 96.0,
+        "z_mm": 0.0,
+        "yaw_deg": 0.0,
+        "from": None,
+    }
     parts = {key: value for key, value in told["estimate"].items() if key != "total_s"}
     assert told["estimate"]["total_s"] == pytest.approx(sum(parts.values()))
     assert told["assumed"]["touch [s]"] == ASSUMED["touch"]
@@ -70,7 +79,9 @@ def test_show_of_nothing_says_what_is_missing(capsys: pytest.CaptureFixture[str]
 
 
 def test_moves_by_hand() -> None:
-    """25 mm at 1500 mm/min (25 mm/s) and 200 mm/s^2: 1 s, and an eighth of a second for starting and braking."""
+    """25 mm at 1500 mm/min (25 mm/s) and 200 mm/s^2: 1 s, and an eighth of a second for starting
+    and braking.
+    """
     assert move_s(25.0, 1500.0, 200.0) == pytest.approx(1.125)
     assert move_s(2.0, 1500.0, 200.0) == pytest.approx(0.2), "too short to come to speed"
     assert move_s(0.0, 1500.0, 200.0) == 0.0

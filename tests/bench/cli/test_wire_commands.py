@@ -1,4 +1,6 @@
-"""`--capture FILE` and `replay-wire`: a session with instruments, sent in a file and played to the same drivers again."""
+"""`--capture FILE` and `replay-wire`: a session with instruments, sent in a file and played to the
+same drivers again.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,10 @@ from instruments.link import Link
 from tests.bench.run.test_end_to_end import content, run_command, started
 from tests.conftest import ROOT
 
-HEAD = '{"format": "teatbench capture", "version": 1, "wall_time": "w", "teatbench": "0", "command": "c", "machine": "m"}\n'
+HEAD = (
+    '{"format": "teatbench capture", "version": 1, "wall_time": "w", "teatbench": "0", "command":'
+    ' "c", "machine": "m"}\n'
+)
 TALK = """{"t_s": 0, "link": "arm", "event": "opened", "url": "COM5"}
 {"t_s": 0, "link": "arm", "event": "sent", "data": "03"}
 {"t_s": 0.1, "link": "arm", "event": "received", "data": "8300"}
@@ -34,10 +39,14 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal
 
 
 @pytest.fixture(scope="module")
-def run_capture(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> tuple[Capture, Path]:
+def run_capture(
+    tmp_path_factory: pytest.TempPathFactory, short_script: Path
+) -> tuple[Capture, Path]:
     """The capture of a run, and the run's folder."""
     path = tmp_path_factory.mktemp("capture") / "run.jsonl"
-    _, folder = run_command(["run", str(short_script), "--capture", str(path)], tmp_path_factory.mktemp("runs"))
+    _, folder = run_command(
+        ["run", str(short_script), "--capture", str(path)], tmp_path_factory.mktemp("runs")
+    )
     return read_capture(path), folder
 
 
@@ -62,7 +71,9 @@ def playing(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, 
             child.kill()  # where the test has failed before its end
 
 
-def test_a_capture_changes_nothing_of_what_a_run_does(run_capture: tuple[Capture, Path], short_script: Path, tmp_path: Path) -> None:
+def test_a_capture_changes_nothing_of_what_a_run_does(
+    run_capture: tuple[Capture, Path], short_script: Path, tmp_path: Path
+) -> None:
     _, plain = run_command(["run", str(short_script)], tmp_path)
     assert content(run_capture[1]) == content(plain)
 
@@ -97,7 +108,9 @@ def test_the_drivers_of_a_check_meet_the_captured_run(run_capture: tuple[Capture
     assert mismatches == []
 
 
-def test_a_whole_check_is_replayed_to_a_check(check_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_whole_check_is_replayed_to_a_check(
+    check_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with playing(str(check_capture), "--once", "--fast") as (child, urls):
         rig = (ROOT / "bench" / "rigs" / "lab.example.toml").read_text(encoding="utf-8")
         for real, far_end in {
@@ -109,11 +122,21 @@ def test_a_whole_check_is_replayed_to_a_check(check_capture: Path, tmp_path: Pat
             assert real in rig
             rig = rig.replace(real, far_end)
         (tmp_path / "lab.toml").write_text(rig, encoding="utf-8")
-        (tmp_path / "calibration.toml").write_bytes((ROOT / "bench" / "rigs" / "calibration.toml").read_bytes())
+        (tmp_path / "calibration.toml").write_bytes(
+            (ROOT / "bench" / "rigs" / "calibration.toml").read_bytes()
+        )
         main(["check", str(tmp_path / "lab.toml")])
         said = capsys.readouterr().out
         output, _ = child.communicate(timeout=60)
-    for words in ("arm: ok", "serial_number: 40937", "bath: ok", "temperature: 20.0", "stage: ok", "1.1h", "cameras: FAULT"):
+    for words in (
+        "arm: ok",
+        "serial_number: 40937",
+        "bath: ok",
+        "temperature: 20.0",
+        "stage: ok",
+        "1.1h",
+        "cameras: FAULT",
+    ):
         assert words in said, words
     assert (child.returncode, output) == (0, "")
 
@@ -128,7 +151,10 @@ def test_a_mismatch_gives_1_and_its_place(tmp_path: Path) -> None:
         link.close()
         output, _ = child.communicate(timeout=60)
     assert child.returncode == 1
-    assert f"{path}:3: arm: connection 1, request 1: byte 0 of it is another than recorded (expected 03, got C2)" in output
+    assert (
+        f"{path}:3: arm: connection 1, request 1: byte 0 of it is another than recorded (expected"
+        " 03, got C2)" in output
+    )
     assert "arm: connection 1: 0 of 1 requests as recorded, then a mismatch" in output
 
 
@@ -138,7 +164,10 @@ def test_once_is_not_content_with_half_of_it(tmp_path: Path) -> None:
     with playing(str(path), "--once") as (child, urls):
         Link(urls["arm"], RealClock(), who="arm").close()
         output, _ = child.communicate(timeout=60)
-    assert (child.returncode, output.strip()) == (1, "arm: connection 1: the host left after 0 of 1 requests")
+    assert (child.returncode, output.strip()) == (
+        1,
+        "arm: connection 1: the host left after 0 of 1 requests",
+    )
 
 
 @posix
@@ -174,7 +203,11 @@ def test_it_plays_again_and_again_until_ctrl_c(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_file_gives_2_and_a_sentence(
-    text: str | None, more: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    text: str | None,
+    more: list[str],
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     path = tmp_path / "bug.jsonl"
     if text is not None:
@@ -187,14 +220,28 @@ def test_a_wrong_file_gives_2_and_a_sentence(
     assert threading.active_count() == threads
 
 
-WITHOUT_A_LINK = {"tell", "report", "score", "compare", "plan", "detect", "rigs", "trials show", "detectors", "emulate", "replay-wire"}
+WITHOUT_A_LINK = {
+    "tell",
+    "report",
+    "score",
+    "compare",
+    "plan",
+    "detect",
+    "rigs",
+    "trials show",
+    "detectors",
+    "emulate",
+    "replay-wire",
+}
 WITHOUT_A_LINK |= {f"camera {name}" for name in ("list", "show", "focus", "grab")}
 WITHOUT_A_LINK |= {f"scene {name}" for name in ("sheet", "record", "boards", "sensitivity")}
 WITHOUT_A_LINK |= {f"store {name}" for name in ("check", "export")}
 WITHOUT_A_LINK |= {f"calibrate {name}" for name in ("merge", "board", "export", "import")}
 
 
-def commands_of(one: argparse.ArgumentParser, name: str = "") -> Iterator[tuple[str, argparse.ArgumentParser]]:
+def commands_of(
+    one: argparse.ArgumentParser, name: str = ""
+) -> Iterator[tuple[str, argparse.ArgumentParser]]:
     """Every command with its parser, those of a group by both names."""
     groups = [action for action in one._actions if isinstance(action, argparse._SubParsersAction)]
     if not groups:
@@ -212,15 +259,21 @@ def test_every_command_that_opens_a_link_can_be_captured_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("name", ["bug.jsonl", "no/such/folder/bug.jsonl"])
-def test_where_a_capture_cannot_be_written_nothing_is_begun(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_a_capture_cannot_be_written_nothing_is_begun(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "bug.jsonl").write_text("precious", encoding="utf-8")
     assert main(["run", "--capture", str(tmp_path / name), "--out", str(tmp_path / "runs")]) == 2
-    assert ("never written over" if name == "bug.jsonl" else "can't be written") in capsys.readouterr().err
+    assert (
+        "never written over" if name == "bug.jsonl" else "can't be written"
+    ) in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["bug.jsonl"]
     assert (tmp_path / "bug.jsonl").read_text(encoding="utf-8") == "precious"
 
 
-def test_wrong_use_leaves_no_capture_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_use_leaves_no_capture_behind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["check", "emulatd", "--capture", str(tmp_path / "bug.jsonl")]) == 2
     assert "was not written: no link was opened" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

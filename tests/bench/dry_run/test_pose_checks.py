@@ -1,4 +1,6 @@
-"""The look at each pose before a run: what ships is clean, each kind of trouble is found and named, and nothing moves."""
+"""The look at each pose before a run: what ships is clean, each kind of trouble is found and named,
+and nothing moves.
+"""
 
 from __future__ import annotations
 
@@ -30,11 +32,16 @@ def script(**table: object) -> LoadedScript:
     trial = Trial.model_validate({**HEAD, **table})
     changed = loaded.script.model_copy(update={"trials": (trial,)})
     layouts = {trial.layout: load_layout(find_layout(trial.layout))}
-    return replace(loaded, script=changed, planned=plan((trial,), layouts, repeats=1, seed=1, shuffled=False))
+    return replace(
+        loaded, script=changed, planned=plan((trial,), layouts, repeats=1, seed=1, shuffled=False)
+    )
 
 
 def kinds(rig: LoadedRig, loaded: LoadedScript) -> dict[str, str]:
-    return {finding.kind: f"{finding.trial}: {finding.text}" for finding in dry_run(rig, loaded, TRAVEL).findings}
+    return {
+        finding.kind: f"{finding.trial}: {finding.text}"
+        for finding in dry_run(rig, loaded, TRAVEL).findings
+    }
 
 
 @pytest.mark.parametrize("name", ["six-situations", "plane-map", "repeatability", "random-udder"])
@@ -46,17 +53,27 @@ def test_what_ships_is_clean(rig: LoadedRig, name: str) -> None:
 
 def test_a_pose_beyond_the_travel(rig: LoadedRig) -> None:
     found = kinds(rig, script(pose={"x_mm": -160.0, "y_mm": 0.0}))
-    assert found["limits"] == "t: x -160 mm, y +0 mm needs the stage's X axis at -310, which goes from -300 to 0"
+    assert (
+        found["limits"]
+        == "t: x -160 mm, y +0 mm needs the stage's X axis at -310, which goes from -300 to 0"
+    )
 
 
 def test_an_approach_beyond_the_travel_though_the_pose_is_not(rig: LoadedRig) -> None:
     assert "limits" not in kinds(rig, script(pose={"y_mm": 135.0}, layout="single"))
-    assert "Y axis at 7.5" in kinds(rig, script(pose={"y_mm": 135.0}, layout="single", approach=("-y", "+y")))["limits"]
+    assert (
+        "Y axis at 7.5"
+        in kinds(rig, script(pose={"y_mm": 135.0}, layout="single", approach=("-y", "+y")))[
+            "limits"
+        ]
+    )
 
 
 def test_a_registration_that_goes_beyond_the_travel(rig: LoadedRig) -> None:
     loaded = load_script(find_script("repeatability"))
-    truth = loaded.script.truth.model_copy(update={"registration_at_mm": ((-150.0, 0.0), (151.0, 0.0), (0.0, 90.0))})
+    truth = loaded.script.truth.model_copy(
+        update={"registration_at_mm": ((-150.0, 0.0), (151.0, 0.0), (0.0, 90.0))}
+    )
     wide = replace(loaded, script=loaded.script.model_copy(update={"truth": truth}))
     found = [finding for finding in dry_run(rig, wide, TRAVEL).findings if finding.kind == "limits"]
     assert [finding.trial for finding in found] == ["registration at x +151 mm, y +0 mm"]
@@ -64,7 +81,9 @@ def test_a_registration_that_goes_beyond_the_travel(rig: LoadedRig) -> None:
 
 def test_a_teat_that_leaves_the_thermal_picture(rig: LoadedRig) -> None:
     found = kinds(rig, script(pose={"x_mm": -40.0}))
-    assert found["view"].startswith("t: the end of teat LF isn't whole in the thermal picture: it lacks ")
+    assert found["view"].startswith(
+        "t: the end of teat LF isn't whole in the thermal picture: it lacks "
+    )
     assert "view" not in kinds(rig, script())
 
 
@@ -80,7 +99,9 @@ def test_an_object_in_the_way_of_the_plate(rig: LoadedRig) -> None:
     assert found["collision"] == "t: teat RF's flange stands 21.2 mm inside object 1 (rod)"
 
 
-def test_teats_that_stand_in_each_other_are_found_even_where_no_file_says_so(rig: LoadedRig) -> None:
+def test_teats_that_stand_in_each_other_are_found_even_where_no_file_says_so(
+    rig: LoadedRig,
+) -> None:
     loaded = script()
     first = loaded.planned[0]
     near = replace(first.phantom.teats[1], base_mm=(-120.0, 284.2))
@@ -92,27 +113,46 @@ def test_teats_that_stand_in_each_other_are_found_even_where_no_file_says_so(rig
 def test_what_cannot_be_checked_is_said(rig: LoadedRig) -> None:
     blind = replace(rig, made_calibration=replace(rig.calibration, thermal_from_left=None))
     result = dry_run(blind, script(pose={"x_mm": -160.0, "y_mm": 0.0}), None)
-    assert [text.split(":")[0] for text in result.unchecked] == ["the stage's travel", "the thermal picture"]
+    assert [text.split(":")[0] for text in result.unchecked] == [
+        "the stage's travel",
+        "the thermal picture",
+    ]
     assert "limits" not in {finding.kind for finding in result.findings}
 
 
 def test_a_real_arm_may_be_held_at_a_slant(rig: LoadedRig) -> None:
     """At 462 mm the upright stylus is beyond the wrist's reach, and a person would lean it."""
-    by_hand = replace(rig, rig=rig.rig.model_copy(update={"operator": rig.rig.operator.model_copy(update={"url": "console:"})}))
+    by_hand = replace(
+        rig,
+        rig=rig.rig.model_copy(
+            update={"operator": rig.rig.operator.model_copy(update={"url": "console:"})}
+        ),
+    )
     far = script(layout="single", pose={"x_mm": -145.0, "y_mm": 100.0})
     assert "reach" in kinds(rig, far)
     assert "reach" not in kinds(by_hand, far)
 
 
 def test_a_carried_truth_is_touched_at_the_start_at_checks_and_at_the_end() -> None:
-    layouts = {"single": Layout("single", PhantomFile.model_validate(SINGLE)), "other": Layout("other", PhantomFile.model_validate(OTHER))}
-    row = Trial.model_validate({**HEAD, "layout": "single", "grid": {"x_mm": (0.0, 90.0), "y_mm": (0.0, 0.0), "step_mm": (10.0, 10.0)}})
+    layouts = {
+        "single": Layout("single", PhantomFile.model_validate(SINGLE)),
+        "other": Layout("other", PhantomFile.model_validate(OTHER)),
+    }
+    row = Trial.model_validate(
+        {
+            **HEAD,
+            "layout": "single",
+            "grid": {"x_mm": (0.0, 90.0), "y_mm": (0.0, 0.0), "step_mm": (10.0, 10.0)},
+        }
+    )
     other = row.model_copy(update={"name": "u", "layout": "other"})
     planned = plan((row,), layouts, repeats=1, seed=1, shuffled=False)
     assert carry_touches(planned, "XY", 0) == [0, 9]
     assert carry_touches(planned, "XY", 4) == [0, 4, 8, 9]
     assert carry_touches(planned, "", 4) == list(range(10)), "moved by hand, nothing is carried"
-    assert carry_touches(plan((row, other), layouts, repeats=1, seed=1, shuffled=False), "XY", 0) == [0, 9, 10, 19]
+    assert carry_touches(
+        plan((row, other), layouts, repeats=1, seed=1, shuffled=False), "XY", 0
+    ) == [0, 9, 10, 19]
 
 
 SINGLE = {"about": "x", "teats": [{"name": "LF", "base_mm": (-115.0, 300.0)}]}

@@ -1,4 +1,6 @@
-"""A rehearsal: it takes the time that the run takes, tells what would end it by the trial's name, and leaves nothing behind."""
+"""A rehearsal: it takes the time that the run takes, tells what would end it by the trial's name,
+and leaves nothing behind.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,10 @@ from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, run_of
 
 SLOWER = SCRIPT.replace("window_s = 2.0", "window_s = 20.0")
 FAR = "{ x_mm = 12.0, y_mm = -8.0 }"
-ANSWERS = '[[answers]]\nto = "touch"\nanswer = "{}"\n\n[otherwise]\nhoming = "go"\n"set up" = "go"\ntouch = "go"\n"check point" = "go"\n'
+ANSWERS = (
+    '[[answers]]\nto = "touch"\nanswer = "{}"\n\n[otherwise]\nhoming = "go"\n"set up" = "go"\ntouch'
+    ' = "go"\n"check point" = "go"\n'
+)
 
 
 @pytest.fixture(autouse=True)
@@ -31,7 +36,9 @@ def nothing_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def loaded(folder: Path, *, script: str = SCRIPT, operator: str = "emulator:", check_point: str = "") -> tuple[LoadedRig, LoadedScript]:
+def loaded(
+    folder: Path, *, script: str = SCRIPT, operator: str = "emulator:", check_point: str = ""
+) -> tuple[LoadedRig, LoadedScript]:
     files(folder, script=script, operator=operator, check_point=check_point)
     return load_rig(folder / "rig.toml"), load_script(folder / "script.toml")
 
@@ -41,7 +48,14 @@ def found(rehearsal: Rehearsal) -> list[tuple[str, str]]:
 
 
 def test_it_takes_as_long_and_asks_as_often_as_the_run(tmp_path: Path, nothing_stays: Path) -> None:
-    arguments = files(tmp_path, stage=STAGE, check_point=CHECK_POINT, emulation="prompt_s = 3.0", script=SLOWER, touches=2)
+    arguments = files(
+        tmp_path,
+        stage=STAGE,
+        check_point=CHECK_POINT,
+        emulation="prompt_s = 3.0",
+        script=SLOWER,
+        touches=2,
+    )
     rig, script = load_rig(tmp_path / "rig.toml"), load_script(tmp_path / "script.toml")
     rehearsal = rehearse(rig, script, ())
     assert list(nothing_stays.iterdir()) == []
@@ -49,15 +63,26 @@ def test_it_takes_as_long_and_asks_as_often_as_the_run(tmp_path: Path, nothing_s
     run = run_of(tmp_path)
     assert rehearsal.total_s == pytest.approx(run.events[-1]["t_s"], abs=1e-6)
     assert rehearsal.findings == ()
-    assert (rehearsal.planned, rehearsal.trials, rehearsal.rendered, rehearsal.on_clock) == (3, 3, 3, 1.0)
+    assert (rehearsal.planned, rehearsal.trials, rehearsal.rendered, rehearsal.on_clock) == (
+        3,
+        3,
+        3,
+        1.0,
+    )
     touches = sum(len(trial.touches) for trial in run.trials)
     assert rehearsal.prompts == 1 + 2 * 2 + 3 + touches
-    frames = sum(path.stat().st_size for path in run.folder.glob("frames/*/*.png") if "thesis" not in path.name)
+    frames = sum(
+        path.stat().st_size
+        for path in run.folder.glob("frames/*/*.png")
+        if "thesis" not in path.name
+    )
     assert rehearsal.disk_mb == pytest.approx(frames / 1e6, rel=0.2)
 
 
 def test_a_gate_that_never_opens_and_an_interlock_are_met(tmp_path: Path) -> None:
-    rig, script = loaded(tmp_path, script=SCRIPT.replace("window_s = 2.0", "window_s = 60.0\ntimeout_s = 30.0"))
+    rig, script = loaded(
+        tmp_path, script=SCRIPT.replace("window_s = 2.0", "window_s = 60.0\ntimeout_s = 30.0")
+    )
     never = rehearse(rig, script, ())
     assert found(never) == [("place-1", "fault")]
     assert "not stable within 30 s" in never.findings[0].text
@@ -65,11 +90,15 @@ def test_a_gate_that_never_opens_and_an_interlock_are_met(tmp_path: Path) -> Non
     limits = rig.rig.limits.model_copy(update={"bath_max_c": 33.005})
     hot = replace(rig, rig=rig.rig.model_copy(update={"limits": limits}))
     tripped = rehearse(hot, load_script(tmp_path / "script.toml"), ())
-    assert [kind for _, kind in found(tripped)] == ["interlock"], "told once, though the run ends by it too"
+    assert [kind for _, kind in found(tripped)] == ["interlock"], (
+        "told once, though the run ends by it too"
+    )
     assert "33.005" in tripped.findings[0].text
 
 
-def test_what_the_arm_does_not_reach_is_told_by_the_trial_and_the_others_are_gone_through(tmp_path: Path) -> None:
+def test_what_the_arm_does_not_reach_is_told_by_the_trial_and_the_others_are_gone_through(
+    tmp_path: Path,
+) -> None:
     rig, script = loaded(tmp_path, script=SCRIPT.replace(FAR, "{ y_mm = 300.0 }"))
     rehearsal = rehearse(rig, script, ())
     assert set(found(rehearsal)) == {("place-1", "reach")}
@@ -81,11 +110,17 @@ def test_a_check_point_out_of_reach_ends_it(tmp_path: Path) -> None:
     rig, script = loaded(tmp_path, check_point=CHECK_POINT.replace("120.0", "900.0"))
     rehearsal = rehearse(rig, script, ())
     assert found(rehearsal) == [("before the trials", "reach")]
-    assert rehearsal.findings[0].text == "the arm doesn't reach the check point at [-190, 900, 15] mm"
+    assert (
+        rehearsal.findings[0].text == "the arm doesn't reach the check point at [-190, 900, 15] mm"
+    )
 
 
 def test_what_the_run_gets_over_is_told_and_is_no_finding(tmp_path: Path) -> None:
-    files(tmp_path, stage=STAGE, emulation='faults = [{ instrument = "stage", name = "disconnect", amount = 0.2 }]')
+    files(
+        tmp_path,
+        stage=STAGE,
+        emulation='faults = [{ instrument = "stage", name = "disconnect", amount = 0.2 }]',
+    )
     rehearsal = rehearse(load_rig(tmp_path / "rig.toml"), load_script(tmp_path / "script.toml"), ())
     assert dict(rehearsal.got_over) == {"an instrument dropped out and came back": 1}
     assert rehearsal.findings == ()
@@ -96,7 +131,12 @@ def test_what_the_run_gets_over_is_told_and_is_no_finding(tmp_path: Path) -> Non
 def test_frames_that_fail_the_rigs_checks_and_a_detector_that_fails(tmp_path: Path) -> None:
     rig, script = loaded(tmp_path)
     checks = rig.rig.cameras.checks.model_copy(update={"black_dn": 250})
-    dark = replace(rig, rig=rig.rig.model_copy(update={"cameras": rig.rig.cameras.model_copy(update={"checks": checks})}))
+    dark = replace(
+        rig,
+        rig=rig.rig.model_copy(
+            update={"cameras": rig.rig.cameras.model_copy(update={"checks": checks})}
+        ),
+    )
     rehearsal = rehearse(dark, script, ())
     assert found(rehearsal) == [("place-1", "frames"), ("place-2", "frames"), ("place-3", "frames")]
     assert "black" in rehearsal.findings[0].text
@@ -122,7 +162,10 @@ def test_answers_that_are_left_over_are_met_and_one_that_skips_is_told(tmp_path:
     assert skipped.findings == ()
     assert dict(skipped.got_over) == {"the operator's script skips a trial": 1}
     assert skipped.trials == 2
-    answers.write_text(ANSWERS.format("go").replace('answer = "go"', 'answer = "go"\nsays = "teat 9"'), encoding="utf-8")
+    answers.write_text(
+        ANSWERS.format("go").replace('answer = "go"', 'answer = "go"\nsays = "teat 9"'),
+        encoding="utf-8",
+    )
     left = rehearse(rig, script, ())
     assert found(left) == [("after the trials", "fault")]
     assert "1 answers of answers.toml were never asked for" in left.findings[0].text

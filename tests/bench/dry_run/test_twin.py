@@ -1,4 +1,6 @@
-"""The twin that a rehearsal is made on: as like the real rig as anybody knows, and its person as slow as persons are."""
+"""The twin that a rehearsal is made on: as like the real rig as anybody knows, and its person as
+slow as persons are.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +29,17 @@ MADE = datetime.fromisoformat("2026-11-01T12:00:00")
 SINGLE = SCRIPT.replace("table-5-1", "single")
 CARRY = SINGLE.replace("[bath]", '[truth]\nmode = "carry"\nregistration = "first"\n\n[bath]')
 TOLD = StageSettings(
-    travel_mm=(620.0, 400.0, 90.0), rate_mm_min=(6000.0, 6000.0, 600.0), accel_mm_s2=(500.0, 400.0, 50.0), steps_per_mm=(80.0, 80.0, 400.0),
-    soft_limits=True, hard_limits=True, homing=True, homing_seek_mm_min=2000.0, homing_feed_mm_min=120.0, pull_off_mm=2.0,
-)  # fmt: skip
+    travel_mm=(620.0, 400.0, 90.0),
+    rate_mm_min=(6000.0, 6000.0, 600.0),
+    accel_mm_s2=(500.0, 400.0, 50.0),
+    steps_per_mm=(80.0, 80.0, 400.0),
+    soft_limits=True,
+    hard_limits=True,
+    homing=True,
+    homing_seek_mm_min=2000.0,
+    homing_feed_mm_min=120.0,
+    pull_off_mm=2.0,
+)
 
 
 @pytest.fixture(scope="module")
@@ -42,20 +52,34 @@ def script(folder: Path, text: str = SCRIPT) -> LoadedScript:
     return load_script(folder / "script.toml")
 
 
-def test_every_address_is_an_emulators_and_nothing_else_is_changed(lab: LoadedRig, tmp_path: Path) -> None:
-    relay = replace(lab, rig=lab.rig.model_copy(update={"bath": lab.rig.bath.model_copy(update={"pump_url": "COM9"})}))
+def test_every_address_is_an_emulators_and_nothing_else_is_changed(
+    lab: LoadedRig, tmp_path: Path
+) -> None:
+    relay = replace(
+        lab,
+        rig=lab.rig.model_copy(
+            update={"bath": lab.rig.bath.model_copy(update={"pump_url": "COM9"})}
+        ),
+    )
     twin = twin_of(relay, script(tmp_path), TOLD).rig
     assert set(twin.emulated) == {"arm", "bath", "stage", "cameras", "operator"}
     assert twin.bath.pump_url == "emulator:"
     assert twin.limits == lab.rig.limits
     assert twin.arm.model_copy(update={"url": lab.rig.arm.url}) == lab.rig.arm
     assert twin.cameras.settle_s == lab.rig.cameras.settle_s
-    assert (twin.emulation.ambient_c, twin.emulation.bath_start_c) == (lab.rig.bath.room_c, lab.rig.bath.room_c)
+    assert (twin.emulation.ambient_c, twin.emulation.bath_start_c) == (
+        lab.rig.bath.room_c,
+        lab.rig.bath.room_c,
+    )
 
 
 def test_the_emulated_stage_is_set_as_the_controller_told(lab: LoadedRig, tmp_path: Path) -> None:
     settings = twin_of(lab, script(tmp_path), TOLD).rig.emulation.stage.settings
-    assert {number: settings[number] for number in (130, 131, 132)} == {130: 620.0, 131: 400.0, 132: 90.0}
+    assert {number: settings[number] for number in (130, 131, 132)} == {
+        130: 620.0,
+        131: 400.0,
+        132: 90.0,
+    }
     assert {number: settings[number] for number in (100, 111, 120, 24, 25, 27)} == {
         100: 80.0, 111: 6000.0, 120: 500.0, 24: 120.0, 25: 2000.0, 27: 2.0,
     }  # fmt: skip
@@ -65,15 +89,27 @@ def test_a_travel_that_nobody_knows_is_far_enough(lab: LoadedRig, tmp_path: Path
     wide = script(tmp_path, SCRIPT.replace("x_mm = 12.0", "x_mm = -412.0"))
     settings = twin_of(lab, wide, None).rig.emulation.stage.settings
     assert settings == {130: 150.0 + 412.0 + 10.0, 131: 275.0}
-    turning = replace(lab, rig=lab.rig.model_copy(update={"stage": lab.rig.stage and lab.rig.stage.model_copy(update={"axes": "XYA"})}))
+    turning = replace(
+        lab,
+        rig=lab.rig.model_copy(
+            update={"stage": lab.rig.stage and lab.rig.stage.model_copy(update={"axes": "XYA"})}
+        ),
+    )
     stage = twin_of(turning, wide, None).rig.emulation.stage
     assert (stage.dialect, set(stage.settings)) == ("grblHAL", {130, 131, 133})
 
 
-def test_the_arm_stands_where_the_frame_says_under_its_own_number(lab: LoadedRig, tmp_path: Path) -> None:
+def test_the_arm_stands_where_the_frame_says_under_its_own_number(
+    lab: LoadedRig, tmp_path: Path
+) -> None:
     motion = Motion.from_vectors((0.0, 0.0, 0.3), (-40.0, 25.0, 5.0))
-    touched = [tuple(motion.inverse().apply(np.array(at)).tolist()) for at in ((0.0, 0.0, 0.0), (200.0, 0.0, 0.0), (0.0, 200.0, 0.0))]
-    frame = TableFrame.from_touches(MADE, "12345", [TouchedPoint(f"p{i}", at) for i, at in enumerate(touched)])
+    touched = [
+        tuple(motion.inverse().apply(np.array(at)).tolist())
+        for at in ((0.0, 0.0, 0.0), (200.0, 0.0, 0.0), (0.0, 200.0, 0.0))
+    ]
+    frame = TableFrame.from_touches(
+        MADE, "12345", [TouchedPoint(f"p{i}", at) for i, at in enumerate(touched)]
+    )
     framed = replace(lab, frame=frame)
     twin = twin_of(framed, script(tmp_path), None)
     assert np.allclose(twin.rig.emulation.arm_placed.om, (0.0, 0.0, 0.3))
@@ -85,22 +121,36 @@ def test_the_arm_stands_where_the_frame_says_under_its_own_number(lab: LoadedRig
 
 def test_a_registration_of_a_turned_stage_holds_on_the_twin(lab: LoadedRig, tmp_path: Path) -> None:
     turned = Motion.from_vectors((0.0, 0.0, 0.02), (30.0, 500.0, 135.0))
-    places = ((-250.0, -230.0, 0.0), (-50.0, -230.0, 0.0), (-50.0, -40.0, 0.0), (-250.0, -40.0, 0.0))
+    places = (
+        (-250.0, -230.0, 0.0),
+        (-50.0, -230.0, 0.0),
+        (-50.0, -40.0, 0.0),
+        (-250.0, -40.0, 0.0),
+    )
     stations = [Station(at, tuple(turned.apply(np.array(at)).tolist()), 0.2) for at in places]
-    registration = Registration(MADE, "40937", "Grbl", 1, tuple(stations), StageAccuracy(5e-4, 5e-4, 0.02))
-    carried = replace(script(tmp_path, CARRY.replace(", z_mm = 6.0, yaw_deg = 4.0", "")), registration=registration)
+    registration = Registration(
+        MADE, "40937", "Grbl", 1, tuple(stations), StageAccuracy(5e-4, 5e-4, 0.02)
+    )
+    carried = replace(
+        script(tmp_path, CARRY.replace(", z_mm = 6.0, yaw_deg = 4.0", "")),
+        registration=registration,
+    )
     rehearsal = rehearse(lab, carried, ())
     assert rehearsal.findings == (), "check touches find the ends where the stage carried them"
     assert rehearsal.trials == 3
 
 
-def test_a_person_takes_the_time_that_persons_took(lab: LoadedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_person_takes_the_time_that_persons_took(
+    lab: LoadedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     poses = script(tmp_path, SCRIPT.replace(", z_mm = 6.0, yaw_deg = 4.0", ""))
     usual = rehearse(lab, poses, ())
     touches = 3 * 4 * lab.rig.arm.touches + 2 * lab.rig.arm.check_touches
     assert usual.spent["set-ups"] == pytest.approx(ASSUMED["set-up"])
     assert usual.spent["touches"] == pytest.approx(touches * ASSUMED["touch"], rel=0.02)
-    assert usual.spent["captures"] == pytest.approx(3 * (lab.rig.cameras.settle_s + ASSUMED["capture"]))
+    assert usual.spent["captures"] == pytest.approx(
+        3 * (lab.rig.cameras.settle_s + ASSUMED["capture"])
+    )
     learnt = {"touch": 2.0 * ASSUMED["touch"], "set-up": 100.0, "heating": 0.2}
     slower = rehearse(lab, poses, (), learnt=learnt)
     assert slower.spent["touches"] == pytest.approx(2.0 * usual.spent["touches"], rel=0.02)
@@ -113,15 +163,22 @@ def test_a_person_takes_the_time_that_persons_took(lab: LoadedRig, tmp_path: Pat
     assert shortened.prompts == usual.prompts == 1 + 3 + touches
 
 
-def test_a_person_leans_the_stylus_where_an_emulated_operator_would_not_get_to(lab: LoadedRig, tmp_path: Path) -> None:
+def test_a_person_leans_the_stylus_where_an_emulated_operator_would_not_get_to(
+    lab: LoadedRig, tmp_path: Path
+) -> None:
     far = SINGLE.replace("{ x_mm = 12.0, y_mm = -8.0 }", "{ x_mm = -145.0, y_mm = 100.0 }")
     assert rehearse(lab, script(tmp_path, far), ()).findings == ()
     upright = rehearse(load_rig(find_rig(None)), script(tmp_path, far), ())
     assert {(one.trial, one.kind) for one in upright.findings} == {("place-1", "reach")}
 
 
-def test_a_registration_beyond_the_travel_is_met_before_the_trials(lab: LoadedRig, tmp_path: Path) -> None:
-    text = CARRY.replace('registration = "first"', 'registration = "first"\nregistration_at_mm = [[-200.0, 0.0], [50.0, 0.0], [0.0, 80.0]]')
+def test_a_registration_beyond_the_travel_is_met_before_the_trials(
+    lab: LoadedRig, tmp_path: Path
+) -> None:
+    text = CARRY.replace(
+        'registration = "first"',
+        'registration = "first"\nregistration_at_mm = [[-200.0, 0.0], [50.0, 0.0], [0.0, 80.0]]',
+    )
     narrow = replace(TOLD, travel_mm=(300.0, 275.0, 50.0))
     rehearsal = rehearse(lab, script(tmp_path, text), (), stage=narrow)
     assert [(one.trial, one.kind) for one in rehearsal.findings] == [("before the trials", "fault")]
@@ -150,14 +207,32 @@ def test_which_trials_are_rendered() -> None:
 def test_every_second_is_one_kinds() -> None:
     now = [0.0]
     spent = TimeSpent(lambda: now[0])
-    steps = [("state", "preparing"), ("asking", "touches"), ("work", "moves"), ("state", "settling"), ("state", "running")]
-    steps += [("asking", "set-ups"), ("work", "captures"), ("state", "settling"), ("state", "running"), ("state", "safing")]
+    steps = [
+        ("state", "preparing"),
+        ("asking", "touches"),
+        ("work", "moves"),
+        ("state", "settling"),
+        ("state", "running"),
+    ]
+    steps += [
+        ("asking", "set-ups"),
+        ("work", "captures"),
+        ("state", "settling"),
+        ("state", "running"),
+        ("state", "safing"),
+    ]
     for what, word in steps:
         getattr(spent, what)(word)
         now[0] += 1.0
     spent.book(5.0)
     assert spent.seconds == {
         **dict.fromkeys(KINDS, 0.0),
-        "preparing": 2.0, "touches": 1.0, "settling": 2.0, "moves": 1.0, "set-ups": 1.0, "captures": 2.0, "going to safe": 6.0,
-    }  # fmt: skip
+        "preparing": 2.0,
+        "touches": 1.0,
+        "settling": 2.0,
+        "moves": 1.0,
+        "set-ups": 1.0,
+        "captures": 2.0,
+        "going to safe": 6.0,
+    }
     assert spent.first_settling_s == 1.0

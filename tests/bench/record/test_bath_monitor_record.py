@@ -1,4 +1,6 @@
-"""The record is written by two threads, the watch's and the engine's, and interrupted at any moment."""
+"""The record is written by two threads, the watch's and the engine's, and interrupted at any
+moment.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,15 @@ def test_readings_and_trials_from_two_threads_are_all_there(tmp_path: Path) -> N
 
     def watch() -> None:
         for t in range(READINGS):
-            store.bath({"t_s": 1000.0 + t, "temp_c": 33.0, "external_c": 32.7, "power_percent": 2.0, "state": "stable"})
+            store.bath(
+                {
+                    "t_s": 1000.0 + t,
+                    "temp_c": 33.0,
+                    "external_c": 32.7,
+                    "power_percent": 2.0,
+                    "state": "stable",
+                }
+            )
             if t % 50 == 0:
                 store.event(float(t), "trip", "from the clock's thread", wall_time())
 
@@ -42,12 +52,24 @@ def test_readings_and_trials_from_two_threads_are_all_there(tmp_path: Path) -> N
     assert run.external_c[-1] == 32.7
 
 
-def test_an_interruption_between_any_two_lines_leaves_a_record_that_can_be_finished(tmp_path: Path) -> None:
-    """Ctrl-C may come after each line of the store's own code; what is written afterwards must not fail, and nothing be there twice."""
+def test_an_interruption_between_any_two_lines_leaves_a_record_that_can_be_finished(
+    tmp_path: Path,
+) -> None:
+    """Ctrl-C may come after each line of the store's own code; what is written afterwards must not
+    fail, and nothing be there twice.
+    """
     store = Store.create(tmp_path / "run", {})
     facts(store)
     for line in range(1, 200):
-        store.bath({"t_s": float(line), "temp_c": 33.0, "external_c": None, "power_percent": 2.0, "state": "stable"})
+        store.bath(
+            {
+                "t_s": float(line),
+                "temp_c": 33.0,
+                "external_c": None,
+                "power_percent": 2.0,
+                "state": "stable",
+            }
+        )
         came = interrupted_at(line, store)
         store.event(float(line), "aborted", "Ctrl-C", wall_time())
         if not came:
@@ -56,13 +78,17 @@ def test_an_interruption_between_any_two_lines_leaves_a_record_that_can_be_finis
         raise AssertionError("the event takes more lines than this test interrupts")
     store.close()
     run = read_run(tmp_path / "run")
-    assert [event["t_s"] for event in run.events if event["kind"] == "aborted"] == list(range(1, line + 1))
+    assert [event["t_s"] for event in run.events if event["kind"] == "aborted"] == list(
+        range(1, line + 1)
+    )
     assert run.bath[:, 0].tolist() == list(range(1, line + 1))
     assert check_run(tmp_path / "run").findings == ()
 
 
 def interrupted_at(line: int, store: Store) -> bool:
-    """Write an event and interrupt it after ``line`` lines of `bench.store`, any of its modules; whether it was long enough for that."""
+    """Write an event and interrupt it after ``line`` lines of `bench.store`, any of its modules;
+    whether it was long enough for that.
+    """
     count = 0
 
     def trace(frame: FrameType, event: str, _: Any) -> Any:

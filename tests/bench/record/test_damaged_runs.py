@@ -1,4 +1,6 @@
-"""A run whose folder was damaged in any way: no command ends in a traceback, and none gives a verdict as if nothing were wrong."""
+"""A run whose folder was damaged in any way: no command ends in a traceback, and none gives a
+verdict as if nothing were wrong.
+"""
 
 from __future__ import annotations
 
@@ -74,13 +76,22 @@ def a_folder_for_a_picture(run: Path) -> None:
 
 
 DAMAGES: dict[str, Damage] = {
-    **{f"all of {table} removed": sql(f"DELETE FROM {table}") for table in (*OF_A_TRIAL, "trials", "files", "facts", "events", "chain")},
-    **{f"first of {table} removed": sql(f"DELETE FROM {table} WHERE rowid = 1") for table in (*OF_A_TRIAL, "bath", "sessions")},
+    **{
+        f"all of {table} removed": sql(f"DELETE FROM {table}")
+        for table in (*OF_A_TRIAL, "trials", "files", "facts", "events", "chain")
+    },
+    **{
+        f"first of {table} removed": sql(f"DELETE FROM {table} WHERE rowid = 1")
+        for table in (*OF_A_TRIAL, "bath", "sessions")
+    },
     "a trial removed with all its rows": sql(
-        *(f"DELETE FROM {table} WHERE trial = '002-again-1'" for table in OF_A_TRIAL), "DELETE FROM trials WHERE number = 2"
+        *(f"DELETE FROM {table} WHERE trial = '002-again-1'" for table in OF_A_TRIAL),
+        "DELETE FROM trials WHERE number = 2",
     ),
     **{
-        f"{table}.{column} is {value}": sql(f"UPDATE {table} SET {column} = {value} WHERE rowid = 1")
+        f"{table}.{column} is {value}": sql(
+            f"UPDATE {table} SET {column} = {value} WHERE rowid = 1"
+        )
         for table, column, value in (
             ("scores", "score", "'{'"),
             ("scores", "score", "'[]'"),
@@ -115,8 +126,17 @@ DAMAGES: dict[str, Damage] = {
     **{
         f"fact {key} is {value}": sql(f"UPDATE facts SET value = '{value}' WHERE key = '{key}'")
         for key, value in (
-            ("detectors", "{"), ("detectors", "1"), ("items", "[]"), ("versions", "null"), ("kind", "\"other\""), ("title", "7"),
-            ("pose set", "3"), ("asked", "{}"), ("set_point_c", "\"33\""), ("ending", "\"interrupted\""), ("identities", "[]"),
+            ("detectors", "{"),
+            ("detectors", "1"),
+            ("items", "[]"),
+            ("versions", "null"),
+            ("kind", '"other"'),
+            ("title", "7"),
+            ("pose set", "3"),
+            ("asked", "{}"),
+            ("set_point_c", '"33"'),
+            ("ending", '"interrupted"'),
+            ("identities", "[]"),
         )
     },
     "schema 2": version(2),
@@ -152,9 +172,16 @@ DAMAGES: dict[str, Damage] = {
     },
     **{
         f"the last report's run.json is {text}": printed(text)
-        for text in ("", "{", "[]", '{"chain": 1}', '{"chain": {"links": 1}}', '{"chain": {"links": 1, "wall_digest": []}}')
+        for text in (
+            "",
+            "{",
+            "[]",
+            '{"chain": 1}',
+            '{"chain": {"links": 1}}',
+            '{"chain": {"links": 1, "wall_digest": []}}',
+        )
     },
-}  # fmt: skip
+}
 
 
 @pytest.fixture
@@ -169,7 +196,10 @@ def whole(tmp_path: Path) -> Path:
 
 def reading(run: Path, whole: Path, out: Path) -> dict[str, list[str]]:
     """Every command that makes something of a run's record."""
-    exports = {kind: ["store", "export", str(run), "--format", kind, "--out", str(out / kind)] for kind in ("csv", "parquet", "mcap")}
+    exports = {
+        kind: ["store", "export", str(run), "--format", kind, "--out", str(out / kind)]
+        for kind in ("csv", "parquet", "mcap")
+    }
     compare = ["compare", str(whole), str(run), "--gate"]
     return exports | {
         "compare": [*compare, "--out", str(out / "compared")],
@@ -181,8 +211,12 @@ def reading(run: Path, whole: Path, out: Path) -> dict[str, list[str]]:
     }
 
 
-def test_what_is_whole_is_taken_by_every_command(run: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Else nothing below would mean anything. The kept run is finished, and its rig lies elsewhere: it isn't resumed."""
+def test_what_is_whole_is_taken_by_every_command(
+    run: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Else nothing below would mean anything. The kept run is finished, and its rig lies elsewhere:
+    it isn't resumed.
+    """
     for name, command in reading(run, whole, tmp_path / "out").items():
         assert main(command) == (2 if name == "resume" else 0), name
         assert NOT_AS_WRITTEN not in "".join(capsys.readouterr())
@@ -201,11 +235,15 @@ def test_a_damaged_run_is_refused_or_told_to_be_damaged(
         assert main(command) == 2, name
         told = no_traceback(capsys)
         assert not told.out, f"{name} gave something out"
-        assert told.err.startswith((f"teatbench: {NOT_AS_WRITTEN}", f"teatbench: {run}")), (name, told.err)
+        assert told.err.startswith((f"teatbench: {NOT_AS_WRITTEN}", f"teatbench: {run}")), (
+            name,
+            told.err,
+        )
     assert not out.exists()
     assert not (run / "report" / "index.html").exists()
     asked = reading(run, whole, out)
-    others = [name for name in asked if name != "report"]  # they take turns: a report takes its time
+    # they take turns: a report takes its time
+    others = [name for name in asked if name != "report"]
     for name in ("report", others[list(DAMAGES).index(what) % len(others)]):
         code = main([*asked[name], "--despite-damage"])
         told = no_traceback(capsys)
@@ -251,7 +289,9 @@ def assert_told(out: Path, *reports: Path) -> None:
             assert all(NOT_AS_WRITTEN in row for row in rows)
 
 
-def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     class Stopping(Silent):
         def trial(self, done: int, total: int, name: str) -> None:
             if done == 1:
@@ -262,7 +302,10 @@ def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, 
     assert ending is Ending.ABORTED
     sql("UPDATE detections SET wall_seconds = 0.001")(run)
     assert main(["resume", str(run)]) == 2
-    assert f"{NOT_AS_WRITTEN}, and is refused. {run.name}: table detections, row 1" in capsys.readouterr().err
+    assert (
+        f"{NOT_AS_WRITTEN}, and is refused. {run.name}: table detections, row 1"
+        in capsys.readouterr().err
+    )
     assert len(read_run(run).trials) == 1
     assert main(["resume", str(run), "--despite-damage"]) == 4
     told = capsys.readouterr()
@@ -273,19 +316,26 @@ def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, 
     assert main(["store", "check", str(run)]) == 1
 
 
-def test_a_report_of_a_record_that_was_cut_off_does_not_make_it_whole(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_report_of_a_record_that_was_cut_off_does_not_make_it_whole(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The new report may not name the chain as it is now: the next check would find nothing."""
     assert main(["report", str(run), "--no-pdf"]) == 0
     printed = json.loads((run / PRINTED).read_text(encoding="utf-8"))["chain"]
     facts = "'ending', 'retries', 'wall_ended'"
     cut = "(SELECT number FROM chain WHERE wall_covers LIKE '%wall_ended%')"
-    sql(f"DELETE FROM facts WHERE key IN ({facts})", f"DELETE FROM chain WHERE number >= {cut} - 3")(run)
+    sql(
+        f"DELETE FROM facts WHERE key IN ({facts})", f"DELETE FROM chain WHERE number >= {cut} - 3"
+    )(run)
     sql("DELETE FROM events WHERE kind = 'end'")(run)
     for _ in range(2):
         assert main(["report", str(run), "--no-pdf"]) == 2
         assert main(["report", str(run), "--no-pdf", "--despite-damage"]) in (3, 4)
         assert json.loads((run / PRINTED).read_text(encoding="utf-8"))["chain"] == printed
-    assert f"the chain doesn't pass through the digest of {PRINTED.as_posix()}" in capsys.readouterr().err
+    assert (
+        f"the chain doesn't pass through the digest of {PRINTED.as_posix()}"
+        in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -297,7 +347,9 @@ def test_a_bit_flipped_anywhere_in_the_database_changes_nothing_unseen(
     for _ in range(25):
         at, bit = chance.randrange(len(data)), 1 << chance.randrange(8)
         (run / DATABASE).write_bytes(data[:at] + bytes([data[at] ^ bit]) + data[at + 1 :])
-        code = main(["store", "export", str(run), "--format", "csv", "--out", str(tmp_path / "csv")])
+        code = main(
+            ["store", "export", str(run), "--format", "csv", "--out", str(tmp_path / "csv")]
+        )
         no_traceback(capsys)
         assert code == 2 or (code == 0 and dumped(run) == before), f"bit {bit} of byte {at}"
 

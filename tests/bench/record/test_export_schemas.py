@@ -1,6 +1,8 @@
-"""Foxglove's schemas field by field as published, bytes as Foxglove's own library writes them, and what viewers need of ours.
+"""Foxglove's schemas field by field as published, bytes as Foxglove's own library writes them, and
+what viewers need of ours.
 
-Fields typed from github.com/foxglove/foxglove-sdk, schemas/proto/foxglove, and protobuf's timestamp.proto; bytes from foxglove-sdk 0.30.3.
+Fields typed from github.com/foxglove/foxglove-sdk, schemas/proto/foxglove, and protobuf's
+timestamp.proto; bytes from foxglove-sdk 0.30.3.
 """
 
 from __future__ import annotations
@@ -18,18 +20,34 @@ PUBLISHED = {
     "foxglove.Vector3": "double x = 1; double y = 2; double z = 3",
     "foxglove.Quaternion": "double x = 1; double y = 2; double z = 3; double w = 4",
     "foxglove.Pose": "foxglove.Vector3 position = 1; foxglove.Quaternion orientation = 2",
-    "foxglove.CompressedImage": "google.protobuf.Timestamp timestamp = 1; string frame_id = 4; bytes data = 2; string format = 3",
-    "foxglove.RawImage": """google.protobuf.Timestamp timestamp = 1; string frame_id = 7; fixed32 width = 2; fixed32 height = 3;
-        string encoding = 4; fixed32 step = 5; bytes data = 6""",
-    "foxglove.CameraCalibration": """google.protobuf.Timestamp timestamp = 1; string frame_id = 9; fixed32 width = 2; fixed32 height = 3;
-        string distortion_model = 4; repeated double D = 5; repeated double K = 6; repeated double R = 7; repeated double P = 8""",
-    "foxglove.FrameTransform": """google.protobuf.Timestamp timestamp = 1; string parent_frame_id = 2; string child_frame_id = 3;
-        foxglove.Vector3 translation = 4; foxglove.Quaternion rotation = 5""",
+    "foxglove.CompressedImage": (
+        "google.protobuf.Timestamp timestamp = 1; string frame_id = 4; bytes data = 2; string"
+        " format = 3"
+    ),
+    "foxglove.RawImage": (
+        """google.protobuf.Timestamp timestamp = 1; string frame_id = 7; fixed32 width = 2; fixed32 height = 3;
+        string encoding = 4; fixed32 step = 5; bytes data = 6"""
+    ),
+    "foxglove.CameraCalibration": (
+        """google.protobuf.Timestamp timestamp = 1; string frame_id = 9; fixed32 width = 2; fixed32 height = 3;
+        string distortion_model = 4; repeated double D = 5; repeated double K = 6; repeated double R = 7; repeated double P = 8"""
+    ),
+    "foxglove.FrameTransform": (
+        """google.protobuf.Timestamp timestamp = 1; string parent_frame_id = 2; string child_frame_id = 3;
+        foxglove.Vector3 translation = 4; foxglove.Quaternion rotation = 5"""
+    ),
     "foxglove.FrameTransforms": "repeated foxglove.FrameTransform transforms = 1",
-    "foxglove.PoseInFrame": "google.protobuf.Timestamp timestamp = 1; string frame_id = 2; foxglove.Pose pose = 3",
-    "foxglove.PosesInFrame": "google.protobuf.Timestamp timestamp = 1; string frame_id = 2; repeated foxglove.Pose poses = 3",
-    "foxglove.Log": """google.protobuf.Timestamp timestamp = 1; enum foxglove.Log.Level level = 2; string message = 3; string name = 4;
-        string file = 5; fixed32 line = 6""",
+    "foxglove.PoseInFrame": (
+        "google.protobuf.Timestamp timestamp = 1; string frame_id = 2; foxglove.Pose pose = 3"
+    ),
+    "foxglove.PosesInFrame": (
+        "google.protobuf.Timestamp timestamp = 1; string frame_id = 2; repeated foxglove.Pose"
+        " poses = 3"
+    ),
+    "foxglove.Log": (
+        """google.protobuf.Timestamp timestamp = 1; enum foxglove.Log.Level level = 2; string message = 3; string name = 4;
+        string file = 5; fixed32 line = 6"""
+    ),
 }
 
 
@@ -56,15 +74,28 @@ def test_a_schema_is_field_by_field_what_foxglove_publishes(name: str) -> None:
 
 
 def test_levels_of_a_log_are_the_published_ones() -> None:
-    assert LEVEL.numbers == {"UNKNOWN": 0, "DEBUG": 1, "INFO": 2, "WARNING": 3, "ERROR": 4, "FATAL": 5}
+    assert LEVEL.numbers == {
+        "UNKNOWN": 0,
+        "DEBUG": 1,
+        "INFO": 2,
+        "WARNING": 3,
+        "ERROR": 4,
+        "FATAL": 5,
+    }
 
 
 @pytest.mark.parametrize("name", sorted(set(SCHEMAS) - set(FOXGLOVES)))
 def test_our_own_hold_only_what_every_viewer_takes(name: str) -> None:
-    """Lichtblick refuses JSON schemas with two types for a field, and gives an int64 as something that can't be plotted."""
+    """Lichtblick refuses JSON schemas with two types for a field, and gives an int64 as something
+    that can't be plotted.
+    """
     ours = mcap_reading.described(described(SCHEMAS[name]))[name]
     assert ours.pop(1) == ("timestamp", mcap_reading.MESSAGE, False, "google.protobuf.Timestamp")
-    assert {kind for _, kind, _, _ in ours.values()} <= {mcap_reading.DOUBLE, mcap_reading.STRING, mcap_reading.UINT32}
+    assert {kind for _, kind, _, _ in ours.values()} <= {
+        mcap_reading.DOUBLE,
+        mcap_reading.STRING,
+        mcap_reading.UINT32,
+    }
 
 
 T = {"seconds": 1_700_000_000, "nanos": 5}
@@ -83,7 +114,15 @@ AS_FOXGLOVE_WRITES: dict[str, tuple[dict[str, Any], str]] = {
         "0a080880e2cfaa06100512036162631a03706e6722046c656674",
     ),
     "foxglove.RawImage": (
-        {"timestamp": T, "frame_id": "thermal", "width": 2, "height": 1, "encoding": "mono16", "step": 4, "data": b"abcd"},
+        {
+            "timestamp": T,
+            "frame_id": "thermal",
+            "width": 2,
+            "height": 1,
+            "encoding": "mono16",
+            "step": 4,
+            "data": b"abcd",
+        },
         "0a080880e2cfaa06100515020000001d0100000022066d6f6e6f31362d040000003204616263643a07746865726d616c",
     ),
     "foxglove.FrameTransforms": (
@@ -96,7 +135,8 @@ AS_FOXGLOVE_WRITES: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "foxglove.PosesInFrame": (
         {"timestamp": T, "frame_id": "world", "poses": [POSE, POSE]},
-        "0a080880e2cfaa0610051205776f726c64" + 2 * "1a1f0a12099a9999999999b93f197b14ae47e17a74bf120921000000000000f03f",
+        "0a080880e2cfaa0610051205776f726c64"
+        + 2 * "1a1f0a12099a9999999999b93f197b14ae47e17a74bf120921000000000000f03f",
     ),
     "foxglove.Log": (
         {"timestamp": T, "level": 4, "message": "gone: ü", "name": "fault"},
@@ -113,11 +153,20 @@ def test_bytes_are_those_of_foxgloves_own_library(name: str) -> None:
 
 @pytest.mark.parametrize("name", FOXGLOVES)
 def test_descriptions_are_those_of_foxgloves_own_library(name: str) -> None:
-    """Options for other languages' generators, which Google's timestamp has, say nothing of the bytes."""
-    theirs = pytest.importorskip("foxglove.messages", reason="foxglove-sdk is not installed: nobody to compare with")
-    descriptors: Any = pytest.importorskip("google.protobuf.descriptor_pb2", reason="protobuf is not installed")
+    """Options for other languages' generators, which Google's timestamp has, say nothing of the
+    bytes.
+    """
+    theirs = pytest.importorskip(
+        "foxglove.messages", reason="foxglove-sdk is not installed: nobody to compare with"
+    )
+    descriptors: Any = pytest.importorskip(
+        "google.protobuf.descriptor_pb2", reason="protobuf is not installed"
+    )
     kind = getattr(theirs, name.removeprefix("foxglove."))
-    sets = [descriptors.FileDescriptorSet.FromString(data) for data in (kind.get_schema().data, described(SCHEMAS[name]))]
+    sets = [
+        descriptors.FileDescriptorSet.FromString(data)
+        for data in (kind.get_schema().data, described(SCHEMAS[name]))
+    ]
     for files in sets:
         for file in files.file:
             file.ClearField("options")

@@ -1,6 +1,8 @@
-"""A run's time line opened by a viewer's own reader: rerun shows the pictures, places, ties and lenses that went in.
+"""A run's time line opened by a viewer's own reader: rerun shows the pictures, places, ties and
+lenses that went in.
 
-Needs rerun-sdk, which is no part of the tests' requirements for its size; docs/record.md says what was opened by whom.
+Needs rerun-sdk, which is no part of the tests' requirements for its size; docs/record.md says what
+was opened by whom.
 """
 
 from __future__ import annotations
@@ -19,25 +21,50 @@ from bench.rig.loading import RIGS
 from instruments.clock import wall_time
 from tests.bench.record.test_record import facts, trial
 
-rerun: Any = pytest.importorskip("rerun.chunk", reason="rerun-sdk is not installed: no viewer to open the export with")
+rerun: Any = pytest.importorskip(
+    "rerun.chunk", reason="rerun-sdk is not installed: no viewer to open the export with"
+)
 
-LEFT, THERMAL = np.arange(48, dtype=np.uint8).reshape(6, 8), np.arange(29_000, 29_012, dtype=np.uint16).reshape(3, 4)
-TOUCH = {"teat": "1", "touch": 1, "t_s": 1.25, "x_mm": 10.0, "y_mm": -20.0, "z_mm": 30.0, "spread_mm": 0.1, "packets": 40, "counts": "[]"}
+LEFT, THERMAL = (
+    np.arange(48, dtype=np.uint8).reshape(6, 8),
+    np.arange(29_000, 29_012, dtype=np.uint16).reshape(3, 4),
+)
+TOUCH = {
+    "teat": "1",
+    "touch": 1,
+    "t_s": 1.25,
+    "x_mm": 10.0,
+    "y_mm": -20.0,
+    "z_mm": 30.0,
+    "spread_mm": 0.1,
+    "packets": 40,
+    "counts": "[]",
+}
 
 
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, Any]]]:
     """What rerun makes of each topic: rows of its components."""
     folder = tmp_path_factory.mktemp("viewers")
-    store = Store.create(folder / "run", {"calibration.toml": (RIGS / "calibration.toml").read_text(encoding="utf-8")})
+    store = Store.create(
+        folder / "run",
+        {"calibration.toml": (RIGS / "calibration.toml").read_text(encoding="utf-8")},
+    )
     facts(store)
     store.event(0.5, "fault", "the stage is gone", wall_time())
     made, times = trial(store, 1), {"captured_s": 1.0, "stage_mm": "[100.0, 0.0, -5.0]"}
     frames = store.frames("001-x-1", {"left": LEFT, "thermal_radiometric": THERMAL}, {"left": 1.0})
     touch = {"trial": "001-x-1", **TOUCH}
-    store.finished(FinishedTrial({**made.trial, **times}, frames, [touch], made.truth, made.detections, made.found, []))
+    store.finished(
+        FinishedTrial(
+            {**made.trial, **times}, frames, [touch], made.truth, made.detections, made.found, []
+        )
+    )
     store.close()
-    assert main(["store", "export", str(folder / "run"), "--format", "mcap", "--out", str(folder)]) == 0
+    assert (
+        main(["store", "export", str(folder / "run"), "--format", "mcap", "--out", str(folder)])
+        == 0
+    )
     found: dict[str, list[dict[str, Any]]] = {}
     for topic, row in rows(folder / "run.mcap"):
         found.setdefault(topic, []).append(row)
@@ -48,13 +75,22 @@ def rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """Without what rerun tells of the file itself."""
     for chunk in rerun.McapReader(path).stream():
         for row in chunk.to_record_batch().to_pylist():
-            kept = {name: value for name, value in row.items() if value and not name.startswith(("Mcap", "rerun."))}
+            kept = {
+                name: value
+                for name, value in row.items()
+                if value and not name.startswith(("Mcap", "rerun."))
+            }
             if any(":" in name for name in kept):
                 yield chunk.entity_path, kept
 
 
-def test_every_topic_is_drawn_and_none_is_left_as_bytes(shown: dict[str, list[dict[str, Any]]]) -> None:
-    drawn = {topic: {name.partition(":")[0] for row in kept for name in row if ":" in name} for topic, kept in shown.items()}
+def test_every_topic_is_drawn_and_none_is_left_as_bytes(
+    shown: dict[str, list[dict[str, Any]]],
+) -> None:
+    drawn = {
+        topic: {name.partition(":")[0] for row in kept for name in row if ":" in name}
+        for topic, kept in shown.items()
+    }
     wanted = {
         "/tf": "Transform3D",
         "/lenses/left": "Pinhole",
@@ -82,13 +118,17 @@ def test_pictures_come_out_as_they_went_in(shown: dict[str, list[dict[str, Any]]
     (thermal,) = shown["/cameras/thermal_radiometric"]
     (shape,) = thermal["Image:format"]
     assert (shape["width"], shape["height"]) == (4, 3)
-    assert np.array_equal(np.frombuffer(bytes(thermal["Image:buffer"][0]), "<u2").reshape(3, 4), THERMAL)
+    assert np.array_equal(
+        np.frombuffer(bytes(thermal["Image:buffer"][0]), "<u2").reshape(3, 4), THERMAL
+    )
 
 
 def test_places_are_where_they_were(shown: dict[str, list[dict[str, Any]]]) -> None:
     assert np.allclose(shown["/arm"][0]["InstancePoses3D:translations"], [[0.01, -0.02, 0.03]])
     assert np.allclose(shown["/stage"][0]["InstancePoses3D:translations"], [[0.1, 0.0, -0.005]])
-    ties = [(*row["Transform3D:parent_frame"], *row["Transform3D:child_frame"]) for row in shown["/tf"]]
+    ties = [
+        (*row["Transform3D:parent_frame"], *row["Transform3D:child_frame"]) for row in shown["/tf"]
+    ]
     assert ties == [("world", "right"), ("right", "left"), ("left", "thermal")]
     (bath,) = shown["/bath"][0]["teatbench.Bath:message"]
     assert bath["temp_c"] == 33.0

@@ -48,11 +48,48 @@ def facts(store: Store) -> None:
 def trial(store: Store, number: int) -> FinishedTrial:
     name = f"{number:03d}-x-1"
     frame = store.frame(name, "left", np.full((48, 64), number % 256, np.uint8), 1.0)
-    head: dict[str, Any] = {"id": name, "number": number, "name": "x", "situation": "s", "repeat": 1, "wall_time": "now"}
-    detection = {"trial": name, "detector": "thesis", "hidden": 0, "reason": None, "trace": "{}", "wall_seconds": 0.1}
-    found = {"trial": name, "detector": "thesis", "number": 1, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0}
-    truth = {"trial": name, "teat": 1, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "u_mm": 0.2, "visible": 1}
-    store.bath({"t_s": float(number), "temp_c": 33.0, "external_c": None, "power_percent": 2.0, "state": "stable"})
+    head: dict[str, Any] = {
+        "id": name,
+        "number": number,
+        "name": "x",
+        "situation": "s",
+        "repeat": 1,
+        "wall_time": "now",
+    }
+    detection = {
+        "trial": name,
+        "detector": "thesis",
+        "hidden": 0,
+        "reason": None,
+        "trace": "{}",
+        "wall_seconds": 0.1,
+    }
+    found = {
+        "trial": name,
+        "detector": "thesis",
+        "number": 1,
+        "x_mm": 1.0,
+        "y_mm": 2.0,
+        "z_mm": 3.0,
+    }
+    truth = {
+        "trial": name,
+        "teat": 1,
+        "x_mm": 1.0,
+        "y_mm": 2.0,
+        "z_mm": 3.0,
+        "u_mm": 0.2,
+        "visible": 1,
+    }
+    store.bath(
+        {
+            "t_s": float(number),
+            "temp_c": 33.0,
+            "external_c": None,
+            "power_percent": 2.0,
+            "state": "stable",
+        }
+    )
     return FinishedTrial(head, [frame], [], [truth], [detection], [found], [])
 
 
@@ -67,7 +104,9 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     assert [t.id for t in run.trials] == ["007-x-1"]
     assert run.trials[0].found[0]["z_mm"] == 3.0
     assert run.bath.tolist() == [[7.0, 33.0, 2.0]]
-    image = cv2.imread(str(tmp_path / "run" / run.trials[0].frames[0]["path"]), cv2.IMREAD_GRAYSCALE)
+    image = cv2.imread(
+        str(tmp_path / "run" / run.trials[0].frames[0]["path"]), cv2.IMREAD_GRAYSCALE
+    )
     assert image is not None
     assert (image == 7).all()
 
@@ -78,7 +117,10 @@ def test_a_killed_run_opens_and_has_every_finished_trial(tmp_path: Path, after_s
     folder = tmp_path / "run"
     root = Path(__file__).resolve().parents[3]
     writer = subprocess.Popen(
-        [sys.executable, "-c", WRITER, str(folder)], stdout=subprocess.PIPE, cwd=root, env={**os.environ, "PYTHONPATH": str(root)}
+        [sys.executable, "-c", WRITER, str(folder)],
+        stdout=subprocess.PIPE,
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root)},
     )
     assert writer.stdout is not None
     assert writer.stdout.readline() == b"ready\n"
@@ -100,7 +142,15 @@ def test_a_trial_that_fails_to_be_written_leaves_nothing(tmp_path: Path) -> None
     store = Store.create(tmp_path / "run", {})
     facts(store)
     good = trial(store, 1)
-    bad = FinishedTrial(good.trial, good.frames, [], good.truth, good.detections, [{"trial": "other", "detector": "x", "number": 1}], [])
+    bad = FinishedTrial(
+        good.trial,
+        good.frames,
+        [],
+        good.truth,
+        good.detections,
+        [{"trial": "other", "detector": "x", "number": 1}],
+        [],
+    )
     with pytest.raises(sqlite3.IntegrityError):
         store.finished(bad)
     store.finished(good)
@@ -111,7 +161,9 @@ def test_a_trial_that_fails_to_be_written_leaves_nothing(tmp_path: Path) -> None
 def test_a_folder_that_is_no_run_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="is no run"):
         read_run(tmp_path)
-    (tmp_path / DATABASE).write_bytes(b"this is not a database, and long enough to have a header of some kind" * 20)
+    (tmp_path / DATABASE).write_bytes(
+        b"this is not a database, and long enough to have a header of some kind" * 20
+    )
     with pytest.raises(ConfigError, match="can't be read"):
         read_run(tmp_path)
 
@@ -149,8 +201,13 @@ def test_the_link_over_many_facts_repeats_in_another_process(tmp_path: Path) -> 
         for key in ("command", *keys, "recorded to"):
             store.fact(key, "said")
     with closing(sqlite3.connect(tmp_path / "run" / DATABASE)) as db:
-        said = [json.loads(covers).get("facts", {}) for (covers,) in db.execute("SELECT covers FROM chain ORDER BY number")]
-    assert [key for link in said for key in link if key in keys or not key.startswith("fact")] == keys
+        said = [
+            json.loads(covers).get("facts", {})
+            for (covers,) in db.execute("SELECT covers FROM chain ORDER BY number")
+        ]
+    assert [
+        key for link in said for key in link if key in keys or not key.startswith("fact")
+    ] == keys
 
 
 @pytest.mark.parametrize("name", ["n" * 250, "ü" * 125])

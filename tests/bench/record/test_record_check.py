@@ -1,4 +1,6 @@
-"""`teatbench store check`: every kind of damage is found and named, and nothing that is no damage is taken for it."""
+"""`teatbench store check`: every kind of damage is found and named, and nothing that is no damage
+is taken for it.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,22 @@ from instruments.clock import wall_time
 from tests.bench.record.test_record import facts, trial
 
 KEPT = Path(__file__).parent / "kept"
-CHECK = {"number": 1, "teat": "1", "after_trial": "002-x-1", "t_s": 2.5, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0} | {
-    "carried_x_mm": 1.0, "carried_y_mm": 2.0, "carried_z_mm": 9.0, "off_mm": 6.0, "limit_mm": 1.0, "held": 0,
-}  # fmt: skip
+CHECK = {
+    "number": 1,
+    "teat": "1",
+    "after_trial": "002-x-1",
+    "t_s": 2.5,
+    "x_mm": 1.0,
+    "y_mm": 2.0,
+    "z_mm": 3.0,
+} | {
+    "carried_x_mm": 1.0,
+    "carried_y_mm": 2.0,
+    "carried_z_mm": 9.0,
+    "off_mm": 6.0,
+    "limit_mm": 1.0,
+    "held": 0,
+}
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +53,17 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     store.event(0.0, "state", "preparing", wall_time())
     for number in (1, 2, 3):
         store.finished(trial(store, number))
-    store.skipped({"trial": "004-x-1", "number": 4, "name": "x", "situation": "s", "repeat": 1, "t_s": 4.0, "reason": "no teat"})
+    store.skipped(
+        {
+            "trial": "004-x-1",
+            "number": 4,
+            "name": "x",
+            "situation": "s",
+            "repeat": 1,
+            "t_s": 4.0,
+            "reason": "no teat",
+        }
+    )
     store.checked([CHECK], ["002-x-1"], "the carried end is 6 mm off")
     store.fact("ending", "finished")
     store.event(5.0, "end", "finished", wall_time())
@@ -64,7 +89,11 @@ def sql(*commands: str) -> Callable[[Path], object]:
 
 
 def damages(run: Path, digest: str | None = None) -> list[str]:
-    return [finding.text for finding in check_run(run, digest).findings if finding.weight is Weight.DAMAGE]
+    return [
+        finding.text
+        for finding in check_run(run, digest).findings
+        if finding.weight is Weight.DAMAGE
+    ]
 
 
 def flipped(path: Path, at: int) -> None:
@@ -81,54 +110,113 @@ def test_a_run_as_it_was_written_is_whole(run: Path) -> None:
     checked = check_run(run)
     assert checked.whole
     assert checked.findings == ()
-    assert checked.counts == {"trials": 3, "frames": 3, "events": 2, "bath": 3, "links": checked.head.number}
+    assert checked.counts == {
+        "trials": 3,
+        "frames": 3,
+        "events": 2,
+        "bath": 3,
+        "links": checked.head.number,
+    }
     assert checked.head == read_run(run).head
 
 
 DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
-    "a truth moved": (sql("UPDATE truth SET x_mm = 1.5 WHERE trial = '002-x-1'"), r"table truth, row 2 is not as written .*trial 002-x-1"),
-    "a detection's time": (sql("UPDATE detections SET wall_seconds = 0.05"), "table detections, row 1 is not as written"),
-    "an event's words": (sql("UPDATE events SET text = 'nothing' WHERE number = 1"), "table events, row 1 is not as written"),
-    "an event's time of day": (sql("UPDATE events SET wall_time = '2020' WHERE number = 2"), "table events, row 2 is not as written"),
+    "a truth moved": (
+        sql("UPDATE truth SET x_mm = 1.5 WHERE trial = '002-x-1'"),
+        r"table truth, row 2 is not as written .*trial 002-x-1",
+    ),
+    "a detection's time": (
+        sql("UPDATE detections SET wall_seconds = 0.05"),
+        "table detections, row 1 is not as written",
+    ),
+    "an event's words": (
+        sql("UPDATE events SET text = 'nothing' WHERE number = 1"),
+        "table events, row 1 is not as written",
+    ),
+    "an event's time of day": (
+        sql("UPDATE events SET wall_time = '2020' WHERE number = 2"),
+        "table events, row 2 is not as written",
+    ),
     "an event added": (
         sql("INSERT INTO events VALUES (3, 1, 6.0, 'note', 'all good', '2020')"),
         "table events, rows 3 to 3 .* added later",
     ),
     "a trial removed": (
         sql(
-            *(f"DELETE FROM {t} WHERE trial = '003-x-1'" for t in ("found", "detections", "truth", "frames")),
+            *(
+                f"DELETE FROM {t} WHERE trial = '003-x-1'"
+                for t in ("found", "detections", "truth", "frames")
+            ),
             "DELETE FROM trials WHERE number = 3",
         ),
         "table trials, row 3 is not as written",
     ),
-    "a truth given back": (sql("DELETE FROM invalidated"), r"table invalidated, row 1 is not as written"),
-    "a bath reading": (sql("UPDATE bath SET temp_c = 34.0 WHERE t_s = 1.0"), "table bath, row 1 is not as written"),
-    "a fact changed": (sql("UPDATE facts SET value = '\"real\"' WHERE key = 'kind'"), "fact 'kind' is not as written"),
-    "a fact added": (sql("INSERT INTO facts VALUES ('wall_x', '1', NULL)"), "fact 'wall_x' is in no link"),
+    "a truth given back": (
+        sql("DELETE FROM invalidated"),
+        r"table invalidated, row 1 is not as written",
+    ),
+    "a bath reading": (
+        sql("UPDATE bath SET temp_c = 34.0 WHERE t_s = 1.0"),
+        "table bath, row 1 is not as written",
+    ),
+    "a fact changed": (
+        sql("UPDATE facts SET value = '\"real\"' WHERE key = 'kind'"),
+        "fact 'kind' is not as written",
+    ),
+    "a fact added": (
+        sql("INSERT INTO facts VALUES ('wall_x', '1', NULL)"),
+        "fact 'wall_x' is in no link",
+    ),
     "a fact removed": (sql("DELETE FROM facts WHERE key = 'ending'"), "fact 'ending' is missing"),
-    "a link changed": (sql("UPDATE chain SET digest = wall_digest WHERE number = 4"), "link 4 of the chain doesn't follow"),
-    "a link removed": (sql("DELETE FROM chain WHERE number = 5"), "link 6 of the chain doesn't follow"),
-    "a link that is no JSON": (sql("UPDATE chain SET covers = '{' WHERE number = 4"), "link 4 of the chain can't be read"),
+    "a link changed": (
+        sql("UPDATE chain SET digest = wall_digest WHERE number = 4"),
+        "link 4 of the chain doesn't follow",
+    ),
+    "a link removed": (
+        sql("DELETE FROM chain WHERE number = 5"),
+        "link 6 of the chain doesn't follow",
+    ),
+    "a link that is no JSON": (
+        sql("UPDATE chain SET covers = '{' WHERE number = 4"),
+        "link 4 of the chain can't be read",
+    ),
     "a row without its trial": (
         sql("UPDATE frames SET trial = 'gone' WHERE rowid = 1"),
         "table frames, row 1: what it refers to in trials",
     ),
-    "a rotten frame": (lambda run: flipped(run / frame(), -20), r"002-x-1/left.png is not as it was written"),
+    "a rotten frame": (
+        lambda run: flipped(run / frame(), -20),
+        r"002-x-1/left.png is not as it was written",
+    ),
     "a lost frame": (lambda run: (run / frame()).unlink(), r"002-x-1/left.png can't be read"),
     "a frame that came later": (
         lambda run: (run / frame().with_name("right.png")).write_bytes(b"x"),
         "right.png is in no row of the record",
     ),
-    "another script": (lambda run: (run / "script.toml").write_text("x = 2", encoding="utf-8"), "script.toml is not as it was written"),
-    "a file without a name": (sql("UPDATE files SET name = NULL WHERE rowid = 1"), "has no name, but None in its place"),
-    "a fact without a key": (sql("INSERT INTO facts VALUES (NULL, '1', NULL)"), "fact None is in no link"),
-    "a version that had no chain": (sql("PRAGMA user_version = 2"), "says that it has schema 2, which has no chain"),
+    "another script": (
+        lambda run: (run / "script.toml").write_text("x = 2", encoding="utf-8"),
+        "script.toml is not as it was written",
+    ),
+    "a file without a name": (
+        sql("UPDATE files SET name = NULL WHERE rowid = 1"),
+        "has no name, but None in its place",
+    ),
+    "a fact without a key": (
+        sql("INSERT INTO facts VALUES (NULL, '1', NULL)"),
+        "fact None is in no link",
+    ),
+    "a version that had no chain": (
+        sql("PRAGMA user_version = 2"),
+        "says that it has schema 2, which has no chain",
+    ),
     "a rotten database": (lambda run: flipped(run / DATABASE, 3 * 4096 + 5), r"run\.sqlite"),
 }
 
 
 @pytest.mark.parametrize("what", DAMAGE)
-def test_damage_is_found_and_named(run: Path, what: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damage_is_found_and_named(
+    run: Path, what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     damage, told = DAMAGE[what]
     damage(run)
     found = damages(run)
@@ -142,12 +230,21 @@ def test_no_cell_of_any_table_changes_unseen(run: Path) -> None:
         db.execute("PRAGMA synchronous = OFF")
         for table in tables_of(db):
             for _, column, *_ in db.execute(f"PRAGMA table_info({table})").fetchall():
-                rows = db.execute(f"SELECT rowid, {column} FROM {table} ORDER BY rowid LIMIT 1").fetchall()
+                rows = db.execute(
+                    f"SELECT rowid, {column} FROM {table} ORDER BY rowid LIMIT 1"
+                ).fetchall()
                 for rowid, value in rows:
                     change = f"UPDATE {table} SET {column} = ? WHERE rowid = ?"
-                    db.execute(change, ("other" if isinstance(value, str | None) else value + 1_000_000, rowid))
+                    db.execute(
+                        change,
+                        ("other" if isinstance(value, str | None) else value + 1_000_000, rowid),
+                    )
                     assert damages(run), f"{table}.{column}"
-                    at = rowid + 1_000_000 if column in ("number", "rowid") and is_rowid(db, table) else rowid
+                    at = (
+                        rowid + 1_000_000
+                        if column in ("number", "rowid") and is_rowid(db, table)
+                        else rowid
+                    )
                     db.execute(change, (value, at))
                     assert not damages(run), f"{table}.{column} was restored"
 
@@ -161,7 +258,9 @@ def is_rowid(db: sqlite3.Connection, table: str) -> bool:
     )
 
 
-def test_what_a_dead_bench_leaves_is_told_but_no_damage(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_dead_bench_leaves_is_told_but_no_damage(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     store = Store(run)
     store.frame("004-x-1", "left", np.zeros((4, 5), np.uint8), None)
     (run / frame(4).with_name("right.png.part")).write_bytes(b"half a fra")
@@ -174,14 +273,22 @@ def test_what_a_dead_bench_leaves_is_told_but_no_damage(run: Path, capsys: pytes
 
 
 def test_a_chain_made_anew_or_cut_off_differs_from_what_the_report_names(run: Path) -> None:
-    """Whoever can write the file can make a chain of his own; he can't make it end in the digest that was printed."""
+    """Whoever can write the file can make a chain of his own; he can't make it end in the digest
+    that was printed.
+    """
     head = check_run(run).head
-    printed = {"chain": {"links": head.number, "digest": head.digest, "wall_digest": head.wall_digest}}
+    printed = {
+        "chain": {"links": head.number, "digest": head.digest, "wall_digest": head.wall_digest}
+    }
     (run / PRINTED).parent.mkdir()
     (run / PRINTED).write_text(json.dumps(printed), encoding="utf-8")
     assert damages(run, digest=head.digest) == damages(run, digest=head.wall_digest.upper()) == []
-    sql("DELETE FROM events WHERE number = 2", f"DELETE FROM chain WHERE number = {head.number}")(run)
-    assert [text.partition(":")[0] for text in damages(run)] == [f"the chain doesn't pass through the digest of {PRINTED.as_posix()}"]
+    sql("DELETE FROM events WHERE number = 2", f"DELETE FROM chain WHERE number = {head.number}")(
+        run
+    )
+    assert [text.partition(":")[0] for text in damages(run)] == [
+        f"the chain doesn't pass through the digest of {PRINTED.as_posix()}"
+    ]
     (run / PRINTED).unlink()
     assert damages(run) == []
     assert "doesn't pass through" in damages(run, digest=head.wall_digest)[0]
@@ -226,8 +333,12 @@ def test_the_digest_without_real_time_repeats_and_the_other_does_not(tmp_path: P
         ),
     ],
 )
-def test_runs_that_were_kept_still_check(kept: str, digest: str, wall_digest: str, tmp_path: Path) -> None:
-    """The chain's format: whoever changes it would call every record that was ever written an altered one."""
+def test_runs_that_were_kept_still_check(
+    kept: str, digest: str, wall_digest: str, tmp_path: Path
+) -> None:
+    """The chain's format: whoever changes it would call every record that was ever written an
+    altered one.
+    """
     run = Path(shutil.copytree(KEPT / kept, tmp_path / kept))
     checked = check_run(run)
     assert checked.whole
@@ -236,9 +347,13 @@ def test_runs_that_were_kept_still_check(kept: str, digest: str, wall_digest: st
 
 
 def test_every_schema_that_has_a_chain_has_a_kept_run() -> None:
-    assert {path.name for path in KEPT.iterdir()} == {f"schema-{version}" for version in range(CHAINED_SINCE, SCHEMA_VERSION + 1)}
+    assert {path.name for path in KEPT.iterdir()} == {
+        f"schema-{version}" for version in range(CHAINED_SINCE, SCHEMA_VERSION + 1)
+    }
 
 
-def test_a_folder_that_is_no_run_is_wrong_use(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_is_no_run_is_wrong_use(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["store", "check", str(tmp_path)]) == 2
     assert "is no run" in capsys.readouterr().err

@@ -1,4 +1,6 @@
-"""docs/record.md says what there is: every table with its columns of time, every topic, every schema."""
+"""docs/record.md says what there is: every table with its columns of time, every topic, every
+schema.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ def test_every_table_and_its_times_are_told() -> None:
         assert set(told) == set(tables_of(db))
         for table, times in told.items():
             columns = {row[1] for row in db.execute(f"PRAGMA table_info({table})")}
-            named = set(re.findall(r"`(t_s|wall_time|\w+_s)`", times)) - ({"captured_s"} if table == "detections" else set())
+            named = set(re.findall(r"`(t_s|wall_time|\w+_s)`", times)) - (
+                {"captured_s"} if table == "detections" else set()
+            )
             assert named <= columns
             assert not times or {"t_s", "wall_time"} & columns <= named
 

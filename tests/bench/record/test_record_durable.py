@@ -1,4 +1,6 @@
-"""When what is durable: the order of syncs, what a step holds back and what it doesn't, and what a failed write leaves."""
+"""When what is durable: the order of syncs, what a step holds back and what it doesn't, and what a
+failed write leaves.
+"""
 
 from __future__ import annotations
 
@@ -93,7 +95,9 @@ def test_a_trial_that_cannot_be_written_takes_nothing_with_it(store: Store) -> N
     good = trial(store, 1)
     orphan = [{"trial": "other", "detector": "x", "number": 1}]
     with pytest.raises(sqlite3.IntegrityError):
-        store.finished(FinishedTrial(good.trial, good.frames, [], good.truth, good.detections, orphan, []))
+        store.finished(
+            FinishedTrial(good.trial, good.frames, [], good.truth, good.detections, orphan, [])
+        )
     assert (durable(store, "bath"), durable(store, "trials")) == (1, 0)
     store.finished(good)
     assert (durable(store, "bath"), durable(store, "trials")) == (1, 1)
@@ -128,7 +132,9 @@ def test_what_waits_goes_on_waiting_while_the_disk_is_full(store: Store) -> None
     assert check_run(store.folder).whole
 
 
-def test_a_file_is_synced_then_renamed_then_its_folder_is_synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_is_synced_then_renamed_then_its_folder_is_synced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     done: list[str] = []
     fsync, replace = os.fsync, Path.replace
 
@@ -145,10 +151,17 @@ def test_a_file_is_synced_then_renamed_then_its_folder_is_synced(tmp_path: Path,
     monkeypatch.setattr(os, "fsync", synced)
     monkeypatch.setattr(Path, "replace", renamed)
     write_synced(tmp_path / "new" / "a.bin", b"a")
-    assert done == [f"sync {tmp_path.name}", "sync a.bin.part", "rename a.bin.part to a.bin", "sync new"]
+    assert done == [
+        f"sync {tmp_path.name}",
+        "sync a.bin.part",
+        "rename a.bin.part to a.bin",
+        "sync new",
+    ]
 
 
-def test_frames_are_on_the_disk_before_the_row_that_names_them(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_on_the_disk_before_the_row_that_names_them(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     seen: list[int] = []
     fsync = os.fsync
 
@@ -164,7 +177,9 @@ def test_frames_are_on_the_disk_before_the_row_that_names_them(store: Store, mon
     assert durable(store, "frames") == 1
 
 
-def test_a_run_folder_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_folder_is_there_whole_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "out" / "run"
 
     def died(*_: object) -> None:
@@ -192,25 +207,38 @@ def test_each_opening_is_a_session_with_a_clock_of_its_own(store: Store) -> None
     assert read_run(store.folder).bath[:, 0].tolist() == [1.0, 1.0, 2.0]
 
 
-def test_pictures_of_a_trial_that_died_in_flight_do_not_stay_beside_those_of_its_repetition(store: Store) -> None:
-    store.frames("001-x-1", {"left": np.zeros((4, 5), np.uint8), "thesis-edges": np.zeros((4, 5), np.uint8)}, {})
+def test_pictures_of_a_trial_that_died_in_flight_do_not_stay_beside_those_of_its_repetition(
+    store: Store,
+) -> None:
+    store.frames(
+        "001-x-1",
+        {"left": np.zeros((4, 5), np.uint8), "thesis-edges": np.zeros((4, 5), np.uint8)},
+        {},
+    )
     store.finished(trial(store, 2))
     store.close()
     again = Store(store.folder)
     again.finished(trial(again, 1))
     again.close()
     assert check_run(store.folder).findings == ()
-    assert sorted(path.parent.name for path in store.folder.rglob("*.png")) == ["001-x-1", "002-x-1"]
+    assert sorted(path.parent.name for path in store.folder.rglob("*.png")) == [
+        "001-x-1",
+        "002-x-1",
+    ]
 
 
-def test_a_write_protected_run_is_read_unless_its_log_would_be_missed(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_write_protected_run_is_read_unless_its_log_would_be_missed(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """There SQLite can't make the index of its log, and says so."""
     store.finished(trial(store, 1))
     store.close()
     connect: Any = sqlite3.connect
 
     def protected(address: str, **more: Any) -> Any:
-        return connect(address if "immutable=1" in address else "file:/nowhere/run.sqlite?mode=ro", **more)
+        return connect(
+            address if "immutable=1" in address else "file:/nowhere/run.sqlite?mode=ro", **more
+        )
 
     monkeypatch.setattr(sqlite3, "connect", protected)
     assert len(read_run(store.folder).trials) == 1
@@ -221,8 +249,12 @@ def test_a_write_protected_run_is_read_unless_its_log_would_be_missed(store: Sto
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("shape", [(1, 1), (7, 5), (120, 160)])
-def test_pictures_come_back_as_they_were(tmp_path: Path, dtype: type[np.uint8 | np.uint16], shape: tuple[int, int]) -> None:
-    image = np.random.default_rng(4).integers(0, np.iinfo(dtype).max, shape, dtype=dtype, endpoint=True)
+def test_pictures_come_back_as_they_were(
+    tmp_path: Path, dtype: type[np.uint8 | np.uint16], shape: tuple[int, int]
+) -> None:
+    image = np.random.default_rng(4).integers(
+        0, np.iinfo(dtype).max, shape, dtype=dtype, endpoint=True
+    )
     paths = {tmp_path / f"{k}.png": np.roll(image, k) for k in range(9)}
     assert list(write_pictures(paths)) == list(paths)
     for path, written in paths.items():

@@ -1,4 +1,6 @@
-"""What a run's physical actions find in the record: all that was said before is on the disk when the next thing in the world happens."""
+"""What a run's physical actions find in the record: all that was said before is on the disk when
+the next thing in the world happens.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,16 @@ from tests.bench.killed_runs import start
 from tests.bench.operated_runs import CHECK_POINT, STAGE, files
 
 ACTIONS: tuple[tuple[type, str], ...] = (
-    (Stage, "home"), (Stage, "move_to"), (Stage, "stop"), (Bath, "start"), (Bath, "standby"), (Bath, "safe"),
-    (EmulatedOperator, "confirm_homing"), (EmulatedOperator, "set_up"), (EmulatedOperator, "touch"),
-)  # fmt: skip
+    (Stage, "home"),
+    (Stage, "move_to"),
+    (Stage, "stop"),
+    (Bath, "start"),
+    (Bath, "standby"),
+    (Bath, "safe"),
+    (EmulatedOperator, "confirm_homing"),
+    (EmulatedOperator, "set_up"),
+    (EmulatedOperator, "touch"),
+)
 
 
 class Spoken:
@@ -62,12 +71,19 @@ class Spoken:
         return action
 
 
-def test_all_that_was_said_is_durable_before_the_next_physical_action(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_that_was_said_is_durable_before_the_next_physical_action(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     files(tmp_path, stage=STAGE, check_point=CHECK_POINT)
     spoken = Spoken(monkeypatch)
     assert start(tmp_path)[1] is Ending.FINISHED
     assert spoken.said["trials"] == 3
-    assert {"Stage.home", "Stage.move_to", "Bath.start", "Bath.safe", "EmulatedOperator.set_up", "EmulatedOperator.touch"} <= set(
-        spoken.looked
-    )
+    assert {
+        "Stage.home",
+        "Stage.move_to",
+        "Bath.start",
+        "Bath.safe",
+        "EmulatedOperator.set_up",
+        "EmulatedOperator.touch",
+    } <= set(spoken.looked)
     assert spoken.looked["Stage.move_to"] >= 3

@@ -1,6 +1,8 @@
-"""Kill -9 at 200 random moments of a writing process, its opening and going on included: the record always opens and tells the truth.
+"""Kill -9 at 200 random moments of a writing process, its opening and going on included: the record
+always opens and tells the truth.
 
-A process that dies so leaves what it had handed to the system; what a power cut leaves is a matter of the syncs (test_store_durable).
+A process that dies so leaves what it had handed to the system; what a power cut leaves is a matter
+of the syncs (test_store_durable).
 """
 
 from __future__ import annotations
@@ -32,7 +34,10 @@ MOST_TRIALS = 1  # that are done before a process is killed
 AT_MOST_S = 0.05  # from there: a few trials on an idle machine, a part of one on a busy one
 ROOT = Path(__file__).resolve().parents[3]
 
-pytestmark = pytest.mark.skipif(not (hasattr(os, "fork") and hasattr(signal, "SIGKILL")), reason="this system has no fork or no SIGKILL")
+pytestmark = pytest.mark.skipif(
+    not (hasattr(os, "fork") and hasattr(signal, "SIGKILL")),
+    reason="this system has no fork or no SIGKILL",
+)
 
 NURSERY = """
 import os, sys
@@ -48,7 +53,9 @@ for line in sys.stdin:
 
 
 def write_on(folder: Path) -> None:
-    """Begin a run, or go on with it at the first trial that it doesn't have; say of each when it is done. Never returns."""
+    """Begin a run, or go on with it at the first trial that it doesn't have; say of each when it is
+    done. Never returns.
+    """
     try:
         store = Store(folder) if folder.exists() else Store.create(folder, {"script.toml": "x = 1"})
         facts(store)
@@ -74,7 +81,9 @@ class Nursery:
     process: subprocess.Popen[bytes]
 
     def born_and_killed(self, folder: Path, trials: int, after_s: float) -> int:
-        """Have a writer at ``folder`` and kill it ``after_s`` after so many trials; gives back the last that it called done, or 0."""
+        """Have a writer at ``folder`` and kill it ``after_s`` after so many trials; gives back the
+        last that it called done, or 0.
+        """
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.process.stdin.write(f"{folder}\n".encode())
@@ -98,7 +107,13 @@ class Nursery:
 @contextmanager
 def nursery() -> Iterator[Nursery]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    process = subprocess.Popen([sys.executable, "-c", NURSERY], stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT, env=environment)
+    process = subprocess.Popen(
+        [sys.executable, "-c", NURSERY],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        cwd=ROOT,
+        env=environment,
+    )
     with process:
         try:
             yield Nursery(process)
@@ -107,7 +122,9 @@ def nursery() -> Iterator[Nursery]:
 
 
 def look(folder: Path, done: int) -> int:
-    """How many trials there are: all that were done, each whole and as it was written, and at most one beside them."""
+    """How many trials there are: all that were done, each whole and as it was written, and at most
+    one beside them.
+    """
     checked = check_run(folder)
     assert checked.whole, checked.findings
     with opened(folder) as db:
@@ -129,13 +146,17 @@ def look(folder: Path, done: int) -> int:
     return len(numbers)
 
 
-def test_a_run_killed_at_200_random_moments_always_opens_and_loses_and_invents_nothing(tmp_path: Path) -> None:
+def test_a_run_killed_at_200_random_moments_always_opens_and_loses_and_invents_nothing(
+    tmp_path: Path,
+) -> None:
     chance = random.Random(9)
     with nursery() as writers:
         for run in range(RUNS):
             folder, before = tmp_path / str(run), 0
             for _ in range(KILLS_A_RUN):
-                done = writers.born_and_killed(folder, chance.randint(0, MOST_TRIALS), chance.uniform(0.0, AT_MOST_S))
+                done = writers.born_and_killed(
+                    folder, chance.randint(0, MOST_TRIALS), chance.uniform(0.0, AT_MOST_S)
+                )
                 if not folder.exists():
                     assert done == before == 0
                     continue

@@ -1,4 +1,6 @@
-"""Runs of older benches: read by migration in memory, left on the disk as they are, and never gone on with."""
+"""Runs of older benches: read by migration in memory, left on the disk as they are, and never gone
+on with.
+"""
 
 from __future__ import annotations
 
@@ -72,42 +74,67 @@ def test_what_version_2_knew_is_kept(tmp_path: Path) -> None:
 
 def test_every_migration_ends_in_the_tables_of_today(tmp_path: Path) -> None:
     def columns(db: sqlite3.Connection) -> dict[str, set[str]]:
-        return {name: {row[1] for row in db.execute(f"PRAGMA table_info({name})")} for name in tables_of(db)}
+        return {
+            name: {row[1] for row in db.execute(f"PRAGMA table_info({name})")}
+            for name in tables_of(db)
+        }
 
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as today:
         make_tables(today)
-        for folder in (*(old_run(tmp_path / str(version), version, text) for version, text in OLD.items()), kept(tmp_path)):
+        for folder in (
+            *(old_run(tmp_path / str(version), version, text) for version, text in OLD.items()),
+            kept(tmp_path),
+        ):
             with closing(sqlite3.connect(folder / DATABASE, isolation_level=None)) as old:
                 migrate(old)
                 assert columns(old) == columns(today)
                 assert old.execute("PRAGMA foreign_key_check").fetchall() == []
 
 
-def test_an_old_run_is_checked_and_exported_but_not_gone_on_with(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_old_run_is_checked_and_exported_but_not_gone_on_with(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert any("it has no chain" in finding.text for finding in check_run(run).findings)
     export = ["store", "export", str(run), "--format", "csv", "--out", str(tmp_path / "csv")]
     assert main(export) == 2, "its pictures aren't there"
     assert main([*export, "--despite-damage"]) == 0
     assert "001-x-1" in (tmp_path / "csv" / "trials.csv").read_text(encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"of an older bench: it can be read and reported, but not gone on with"):
+    with pytest.raises(
+        ConfigError, match=r"of an older bench: it can be read and reported, but not gone on with"
+    ):
         Store(run)
     capsys.readouterr()
 
 
-def test_a_run_of_schema_3_is_whole_reported_and_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_of_schema_3_is_whole_reported_and_exported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = kept(tmp_path)
-    assert [row["wall_cpu_s"] for trial in read_run(run).trials for row in trial.detections] == [None, None]
+    assert [row["wall_cpu_s"] for trial in read_run(run).trials for row in trial.detections] == [
+        None,
+        None,
+    ]
     assert main(["store", "check", str(run)]) == 0
     assert main(["report", str(run), "--no-pdf"]) == 4
-    assert main(["store", "export", str(run), "--format", "parquet", "--out", str(tmp_path / "parquet")]) == 0
+    assert (
+        main(
+            ["store", "export", str(run), "--format", "parquet", "--out", str(tmp_path / "parquet")]
+        )
+        == 0
+    )
     assert main(["store", "check", str(run)]) == 0, "the report names the chain as it is"
     with pytest.raises(ConfigError, match="of an older bench"):
         Store(run)
     capsys.readouterr()
 
 
-@pytest.mark.parametrize(("version", "told"), [(SCHEMA_VERSION + 1, "A newer bench wrote it"), (0, "No bench has finished making it")])
-def test_tables_that_this_bench_does_not_know_are_refused(tmp_path: Path, version: int, told: str) -> None:
+@pytest.mark.parametrize(
+    ("version", "told"),
+    [(SCHEMA_VERSION + 1, "A newer bench wrote it"), (0, "No bench has finished making it")],
+)
+def test_tables_that_this_bench_does_not_know_are_refused(
+    tmp_path: Path, version: int, told: str
+) -> None:
     run = old_run(tmp_path / "run", version, VERSION_2)
     with pytest.raises(ConfigError, match=told):
         read_run(run)

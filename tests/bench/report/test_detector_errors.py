@@ -1,4 +1,6 @@
-"""Detectors that nobody here wrote: whatever they raise, say and leave behind is scored as what it is and told in one line."""
+"""Detectors that nobody here wrote: whatever they raise, say and leave behind is scored as what it
+is and told in one line.
+"""
 
 from __future__ import annotations
 
@@ -90,10 +92,15 @@ def raising(error: BaseException) -> Callable[[], Any]:
         (asyncio.CancelledError(), "CancelledError:"),
         (GeneratorExit(), "GeneratorExit:"),
         (SpeechlessError(), "SpeechlessError"),
-        (RuntimeError("no \ud800 such\x1b[31m file"), "RuntimeError: no \N{REPLACEMENT CHARACTER} such"),
+        (
+            RuntimeError("no \ud800 such\x1b[31m file"),
+            "RuntimeError: no \N{REPLACEMENT CHARACTER} such",
+        ),
     ],
 )
-def test_whatever_it_raises_is_a_failure(calibration: Calibration, error: BaseException, told: str) -> None:
+def test_whatever_it_raises_is_a_failure(
+    calibration: Calibration, error: BaseException, told: str
+) -> None:
     answer = asked(raising(error), calibration)
     assert answer.outcome is Outcome.FAILED
     assert str(answer.detection.reason).startswith(f"the detector failed: {told}")
@@ -104,16 +111,33 @@ def test_whatever_it_raises_is_a_failure(calibration: Calibration, error: BaseEx
     [
         (Detection(None), "the teats of its answer are a NoneType, not a tuple of Teat"),  # type: ignore[arg-type]
         (Detection(iter(())), "the teats of its answer are a tuple_iterator"),  # type: ignore[arg-type]
-        (Detection((Teat(np.array(["1", "2", "3"])),)), "teat 1 of its answer is ['1', '2', '3'], not three finite numbers"),
+        (
+            Detection((Teat(np.array(["1", "2", "3"])),)),
+            "teat 1 of its answer is ['1', '2', '3'], not three finite numbers",
+        ),
         (Detection((Teat(np.array([True, False, True])),)), "not three finite numbers"),
         (Detection((Teat(HERE + 1j),)), "not three finite numbers"),  # type: ignore[arg-type]
-        (Detection((Teat(np.ma.masked_array(HERE, [True, False, False])),)), "not three finite numbers"),
-        (Detection((Teat(HERE, np.eye(3) * 1e308),)), "the covariance of teat 1 has an entry of 1e+308 mm2; at most 1e+12 are taken"),
-        (Detection((Teat(HERE, np.eye(3) * 1e-300),)), "claims a standard deviation of 1e-150 mm; at least 1e-06 mm are taken"),
-        (Detection((Teat(np.full(3, np.nan), left_px=np.array([np.nan, 1])),)), "left_px of teat 1 is [nan, 1.0]"),
+        (
+            Detection((Teat(np.ma.masked_array(HERE, [True, False, False])),)),
+            "not three finite numbers",
+        ),
+        (
+            Detection((Teat(HERE, np.eye(3) * 1e308),)),
+            "the covariance of teat 1 has an entry of 1e+308 mm2; at most 1e+12 are taken",
+        ),
+        (
+            Detection((Teat(HERE, np.eye(3) * 1e-300),)),
+            "claims a standard deviation of 1e-150 mm; at least 1e-06 mm are taken",
+        ),
+        (
+            Detection((Teat(np.full(3, np.nan), left_px=np.array([np.nan, 1])),)),
+            "left_px of teat 1 is [nan, 1.0]",
+        ),
     ],
 )
-def test_values_that_are_no_answer_are_refused_in_a_sentence(calibration: Calibration, given: Detection, told: str) -> None:
+def test_values_that_are_no_answer_are_refused_in_a_sentence(
+    calibration: Calibration, given: Detection, told: str
+) -> None:
     answer = asked(lambda: given, calibration)
     assert (answer.outcome, answer.detection.teats) == (Outcome.FAILED, ())
     assert told in str(answer.detection.reason)
@@ -131,21 +155,30 @@ def test_values_that_are_no_answer_are_refused_in_a_sentence(calibration: Calibr
         Stage("GOOD", {"mask": MASK}),
     ],
 )
-def test_a_stage_that_cannot_be_kept_costs_no_answer(calibration: Calibration, stage: Stage) -> None:
+def test_a_stage_that_cannot_be_kept_costs_no_answer(
+    calibration: Calibration, stage: Stage
+) -> None:
     good = Stage("good", {"mask": MASK})
     answer = asked(lambda: Detection((Teat(HERE),), trace=(good, stage)), calibration)
     assert answer.outcome is Outcome.ANSWERED
-    assert [kept.name for kept in answer.detection.trace] == ["good"], "and of two that would be one file, the first"
+    assert [kept.name for kept in answer.detection.trace] == ["good"], (
+        "and of two that would be one file, the first"
+    )
     assert "1 of its stages can't be kept" in str(answer.detection.reason)
 
 
 def test_a_trace_without_end_is_cut(calibration: Calibration) -> None:
-    answer = asked(lambda: Detection((), trace=tuple(Stage(f"s{i}", {"mask": MASK}) for i in range(500))), calibration)
+    answer = asked(
+        lambda: Detection((), trace=tuple(Stage(f"s{i}", {"mask": MASK}) for i in range(500))),
+        calibration,
+    )
     assert len(answer.detection.trace) == MOST_STAGES
     assert f"{500 - MOST_STAGES} of its stages" in str(answer.detection.reason)
 
 
-def test_what_it_prints_is_not_the_benchs_output(calibration: Calibration, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_it_prints_is_not_the_benchs_output(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
     asked(lambda: (print("debug"), Detection())[1], calibration)
     assert capsys.readouterr() == ("", "debug\n")
 
@@ -179,37 +212,71 @@ for number, line in enumerate(sys.stdin, 1):
 """
 
 
-def test_no_words_of_a_program_and_no_name_stop_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_words_of_a_program_and_no_name_stop_a_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "speaker.py").write_text(SPEAKER, encoding="utf-8")
     declared = f'name = "My.speaker_2"\ncommand = [{json.dumps(sys.executable)}, "speaker.py"]\n'
     (tmp_path / "speaker.toml").write_text(declared, encoding="utf-8")
     recording = write_recording(tmp_path / "five")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        code = main(["score", str(recording), "--detector", str(tmp_path / "speaker.toml"), "--out", str(tmp_path / "runs")])
+        code = main(
+            [
+                "score",
+                str(recording),
+                "--detector",
+                str(tmp_path / "speaker.toml"),
+                "--out",
+                str(tmp_path / "runs"),
+            ]
+        )
     assert code == 1
     assert "2 failure" in capsys.readouterr().out
     (run,) = (tmp_path / "runs").iterdir()
-    assert "Teats found by My.speaker_2" in (run / "report" / "index.html").read_text(encoding="utf-8")
+    assert "Teats found by My.speaker_2" in (run / "report" / "index.html").read_text(
+        encoding="utf-8"
+    )
     with sqlite3.connect(run / "run.sqlite") as database:
         told = database.execute("select outcome, reason from detections order by trial").fetchall()
     database.close()
-    assert [outcome for outcome, _ in told] == ["answered", "answered", "failure", "failure", "answered"]
+    assert [outcome for outcome, _ in told] == [
+        "answered",
+        "answered",
+        "failure",
+        "failure",
+        "answered",
+    ]
     assert told[0][1] == "half \N{REPLACEMENT CHARACTER} a pair"
-    assert told[1][1] == "a\N{REPLACEMENT CHARACTER}b\N{REPLACEMENT CHARACTER}[31mred\N{REPLACEMENT CHARACTER}"
+    assert (
+        told[1][1]
+        == "a\N{REPLACEMENT CHARACTER}b\N{REPLACEMENT CHARACTER}[31mred\N{REPLACEMENT CHARACTER}"
+    )
     assert "at most 1e+12 are taken" in told[2][1]
     assert "lead to no point in space" in told[3][1]
 
 
-@given(st.lists(st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}", fullmatch=True), unique=True, max_size=6))
+@given(
+    st.lists(
+        st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}", fullmatch=True), unique=True, max_size=6
+    )
+)
 def test_every_name_has_an_id_of_its_own_on_a_page(names: list[str]) -> None:
     ids = [checked_slug(f"histogram-{id_of(name)}", name) for name in names]
     assert len(set(ids)) == len(ids)
-    assert (id_of("fused"), id_of("thesis-no-refinement")) == ("fused", "thesis-no-refinement"), "links to a report's figures stay"
+    assert (id_of("fused"), id_of("thesis-no-refinement")) == (
+        "fused",
+        "thesis-no-refinement",
+    ), "links to a report's figures stay"
 
 
-def test_detect_shows_the_last_words_of_a_program_that_gave_no_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recording, command = write_recording(tmp_path / "five"), f"exec:{sys.executable} {tmp_path / 'lost.py'}"
+def test_detect_shows_the_last_words_of_a_program_that_gave_no_answer(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording, command = (
+        write_recording(tmp_path / "five"),
+        f"exec:{sys.executable} {tmp_path / 'lost.py'}",
+    )
     assert main(["detect", str(recording), "--detector", command]) == 3
     first, second, *_ = capsys.readouterr().out.splitlines()
     assert first.endswith("the detector failed: it ended with exit code 2 before it was ready")
@@ -218,11 +285,22 @@ def test_detect_shows_the_last_words_of_a_program_that_gave_no_answer(tmp_path: 
     assert "can't open file" in json.loads(capsys.readouterr().out.splitlines()[0])["stderr"]
 
 
-def test_a_file_that_was_meant_to_run_is_told_how(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_was_meant_to_run_is_told_how(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text("", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"no detector 'mine.py'; to run that file, write exec:COMMAND \(there are: thesis"):
+    with pytest.raises(
+        ConfigError,
+        match=r"no detector 'mine.py'; to run that file, write exec:COMMAND \(there are: thesis",
+    ):
         make_detectors(["mine.py"])
     if sys.platform != "win32":
-        with pytest.raises(ConfigError, match=r"'./mine.py' may not be run: make it executable, or name what runs it, as in python3"):
+        with pytest.raises(
+            ConfigError,
+            match=(
+                r"'./mine.py' may not be run: make it executable, or name what runs it, as in"
+                r" python3"
+            ),
+        ):
             make_detectors(["exec:./mine.py"])

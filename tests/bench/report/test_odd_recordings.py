@@ -1,4 +1,6 @@
-"""Recordings of frames that fit no calibration, and of any names: scored to the end, and names tell a detector nothing."""
+"""Recordings of frames that fit no calibration, and of any names: scored to the end, and names tell
+a detector nothing.
+"""
 
 from __future__ import annotations
 
@@ -43,47 +45,101 @@ def rewritten(recording: Path, to: Path, change: Callable[[Picture], Picture]) -
 
 
 def cells(said: str) -> dict[tuple[str, str], list[str]]:
-    rows = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in said.splitlines() if line.startswith("| ")]
+    rows = [
+        [cell.strip() for cell in line.strip("| ").split(" | ")]
+        for line in said.splitlines()
+        if line.startswith("| ")
+    ]
     return {(row[0], row[1]): row[2:] for row in rows}
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
-    [(lambda p: p[:1, :1], "the left picture is 1 x 1"), (lambda p: np.ascontiguousarray(p[::2, ::2]), "the left picture is 680 x 512")],
+    [
+        (lambda p: p[:1, :1], "the left picture is 1 x 1"),
+        (lambda p: np.ascontiguousarray(p[::2, ::2]), "the left picture is 680 x 512"),
+    ],
 )
 def test_frames_of_another_size_are_scored_as_nothing_found(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Callable[[Picture], Picture], told: str
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    change: Callable[[Picture], Picture],
+    told: str,
 ) -> None:
     odd = rewritten(recording, tmp_path / "odd", change)
     truth = odd / "truth.csv"
-    truth.write_text(truth.read_text(encoding="utf-8").replace(",ideal,", ",one|other,"), encoding="utf-8")
-    assert main(["score", str(odd), "--detector", "thesis", "--detector", "fused", "--out", str(tmp_path / "runs")]) == 1
+    truth.write_text(
+        truth.read_text(encoding="utf-8").replace(",ideal,", ",one|other,"), encoding="utf-8"
+    )
+    assert (
+        main(
+            [
+                "score",
+                str(odd),
+                "--detector",
+                "thesis",
+                "--detector",
+                "fused",
+                "--out",
+                str(tmp_path / "runs"),
+            ]
+        )
+        == 1
+    )
     table = cells(capsys.readouterr().out)
     for name in ("thesis", "fused"):
         assert table["one\\|other", name][1:4] == ["0 of 12", "0", "not measured"]
         assert table["one\\|other", name][5] == "none", "an answer with a reason is an answer"
     (run,) = (tmp_path / "runs").iterdir()
-    assert f"{told}, the calibration is for 1360 x 1024" in (run / "report" / "index.html").read_text(encoding="utf-8")
+    assert f"{told}, the calibration is for 1360 x 1024" in (
+        run / "report" / "index.html"
+    ).read_text(encoding="utf-8")
 
 
-def answers(recording: Path, capsys: pytest.CaptureFixture[str], *detectors: str) -> dict[tuple[str, str], Any]:
+def answers(
+    recording: Path, capsys: pytest.CaptureFixture[str], *detectors: str
+) -> dict[tuple[str, str], Any]:
     capsys.readouterr()
-    assert main(["detect", str(recording), "--json", *[word for name in detectors for word in ("--detector", name)]]) == 0
+    assert (
+        main(
+            [
+                "detect",
+                str(recording),
+                "--json",
+                *[word for name in detectors for word in ("--detector", name)],
+            ]
+        )
+        == 0
+    )
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    return {(line["frame"], line["detector"]): (line["teats"], line["hidden"], line.get("reason")) for line in lines}
+    return {
+        (line["frame"], line["detector"]): (line["teats"], line["hidden"], line.get("reason"))
+        for line in lines
+    }
 
 
-@pytest.mark.parametrize("change", [lambda p: np.dstack([p, p, p]), lambda p: p.astype(np.uint16) * 257])
+@pytest.mark.parametrize(
+    "change", [lambda p: np.dstack([p, p, p]), lambda p: p.astype(np.uint16) * 257]
+)
 def test_colour_and_16_bit_files_give_the_answers_of_grey_ones(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Callable[[Picture], Picture]
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    change: Callable[[Picture], Picture],
 ) -> None:
-    grey, other = (rewritten(recording, tmp_path / name, by) for name, by in (("grey", lambda p: p), ("other", change)))
+    grey, other = (
+        rewritten(recording, tmp_path / name, by)
+        for name, by in (("grey", lambda p: p), ("other", change))
+    )
     before, after = (answers(one, capsys, "thesis", "fused") for one in (grey, other))
     assert before.keys() == after.keys()
     for key, (teats, hidden, _) in before.items():
         found, unseen, _ = after[key]
         assert (len(found), unseen) == (len(teats), hidden)
-        assert np.allclose([t["world_mm"] for t in found], [t["world_mm"] for t in teats], atol=0.01)
+        assert np.allclose(
+            [t["world_mm"] for t in found], [t["world_mm"] for t in teats], atol=0.01
+        )
 
 
 ECHO = r"""
@@ -96,10 +152,16 @@ for line in sys.stdin:
 """
 
 
-def test_shuffled_names_of_files_change_nothing(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The same pictures under each other's names, and so in another order: each has its own answer, to the last digit."""
+def test_shuffled_names_of_files_change_nothing(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same pictures under each other's names, and so in another order: each has its own answer,
+    to the last digit.
+    """
     names = sorted(path.name for path in (recording / "frames").iterdir())
-    given = {name: f"{number}-{'abc'[number]}" for number, name in zip((2, 0, 1), names, strict=True)}
+    given = {
+        name: f"{number}-{'abc'[number]}" for number, name in zip((2, 0, 1), names, strict=True)
+    }
     shuffled = tmp_path / "shuffled"
     shutil.copytree(recording, shuffled)
     for name in names:
@@ -109,8 +171,13 @@ def test_shuffled_names_of_files_change_nothing(recording: Path, tmp_path: Path,
     assert all(plain[name, "fused"][0] for name in names)
     assert mixed == {(given[name], detector): answer for (name, detector), answer in plain.items()}
     (tmp_path / "echo.py").write_text(ECHO, encoding="utf-8")
-    heard, again = (answers(one, capsys, f"exec:{sys.executable} {tmp_path / 'echo.py'}") for one in (recording, shuffled))
-    assert list(heard.values()) == list(again.values()), "a program of its own hears nothing of the recording's names"
+    heard, again = (
+        answers(one, capsys, f"exec:{sys.executable} {tmp_path / 'echo.py'}")
+        for one in (recording, shuffled)
+    )
+    assert list(heard.values()) == list(again.values()), (
+        "a program of its own hears nothing of the recording's names"
+    )
     assert "1 1-left.png 1-right.png" in str(heard[names[0], "exec-echo"][2])
 
 
@@ -123,5 +190,7 @@ def test_shuffled_names_of_files_change_nothing(recording: Path, tmp_path: Path,
         ([], (1360, 1024), None),
     ],
 )
-def test_the_part_of_a_frame_that_is_shown_first(points: list[list[float]], size: tuple[int, int], view: object) -> None:
+def test_the_part_of_a_frame_that_is_shown_first(
+    points: list[list[float]], size: tuple[int, int], view: object
+) -> None:
     assert round_teats(np.array(points).reshape(-1, 2), *size) == view

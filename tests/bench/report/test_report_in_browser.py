@@ -28,7 +28,13 @@ def test_the_first_screen_says_what_and_why_and_what_next(report: Path) -> None:
         page = seen.open(report)
         top = page.locator("#verdict").inner_text().lower()
         assert "emulated instruments" in page.locator("body").inner_text().lower()
-        for words in ("not met", "error below 5 mm", "what to do next", "how sure", "detector thesis on 6 frame sets"):
+        for words in (
+            "not met",
+            "error below 5 mm",
+            "what to do next",
+            "how sure",
+            "detector thesis on 6 frame sets",
+        ):
             assert words in top, words
         assert seen.network_requests() == []
         assert seen.complaints == []
@@ -38,7 +44,14 @@ def test_the_first_screen_says_what_and_why_and_what_next(report: Path) -> None:
 def test_what_to_do_next_is_on_the_first_screen(report: Path, width: int, height: int) -> None:
     with browser_page(width=width, height=height) as seen:
         page = seen.open(report)
-        for part in ("header .kind", "h1", "#top-verdict", "#verdict .why", "#verdict .next dt", "#verdict .next dd"):
+        for part in (
+            "header .kind",
+            "h1",
+            "#top-verdict",
+            "#verdict .why",
+            "#verdict .next dt",
+            "#verdict .next dd",
+        ):
             box = page.locator(part).bounding_box()
             assert box is not None, part
             assert box["y"] + min(box["height"], 24) <= height, part

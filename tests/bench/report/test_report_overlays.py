@@ -1,4 +1,6 @@
-"""What is drawn over a frame lies where it should: ellipses of a stated covariance, stages of any detector, models of the fused one."""
+"""What is drawn over a frame lies where it should: ellipses of a stated covariance, stages of any
+detector, models of the fused one.
+"""
 
 from __future__ import annotations
 
@@ -42,47 +44,86 @@ def test_a_covariance_is_the_ellipse_that_samples_fill(calibration: Calibration)
     for camera in ("left", "right", "thermal"):
         seen = project_all(calibration, drawn)[camera]
         assert seen is not None
-        (ellipse,) = layer(overlays(trial({}, covariance.tolist()), camera, None, calibration), "spread").shapes
+        (ellipse,) = layer(
+            overlays(trial({}, covariance.tolist()), camera, None, calibration), "spread"
+        ).shapes
         assert isinstance(ellipse, Ellipse)
         turn = np.radians(ellipse.turn_deg)
         axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-        along = (seen - [ellipse.x_px, ellipse.y_px]) @ axes.T / [ellipse.major_px, ellipse.minor_px]
+        along = (
+            (seen - [ellipse.x_px, ellipse.y_px]) @ axes.T / [ellipse.major_px, ellipse.minor_px]
+        )
         assert (np.linalg.norm(along, axis=1) <= 1).mean() == pytest.approx(0.95, abs=0.005)
         assert ellipse.major_px >= ellipse.minor_px
 
 
 @pytest.mark.parametrize("stated", [None, [[np.nan] * 3] * 3, [[1.0, 2.0]]])
-def test_what_is_no_covariance_is_not_drawn(calibration: Calibration, stated: list[list[float]] | None) -> None:
-    assert "spread" not in [one.tone for one in overlays(trial({}, stated), "left", None, calibration)]
+def test_what_is_no_covariance_is_not_drawn(
+    calibration: Calibration, stated: list[list[float]] | None
+) -> None:
+    assert "spread" not in [
+        one.tone for one in overlays(trial({}, stated), "left", None, calibration)
+    ]
 
 
 def test_any_detector_shows_its_stages_by_their_pixels(calibration: Calibration) -> None:
-    trace = {"nominations": {"left_px": [[1.0, 2.0]]}, "my stage": {"left_px": [[3.0, 4.0], [None, 5.0]]}, "odd": {"left_px": "nonsense"}}
+    trace = {
+        "nominations": {"left_px": [[1.0, 2.0]]},
+        "my stage": {"left_px": [[3.0, 4.0], [None, 5.0]]},
+        "odd": {"left_px": "nonsense"},
+    }
     found = overlays(trial(trace), "left", None, calibration)
-    assert [(one.tone, len(one.shapes)) for one in found] == [("nomination", 1), ("point", 1), ("other", 1)]
+    assert [(one.tone, len(one.shapes)) for one in found] == [
+        ("nomination", 1),
+        ("point", 1),
+        ("other", 1),
+    ]
     assert layer(found, "other").shapes[0].title == "d: my stage"  # type: ignore[union-attr]
     assert {one.name for one in found} <= set(NAMES.values())
 
 
 def test_stages_of_a_known_name_and_another_form_are_not_drawn(calibration: Calibration) -> None:
     """Whoever writes a detector may call a stage as the bench's own are called."""
-    odd: list[Any] = [["a", "b"], [[1.0, 2.0], [3.0]], [1.0, 2.0, 3.0], {"shape": [500], "type": "float64"}, 7, None]
+    odd: list[Any] = [
+        ["a", "b"],
+        [[1.0, 2.0], [3.0]],
+        [1.0, 2.0, 3.0],
+        {"shape": [500], "type": "float64"},
+        7,
+        None,
+    ]
     for value in odd:
-        trace = {name: {"left": value, "left_px": value, "points_px": value, "teats": value, "reasons": value, "end_px": value}
-                 for name in ("regions", "nominations", "decisions", "teat ends", "thermal", "mine")}  # fmt: skip
+        trace = {
+            name: {
+                "left": value,
+                "left_px": value,
+                "points_px": value,
+                "teats": value,
+                "reasons": value,
+                "end_px": value,
+            }
+            for name in ("regions", "nominations", "decisions", "teat ends", "thermal", "mine")
+        }
         for camera in ("left", "thermal"):
-            assert {one.tone for one in overlays(trial(trace), camera, None, calibration)} <= {"point"}
+            assert {one.tone for one in overlays(trial(trace), camera, None, calibration)} <= {
+                "point"
+            }
 
 
 def test_regions_lie_round_their_nominations(calibration: Calibration) -> None:
-    trace = {"nominations": {"left_px": [[100.0, 50.0]]}, "regions": {"left": {"shape": [1, 41, 21]}}}
+    trace = {
+        "nominations": {"left_px": [[100.0, 50.0]]},
+        "regions": {"left": {"shape": [1, 41, 21]}},
+    }
     (region,) = layer(overlays(trial(trace), "left", None, calibration), "region").shapes
     assert isinstance(region, Rect)
     assert (region.x_px, region.y_px, region.width_px, region.height_px) == (89.5, 29.5, 21, 41)
 
 
 def test_a_fitted_teat_s_outline_goes_over_its_end(calibration: Calibration) -> None:
-    """A ball of 11 mm on an upright axis: the outline's highest point lies at the end's pixel, to the sight's inclination."""
+    """A ball of 11 mm on an upright axis: the outline's highest point lies at the end's pixel, to
+    the sight's inclination.
+    """
     end = calibration.world_from_right.inverse().apply(END[None])[0]
     teat = [end[0], end[1] + 11.0, end[2], 0.0, 0.0, 11.0, 0.0, 1.0]
     trace = {"decisions": {"teats": [teat, teat], "reasons": ["", "its place is too unsure"]}}
@@ -99,7 +140,9 @@ def test_a_fitted_teat_s_outline_goes_over_its_end(calibration: Calibration) -> 
 def test_truth_is_named_and_hidden_ends_are_told(calibration: Calibration) -> None:
     one = trial({})
     hidden = TrialRecord(one.head, (), (), ({**one.truth[0], "visible": 0},), (), (), {})
-    ring, name = layer(overlays(hidden, "left", np.array([[5.0, 6.0]]), calibration), "truth").shapes
+    ring, name = layer(
+        overlays(hidden, "left", np.array([[5.0, 6.0]]), calibration), "truth"
+    ).shapes
     assert ring.title == "truth 1 (hidden)"  # type: ignore[union-attr]
     assert name.text == "1"  # type: ignore[union-attr]
     assert overlays(hidden, "left", np.array([[np.nan, 6.0]]), calibration) == ()

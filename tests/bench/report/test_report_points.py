@@ -1,4 +1,6 @@
-"""The eleven points of a report (metrology.md, last section), in that of a real run; hostile notes; the same bytes; baseline and extras."""
+"""The eleven points of a report (metrology.md, last section), in that of a real run; hostile notes;
+the same bytes; baseline and extras.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ HOSTILE = "<img src=x onerror=alert(1)></td></table><script>alert(2)</script>\"'
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> Path:
     out = tmp_path_factory.mktemp("points")
-    assert main(["run", str(short_script), "--out", str(out), "--detector", "thesis", "--detector", "fused"]) in (0, 1, 4)
+    assert main(
+        ["run", str(short_script), "--out", str(out), "--detector", "thesis", "--detector", "fused"]
+    ) in (0, 1, 4)
     (run,) = out.iterdir()
     return run
 
@@ -37,46 +41,139 @@ def document(folder: Path) -> Document:
 
 def page_of(run: RunRecord, pictures: Path) -> str:
     rules = stored_rules(run.folder)
-    return render(build_page(run, rules, judge(run, rules), read_calibration(run.folder / "calibration.toml"), pictures))
+    return render(
+        build_page(
+            run,
+            rules,
+            judge(run, rules),
+            read_calibration(run.folder / "calibration.toml"),
+            pictures,
+        )
+    )
 
 
 POINTS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "1 verdict, reason, next action": ("verdict", ("Not met", "thesis: Error below 5 mm", "What to do next", "How sure that is")),
+    "1 verdict, reason, next action": (
+        "verdict",
+        ("Not met", "thesis: Error below 5 mm", "What to do next", "How sure that is"),
+    ),
     "2 item and bench": (
         "provenance",
-        ("Item under test: thesis", "Item under test: fused", "configuration SHA-256", "version, machine", "bench's commit", "seed"),
+        (
+            "Item under test: thesis",
+            "Item under test: fused",
+            "configuration SHA-256",
+            "version, machine",
+            "bench's commit",
+            "seed",
+        ),
     ),
     "3 measurand and source": ("reference", ("Measurand:", "apex")),
     "3 the requirement's source": ("requirements", ("thesis, section 1.4.3",)),
-    "4 reference": ("reference", ("Uncertainty budget of the touched truth", "The arm before and after the trials", "World frame")),
-    "4 the bench's own repeatability": ("reference", ("Gage R&R of the ground truth: not measured", "repeat the poses")),
+    "4 reference": (
+        "reference",
+        (
+            "Uncertainty budget of the touched truth",
+            "The arm before and after the trials",
+            "World frame",
+        ),
+    ),
+    "4 the bench's own repeatability": (
+        "reference",
+        ("Gage R&R of the ground truth: not measured", "repeat the poses"),
+    ),
     "5 calibration": ("reference", ("The calibration has no record of who made it",)),
     "6 pose set": ("poses", ("How the poses were chosen", "seed of the script")),
-    "6 environment": ("environment", ("room, of the rig file", "20.00 °C", "teats' surface", "set point")),
-    "7 decision rule": ("requirements", ("accepted up to 4.", "5 % false acceptance", "exact (Clopper-Pearson)")),
-    "8 counts and rates": ("results", ("found of visible", "95 % interval", "scene success, poses")),
+    "6 environment": (
+        "environment",
+        ("room, of the rig file", "20.00 °C", "teats' surface", "set point"),
+    ),
+    "7 decision rule": (
+        "requirements",
+        ("accepted up to 4.", "5 % false acceptance", "exact (Clopper-Pearson)"),
+    ),
+    "8 counts and rates": (
+        "results",
+        ("found of visible", "95 % interval", "scene success, poses"),
+    ),
     "8 every rate by situation": (
         "results",
-        ("Rates by situation", "hidden count right", "no time-out", "recall, teats", "(3\u00a0to\u00a0100\u00a0%)"),
+        (
+            "Rates by situation",
+            "hidden count right",
+            "no time-out",
+            "recall, teats",
+            "(3\u00a0to\u00a0100\u00a0%)",
+        ),
     ),
     "9 errors along the axes of world and camera": (
         "accuracy",
         ("bias", "sd", "rms", "mean |e|", "world z", "camera x (across)", "by teat"),
     ),
-    "9 distances": ("accuracy", ("median", "p95", "p99", "max", "mm a scene", "The truth's noise alone would show")),
-    "9 limits of each axis and of the population": ("accuracy", ("Along one axis alone", "Tolerance limits", "59 poses are the least")),
+    "9 distances": (
+        "accuracy",
+        ("median", "p95", "p99", "max", "mm a scene", "The truth's noise alone would show"),
+    ),
+    "9 limits of each axis and of the population": (
+        "accuracy",
+        ("Along one axis alone", "Tolerance limits", "59 poses are the least"),
+    ),
     "9 ellipsoids of each teat": (
         "accuracy",
-        ("Errors with their 95 % ellipsoids, fused", "next pose's mean error, 95 %", "teat 4", "Hotelling"),
+        (
+            "Errors with their 95 % ellipsoids, fused",
+            "next pose's mean error, 95 %",
+            "teat 4",
+            "Hotelling",
+        ),
     ),
-    "9 trends": ("accuracy", ("tilt of the teat", "bath temperature", "time (h)", "could be up to", "doesn't say that there is none")),
-    "9 map": ("poses", ("Error over the plane, fused", "24 places", "Each teat has a panel of its own")),
-    "9 repeats": ("poses", ("AP, RP, AD and RD (ISO 9283), fused: not measured", "Repeatability and reproducibility (ISO 5725), fused")),
-    "9 detectors against each other": ("detectors", ("fused against thesis", "exact McNemar", "Success of poses", "|z|")),
-    "9 accuracy": ("accuracy", ("camera z (depth)", "GOSPA", "Ellipsoids", "Trends", "Limit of what can be reached")),
-    "10 latency": ("latency", ("median", "p95", "max", "above 1 s", "above 2 s", "first call (cold)", "start-up", "no answer")),
+    "9 trends": (
+        "accuracy",
+        (
+            "tilt of the teat",
+            "bath temperature",
+            "time (h)",
+            "could be up to",
+            "doesn't say that there is none",
+        ),
+    ),
+    "9 map": (
+        "poses",
+        ("Error over the plane, fused", "24 places", "Each teat has a panel of its own"),
+    ),
+    "9 repeats": (
+        "poses",
+        (
+            "AP, RP, AD and RD (ISO 9283), fused: not measured",
+            "Repeatability and reproducibility (ISO 5725), fused",
+        ),
+    ),
+    "9 detectors against each other": (
+        "detectors",
+        ("fused against thesis", "exact McNemar", "Success of poses", "|z|"),
+    ),
+    "9 accuracy": (
+        "accuracy",
+        ("camera z (depth)", "GOSPA", "Ellipsoids", "Trends", "Limit of what can be reached"),
+    ),
+    "10 latency": (
+        "latency",
+        (
+            "median",
+            "p95",
+            "max",
+            "above 1 s",
+            "above 2 s",
+            "first call (cold)",
+            "start-up",
+            "no answer",
+        ),
+    ),
     "11 deviations": ("deviations", ("None: every trial of the script was done",)),
-    "11 raw data and command": ("provenance", ("run.sqlite", "trials.csv", "record's digest", "teatbench", "The command that repeats it")),
+    "11 raw data and command": (
+        "provenance",
+        ("run.sqlite", "trials.csv", "record's digest", "teatbench", "The command that repeats it"),
+    ),
 }
 
 
@@ -105,11 +202,16 @@ def test_frames_are_jpeg_and_link_their_originals(folder: Path, document: Docume
     frames = [src for src in shown if src.endswith("-left.jpg")]
     assert len(frames) == 6
     assert all((folder / "report" / src).read_bytes()[:2] == b"\xff\xd8" for src in frames)
-    assert f"../frames/{frames[0].removeprefix('images/').removesuffix('-left.jpg')}/left.png" in document.values("href")
+    assert (
+        f"../frames/{frames[0].removeprefix('images/').removesuffix('-left.jpg')}/left.png"
+        in document.values("href")
+    )
 
 
 def test_frames_are_of_quality_80(folder: Path, document: Document) -> None:
-    """The luminance table of ITU-T T.81, K.1 (16, 11, 12, 14 in zigzag order), scaled as libjpeg does: (v (200 - 2 q) + 50) / 100."""
+    """The luminance table of ITU-T T.81, K.1 (16, 11, 12, 14 in zigzag order), scaled as libjpeg
+    does: (v (200 - 2 q) + 50) / 100.
+    """
     for src in (element.attributes["src"] for element in document.all("img")):
         if src.endswith(".jpg"):
             picture = (folder / "report" / src).read_bytes()
@@ -119,7 +221,9 @@ def test_frames_are_of_quality_80(folder: Path, document: Document) -> None:
 
 def test_faults_of_cameras_are_told(folder: Path, tmp_path: Path) -> None:
     run = read_run(folder)
-    marked = dataclasses.replace(run, facts={**run.facts, "camera faults": {"left: frozen": 3}, "retries": {"bath": 2}})
+    marked = dataclasses.replace(
+        run, facts={**run.facts, "camera faults": {"left: frozen": 3}, "retries": {"bath": 2}}
+    )
     said = read(page_of(marked, tmp_path)).by_id("deviations").text
     assert "left: frozen: 3 times" in said
     assert "bath: 2 times" in said
@@ -130,8 +234,15 @@ def test_hostile_notes_come_out_as_text(folder: Path, tmp_path: Path) -> None:
     trials = tuple(
         dataclasses.replace(
             trial,
-            head={**trial.head, "note": HOSTILE, "situation": HOSTILE, "invalid": HOSTILE if trial.head["number"] == 2 else None},
-            detections=tuple({**row, "reason": HOSTILE, "wall_stderr": HOSTILE} for row in trial.detections),
+            head={
+                **trial.head,
+                "note": HOSTILE,
+                "situation": HOSTILE,
+                "invalid": HOSTILE if trial.head["number"] == 2 else None,
+            },
+            detections=tuple(
+                {**row, "reason": HOSTILE, "wall_stderr": HOSTILE} for row in trial.detections
+            ),
         )
         for trial in run.trials
     )
@@ -148,9 +259,13 @@ def test_hostile_notes_come_out_as_text(folder: Path, tmp_path: Path) -> None:
 
 
 def test_the_same_run_gives_the_same_bytes(folder: Path) -> None:
-    before = {path.name: path.read_bytes() for path in (folder / "report").iterdir() if path.is_file()}
+    before = {
+        path.name: path.read_bytes() for path in (folder / "report").iterdir() if path.is_file()
+    }
     assert main(["report", str(folder)]) in (0, 1, 4)
-    after = {path.name: path.read_bytes() for path in (folder / "report").iterdir() if path.is_file()}
+    after = {
+        path.name: path.read_bytes() for path in (folder / "report").iterdir() if path.is_file()
+    }
     assert after == before
 
 
@@ -167,14 +282,18 @@ def test_a_baseline_and_a_single_file(folder: Path, capsys: pytest.CaptureFixtur
     capsys.readouterr()
 
 
-def test_a_pdf_needs_a_browser(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pdf_needs_a_browser(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr("reports.pdf.find_browser", lambda: None)
     assert main(["report", str(folder), "--pdf"]) == 2
     assert "no Chromium, Chrome or Edge was found" in capsys.readouterr().err
 
 
 @pytest.mark.browser
-def test_a_pdf_is_printed_where_a_browser_is(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pdf_is_printed_where_a_browser_is(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv("TEATBENCH_BROWSER", chromium())
     verdict = main(["report", str(folder), "--no-pdf"])
     printed = folder / "report" / "report.pdf"
@@ -186,7 +305,9 @@ def test_a_pdf_is_printed_where_a_browser_is(folder: Path, monkeypatch: pytest.M
     assert not printed.exists()  # an older one doesn't stand beside a newer page
 
 
-def test_a_browser_that_fails_costs_the_pdf_only(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_browser_that_fails_costs_the_pdf_only(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv("TEATBENCH_BROWSER", sys.executable)
     assert main(["report", str(folder)]) in (0, 1, 4)
     told = capsys.readouterr()
@@ -196,7 +317,9 @@ def test_a_browser_that_fails_costs_the_pdf_only(folder: Path, monkeypatch: pyte
 
 
 @pytest.mark.browser
-def test_a_script_of_offsets_is_printed_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_script_of_offsets_is_printed_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["run", "thesis-test-2", "--out", str(tmp_path)]) == 1
     (run,) = tmp_path.iterdir()
     assert not (run / "report" / "report.pdf").exists()

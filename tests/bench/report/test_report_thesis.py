@@ -1,4 +1,6 @@
-"""The thesis's figures beside ours: the file of what was published, what is worked out of it, and the chapter of each test that ships."""
+"""The thesis's figures beside ours: the file of what was published, what is worked out of it, and
+the chapter of each test that ships.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +18,24 @@ from bench.config import read_calibration
 from bench.record.reader import RunRecord, read_run
 from bench.report.page import stored_rules
 from bench.report.pixel_offsets import offset_page
-from bench.report.thesis import PLANE, elsewhere_table, largest_region_mm, places_of, published_counts, thesis_chapter
+from bench.report.thesis import (
+    PLANE,
+    elsewhere_table,
+    largest_region_mm,
+    places_of,
+    published_counts,
+    thesis_chapter,
+)
 from bench.results.thesis_figures import Kind, errors_of_test_mm, statistics, thesis
 from bench.rig.loading import find_rig, load_rig
 from bench.script.model import TRIALS, Script, load_script
 from bench.script.pixel_offsets import load_offsets, outcomes
-from detector.calibration.thesis_rig import HOMOGRAPHY_LEFT, HOMOGRAPHY_RIGHT, TEAT_ENDS_MM, WORLD_MATRIX
+from detector.calibration.thesis_rig import (
+    HOMOGRAPHY_LEFT,
+    HOMOGRAPHY_RIGHT,
+    TEAT_ENDS_MM,
+    WORLD_MATRIX,
+)
 from reports.page import Section
 from reports.parts import Cell, Table
 from tests.bench.results.test_error_rows import record, trial
@@ -43,44 +57,70 @@ def text_of(cell: str | Cell) -> str:
 
 def rows_of(section: Section, caption: str) -> dict[str, tuple[str, ...]]:
     """The rows of the table with that caption's start, by their first cell."""
-    table = next(part for part in section.parts if isinstance(part, Table) and part.caption.startswith(caption))
+    table = next(
+        part
+        for part in section.parts
+        if isinstance(part, Table) and part.caption.startswith(caption)
+    )
     return {text_of(row[0]): tuple(text_of(cell) for cell in row[1:]) for row in table.rows}
 
 
 def test_the_figures_are_the_published_ones(printed: Mapping[str, Any]) -> None:
     ours = thesis()
     asked, earlier = printed["requirements"], printed["earlier_system"]
-    assert (ours.asked.error_mm, ours.asked.reliability) == (asked["max_error_mm"], asked["reliability"])
+    assert (ours.asked.error_mm, ours.asked.reliability) == (
+        asked["max_error_mm"],
+        asked["reliability"],
+    )
     assert ours.asked.time_s == (asked["target_detection_time_s"], asked["max_detection_time_s"])
     assert list(ours.earlier_system.plane_mm) == earlier["plane_mm"]
-    assert (ours.earlier_system.average_mm, ours.earlier_system.largest_mm) == (earlier["average_error_mm"], earlier["max_error_mm"])
+    assert (ours.earlier_system.average_mm, ours.earlier_system.largest_mm) == (
+        earlier["average_error_mm"],
+        earlier["max_error_mm"],
+    )
     assert list(ours.earlier_system.area_within_mm) == earlier["area_within_5mm_mm"]
     assert np.array_equal(ours.test_1.measured_mm, printed["table_5_1"]["teat_ends_mm"])
     for test, table in ((ours.test_1, printed["table_5_2"]), (ours.test_2, printed["table_5_3"])):
         assert np.array_equal(test.triangulated_mm, table["teat_ends_mm"])
-        assert (test.average_mm, test.largest_mm) == (table["published_average_error_mm"], table["published_max_error_mm"])
+        assert (test.average_mm, test.largest_mm) == (
+            table["published_average_error_mm"],
+            table["published_max_error_mm"],
+        )
     maps = printed["homography"]
-    assert np.array_equal([ours.homography.left, ours.homography.right], [maps["left"], maps["right"]])
+    assert np.array_equal(
+        [ours.homography.left, ours.homography.right], [maps["left"], maps["right"]]
+    )
     assert ours.homography.largest_px == maps["max_error_px"]
     assert np.array_equal(ours.world.matrix, np.array(printed["world"]["transformation"])[:3, :3])
     assert ours.stand_off.stated_mm == printed["phantom"]["stand_off_mm"]
     assert list(ours.arm.accuracy_mm) == printed["microscribe"]["accuracy_mm"]
     assert list(ours.bath.range_c) == printed["phantom"]["bath_setpoint_range_c"]
-    situations = {name: (of["section"], of["found"], of["present"]) for name, of in printed["situations"].items()}
-    assert {one.name: (one.section, one.found, one.present) for one in ours.situations} == situations
+    situations = {
+        name: (of["section"], of["found"], of["present"])
+        for name, of in printed["situations"].items()
+    }
+    assert {
+        one.name: (one.section, one.found, one.present) for one in ours.situations
+    } == situations
 
 
 def test_what_is_worked_out_is_what_the_fact_sheet_worked_out(printed: Mapping[str, Any]) -> None:
     figures, derived = thesis(), printed["derived"]
     first, second = (statistics(errors_of_test_mm(figures, number)) for number in (1, 2))
     for value, key in (
-        (first.signed_mean, "table_5_2_signed_mean_mm"), (first.mean_absolute, "table_5_2_mean_absolute_mm"),
-        (first.largest_absolute, "table_5_2_max_absolute_mm"), (first.mean_distance, "table_5_2_mean_distance_mm"),
-        (first.largest_distance, "table_5_2_max_distance_mm"), (second.mean_absolute, "table_5_3_mean_absolute_mm"),
-        (second.mean_distance, "table_5_3_mean_distance_mm"), (second.largest_distance, "table_5_3_max_distance_mm"),
-    ):  # fmt: skip
+        (first.signed_mean, "table_5_2_signed_mean_mm"),
+        (first.mean_absolute, "table_5_2_mean_absolute_mm"),
+        (first.largest_absolute, "table_5_2_max_absolute_mm"),
+        (first.mean_distance, "table_5_2_mean_distance_mm"),
+        (first.largest_distance, "table_5_2_max_distance_mm"),
+        (second.mean_absolute, "table_5_3_mean_absolute_mm"),
+        (second.mean_distance, "table_5_3_mean_distance_mm"),
+        (second.largest_distance, "table_5_3_max_distance_mm"),
+    ):
         assert value == pytest.approx(derived[key], abs=0.0051), key
-    assert np.linalg.svd(figures.world.matrix, compute_uv=False) == pytest.approx(derived["world_transformation_singular_values"], abs=5e-4)
+    assert np.linalg.svd(figures.world.matrix, compute_uv=False) == pytest.approx(
+        derived["world_transformation_singular_values"], abs=5e-4
+    )
     assert figures.stand_off.implied_mm == pytest.approx(derived["stand_off_mm"], abs=0.6)
 
 
@@ -88,12 +128,24 @@ def test_scripts_detector_and_figures_agree() -> None:
     figures = thesis()
     situations = load_script(TRIALS / "six-situations.toml").script
     known = {one.name: (one.found, one.present, one.section) for one in figures.situations}
-    assert {name: (one.found, one.present, one.source) for name, one in situations.published.items()} == known
+    assert {
+        name: (one.found, one.present, one.source) for name, one in situations.published.items()
+    } == known
     offsets = load_offsets(TRIALS / "thesis-test-2.toml")
-    assert tuple(one.published_mm for one in offsets.script.offsets) == figures.test_2.triangulated_mm
-    assert tuple(one.published_plain_mm for one in offsets.script.offsets) == figures.test_1.triangulated_mm == TEAT_ENDS_MM
+    assert (
+        tuple(one.published_mm for one in offsets.script.offsets) == figures.test_2.triangulated_mm
+    )
+    assert (
+        tuple(one.published_plain_mm for one in offsets.script.offsets)
+        == figures.test_1.triangulated_mm
+        == TEAT_ENDS_MM
+    )
     assert offsets.points_mm == pytest.approx(np.array(figures.test_1.measured_mm))
-    assert (figures.homography.left, figures.homography.right, figures.world.matrix) == (HOMOGRAPHY_LEFT, HOMOGRAPHY_RIGHT, WORLD_MATRIX)
+    assert (figures.homography.left, figures.homography.right, figures.world.matrix) == (
+        HOMOGRAPHY_LEFT,
+        HOMOGRAPHY_RIGHT,
+        WORLD_MATRIX,
+    )
 
 
 def test_a_script_s_own_figure_goes_before_ours(tmp_path: Path) -> None:
@@ -119,9 +171,13 @@ def test_a_figure_is_said_to_be_elsewhere_unless_the_page_has_it() -> None:
 
 @pytest.fixture(scope="module")
 def plane(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
-    """25 places 25 mm apart: within 2 mm in the middle 50 x 50 mm, 9 mm off beyond it, and missed in one corner."""
+    """25 places 25 mm apart: within 2 mm in the middle 50 x 50 mm, 9 mm off beyond it, and missed
+    in one corner.
+    """
     trials = []
-    for number, (x, y) in enumerate(((x, y) for x in range(-50, 51, 25) for y in range(-50, 51, 25)), 1):
+    for number, (x, y) in enumerate(
+        ((x, y) for x in range(-50, 51, 25) for y in range(-50, 51, 25)), 1
+    ):
         end = np.add(MIDDLE, [x, y, 0.0])[None]
         error = [0.0, 2.0 if max(abs(x), abs(y)) <= 25 else 9.0, 0.0]
         found = end[:0] if (x, y) == (50, 50) else end + error
@@ -132,10 +188,13 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
 def test_the_plane_s_figures_are_those_of_its_places(plane: RunRecord) -> None:
     places = places_of(plane, "fused")
     assert (places.teats.sum(), places.found.sum()) == (25, 24)
-    assert places.average_mm(places.within(100.0, 100.0)) == pytest.approx((9 * 2.0 + 15 * 9.0) / 24)
+    assert places.average_mm(places.within(100.0, 100.0)) == pytest.approx(
+        (9 * 2.0 + 15 * 9.0) / 24
+    )
     assert places.average_mm(places.within(50.0, 50.0)) == pytest.approx(2.0)
     assert places.told(places.within(50.0, 50.0)) == "2.00 mm (9 of 9 found)"
-    assert largest_region_mm(places, 5.0) == (75.0, 100.0)  # with six more places, 9 mm off: (9 * 2 + 6 * 9) / 15 = 4.8
+    # with six more places, 9 mm off: (9 * 2 + 6 * 9) / 15 = 4.8
+    assert largest_region_mm(places, 5.0) == (75.0, 100.0)
     assert largest_region_mm(places, 4.0) == (75.0, 75.0)
     assert largest_region_mm(places, 1.0) is None
 
@@ -146,8 +205,13 @@ def test_the_plane_has_the_chapter_with_the_earlier_system(plane: RunRecord) -> 
     rows = rows_of(chapter, "Error over the plane of section 1.4.3.2")
     assert rows["average error"] == ("11.79 mm", "6.38 mm (24 of 25 found)")
     assert rows["largest error"] == ("more than 15 mm", "9.00 mm")
-    assert rows["largest middle region with an average within 5 mm"] == ("150 x 80 mm", "75 x 100 mm, 4.80 mm (15 of 15 found)")
-    other = replace(plane, trials=tuple(replace(t, head={**t.head, "situation": "mine"}) for t in plane.trials))
+    assert rows["largest middle region with an average within 5 mm"] == (
+        "150 x 80 mm",
+        "75 x 100 mm, 4.80 mm (15 of 15 found)",
+    )
+    other = replace(
+        plane, trials=tuple(replace(t, head={**t.head, "situation": "mine"}) for t in plane.trials)
+    )
     assert thesis_chapter(other, rules, load_rig(find_rig(None)).calibration) == ()
 
 
@@ -168,20 +232,34 @@ def test_the_six_situations_have_all_their_figures(situations: Path) -> None:
     (chapter,) = thesis_chapter(run, rules, read_calibration(situations / "calibration.toml"))
     found = rows_of(chapter, "Teats found in the situations")
     assert {name: row[1] for name, row in found.items()} == {
-        "non_vertical": "4 of 4", "overlapping": "3 of 4", "spurious_teat": "4 of 4", "hot_body_at_base": "4 of 4",
-        "hot_body_at_ends": "0 of 4", "cooler_bodies": "3 of 4", "all 6": "18 of 24",
-    }  # fmt: skip
+        "non_vertical": "4 of 4",
+        "overlapping": "3 of 4",
+        "spurious_teat": "4 of 4",
+        "hot_body_at_base": "4 of 4",
+        "hot_body_at_ends": "0 of 4",
+        "cooler_bodies": "3 of 4",
+        "all 6": "18 of 24",
+    }
     assert found["hot_body_at_ends"][2].startswith("0 of 4, ")
     first = rows_of(chapter, "Test 1, sections 5.1.1 and 5.1.3")
-    assert first["mean of the signed components: the thesis's “average error” of test 1"][:2] == ("0.5", "+0.54")
+    assert first["mean of the signed components: the thesis's “average error” of test 1"][:2] == (
+        "0.5",
+        "+0.54",
+    )
     assert first["mean distance to the teat end"][:2] == ("", "2.09")
     upright = [t for t in run.trials if t.head["situation"] not in ("non_vertical", "overlapping")]
     errors = np.concatenate([t.scores["thesis"].errors_mm for t in upright])
-    assert float(first["largest distance to the teat end"][2]) == pytest.approx(np.linalg.norm(errors, axis=1).max(), abs=0.005)
+    assert float(first["largest distance to the teat end"][2]) == pytest.approx(
+        np.linalg.norm(errors, axis=1).max(), abs=0.005
+    )
     rig = rows_of(chapter, "Other figures of the thesis")
-    assert rig["camera to table: determinant and singular values"][1:3] == ("0.911; 1.000, 0.990, 0.920", "1.000; 1.000, 1.000, 1.000")
+    assert rig["camera to table: determinant and singular values"][1:3] == (
+        "0.911; 1.000, 0.990, 0.920",
+        "1.000; 1.000, 1.000, 1.000",
+    )
     assert rig["distance of the teats from the cameras"][1] == "1750 mm"
-    assert "the printed ones: 5.8 px on the mean" in rig["homography from thermal to optical"][2]  # as the fact sheet has it
+    # as the fact sheet has it
+    assert "the printed ones: 5.8 px on the mean" in rig["homography from thermal to optical"][2]
     assert rows_of(chapter, "Printed figures without a counterpart")
 
 
@@ -189,28 +267,49 @@ def test_other_cameras_are_not_held_against_the_printed_homographies(situations:
     calibration = read_calibration(situations / "calibration.toml")
     other = replace(calibration, left=replace(calibration.left, fc=(1300.0, 1300.0)))
     (chapter,) = thesis_chapter(read_run(situations), stored_rules(situations), other)
-    assert "printed" not in rows_of(chapter, "Other figures of the thesis")["homography from thermal to optical"][2]
+    assert (
+        "printed"
+        not in rows_of(chapter, "Other figures of the thesis")[
+            "homography from thermal to optical"
+        ][2]
+    )
 
 
 def test_the_offsets_have_the_tables_beside_them() -> None:
-    loaded, calibration = load_offsets(TRIALS / "thesis-test-2.toml"), load_rig(find_rig(None)).calibration
+    loaded, calibration = (
+        load_offsets(TRIALS / "thesis-test-2.toml"),
+        load_rig(find_rig(None)).calibration,
+    )
     found = outcomes(loaded, calibration)
-    section = next(part for part in offset_page(loaded, found, "0" * 64).sections if part.id == "published")
+    section = next(
+        part for part in offset_page(loaded, found, "0" * 64).sections if part.id == "published"
+    )
     second = rows_of(section, "Test 2, sections 5.1.2 and 5.1.3")
     assert second["mean of the components' amounts: that of test 2"][:2] == ("5.1", "5.08")
     assert second["mean distance to the teat end"][1] == "10.69"
     everything = np.concatenate([one.errors_mm for one in found])
-    assert float(second["largest distance to the teat end"][2]) == pytest.approx(np.linalg.norm(everything, axis=1).max(), abs=0.005)
+    assert float(second["largest distance to the teat end"][2]) == pytest.approx(
+        np.linalg.norm(everything, axis=1).max(), abs=0.005
+    )
     teats = rows_of(section, "Tables 5.1 to 5.4")
-    assert [row[-1] for row in teats.values()] == ["nothing", "nothing", "z", "nothing"]  # table 5.4 prints 0.3 for 0.2
+    # table 5.4 prints 0.3 for 0.2
+    assert [row[-1] for row in teats.values()] == ["nothing", "nothing", "z", "nothing"]
     assert teats["2"][:4] == ("+0.6, -0.9, +0.2", "1.10", "+9.1, +9.2, +0.0", "12.94")
     assert rows_of(section, "What one pixel is worth")["teat 4, 1 px left"][:2] == ("6.1", "9")
 
 
 def test_offsets_of_one_s_own_have_no_thesis_beside_them(tmp_path: Path) -> None:
-    text = (TRIALS / "thesis-test-2.toml").read_text(encoding="utf-8").replace("-105.1, 290.8, 134.9", "-105.0, 290.8, 134.9")
+    text = (
+        (TRIALS / "thesis-test-2.toml")
+        .read_text(encoding="utf-8")
+        .replace("-105.1, 290.8, 134.9", "-105.0, 290.8, 134.9")
+    )
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     loaded = load_offsets(tmp_path / "mine.toml")
     found = outcomes(loaded, load_rig(find_rig(None)).calibration)
-    section = next(part for part in offset_page(loaded, found, "0" * 64).sections if part.id == "published")
-    assert [part.caption for part in section.parts if isinstance(part, Table)] == ["The thesis's figures"]
+    section = next(
+        part for part in offset_page(loaded, found, "0" * 64).sections if part.id == "published"
+    )
+    assert [part.caption for part in section.parts if isinstance(part, Table)] == [
+        "The thesis's figures"
+    ]

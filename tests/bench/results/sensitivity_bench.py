@@ -14,7 +14,9 @@ from detector.protocol import Detection, Frames, Teat
 
 @dataclass(slots=True)
 class Knowing:
-    """Gives set points, off by ``error_mm``, and counts how often it is asked; with ``breaks`` it fails instead."""
+    """Gives set points, off by ``error_mm``, and counts how often it is asked; with ``breaks`` it
+    fails instead.
+    """
 
     ends_mm: list[Any]
     error_mm: float = 0.0
@@ -33,4 +35,6 @@ class Knowing:
         self.told.append(calibration)
         if self.breaks:
             raise RuntimeError("no")
-        return Detection(tuple(Teat(np.add(end, (0.0, self.error_mm, 0.0))) for end in self.ends_mm))
+        return Detection(
+            tuple(Teat(np.add(end, (0.0, self.error_mm, 0.0))) for end in self.ends_mm)
+        )

@@ -1,4 +1,6 @@
-"""The requirement `arm_verified`: a table of what a run may know of its arm, and what is said then."""
+"""The requirement `arm_verified`: a table of what a run may know
+of its arm, and what is said then.
+"""
 
 from __future__ import annotations
 
@@ -15,24 +17,51 @@ from bench.script.model import ArmRequirement, find_script, load_script
 from tests.bench.calibrate.test_arm_verification import CROSS, SWUNG
 
 RULE = ArmRequirement(
-    kind="arm_verified", name="arm", location_limit_mm=0.46, shift_limit_mm=1.5, drift_limit_mm=0.5, length_limit_mm=0.7, max_age_days=180
+    kind="arm_verified",
+    name="arm",
+    location_limit_mm=0.46,
+    shift_limit_mm=1.5,
+    drift_limit_mm=0.5,
+    length_limit_mm=0.7,
+    max_age_days=180,
 )
 PLACE = np.array([-190.0, 120.0, 15.0])
 STARTED = datetime(2026, 6, 1, tzinfo=UTC)
 
 
-def check(scale: float = 1.0, shift_mm: float = 0.0, axes: np.ndarray = SWUNG, n: int = 5) -> dict[str, Any]:
+def check(
+    scale: float = 1.0, shift_mm: float = 0.0, axes: np.ndarray = SWUNG, n: int = 5
+) -> dict[str, Any]:
     """Touches whose largest deviation is 0.3 mm times ``scale``."""
     tips = scale * CROSS + PLACE + [0.0, 0.0, shift_mm]
     return {
         "check_point_mm": PLACE.tolist(),
-        "touches": [{"tip_mm": t.tolist(), "axis": a.tolist()} for t, a in zip(tips[:n], axes, strict=False)],
+        "touches": [
+            {"tip_mm": t.tolist(), "axis": a.tolist()} for t, a in zip(tips[:n], axes, strict=False)
+        ],
     }
 
 
-def dated(days: float = 10.0, scale: float = 1.0, error_mm: float = 0.1, serial: str = "40937", lengths: bool = True) -> dict[str, Any]:
-    length = (LengthTest("upright", np.zeros(3), np.array([0.0, 0.0, 300.0 + error_mm]), 300.0),) if lengths else ()
-    return as_dict(Verification(STARTED - timedelta(days=days), serial, (LocationTest("near", scale * CROSS, SWUNG),), length))
+def dated(
+    days: float = 10.0,
+    scale: float = 1.0,
+    error_mm: float = 0.1,
+    serial: str = "40937",
+    lengths: bool = True,
+) -> dict[str, Any]:
+    length = (
+        (LengthTest("upright", np.zeros(3), np.array([0.0, 0.0, 300.0 + error_mm]), 300.0),)
+        if lengths
+        else ()
+    )
+    return as_dict(
+        Verification(
+            STARTED - timedelta(days=days),
+            serial,
+            (LocationTest("near", scale * CROSS, SWUNG),),
+            length,
+        )
+    )
 
 
 def facts(before: Any = None, after: Any = None, verification: Any = None) -> dict[str, Any]:
@@ -44,26 +73,62 @@ def facts(before: Any = None, after: Any = None, verification: Any = None) -> di
 @pytest.mark.parametrize(
     ("known", "verdict", "says"),
     [
-        (facts(check(), check()), Verdict.MET, "0.30 mm before and 0.30 mm after; no dated verification is named"),
+        (
+            facts(check(), check()),
+            Verdict.MET,
+            "0.30 mm before and 0.30 mm after; no dated verification is named",
+        ),
         (facts(check(), check(), dated()), Verdict.MET, "verified on 2026-05-22"),
         (facts(), Verdict.NOT_MEASURED, "neither a check point nor a verification"),
         (facts(check()), Verdict.INCONCLUSIVE, "not checked after the trials"),
-        (facts(verification=dated()), Verdict.INCONCLUSIVE, "not checked before the trials; the arm was not checked after"),
-        (facts(check(1.6), check()), Verdict.NOT_MET, "the check before the trials: readings of one point lie up to 0.48 mm"),
+        (
+            facts(verification=dated()),
+            Verdict.INCONCLUSIVE,
+            "not checked before the trials; the arm was not checked after",
+        ),
+        (
+            facts(check(1.6), check()),
+            Verdict.NOT_MET,
+            "the check before the trials: readings of one point lie up to 0.48 mm",
+        ),
         (facts(check(), check(1.6)), Verdict.NOT_MET, "the check after the trials"),
         (facts(check(1.5), check()), Verdict.MET, "0.45 mm before"),
-        (facts(check(shift_mm=1.6), check(shift_mm=1.6)), Verdict.NOT_MET, "1.60 mm from its place before the trials"),
+        (
+            facts(check(shift_mm=1.6), check(shift_mm=1.6)),
+            Verdict.NOT_MET,
+            "1.60 mm from its place before the trials",
+        ),
         (facts(check(), check(shift_mm=0.6)), Verdict.NOT_MET, "moved by 0.60 mm during the run"),
         (facts(check(), check(shift_mm=0.4)), Verdict.MET, ""),
-        (facts(check(axes=np.repeat(SWUNG[:1], 5, axis=0)), check()), Verdict.INCONCLUSIVE, "swung by 0 degrees only"),
+        (
+            facts(check(axes=np.repeat(SWUNG[:1], 5, axis=0)), check()),
+            Verdict.INCONCLUSIVE,
+            "swung by 0 degrees only",
+        ),
         (facts(check(n=4), check()), Verdict.INCONCLUSIVE, "4 touches only"),
         (facts(check(), check(), dated(181)), Verdict.NOT_MET, "181 days old, limit 180 days"),
         (facts(check(), check(), dated(179)), Verdict.MET, ""),
         (facts(check(), check(), dated(-1)), Verdict.NOT_MET, "look at the computer's clock"),
-        (facts(check(), check(), dated(serial="1234")), Verdict.NOT_MET, "of the arm 1234, but the run used 40937"),
-        (facts(check(), check(), dated(scale=1.6)), Verdict.NOT_MET, "in the dated verification, near"),
-        (facts(check(), check(), dated(error_mm=-0.8)), Verdict.NOT_MET, "300 mm were measured -0.80 mm wrong"),
-        (facts(check(), check(), dated(lengths=False)), Verdict.INCONCLUSIVE, "no calibrated length was measured"),
+        (
+            facts(check(), check(), dated(serial="1234")),
+            Verdict.NOT_MET,
+            "of the arm 1234, but the run used 40937",
+        ),
+        (
+            facts(check(), check(), dated(scale=1.6)),
+            Verdict.NOT_MET,
+            "in the dated verification, near",
+        ),
+        (
+            facts(check(), check(), dated(error_mm=-0.8)),
+            Verdict.NOT_MET,
+            "300 mm were measured -0.80 mm wrong",
+        ),
+        (
+            facts(check(), check(), dated(lengths=False)),
+            Verdict.INCONCLUSIVE,
+            "no calibrated length was measured",
+        ),
         (facts(check(1.6)), Verdict.NOT_MET, "0.48 mm"),
     ],
 )
@@ -96,5 +161,11 @@ def test_the_worst_figure_is_shown_against_its_limit() -> None:
 
 
 def test_the_shipped_script_asks_for_it() -> None:
-    rules = [r for r in load_script(find_script(None)).script.requirements if isinstance(r, ArmRequirement)]
-    assert [(r.location_limit_mm, r.length_limit_mm, r.dated_required) for r in rules] == [(0.46, 0.7, False)]
+    rules = [
+        r
+        for r in load_script(find_script(None)).script.requirements
+        if isinstance(r, ArmRequirement)
+    ]
+    assert [(r.location_limit_mm, r.length_limit_mm, r.dated_required) for r in rules] == [
+        (0.46, 0.7, False)
+    ]

@@ -58,7 +58,12 @@ def answered(*teats: Any, **more: Any) -> Callable[[], Detection]:
 
 def test_a_good_answer_is_scored_and_stored(calibration: Calibration) -> None:
     answer = examine(Scripted(answered(teat(1, 0, 100), teat(50, 2, 100))), FRAMES, calibration)
-    assert (answer.outcome, answer.cold, answer.start_up_s, answer.stderr) == (Outcome.ANSWERED, False, None, "")
+    assert (answer.outcome, answer.cold, answer.start_up_s, answer.stderr) == (
+        Outcome.ANSWERED,
+        False,
+        None,
+        "",
+    )
     score = score_answer(answer, TRUTH, limit_mm=5.0, time_limit_s=2.0)
     assert score.success
     assert sorted(score.radial_mm) == [1.0, 2.0]
@@ -91,21 +96,38 @@ LEANING = np.eye(3) + np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]])
         (answered(teat(1, 2, np.nan)), "not three finite numbers"),
         (answered(teat(1, 2, 3), teat(1, np.inf, 3)), "teat 2 of its answer is [1.0, inf, 3.0]"),
         (answered(Teat("here")), "'here', not three finite numbers"),  # type: ignore[arg-type]
-        (answered(teat(1, 2, 3), teat(0, 0, 1e9)), "teat 2 of its answer is at (0, 0, 1e+09) mm, outside of the working volume"),
+        (
+            answered(teat(1, 2, 3), teat(0, 0, 1e9)),
+            "teat 2 of its answer is at (0, 0, 1e+09) mm, outside of the working volume",
+        ),
         (answered(*[teat(i, 0, 0) for i in range(17)]), "17 teats; 16 are taken at most"),
         (answered(hidden=-1), "counts -1 teats as hidden"),
         (answered(hidden=99), "counts 99 teats as hidden"),
         (answered(hidden=1.5), "counts 1.5 teats as hidden"),
         (answered(hidden=True), "counts True teats as hidden"),
         (answered(teat(1, 2, 3, covariance_mm2=np.eye(2))), "the covariance of teat 1"),
-        (answered(teat(1, 2, 3, covariance_mm2=np.full((3, 3), np.nan))), "not 3 x 3 finite numbers"),
-        (answered(teat(1, 2, 3, covariance_mm2=LEANING)), "the covariance of teat 1 is not symmetric"),
-        (answered(teat(1, 2, 3, covariance_mm2=np.diag([1.0, 1, 0]))), "the covariance of teat 1 is not positive definite"),
+        (
+            answered(teat(1, 2, 3, covariance_mm2=np.full((3, 3), np.nan))),
+            "not 3 x 3 finite numbers",
+        ),
+        (
+            answered(teat(1, 2, 3, covariance_mm2=LEANING)),
+            "the covariance of teat 1 is not symmetric",
+        ),
+        (
+            answered(teat(1, 2, 3, covariance_mm2=np.diag([1.0, 1, 0]))),
+            "the covariance of teat 1 is not positive definite",
+        ),
         (answered(teat(1, 2, 3, covariance_mm2=-np.eye(3))), "not positive definite"),
-        (answered(teat(1, 2, 3, left_px=np.array([1.0]))), "left_px of teat 1 is [1.0], not two finite numbers"),
+        (
+            answered(teat(1, 2, 3, left_px=np.array([1.0]))),
+            "left_px of teat 1 is [1.0], not two finite numbers",
+        ),
     ],
 )
-def test_a_bad_answer_is_told_and_stops_nothing(calibration: Calibration, does: Callable[[], Any], reason: str) -> None:
+def test_a_bad_answer_is_told_and_stops_nothing(
+    calibration: Calibration, does: Callable[[], Any], reason: str
+) -> None:
     answer = examine(Scripted(does), FRAMES, calibration)
     assert answer.outcome is Outcome.FAILED
     assert answer.detection.teats == ()
@@ -127,7 +149,9 @@ def test_no_answer_is_no_success_where_there_is_nothing_to_find(calibration: Cal
     unseen = [replace(row, visible=False) for row in TRUTH]
     silent = examine(Scripted(answered(hidden=2)), FRAMES, calibration)
     assert score_answer(silent, unseen, limit_mm=5.0, time_limit_s=2.0).success
-    failed = score_answer(examine(Scripted(crash), FRAMES, calibration), unseen, limit_mm=5.0, time_limit_s=2.0)
+    failed = score_answer(
+        examine(Scripted(crash), FRAMES, calibration), unseen, limit_mm=5.0, time_limit_s=2.0
+    )
     assert (failed.success, failed.hidden_claimed) == (False, None)
 
 
@@ -142,7 +166,13 @@ def test_an_answer_after_the_limit_is_a_timeout(calibration: Calibration) -> Non
 def test_the_first_call_is_the_cold_one(calibration: Calibration) -> None:
     examiner = Examiner(calibration)
     one, two = Scripted(answered(), "one"), Scripted(crash, "two")
-    assert [examiner.ask(d, FRAMES).cold for d in (one, two, one, two, one)] == [True, True, False, False, False]
+    assert [examiner.ask(d, FRAMES).cold for d in (one, two, one, two, one)] == [
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]
 
 
 def test_no_detector_can_change_the_pictures_under_the_others(calibration: Calibration) -> None:
@@ -166,9 +196,14 @@ def test_a_covariance_as_printed_is_symmetric_enough(calibration: Calibration) -
     assert np.array_equal(kept, kept.T)
 
 
-def test_stages_are_kept_points_in_the_record_and_masks_as_pictures(calibration: Calibration) -> None:
+def test_stages_are_kept_points_in_the_record_and_masks_as_pictures(
+    calibration: Calibration,
+) -> None:
     mask = np.eye(30, dtype=bool)
-    stages = (Stage("edges", {"mask": mask}), Stage("teat ends", {"points_px": np.array([[1.5, 2.5]])}))
+    stages = (
+        Stage("edges", {"mask": mask}),
+        Stage("teat ends", {"points_px": np.array([[1.5, 2.5]])}),
+    )
     answer = examine(Scripted(answered(hidden=2, trace=stages)), FRAMES, calibration)
     head, found = detection_rows("t", answer)
     trace = json.loads(str(head["trace"]))
@@ -181,11 +216,21 @@ def test_stages_are_kept_points_in_the_record_and_masks_as_pictures(calibration:
     assert (pictures["scripted-edges"] == mask * np.uint8(255)).all()
 
 
-def test_stages_that_the_record_cannot_hold_are_left_out_with_a_word(calibration: Calibration) -> None:
-    (told,) = [examine(Scripted(answered(reason="dark\n and   cold")), FRAMES, calibration).detection.reason]
+def test_stages_that_the_record_cannot_hold_are_left_out_with_a_word(
+    calibration: Calibration,
+) -> None:
+    (told,) = [
+        examine(
+            Scripted(answered(reason="dark\n and   cold")), FRAMES, calibration
+        ).detection.reason
+    ]
     assert told == "dark and cold"
     good = Stage("fine", {"p": np.zeros(2)})
-    bad = (Stage("../up", {"p": np.zeros(2)}), Stage("things", {"p": np.array([object()])}), "no stage")
+    bad = (
+        Stage("../up", {"p": np.zeros(2)}),
+        Stage("things", {"p": np.array([object()])}),
+        "no stage",
+    )
     answer = examine(Scripted(answered(reason="dark", trace=(good, *bad))), FRAMES, calibration)
     assert answer.outcome is Outcome.ANSWERED
     assert [stage.name for stage in answer.detection.trace] == ["fine"]
@@ -227,20 +272,38 @@ class Remote:
         self._do("close")
 
 
-def test_what_lives_elsewhere_is_prepared_outside_of_its_time_and_checked(calibration: Calibration) -> None:
+def test_what_lives_elsewhere_is_prepared_outside_of_its_time_and_checked(
+    calibration: Calibration,
+) -> None:
     remote = Remote()
     assert isinstance(remote, Served)
     answer = examine(remote, FRAMES, calibration)
-    assert (answer.outcome, answer.cold, answer.start_up_s, answer.stderr) == (Outcome.ANSWERED, True, 0.75, "cheese is low")
+    assert (answer.outcome, answer.cold, answer.start_up_s, answer.stderr) == (
+        Outcome.ANSWERED,
+        True,
+        0.75,
+        "cheese is low",
+    )
     close_detectors([remote, Scripted(crash)])
     assert remote.done == ["prepare", "detect", "check", "close"]
     head, _ = detection_rows("t", answer)
-    assert (head["cold"], head["wall_start_up_s"], head["wall_stderr"]) == (1, 0.75, "cheese is low")
+    assert (head["cold"], head["wall_start_up_s"], head["wall_stderr"]) == (
+        1,
+        0.75,
+        "cheese is low",
+    )
 
 
-@pytest.mark.parametrize(("where", "outcome"), [("prepare", Outcome.OFF), ("detect", Outcome.TIMEOUT), ("check", Outcome.FAILED)])
-def test_its_failures_are_what_they_are(calibration: Calibration, where: str, outcome: Outcome) -> None:
-    answer: Answer = examine(Remote({where: DetectionFailure("no cheese", outcome)}), FRAMES, calibration)
+@pytest.mark.parametrize(
+    ("where", "outcome"),
+    [("prepare", Outcome.OFF), ("detect", Outcome.TIMEOUT), ("check", Outcome.FAILED)],
+)
+def test_its_failures_are_what_they_are(
+    calibration: Calibration, where: str, outcome: Outcome
+) -> None:
+    answer: Answer = examine(
+        Remote({where: DetectionFailure("no cheese", outcome)}), FRAMES, calibration
+    )
     assert (answer.outcome, answer.detection.teats) == (outcome, ())
     assert answer.detection.reason == "the detector failed: no cheese"
     assert answer.stderr == "cheese is low"

@@ -12,7 +12,15 @@ import pytest
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.comparison import notes
 from bench.results.comparison import Side, compare_sides, scored_together
-from bench.results.error_rows import ErrorRows, error_rows, plane_cells, run_bias, run_precision, run_trends, truth_gage
+from bench.results.error_rows import (
+    ErrorRows,
+    error_rows,
+    plane_cells,
+    run_bias,
+    run_precision,
+    run_trends,
+    truth_gage,
+)
 from bench.scoring.errors import Floats
 from bench.scoring.rates import Rate
 from bench.scoring.scene import score_scene
@@ -22,29 +30,62 @@ ENDS = np.array([[-260.0, 267.0, 136.0], [-110.0, 284.0, 136.0]])
 NO_BATH = np.zeros((0, 3))
 
 
-def trial(number: int, pose: str, repeat: int, ends: Floats, found: Floats, **head: Any) -> TrialRecord:
-    names = {"id": f"{number:03d}-{pose}-{repeat}", "number": number, "name": pose, "repeat": repeat, "situation": "map", "invalid": None}
+def trial(
+    number: int, pose: str, repeat: int, ends: Floats, found: Floats, **head: Any
+) -> TrialRecord:
+    names = {
+        "id": f"{number:03d}-{pose}-{repeat}",
+        "number": number,
+        "name": pose,
+        "repeat": repeat,
+        "situation": "map",
+        "invalid": None,
+    }
     rows = tuple(
-        {"teat": str(k), "x_mm": x, "y_mm": y, "z_mm": z, "u_mm": 0.2, "visible": 1, "how": "touched"}
+        {
+            "teat": str(k),
+            "x_mm": x,
+            "y_mm": y,
+            "z_mm": z,
+            "u_mm": 0.2,
+            "visible": 1,
+            "how": "touched",
+        }
         for k, (x, y, z) in enumerate(ends.tolist(), 1)
     )
-    score = score_scene(found, ends, [True] * len(ends), u_mm=0.2, seconds=0.1, limit_mm=5.0, time_limit_s=2.0)
-    return TrialRecord({**names, "captured_s": 60.0 * number, "bath_c": 33.0, **head}, (), (), rows, (), (), {"fused": score})
+    score = score_scene(
+        found, ends, [True] * len(ends), u_mm=0.2, seconds=0.1, limit_mm=5.0, time_limit_s=2.0
+    )
+    return TrialRecord(
+        {**names, "captured_s": 60.0 * number, "bath_c": 33.0, **head},
+        (),
+        (),
+        rows,
+        (),
+        (),
+        {"fused": score},
+    )
 
 
 def record(folder: Path, trials: list[TrialRecord]) -> RunRecord:
-    return RunRecord(folder, {"detectors": ["fused"]}, tuple(trials), (), (), (), NO_BATH, (), np.zeros(0), None)
+    return RunRecord(
+        folder, {"detectors": ["fused"]}, tuple(trials), (), (), (), NO_BATH, (), np.zeros(0), None
+    )
 
 
 @pytest.fixture
 def drifting(tmp_path: Path) -> RunRecord:
-    """Thirty poses along x, visited twice: y is off by 10 um a minute, z by 20 um a mm of x; the second teat is missed at pose 3."""
+    """Thirty poses along x, visited twice: y is off by 10 um a minute, z by 20 um a mm of x; the
+    second teat is missed at pose 3.
+    """
     rng = np.random.default_rng(1)
     trials = []
     for number in range(1, 61):
         place = (number - 1) % 30
         ends = np.add(ENDS, [2.0 * place, 0.0, 0.0])
-        errors = np.array([[0.0, 0.01 * number, 0.02 * (2.0 * place)]] * 2) + rng.normal(0, 0.05, (2, 3))
+        errors = np.array([[0.0, 0.01 * number, 0.02 * (2.0 * place)]] * 2) + rng.normal(
+            0, 0.05, (2, 3)
+        )
         found = (ends + errors)[: 1 if place == 3 else 2]
         trials.append(trial(number, f"map-{place:02d}", 1 + (number - 1) // 30, ends, found))
     return record(tmp_path, trials)
@@ -68,7 +109,8 @@ def test_a_drift_and_a_tilted_plane_are_found_and_nothing_else(drifting: RunReco
     assert found["x_mm", "z"].groups == 30
     assert found["bath_c", "y"].slope is None
     significant = {key for key, one in found.items() if one.significant and key[1] != "distance"}
-    assert significant <= {("time_s", "y"), ("x_mm", "z"), ("x_mm", "y")}  # in its order of visits, place and time go together
+    # in its order of visits, place and time go together
+    assert significant <= {("time_s", "y"), ("x_mm", "z"), ("x_mm", "y")}
     assert {("time_s", "y"), ("x_mm", "z")} <= significant
 
 
@@ -93,15 +135,21 @@ def test_repeats_tell_the_spread_within_a_pose_from_that_between(drifting: RunRe
     x, y, z = run_precision(error_rows(drifting, "fused"))
     assert (x.n, x.groups) == (118, 59)  # the second teat was missed at pose 3, both times
     assert x.s_r == pytest.approx(0.05, rel=0.3)
-    assert y.s_r == pytest.approx(0.3 / np.sqrt(2), rel=0.15)  # half an hour's drift lies between the two visits
+    # half an hour's drift lies between the two visits
+    assert y.s_r == pytest.approx(0.3 / np.sqrt(2), rel=0.15)
     assert z.s_between == pytest.approx(float(np.std(0.04 * np.arange(30), ddof=1)), rel=0.1)
 
 
 def test_tilts_come_from_the_scripts_own_phantom(tmp_path: Path) -> None:
     script = tmp_path / "script.toml"
-    script.write_text((TRIALS / "six-situations.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    script.write_text(
+        (TRIALS / "six-situations.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     planned = load_script(script).planned[0]
-    tilts = [float(np.degrees(np.arctan(np.hypot(*np.tan(teat.tilt_rad))))) for teat in planned.phantom.teats]
+    tilts = [
+        float(np.degrees(np.arctan(np.hypot(*np.tan(teat.tilt_rad)))))
+        for teat in planned.phantom.teats
+    ]
     ends = np.add(ENDS, [0.0, 0.0, 1.0])
     run = record(tmp_path, [trial(planned.number, planned.name, planned.repeat, ends, ends)])
     assert run.trials[0].id == planned.id
@@ -109,15 +157,25 @@ def test_tilts_come_from_the_scripts_own_phantom(tmp_path: Path) -> None:
     assert max(tilts) > 1.0
 
 
-def test_runs_merge_by_their_counts_and_a_pose_has_to_succeed_in_each(drifting: RunRecord, tmp_path: Path) -> None:
-    other = record(tmp_path, [trial(1, "map-00", 1, ENDS, ENDS[:1]), trial(2, "map-01", 1, ENDS, ENDS)])
-    alone, together = scored_together([drifting], "fused"), scored_together([drifting, other], "fused")
+def test_runs_merge_by_their_counts_and_a_pose_has_to_succeed_in_each(
+    drifting: RunRecord, tmp_path: Path
+) -> None:
+    other = record(
+        tmp_path, [trial(1, "map-00", 1, ENDS, ENDS[:1]), trial(2, "map-01", 1, ENDS, ENDS)]
+    )
+    alone, together = (
+        scored_together([drifting], "fused"),
+        scored_together([drifting, other], "fused"),
+    )
     assert together.counts == alone.counts + scored_together([other], "fused").counts
     assert len(together.errors_mm) == 118 + 3
     assert alone.success == Rate(29, 30)  # pose 3 misses a teat
     same_script = [replace(run, facts={**run.facts, "script": "map"}) for run in (drifting, other)]
-    assert scored_together(same_script, "fused").success == Rate(28, 30)  # pose 0 failed in the second run
-    assert scored_together([same_script[0], replace(other, facts={"script": "other"})], "fused").success == Rate(30, 32)
+    # pose 0 failed in the second run
+    assert scored_together(same_script, "fused").success == Rate(28, 30)
+    assert scored_together(
+        [same_script[0], replace(other, facts={"script": "other"})], "fused"
+    ).success == Rate(30, 32)
 
 
 def test_an_empty_run_depends_on_nothing(tmp_path: Path) -> None:
@@ -127,10 +185,13 @@ def test_an_empty_run_depends_on_nothing(tmp_path: Path) -> None:
     assert run_bias(rows).next_error is None
 
 
-def touched(pose: str, number: int, repeat: int, points: Floats, refused: str | None = None) -> TrialRecord:
+def touched(
+    pose: str, number: int, repeat: int, points: Floats, refused: str | None = None
+) -> TrialRecord:
     base = trial(number, pose, repeat, ENDS[:1], ENDS[:1])
     rows = tuple(
-        {"teat": "1", "touch": k, "x_mm": x, "y_mm": y, "z_mm": z, "refused": refused} for k, (x, y, z) in enumerate(points.tolist(), 1)
+        {"teat": "1", "touch": k, "x_mm": x, "y_mm": y, "z_mm": z, "refused": refused}
+        for k, (x, y, z) in enumerate(points.tolist(), 1)
     )
     return TrialRecord(base.head, (), rows, base.truth, (), (), base.scores)
 
@@ -149,7 +210,11 @@ def set_ups(folder: Path, poses: int = 40, repeats: int = 6, touches: int = 3) -
 def test_the_gage_study_finds_touch_and_set_up(tmp_path: Path) -> None:
     found = truth_gage([set_ups(tmp_path)])
     assert found.studies is not None
-    assert (found.studies[0].parts, found.studies[0].appraisers, found.studies[0].repeats) == (40, 6, 3)
+    assert (found.studies[0].parts, found.studies[0].appraisers, found.studies[0].repeats) == (
+        40,
+        6,
+        3,
+    )
     for study in found.studies:
         assert study.repeatability == pytest.approx(0.10, rel=0.15)
         assert study.reproducibility == pytest.approx(0.30, rel=0.2)
@@ -165,16 +230,23 @@ def test_two_runs_are_two_appraisers(tmp_path: Path) -> None:
 def test_a_comparison_of_two_runs_tells_how_well_their_truths_agree(tmp_path: Path) -> None:
     runs = [set_ups(tmp_path / name, repeats=1) for name in ("old", "new")]
     old, new = (Side(run, "fused") for run in runs)
-    (told,) = [note for note in notes(compare_sides(old, new)) if note.startswith("The truth itself")]
+    (told,) = [
+        note for note in notes(compare_sides(old, new)) if note.startswith("The truth itself")
+    ]
     assert "40 ends touched 3 times in each run" in told
     assert "reproducibility 0.000, 0.000, 0.000 mm" in told
     assert "of the tolerance of 10 mm" in told
-    assert not [note for note in notes(compare_sides(old, old)) if note.startswith("The truth itself")]
+    assert not [
+        note for note in notes(compare_sides(old, old)) if note.startswith("The truth itself")
+    ]
 
 
 def test_what_holds_no_study_says_why(tmp_path: Path, drifting: RunRecord) -> None:
     assert truth_gage([drifting]).why == "no teat end was touched"
     assert "repeat the poses" in truth_gage([set_ups(tmp_path, repeats=1)]).why
-    assert truth_gage([set_ups(tmp_path, poses=1)]).why == "only one end was touched in several set-ups"
+    assert (
+        truth_gage([set_ups(tmp_path, poses=1)]).why
+        == "only one end was touched in several set-ups"
+    )
     refused = record(tmp_path, [touched("p", 1, 1, np.zeros((3, 3)), refused="spread")])
     assert truth_gage([refused]).why == "no teat end was touched"

@@ -1,4 +1,6 @@
-"""What the report says of the calibration: its record, and what can be reached at best by distance, against its own figures."""
+"""What the report says of the calibration: its record, and what can be reached at best by distance,
+against its own figures.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ BASELINE_SD_MM = 0.5
 def rig() -> Calibration:
     """The emulated rig's with a baseline that is uncertain, and nothing else."""
     whole = load_calibration(RIGS / "calibration.toml")
-    return replace(whole, covariance=ParameterCovariance((("stereo", "T1"),), np.array([[BASELINE_SD_MM**2]])))
+    return replace(
+        whole, covariance=ParameterCovariance((("stereo", "T1"),), np.array([[BASELINE_SD_MM**2]]))
+    )
 
 
 def column(table_rows: tuple[tuple[object, ...], ...], at: int) -> list[float]:
@@ -42,10 +46,14 @@ def test_it_grows_with_distance_and_noise_comes_on_top(rig: Calibration) -> None
 
 
 def test_a_baseline_off_by_a_share_is_a_distance_off_by_that_share(rig: Calibration) -> None:
-    """All lengths from the right camera scale with the baseline: k = 2 of a point at 1.7 m is twice sd / B of its distance."""
+    """All lengths from the right camera scale with the baseline: k = 2 of a point at 1.7 m is twice
+    sd / B of its distance.
+    """
     farthest = limit_table(ENDS, rig).rows[-1]
     from_camera = np.linalg.norm(rig.world_from_right.inverse().apply(ENDS[-1:])[0])
-    assert float(str(farthest[3])) == pytest.approx(2.0 * BASELINE_SD_MM / rig.baseline_mm * from_camera, rel=0.01)
+    assert float(str(farthest[3])) == pytest.approx(
+        2.0 * BASELINE_SD_MM / rig.baseline_mm * from_camera, rel=0.01
+    )
 
 
 def test_a_calibration_that_states_nothing_says_so(rig: Calibration) -> None:
@@ -56,7 +64,9 @@ def test_a_calibration_that_states_nothing_says_so(rig: Calibration) -> None:
 
 class TestRecord:
     def told(self, calibration: Calibration, *, emulated: bool) -> str:
-        facts = {CALIBRATION_FACT: calibration_fact(calibration, date(2026, 11, 20), emulated=emulated)}
+        facts = {
+            CALIBRATION_FACT: calibration_fact(calibration, date(2026, 11, 20), emulated=emulated)
+        }
         return str(tuple(record_parts(cast("RunRecord", SimpleNamespace(facts=facts)))))
 
     def test_it_states_the_age_and_who_made_it_from_what(self, rig: Calibration) -> None:

@@ -1,4 +1,6 @@
-"""Scoring several detectors at once, one of them in a process of its own that fails: the record, the table, and what is left behind."""
+"""Scoring several detectors at once, one of them in a process of its own that fails: the record,
+the table, and what is left behind.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,10 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def scored(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Scored:
     folder = tmp_path_factory.mktemp("scored")
     (folder / "program.py").write_text(PROGRAM, encoding="utf-8")
-    text = f'name = "mine"\nversion = "3"\ncommand = [{json.dumps(sys.executable)}, "program.py"]\ntime_limit_s = 60\n'
+    text = (
+        f'name = "mine"\nversion = "3"\ncommand = [{json.dumps(sys.executable)},'
+        ' "program.py"]\ntime_limit_s = 60\n'
+    )
     (folder / "mine.toml").write_text(text, encoding="utf-8")
     said: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
@@ -83,8 +88,16 @@ def scored(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Scored:
 
 
 def test_every_frame_has_its_answer_and_its_outcome(scored: Scored) -> None:
-    rows = [row for trial in scored.run.trials for row in trial.detections if row["detector"] == "mine"]
-    assert [row["outcome"] for row in rows] == ["answered", "answered", "failure", "answered", "answered"]
+    rows = [
+        row for trial in scored.run.trials for row in trial.detections if row["detector"] == "mine"
+    ]
+    assert [row["outcome"] for row in rows] == [
+        "answered",
+        "answered",
+        "failure",
+        "answered",
+        "answered",
+    ]
     assert [row["cold"] for row in rows] == [1, 0, 0, 1, 0], "each process has a first call"
     assert [row["wall_start_up_s"] is not None for row in rows] == [True, False, False, True, False]
     assert rows[2]["reason"] == "the detector failed: it ended with exit code 9"
@@ -104,16 +117,21 @@ def test_latency_leaves_first_calls_and_failures_out(scored: Scored) -> None:
     assert latency_of(scored.run, "nobody") == Latency()
     assert (Latency().median_s, Latency().p99_s, failures_told(Latency())) == (None, None, "none")
     rules = stored_rules(scored.run.folder)
-    (of_mine, _) = judge(scored.run, rules)
+    of_mine, _ = judge(scored.run, rules)
     assert {d.n for d in of_mine.decisions if d.unit == "s"} == {2}
 
 
 def test_the_table_says_it_all(scored: Scored) -> None:
     table = score_table(scored.run)
     assert table in scored.said
-    cells = {(c[1], c[2]): c for line in table.splitlines() if line.startswith("| ") and len(c := [x.strip() for x in line.split("|")]) > 3}
+    cells = {
+        (c[1], c[2]): c
+        for line in table.splitlines()
+        if line.startswith("| ") and len(c := [x.strip() for x in line.split("|")]) > 3
+    }
     calm, windy, whole = (cells[situation, "mine"] for situation in ("calm", "windy", "all"))
-    # frame 2: one end 3 mm off, one false end; frame 3 fails, so frame 4 is the new process's first: its count goes on
+    # frame 2: one end 3 mm off, one false end; frame 3 fails, so frame 4 is the new process's
+    # first: its count goes on
     assert calm[3:7] == ["2", "4 of 4", "1", "0.75, 3.00, 3.00"]
     assert windy[3:7] == ["3", "4 of 6", "0", "0.00, 0.00, 0.00"]
     assert whole[3:7] == ["5", "8 of 10", "1", "0.38, 3.00, 3.00"]
@@ -142,7 +160,9 @@ def test_a_report_can_be_written_where_the_detector_is_not(scored: Scored, tmp_p
     assert main(["report", str(written_anew(copy))]) in (0, 1, 4)
 
 
-def test_without_truth_there_is_no_table(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_truth_there_is_no_table(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bare = tmp_path / "bare"
     shutil.copytree(recording, bare)
     (bare / "truth.csv").unlink()
@@ -150,22 +170,47 @@ def test_without_truth_there_is_no_table(recording: Path, tmp_path: Path, capsys
     assert "There is no truth, so nothing was scored." in capsys.readouterr().out
 
 
-def test_detect_tells_outcomes_and_first_calls(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_detect_tells_outcomes_and_first_calls(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "program.py").write_text(PROGRAM, encoding="utf-8")
-    assert main(["detect", str(recording), "--json", "--detector", f"exec:{sys.executable} {tmp_path / 'program.py'}"]) == 0
+    assert (
+        main(
+            [
+                "detect",
+                str(recording),
+                "--json",
+                "--detector",
+                f"exec:{sys.executable} {tmp_path / 'program.py'}",
+            ]
+        )
+        == 0
+    )
     lines = [json.loads(line) for line in capsys.readouterr().out.strip().splitlines()]
     assert [line["detector"] for line in lines] == ["exec-program"] * 5
     assert [line.get("outcome") for line in lines] == [None, None, "failure", None, None]
     assert [line.get("cold", False) for line in lines] == [True, False, False, True, False]
 
 
-def test_a_detector_that_crashes_is_no_bad_detector(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "crasher.py").write_text("import sys\nsys.exit('cannot find model.bin')", encoding="utf-8")
+def test_a_detector_that_crashes_is_no_bad_detector(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "crasher.py").write_text(
+        "import sys\nsys.exit('cannot find model.bin')", encoding="utf-8"
+    )
     command = f"exec:{sys.executable} {tmp_path / 'crasher.py'}"
-    assert main(["score", str(recording), "--detector", command, "--out", str(tmp_path / "runs")]) == 4
+    assert (
+        main(["score", str(recording), "--detector", command, "--out", str(tmp_path / "runs")]) == 4
+    )
     said = " ".join(capsys.readouterr().out.split())
-    assert "exec-crasher did not answer on 5 of 5 frame sets: the detector failed: it ended with exit code 1 before it was ready." in said
-    assert 'it is switched off for the rest of the run. Its last words: "cannot find model.bin".' in said
+    assert (
+        "exec-crasher did not answer on 5 of 5 frame sets: the detector failed: it ended with exit"
+        " code 1 before it was ready." in said
+    )
+    assert (
+        'it is switched off for the rest of the run. Its last words: "cannot find model.bin".'
+        in said
+    )
     assert "First find out why the detector did not answer" in said
     assert "has to become better" not in said
     (run,) = (tmp_path / "runs").iterdir()
@@ -175,14 +220,28 @@ def test_a_detector_that_crashes_is_no_bad_detector(recording: Path, tmp_path: P
     assert page.index("did not answer on 5 of 5 frame sets") < page.index('id="results"')
 
 
-def test_nothing_is_met_by_silence(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_met_by_silence(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     silent_once = PROGRAM.replace("if number == 2:", "if False:")
     command = f"command = [{json.dumps(sys.executable)}, 'mine.py']\n"
     (tmp_path / "mine.toml").write_text(command, encoding="utf-8")
     (tmp_path / "mine.py").write_text(silent_once, encoding="utf-8")
-    main(["score", str(recording), "--detector", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "runs")])
+    main(
+        [
+            "score",
+            str(recording),
+            "--detector",
+            str(tmp_path / "mine.toml"),
+            "--out",
+            str(tmp_path / "runs"),
+        ]
+    )
     said = " ".join(capsys.readouterr().out.split())
-    assert 'mine did not answer on 1 of 5 frame sets: the detector failed: it ended with exit code 9. Its last words: "no cheese".' in said
+    assert (
+        "mine did not answer on 1 of 5 frame sets: the detector failed: it ended with exit code 9."
+        ' Its last words: "no cheese".' in said
+    )
     (run,) = (tmp_path / "runs").iterdir()
     (judgement,) = judge(read_run(run), stored_rules(run))
     (false,) = (decision for decision in judgement.decisions if "false" in decision.name)
@@ -191,7 +250,9 @@ def test_nothing_is_met_by_silence(recording: Path, tmp_path: Path, capsys: pyte
     assert Verdict.MET not in {decision.verdict for decision in judgement.decisions}
 
 
-def test_a_score_that_fails_leaves_no_half_a_run(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_score_that_fails_leaves_no_half_a_run(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     odd = tmp_path / "odd"
     shutil.copytree(recording, odd)
     last = sorted((odd / "frames").iterdir())[-1] / "right.png"
@@ -199,7 +260,10 @@ def test_a_score_that_fails_leaves_no_half_a_run(recording: Path, tmp_path: Path
     chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(bytes(9))), (b"IEND", b"")]
     last.write_bytes(
         b"\x89PNG\r\n\x1a\n"
-        + b"".join(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks)
+        + b"".join(
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+            for kind, data in chunks
+        )
     )
     assert main(["score", str(odd), "--out", str(tmp_path / "runs")]) == 2
     said = capsys.readouterr().err
@@ -210,13 +274,30 @@ def test_a_score_that_fails_leaves_no_half_a_run(recording: Path, tmp_path: Path
     assert f"{last}: is not an image that can be read" in capsys.readouterr().out
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="sends a POSIX signal, and looks for processes in /proc")
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="sends a POSIX signal, and looks for processes in /proc"
+)
 def test_ctrl_c_while_a_program_is_silent_ends_both(recording: Path, tmp_path: Path) -> None:
-    silent = f"import os, time\nopen({str(tmp_path / 'pid')!r}, 'w').write(str(os.getpid()))\nprint('{{\"ready\": true}}', flush=True)\n"
-    (tmp_path / "silent.py").write_text(f"{silent}open({str(tmp_path / 'up')!r}, 'w')\ntime.sleep(600)", encoding="utf-8")
-    command = [sys.executable, "-m", "bench.cli", "score", str(recording), "--out", str(tmp_path / "runs")]
+    silent = (
+        f"import os, time\nopen({str(tmp_path / 'pid')!r},"
+        " 'w').write(str(os.getpid()))\nprint('{\"ready\": true}', flush=True)\n"
+    )
+    (tmp_path / "silent.py").write_text(
+        f"{silent}open({str(tmp_path / 'up')!r}, 'w')\ntime.sleep(600)", encoding="utf-8"
+    )
+    command = [
+        sys.executable,
+        "-m",
+        "bench.cli",
+        "score",
+        str(recording),
+        "--out",
+        str(tmp_path / "runs"),
+    ]
     command += ["--detector", f"exec:{sys.executable} {tmp_path / 'silent.py'}"]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as bench:
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as bench:
         deadline = time.monotonic() + 60
         while not (tmp_path / "up").is_file() and time.monotonic() < deadline:
             time.sleep(0.05)

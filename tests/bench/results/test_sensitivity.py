@@ -1,4 +1,6 @@
-"""Counts and distances at each value, and what becomes of them as files: a detector that knows the truth, one that fails, the real one."""
+"""Counts and distances at each value, and what becomes of them as files: a detector that knows the
+truth, one that fails, the real one.
+"""
 
 from __future__ import annotations
 
@@ -50,8 +52,21 @@ def test_a_thermal_quantity_has_the_share_that_can_be_nominated_beside_it() -> N
     assert high.limit.share == pytest.approx(0.0, abs=0.01)
 
 
-def test_the_command_writes_the_same_figures_and_numbers_each_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    said = ["scene", "sensitivity", "--quantity", "overlap", "--detector", "thesis", "--seeds", "1", "--first", "2"]
+def test_the_command_writes_the_same_figures_and_numbers_each_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = [
+        "scene",
+        "sensitivity",
+        "--quantity",
+        "overlap",
+        "--detector",
+        "thesis",
+        "--seeds",
+        "1",
+        "--first",
+        "2",
+    ]
     for folder in ("one", "two"):
         assert main([*said, "--out", str(tmp_path / folder)]) == 0
     assert "overlap 0.2: found of " in capsys.readouterr().out
@@ -63,9 +78,9 @@ def test_the_command_writes_the_same_figures_and_numbers_each_time(tmp_path: Pat
         rows = list(csv.DictReader(file))
     assert [float(row["value"]) for row in rows] == list(QUANTITIES["overlap"].values)
     assert all(int(row["found"]) <= int(row["visible"]) <= 4 for row in rows)
-    assert "thesis (version 1); cameras of `emulated.toml`; members 2 to 2" in (tmp_path / "one" / "measured.md").read_text(
-        encoding="utf-8"
-    )
+    assert "thesis (version 1); cameras of `emulated.toml`; members 2 to 2" in (
+        tmp_path / "one" / "measured.md"
+    ).read_text(encoding="utf-8")
 
 
 def test_what_was_not_measured_is_said_so(tmp_path: Path) -> None:
@@ -76,12 +91,17 @@ def test_what_was_not_measured_is_said_so(tmp_path: Path) -> None:
     page = (tmp_path / "measured.md").read_text(encoding="utf-8")
     assert "| 0.05 | 0 of 0 | 0 | not measured | not measured | not measured |" in page
     assert "| 0.2 | 0 of 4 | 0 | not measured | 0.010, 0.030 | 100 % |" in page
-    assert (tmp_path / "points.csv").read_text(encoding="utf-8").splitlines()[0] == ",".join(COLUMNS)
+    assert (tmp_path / "points.csv").read_text(encoding="utf-8").splitlines()[0] == ",".join(
+        COLUMNS
+    )
     assert "not measured" in figure_of(quantity, [nothing])
 
 
 def test_a_figure_stands_alone_on_paper_of_its_own(tmp_path: Path) -> None:
-    points = [Measured(value, 4, {"a": Tally((0.2, 0.4)), "b": Tally((2.0,), 1)}, LIMIT) for value in QUANTITIES["tilt"].values]
+    points = [
+        Measured(value, 4, {"a": Tally((0.2, 0.4)), "b": Tally((2.0,), 1)}, LIMIT)
+        for value in QUANTITIES["tilt"].values
+    ]
     text = write_figure(tmp_path, QUANTITIES["tilt"], points).read_text(encoding="utf-8")
     assert text.startswith("<svg ")
     assert 'font-family="system-ui, sans-serif"><rect width="100%"' in text
@@ -97,12 +117,16 @@ def test_a_figure_stands_alone_on_paper_of_its_own(tmp_path: Path) -> None:
         (["--rig", "no-such-rig"], "no-such-rig"),
     ],
 )
-def test_wrong_use_is_explained(arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_use_is_explained(
+    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["scene", "sensitivity", *arguments, "--out", str(tmp_path)]) == 2
     assert said in capsys.readouterr().err
 
 
-def test_more_detectors_than_a_figure_shows_are_refused_before_any_is_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_more_detectors_than_a_figure_shows_are_refused_before_any_is_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     five = [word for name in available([]) for word in ("--detector", name)]
     assert len(five) == 10
     assert main(["scene", "sensitivity", *five, "--out", str(tmp_path)]) == 2
@@ -115,12 +139,21 @@ def test_frame_sets_without_an_answer_are_told_apart_from_nothing_found(tmp_path
     failed = Measured(0.2, 8, {"a": Tally((0.3,), 0, 1), "b": Tally()}, LIMIT)
     write_numbers(tmp_path, [QUANTITIES["tilt"]], {"tilt": [failed]}, "Made with nothing.")
     page = (tmp_path / "measured.md").read_text(encoding="utf-8")
-    assert "| 0.2 | 1 of 8 (without an answer on 1) | 0 | 0.30, 0.30 | 0 of 8 | 0 | not measured |" in page
+    assert (
+        "| 0.2 | 1 of 8 (without an answer on 1) | 0 | 0.30, 0.30 | 0 of 8 | 0 | not measured |"
+        in page
+    )
 
 
 def test_a_scene_that_cannot_stand_before_the_cameras_is_told() -> None:
     quantity = replace(QUANTITIES["range"], values=(3.0,))
-    with pytest.raises(ConfigError, match=r"range 3 can't be set up for member 0: .* stands behind the board .*; choose others by --first"):
+    with pytest.raises(
+        ConfigError,
+        match=(
+            r"range 3 can't be set up for member 0: .* stands behind the board .*; choose others by"
+            r" --first"
+        ),
+    ):
         list(measure(Bench(load_rig(find_rig(None)), [], [0], 1), quantity))
 
 

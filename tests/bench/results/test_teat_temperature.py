@@ -1,4 +1,6 @@
-"""The estimate of the teats' surface, against the figures of the bath's fact sheet (sections 4.3 and 5) and against the plant."""
+"""The estimate of the teats' surface, against the figures of the bath's fact sheet (sections 4.3
+and 5) and against the plant.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +13,15 @@ from instruments.world.plant import Plant
 
 
 @pytest.mark.parametrize(("film", "below_k"), [(300.0, 0.61), (600.0, 0.31), (1500.0, 0.13)])
-def test_a_teat_sits_as_far_below_the_water_as_the_fact_sheet_says(film: float, below_k: float) -> None:
+def test_a_teat_sits_as_far_below_the_water_as_the_fact_sheet_says(
+    film: float, below_k: float
+) -> None:
     assert below_water_k(33.0, 20.0, film) == pytest.approx(below_k, abs=0.011)
 
 
 def test_the_hose_takes_what_the_fact_sheet_says() -> None:
-    assert 1000.0 * hose_drop_k(33.0, 20.0) == pytest.approx(10.0, abs=0.5)  # foamed, 6 L/min: 10 mK
+    # foamed, 6 L/min: 10 mK
+    assert 1000.0 * hose_drop_k(33.0, 20.0) == pytest.approx(10.0, abs=0.5)
 
 
 def test_the_estimate_is_the_teats_of_a_plant_at_rest() -> None:
@@ -33,7 +38,8 @@ def test_its_uncertainty_is_the_film_first() -> None:
     found = surface([32.99, 33.01], [], Figures())
     assert found is not None
     parts = {c.name: c.u_k for c in found.components}
-    assert parts["film inside the teat"] == pytest.approx(0.24 / 3**0.5, abs=0.01)  # half of 0.61 - 0.13, rectangular
+    # half of 0.61 - 0.13, rectangular
+    assert parts["film inside the teat"] == pytest.approx(0.24 / 3**0.5, abs=0.01)
     assert parts["change during the capture"] == pytest.approx(0.01 / 3**0.5)
     assert found.u_k == pytest.approx(sum(u**2 for u in parts.values()) ** 0.5)
     assert max(parts, key=lambda name: parts[name]) == "film inside the teat"

@@ -1,4 +1,6 @@
-"""From a record to its decisions: what counts is the pose, what the truth could turn decides nothing, and nothing measured is no zero."""
+"""From a record to its decisions: what counts is the pose, what the truth could turn decides
+nothing, and nothing measured is no zero.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,12 @@ from bench.script.model import RECORDING_RULES, Rules, SuccessRequirement, TimeR
 from reports.parts import Paragraph
 from tests.bench.results.test_error_rows import ENDS, record, trial
 
-MET, NOT_MET, OPEN, NOTHING = Verdict.MET, Verdict.NOT_MET, Verdict.INCONCLUSIVE, Verdict.NOT_MEASURED
+MET, NOT_MET, OPEN, NOTHING = (
+    Verdict.MET,
+    Verdict.NOT_MET,
+    Verdict.INCONCLUSIVE,
+    Verdict.NOT_MEASURED,
+)
 RULES = read_config(RECORDING_RULES, Rules)
 
 
@@ -29,7 +36,14 @@ def decided(run: RunRecord) -> dict[str, Decision]:
     return {decision.name: decision for decision in judgement.decisions}
 
 
-def timed(one: TrialRecord, seconds: float, *, cold: bool = False, cpu_s: float | None = 0.2, load: float = 0.5) -> TrialRecord:
+def timed(
+    one: TrialRecord,
+    seconds: float,
+    *,
+    cold: bool = False,
+    cpu_s: float | None = 0.2,
+    load: float = 0.5,
+) -> TrialRecord:
     row: Row = {
         "trial": one.id,
         "detector": "fused",
@@ -46,12 +60,17 @@ def timed(one: TrialRecord, seconds: float, *, cold: bool = False, cpu_s: float 
 def off_by(distances_mm: Sequence[float], repeats: int = 1) -> list[TrialRecord]:
     """A trial for each distance that the first teat is off, several in a row of one pose."""
     found = [np.add(ENDS, [[0.0, 0.0, by], [0.0, 0.0, 0.0]]) for by in distances_mm]
-    return [timed(trial(k + 1, f"p{k // repeats:03d}", k % repeats + 1, ENDS, ends), 0.2) for k, ends in enumerate(found)]
+    return [
+        timed(trial(k + 1, f"p{k // repeats:03d}", k % repeats + 1, ENDS, ends), 0.2)
+        for k, ends in enumerate(found)
+    ]
 
 
 def test_59_good_poses_meet_everything(tmp_path: Path) -> None:
     run = record(tmp_path, off_by([1.0] * 59))
-    assert {name: d.verdict for name, d in decided(run).items()} == dict.fromkeys([rule.name for rule in RULES.requirements], MET)
+    assert {name: d.verdict for name, d in decided(run).items()} == dict.fromkeys(
+        [rule.name for rule in RULES.requirements], MET
+    )
     assert run_verdict(judge(run, RULES)) is MET
     assert {d.n for d in decided(run).values()} == {59}
 
@@ -71,22 +90,34 @@ def test_one_bad_repeat_fails_its_pose(tmp_path: Path) -> None:
     assert found["error below 5 mm"].verdict is NOT_MET
 
 
-@pytest.mark.parametrize(("near_mm", "error", "rate"), [(4.0, MET, MET), (4.8, OPEN, OPEN), (5.2, OPEN, OPEN)])
-def test_what_the_truth_could_turn_is_not_shown(tmp_path: Path, near_mm: float, error: Verdict, rate: Verdict) -> None:
-    found = decided(record(tmp_path, off_by([1.0] * 61 + [near_mm])))  # A = 4.663, T + w = 5.329 for u = 0.2 mm
+@pytest.mark.parametrize(
+    ("near_mm", "error", "rate"), [(4.0, MET, MET), (4.8, OPEN, OPEN), (5.2, OPEN, OPEN)]
+)
+def test_what_the_truth_could_turn_is_not_shown(
+    tmp_path: Path, near_mm: float, error: Verdict, rate: Verdict
+) -> None:
+    # A = 4.663, T + w = 5.329 for u = 0.2 mm
+    found = decided(record(tmp_path, off_by([1.0] * 61 + [near_mm])))
     assert (found["error below 5 mm"].verdict, found["reliability"].verdict) == (error, rate)
 
 
 def test_failures_that_the_truth_could_turn_do_not_refuse(tmp_path: Path) -> None:
     found = decided(record(tmp_path, off_by([5.2] * 20)))
-    assert found["reliability"].sentence.startswith("0 of 20 poses succeeded (0 %; within the truth's uncertainty 20 of the failures")
+    assert found["reliability"].sentence.startswith(
+        "0 of 20 poses succeeded (0 %; within the truth's uncertainty 20 of the failures"
+    )
     assert found["reliability"].verdict is OPEN
     assert decided(record(tmp_path, off_by([5.4] * 20)))["reliability"].verdict is NOT_MET
 
 
 def test_a_truth_that_states_no_uncertainty_accepts_no_error(tmp_path: Path) -> None:
     run = record(tmp_path, off_by([1.0] * 59))
-    unknown = replace(run, trials=tuple(replace(t, truth=tuple({**row, "u_mm": None} for row in t.truth)) for t in run.trials))
+    unknown = replace(
+        run,
+        trials=tuple(
+            replace(t, truth=tuple({**row, "u_mm": None} for row in t.truth)) for t in run.trials
+        ),
+    )
     found = decided(unknown)["error below 5 mm"]
     assert found.verdict is OPEN
     assert "states no uncertainty" in found.sentence
@@ -110,18 +141,31 @@ def test_one_trial_decides_what_one_can(tmp_path: Path) -> None:
 
 
 def test_all_missed_measures_no_error_and_shows_no_success(tmp_path: Path) -> None:
-    found = decided(record(tmp_path, [timed(trial(k, f"p{k}", 1, ENDS, np.zeros((0, 3))), 0.2) for k in range(1, 21)]))
-    assert (found["error below 5 mm"].verdict, found["error below 5 mm"].measured) == (NOTHING, None)
+    found = decided(
+        record(
+            tmp_path,
+            [timed(trial(k, f"p{k}", 1, ENDS, np.zeros((0, 3))), 0.2) for k in range(1, 21)],
+        )
+    )
+    assert (found["error below 5 mm"].verdict, found["error below 5 mm"].measured) == (
+        NOTHING,
+        None,
+    )
     assert found["reliability"].verdict is NOT_MET
 
 
 def test_a_miss_is_told_beside_the_error_of_what_was_found(tmp_path: Path) -> None:
     trials = [*off_by([1.0] * 59), trial(60, "last", 1, ENDS, ENDS[:1])]
-    assert decided(record(tmp_path, trials))["error below 5 mm"].sentence.endswith("Of the found teats only: 1 was missed.")
+    assert decided(record(tmp_path, trials))["error below 5 mm"].sentence.endswith(
+        "Of the found teats only: 1 was missed."
+    )
 
 
 def test_a_rate_of_times_counts_poses(tmp_path: Path) -> None:
-    claimed = [rule.model_copy(update={"rate": 0.95}) if rule.kind == "time" else rule for rule in RULES.requirements]
+    claimed = [
+        rule.model_copy(update={"rate": 0.95}) if rule.kind == "time" else rule
+        for rule in RULES.requirements
+    ]
     rules = RULES.model_copy(update={"requirements": tuple(claimed)})
     for repeats, verdict in ((3, OPEN), (1, MET)):
         (judgement,) = judge(record(tmp_path, off_by([1.0] * 59, repeats=repeats)), rules)
@@ -131,18 +175,37 @@ def test_a_rate_of_times_counts_poses(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("cpu_s", "load", "why"),
     [
-        (0.05, 0.5, "in 11.8 s of detection it had a processor for 2.9 s; it waited for one, or for something else"),
+        (
+            0.05,
+            0.5,
+            (
+                "in 11.8 s of detection it had a processor for 2.9 s; it waited for one, or for"
+                " something else"
+            ),
+        ),
         (None, 6.0, "half of the time 6.0 or more processes wanted each processor"),
         (None, 1.4, ""),
         (0.15, 6.0, ""),
         (0.8, 0.5, ""),
     ],
 )
-def test_a_machine_that_was_too_busy_is_told_where_times_count(tmp_path: Path, cpu_s: float | None, load: float, why: str) -> None:
-    """In the bench's process by what the processor gave; of another process by the machine's load."""
+def test_a_machine_that_was_too_busy_is_told_where_times_count(
+    tmp_path: Path, cpu_s: float | None, load: float, why: str
+) -> None:
+    """In the bench's process by what the processor gave; of
+    another process by the machine's load.
+    """
     run = record(tmp_path, [timed(one, 0.2, cpu_s=cpu_s, load=load) for one in off_by([1.0] * 59)])
-    told = {rule.name for rule in RULES.requirements if "THE MACHINE WAS TOO BUSY" in decided(run)[rule.name].sentence}
-    of_time = {rule.name for rule in RULES.requirements if isinstance(rule, TimeRequirement | SuccessRequirement)}
+    told = {
+        rule.name
+        for rule in RULES.requirements
+        if "THE MACHINE WAS TOO BUSY" in decided(run)[rule.name].sentence
+    }
+    of_time = {
+        rule.name
+        for rule in RULES.requirements
+        if isinstance(rule, TimeRequirement | SuccessRequirement)
+    }
     assert told == (of_time if why else set())
     assert all(why in decided(run)[name].sentence for name in of_time)
     page = [part.text for part in _latency_parts(run, RULES) if isinstance(part, Paragraph)]
@@ -158,7 +221,10 @@ def test_first_calls_and_short_times_say_nothing_of_the_machine(tmp_path: Path) 
 def test_no_verdict_holds_on_a_damaged_record(tmp_path: Path) -> None:
     run = replace(record(tmp_path, off_by([1.0] * 59)), damage=("run: a row is gone",))
     assert {d.verdict for d in decided(run).values()} == {OPEN}
-    assert all(d.sentence.startswith("The record is NOT as it was written. ") for d in decided(run).values())
+    assert all(
+        d.sentence.startswith("The record is NOT as it was written. ")
+        for d in decided(run).values()
+    )
     verdict, why, _ = headline(run, judge(run, RULES))
     assert verdict == "no verdict"
     assert "run: a row is gone" in why

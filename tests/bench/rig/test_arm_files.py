@@ -1,4 +1,6 @@
-"""The arm's two dated files: what is written is read again, and whatever is wrong with one is shown in its place."""
+"""The arm's two dated files: what is written is read again, and whatever is wrong with one is shown
+in its place.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.config import ConfigError
-from bench.rig.arm_files import frame_text, load_frame, load_verification, verification_text, write_file
+from bench.rig.arm_files import (
+    frame_text,
+    load_frame,
+    load_verification,
+    verification_text,
+    write_file,
+)
 from bench.rig.arm_frame import TableFrame, TouchedPoint
 from bench.rig.arm_verification import LengthTest, Limits, LocationTest, Verification
 from bench.toml import toml_text
@@ -36,7 +44,10 @@ FRAME = TableFrame.from_touches(
 VERIFICATION = Verification(
     MADE,
     "40937",
-    (LocationTest("near", CROSS + NEAR_MM, SWUNG), LocationTest("far", 0.5 * CROSS + 2.0 * NEAR_MM, SWUNG)),
+    (
+        LocationTest("near", CROSS + NEAR_MM, SWUNG),
+        LocationTest("far", 0.5 * CROSS + 2.0 * NEAR_MM, SWUNG),
+    ),
     (LengthTest("upright", np.zeros(3), np.array([0.0, 0.0, 300.25]), 300.0),),
 )
 LIMITS = Limits(0.46, 0.7)
@@ -53,13 +64,19 @@ def written(tmp_path: Path, text: str, *changes: tuple[str, str]) -> Path:
 
 def test_a_frame_is_read_as_it_was_written(tmp_path: Path) -> None:
     again = load_frame(written(tmp_path, frame_text(FRAME)), serial_number="40937")
-    assert (again.made, again.serial_number, again.points) == (FRAME.made, FRAME.serial_number, FRAME.points)
+    assert (again.made, again.serial_number, again.points) == (
+        FRAME.made,
+        FRAME.serial_number,
+        FRAME.points,
+    )
     assert np.allclose(again.world_from_arm.R, FRAME.world_from_arm.R, atol=1e-12)
     assert again.residuals_mm == pytest.approx(FRAME.residuals_mm)
 
 
 def test_other_programs_find_the_motion_in_a_frame_file(tmp_path: Path) -> None:
-    """Worked through by Rodrigues' formula here, with nothing of the bench: the origin's touch is the world's origin."""
+    """Worked through by Rodrigues' formula here, with nothing of the bench: the origin's touch is
+    the world's origin.
+    """
     table = tomllib.loads(written(tmp_path, frame_text(FRAME)).read_text(encoding="utf-8"))
     om = np.array(table["om"])
     angle = float(np.linalg.norm(om))
@@ -76,21 +93,47 @@ def test_other_programs_find_the_motion_in_a_frame_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "place", "message"),
     [
-        (('serial_number = "40937"', 'serial_number = "40938"'), "serial_number", "of the arm 40938, but the arm that answers is 40937"),
+        (
+            ('serial_number = "40937"', 'serial_number = "40938"'),
+            "serial_number",
+            "of the arm 40938, but the arm that answers is 40937",
+        ),
         (("residual_mm = ", "residul_mm = "), "residul_mm", 'did you mean "residual_mm"?'),
         (("made = 2026-03-04T05:06:07+00:00", "made = 2026-03-04T05:06:07"), "made", "timezone"),
         (("made = 2026-03-04T05:06:07+00:00\n", ""), "made", "is missing"),
         (("T = [", "T = [9"), "T", "doesn't follow from what was touched"),
         (("om = [", "om = [1"), "om", "doesn't follow from what was touched"),
-        (("arm_mm = [88.25, 350.25, -15.5]", "arm_mm = [88.25, 350.25]"), "points[3].arm_mm", "missing"),
-        (("arm_mm = [88.25, 350.25, -15.5]", "arm_mm = [88.25, 350.25, nan]"), "points[3].arm_mm", "finite"),
-        (("arm_mm = [203.25, 59.75, -16.5]", "arm_mm = [-59.25, 203.5, -11.5]"), "points", "100 mm are needed"),
+        (
+            ("arm_mm = [88.25, 350.25, -15.5]", "arm_mm = [88.25, 350.25]"),
+            "points[3].arm_mm",
+            "missing",
+        ),
+        (
+            ("arm_mm = [88.25, 350.25, -15.5]", "arm_mm = [88.25, 350.25, nan]"),
+            "points[3].arm_mm",
+            "finite",
+        ),
+        (
+            ("arm_mm = [203.25, 59.75, -16.5]", "arm_mm = [-59.25, 203.5, -11.5]"),
+            "points",
+            "100 mm are needed",
+        ),
         (('name = "check 2"', 'name = "check 1"'), "points", "same name"),
-        (("spread_mm = 0.12", "spread_mm = -1.0"), "points[1].spread_mm", "greater than or equal to 0"),
-        (("world_mm = [100.0, 100.0, 0.0]", "world_mm = [100.0, 101.0, 0.0]"), "residual_mm", "doesn't follow"),
+        (
+            ("spread_mm = 0.12", "spread_mm = -1.0"),
+            "points[1].spread_mm",
+            "greater than or equal to 0",
+        ),
+        (
+            ("world_mm = [100.0, 100.0, 0.0]", "world_mm = [100.0, 101.0, 0.0]"),
+            "residual_mm",
+            "doesn't follow",
+        ),
     ],
 )
-def test_a_faulty_frame_file_is_refused_in_its_place(tmp_path: Path, change: tuple[str, str], place: str, message: str) -> None:
+def test_a_faulty_frame_file_is_refused_in_its_place(
+    tmp_path: Path, change: tuple[str, str], place: str, message: str
+) -> None:
     path = written(tmp_path, frame_text(FRAME), change)
     with pytest.raises(ConfigError) as caught:
         load_frame(path, serial_number="40937")
@@ -126,19 +169,29 @@ def test_a_verification_without_lengths_is_read_too(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "place", "message"),
     [
-        (('serial_number = "40937"', 'serial_number = "1"'), "serial_number", "Verify this arm: 'teatbench arm verify'"),
+        (
+            ('serial_number = "40937"', 'serial_number = "1"'),
+            "serial_number",
+            "Verify this arm: 'teatbench arm verify'",
+        ),
         (("passed = true", "passed = false"), "passed", "changed by hand"),
         (("location_mm = 0.3", "location_mm = 0.2"), "location_mm", "changed by hand"),
         (("length_mm = 0.25", "length_mm = 0.05"), "length_mm", "changed by hand"),
         (("largest_mm = 0.3", "largest_mm = 0.1"), "location[1].largest_mm", "changed by hand"),
         (("[200.3, 0.0, 20.0]", "[200.0, 0.0, 20.0]"), "location", "changed by hand"),
         (("error_mm = 0.25", "error_mm = 0.0"), "length[1].error_mm", "changed by hand"),
-        (("calibrated_mm = 300.0", "calibrated_mm = 0.0"), "length[1].calibrated_mm", "greater than 0"),
+        (
+            ("calibrated_mm = 300.0", "calibrated_mm = 0.0"),
+            "length[1].calibrated_mm",
+            "greater than 0",
+        ),
         (('where = "far"', 'were = "far"'), "location[2].were", "unknown key"),
         (("[0.6, 0.0, 0.8], ", ""), "location[1].axes", "a row for each"),
     ],
 )
-def test_a_faulty_verification_file_is_refused_in_its_place(tmp_path: Path, change: tuple[str, str], place: str, message: str) -> None:
+def test_a_faulty_verification_file_is_refused_in_its_place(
+    tmp_path: Path, change: tuple[str, str], place: str, message: str
+) -> None:
     path = written(tmp_path, verification_text(VERIFICATION, LIMITS), change)
     with pytest.raises(ConfigError) as caught:
         load_verification(path, serial_number="40937")
@@ -153,11 +206,22 @@ def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
         write_file(tmp_path / "file" / "arm.toml", "x = 1\n")
 
 
-plain = st.one_of(st.booleans(), st.integers(-(2**53), 2**53), st.floats(allow_nan=False, allow_infinity=False), st.text(max_size=30))
-tables = st.dictionaries(st.from_regex(r"[a-z_]{1,8}", fullmatch=True), st.one_of(plain, st.lists(plain, max_size=30)), max_size=5)
+plain = st.one_of(
+    st.booleans(),
+    st.integers(-(2**53), 2**53),
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.text(max_size=30),
+)
+tables = st.dictionaries(
+    st.from_regex(r"[a-z_]{1,8}", fullmatch=True),
+    st.one_of(plain, st.lists(plain, max_size=30)),
+    max_size=5,
+)
 
 
 @given(tables, st.lists(tables, max_size=3), tables)
-def test_toml_reads_what_was_written(top: dict[str, Any], rows: list[dict[str, Any]], inner: dict[str, Any]) -> None:
+def test_toml_reads_what_was_written(
+    top: dict[str, Any], rows: list[dict[str, Any]], inner: dict[str, Any]
+) -> None:
     table = {**top, "INNER": inner, **({"ROWS": rows} if rows else {})}
     assert tomllib.loads(toml_text(table, "a heading\nof two lines")) == table

@@ -1,4 +1,6 @@
-"""Each fault of the emulated bath, named in the rig file, seen through the driver: what it says, and that it works again afterwards."""
+"""Each fault of the emulated bath, named in the rig file, seen through the driver: what it says,
+and that it works again afterwards.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +20,13 @@ from tests.bench.test_config import rig_with
 
 JULABO, EUROTHERM, WATLOW, OMEGA = "julabo-presto", "eurotherm-3200", "watlow-pm-map2", "omega-cn7"
 AT_S, FOR_S = 60.0, 30.0
-FAULT = '\n[emulation]\nbath_start_c = 33.0\nfaults = [{{ instrument = "bath", name = "{name}", at_s = {at_s}, for_s = {for_s}{more} }}]\n'
+FAULT = (
+    '\n[emulation]\nbath_start_c = 33.0\nfaults = [{{ instrument = "bath", name = "{name}", at_s ='
+    " {at_s}, for_s = {for_s}{more} }}]\n"
+)
 
-# What `read` says while it lasts: an error and its words, or None where the reading is right all the same.
+# What `read` says while it lasts: an error and its words, or None where the reading is right all
+# the same.
 ON_THE_WIRE: list[tuple[str, str, str, type[InstrumentError] | None, str]] = [
     ("late answer", ", amount = 0.8", JULABO, None, ""),
     ("late answer", ", amount = 0.8", EUROTHERM, None, ""),
@@ -35,7 +41,8 @@ ON_THE_WIRE: list[tuple[str, str, str, type[InstrumentError] | None, str]] = [
     ("silence", "", EUROTHERM, LinkError, "no answer"),
     ("busy", "", JULABO, DeviceError, "refused: it is busy"),
     ("busy", "", WATLOW, DeviceError, "refused: it is busy"),
-    ("busy", "", EUROTHERM, LinkError, "no answer"),  # it knows exceptions 2 and 3 only (fact sheet, 1.1)
+    # it knows exceptions 2 and 3 only (fact sheet, 1.1)
+    ("busy", "", EUROTHERM, LinkError, "no answer"),
     ("wrong length", "", JULABO, ProtocolError, "were answered where"),
     ("wrong length", "", EUROTHERM, ProtocolError, "were answered where"),
     ("wrong length", "", OMEGA, ProtocolError, "were answered where"),
@@ -52,13 +59,20 @@ ON_THE_WIRE: list[tuple[str, str, str, type[InstrumentError] | None, str]] = [
 
 
 @contextmanager
-def running(folder: Path, profile: str, name: str, *, more: str = "", for_s: float = FOR_S) -> Iterator[tuple[EmulatedRig, Bath]]:
+def running(
+    folder: Path, profile: str, name: str, *, more: str = "", for_s: float = FOR_S
+) -> Iterator[tuple[EmulatedRig, Bath]]:
     """A bath that holds 33 degC, shortly before its fault comes."""
     path = rig_with(folder, {'profile = "julabo-presto"': f'profile = "{profile}"'})
     text = path.read_text(encoding="utf-8")
-    path.write_text(text + FAULT.format(name=name, at_s=AT_S, for_s=for_s, more=more), encoding="utf-8")
+    path.write_text(
+        text + FAULT.format(name=name, at_s=AT_S, for_s=for_s, more=more), encoding="utf-8"
+    )
     rig, clock = load_rig(path), VirtualClock()
-    with EmulatedRig(rig, clock, seed=1) as twin, closing(Bath(twin.urls["bath"], rig.profile, clock)) as bath:
+    with (
+        EmulatedRig(rig, clock, seed=1) as twin,
+        closing(Bath(twin.urls["bath"], rig.profile, clock)) as bath,
+    ):
         bath.start(33.0)
         clock.sleep(AT_S - 1.0 - clock.now())
         assert bath.read().temp_c == pytest.approx(33.0, abs=0.15)
@@ -73,7 +87,14 @@ def true_c(twin: EmulatedRig) -> float:
 
 
 @pytest.mark.parametrize(("name", "more", "profile", "error", "words"), ON_THE_WIRE)
-def test_what_the_driver_says(tmp_path: Path, name: str, more: str, profile: str, error: type[InstrumentError] | None, words: str) -> None:
+def test_what_the_driver_says(
+    tmp_path: Path,
+    name: str,
+    more: str,
+    profile: str,
+    error: type[InstrumentError] | None,
+    words: str,
+) -> None:
     with running(tmp_path, profile, name, more=more) as (twin, bath):
         clock = twin.world.clock
         if error is None:
@@ -97,7 +118,9 @@ def test_what_the_driver_says(tmp_path: Path, name: str, more: str, profile: str
         assert not twin.world.plant.running
 
 
-def test_a_controller_that_forgets_its_run_in_a_reset_is_told_to_have_stopped(tmp_path: Path) -> None:
+def test_a_controller_that_forgets_its_run_in_a_reset_is_told_to_have_stopped(
+    tmp_path: Path,
+) -> None:
     with running(tmp_path, JULABO, "controller reset") as (twin, bath):
         with pytest.raises(LinkError, match=r"no answer|the link broke"):
             bath.read()
@@ -118,10 +141,14 @@ def test_a_controller_that_carries_on_after_its_reset_is_found_again(tmp_path: P
 
 
 @pytest.mark.parametrize("profile", [EUROTHERM, WATLOW])
-def test_a_sensor_break_is_an_alarm_where_the_last_value_stays(tmp_path: Path, profile: str) -> None:
+def test_a_sensor_break_is_an_alarm_where_the_last_value_stays(
+    tmp_path: Path, profile: str
+) -> None:
     with running(tmp_path, profile, "sensor break") as (_, bath):
         reading = bath.read()
-        assert "sensor" in bath.profile.alarm_text(reading.alarm) or "open" in bath.profile.alarm_text(reading.alarm)
+        assert "sensor" in bath.profile.alarm_text(
+            reading.alarm
+        ) or "open" in bath.profile.alarm_text(reading.alarm)
 
 
 @pytest.mark.parametrize("profile", [JULABO, EUROTHERM, WATLOW, OMEGA])
@@ -133,7 +160,9 @@ def test_a_stuck_heater_shows_in_the_temperature_alone(tmp_path: Path, profile: 
         assert reading.power_percent == 0.0
         bath.safe()
         twin.world.clock.sleep(60.0)
-        assert bath.read().temp_c > reading.temp_c + 1.0, "what standby can't stop, the cut-out has to"
+        assert bath.read().temp_c > reading.temp_c + 1.0, (
+            "what standby can't stop, the cut-out has to"
+        )
 
 
 @pytest.mark.parametrize("profile", [JULABO, EUROTHERM, WATLOW, OMEGA])
@@ -171,6 +200,14 @@ def test_a_low_level_is_the_circulators_alarm_and_cuts_every_heater(tmp_path: Pa
 
 
 def test_none_is_left_out() -> None:
-    """Every name that the issue lists is tried above or, where it has a shape of its own, below the table."""
-    tried = {name for name, *_ in ON_THE_WIRE} | {"stuck heater", "dead heater", "pump stopped", "low level", "controller reset"}
+    """Every name that the issue lists is tried above or, where it has a shape of its own, below the
+    table.
+    """
+    tried = {name for name, *_ in ON_THE_WIRE} | {
+        "stuck heater",
+        "dead heater",
+        "pump stopped",
+        "low level",
+        "controller reset",
+    }
     assert set(FAULTS) - tried == {"gaps refused", "manual mode", "frozen sensor"}

@@ -1,4 +1,6 @@
-"""An emulated rig with each shipped bath profile: checked, started and stopped through the bench's own way to its driver."""
+"""An emulated rig with each shipped bath profile: checked, started and stopped through the bench's
+own way to its driver.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ RELAY = '\npump_url = "emulator:"\npump_profile = "modbus-relay"'
 
 
 def rig_of(folder: Path, profile: str, more: str = "", *, relay: bool = False) -> Path:
-    path = rig_with(folder, {'profile = "julabo-presto"': f'profile = "{profile}"{RELAY if relay else ""}'})
+    path = rig_with(
+        folder, {'profile = "julabo-presto"': f'profile = "{profile}"{RELAY if relay else ""}'}
+    )
     path.write_text(path.read_text(encoding="utf-8") + more, encoding="utf-8")
     return path
 
@@ -32,7 +36,9 @@ def loaded(folder: Path, profile: str) -> LoadedRig:
 
 
 @pytest.mark.parametrize("profile", profile_names())
-def test_check_works_with_every_profile(tmp_path: Path, profile: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_works_with_every_profile(
+    tmp_path: Path, profile: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["check", str(rig_of(tmp_path, profile))]) == 0
     said = capsys.readouterr().out
     _, _, of_the_bath = said.partition("bath: ok\n")
@@ -52,7 +58,10 @@ def test_the_url_says_how_the_emulator_is_spoken_to(tmp_path: Path, profile: str
 def test_every_profile_warms_the_teats(tmp_path: Path, profile: str) -> None:
     clock = VirtualClock()
     rig = load_rig(rig_of(tmp_path, profile, relay="julabo" not in profile))
-    with EmulatedRig(rig, clock, seed=1) as twin, closing(driver_openers(rig, clock, twin.urls)["bath"]()) as bath:
+    with (
+        EmulatedRig(rig, clock, seed=1) as twin,
+        closing(driver_openers(rig, clock, twin.urls)["bath"]()) as bath,
+    ):
         start_bath(bath, 33.0, clock.sleep)
         clock.sleep(60.0)
         assert bath.read().power_percent == 100.0
@@ -61,7 +70,8 @@ def test_every_profile_warms_the_teats(tmp_path: Path, profile: str) -> None:
         assert reading.temp_c == pytest.approx(33.0, abs=0.15)
         assert reading.set_point_c == pytest.approx(33.0, abs=0.05)
         twin.world.scene()
-        assert float(twin.world.plant.teat_c.min()) == pytest.approx(33.0 - 0.32, abs=0.1)  # bath sheet, section 5
+        # bath sheet, section 5
+        assert float(twin.world.plant.teat_c.min()) == pytest.approx(33.0 - 0.32, abs=0.1)
         bath.safe()
         assert not twin.world.plant.running
 
@@ -69,14 +79,21 @@ def test_every_profile_warms_the_teats(tmp_path: Path, profile: str) -> None:
 def test_a_serial_bath_may_be_on_a_pseudo_terminal(tmp_path: Path) -> None:
     pytest.importorskip("termios", reason="needs pseudo-terminals: Linux and macOS have them")
     clock, rig = RealClock(), loaded(tmp_path, "eurotherm-3200")
-    with EmulatedRig(rig, clock, seed=1, pty=True) as twin, closing(Bath(twin.urls["bath"], rig.profile, clock)) as bath:
+    with (
+        EmulatedRig(rig, clock, seed=1, pty=True) as twin,
+        closing(Bath(twin.urls["bath"], rig.profile, clock)) as bath,
+    ):
         assert twin.urls["bath"].startswith("/dev/")
         assert bath.read().temp_c == pytest.approx(20.0, abs=0.05)
     clock.close()
 
 
 def test_a_fault_that_the_bath_can_not_have_is_refused(tmp_path: Path) -> None:
-    path = rig_of(tmp_path, "julabo-presto", '\n[emulation]\nfaults = [{ instrument = "bath", name = "bad CRC" }]\n')
+    path = rig_of(
+        tmp_path,
+        "julabo-presto",
+        '\n[emulation]\nfaults = [{ instrument = "bath", name = "bad CRC" }]\n',
+    )
     with pytest.raises(ConfigError, match="Modbus TCP, which has no check sum"):
         EmulatedRig(load_rig(path), VirtualClock(), seed=1)
     assert main(["check", str(path)]) == 2

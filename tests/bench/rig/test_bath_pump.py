@@ -1,4 +1,6 @@
-"""Whole emulated runs of a bath whose controller turns no pump: with a relay's pump, with one that fails, and with none."""
+"""Whole emulated runs of a bath whose controller turns no pump: with a relay's pump, with one that
+fails, and with none.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ def test_a_run_whose_pump_is_a_relays(profile: str, tmp_path: Path) -> None:
     assert float(record.bath[:, 1].max()) == pytest.approx(33.0, abs=0.3)
 
 
-@pytest.mark.parametrize(("fault", "rule"), [("power cut", "communications lost"), ("silence", "communications lost")])
+@pytest.mark.parametrize(
+    ("fault", "rule"), [("power cut", "communications lost"), ("silence", "communications lost")]
+)
 def test_a_relay_that_fails_ends_the_heat(fault: str, rule: str, tmp_path: Path) -> None:
     rig = rig_of(tmp_path, "eurotherm-3200", FAULT.format(name=fault, at_s=200.0), relay=True)
     record = run(rig, tmp_path, {3}, window_s=3000.0)
@@ -56,7 +60,12 @@ def test_a_relay_that_fails_ends_the_heat(fault: str, rule: str, tmp_path: Path)
 
 def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path: Path) -> None:
     """After a short power cut the relay answers again, and says that it is off."""
-    rig = rig_of(tmp_path, "eurotherm-3200", FAULT.format(name="power cut", at_s=200.2) + "for_s = 0.5\n", relay=True)
+    rig = rig_of(
+        tmp_path,
+        "eurotherm-3200",
+        FAULT.format(name="power cut", at_s=200.2) + "for_s = 0.5\n",
+        relay=True,
+    )
     record = run(rig, tmp_path, {3}, window_s=3000.0)
     trip = record.facts["trip"]
     assert trip["rule"] == "heat without pump or level"
@@ -67,7 +76,10 @@ def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path
 def test_a_pump_that_is_not_fitted_is_told_and_not_pretended(tmp_path: Path) -> None:
     path = rig_of(tmp_path, "eurotherm-3200")
     record = run(path, tmp_path, {0, 1, 3, 4})
-    assert record.facts["pump"] == "not fitted to the controller: nothing here proves that the water goes round"
+    assert (
+        record.facts["pump"]
+        == "not fitted to the controller: nothing here proves that the water goes round"
+    )
     with EmulatedRig(load_rig(path), VirtualClock(), seed=1) as twin:
         assert twin.pump is None
         assert "pump" not in twin.urls
@@ -78,7 +90,9 @@ def test_a_pump_that_is_not_fitted_is_told_and_not_pretended(tmp_path: Path) -> 
         assert float(plant.teat_c.max()) == 20.0
 
 
-def test_the_relay_listens_on_a_port_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_relay_listens_on_a_port_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = rig_of(tmp_path, "eurotherm-3200", relay=True)
     with EmulatedRig(load_rig(path), VirtualClock(), seed=1) as twin:
         assert re.fullmatch(r"tcp://127\.0\.0\.1:\d+", twin.urls["pump"])
@@ -96,13 +110,23 @@ def test_on_a_pseudo_terminal(tmp_path: Path) -> None:
 
 
 def test_faults_of_a_relay_in_the_rig_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"faults\[1\]\.instrument: this rig has no such instrument"):
+    with pytest.raises(
+        ConfigError, match=r"faults\[1\]\.instrument: this rig has no such instrument"
+    ):
         load_rig(rig_of(tmp_path, "eurotherm-3200", FAULT.format(name="power cut", at_s=1.0)))
     with pytest.raises(ConfigError, match='the pump has no fault "low level"'):
-        load_rig(rig_of(tmp_path, "eurotherm-3200", FAULT.format(name="low level", at_s=1.0), relay=True))
+        load_rig(
+            rig_of(tmp_path, "eurotherm-3200", FAULT.format(name="low level", at_s=1.0), relay=True)
+        )
     with pytest.raises(ConfigError, match="which has no check sum"):
         EmulatedRig(
-            load_rig(rig_of(tmp_path, "eurotherm-3200", FAULT.format(name="bad CRC", at_s=1.0), relay=True)), VirtualClock(), seed=1
+            load_rig(
+                rig_of(
+                    tmp_path, "eurotherm-3200", FAULT.format(name="bad CRC", at_s=1.0), relay=True
+                )
+            ),
+            VirtualClock(),
+            seed=1,
         )
     with pytest.raises(ConfigError, match="JULABO PRESTO has a pump of its own"):
         load_rig(rig_of(tmp_path, "julabo-presto", relay=True))
@@ -110,7 +134,9 @@ def test_faults_of_a_relay_in_the_rig_file(tmp_path: Path) -> None:
 
 def test_a_relays_fault_comes_and_goes(tmp_path: Path) -> None:
     wish = FAULT.format(name="late answer", at_s=5.0) + "for_s = 10.0\namount = 0.4\n"
-    with EmulatedRig(load_rig(rig_of(tmp_path, "eurotherm-3200", wish, relay=True)), VirtualClock(), seed=1) as twin:
+    with EmulatedRig(
+        load_rig(rig_of(tmp_path, "eurotherm-3200", wish, relay=True)), VirtualClock(), seed=1
+    ) as twin:
         assert twin.pump is not None
         seen = []
         for _ in range(3):

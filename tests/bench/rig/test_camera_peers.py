@@ -1,4 +1,6 @@
-"""Cameras of a rig file over real wires: streams and a radiometric GenICam camera together; a GigE Vision camera that loses packets."""
+"""Cameras of a rig file over real wires: streams and a radiometric GenICam camera together; a GigE
+Vision camera that loses packets.
+"""
 
 from __future__ import annotations
 
@@ -58,18 +60,37 @@ def test_streams_and_a_radiometric_camera_of_one_rig_file(tmp_path: Path, clock:
         events: list[str] = []
         with closing(open_cameras(rig.rig.cameras, rig.calibration, tmp_path, clock)) as cameras:
             assert "exposure asked 100, is " in cameras.identity["right"]
-            taker = FrameTaker(cameras, rig.rig.cameras, rig.calibration, clock.sleep, lambda _, text: events.append(text))
+            taker = FrameTaker(
+                cameras,
+                rig.rig.cameras,
+                rig.calibration,
+                clock.sleep,
+                lambda _, text: events.append(text),
+            )
             frames = taker.take()
     assert frames.left.shape == frames.right.shape == (1024, 1360)
     assert frames.thermal is None, "temperatures are all that it gives"
     assert frames.thermal_k is not None
     assert frames.thermal_k.shape == (120, 160)
-    assert 250.0 <= float(np.min(frames.thermal_k)) < float(np.max(frames.thermal_k)) <= 250.0 + 0.002 * 65535
+    assert (
+        250.0
+        <= float(np.min(frames.thermal_k))
+        < float(np.max(frames.thermal_k))
+        <= 250.0 + 0.002 * 65535
+    )
 
 
 def test_lost_packets_are_taken_again_and_counted(clock: RealClock) -> None:
-    """About one frame in six of the left camera comes with holes; every set that is given out is whole."""
-    table = CamerasTable(url="emulator:", max_skew_s=10.0, retries=20, retry_s=0.0, checks=Checks(swapped=False, frozen=False))
+    """About one frame in six of the left camera comes with holes; every set that is given out is
+    whole.
+    """
+    table = CamerasTable(
+        url="emulator:",
+        max_skew_s=10.0,
+        retries=20,
+        retry_s=0.0,
+        checks=Checks(swapped=False, frozen=False),
+    )
     events: list[str] = []
     with gige_camera("-r", "1"):
         openers = {
@@ -77,7 +98,9 @@ def test_lost_packets_are_taken_again_and_counted(clock: RealClock) -> None:
             "right": lambda: GenicamCamera("right", "Fake_1", clock, Settings(fps=100.0)),
         }
         with closing(CameraSet(openers, {})) as cameras:
-            taker = FrameTaker(cameras, table, None, clock.sleep, lambda _, text: events.append(text))
+            taker = FrameTaker(
+                cameras, table, None, clock.sleep, lambda _, text: events.append(text)
+            )
             for _ in range(200):
                 frames = taker.take()
                 assert frames.left.shape == (512, 512)
@@ -85,4 +108,7 @@ def test_lost_packets_are_taken_again_and_counted(clock: RealClock) -> None:
                     break
     assert taker.counts["left: lost packets"] >= 2
     assert sum(taker.counts.values()) >= len(events) > 0
-    assert "left camera: lost packets: left camera genicam:127.0.0.1: a frame's buffer came with status MISSING_PACKETS" in "".join(events)
+    assert (
+        "left camera: lost packets: left camera genicam:127.0.0.1: a frame's buffer came with"
+        " status MISSING_PACKETS" in "".join(events)
+    )

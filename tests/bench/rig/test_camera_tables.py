@@ -1,4 +1,6 @@
-"""The rig file's cameras: each key reaches its camera, what a calibration declares is met, and each fault is shown in its place."""
+"""The rig file's cameras: each key reaches its camera, what a calibration declares is met, and each
+fault is shown in its place.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,9 @@ try = true
 
 
 def rig_of(folder: Path, cameras: str) -> LoadedRig:
-    (folder / "calibration.toml").write_text((ROOT / "bench/rigs/calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "calibration.toml").write_text(
+        (ROOT / "bench/rigs/calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     (folder / "rig.toml").write_text(HEAD + cameras, encoding="utf-8")
     return load_rig(folder / "rig.toml")
 
@@ -64,9 +68,16 @@ def test_every_key_reaches_its_camera(tmp_path: Path) -> None:
     cameras = rig_of(tmp_path, TABLES).rig.cameras
     assert cameras.told == "left genicam:SERIAL, right opencv:http://127.0.0.1:8080/right.mjpg"
     left, right = cameras.tables["left"], cameras.tables["right"]
-    features: dict[str, bool | int | float | str] = {"GevSCPD": 1000, "TriggerDelay": 12.5, "ReverseX": True, "LineMode": "Input"}
+    features: dict[str, bool | int | float | str] = {
+        "GevSCPD": 1000,
+        "TriggerDelay": 12.5,
+        "ReverseX": True,
+        "LineMode": "Input",
+    }
     tries = frozenset({"gain", "GevSCPD"})
-    assert left.settings == Settings((1360, 1024), "Mono12p", 8000.0, 1.5, 10.0, features, "hardware", "Line2", tries)
+    assert left.settings == Settings(
+        (1360, 1024), "Mono12p", 8000.0, 1.5, 10.0, features, "hardware", "Line2", tries
+    )
     assert left.conversion() == Conversion("green", True, 90, "vertical", 4095)
     assert right.settings == Settings(tries=frozenset({"all"}))
     assert right.conversion() == Conversion()
@@ -76,19 +87,25 @@ def test_every_key_reaches_its_camera(tmp_path: Path) -> None:
     ("keys", "expected"),
     [
         ("", Conversion()),  # as delivered is as the calibration has it
-        ("mirrored = false", Conversion(mirrored=True)),  # the calibration's picture is a mirror image
+        # the calibration's picture is a mirror image
+        ("mirrored = false", Conversion(mirrored=True)),
         ("mirrored = true", Conversion()),
         ('polarity = "hot_is_white"', Conversion(inverted=True)),
         ('polarity = "hot_is_black"', Conversion()),
         # temperatures are never mirrored
-        ("radiometric = { kelvin_per_count = 0.04 }", Conversion(mirrored=True, radiometry=Radiometry(0.04))),
+        (
+            "radiometric = { kelvin_per_count = 0.04 }",
+            Conversion(mirrored=True, radiometry=Radiometry(0.04)),
+        ),
         (
             "mirrored = false\nradiometric = { kelvin_per_count = 0.01, kelvin_at_zero = 273.15 }",
             Conversion(radiometry=Radiometry(0.01, 273.15)),
         ),
     ],
 )
-def test_the_thermal_picture_comes_as_the_calibration_declares_it(tmp_path: Path, keys: str, expected: Conversion) -> None:
+def test_the_thermal_picture_comes_as_the_calibration_declares_it(
+    tmp_path: Path, keys: str, expected: Conversion
+) -> None:
     rig = rig_of(tmp_path, f'{TABLES}\n[cameras.thermal]\nurl = "opencv:2"\n{keys}\n')
     assert rig.calibration.thermal.mirrored
     assert rig.calibration.thermal.polarity == "hot_is_black"
@@ -96,26 +113,54 @@ def test_the_thermal_picture_comes_as_the_calibration_declares_it(tmp_path: Path
 
 
 def test_another_calibration_asks_for_another_picture(tmp_path: Path) -> None:
-    rig = rig_of(tmp_path, f'{TABLES}\n[cameras.thermal]\nurl = "opencv:2"\nmirrored = true\npolarity = "hot_is_black"\n')
+    rig = rig_of(
+        tmp_path,
+        f'{TABLES}\n[cameras.thermal]\nurl = "opencv:2"\nmirrored = true\npolarity ='
+        ' "hot_is_black"\n',
+    )
     thermal = replace(rig.calibration.thermal, mirrored=False, polarity="hot_is_white")
-    asked = conversion_of(rig.rig.cameras.tables["thermal"], replace(rig.calibration, thermal=thermal))
+    asked = conversion_of(
+        rig.rig.cameras.tables["thermal"], replace(rig.calibration, thermal=thermal)
+    )
     assert asked == Conversion(mirrored=True, inverted=True)
 
 
 @pytest.mark.parametrize(
     ("cameras", "message"),
     [
-        (TABLES.replace("gain = 1.5", "gian = 1.5"), 'cameras.left.gian: unknown key; did you mean "gain"?'),
-        (TABLES.replace('"genicam:SERIAL"', '"SERIAL"'), "cameras.left.url: not a camera; allowed:"),
-        (TABLES.replace('"genicam:SERIAL"', '"opencv:0"'), 'cameras.left: features is for cameras of the kind "genicam:"'),
-        (TABLES.replace('["gain", "GevSCPD"]', '["gein"]'), 'cameras.left.try: "gein" is no setting'),
-        (TABLES.replace("turn_deg = 90", "turn_deg = 45"), "cameras.left.turn_deg"),
-        ('[cameras]\nurl = "opencv:0,1"\n' + TABLES, "cameras: either url for all cameras or a table for each, not both"),
-        (TABLES.split("[cameras.right]")[0], "cameras: no url for all cameras, and no [cameras.right]"),
-        ('[cameras]\nurl = "genicam:X"\n', "cameras.url: not a camera; allowed:"),
-        (TABLES + "\n[cameras.checks]\nblack = 3\n", 'cameras.checks.black: unknown key; did you mean "black_dn"?'),
         (
-            TABLES + '\n[cameras.thermal]\nurl = "opencv:2"\nradiometric = { kelvin_per_count = 0 }\n',
+            TABLES.replace("gain = 1.5", "gian = 1.5"),
+            'cameras.left.gian: unknown key; did you mean "gain"?',
+        ),
+        (
+            TABLES.replace('"genicam:SERIAL"', '"SERIAL"'),
+            "cameras.left.url: not a camera; allowed:",
+        ),
+        (
+            TABLES.replace('"genicam:SERIAL"', '"opencv:0"'),
+            'cameras.left: features is for cameras of the kind "genicam:"',
+        ),
+        (
+            TABLES.replace('["gain", "GevSCPD"]', '["gein"]'),
+            'cameras.left.try: "gein" is no setting',
+        ),
+        (TABLES.replace("turn_deg = 90", "turn_deg = 45"), "cameras.left.turn_deg"),
+        (
+            '[cameras]\nurl = "opencv:0,1"\n' + TABLES,
+            "cameras: either url for all cameras or a table for each, not both",
+        ),
+        (
+            TABLES.split("[cameras.right]")[0],
+            "cameras: no url for all cameras, and no [cameras.right]",
+        ),
+        ('[cameras]\nurl = "genicam:X"\n', "cameras.url: not a camera; allowed:"),
+        (
+            TABLES + "\n[cameras.checks]\nblack = 3\n",
+            'cameras.checks.black: unknown key; did you mean "black_dn"?',
+        ),
+        (
+            TABLES
+            + '\n[cameras.thermal]\nurl = "opencv:2"\nradiometric = { kelvin_per_count = 0 }\n',
             "kelvin_per_count: input should be greater than 0",
         ),
     ],
@@ -127,12 +172,22 @@ def test_each_fault_is_shown_in_its_place(tmp_path: Path, cameras: str, message:
 
 
 @pytest.mark.parametrize(
-    "url", ["opencv:0", "opencv:/dev/video2", "opencv:a.avi", "opencv:rtsp://user:word@h:554/a", "genicam:Aravis-Fake-GV01", "genicam:"]
+    "url",
+    [
+        "opencv:0",
+        "opencv:/dev/video2",
+        "opencv:a.avi",
+        "opencv:rtsp://user:word@h:554/a",
+        "genicam:Aravis-Fake-GV01",
+        "genicam:",
+    ],
 )
 def test_addresses_of_one_camera(url: str) -> None:
     assert OneCamera(url=url).url == camera_url(url)
 
 
-@pytest.mark.parametrize("url", ["opencv:0,1,2", "opencv:http://h/l,http://h/r", "recording:folder"])
+@pytest.mark.parametrize(
+    "url", ["opencv:0,1,2", "opencv:http://h/l,http://h/r", "recording:folder"]
+)
 def test_all_cameras_by_one_url(tmp_path: Path, url: str) -> None:
     assert rig_of(tmp_path, f'[cameras]\nurl = "{url}"\n').rig.cameras.told == url

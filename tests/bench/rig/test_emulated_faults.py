@@ -1,4 +1,6 @@
-"""Faults and arms that a rig file names: put into the emulators at their time, refused in their place when they can't be."""
+"""Faults and arms that a rig file names: put into the emulators at their time, refused in their
+place when they can't be.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,12 @@ def arm_of(twin: EmulatedRig) -> MicroScribe:
 
 
 def test_the_power_of_the_arm_goes_at_its_time_and_comes_back(tmp_path: Path) -> None:
-    rig = load_rig(with_emulation(tmp_path, 'faults = [{ instrument = "arm", name = "power loss", at_s = 10.0, for_s = 5.0 }]'))
+    rig = load_rig(
+        with_emulation(
+            tmp_path,
+            'faults = [{ instrument = "arm", name = "power loss", at_s = 10.0, for_s = 5.0 }]',
+        )
+    )
     with EmulatedRig(rig, VirtualClock(), seed=1) as twin:
         clock, arm = twin.world.clock, arm_of(twin)
         arm.sign_on()
@@ -54,7 +61,10 @@ def test_the_power_of_the_arm_goes_at_its_time_and_comes_back(tmp_path: Path) ->
 
 
 def test_faults_are_there_from_the_start_so_often_and_so_much(tmp_path: Path) -> None:
-    faults = ['{ instrument = "arm", name = "echo after repeats", amount = 5 }', '{ instrument = "arm", name = "silent", times = 2 }']
+    faults = [
+        '{ instrument = "arm", name = "echo after repeats", amount = 5 }',
+        '{ instrument = "arm", name = "silent", times = 2 }',
+    ]
     rig = load_rig(with_emulation(tmp_path, f"faults = [{', '.join(faults)}]"))
     with EmulatedRig(rig, VirtualClock(), seed=1) as twin:
         link = Link(twin.urls["arm"], twin.world.clock, who="host")
@@ -92,21 +102,35 @@ def test_faults_of_the_stage_and_the_bath(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ('instrument = "arm", name = "power los"', 'the arm has no fault "power los"; did you mean "power loss"?'),
+        (
+            'instrument = "arm", name = "power los"',
+            'the arm has no fault "power los"; did you mean "power loss"?',
+        ),
         ('instrument = "bath", name = "power loss"', "the bath has no fault"),
         ('instrument = "bath", name = "silence", times = 2', '"times" is for faults of the arm'),
         ('instrument = "bath", name = "silence", amount = 2.0', 'only "late answer" has an amount'),
         ('instrument = "arm", name = "silent", amount = 2.0', "has no amount 2"),
         ('instrument = "arm", name = "silent", at_s = -1.0', "greater than or equal to 0"),
         ('instrument = "camera", name = "dark"', "'camera' is not allowed"),
-        ('instrument = "cameras", name = "blak"', 'the cameras have no fault "blak"; did you mean "black"?'),
+        (
+            'instrument = "cameras", name = "blak"',
+            'the cameras have no fault "blak"; did you mean "black"?',
+        ),
         ('instrument = "cameras", name = "frozen", amount = 2.0', '"frozen" has none'),
-        ('instrument = "cameras", name = "flat-field event", camera = "left"', "only the thermal camera"),
-        ('instrument = "arm", name = "silent", camera = "left"', '"camera" is for faults of the cameras'),
+        (
+            'instrument = "cameras", name = "flat-field event", camera = "left"',
+            "only the thermal camera",
+        ),
+        (
+            'instrument = "arm", name = "silent", camera = "left"',
+            '"camera" is for faults of the cameras',
+        ),
         ('instrument = "arm", name = "silent", at = 1.0', 'unknown key; did you mean "at_s"'),
     ],
 )
-def test_a_fault_that_cannot_be_is_shown_in_its_place(tmp_path: Path, fault: str, message: str) -> None:
+def test_a_fault_that_cannot_be_is_shown_in_its_place(
+    tmp_path: Path, fault: str, message: str
+) -> None:
     path = with_emulation(tmp_path, f"faults = [{{ {fault} }}]")
     line = len(path.read_text(encoding="utf-8").split("\n"))
     with pytest.raises(ConfigError) as caught:
@@ -117,23 +141,35 @@ def test_a_fault_that_cannot_be_is_shown_in_its_place(tmp_path: Path, fault: str
 
 def test_a_fault_of_a_stage_that_is_not_there(tmp_path: Path) -> None:
     path = with_emulation(tmp_path, 'faults = [{ instrument = "stage", name = "stall" }]')
-    path.write_text(path.read_text(encoding="utf-8").replace('[stage]\nurl = "emulator:"', ""), encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"faults\[1\]\.instrument: this rig has no such instrument"):
+    path.write_text(
+        path.read_text(encoding="utf-8").replace('[stage]\nurl = "emulator:"', ""), encoding="utf-8"
+    )
+    with pytest.raises(
+        ConfigError, match=r"faults\[1\]\.instrument: this rig has no such instrument"
+    ):
         load_rig(path)
 
 
 @pytest.mark.parametrize("instrument", ["arm", "bath", "stage", "cameras"])
-def test_every_fault_of_every_instrument_can_be_put_into_a_rig(tmp_path: Path, instrument: str) -> None:
+def test_every_fault_of_every_instrument_can_be_put_into_a_rig(
+    tmp_path: Path, instrument: str
+) -> None:
     names = fault_names(instrument)
     assert len(names) == len({*names}) > 5
-    faults = ", ".join(f'{{ instrument = "{instrument}", name = "{name}", at_s = 1.0 }}' for name in names)
-    assert len(load_rig(with_emulation(tmp_path, f"faults = [{faults}]")).rig.emulation.faults) == len(names)
+    faults = ", ".join(
+        f'{{ instrument = "{instrument}", name = "{name}", at_s = 1.0 }}' for name in names
+    )
+    assert len(
+        load_rig(with_emulation(tmp_path, f"faults = [{faults}]")).rig.emulation.faults
+    ) == len(names)
 
 
 def test_another_arm_by_its_file(tmp_path: Path) -> None:
     text = (SHIPPED / "40937.toml").read_text(encoding="utf-8")
     (tmp_path / "other.toml").write_text(text.replace('"40937"', '"50001"'), encoding="utf-8")
-    with EmulatedRig(load_rig(with_emulation(tmp_path, 'arm_unit = "other.toml"')), VirtualClock(), seed=1) as twin:
+    with EmulatedRig(
+        load_rig(with_emulation(tmp_path, 'arm_unit = "other.toml"')), VirtualClock(), seed=1
+    ) as twin:
         arm = arm_of(twin)
         assert arm.sign_on().serial_number == "50001"
         arm.close()
@@ -142,23 +178,36 @@ def test_another_arm_by_its_file(tmp_path: Path) -> None:
 def test_an_arm_file_with_faults_is_shown_in_its_places(tmp_path: Path) -> None:
     text = (SHIPPED / "40937.toml").read_text(encoding="utf-8")
     (tmp_path / "other.toml").write_text(
-        text.replace("button_mask = 0x03", "button_mask = 0x3F0").replace("beta = 0x0003", "bta = 0x0003"), encoding="utf-8"
+        text.replace("button_mask = 0x03", "button_mask = 0x3F0").replace(
+            "beta = 0x0003", "bta = 0x0003"
+        ),
+        encoding="utf-8",
     )
     path = with_emulation(tmp_path, 'arm_unit = "other.toml"')
     lines = text.split("\n")
     with pytest.raises(ConfigError) as caught:
         load_rig(path)
-    beta, mask = (next(i for i, line in enumerate(lines, 1) if line.startswith(key)) for key in ("beta", "button_mask"))
+    beta, mask = (
+        next(i for i, line in enumerate(lines, 1) if line.startswith(key))
+        for key in ("beta", "button_mask")
+    )
     assert f"other.toml:{beta}: parameters.bta: extra inputs are not permitted" in str(caught.value)
-    assert f"other.toml:{mask}: maxima.button_mask: input should be less than or equal to 127 (found 1008)" in str(caught.value)
+    assert (
+        f"other.toml:{mask}: maxima.button_mask: input should be less than or equal to 127 (found"
+        " 1008)" in str(caught.value)
+    )
     with pytest.raises(ConfigError, match=r"emulation\.arm_unit: no such file beside the rig file"):
         load_rig(with_emulation(tmp_path, 'arm_unit = "none.toml"'))
 
 
-@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them")
+@pytest.mark.skipif(
+    not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them"
+)
 def test_serial_instruments_on_pseudo_terminals() -> None:
     command = [sys.executable, "-m", "bench.cli", "emulate", "--pty", "--paced"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, encoding="utf-8", cwd=ROOT)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, encoding="utf-8", cwd=ROOT
+    )
     assert process.stdout is not None
     urls = dict(process.stdout.readline().split() for _ in range(3))
     assert urls["arm"].startswith("/dev/")
@@ -176,12 +225,17 @@ def test_serial_instruments_on_pseudo_terminals() -> None:
     clock.close()
 
 
-def test_pseudo_terminals_where_there_are_none(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pseudo_terminals_where_there_are_none(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     from bench.cli.main import main
 
     monkeypatch.delattr(os, "openpty", raising=False)
     assert main(["emulate", "--pty"]) == 2
-    assert "can't listen on pseudo-terminals: arm: this system has no pseudo-terminals" in capsys.readouterr().err
+    assert (
+        "can't listen on pseudo-terminals: arm: this system has no pseudo-terminals"
+        in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize("options", [{"paced": True}, {"pty": True}])

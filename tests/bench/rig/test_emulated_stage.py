@@ -1,4 +1,6 @@
-"""The emulated stage as a rig file says: its firmware, its axes, its errors of geometry, and what goes wrong with it."""
+"""The emulated stage as a rig file says: its firmware, its axes, its errors of geometry, and what
+goes wrong with it.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,12 @@ from instruments.world.phantom import PlatePose
 def rig_with(folder: Path, stage: str = "", emulation: str = "") -> LoadedRig:
     """The emulated rig with more said of its stage and its emulation."""
     shipped = find_rig(None)
-    text = shipped.read_text(encoding="utf-8").replace('[stage]\nurl = "emulator:"\n', f'[stage]\nurl = "emulator:"\n{stage}\n')
-    (folder / "calibration.toml").write_text((shipped.parent / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    text = shipped.read_text(encoding="utf-8").replace(
+        '[stage]\nurl = "emulator:"\n', f'[stage]\nurl = "emulator:"\n{stage}\n'
+    )
+    (folder / "calibration.toml").write_text(
+        (shipped.parent / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     path = folder / "rig.toml"
     path.write_text(f"{text}\n{emulation}\n", encoding="utf-8")
     return load_rig(path)
@@ -71,7 +77,10 @@ def test_errors_of_geometry_are_in_the_teat_ends(tmp_path: Path) -> None:
 
 
 def test_play_depends_on_the_side_from_which_a_place_is_reached(tmp_path: Path) -> None:
-    with homed(rig_with(tmp_path, "", "[emulation.stage]\nbacklash_mm = [0.2, 0.0, 0.0]")) as (twin, stage):
+    with homed(rig_with(tmp_path, "", "[emulation.stage]\nbacklash_mm = [0.2, 0.0, 0.0]")) as (
+        twin,
+        stage,
+    ):
         stage.move_to(-150.0, -100.0)
         from_above = twin.world.ends_mm()
         stage.move_to(-160.0, -100.0)
@@ -80,7 +89,10 @@ def test_play_depends_on_the_side_from_which_a_place_is_reached(tmp_path: Path) 
 
 
 def test_a_lost_step_of_a_rig_file_is_seen_by_nobody_but_the_world(tmp_path: Path) -> None:
-    faults = '[emulation]\nfaults = [{ instrument = "stage", name = "lost step", at_s = 60.0, amount = 1.5 }]'
+    faults = (
+        '[emulation]\nfaults = [{ instrument = "stage", name = "lost step", at_s = 60.0, amount ='
+        " 1.5 }]"
+    )
     with homed(rig_with(tmp_path, "", faults)) as (twin, stage):
         stage.move_to(-150.0, -100.0)
         before = twin.world.ends_mm()
@@ -109,7 +121,9 @@ def test_faults_of_a_rig_file_reach_the_driver(
     tmp_path: Path, name: str, amount: float | None, error: type[Exception], sentence: str
 ) -> None:
     said = "" if amount is None else f", amount = {amount}"
-    faults = f'[emulation]\nfaults = [{{ instrument = "stage", name = "{name}", at_s = 60.0{said} }}]'
+    faults = (
+        f'[emulation]\nfaults = [{{ instrument = "stage", name = "{name}", at_s = 60.0{said} }}]'
+    )
     with homed(rig_with(tmp_path, "", faults)) as (twin, stage):
         stage.move_to(-150.0, -100.0)
         twin.world.clock.sleep(60.0)
@@ -118,17 +132,34 @@ def test_faults_of_a_rig_file_reach_the_driver(
 
 
 def test_an_amount_that_means_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r'"silent" has no amount; one have "lost step" \(mm lost\), "late ok" \(s late\)'):
-        rig_with(tmp_path, "", '[emulation]\nfaults = [{ instrument = "stage", name = "silent", amount = 1.0 }]')
+    with pytest.raises(
+        ConfigError,
+        match=r'"silent" has no amount; one have "lost step" \(mm lost\), "late ok" \(s late\)',
+    ):
+        rig_with(
+            tmp_path,
+            "",
+            '[emulation]\nfaults = [{ instrument = "stage", name = "silent", amount = 1.0 }]',
+        )
 
 
 def test_a_rotation_with_the_classic_firmware_is_refused_in_its_place(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r'stage\.axes: the firmware "grbl" has no axis A: set dialect = "grblHAL"'):
+    with pytest.raises(
+        ConfigError,
+        match=r'stage\.axes: the firmware "grbl" has no axis A: set dialect = "grblHAL"',
+    ):
         rig_with(tmp_path, 'axes = "XYA"')
 
 
 @pytest.mark.parametrize(
-    "line", ['dialect = "marlin"', "scale_errors = [0.5, 0, 0, 0]", "backlash_mm = [-1, 0, 0]", "squareness = 1", "yaw_rad = nan"]
+    "line",
+    [
+        'dialect = "marlin"',
+        "scale_errors = [0.5, 0, 0, 0]",
+        "backlash_mm = [-1, 0, 0]",
+        "squareness = 1",
+        "yaw_rad = nan",
+    ],
 )
 def test_a_stage_that_cannot_be_emulated_is_refused(tmp_path: Path, line: str) -> None:
     with pytest.raises(ConfigError, match=r"emulation\.stage\."):

@@ -1,4 +1,6 @@
-"""One world behind all wires: what the bath heats the camera sees, where the stage stands the phantom stands."""
+"""One world behind all wires: what the bath heats the camera sees, where the stage stands the
+phantom stands.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def twin(rig: LoadedRig) -> Iterator[EmulatedRig]:
 
 
 def test_a_closed_rig_leaves_no_pictures_to_the_garbage_collector(rig: LoadedRig) -> None:
-    """A rig lies in reference cycles once it is closed; some hundred runs of a test process would hold a hundred renderers."""
+    """A rig lies in reference cycles once it is closed; some hundred runs of a test process would
+    hold a hundred renderers.
+    """
     gc.disable()
     try:
         with EmulatedRig(rig, VirtualClock(), seed=5) as emulated:
@@ -105,7 +109,9 @@ def test_the_arm_reads_where_the_hand_holds_it(rig: LoadedRig, twin: EmulatedRig
     arm.close()
 
 
-def test_two_captures_differ_by_noise_and_two_worlds_of_one_seed_by_nothing(rig: LoadedRig, twin: EmulatedRig) -> None:
+def test_two_captures_differ_by_noise_and_two_worlds_of_one_seed_by_nothing(
+    rig: LoadedRig, twin: EmulatedRig
+) -> None:
     first, second = twin.cameras.capture(), twin.cameras.capture()
     assert (first.left != second.left).any()
     with EmulatedRig(rig, VirtualClock(), seed=5) as other:
@@ -116,7 +122,9 @@ def test_two_captures_differ_by_noise_and_two_worlds_of_one_seed_by_nothing(rig:
 
 
 def test_every_driver_of_the_rig_opens_by_its_url(rig: LoadedRig, twin: EmulatedRig) -> None:
-    assert all(url.startswith(("socket://127.0.0.1:", "tcp://127.0.0.1:")) for url in twin.urls.values())
+    assert all(
+        url.startswith(("socket://127.0.0.1:", "tcp://127.0.0.1:")) for url in twin.urls.values()
+    )
     for opener in driver_openers(rig, twin.world.clock, twin.urls).values():
         opener().close()
 

@@ -1,4 +1,6 @@
-"""A set with a fault is taken again and counted, and refused at last; a recording is asked once. Then the same in a whole run."""
+"""A set with a fault is taken again and counted, and refused at last; a recording is asked once.
+Then the same in a whole run.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,13 @@ class Bench:
     def __post_init__(self) -> None:
         rig = load_rig(find_rig(None))
         table = rig.rig.cameras
-        self.taker = FrameTaker(self.cameras, table, rig.calibration, self.waits.append, lambda *event: self.events.append(event))
+        self.taker = FrameTaker(
+            self.cameras,
+            table,
+            rig.calibration,
+            self.waits.append,
+            lambda *event: self.events.append(event),
+        )
         self.taker.take()
 
 
@@ -56,7 +64,9 @@ def test_each_fault_that_stays_is_refused_with_a_sentence(fault: FrameFault) -> 
     bench.cameras.faults.inject(fault)
     with pytest.raises(DeviceError) as refused:
         bench.taker.take()
-    assert f"cameras: no usable frame set in 4 tries: {FAULTS[fault]} camera: {fault}: " in str(refused.value)
+    assert f"cameras: no usable frame set in 4 tries: {FAULTS[fault]} camera: {fault}: " in str(
+        refused.value
+    )
     assert str(refused.value).endswith(HINTS[fault])
     assert bench.taker.counts == {f"{FAULTS[fault]}: {fault}": 4}
     assert bench.events[-1][1].endswith("Refused.")
@@ -99,11 +109,19 @@ def test_a_recording_is_asked_once_for_its_next_frame_is_another_trials(tmp_path
     for name in ("0", "1"):
         writer.add(name, frames)
     taker = FrameTaker(
-        RecordingCameras(Recording(tmp_path)), CamerasTable(url="recording:x"), None, lambda _: pytest.fail("waited"), lambda *_: None
+        RecordingCameras(Recording(tmp_path)),
+        CamerasTable(url="recording:x"),
+        None,
+        lambda _: pytest.fail("waited"),
+        lambda *_: None,
     )
     taker.take()
     with pytest.raises(
-        DeviceError, match=r"no usable frame set in 1 try: left camera: frozen: .*; right camera: frozen: .*; thermal camera: frozen: "
+        DeviceError,
+        match=(
+            r"no usable frame set in 1 try: left camera: frozen: .*; right camera: frozen: .*;"
+            r" thermal camera: frozen: "
+        ),
     ):
         taker.take()
 
@@ -112,16 +130,26 @@ def record_of(folder: Path) -> tuple[list[str], dict[str, int], int]:
     """Events of the cameras, counts of their faults, and how many trials are whole."""
     db = sqlite3.connect(folder / "run.sqlite")
     try:
-        events = [row[0] for row in db.execute("SELECT text FROM events WHERE kind = 'camera' ORDER BY number")]
-        (counts,) = db.execute("SELECT value FROM facts WHERE key = 'camera faults'").fetchone() or ("{}",)
+        events = [
+            row[0]
+            for row in db.execute("SELECT text FROM events WHERE kind = 'camera' ORDER BY number")
+        ]
+        (counts,) = db.execute(
+            "SELECT value FROM facts WHERE key = 'camera faults'"
+        ).fetchone() or ("{}",)
         (trials,) = db.execute("SELECT count(*) FROM trials").fetchone()
     finally:
         db.close()
     return events, json.loads(counts), trials
 
 
-def test_a_run_goes_on_through_faults_that_pass_and_keeps_count_of_them(tmp_path: Path, short_script: Path) -> None:
-    faults = ['{ instrument = "cameras", name = "flat-field event", times = 2 }', '{ instrument = "cameras", name = "swapped", times = 1 }']
+def test_a_run_goes_on_through_faults_that_pass_and_keeps_count_of_them(
+    tmp_path: Path, short_script: Path
+) -> None:
+    faults = [
+        '{ instrument = "cameras", name = "flat-field event", times = 2 }',
+        '{ instrument = "cameras", name = "swapped", times = 1 }',
+    ]
     rig = with_emulation(tmp_path, f"faults = [{', '.join(faults)}]")
     code, folder = run_command(["run", str(short_script), "--rig", str(rig)], tmp_path / "runs")
     events, counts, trials = record_of(folder)
@@ -132,7 +160,9 @@ def test_a_run_goes_on_through_faults_that_pass_and_keeps_count_of_them(tmp_path
 
 
 def test_a_run_ends_safely_when_a_fault_stays(tmp_path: Path, short_script: Path) -> None:
-    rig = with_emulation(tmp_path, 'faults = [{ instrument = "cameras", name = "black", camera = "right" }]')
+    rig = with_emulation(
+        tmp_path, 'faults = [{ instrument = "cameras", name = "black", camera = "right" }]'
+    )
     code, folder = run_command(["run", str(short_script), "--rig", str(rig)], tmp_path / "runs")
     events, counts, trials = record_of(folder)
     assert code == 3

@@ -1,4 +1,6 @@
-"""Frame sets with faults are noticed by name; good ones of every situation give no false alarm, nor do dim ones, nor a path tracer's."""
+"""Frame sets with faults are noticed by name; good ones of every situation give no false alarm, nor
+do dim ones, nor a path tracer's.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,15 @@ from bench.rig.frame_checks import FrameChecks
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.stereo_order import StereoOrder
 from detector.calibration import Calibration
-from instruments.camera.emulator import AMOUNTS, FAULTS, KEPT_BACK, EmulatedCameras, check_amount, check_camera, named
+from instruments.camera.emulator import (
+    AMOUNTS,
+    FAULTS,
+    KEPT_BACK,
+    EmulatedCameras,
+    check_amount,
+    check_camera,
+    named,
+)
 from instruments.camera.faults import FrameError, FrameFault
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import Recording
@@ -45,7 +55,10 @@ def test_no_false_alarm_in_any_situation(name: str) -> None:
         assert looks.notice(cameras.capture()) == []
 
 
-@pytest.mark.parametrize(("name", "seed"), [("dim_light", 2), ("low_contrast", 1), ("hot_body_at_base", 1), ("anywhere", 1)])
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [("dim_light", 2), ("low_contrast", 1), ("hot_body_at_base", 1), ("anywhere", 1)],
+)
 def test_no_false_alarm_in_scenes_that_are_hard_to_see(name: str, seed: int) -> None:
     drawn = drawn_situation(name, seed)
     state = drawn.state((32.5,) * len(drawn.phantom.teats), 31.5, 21.0)
@@ -53,22 +66,41 @@ def test_no_false_alarm_in_scenes_that_are_hard_to_see(name: str, seed: int) -> 
 
 
 def dimmed(picture: NDArray[np.uint8], light: float, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """As a sensor sees it by that share of the light: what is left of the signal, and the noise of reading it out."""
-    return np.clip(np.rint(4.0 + (picture - 4.0) * light + 1.0 * rng.standard_normal(picture.shape)), 0, 255).astype(np.uint8)
+    """As a sensor sees it by that share of the light: what is left of the signal, and the noise of
+    reading it out.
+    """
+    return np.clip(
+        np.rint(4.0 + (picture - 4.0) * light + 1.0 * rng.standard_normal(picture.shape)), 0, 255
+    ).astype(np.uint8)
 
 
 def test_no_false_alarm_in_the_dim() -> None:
-    frames, rng, looks = EmulatedCameras(GalleryWorld()).capture(), np.random.default_rng(3), checks()
+    frames, rng, looks = (
+        EmulatedCameras(GalleryWorld()).capture(),
+        np.random.default_rng(3),
+        checks(),
+    )
     for light in (0.3, 0.15):
-        dim = replace(frames, left=dimmed(frames.left, light, rng), right=dimmed(frames.right, light, rng), thermal=None, thermal_ck=None)
+        dim = replace(
+            frames,
+            left=dimmed(frames.left, light, rng),
+            right=dimmed(frames.right, light, rng),
+            thermal=None,
+            thermal_ck=None,
+        )
         assert looks.notice(dim) == []
 
 
 def test_no_false_alarm_in_what_a_path_tracer_rendered(shared_data: Path) -> None:
-    """Frames of all eleven situations from a program that shares no code with the bench; each of them swapped is noticed."""
+    """Frames of all eleven situations from a program that shares no code with the bench; each of
+    them swapped is noticed.
+    """
     recording = Recording(shared_data / "path_traced")
     rig = read_calibration(recording.calibration_path)
-    looks, order = FrameChecks(Checks(focus_px=FocusTable(left=0.7, right=0.7)), 0.05, rig), StereoOrder(rig)
+    looks, order = (
+        FrameChecks(Checks(focus_px=FocusTable(left=0.7, right=0.7)), 0.05, rig),
+        StereoOrder(rig),
+    )
     for frame in recording.frames[::3]:  # one of each situation
         frames = recording.load(frame)
         assert looks.notice(frames) == [], frame
@@ -88,7 +120,12 @@ def test_each_fault_of_the_emulated_cameras_is_noticed_and_named(fault: FrameFau
 
 @pytest.mark.parametrize(
     ("fault", "camera"),
-    [(fault, camera) for fault in SHOWN for camera in ("right", "thermal") if fault not in (FrameFault.SWAPPED, FrameFault.FLAT_FIELD)],
+    [
+        (fault, camera)
+        for fault in SHOWN
+        for camera in ("right", "thermal")
+        if fault not in (FrameFault.SWAPPED, FrameFault.FLAT_FIELD)
+    ],
 )
 def test_each_fault_of_another_camera(fault: FrameFault, camera: str) -> None:
     blurred = (fault, camera) == (FrameFault.OUT_OF_FOCUS, "thermal")
@@ -115,8 +152,10 @@ def test_a_late_camera_has_seen_a_later_world() -> None:
     frames = cameras.capture()
     assert frames.exposed_s == {"left": 0.0, "right": 0.0, "thermal": 0.3}
     (noticed,) = checks().notice(frames)
-    assert str(noticed) == (
-        "thermal camera: late: exposed 0.300 s after the first of its set, limit 0.05 s: what moves would be scored wrongly"
+    assert (
+        str(noticed)
+        == "thermal camera: late: exposed 0.300 s after the first of its set, limit 0.05 s: what"
+        " moves would be scored wrongly"
     )
 
 
@@ -126,22 +165,36 @@ def grey(height: int, width: int, seed: int = 1) -> NDArray[np.uint8]:
 
 def test_another_size_than_the_calibrations() -> None:
     frames = FrameSet(grey(1024, 1360), grey(480, 640), grey(240, 320))
-    noticed = {one.camera: one for one in checks(swapped=False, focus_px=FocusTable()).notice(frames)}
+    noticed = {
+        one.camera: one for one in checks(swapped=False, focus_px=FocusTable()).notice(frames)
+    }
     assert noticed["right"].sentence == "640 x 480, the calibration is for 1360 x 1024"
     assert noticed["thermal"].fault is FrameFault.WRONG_SIZE
-    assert FrameChecks(Checks(), 0.05, None).notice(FrameSet(grey(48, 64), grey(48, 64, 2), grey(48, 64, 3))) == []
+    assert (
+        FrameChecks(Checks(), 0.05, None).notice(
+            FrameSet(grey(48, 64), grey(48, 64, 2), grey(48, 64, 3))
+        )
+        == []
+    )
 
 
 def test_a_thermal_frame_that_is_flat_is_no_fault_where_nothing_need_be_warm() -> None:
-    flat = np.full((480, 640), 128, np.uint8) + np.random.default_rng(1).integers(0, 4, (480, 640), dtype=np.uint8)
+    flat = np.full((480, 640), 128, np.uint8) + np.random.default_rng(1).integers(
+        0, 4, (480, 640), dtype=np.uint8
+    )
     frames = FrameSet(grey(1024, 1360), grey(1024, 1360, 2), flat)
     for warm in (True, False):
         looks = FrameChecks(Checks(swapped=False), 0.05, calibration(), flat=warm)
-        assert [one.fault for one in looks.notice(frames)] == ([FrameFault.FLAT_FIELD] if warm else [])
+        assert [one.fault for one in looks.notice(frames)] == (
+            [FrameFault.FLAT_FIELD] if warm else []
+        )
 
 
 def test_looks_can_be_left_out() -> None:
-    cameras, looks = EmulatedCameras(GalleryWorld()), checks(frozen=False, swapped=False, focus_px=FocusTable())
+    cameras, looks = (
+        EmulatedCameras(GalleryWorld()),
+        checks(frozen=False, swapped=False, focus_px=FocusTable()),
+    )
     looks.notice(cameras.capture())
     for fault in (FrameFault.FROZEN, FrameFault.SWAPPED, FrameFault.OUT_OF_FOCUS):
         cameras.faults.inject(fault, times=1)

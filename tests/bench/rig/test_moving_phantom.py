@@ -1,4 +1,6 @@
-"""A picture taken while the stage moves: the emulated cameras smear what the stage carries, and see it still once it stands."""
+"""A picture taken while the stage moves: the emulated cameras smear what the stage carries, and see
+it still once it stands.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def test_the_world_moves_as_fast_as_the_stage() -> None:
         assert twin.world.scene().velocity_mm_s == (0.0, 0.0, 0.0)
         seen: list[tuple[float, float, float]] = []
         for later_s in np.arange(0.05, 2.0, 0.1):
-            clock.call_at(clock.now() + float(later_s), lambda: seen.append(twin.world.scene().velocity_mm_s))
+            clock.call_at(
+                clock.now() + float(later_s), lambda: seen.append(twin.world.scene().velocity_mm_s)
+            )
         stage.move_to(-140.0, -137.5, feed_mm_min=600.0)
         stage.close()
         assert max(velocity[0] for velocity in seen) == pytest.approx(10.0, rel=0.01)

@@ -1,4 +1,6 @@
-"""A new rig: checked and calibrated before there is a calibration, and one of `emulate --write-rig`."""
+"""A new rig: checked and calibrated before there is a calibration, and one of `emulate
+--write-rig`.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ Capture = pytest.CaptureFixture[str]
 posix = pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
 
 
-def test_a_rig_without_a_calibration_is_checked_and_not_run(tmp_path: Path, capsys: Capture) -> None:
+def test_a_rig_without_a_calibration_is_checked_and_not_run(
+    tmp_path: Path, capsys: Capture
+) -> None:
     with real_rig(tmp_path / "lab", record_one(tmp_path / "recording", 1)) as rig:
         calibration = rig.folder / "calibration.toml"
         calibration.unlink()
@@ -87,7 +91,9 @@ def test_a_written_rig_runs_as_it_is(written_rig: Path, tmp_path: Path) -> None:
 
 
 @posix
-def test_a_written_rig_is_calibrated_before_there_is_a_calibration(written_rig: Path, tmp_path: Path) -> None:
+def test_a_written_rig_is_calibrated_before_there_is_a_calibration(
+    written_rig: Path, tmp_path: Path
+) -> None:
     text = written_rig.read_text(encoding="utf-8")
     whole = load_rig(written_rig).calibration_path.as_posix()
     (tmp_path / "new.toml").write_text(text.replace(whole, "calibration.toml"), encoding="utf-8")
@@ -119,7 +125,9 @@ def test_a_rig_file_that_is_there_is_not_written_over(tmp_path: Path, capsys: Ca
     assert mine.read_text(encoding="utf-8") == "precious"
 
 
-def test_an_emulated_rig_without_a_calibration_says_where_one_is(tmp_path: Path, capsys: Capture) -> None:
+def test_an_emulated_rig_without_a_calibration_says_where_one_is(
+    tmp_path: Path, capsys: Capture
+) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(find_rig(None).read_text(encoding="utf-8"), encoding="utf-8")
     assert main(["check", str(rig)]) == 2

@@ -1,4 +1,6 @@
-"""A press is an answer whenever it comes: within a turn of watching, between two, or across their border."""
+"""A press is an answer whenever it comes: within a turn of watching, between two, or across their
+border.
+"""
 
 from __future__ import annotations
 

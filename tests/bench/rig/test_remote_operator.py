@@ -1,4 +1,6 @@
-"""The emulated operator of another process, over a socket: nothing is lost on the way, and nothing ends it."""
+"""The emulated operator of another process, over a socket: nothing is lost on the way, and nothing
+ends it.
+"""
 
 from __future__ import annotations
 

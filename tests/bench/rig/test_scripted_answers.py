@@ -1,4 +1,6 @@
-"""Scripts of answers as files: both forms say the same, and a wrong one is told with its place before anything is opened."""
+"""Scripts of answers as files: both forms say the same, and a wrong one is told with its place
+before anything is opened.
+"""
 
 from __future__ import annotations
 
@@ -61,19 +63,41 @@ def test_both_forms_say_the_same(name: str, text: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
-        ("a.toml", '[[answers]]\nto = "tuch"\nanswer = "go"\n', ["a.toml:2", "'tuch' is not allowed", 'did you mean "touch"']),
+        (
+            "a.toml",
+            '[[answers]]\nto = "tuch"\nanswer = "go"\n',
+            ["a.toml:2", "'tuch' is not allowed", 'did you mean "touch"'],
+        ),
         ("a.toml", '[[answers]]\nto = "touch"\nanswer = "skip"\n', ['"skip" needs a reason']),
-        ("a.toml", '[[answers]]\nto = "touch"\nansver = "go"\n', ["a.toml:3", 'did you mean "answer"']),
+        (
+            "a.toml",
+            '[[answers]]\nto = "touch"\nansver = "go"\n',
+            ["a.toml:3", 'did you mean "answer"'],
+        ),
         ("a.toml", '[otherwise]\nhoming = "skip it"\n', ["a.toml:", 'there are "go", "abort"']),
-        ("a.toml", '[[answers]]\nto = "touch"\nanswer = "go"\ntimes = 0\n', ["a.toml:4", "greater than or equal to 1"]),
-        ("a.txt", "homing: go\n\ntuch: go\n", ["a.txt:3: ", 'no prompt is of the kind "tuch"', 'did you mean "touch"']),
+        (
+            "a.toml",
+            '[[answers]]\nto = "touch"\nanswer = "go"\ntimes = 0\n',
+            ["a.toml:4", "greater than or equal to 1"],
+        ),
+        (
+            "a.txt",
+            "homing: go\n\ntuch: go\n",
+            ["a.txt:3: ", 'no prompt is of the kind "tuch"', 'did you mean "touch"'],
+        ),
         ("a.txt", "touch\n", ["a.txt:1: ", 'a line is "KIND: ANSWER"']),
         ("a.txt", "touch: skip\n", ["a.txt:1: ", '"skip" needs a reason']),
-        ("a.txt", "otherwise touch: go x4\n", ["a.txt:1: ", "leave the words in brackets and the times out"]),
+        (
+            "a.txt",
+            "otherwise touch: go x4\n",
+            ["a.txt:1: ", "leave the words in brackets and the times out"],
+        ),
         ("a.txt", "otherwise homing: 3\n", ["a.txt:1: ", "Not understood: '3'"]),
     ],
 )
-def test_a_wrong_file_is_told_with_its_place(name: str, text: str, words: list[str], tmp_path: Path) -> None:
+def test_a_wrong_file_is_told_with_its_place(
+    name: str, text: str, words: list[str], tmp_path: Path
+) -> None:
     (tmp_path / name).write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as error:
         load_answers(tmp_path / name)
@@ -82,7 +106,9 @@ def test_a_wrong_file_is_told_with_its_place(name: str, text: str, words: list[s
 
 
 def rig_with(url: str, folder: Path) -> Path:
-    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "calibration.toml").write_text(
+        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
     head, tail = text.split('[operator]\nurl = "emulator:"')
     (folder / "rig.toml").write_text(f'{head}[operator]\nurl = "{url}"{tail}', encoding="utf-8")
@@ -99,7 +125,10 @@ def test_a_rig_with_emulated_instruments_takes_each_operator(tmp_path: Path) -> 
     ("url", "words"),
     [
         ("script:nowhere.toml", "no such file beside the rig file"),
-        ("person:", 'allowed: "console:", "emulator:", "script:ANSWERS.toml", "script:ANSWERS.txt"'),
+        (
+            "person:",
+            'allowed: "console:", "emulator:", "script:ANSWERS.toml", "script:ANSWERS.txt"',
+        ),
         ("script:wrong.txt", "wrong.txt:1: "),
     ],
 )

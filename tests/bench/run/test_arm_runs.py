@@ -1,4 +1,6 @@
-"""The arm's place in a run: moved elsewhere on the table it scores the same, and what ruins its readings is found out."""
+"""The arm's place in a run: moved elsewhere on the table it scores the same, and what ruins its
+readings is found out.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ class Done:
     @property
     def verdict(self) -> Verdict:
         (judgement,) = judge(self.run, stored_rules(self.run.folder))
-        return next(decision.verdict for decision in judgement.decisions if decision.name == REQUIREMENT)
+        return next(
+            decision.verdict for decision in judgement.decisions if decision.name == REQUIREMENT
+        )
 
     @property
     def page(self) -> str:
@@ -66,7 +70,9 @@ class Done:
     def off_mm(self) -> np.ndarray:
         """How far each touched truth lies from the scene's exact end (n, 3)."""
         rows = [row for trial in self.run.trials for row in trial.truth]
-        return np.array([np.array([r["x_mm"], r["y_mm"], r["z_mm"]]) - json.loads(r["exact_mm"]) for r in rows])
+        return np.array(
+            [np.array([r["x_mm"], r["y_mm"], r["z_mm"]]) - json.loads(r["exact_mm"]) for r in rows]
+        )
 
 
 def rig_in(folder: Path, arm: str = "", emulation: str = "") -> Path:
@@ -74,9 +80,13 @@ def rig_in(folder: Path, arm: str = "", emulation: str = "") -> Path:
     text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
     assert "[arm]\n" in text
     assert "[emulation]" not in text
-    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "calibration.toml").write_text(
+        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     path = folder / "rig.toml"
-    path.write_text(text.replace("[arm]\n", f"[arm]\n{arm}") + f"\n[emulation]\n{emulation}", encoding="utf-8")
+    path.write_text(
+        text.replace("[arm]\n", f"[arm]\n{arm}") + f"\n[emulation]\n{emulation}", encoding="utf-8"
+    )
     return path
 
 
@@ -94,7 +104,9 @@ def arm_files(folder: Path) -> None:
     """The frame and the verification of the arm that stands at PLACED, made as a person would."""
     now = wall_time().replace(microsecond=0)
     with emulated(seed=1, placed=PLACED) as (arm, trying):
-        write_file(folder / "arm-frame.toml", frame_text(touch_frame(arm, Follower(trying), [None], now)))
+        write_file(
+            folder / "arm-frame.toml", frame_text(touch_frame(arm, Follower(trying), [None], now))
+        )
         found = verify(arm, Follower(trying), Plan(1, 5, 300.0, 2), now)
         write_file(folder / "arm-verification.toml", verification_text(found, Limits(0.46, 0.7)))
 
@@ -117,7 +129,9 @@ def test_an_arm_elsewhere_scores_like_one_in_its_place(in_place: Done, elsewhere
     assert in_place.run.ending == elsewhere.run.ending == "finished"
     one, other = (d.run.trials[0].scores["thesis"] for d in (in_place, elsewhere))
     assert one.counts == other.counts
-    assert np.allclose(one.radial_mm, other.radial_mm, atol=1.5), "the truth differs by the arm's noise and the frame's"
+    assert np.allclose(one.radial_mm, other.radial_mm, atol=1.5), (
+        "the truth differs by the arm's noise and the frame's"
+    )
     for run in (in_place, elsewhere):
         assert np.linalg.norm(run.off_mm, axis=1).max() < 1.5
     assert not np.allclose(one.radial_mm, other.radial_mm, atol=1e-6)
@@ -125,7 +139,10 @@ def test_an_arm_elsewhere_scores_like_one_in_its_place(in_place: Done, elsewhere
 
 def test_the_frame_has_its_line_in_the_uncertainty_budget(in_place: Done, elsewhere: Done) -> None:
     def budget(run: Done) -> dict[str, float]:
-        return {line["name"]: line["u_mm"] for line in json.loads(run.run.trials[-1].truth[-1]["budget"])["components"]}
+        return {
+            line["name"]: line["u_mm"]
+            for line in json.loads(run.run.trials[-1].truth[-1]["budget"])["components"]
+        }
 
     assert "registration" not in budget(in_place)
     assert 0.1 < budget(elsewhere)["registration"] < 0.8
@@ -167,8 +184,14 @@ def test_the_runs_folder_keeps_the_files_of_the_arm(elsewhere: Done) -> None:
 
 
 def test_an_arm_that_was_moved_is_found_out(script: Path, tmp_path: Path) -> None:
-    """Elsewhere on the table, and nobody made a frame: every truth is wrong, and the requirement says so."""
-    run = done(rig_in(tmp_path, emulation="arm_placed = { T = [3.0, 0.0, 0.0] }\n"), script, tmp_path / "runs")
+    """Elsewhere on the table, and nobody made a frame: every truth is wrong, and the requirement
+    says so.
+    """
+    run = done(
+        rig_in(tmp_path, emulation="arm_placed = { T = [3.0, 0.0, 0.0] }\n"),
+        script,
+        tmp_path / "runs",
+    )
     assert run.verdict is Verdict.NOT_MET
     assert run.code == 1
     assert "from its place before the trials" in run.page
@@ -178,21 +201,31 @@ def test_an_arm_that_was_moved_is_found_out(script: Path, tmp_path: Path) -> Non
 def test_a_rig_without_a_check_point_has_not_measured_it(script: Path, tmp_path: Path) -> None:
     path = rig_in(tmp_path)
     text = path.read_text(encoding="utf-8")
-    path.write_text("\n".join(line for line in text.split("\n") if not line.startswith("check_point_mm")), encoding="utf-8")
+    path.write_text(
+        "\n".join(line for line in text.split("\n") if not line.startswith("check_point_mm")),
+        encoding="utf-8",
+    )
     run = done(path, script, tmp_path / "runs")
     assert run.verdict is Verdict.NOT_MEASURED
     assert not any(key.startswith("arm check") for key in run.run.facts)
 
 
-def test_the_frame_of_another_arm_ends_the_run_before_anything_is_heated(script: Path, tmp_path: Path) -> None:
+def test_the_frame_of_another_arm_ends_the_run_before_anything_is_heated(
+    script: Path, tmp_path: Path
+) -> None:
     arm_files(tmp_path)
     file = tmp_path / "arm-frame.toml"
-    file.write_text(file.read_text(encoding="utf-8").replace('"40937"', '"40938"'), encoding="utf-8")
+    file.write_text(
+        file.read_text(encoding="utf-8").replace('"40937"', '"40938"'), encoding="utf-8"
+    )
     run = done(rig_in(tmp_path, 'frame = "arm-frame.toml"\n'), script, tmp_path / "runs")
     assert run.code == 3
     assert run.run.ending == "faulted"
     faults = [event["text"] for event in run.run.events if event["kind"] == "fault"]
-    assert any("table frame is of the arm 40938, but the arm that answers is 40937" in text for text in faults), faults
+    assert any(
+        "table frame is of the arm 40938, but the arm that answers is 40937" in text
+        for text in faults
+    ), faults
     assert not any("heating" in event["text"] for event in run.run.events)
 
 
@@ -205,8 +238,22 @@ def test_the_frame_of_another_arm_ends_the_run_before_anything_is_heated(script:
         ("check_touches = 1\n", "greater than or equal to 2"),
     ],
 )
-def test_wrong_keys_of_a_rig_are_shown(lines: str, message: str, script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", str(script), "--rig", str(rig_in(tmp_path, lines)), "--out", str(tmp_path / "runs")]) == 2
+def test_wrong_keys_of_a_rig_are_shown(
+    lines: str, message: str, script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        main(
+            [
+                "run",
+                str(script),
+                "--rig",
+                str(rig_in(tmp_path, lines)),
+                "--out",
+                str(tmp_path / "runs"),
+            ]
+        )
+        == 2
+    )
     assert message in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
 
@@ -229,11 +276,15 @@ def checked(spoil: Callable[[TryingArm], None]) -> dict[str, Any]:
         spoil(trying)
         arm.sign_on()
         arm.confirm_homed()
-        return check_arm(Checker(trying), TipReader(arm, settings, None), settings, trying.clock, lambda: None)
+        return check_arm(
+            Checker(trying), TipReader(arm, settings, None), settings, trying.clock, lambda: None
+        )
 
 
 def test_an_arm_that_was_not_homed_is_found_out() -> None:
-    """Switched on with the stylus off its peg, and a person who says that it was on: the hazard of the fact sheet."""
+    """Switched on with the stylus off its peg, and a person who says that it was on: the hazard of
+    the fact sheet.
+    """
 
     def off_its_peg(trying: TryingArm) -> None:
         trying.go(Step("near", 0, ""))

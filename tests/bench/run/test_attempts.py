@@ -1,4 +1,6 @@
-"""A trial as often as the operator wants it, and how long the rest of the run takes by what the trials took so far."""
+"""A trial as often as the operator wants it, and how long the rest of the run takes by what the
+trials took so far.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ class Told:
         self.events.append(f"{kind} {text}")
 
 
-def attempts(once: Callable[[PlannedTrial], None], clock: VirtualClock, folder: Path) -> tuple[Attempts, Told, Store]:
+def attempts(
+    once: Callable[[PlannedTrial], None], clock: VirtualClock, folder: Path
+) -> tuple[Attempts, Told, Store]:
     told = Told()
     operator = hands(world())
     operator.next_trial = told.next_trial  # type: ignore[method-assign]
@@ -57,7 +61,15 @@ def test_until_then_by_what_was_expected(tmp_path: Path) -> None:
     clock, told, operator = VirtualClock(), Told(), hands(world())
     operator.next_trial = told.next_trial  # type: ignore[method-assign]
     store = Store.create(tmp_path / "run", {})
-    all_of = Attempts(lambda _: clock.sleep(60.0), len(PLANNED), operator, clock, store, cast(Attention, told), each_s=100.0)
+    all_of = Attempts(
+        lambda _: clock.sleep(60.0),
+        len(PLANNED),
+        operator,
+        clock,
+        store,
+        cast(Attention, told),
+        each_s=100.0,
+    )
     for trial in PLANNED:
         all_of.run(trial)
     store.close()
@@ -77,7 +89,9 @@ def test_time_that_was_no_work_is_kept_out_of_the_time_left(tmp_path: Path) -> N
     store = Store.create(tmp_path / "run", {})
     told, operator = Told(), hands(world())
     operator.next_trial = told.next_trial  # type: ignore[method-assign]
-    all_of = Attempts(once, len(PLANNED), operator, clock, store, cast(Attention, told), away_s=lambda: away_s)
+    all_of = Attempts(
+        once, len(PLANNED), operator, clock, store, cast(Attention, told), away_s=lambda: away_s
+    )
     for trial in PLANNED:
         all_of.run(trial)
     store.close()
@@ -100,7 +114,11 @@ def test_again_and_again_until_it_is_done(tmp_path: Path) -> None:
 
 
 def test_a_skip_is_kept_and_an_abort_goes_on_its_way(tmp_path: Path) -> None:
-    wishes: list[Exception] = [OperatorRepeat(), OperatorSkip("the hose leaks"), OperatorAbort("enough")]
+    wishes: list[Exception] = [
+        OperatorRepeat(),
+        OperatorSkip("the hose leaks"),
+        OperatorAbort("enough"),
+    ]
 
     def once(_: PlannedTrial) -> None:
         raise wishes.pop(0)

@@ -1,4 +1,6 @@
-"""`teatbench run` at a pseudo-terminal, as a new user drives it: a rehearsal, in which emulated hands follow each "go on"."""
+"""`teatbench run` at a pseudo-terminal, as a new user drives it: a rehearsal, in which emulated
+hands follow each "go on".
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ import pytest
 from tests.bench.calibrate.arm_terminal import Terminal, at_terminal
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, files, run_of
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not")
+pytestmark = pytest.mark.skipif(
+    sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not"
+)
 
 ENTER = ""
 ABORT_KEY = "a = abort the run): "
@@ -18,25 +22,36 @@ TWO = SCRIPT.replace("poses = [", "poses = [{ x_mm = 12.0 }, { x_mm = -8.0 }]\n#
 
 
 def answer(terminal: Terminal, words: str, line: str = ENTER) -> str:
-    """Read up to the end of the prompt that says ``words``, then type; gives back what the prompt said."""
+    """Read up to the end of the prompt that says ``words``, then type; gives back what the prompt
+    said.
+    """
     said = terminal.expect(words) + terminal.expect(ABORT_KEY)
     terminal.type(line)
     return said
 
 
 def test_a_new_user_gets_through_a_run(tmp_path: Path) -> None:
-    with at_terminal(files(tmp_path, operator="console:", touches=2, check_point=CHECK_POINT, script=TWO)) as terminal:
+    with at_terminal(
+        files(tmp_path, operator="console:", touches=2, check_point=CHECK_POINT, script=TWO)
+    ) as terminal:
         answer(terminal, "Put the arm's stylus on its peg", "what?")
         answer(terminal, "Not understood: 'what?'.", "?")
         answer(terminal, "from where they are when it is switched on")
         for touch in (1, 2):
             answer(terminal, f"[touch {touch} of 2] Arm check")
         said = answer(terminal, "Move the plate to x +12 mm", "2, 4")
-        assert "[trial 1 of 2; about 4 min left] Situation ideal, layout table-5-1:\nTeats as in table 5.1." in said
+        assert (
+            "[trial 1 of 2; about 4 min left] Situation ideal, layout table-5-1:\nTeats as in table"
+            " 5.1." in said
+        )
         assert "s REASON = skip this trial" in said
         for teat in (1, 2, 3, 4):
             for touch in (1, 2):
-                answer(terminal, f"[trial 1 of 2, teat {teat} of 4, touch {touch} of 2; about 4 min left] Touch the end of teat {teat} (")
+                answer(
+                    terminal,
+                    f"[trial 1 of 2, teat {teat} of 4, touch {touch} of 2; about 4 min left] Touch"
+                    f" the end of teat {teat} (",
+                )
         answer(terminal, "[trial 2 of 2; ", "s")
         terminal.expect("Why?")
         terminal.type("the hose came off")
@@ -57,7 +72,10 @@ def safe(told: str, tmp_path: Path) -> None:
     assert any(event["kind"] == "safe" and "bath" in event["text"] for event in record.events)
 
 
-@pytest.mark.parametrize(("key", "told"), [("a\n", "the operator aborted the run"), ("\x04", "nobody is at the terminal")])
+@pytest.mark.parametrize(
+    ("key", "told"),
+    [("a\n", "the operator aborted the run"), ("\x04", "nobody is at the terminal")],
+)
 def test_an_abort_ends_the_run_in_safe(key: str, told: str, tmp_path: Path) -> None:
     """By its key, and by Ctrl-D."""
     with at_terminal(files(tmp_path, operator="console:", script=TWO)) as terminal:
@@ -88,7 +106,15 @@ def test_a_terminal_that_closes_ends_the_run_in_safe(tmp_path: Path) -> None:
 
 def test_a_trip_ends_a_prompt_without_enter_and_reminders_come_before(tmp_path: Path) -> None:
     fault = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 3.0'
-    with at_terminal(files(tmp_path, operator="console:", operator_more="remind_s = 0.5", script=TWO, emulation=fault)) as terminal:
+    with at_terminal(
+        files(
+            tmp_path,
+            operator="console:",
+            operator_more="remind_s = 0.5",
+            script=TWO,
+            emulation=fault,
+        )
+    ) as terminal:
         terminal.expect(ABORT_KEY)
         for _ in range(2):
             terminal.expect("Still waiting for you, since")

@@ -1,4 +1,6 @@
-"""The main job on the emulated rig: what a user gets, the same every time, and safe at every end."""
+"""The main job on the emulated rig: what a user gets, the same
+every time, and safe at every end.
+"""
 
 from __future__ import annotations
 
@@ -49,12 +51,19 @@ def done(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> Done:
 
 
 def test_the_bench_does_its_work_and_the_exit_code_is_the_verdict(done: Done) -> None:
-    verdict = json.loads((done.run.folder / "report" / "run.json").read_text(encoding="utf-8"))["verdict"]
+    verdict = json.loads((done.run.folder / "report" / "run.json").read_text(encoding="utf-8"))[
+        "verdict"
+    ]
     assert done.code == {"met": 0, "not met": 1, "inconclusive": 4}[verdict]
     assert done.run.ending == "finished"
     assert [trial.head["situation"] for trial in done.run.trials] == [
-        "non_vertical", "overlapping", "spurious_teat", "hot_body_at_base", "hot_body_at_ends", "cooler_bodies",
-    ]  # fmt: skip
+        "non_vertical",
+        "overlapping",
+        "spurious_teat",
+        "hot_body_at_base",
+        "hot_body_at_ends",
+        "cooler_bodies",
+    ]
 
 
 def test_every_capture_is_in_a_stable_bath(done: Done) -> None:
@@ -62,12 +71,18 @@ def test_every_capture_is_in_a_stable_bath(done: Done) -> None:
     assert all(abs(trial.head["bath_c"] - 33.0) <= 0.15 for trial in done.run.trials)
     assert done.run.bath[0, 1] == pytest.approx(20.0, abs=0.1)
     steps = np.diff(done.run.bath[:, 0])
-    assert steps.max() <= 1.5, "the bath is watched at least once a second or so, also while the arm reads and the stage moves"
+    assert steps.max() <= 1.5, (
+        "the bath is watched at least once a second or so, also while the arm reads and the stage"
+        " moves"
+    )
 
 
 def test_the_touched_truth_is_as_near_to_the_exact_one_as_the_arm_is_good(done: Done) -> None:
     rows = [row for trial in done.run.trials for row in trial.truth]
-    off = [np.array([r["x_mm"], r["y_mm"], r["z_mm"]]) - np.array(json.loads(r["exact_mm"])) for r in rows]
+    off = [
+        np.array([r["x_mm"], r["y_mm"], r["z_mm"]]) - np.array(json.loads(r["exact_mm"]))
+        for r in rows
+    ]
     distances = np.linalg.norm(off, axis=1)
     assert len(rows) == 24
     assert 0.02 < distances.mean() < 0.6
@@ -110,10 +125,18 @@ def content(folder: Path) -> dict[str, Any]:
     """All tables of a run but the columns and facts of real time, and the bytes of its frames."""
     found: dict[str, Any] = {}
     with closing(sqlite3.connect(folder / "run.sqlite")) as db:
-        for (table,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name").fetchall():
-            columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})") if not row[1].startswith("wall")]
+        for (table,) in db.execute(
+            "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name"
+        ).fetchall():
+            columns = [
+                row[1]
+                for row in db.execute(f"PRAGMA table_info({table})")
+                if not row[1].startswith("wall")
+            ]
             rows = db.execute(f"SELECT {', '.join(columns)} FROM {table} ORDER BY rowid").fetchall()
-            found[table] = [row for row in rows if table != "facts" or not row[0].startswith("wall")]
+            found[table] = [
+                row for row in rows if table != "facts" or not row[0].startswith("wall")
+            ]
     for path in sorted((folder / "frames").rglob("*.png")):
         found[path.relative_to(folder).as_posix()] = path.read_bytes()
     return found
@@ -121,7 +144,10 @@ def content(folder: Path) -> dict[str, Any]:
 
 def without_commands(facts: dict[str, Any]) -> dict[str, Any]:
     """The command line names another output folder each time, and one of the runs is recorded."""
-    return {**facts, "facts": [row for row in facts["facts"] if row[0] not in ("command", "recorded to")]}
+    return {
+        **facts,
+        "facts": [row for row in facts["facts"] if row[0] not in ("command", "recorded to")],
+    }
 
 
 def test_the_same_seed_gives_the_same_bytes(done: Done, short_script: Path, tmp_path: Path) -> None:
@@ -137,7 +163,9 @@ def test_another_seed_gives_other_noise(done: Done, short_script: Path, tmp_path
     first, second = content(done.run.folder), content(folder)
     assert first["touches"] != second["touches"]
     assert first["bath"] != second["bath"]
-    assert first["frames/001-non-vertical-1/left.png"] != second["frames/001-non-vertical-1/left.png"]
+    assert (
+        first["frames/001-non-vertical-1/left.png"] != second["frames/001-non-vertical-1/left.png"]
+    )
 
 
 def test_the_report_can_be_written_again(done: Done, capsys: pytest.CaptureFixture[str]) -> None:
@@ -151,8 +179,14 @@ def test_the_report_can_be_written_again(done: Done, capsys: pytest.CaptureFixtu
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals to a child")
 @pytest.mark.parametrize("after_s", [0.1, 0.9, 1.6, 2.4, 3.2])
-def test_ctrl_c_ends_safe_and_leaves_a_run(short_script: Path, tmp_path: Path, after_s: float) -> None:
-    text = short_script.read_text(encoding="utf-8").replace("repeats = 1", "repeats = 50").replace("window_s = 60.0", "window_s = 600.0")
+def test_ctrl_c_ends_safe_and_leaves_a_run(
+    short_script: Path, tmp_path: Path, after_s: float
+) -> None:
+    text = (
+        short_script.read_text(encoding="utf-8")
+        .replace("repeats = 1", "repeats = 50")
+        .replace("window_s = 60.0", "window_s = 600.0")
+    )
     (tmp_path / "long.toml").write_text(text, encoding="utf-8")
     out = tmp_path / "runs"
     with started(["run", str(tmp_path / "long.toml"), "--out", str(out)]) as child:
@@ -187,20 +221,30 @@ def test_a_killed_bench_leaves_a_run_that_reports(short_script: Path, tmp_path: 
     assert run.ending == "interrupted"
     assert len(run.trials) >= 2
     assert main(["report", str(folder)]) == 3
-    assert "died before the run was over" in (folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert "died before the run was over" in (folder / "report" / "index.html").read_text(
+        encoding="utf-8"
+    )
 
 
 def started(arguments: Sequence[str]) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "bench.cli", *arguments]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8", env=environment, cwd=ROOT
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        encoding="utf-8",
+        env=environment,
+        cwd=ROOT,
     )
 
 
 def wait_for_run(out: Path, child: subprocess.Popen[str]) -> Path:
     while child.poll() is None:
-        if out.is_dir() and (found := [path for path in out.iterdir() if (path / "run.sqlite").is_file()]):
+        if out.is_dir() and (
+            found := [path for path in out.iterdir() if (path / "run.sqlite").is_file()]
+        ):
             return found[0]
         time.sleep(0.01)
     raise AssertionError(f"the bench ended before it had a run: {child.communicate()[0]}")
@@ -209,5 +253,7 @@ def wait_for_run(out: Path, child: subprocess.Popen[str]) -> Path:
 def test_the_report_names_the_digest_by_which_the_record_is_checked(done: Done) -> None:
     head = read_run(done.run.folder).head
     assert head is not None
-    assert head.wall_digest in (done.run.folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert head.wall_digest in (done.run.folder / "report" / "index.html").read_text(
+        encoding="utf-8"
+    )
     assert main(["store", "check", str(done.run.folder), "--digest", head.wall_digest]) == 0

@@ -1,4 +1,5 @@
-"""Every way out of a whole run in real time passes through safe, and takes no longer than it may: what the bath and the record say.
+"""Every way out of a whole run in real time passes through safe, and takes no longer than it may:
+what the bath and the record say.
 
 SIGTERM and SIGHUP in each step are `test_guardian_kills`.
 """
@@ -25,7 +26,8 @@ if sys.platform == "win32":
 from tests.bench.marked_bench import CLOSED_CODE, MARK, MarkedBench, marked_bench, serve
 
 AT_ONCE = 2  # an arm in real time that waits for a busy processor counts as lost
-BOUND_S = 15.0  # standby takes milliseconds; the rest is the arm's and the links' ending, on a machine that is busy
+# standby takes milliseconds; the rest is the arm's and the links' ending, on a machine that is busy
+BOUND_S = 15.0
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,10 @@ class Outcome:
 
 def leave(way: str, folder: Path, recording: Path) -> Outcome:
     step = {"Ctrl-C": "settling", "Ctrl-C twice": "going to safe"}.get(way, way)
-    with real_rig(folder, recording, window_s=2.0 if way in ("normal", "mistaken") else 60.0) as rig, marked_bench(rig, step) as running:
+    with (
+        real_rig(folder, recording, window_s=2.0 if way in ("normal", "mistaken") else 60.0) as rig,
+        marked_bench(rig, step) as running,
+    ):
         running.wait_for("on its peg")
         running.enter()
         plant, start = rig.twin.world.plant, BRING[way](rig, running) or time.monotonic()
@@ -50,14 +55,23 @@ def leave(way: str, folder: Path, recording: Path) -> Outcome:
             time.sleep(0.002)
         standby_s = time.monotonic() - start
         running.process.join(60)
-        return Outcome(way, standby_s, time.monotonic() - start, running.process.exitcode, read_run(rig.run_folder()), running.said)
+        return Outcome(
+            way,
+            standby_s,
+            time.monotonic() - start,
+            running.process.exitcode,
+            read_run(rig.run_folder()),
+            running.said,
+        )
 
 
 def to_the_end(rig: RealRig, running: MarkedBench) -> float:
     """When the last readings were taken."""
     running.wait_for("Enter when it stands")
     running.enter()
-    return touch_as_asked(rig, lambda: running.said, running.enter, lambda: not rig.twin.world.plant.running)
+    return touch_as_asked(
+        rig, lambda: running.said, running.enter, lambda: not rig.twin.world.plant.running
+    )
 
 
 def to_the_mistake(_: RealRig, running: MarkedBench) -> None:
@@ -88,7 +102,13 @@ BRING: dict[str, Callable[[RealRig, MarkedBench], float | None]] = {
     "Ctrl-C twice": interrupt_twice,
     "closing": lambda _, running: running.wait_for(f"{MARK}closing"),
 }
-ENDINGS = {"normal": "finished", "mistaken": "faulted", "Ctrl-C": "aborted", "Ctrl-C twice": "aborted", "closing": "interrupted"}
+ENDINGS = {
+    "normal": "finished",
+    "mistaken": "faulted",
+    "Ctrl-C": "aborted",
+    "Ctrl-C twice": "aborted",
+    "closing": "interrupted",
+}
 CODES = {"normal": 0, "mistaken": 1, "Ctrl-C": 3, "Ctrl-C twice": 3, "closing": CLOSED_CODE}
 
 
@@ -98,7 +118,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_one(tmp_path_factory.mktemp("frames") / "recording")
 
 
-def test_every_way_out_of_a_run_leaves_standby_in_bounded_time(recording: Path, tmp_path: Path) -> None:
+def test_every_way_out_of_a_run_leaves_standby_in_bounded_time(
+    recording: Path, tmp_path: Path
+) -> None:
     with ThreadPoolExecutor(AT_ONCE) as pool:
         jobs = [pool.submit(leave, way, tmp_path / way, recording) for way in BRING]
         outcomes = [job.result() for job in jobs]
@@ -106,21 +128,35 @@ def test_every_way_out_of_a_run_leaves_standby_in_bounded_time(recording: Path, 
         texts = [event["text"] for event in outcome.run.events]
         assert outcome.standby_s < BOUND_S, outcome.way
         assert outcome.gone_s < BOUND_S, outcome.way
-        assert (outcome.run.ending, outcome.code) == (ENDINGS[outcome.way], CODES[outcome.way]), f"{outcome.way}: {outcome.said}"
+        assert (outcome.run.ending, outcome.code) == (
+            ENDINGS[outcome.way],
+            CODES[outcome.way],
+        ), f"{outcome.way}: {outcome.said}"
         if outcome.way == "closing":
             continue  # Windows ends the process behind the handler: there is no time for the record
         assert "bath is safe" in texts, outcome.way
-        assert outcome.run.guardian is None, f"{outcome.way}: the guardian was told that all is safe"
+        assert outcome.run.guardian is None, (
+            f"{outcome.way}: the guardian was told that all is safe"
+        )
         if outcome.way == "mistaken":
             assert any("a mistake of the bench: ZeroDivisionError" in text for text in texts)
         if outcome.way.startswith("Ctrl-C"):
             assert any("Ctrl-C" in text for text in texts)
 
 
-@pytest.mark.parametrize(("bath_too", "asked"), [(False, "SIGINT"), (True, "SIGTERM")], ids=["the stage", "stage and bath"])
-def test_instruments_that_are_gone_do_not_keep_the_others_from_safe(bath_too: bool, asked: str, recording: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("bath_too", "asked"),
+    [(False, "SIGINT"), (True, "SIGTERM")],
+    ids=["the stage", "stage and bath"],
+)
+def test_instruments_that_are_gone_do_not_keep_the_others_from_safe(
+    bath_too: bool, asked: str, recording: Path, tmp_path: Path
+) -> None:
     """The run is ended while it waits for a stage whose connection is lost."""
-    with real_rig(tmp_path / "rig", recording, stage=True) as rig, marked_bench(rig, "settling") as running:
+    with (
+        real_rig(tmp_path / "rig", recording, stage=True) as rig,
+        marked_bench(rig, "settling") as running,
+    ):
         running.wait_for("on its peg")
         running.enter()
         running.wait_for(f"{MARK}settling")
@@ -140,7 +176,9 @@ def test_instruments_that_are_gone_do_not_keep_the_others_from_safe(bath_too: bo
         if bath_too:  # the guardian goes on trying until somebody has plugged the bath in again
             assert rig.twin.world.plant.running
             clock, lock = rig.twin._clock, rig.twin.world.lock
-            rig.twin._listeners["bath"] = Listener(rig.twin.bath, clock, lock=lock, name="bath", port=bath.port)
+            rig.twin._listeners["bath"] = Listener(
+                rig.twin.bath, clock, lock=lock, name="bath", port=bath.port
+            )
             await_record(rig.run_folder() / "guardian.json", standby=True)
         assert not rig.twin.world.plant.running
         run = read_run(rig.run_folder())
@@ -155,6 +193,8 @@ def test_instruments_that_are_gone_do_not_keep_the_others_from_safe(bath_too: bo
 
 def await_record(path: Path, *, standby: bool) -> None:
     deadline = time.monotonic() + 60.0
-    while not path.is_file() or json.loads(path.read_text(encoding="utf-8"))["standby"] is not standby:
+    while (
+        not path.is_file() or json.loads(path.read_text(encoding="utf-8"))["standby"] is not standby
+    ):
         assert time.monotonic() < deadline, "the guardian has not written its record"
         time.sleep(0.02)

@@ -1,4 +1,6 @@
-"""The catalogue of faults: some of it is run anew, all of it stands in docs/faults.md; TEATBENCH_CATALOGUE=all runs all."""
+"""The catalogue of faults: some of it is run anew, all of it stands in docs/faults.md;
+TEATBENCH_CATALOGUE=all runs all.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from tests.bench.fault_catalogue import FAULTS, FOR_S, HEAD, PAGE, STATES, check_sound, reaction, what_happens
+from tests.bench.fault_catalogue import (
+    FAULTS,
+    FOR_S,
+    HEAD,
+    PAGE,
+    STATES,
+    check_sound,
+    reaction,
+    what_happens,
+)
 
 ALL = tuple((*fault, state) for fault, state in product(FAULTS, STATES))
 SOME = (
@@ -27,8 +38,12 @@ def rows() -> dict[tuple[str, str], list[str]]:
     return {(one[0], one[1]): one[2:] for one in cells}
 
 
-@pytest.mark.parametrize(("instrument", "name", "state"), ALL if os.environ.get("TEATBENCH_CATALOGUE") == "all" else SOME)
-def test_the_bench_does_what_the_page_says(instrument: str, name: str, state: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("instrument", "name", "state"), ALL if os.environ.get("TEATBENCH_CATALOGUE") == "all" else SOME
+)
+def test_the_bench_does_what_the_page_says(
+    instrument: str, name: str, state: str, tmp_path: Path
+) -> None:
     run = what_happens(instrument, name, state, tmp_path)
     check_sound(run)
     assert reaction(run) == rows()[instrument, name][STATES.index(state)]

@@ -1,4 +1,6 @@
-"""Two benches never have one rig: the second is told who has it; a dead bench's lock is taken over."""
+"""Two benches never have one rig: the second is told who has it;
+a dead bench's lock is taken over.
+"""
 
 from __future__ import annotations
 
@@ -32,13 +34,17 @@ with locked(Path(sys.argv[1]), "runs/here", print):
 
 def holder(path: Path) -> subprocess.Popen[str]:
     command = [sys.executable, "-c", HOLDER, str(path)]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT
+    )
     assert process.stdout is not None
     assert process.stdout.readline() == "held\n"
     return process
 
 
-def test_the_second_bench_is_told_who_has_the_rig_and_gets_it_when_that_one_ends(tmp_path: Path) -> None:
+def test_the_second_bench_is_told_who_has_the_rig_and_gets_it_when_that_one_ends(
+    tmp_path: Path,
+) -> None:
     path, told = tmp_path / "lab.lock.json", list[str]()
     first = holder(path)
     who = rf"another bench has it: pid {first.pid}, host {platform.node()}.*runs/here"
@@ -65,7 +71,10 @@ def test_the_lock_of_a_bench_that_was_killed_is_taken_over_and_that_is_told(tmp_
 def test_a_lock_of_another_machine_is_believed(tmp_path: Path) -> None:
     path = tmp_path / "lab.lock.json"
     path.write_text(json.dumps({"host": "another", "pid": 1}), encoding="utf-8")
-    with pytest.raises(RigInUseError, match=rf"pid 1, host another.*delete .*{path.name}"), locked(path, "x", print):
+    with (
+        pytest.raises(RigInUseError, match=rf"pid 1, host another.*delete .*{path.name}"),
+        locked(path, "x", print),
+    ):
         pass
 
 
@@ -81,16 +90,24 @@ def test_an_emulated_rig_needs_none_and_a_folder_that_is_not_there_is_told(tmp_p
     assert lock_path(load_rig(find_rig(None))) is None
     with locked(None, "x", print):
         pass
-    with pytest.raises(ConfigError, match="the rig can't be locked"), locked(tmp_path / "no" / "lab.lock.json", "x", print):
+    with (
+        pytest.raises(ConfigError, match="the rig can't be locked"),
+        locked(tmp_path / "no" / "lab.lock.json", "x", print),
+    ):
         pass
 
 
-def test_a_run_is_refused_before_anything_is_opened(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_is_refused_before_anything_is_opened(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments, rig = files(tmp_path, operator="console:"), tmp_path / "rig.toml"
-    urls = iter(["socket://127.0.0.1:9", "tcp://127.0.0.1:9", "recording:frames"])  # nobody is there, and nobody is asked
+    # nobody is there, and nobody is asked
+    urls = iter(["socket://127.0.0.1:9", "tcp://127.0.0.1:9", "recording:frames"])
     text = re.sub('"emulator:"', lambda _: f'"{next(urls)}"', rig.read_text(encoding="utf-8"))
     text = text.replace("[bath]", '[bath]\ncut_out_tested = "2024-03-01"')
-    rig.write_text(text.replace("bath_start_c = 33.0", "").replace("[emulation]", ""), encoding="utf-8")
+    rig.write_text(
+        text.replace("bath_start_c = 33.0", "").replace("[emulation]", ""), encoding="utf-8"
+    )
     first = holder(rig.with_name("rig.lock.json"))
     assert main(arguments) == 3
     said = capsys.readouterr().err
@@ -100,7 +117,9 @@ def test_a_run_is_refused_before_anything_is_opened(tmp_path: Path, capsys: pyte
 
 
 class PlayedMsvcrt:
-    """Windows's `_locking` as Microsoft documents it: from the file's pointer on, by handle, past the end too, and nothing twice."""
+    """Windows's `_locking` as Microsoft documents it: from the file's pointer on, by handle, past
+    the end too, and nothing twice.
+    """
 
     LK_UNLCK, LK_NBLCK = 0, 2
 
@@ -123,10 +142,18 @@ def test_on_windows_the_second_is_refused_and_gets_it_afterwards(tmp_path: Path)
     lock = WindowsLock(system)
     with locked(path, "runs/here", told.append, lock=lock):
         ((_, at),) = system.held
-        assert at > 1_000_000, "what a reader of the text reads at once must not touch the locked byte: Windows would refuse it"
-        with pytest.raises(RigInUseError, match=f"pid {os.getpid()}.*runs/here"), locked(path, "x", told.append, lock=lock):
+        assert at > 1_000_000, (
+            "what a reader of the text reads at once must not touch the locked byte: Windows would"
+            " refuse it"
+        )
+        with (
+            pytest.raises(RigInUseError, match=f"pid {os.getpid()}.*runs/here"),
+            locked(path, "x", told.append, lock=lock),
+        ):
             pass
-        assert json.loads(path.read_text(encoding="utf-8"))["run"] == "runs/here", "the one that was refused wrote nothing"
+        assert json.loads(path.read_text(encoding="utf-8"))["run"] == "runs/here", (
+            "the one that was refused wrote nothing"
+        )
     assert system.held == {}
     with locked(path, "x", told.append, lock=lock):
         pass
@@ -151,5 +178,8 @@ def test_a_folder_that_knows_no_locks_is_no_bench_that_has_it(tmp_path: Path) ->
 
     lock = WindowsLock(Lockless())
     why = "the rig can't be locked: No locks available"
-    with pytest.raises(ConfigError, match=why), locked(tmp_path / "lab.lock.json", "x", print, lock=lock):
+    with (
+        pytest.raises(ConfigError, match=why),
+        locked(tmp_path / "lab.lock.json", "x", print, lock=lock),
+    ):
         pass

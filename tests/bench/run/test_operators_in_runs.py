@@ -1,4 +1,6 @@
-"""What an operator may want of a run: skip a trial, have it again, abort; and what ends a prompt of his, or faults his script."""
+"""What an operator may want of a run: skip a trial, have it again, abort; and what ends a prompt of
+his, or faults his script.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ import pytest
 from bench.record.reader import RunRecord
 from tests.bench.operated_runs import STAGE, files, run
 
-WILLING = "otherwise homing: go\notherwise check point: go\notherwise set up: go\notherwise touch: go\n"
+WILLING = (
+    "otherwise homing: go\notherwise check point: go\notherwise set up: go\notherwise touch: go\n"
+)
 
 
 def texts(record: RunRecord, kind: str) -> list[str]:
@@ -23,8 +27,14 @@ def test_a_skipped_trial_leaves_the_counts_and_is_told_with_its_reason(tmp_path:
     assert code == 0, texts(record, "fault")
     assert [trial.head["number"] for trial in record.trials] == [1, 3]
     (skipped,) = record.skipped
-    assert (skipped["number"], skipped["situation"], skipped["reason"]) == (2, "ideal", "the teat came off")
-    assert texts(record, "skipped") == [f"{skipped['trial']}: the operator skipped it: the teat came off"]
+    assert (skipped["number"], skipped["situation"], skipped["reason"]) == (
+        2,
+        "ideal",
+        "the teat came off",
+    )
+    assert texts(record, "skipped") == [
+        f"{skipped['trial']}: the operator skipped it: the teat came off"
+    ]
     page = (record.folder / "report" / "index.html").read_text(encoding="utf-8")
     assert "Deviations from the script" in page
     assert f"{skipped['trial']} was skipped by the operator: the teat came off" in page
@@ -36,12 +46,16 @@ def test_a_run_of_which_all_was_skipped_has_no_verdict(tmp_path: Path) -> None:
     code, record = run(files(tmp_path, operator="script:answers.txt", answers=answers), tmp_path)
     assert code == 4
     assert len(record.skipped) == 3
-    assert "All 3 trials were left out, so nothing was scored" in (record.folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert "All 3 trials were left out, so nothing was scored" in (
+        record.folder / "report" / "index.html"
+    ).read_text(encoding="utf-8")
 
 
 def test_a_trial_may_be_done_again_from_its_set_up(tmp_path: Path) -> None:
     answers = WILLING + "touch (trial 2 of 3, teat 3): repeat\nset up (trial 2 of 3): repeat\n"
-    code, record = run(files(tmp_path, operator="script:answers.txt", answers=answers, stage=STAGE), tmp_path)
+    code, record = run(
+        files(tmp_path, operator="script:answers.txt", answers=answers, stage=STAGE), tmp_path
+    )
     assert code == 0, texts(record, "fault")
     assert len(record.trials) == 3
     assert len(texts(record, "repeated")) == 2
@@ -50,11 +64,19 @@ def test_a_trial_may_be_done_again_from_its_set_up(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("answers", "words"),
     [
-        ("homing: go\ntouch: go\n", "answers.txt has no answer to this prompt (asked set up: [trial 1 of 3]"),
-        (WILLING + "touch (teat 5): go x3\n", "3 answers of answers.txt were never asked for; the first is 'go'"),
+        (
+            "homing: go\ntouch: go\n",
+            "answers.txt has no answer to this prompt (asked set up: [trial 1 of 3]",
+        ),
+        (
+            WILLING + "touch (teat 5): go x3\n",
+            "3 answers of answers.txt were never asked for; the first is 'go'",
+        ),
     ],
 )
-def test_a_script_that_does_not_fit_the_run_faults_it(answers: str, words: str, tmp_path: Path) -> None:
+def test_a_script_that_does_not_fit_the_run_faults_it(
+    answers: str, words: str, tmp_path: Path
+) -> None:
     code, record = run(files(tmp_path, operator="script:answers.txt", answers=answers), tmp_path)
     assert code == 3
     assert record.ending == "faulted"
@@ -73,7 +95,9 @@ def test_in_real_time_the_clock_of_the_bench_is_that_of_the_wall(tmp_path: Path)
     code, record = run([*files(tmp_path, emulation="prompt_s = 1.0"), "--realtime"], tmp_path)
     assert code in (0, 1, 4)
     first, last = record.events[0], record.events[-1]
-    wall_s = (datetime.fromisoformat(last["wall_time"]) - datetime.fromisoformat(first["wall_time"])).total_seconds()
+    wall_s = (
+        datetime.fromisoformat(last["wall_time"]) - datetime.fromisoformat(first["wall_time"])
+    ).total_seconds()
     assert last["t_s"] - first["t_s"] > 10.0
     assert wall_s == pytest.approx(last["t_s"] - first["t_s"], abs=2.0)
 
@@ -83,5 +107,7 @@ def test_an_interlock_ends_a_prompt_of_the_emulated_operator(tmp_path: Path) -> 
     code, record = run(files(tmp_path, emulation=f"prompt_s = 600.0\n{fault}"), tmp_path)
     assert (code, record.ending) == (3, "faulted")
     assert record.facts["trip"]["rule"] == "communications lost"
-    assert record.events[-1]["t_s"] < 300.0, "long before the ten minutes that the operator would have taken"
+    assert record.events[-1]["t_s"] < 300.0, (
+        "long before the ten minutes that the operator would have taken"
+    )
     assert not record.trials

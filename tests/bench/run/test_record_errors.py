@@ -1,4 +1,6 @@
-"""Disk full, folder read-only, clock set, a watcher that fails: the bench goes to safe or goes on, and nothing finished is lost."""
+"""Disk full, folder read-only, clock set, a watcher that fails: the bench goes to safe or goes on,
+and nothing finished is lost.
+"""
 
 from __future__ import annotations
 
@@ -26,11 +28,16 @@ from instruments.operators.operator import Arrangement, Placed
 from tests.bench.killed_runs import Silent, only_run, resume, start
 from tests.bench.operated_runs import files
 
-FULL = [OSError(errno.ENOSPC, "No space left on device"), sqlite3.OperationalError("database or disk is full")]
+FULL = [
+    OSError(errno.ENOSPC, "No space left on device"),
+    sqlite3.OperationalError("database or disk is full"),
+]
 
 
 class FullDisk:
-    """The store's ``method`` raises ``error`` from the second trial's frames on: once, or ever after."""
+    """The store's ``method`` raises ``error`` from the second trial's frames on: once, or ever
+    after.
+    """
 
     def __init__(self, method: str, error: Exception, *, for_good: bool) -> None:
         self._method, self._error, self._for_good = method, error, for_good
@@ -71,7 +78,10 @@ def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     run = read_run(only_run(tmp_path, "runs"))
     assert run.ending in ("faulted", "interrupted")
     kept = [trial.id for trial in run.trials]
-    assert any("the record could not be written" in text and "teatbench resume" in text for text in progress.warned)
+    assert any(
+        "the record could not be written" in text and "teatbench resume" in text
+        for text in progress.warned
+    )
     assert resume(tmp_path, "runs")[1] is Ending.FINISHED
     whole = read_run(only_run(tmp_path, "runs"))
     assert [trial.id for trial in whole.trials][: len(kept)] == kept
@@ -93,7 +103,9 @@ def another_database(run: Path) -> None:
 
 
 class Tampering(Silent):
-    """Somebody does ``what`` with the run's folder as its second trial begins, or while its pictures are taken."""
+    """Somebody does ``what`` with the run's folder as its second trial begins, or while its
+    pictures are taken.
+    """
 
     def __init__(self, what: Callable[[Path], object], folder: Path, at: str) -> None:
         super().__init__()
@@ -112,11 +124,19 @@ class Tampering(Silent):
             self._what(only_run(self._folder, "runs"))
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows neither deletes nor moves what is open")
-@pytest.mark.parametrize("what", [shutil.rmtree, moved, replaced, another_database], ids=lambda what: what.__name__)
+@pytest.mark.skipif(
+    sys.platform == "win32", reason="Windows neither deletes nor moves what is open"
+)
+@pytest.mark.parametrize(
+    "what", [shutil.rmtree, moved, replaced, another_database], ids=lambda what: what.__name__
+)
 @pytest.mark.parametrize(("at", "touched"), [("trial", 1), ("capturing", 2)])
 def test_a_folder_that_is_gone_is_noticed_in_the_trial_in_which_it_went(
-    what: Callable[[Path], object], at: str, touched: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    what: Callable[[Path], object],
+    at: str,
+    touched: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Not at the end: SQLite goes on writing into a file that has no name any more."""
     files(tmp_path)
@@ -128,7 +148,9 @@ def test_a_folder_that_is_gone_is_noticed_in_the_trial_in_which_it_went(
 
     monkeypatch.setattr(EmulatedOperator, "set_up", counted)
     progress = Tampering(what, tmp_path, at)
-    with pytest.raises(FolderGoneError, match=r"was deleted, moved or replaced: .* teatbench resume"):
+    with pytest.raises(
+        FolderGoneError, match=r"was deleted, moved or replaced: .* teatbench resume"
+    ):
         start(tmp_path, progress=progress)
     assert len(asked) == touched, "nobody sets up a trial that can't be kept"
     if what is shutil.rmtree:
@@ -188,7 +210,9 @@ def test_a_clock_that_is_set_amid_a_run_is_noted_and_changes_nothing_else(
     assert times == sorted(times), "the bench's own time goes on"
 
 
-def test_a_busy_computer_is_no_clock_that_is_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_busy_computer_is_no_clock_that_is_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Somebody else may run for seconds between two looks at two clocks."""
     files(tmp_path)
     asleep_s, looks = 0.0, 0
@@ -214,9 +238,16 @@ def test_events_as_lines_and_each_is_json(tmp_path: Path) -> None:
     assert {line["what"] for line in lines} == {"doing", "trial", "event"}
     states = [line["text"] for line in lines if line.get("kind") == "run state"]
     assert states == ["preparing", "settling", "running", "safing", "finished"]
-    assert [line["name"] for line in lines if line["what"] == "trial"] == ["place-1", "place-2", "place-3", ""]
+    assert [line["name"] for line in lines if line["what"] == "trial"] == [
+        "place-1",
+        "place-2",
+        "place-3",
+        "",
+    ]
     record = [event["text"] for event in read_run(only_run(tmp_path, "runs")).events]
-    assert [line["text"] for line in lines if line["what"] == "event"] == record, "what is told is on record"
+    assert [line["text"] for line in lines if line["what"] == "event"] == record, (
+        "what is told is on record"
+    )
     assert any("bath" in line for line in lines if line["what"] == "doing")
 
 

@@ -1,4 +1,6 @@
-"""An instrument that drops out pauses the run; it goes on when the instrument is back, and a trial in flight is done again whole."""
+"""An instrument that drops out pauses the run; it goes on when the instrument is back, and a trial
+in flight is done again whole.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ from tests.bench.operated_runs import CHECK_POINT, STAGE, files, run
 TRIALS = ["001-place-1-1", "002-place-2-1", "003-place-3-1"]
 
 
-def faulty(folder: Path, fault: str, *, more: str = "", prompt_s: float = 5.0) -> tuple[int, RunRecord]:
+def faulty(
+    folder: Path, fault: str, *, more: str = "", prompt_s: float = 5.0
+) -> tuple[int, RunRecord]:
     emulation = f"prompt_s = {prompt_s}\n[[emulation.faults]]\n{fault}\n{more}"
     return run(files(folder, stage=STAGE, emulation=emulation), folder)
 
@@ -45,17 +49,30 @@ def texts(record: RunRecord, kind: str) -> list[str]:
         ('instrument = "stage"\nname = "disconnect"\nat_s = 45.0\nfor_s = 30.0', "stage"),
         ('instrument = "cameras"\nname = "dropped"\nat_s = 30.0\nfor_s = 30.0', "cameras"),
     ],
-    ids=["arm without power", "arm silent", "stage silent", "stage unplugged", "camera without frames"],
+    ids=[
+        "arm without power",
+        "arm silent",
+        "stage silent",
+        "stage unplugged",
+        "camera without frames",
+    ],
 )
-def test_it_goes_on_when_the_instrument_is_back(fault: str, instrument: str, tmp_path: Path) -> None:
+def test_it_goes_on_when_the_instrument_is_back(
+    fault: str, instrument: str, tmp_path: Path
+) -> None:
     _, record = faulty(tmp_path, fault)
     assert record.ending == "finished", texts(record, "fault")
     assert [trial.id for trial in record.trials] == TRIALS
-    assert any(f"the {instrument} {'are' if instrument == 'cameras' else 'is'} back after" in text for text in texts(record, "back"))
+    assert any(
+        f"the {instrument} {'are' if instrument == 'cameras' else 'is'} back after" in text
+        for text in texts(record, "back")
+    )
     states = texts(record, EVENT)
     assert states[states.index("paused") + 1] == "running"
     assert sum(record.facts["retries"].values()) >= 1
-    assert all(len(trial.touches) == 4 for trial in record.trials), "a trial done again has one set of touches"
+    assert all(len(trial.touches) == 4 for trial in record.trials), (
+        "a trial done again has one set of touches"
+    )
 
 
 class Gives(Silent):
@@ -74,17 +91,36 @@ class Gives(Silent):
 
 def given(words: str, folder: Path, fault: str) -> RunRecord:
     """A run whose operator types ``words`` while an instrument is away."""
-    files(folder, stage=STAGE, check_point=CHECK_POINT, emulation=f"prompt_s = 5.0\n[[emulation.faults]]\n{fault}")
+    files(
+        folder,
+        stage=STAGE,
+        check_point=CHECK_POINT,
+        emulation=f"prompt_s = 5.0\n[[emulation.faults]]\n{fault}",
+    )
     rig, progress = load_rig(folder / "rig.toml"), Gives(words)
-    return read_run(run_script(rig, load_script(folder / "script.toml"), folder / "runs", progress, typed=progress.typed)[0])
+    return read_run(
+        run_script(
+            rig,
+            load_script(folder / "script.toml"),
+            folder / "runs",
+            progress,
+            typed=progress.typed,
+        )[0]
+    )
 
 
 def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path: Path) -> None:
     """The stage comes back without its place: no trial may move it before it has homed."""
-    record = given("skip it is gone", tmp_path, 'instrument = "stage"\nname = "silent"\nat_s = 55.0\nfor_s = 60.0')
+    record = given(
+        "skip it is gone",
+        tmp_path,
+        'instrument = "stage"\nname = "silent"\nat_s = 55.0\nfor_s = 60.0',
+    )
     assert record.ending == "finished", texts(record, "fault")
     assert [row["reason"] for row in record.skipped] == ["it is gone"]
-    assert [trial.id for trial in record.trials] == [name for name in TRIALS if name != record.skipped[0]["trial"]]
+    assert [trial.id for trial in record.trials] == [
+        name for name in TRIALS if name != record.skipped[0]["trial"]
+    ]
     assert [text.endswith("(still away)") for text in texts(record, "dropped out")] == [False, True]
     assert len(texts(record, "back")) == 1
 
@@ -108,16 +144,26 @@ def test_an_arm_that_drops_out_in_its_last_check_is_waited_for_too(tmp_path: Pat
     with known_to(bringer):
         record = read_run(start(tmp_path, progress=bringer)[0])
     assert record.ending == "finished", texts(record, "fault")
-    assert texts(record, "back")[0].endswith("done again from its start: the arm check after the trials")
+    assert texts(record, "back")[0].endswith(
+        "done again from its start: the arm check after the trials"
+    )
     assert "arm check after" in record.facts
 
 
-def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The trip comes while the stage is connected anew: nothing may move from then on."""
     fault = '[[emulation.faults]]\ninstrument = "stage"\nname = "silent"\nat_s = 45.0\nfor_s = 30.0'
     files(tmp_path, stage=STAGE, emulation=f"prompt_s = 5.0\n{fault}")
     low_level = Bringer("", EmulatedFault(instrument="bath", name="low level", for_s=600.0))
-    reconnect, home, wait, attentions, homings = Stage.reconnect, Stage.home, Attention.wait, list[Attention](), list[bool]()
+    reconnect, home, wait, attentions, homings = (
+        Stage.reconnect,
+        Stage.home,
+        Attention.wait,
+        list[Attention](),
+        list[bool](),
+    )
 
     def noted(attention: Attention, seconds: float) -> None:
         attentions.append(attention)
@@ -142,8 +188,12 @@ def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(tmp_
     assert homings == [False], "once, to prepare"
 
 
-def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A trip between two trials, where nobody waits for anything, of a bath whose last reading was a stable one."""
+def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A trip between two trials, where nobody waits for anything, of a bath whose last reading was
+    a stable one.
+    """
     files(tmp_path, stage=STAGE, emulation="prompt_s = 5.0")
     refusing = Bringer("", EmulatedFault(instrument="bath", name="gaps refused", for_s=600.0))
     before, move, moved = TouchedTruth.before, Stage.move_to, list[bool]()
@@ -168,9 +218,15 @@ def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(tmp_path: Path, 
 
 
 def test_one_that_stays_away_ends_the_run_after_the_rigs_patience(tmp_path: Path) -> None:
-    code, record = faulty(tmp_path, 'instrument = "arm"\nname = "power loss"\nat_s = 60.0', more="[limits]\naway_s = 90.0")
+    code, record = faulty(
+        tmp_path,
+        'instrument = "arm"\nname = "power loss"\nat_s = 60.0',
+        more="[limits]\naway_s = 90.0",
+    )
     assert (code, record.ending) == (3, "faulted")
-    (paused,) = [event for event in record.events if (event["kind"], event["text"]) == (EVENT, "paused")]
+    (paused,) = [
+        event for event in record.events if (event["kind"], event["text"]) == (EVENT, "paused")
+    ]
     (given_up,) = [event for event in record.events if event["kind"] == "given up"]
     assert 90.0 <= given_up["t_s"] - paused["t_s"] <= 110.0
     assert texts(record, EVENT)[-2:] == ["safing", "faulted"]
@@ -201,7 +257,9 @@ def test_one_that_fails_again_each_time_it_is_back_ends_the_run_after_the_tables
     times = POLICIES[kind].times
     assert tries == [TRIALS[0]] * (1 + times)
     assert len(texts(record, "dropped out")) == len(texts(record, "back")) == times
-    assert record.facts["retries"] == {" ".join(kind): times}, "how often it was tried is in the record"
+    assert record.facts["retries"] == {" ".join(kind): times}, (
+        "how often it was tried is in the record"
+    )
 
 
 def test_a_rig_without_patience_ends_at_once(tmp_path: Path) -> None:

@@ -25,7 +25,9 @@ from tests.bench.operated_runs import files
 
 
 class Person(Silent):
-    """Types ``lines`` one by one, the first once trial ``at`` is next, another at each look after it."""
+    """Types ``lines`` one by one, the first once trial ``at`` is next, another at each look after
+    it.
+    """
 
     def __init__(self, at: str, lines: list[str]) -> None:
         super().__init__()
@@ -45,7 +47,9 @@ class Person(Silent):
 def run_with(person: Person, folder: Path) -> RunRecord:
     files(folder, emulation="prompt_s = 5.0")
     rig = load_rig(folder / "rig.toml")
-    out, _ = run_script(rig, load_script(folder / "script.toml"), folder / "runs", person, typed=person.typed)
+    out, _ = run_script(
+        rig, load_script(folder / "script.toml"), folder / "runs", person, typed=person.typed
+    )
     return read_run(out)
 
 
@@ -60,23 +64,34 @@ def test_a_pause_lasts_until_somebody_says_to_go_on(tmp_path: Path) -> None:
     assert any("teatbench tell" in text for text in person.warned)
 
 
-def test_while_it_is_paused_the_line_says_so_and_a_trial_that_is_not_there_cannot_be_skipped(tmp_path: Path) -> None:
+def test_while_it_is_paused_the_line_says_so_and_a_trial_that_is_not_there_cannot_be_skipped(
+    tmp_path: Path,
+) -> None:
     person = Person("place-2", ["p", "", "skip it leaks", "repeat it moved", "", "g"])
     run = run_with(person, tmp_path)
     assert (run.ending, len(run.trials), len(run.skipped)) == ("finished", 3, 0)
     assert "paused, as asked" in person.states
     assert person.warned[0] == "The run pauses before its next trial."
-    assert [text for text in person.warned if text.startswith("No trial is in flight just now")] == [
+    assert [
+        text for text in person.warned if text.startswith("No trial is in flight just now")
+    ] == [
         "No trial is in flight just now, so nothing is done about: skip it leaks",
         "No trial is in flight just now, so nothing is done about: repeat it moved",
     ]
 
 
 def test_a_trial_is_repeated_whole_and_another_skipped_each_with_its_reason(tmp_path: Path) -> None:
-    run = run_with(Person("place-2", ["", "repeat the plate was touched", "", "", "", "", "", "skip it leaks"]), tmp_path)
+    run = run_with(
+        Person(
+            "place-2", ["", "repeat the plate was touched", "", "", "", "", "", "skip it leaks"]
+        ),
+        tmp_path,
+    )
     assert run.ending == "finished"
     told = {event["kind"]: event["text"] for event in run.events}
-    assert told["repeated"].endswith("the operator asked for it again from its set-up: the plate was touched")
+    assert told["repeated"].endswith(
+        "the operator asked for it again from its set-up: the plate was touched"
+    )
     assert [row["reason"] for row in run.skipped] == ["it leaks"]
     assert len(run.trials) == 2
 
@@ -88,7 +103,11 @@ def test_an_abort_is_heard_before_the_first_trial_too(tmp_path: Path) -> None:
 
     run = run_with(Impatient("", ["", "", "abort"]), tmp_path)
     assert (run.ending, len(run.trials)) == ("aborted", 0)
-    assert [event["text"] for event in run.events if event["kind"] == EVENT] == ["preparing", "safing", "aborted"]
+    assert [event["text"] for event in run.events if event["kind"] == EVENT] == [
+        "preparing",
+        "safing",
+        "aborted",
+    ]
 
 
 def test_an_abort_goes_to_safe(tmp_path: Path) -> None:
@@ -106,7 +125,11 @@ def test_a_wish_left_in_the_folder_is_taken_once(tmp_path: Path) -> None:
         states.append(wishes.paused)
         assert not (tmp_path / FILE).exists()
     assert states == [True, False]
-    for words, raised in (("skip a b", OperatorSkip), ("r because", OperatorRepeat), ("abort", OperatorAbort)):
+    for words, raised in (
+        ("skip a b", OperatorSkip),
+        ("r because", OperatorRepeat),
+        ("abort", OperatorAbort),
+    ):
         leave_wish(tmp_path, words)
         with pytest.raises(raised):
             wishes.look()
@@ -125,13 +148,21 @@ def test_what_was_left_for_a_bench_that_died_counts_no_more(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("words", "meant"), [("P", ("pause", "")), ("go", ("go on", "")), ("s  a  b", ("skip", "a b")), ("a", ("abort", ""))]
+    ("words", "meant"),
+    [
+        ("P", ("pause", "")),
+        ("go", ("go on", "")),
+        ("s  a  b", ("skip", "a b")),
+        ("a", ("abort", "")),
+    ],
 )
 def test_words(words: str, meant: tuple[str, str]) -> None:
     assert read_wish(words) == meant
 
 
-def test_words_that_mean_nothing_are_told_and_change_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_words_that_mean_nothing_are_told_and_change_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     told: list[str] = []
     lines = ["hallo", "skip"]
     wishes = Wishes(tmp_path, lambda: lines.pop(0), told.append)
@@ -146,8 +177,12 @@ def test_words_that_mean_nothing_are_told_and_change_nothing(tmp_path: Path, cap
     assert "has ended (finished)" in capsys.readouterr().out
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not")
-def test_a_run_that_waits_at_a_prompt_hears_what_another_terminal_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.skipif(
+    sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not"
+)
+def test_a_run_that_waits_at_a_prompt_hears_what_another_terminal_says(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with at_terminal(files(tmp_path, operator="console:")) as terminal:
         terminal.expect("on its peg")
         terminal.expect("abort the run): ")
@@ -167,13 +202,20 @@ def test_a_run_that_waits_at_a_prompt_hears_what_another_terminal_says(tmp_path:
     assert [row["reason"] for row in record.skipped] == ["the hose leaks"]
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not")
-def test_a_bench_in_the_background_reads_nothing_of_what_is_typed_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.skipif(
+    sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not"
+)
+def test_a_bench_in_the_background_reads_nothing_of_what_is_typed_to_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The system stops whoever does, and a bench that stands still is taken for dead."""
     import pty
 
     person, terminal = pty.openpty()
-    with os.fdopen(terminal, encoding="utf-8") as stream, os.fdopen(person, "wb", buffering=0) as keys:
+    with (
+        os.fdopen(terminal, encoding="utf-8") as stream,
+        os.fdopen(person, "wb", buffering=0) as keys,
+    ):
         monkeypatch.setattr("sys.stdin", stream)
         typed = typed_lines("emulator:")
         keys.write(b"abort\n")

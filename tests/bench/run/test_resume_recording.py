@@ -1,4 +1,6 @@
-"""`--record` goes on with the run: after any death the recording ends as that of a run that nobody disturbed."""
+"""`--record` goes on with the run: after any death the recording ends as that of a run that nobody
+disturbed.
+"""
 
 from __future__ import annotations
 
@@ -29,14 +31,20 @@ TWO = SCRIPT.replace("}, {}]", "}]")
 CARRY = SCRIPT.replace(
     "poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0, z_mm = 6.0, yaw_deg = 4.0 }, {}]",
     "poses = [{ x_mm = 12.0, y_mm = -8.0 }, { x_mm = -15.0 }, {}]",
-).replace("[[requirements]]", '[truth]\nmode = "carry"\nregistration = "first"\ncheck_every = 1\n\n[[requirements]]', 1)
+).replace(
+    "[[requirements]]",
+    '[truth]\nmode = "carry"\nregistration = "first"\ncheck_every = 1\n\n[[requirements]]',
+    1,
+)
 
 
 def record(folder: Path, out: str, progress: Silent | None = None) -> Ending:
     """The script in ``folder``, recorded beside its run."""
     rig = load_rig(folder / "rig.toml")
     script = load_script(folder / "script.toml", rig.rig.limits.set_point_c)
-    return run_script(rig, script, folder / out, progress or Silent(), record=recording(folder, out))[1]
+    return run_script(
+        rig, script, folder / out, progress or Silent(), record=recording(folder, out)
+    )[1]
 
 
 def recording(folder: Path, out: str) -> Path:
@@ -44,14 +52,22 @@ def recording(folder: Path, out: str) -> Path:
 
 
 def content(path: Path) -> dict[str, bytes]:
-    return {file.relative_to(path).as_posix(): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+    return {
+        file.relative_to(path).as_posix(): file.read_bytes()
+        for file in path.rglob("*")
+        if file.is_file()
+    }
 
 
 def whole(folder: Path, script: str) -> Path:
     """Recorded without a disturbance, as ``whole``."""
     files(folder, stage=STAGE, script=script)
     assert record(folder, "whole") is Ending.FINISHED
-    assert len(Recording(recording(folder, "whole")).truth) == len(Recording(recording(folder, "whole")).frames) > 1
+    assert (
+        len(Recording(recording(folder, "whole")).truth)
+        == len(Recording(recording(folder, "whole")).frames)
+        > 1
+    )
     return folder
 
 
@@ -83,10 +99,16 @@ def killed_and_resumed(folder: Path, words: str, method: str, kind: type) -> Non
 
 @pytest.mark.parametrize(
     ("words", "method", "kind"),
-    [(f"'{SECOND}'", "trial", Recorder), (f"'{SECOND}'", "add_truth", RecordingWriter), (f"making {SECOND}", "replace", Path)],
+    [
+        (f"'{SECOND}'", "trial", Recorder),
+        (f"'{SECOND}'", "add_truth", RecordingWriter),
+        (f"making {SECOND}", "replace", Path),
+    ],
     ids=["finished but not recorded", "frames without their truth", "frames half written"],
 )
-def test_killed_where_run_and_recording_are_apart(touched: Path, words: str, method: str, kind: type) -> None:
+def test_killed_where_run_and_recording_are_apart(
+    touched: Path, words: str, method: str, kind: type
+) -> None:
     killed_and_resumed(touched, words, method, kind)
 
 
@@ -95,7 +117,9 @@ def test_killed_where_run_and_recording_are_apart(touched: Path, words: str, met
     [(f"'{SECOND}'", "stored", CarriedTruth), (f"'{THIRD}'", "settled", Recorder)],
     ids=["carried and not yet checked", "checked but not recorded"],
 )
-def test_killed_while_a_truth_waits_for_its_check(carried: Path, words: str, method: str, kind: type) -> None:
+def test_killed_while_a_truth_waits_for_its_check(
+    carried: Path, words: str, method: str, kind: type
+) -> None:
     killed_and_resumed(carried, words, method, kind)
 
 
@@ -117,7 +141,9 @@ def test_frames_of_another_run_are_left_alone_and_the_run_goes_on_without(touche
     assert content(path) == {"frames/001-another-1/left.png": b"precious"}
 
 
-def test_a_recording_that_cannot_be_written_is_told_once_and_ends_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_that_cannot_be_written_is_told_once_and_ends_no_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: Any, **__: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -133,4 +159,6 @@ def test_a_recording_that_cannot_be_written_is_told_once_and_ends_no_run(tmp_pat
 
 
 def test_where_it_is_recorded_is_in_the_record(touched: Path) -> None:
-    assert read_run(only_run(touched, "whole")).facts[RECORDED] == str(recording(touched, "whole").resolve())
+    assert read_run(only_run(touched, "whole")).facts[RECORDED] == str(
+        recording(touched, "whole").resolve()
+    )

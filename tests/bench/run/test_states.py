@@ -47,7 +47,9 @@ def in_state(state: RunState) -> tuple[RunStates, list[RunState]]:
     return states, told
 
 
-@pytest.mark.parametrize(("before", "after"), [pair for pair in product(RunState, RunState) if pair[0] is not pair[1]])
+@pytest.mark.parametrize(
+    ("before", "after"), [pair for pair in product(RunState, RunState) if pair[0] is not pair[1]]
+)
 def test_every_pair(before: RunState, after: RunState) -> None:
     states, told = in_state(before)
     if after.value in MAY_FOLLOW[before.value].split():
@@ -68,8 +70,14 @@ def test_staying_is_no_change(state: RunState) -> None:
 
 def test_whatever_happens_there_is_a_way_to_safe_and_from_there_to_an_end() -> None:
     assert set(TABLE[S.SAFING]) == ENDS == {S.FINISHED, S.ABORTED, S.FAULTED}
-    assert all(S.SAFING in TABLE[state] for state in RunState if state not in ENDS and state is not S.SAFING)
-    assert not any(S.FINISHED in TABLE[state] for state in RunState if state is not S.SAFING), "nothing is finished before it is safe"
+    assert all(
+        S.SAFING in TABLE[state]
+        for state in RunState
+        if state not in ENDS and state is not S.SAFING
+    )
+    assert not any(S.FINISHED in TABLE[state] for state in RunState if state is not S.SAFING), (
+        "nothing is finished before it is safe"
+    )
 
 
 def test_time_away_is_counted_and_only_that() -> None:

@@ -1,4 +1,6 @@
-"""A trial is suspended while the bath is out of its band: it waits, settles again and goes on, and the time is kept out of figures."""
+"""A trial is suspended while the bath is out of its band: it waits, settles again and goes on, and
+the time is kept out of figures.
+"""
 
 from __future__ import annotations
 
@@ -31,18 +33,31 @@ def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) 
     late = [trial for trial in record.trials if trial.head["note"]]
     assert [trial.id for trial in late] == [told[0]["text"].split(":")[0]]
     assert str(late[0].head["note"]).startswith("suspended for ")
-    assert all(trial.head["bath_state"] == "stable" for trial in record.trials), "nothing was taken while it was out"
+    assert all(trial.head["bath_state"] == "stable" for trial in record.trials), (
+        "nothing was taken while it was out"
+    )
     states = [event["text"] for event in record.events if event["kind"] == EVENT]
     assert states[2:5] == ["running", "settling", "running"]
     assert latency_of(record, "thesis").median_s is not None
-    assert max(latency_of(record, "thesis").seconds) < 60.0 <= late[0].head["ended_s"] - late[0].head["started_s"]
+    assert (
+        max(latency_of(record, "thesis").seconds)
+        < 60.0
+        <= late[0].head["ended_s"] - late[0].head["started_s"]
+    )
 
 
 def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It was in its band when the cameras were asked: what they gave later is of a bath that wasn't, and no detector's fault."""
-    take, wait, waiting, taken = FrameTaker.take, Attention.wait, list[Attention](), list[FrameSet]()
+    """It was in its band when the cameras were asked: what they gave later is of a bath that
+    wasn't, and no detector's fault.
+    """
+    take, wait, waiting, taken = (
+        FrameTaker.take,
+        Attention.wait,
+        list[Attention](),
+        list[FrameSet](),
+    )
 
     def late(taker: FrameTaker) -> FrameSet:
         if not taken:
@@ -60,7 +75,9 @@ def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and
     fault = FAULT.replace("prompt_s = 120.0", "").replace("at_s = 855.0", "at_s = 100.0")
     code, record = run(files(tmp_path, script=script, emulation=fault), tmp_path)
     assert (code, record.ending) == (0, "finished")
-    assert [event["text"].split(":")[0] for event in record.events if event["kind"] == "suspended"] == ["001-place-1-1"]
+    assert [
+        event["text"].split(":")[0] for event in record.events if event["kind"] == "suspended"
+    ] == ["001-place-1-1"]
     assert [trial.head["bath_state"] for trial in record.trials] == ["stable"] * 3
     assert len(taken) == 4, "the first trial's are taken again"
     assert len(record.trials[0].frames) == len(record.trials[1].frames)

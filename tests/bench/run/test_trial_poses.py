@@ -1,4 +1,6 @@
-"""A script's poses on the emulated rig: what stands there is what was planned, moved by the stage, by hand, or by both."""
+"""A script's poses on the emulated rig: what stands there is what was planned, moved by the stage,
+by hand, or by both.
+"""
 
 from __future__ import annotations
 
@@ -64,8 +66,13 @@ def rig(folder: Path, axes: str) -> LoadedRig:
     assert part in text
     dialect = '\n[emulation.stage]\ndialect = "grblHAL"\n' if "A" in axes else ""
     warm = "\n[emulation]\nbath_start_c = 33.0\n"
-    (folder / "rig.toml").write_text(text.replace(part, f'{part}axes = "{axes}"\n' if axes else "") + warm + dialect, encoding="utf-8")
-    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "rig.toml").write_text(
+        text.replace(part, f'{part}axes = "{axes}"\n' if axes else "") + warm + dialect,
+        encoding="utf-8",
+    )
+    (folder / "calibration.toml").write_text(
+        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     return load_rig(folder / "rig.toml")
 
 
@@ -77,31 +84,50 @@ def run(rig: LoadedRig, loaded: LoadedScript, out: Path) -> RunRecord:
 
 
 def exact_mm(record: RunRecord) -> list[np.ndarray]:
-    return [np.array([json.loads(row["exact_mm"]) for row in trial.truth]) for trial in record.trials]
+    return [
+        np.array([json.loads(row["exact_mm"]) for row in trial.truth]) for trial in record.trials
+    ]
 
 
 def turned(points_mm: np.ndarray, deg: float) -> np.ndarray:
     c, s = np.cos(np.radians(deg)), np.sin(np.radians(deg))
     pivot = np.array([*PIVOT_MM, 0.0])
-    return np.asarray((points_mm - pivot) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + pivot)
+    return np.asarray(
+        (points_mm - pivot) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + pivot
+    )
 
 
 @pytest.mark.parametrize("axes", ["XY", "XYZA", ""], ids=["two axes", "four axes", "by hand"])
 def test_the_phantom_stands_where_the_script_says(tmp_path: Path, axes: str) -> None:
-    """A stage of two axes leaves height and turn to the operator; without one every pose is a prompt."""
+    """A stage of two axes leaves height and turn to the operator; without one every pose is a
+    prompt.
+    """
     record = run(rig(tmp_path, axes), script(tmp_path), tmp_path / "runs")
     first, second = exact_mm(record)
     assert first == pytest.approx(STANDING_MM + np.array([10.0, -5.0, 0.0]), abs=0.05)
-    assert second == pytest.approx(turned(STANDING_MM, 20.0) + np.array([-3.0, 0.0, 12.0]), abs=0.05)
+    assert second == pytest.approx(
+        turned(STANDING_MM, 20.0) + np.array([-3.0, 0.0, 12.0]), abs=0.05
+    )
     assert [trial.pose for trial in record.trials] == ["one-1", "one-2"]
 
     assert (record.folder / "mine.toml").read_text(encoding="utf-8") == LAYOUT
     kept = record.facts["pose set"]
     assert kept["chosen"] == ["one: 2 poses as written; layout mine.toml."]
-    assert kept["poses"][1] == ["002-one-2-1", "one-2", 1, -3.0, 0.0, 12.0, pytest.approx(20.0), None]
+    assert kept["poses"][1] == [
+        "002-one-2-1",
+        "one-2",
+        1,
+        -3.0,
+        0.0,
+        12.0,
+        pytest.approx(20.0),
+        None,
+    ]
 
 
-def test_a_pose_is_reached_from_the_sides_that_are_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pose_is_reached_from_the_sides_that_are_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     went: list[tuple[float, float]] = []
     begin = Stage.begin_move
 

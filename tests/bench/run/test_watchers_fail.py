@@ -1,4 +1,6 @@
-"""Whoever only watches a run, screen or lines, may fail in any way: the run goes on, the other still shows, and it is told once."""
+"""Whoever only watches a run, screen or lines, may fail in any way: the run goes on, the other
+still shows, and it is told once.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from tests.conftest import ROOT
 
 
 class Gone(Silent):
-    """A screen that fails at everything from its ``after``-th word on, as rich does where the reader of its output has gone."""
+    """A screen that fails at everything from its ``after``-th word on, as rich does where the
+    reader of its output has gone.
+    """
 
     def __init__(self, error: BaseException, after: int = 0) -> None:
         super().__init__()
@@ -50,8 +54,14 @@ class Gone(Silent):
             raise self._error
 
 
-@pytest.mark.parametrize("error", [SystemExit(1), BrokenPipeError(), RuntimeError("a bug in the plot")], ids=["exit", "pipe", "bug"])
-def test_a_screen_that_fails_ends_neither_the_run_nor_the_lines(error: BaseException, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "error",
+    [SystemExit(1), BrokenPipeError(), RuntimeError("a bug in the plot")],
+    ids=["exit", "pipe", "bug"],
+)
+def test_a_screen_that_fails_ends_neither_the_run_nor_the_lines(
+    error: BaseException, tmp_path: Path
+) -> None:
     files(tmp_path)
     path = tmp_path / "events.jsonl"
     with event_lines(path) as lines:
@@ -59,10 +69,19 @@ def test_a_screen_that_fails_ends_neither_the_run_nor_the_lines(error: BaseExcep
         assert start(tmp_path, progress=WatchedProgress(screen, lines))[1] is Ending.FINISHED  # type: ignore[arg-type]
     assert screen.tried == 4, "once it has failed it is left alone"
     told = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    assert [line["name"] for line in told if line["what"] == "trial"] == ["place-1", "place-2", "place-3", ""]
-    assert [line["text"] for line in told if line["what"] == "warning"] == [f"the screen shows nothing any more: {said(error)}"]
+    assert [line["name"] for line in told if line["what"] == "trial"] == [
+        "place-1",
+        "place-2",
+        "place-3",
+        "",
+    ]
+    assert [line["text"] for line in told if line["what"] == "warning"] == [
+        f"the screen shows nothing any more: {said(error)}"
+    ]
     record = read_run(only_run(tmp_path, "runs")).events
-    assert [event["text"] for event in record if event["kind"] == "not shown"] == [f"the screen shows nothing any more: {said(error)}"]
+    assert [event["text"] for event in record if event["kind"] == "not shown"] == [
+        f"the screen shows nothing any more: {said(error)}"
+    ]
 
 
 def said(error: BaseException) -> str:
@@ -78,13 +97,18 @@ def test_the_line_has_trial_state_bath_time_left_and_the_last_error() -> None:
 
     progress = WatchedProgress(Screen(), None)
     progress.state("preparing")
-    progress.fed_by(lambda: 0.0, lambda: {"bath": "bath 33.02 degC, stable", "left": "about 12 min left"})
+    progress.fed_by(
+        lambda: 0.0, lambda: {"bath": "bath 33.02 degC, stable", "left": "about 12 min left"}
+    )
     progress.trial(1, 3, "place-2")
     progress.event("state", "no error")
     progress.state("capturing")
     progress.event("camera", "left: late. " * 20)
     progress.state("capturing")
-    assert shown[:2] == ["preparing", "place-2; capturing; bath 33.02 degC, stable; about 12 min left"]
+    assert shown[:2] == [
+        "preparing",
+        "place-2; capturing; bath 33.02 degC, stable; about 12 min left",
+    ]
     assert shown[2] == f"{shown[1]}; last error: {('left: late. ' * 20)[:60]}"
 
 
@@ -119,7 +143,10 @@ def test_screen_and_lines_may_fail_both(tmp_path: Path) -> None:
     files(tmp_path)
     with (tmp_path / "e").open("w", encoding="utf-8") as file:
         closed = EventLines(file)
-    assert start(tmp_path, progress=WatchedProgress(Gone(BrokenPipeError()), closed))[1] is Ending.FINISHED  # type: ignore[arg-type]
+    assert (
+        start(tmp_path, progress=WatchedProgress(Gone(BrokenPipeError()), closed))[1]  # type: ignore[arg-type]
+        is Ending.FINISHED
+    )
     kinds = [event["kind"] for event in read_run(only_run(tmp_path, "runs")).events]
     assert kinds.count("not shown") == 2
 
@@ -149,7 +176,9 @@ def test_a_reader_of_the_output_that_has_gone_ends_no_run(tmp_path: Path) -> Non
     """`teatbench run | head -1`."""
     command = [sys.executable, "-m", "bench.cli", *files(tmp_path)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment) as bench:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as bench:
         assert bench.stdout is not None
         assert bench.stderr is not None
         assert bench.stdout.readline().startswith("3 trials, ")
@@ -164,8 +193,13 @@ def test_a_reader_of_the_output_that_has_gone_ends_no_run(tmp_path: Path) -> Non
 
 
 def test_a_trip_is_among_the_lines(tmp_path: Path) -> None:
-    """It happens on the watch's own thread; a watcher at the other end of the lines has to hear of it all the same."""
-    files(tmp_path, emulation='[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 3.0')
+    """It happens on the watch's own thread; a watcher at the other end of the lines has to hear of
+    it all the same.
+    """
+    files(
+        tmp_path,
+        emulation='[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 3.0',
+    )
     path = tmp_path / "events.jsonl"
     with event_lines(path) as lines:
         assert start(tmp_path, progress=WatchedProgress(Silent(), lines))[1] is Ending.FAULTED  # type: ignore[arg-type]

@@ -1,8 +1,10 @@
-"""The bench's own way with a bath (order of start and stop, watch, interlocks) through faults in any order, every shipped profile.
+"""The bench's own way with a bath (order of start and stop, watch, interlocks) through faults in
+any order, every shipped profile.
 
-Three things hold whatever happens. No reading that the bench takes is a wrong one. The heater is not asked for heat for longer
-than the interlocks need where the bench knows that the pump stands or the level is low, and can speak to the controller. And at the
-end, mended or not, the bath stands by as soon as it answers.
+Three things hold whatever happens. No reading that the bench takes is a wrong one. The heater is
+not asked for heat for longer than the interlocks need where the bench knows that the pump stands or
+the level is low, and can speak to the controller. And at the end, mended or not, the bath stands by
+as soon as it answers.
 """
 
 from __future__ import annotations
@@ -13,7 +15,14 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule, run_state_machine_as_test
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
 
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig, load_rig
@@ -48,7 +57,11 @@ DEAF = {
 
 
 def loaded(folder: Path, profile: str) -> LoadedRig:
-    return load_rig(rig_of(folder, profile, "\n[emulation]\nbath_start_c = 30.0\n", relay="julabo" not in profile))
+    return load_rig(
+        rig_of(
+            folder, profile, "\n[emulation]\nbath_start_c = 30.0\n", relay="julabo" not in profile
+        )
+    )
 
 
 class WatchedBath(RuleBasedStateMachine):
@@ -69,7 +82,13 @@ class WatchedBath(RuleBasedStateMachine):
         gate = StabilityGate(set_point_c=33.0, window_s=60.0)
         interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
         self.watch = Watch(
-            self.bath, self.clock, gate, interlocks, self.noted, self.made_safe, pump_on=lambda reading: pump_on(self.bath, reading)
+            self.bath,
+            self.clock,
+            gate,
+            interlocks,
+            self.noted,
+            self.made_safe,
+            pump_on=lambda reading: pump_on(self.bath, reading),
         )
         self.watch.start()
 
@@ -91,7 +110,15 @@ class WatchedBath(RuleBasedStateMachine):
 
     @rule(data=st.data(), on=st.booleans())
     def break_or_mend(self, data: st.DataObject, on: bool) -> None:
-        fault = data.draw(st.sampled_from([f for f in FAULTS if f not in NOT_TOLD and (f != "bad CRC" or self.twin.bath.framing == "rtu")]))
+        fault = data.draw(
+            st.sampled_from(
+                [
+                    f
+                    for f in FAULTS
+                    if f not in NOT_TOLD and (f != "bad CRC" or self.twin.bath.framing == "rtu")
+                ]
+            )
+        )
         with self.twin.world.lock:
             self.twin.bath.fault(fault, on=on)
 
@@ -100,7 +127,9 @@ class WatchedBath(RuleBasedStateMachine):
     def break_or_mend_the_relay(self, data: st.DataObject, on: bool) -> None:
         relay = self.twin.pump
         assert relay
-        fault = data.draw(st.sampled_from([f for f in RELAY_FAULTS if f != "bad CRC" or relay.framing == "rtu"]))
+        fault = data.draw(
+            st.sampled_from([f for f in RELAY_FAULTS if f != "bad CRC" or relay.framing == "rtu"])
+        )
         with self.twin.world.lock:
             relay.fault(fault, on=on)
 
@@ -130,7 +159,9 @@ class WatchedBath(RuleBasedStateMachine):
 
     def look(self) -> None:
         self.plant.advance_to(self.clock.now())
-        pump_stands = not self.plant.pump_on and not self.plant.stopped_pump and not self.plant.level_low
+        pump_stands = (
+            not self.plant.pump_on and not self.plant.stopped_pump and not self.plant.level_low
+        )
         level_told = self.plant.level_low and self.twin.bath.profile.capabilities.level == "alarm"
         asked_for_heat = self.plant.running and self.plant.output > 0.0
         broken = self.twin.bath.faults & DEAF or (self.twin.pump and self.twin.pump.faults)
@@ -183,7 +214,9 @@ def test_any_order(name: str, tmp_path: Path) -> None:
 
 
 def test_the_machine_would_notice_heat_without_a_pump(tmp_path: Path) -> None:
-    """The witness is one: with interlocks that know of no pump, a contact that falls off goes unnoticed."""
+    """The witness is one: with interlocks that know of no pump, a contact that falls off goes
+    unnoticed.
+    """
     machine = WatchedBath()
     machine.rig = loaded(tmp_path, "eurotherm-3200")
     machine.connect()

@@ -18,7 +18,17 @@ from instruments.bath.reading import BathReading
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import DeviceError, LinkError
 
-CALM = BathReading(t_s=0.0, temp_c=33.0, raw=(1, 2), external_c=None, power_percent=2.0, safety_c=None, alarm=0, warning=0, remote=True)
+CALM = BathReading(
+    t_s=0.0,
+    temp_c=33.0,
+    raw=(1, 2),
+    external_c=None,
+    power_percent=2.0,
+    safety_c=None,
+    alarm=0,
+    warning=0,
+    remote=True,
+)
 
 
 @dataclass
@@ -46,7 +56,15 @@ class Watched:
             return self.clock.now() >= safe_from_s
 
         self.also: InterlockTrip | None = None
-        self.watch = Watch(ScriptedBath(self.clock, at), self.clock, gate, interlocks, self.rows.append, act, also=lambda: self.also)
+        self.watch = Watch(
+            ScriptedBath(self.clock, at),
+            self.clock,
+            gate,
+            interlocks,
+            self.rows.append,
+            act,
+            also=lambda: self.also,
+        )
         self.watch.start()
 
 
@@ -83,10 +101,14 @@ def test_what_was_read_before_the_heating_is_no_evidence_of_stability() -> None:
         (lambda t: replace(CALM, alarm=int(t > 40) * 5), "controller alarm", 41.0),
     ],
 )
-def test_a_trip_acts_at_once_and_stays(at: Callable[[float], BathReading], rule: str, at_s: float) -> None:
+def test_a_trip_acts_at_once_and_stays(
+    at: Callable[[float], BathReading], rule: str, at_s: float
+) -> None:
     w = Watched(at)
     w.clock.sleep(200.0)
-    assert [(when, type(trip)) for when, trip in w.acts] == [(at_s, InterlockTrip)], "once, without being asked for"
+    assert [(when, type(trip)) for when, trip in w.acts] == [(at_s, InterlockTrip)], (
+        "once, without being asked for"
+    )
     for _ in range(2):
         with pytest.raises(InterlockTrip) as caught:
             w.watch.check()
@@ -120,7 +142,9 @@ def test_a_bath_that_falls_silent_trips_after_the_limit_and_not_before() -> None
 def test_a_bath_without_a_temperature_trips_as_implausible() -> None:
     def at(t: float) -> BathReading:
         if t > 20.0:
-            raise DeviceError("bath", "it has no temperature", hint="Look at the sensor and its plug.")
+            raise DeviceError(
+                "bath", "it has no temperature", hint="Look at the sensor and its plug."
+            )
         return wobble(t)
 
     w = Watched(at)

@@ -1,4 +1,5 @@
-"""A console window that is closed on Windows, played here: what its handler does, on what thread, and in what time.
+"""A console window that is closed on Windows, played here: what its handler does, on what thread,
+and in what time.
 
 That Windows calls the handler, and for how long it waits, is not tested: see docs/safety.md.
 """
@@ -39,7 +40,9 @@ GRANTED_S = 5.0  # Windows ends the program so long after it has called the hand
 
 @dataclass
 class System:
-    """Stands in for Windows: keeps the handlers that are registered, and calls them on a thread of its own."""
+    """Stands in for Windows: keeps the handlers that are registered, and calls them on a thread of
+    its own.
+    """
 
     handlers: list[Handler] = field(default_factory=list)
 
@@ -86,9 +89,16 @@ def test_the_handler_is_there_while_the_bench_is_and_not_longer() -> None:
 
 
 @pytest.mark.parametrize(
-    ("event", "word"), [(CTRL_CLOSE_EVENT, "console closed"), (CTRL_LOGOFF_EVENT, "log-off"), (CTRL_SHUTDOWN_EVENT, "shutdown")]
+    ("event", "word"),
+    [
+        (CTRL_CLOSE_EVENT, "console closed"),
+        (CTRL_LOGOFF_EVENT, "log-off"),
+        (CTRL_SHUTDOWN_EVENT, "shutdown"),
+    ],
 )
-def test_what_ends_the_program_puts_the_bath_into_standby_while_the_main_thread_waits(event: int, word: str, hot: HotBath) -> None:
+def test_what_ends_the_program_puts_the_bath_into_standby_while_the_main_thread_waits(
+    event: int, word: str, hot: HotBath
+) -> None:
     system = System()
     with installed(system.register) as exits:
         exits.at_close = lambda: heater_off(hot.bath)
@@ -101,7 +111,10 @@ def test_what_ends_the_program_puts_the_bath_into_standby_while_the_main_thread_
 
 def test_ctrl_c_and_ctrl_break_are_left_to_python() -> None:
     told: list[str] = []
-    assert [handler_for(told.append)(event) for event in (CTRL_C_EVENT, CTRL_BREAK_EVENT)] == [False, False]
+    assert [handler_for(told.append)(event) for event in (CTRL_C_EVENT, CTRL_BREAK_EVENT)] == [
+        False,
+        False,
+    ]
     assert told == []
 
 
@@ -116,7 +129,9 @@ def test_a_bath_that_does_not_answer_takes_no_longer_than_windows_grants(hot: Ho
     assert cut_short or seconds < GRANTED_S
     assert CLOSE_S < GRANTED_S
     hot.emulator.fault("silence", on=False)
-    worker = next((thread for thread in threading.enumerate() if thread.name == "console closed"), None)
+    worker = next(
+        (thread for thread in threading.enumerate() if thread.name == "console closed"), None
+    )
     if worker:
         worker.join(60.0)
 

@@ -1,4 +1,6 @@
-"""Requests to end, at every moment and in every number: the work between is cut short, going to safe never is."""
+"""Requests to end, at every moment and in every number: the work between is cut short, going to
+safe never is.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ from tests.conftest import ROOT
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
 
-# A program shaped like the engine's run: it works, then goes to safe in half a second, and says what it did.
+# A program shaped like the engine's run: it works, then goes to safe in half a second, and says
+# what it did.
 CHILD = """
 import sys, time
 from bench.safety.exits import current, installed, undisturbed
@@ -59,7 +62,10 @@ def test_the_first_request_is_raised_and_the_second_is_noted() -> None:
 
 
 @posix
-@pytest.mark.parametrize(("name", "said"), [("SIGINT", "Ctrl-C"), ("SIGTERM", "SIGTERM"), ("SIGHUP", "connection has gone")])
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("SIGINT", "Ctrl-C"), ("SIGTERM", "SIGTERM"), ("SIGHUP", "connection has gone")],
+)
 def test_each_request_says_who_asked(name: str, said: str) -> None:
     with installed(), pytest.raises(Interrupted, match=said):
         os.kill(os.getpid(), getattr(signal, name))
@@ -91,7 +97,9 @@ def test_what_was_there_before_is_there_again() -> None:
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
     with installed() as exits:
         assert current() is exits
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
+    assert [
+        signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    ] == before
     assert current() is not exits
 
 
@@ -119,7 +127,9 @@ def test_on_another_thread_nothing_is_installed() -> None:
     assert seen == [[]]
 
 
-def test_a_closed_console_makes_safe_on_its_own_thread_and_in_bounded_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_closed_console_makes_safe_on_its_own_thread_and_in_bounded_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The part of the Windows path that is ours; that Windows calls it can't be tested here."""
     exits, done = Exits(), list[str]()
     exits.at_close = lambda: done.append(threading.current_thread().name)
@@ -146,13 +156,24 @@ def test_a_closed_console_makes_safe_on_its_own_thread_and_in_bounded_time(monke
         (["SIGHUP", "SIGTERM", "SIGINT"], "SIGHUP"),
     ],
 )
-def test_every_way_out_passes_through_safe_whole(signals: list[str], why: str, tmp_path: Path) -> None:
-    assert lived_through(signals, tmp_path / "log", gap_s=0.15) == ["working", "going to safe", "safe", why]
+def test_every_way_out_passes_through_safe_whole(
+    signals: list[str], why: str, tmp_path: Path
+) -> None:
+    assert lived_through(signals, tmp_path / "log", gap_s=0.15) == [
+        "working",
+        "going to safe",
+        "safe",
+        why,
+    ]
 
 
 @posix
 def test_requests_that_come_at_once_are_one(tmp_path: Path) -> None:
-    assert lived_through(["SIGTERM", "SIGHUP", "SIGINT"], tmp_path / "log", 0.0)[:3] == ["working", "going to safe", "safe"]
+    assert lived_through(["SIGTERM", "SIGHUP", "SIGINT"], tmp_path / "log", 0.0)[:3] == [
+        "working",
+        "going to safe",
+        "safe",
+    ]
 
 
 @posix
@@ -160,7 +181,9 @@ def test_a_storm_of_signals_from_the_end_of_the_work_on_cuts_nothing_off(tmp_pat
     """The moment between work and safe is the one that a plain `finally` loses."""
     for number in range(4):
         log = tmp_path / str(number)
-        with subprocess.Popen([sys.executable, "-c", CHILD, str(log), "0.05"], cwd=ROOT, stdout=subprocess.PIPE) as child:
+        with subprocess.Popen(
+            [sys.executable, "-c", CHILD, str(log), "0.05"], cwd=ROOT, stdout=subprocess.PIPE
+        ) as child:
             assert child.stdout is not None
             child.stdout.readline()
             time.sleep(0.04)
@@ -169,7 +192,11 @@ def test_a_storm_of_signals_from_the_end_of_the_work_on_cuts_nothing_off(tmp_pat
                 child.send_signal(signal.SIGINT)
                 time.sleep(0.0005)
             child.wait(60)
-        assert log.read_text(encoding="utf-8").split("\n")[:3] == ["working", "going to safe", "safe"]
+        assert log.read_text(encoding="utf-8").split("\n")[:3] == [
+            "working",
+            "going to safe",
+            "safe",
+        ]
 
 
 def lived_through(signals: list[str], log: Path, gap_s: float) -> list[str]:
@@ -189,7 +216,9 @@ def lived_through(signals: list[str], log: Path, gap_s: float) -> list[str]:
 
 @posix
 def test_a_request_never_leaves_a_lock_held(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Raised while Python's own code takes a lock, it would be held for ever, and whoever wants it would wait for ever."""
+    """Raised while Python's own code takes a lock, it would be held for ever, and whoever wants it
+    would wait for ever.
+    """
     monkeypatch.setattr("bench.safety.signals.ON_THE_WAY_S", 0.0)
     condition, rng, raised = threading.Condition(), random.Random(1), 0
 
@@ -199,7 +228,9 @@ def test_a_request_never_leaves_a_lock_held(monkeypatch: pytest.MonkeyPatch) -> 
 
     main_thread = threading.get_ident()
     for _ in range(100):
-        storm = threading.Timer(rng.uniform(0.001, 0.003), lambda: signal.pthread_kill(main_thread, signal.SIGINT))
+        storm = threading.Timer(
+            rng.uniform(0.001, 0.003), lambda: signal.pthread_kill(main_thread, signal.SIGINT)
+        )
         with installed():
             try:
                 storm.start()
@@ -219,7 +250,9 @@ def test_a_request_never_leaves_a_lock_held(monkeypatch: pytest.MonkeyPatch) -> 
 
 @posix
 def test_a_terminal_that_goes_does_not_keep_the_bench_from_safe(tmp_path: Path) -> None:
-    """A dropped SSH connection: the pseudo-terminal closes, SIGHUP comes, and every write to it fails from then on."""
+    """A dropped SSH connection: the pseudo-terminal closes, SIGHUP comes, and every write to it
+    fails from then on.
+    """
     import pty
 
     log = tmp_path / "log"

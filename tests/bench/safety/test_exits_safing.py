@@ -23,15 +23,38 @@ from instruments.stage.driver import Stage
 from tests.bench.killed_runs import Silent, start
 from tests.bench.operated_runs import STAGE, files
 
-CALM = BathReading(t_s=0.0, temp_c=20.0, raw=(1, 2), external_c=None, power_percent=0.0, safety_c=None, alarm=0, warning=0, remote=True)
+CALM = BathReading(
+    t_s=0.0,
+    temp_c=20.0,
+    raw=(1, 2),
+    external_c=None,
+    power_percent=0.0,
+    safety_c=None,
+    alarm=0,
+    warning=0,
+    remote=True,
+)
 
 
 def profile(pump: Literal["none", "with run", "own"]) -> Profile:
     """A family whose pump has its own switch, told as a user's own profile would."""
     base = load_profile("julabo-presto")
     values = {"off": 0, "on": 1}
-    row = Row(name="pump", table="holding", address=500, type="u16", evidence="CERTAIN", access="rw", values=values)
-    return base.model_copy(update={"capabilities": base.capabilities.model_copy(update={"pump": pump}), "rows": (*base.rows, row)})
+    row = Row(
+        name="pump",
+        table="holding",
+        address=500,
+        type="u16",
+        evidence="CERTAIN",
+        access="rw",
+        values=values,
+    )
+    return base.model_copy(
+        update={
+            "capabilities": base.capabilities.model_copy(update={"pump": pump}),
+            "rows": (*base.rows, row),
+        }
+    )
 
 
 @dataclass
@@ -108,8 +131,12 @@ def test_somebody_in_a_hurry_leaves_the_pump_running_and_never_the_heater() -> N
     assert bath.told == [(0.0, "heater off"), (0.0, "pump on")]
 
 
-@pytest.mark.parametrize(("pump", "told"), [("with run", "can't run on alone"), ("none", "not fitted")])
-def test_a_pump_without_a_switch_is_not_pretended(pump: Literal["none", "with run"], told: str) -> None:
+@pytest.mark.parametrize(
+    ("pump", "told"), [("with run", "can't run on alone"), ("none", "not fitted")]
+)
+def test_a_pump_without_a_switch_is_not_pretended(
+    pump: Literal["none", "with run"], told: str
+) -> None:
     bath = Noted(pump)
     start_bath(bath, 33.0, bath.clock.sleep)
     heater_off(bath)
@@ -119,7 +146,10 @@ def test_a_pump_without_a_switch_is_not_pretended(pump: Literal["none", "with ru
 
 
 def test_a_pump_that_turns_with_run_is_on_when_the_controller_runs() -> None:
-    assert [pump_on(Noted("with run"), replace(CALM, running=running)) for running in (True, False, None)] == [True, False, None]
+    assert [
+        pump_on(Noted("with run"), replace(CALM, running=running))
+        for running in (True, False, None)
+    ] == [True, False, None]
     assert pump_on(Noted("none"), replace(CALM, running=True)) is None
 
 
@@ -137,11 +167,15 @@ def test_every_driver_declares_its_safe_state_and_gets_there() -> None:
 
 @pytest.mark.parametrize("fault", ["silence", "busy", "wrong length", "late answer", "manual mode"])
 def test_going_to_safe_is_bounded_in_time_and_goes_on_to_the_others(fault: str) -> None:
-    """The bath is never reached or never obeys; stage and arm are made safe all the same, within half a minute."""
+    """The bath is never reached or never obeys; stage and arm are made safe all the same, within
+    half a minute.
+    """
     rig, clock = load_rig(find_rig(None)), VirtualClock()
     with EmulatedRig(rig, clock, 1) as twin:
         opened = {name: opener() for name, opener in driver_openers(rig, clock, twin.urls).items()}
-        devices = Devices(clock, opened["arm"], opened["bath"], opened["stage"], twin.cameras, twin.operator)
+        devices = Devices(
+            clock, opened["arm"], opened["bath"], opened["stage"], twin.cameras, twin.operator
+        )
         devices.bath.start(33.0)
         twin.bath.late_s = 3.0
         twin.bath.fault(fault)
@@ -154,12 +188,22 @@ def test_going_to_safe_is_bounded_in_time_and_goes_on_to_the_others(fault: str) 
         devices.close()
 
 
-@pytest.mark.parametrize("raised", [ValueError("a bug"), MemoryError(), KeyboardInterrupt(), SystemExit(1)], ids=lambda e: type(e).__name__)
-def test_each_step_to_safe_is_tried_whatever_the_others_raise(raised: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "raised",
+    [ValueError("a bug"), MemoryError(), KeyboardInterrupt(), SystemExit(1)],
+    ids=lambda e: type(e).__name__,
+)
+def test_each_step_to_safe_is_tried_whatever_the_others_raise(
+    raised: BaseException, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One step after the other fails in a way that no driver should; what failed is told."""
     with open_rig(load_rig(find_rig(None)), seed=1) as hookup:
         devices = hookup.devices
-        for name, owner in {"bath": type(devices.bath), "stage": type(devices.stage), "arm": type(devices.arm)}.items():
+        for name, owner in {
+            "bath": type(devices.bath),
+            "stage": type(devices.stage),
+            "arm": type(devices.arm),
+        }.items():
 
             def fails(_: object) -> None:
                 raise raised
@@ -169,14 +213,20 @@ def test_each_step_to_safe_is_tried_whatever_the_others_raise(raised: BaseExcept
             with monkeypatch.context() as patched:
                 patched.setattr(owner, "safe", fails)
                 assert devices.make_safe(told.append) == (name,)
-            assert {f"{other} is safe" for other in ("bath", "stage", "arm") if other != name} <= set(told)
+            assert {
+                f"{other} is safe" for other in ("bath", "stage", "arm") if other != name
+            } <= set(told)
             assert any(
-                text.startswith(f"{name} could not be made safe: {type(raised).__name__}") and Path(__file__).name in text for text in told
+                text.startswith(f"{name} could not be made safe: {type(raised).__name__}")
+                and Path(__file__).name in text
+                for text in told
             )
             assert (devices.bath.read().running is False) is (name != "bath")
 
 
-def test_a_trip_switches_the_heater_off_whatever_braking_the_stage_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_trip_switches_the_heater_off_whatever_braking_the_stage_raises(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     low_level = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 45.0'
     files(tmp_path, stage=STAGE, emulation=f"prompt_s = 5.0\n{low_level}")
 
@@ -187,6 +237,8 @@ def test_a_trip_switches_the_heater_off_whatever_braking_the_stage_raises(tmp_pa
     progress = Silent()
     record = read_run(start(tmp_path, progress=progress)[0])
     assert (record.ending, record.facts["trip"]["rule"]) == ("faulted", "controller alarm")
-    assert record.facts["trip"]["done"][0].startswith("stage could not be made safe: ValueError: a bug (test_exits_safing.py:")
+    assert record.facts["trip"]["done"][0].startswith(
+        "stage could not be made safe: ValueError: a bug (test_exits_safing.py:"
+    )
     assert record.facts["trip"]["done"][1] == "heater is in standby"
     assert any("stage could not be made safe" in text for text in progress.warned)

@@ -1,4 +1,5 @@
-"""A bench that dies or hangs, and one that ends well, beside its guardian: what the record and the report say of it afterwards.
+"""A bench that dies or hangs, and one that ends well, beside its guardian: what the record and the
+report say of it afterwards.
 
 Kills in every step are `test_guardian_kills`; serial ports and pumps `test_guardian_serial`.
 """
@@ -56,7 +57,9 @@ def standby_after(rig: RealRig, within_s: float) -> float:
 
 def silence_s(told: Mapping[str, Any]) -> float:
     """How long the guardian had heard nothing when it noticed."""
-    last, noticed = (datetime.fromisoformat(told[name]) for name in ("wall_last_sign", "wall_noticed"))
+    last, noticed = (
+        datetime.fromisoformat(told[name]) for name in ("wall_last_sign", "wall_noticed")
+    )
     return (noticed - last).total_seconds()
 
 
@@ -86,14 +89,22 @@ def test_the_report_of_a_killed_bench_says_when_it_died_and_when_the_bath_was_sa
             await_record(rig)
         told = read_run(rig.run_folder()).guardian
         assert told is not None
-        assert abs((datetime.fromisoformat(told["wall_noticed"]) - killed).total_seconds()) < STANDBY_S
-        sentence = f"The bench died at {told['wall_noticed']}; the guardian had the bath in standby at {told['wall_safe']}"
+        assert (
+            abs((datetime.fromisoformat(told["wall_noticed"]) - killed).total_seconds()) < STANDBY_S
+        )
+        sentence = (
+            f"The bench died at {told['wall_noticed']}; the guardian had the bath in standby at"
+            f" {told['wall_safe']}"
+        )
         for said in reported(rig, capsys):
             assert sentence in said
 
 
 def test_a_bench_that_is_stopped_is_taken_for_dead_after_ten_seconds(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    request: pytest.FixtureRequest,
 ) -> None:
     with real_rig(tmp_path / "rig", recording, window_s=60.0) as rig:
         with bench(rig) as running:
@@ -104,19 +115,27 @@ def test_a_bench_that_is_stopped_is_taken_for_dead_after_ten_seconds(
             await_record(rig)
             running.process.send_signal(signal.SIGCONT)
             assert running.process.wait(60) == 3
-        request.node.user_properties.append(("s to standby, SIGSTOP while settling", round(seconds, 3)))
+        request.node.user_properties.append(
+            ("s to standby, SIGSTOP while settling", round(seconds, 3))
+        )
         assert seconds < HANG_S + STANDBY_S
         run = read_run(rig.run_folder())
         assert run.guardian is not None
         assert silence_s(run.guardian) >= HANG_S
         assert (run.guardian["cause"], run.guardian["standby"]) == ("hung", True)
         assert run.ending == "faulted", "once it goes on, it finds its guardian gone"
-        assert run.facts["trip"]["rule"] in ("guardian lost", "changed at the controller"), "or the bath not as it left it"
+        assert run.facts["trip"]["rule"] in (
+            "guardian lost",
+            "changed at the controller",
+        ), "or the bath not as it left it"
         assert "The bench hung (no sign of life for 10 s)" in reported(rig, capsys)[1]
 
 
 def test_a_main_thread_that_hangs_while_the_others_live_is_taken_for_dead_after_ten_seconds(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    request: pytest.FixtureRequest,
 ) -> None:
     """In a move, which may take ten minutes: what counts is the silence."""
     with real_rig(tmp_path / "rig", recording, stage=True) as rig:
@@ -126,7 +145,9 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_taken_for_dead_after_
             running.wait_for(f"{MARK}hanging")
             seconds = standby_after(rig, 30.0)
             await_record(rig)
-        request.node.user_properties.append(("s to standby, main thread hangs while moving", round(seconds, 3)))
+        request.node.user_properties.append(
+            ("s to standby, main thread hangs while moving", round(seconds, 3))
+        )
         assert HANG_S - SEEN_LATE_S < seconds < HANG_S + STANDBY_S
         told = read_run(rig.run_folder()).guardian
         assert told is not None
@@ -134,7 +155,10 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_taken_for_dead_after_
         why = "the main thread hangs: moving the stage, and no sign of life for 10 s"
         assert told["why"] == why
         for said in reported(rig, capsys):
-            assert f"The bench hung ({why}); its last sign of life was at {told['wall_last_sign']}" in said
+            assert (
+                f"The bench hung ({why}); its last sign of life was at {told['wall_last_sign']}"
+                in said
+            )
             assert f"the guardian had the bath in standby at {told['wall_safe']}" in said
 
 
@@ -143,7 +167,9 @@ def test_a_run_that_ends_well_leaves_no_guardian(recording: Path, tmp_path: Path
         heating(rig, running)
         running.wait_for("Enter when it stands")
         running.answer()
-        touch_as_asked(rig, lambda: running.said, running.answer, lambda: running.process.poll() is not None)
+        touch_as_asked(
+            rig, lambda: running.said, running.answer, lambda: running.process.poll() is not None
+        )
         assert running.process.returncode == 0, running.said
         assert not rig.twin.world.plant.running
         folder = rig.run_folder()
@@ -155,7 +181,10 @@ def test_a_run_that_ends_well_leaves_no_guardian(recording: Path, tmp_path: Path
     page = (folder / "report" / "index.html").read_text(encoding="utf-8")
     assert re.search(r"independent cut-out tested on.{0,80}2024-03-01", page, re.DOTALL)
     assert not (folder / "guardian.log").exists()
-    assert json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))["ending"] == "finished"
+    assert (
+        json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))["ending"]
+        == "finished"
+    )
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="finds the guardian in /proc")

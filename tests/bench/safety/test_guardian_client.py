@@ -1,4 +1,6 @@
-"""The guardian and the bench's end of it, beside an emulated bath in real time: a word for every way to end."""
+"""The guardian and the bench's end of it, beside an emulated bath in real time: a word for every
+way to end.
+"""
 
 from __future__ import annotations
 
@@ -136,7 +138,10 @@ def test_a_guardian_that_is_frozen_is_missed_and_one_that_lives_is_not(hot: HotB
 def test_the_guardian_has_the_priority_and_the_memory_that_the_system_grants(hot: HotBath) -> None:
     with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
         status = Path(f"/proc/{line.pid}/status").read_text(encoding="utf-8")
-        resident, locked = (next(int(row.split()[1]) for row in status.split("\n") if row.startswith(name)) for name in ("VmRSS", "VmLck"))
+        resident, locked = (
+            next(int(row.split()[1]) for row in status.split("\n") if row.startswith(name))
+            for name in ("VmRSS", "VmLck")
+        )
         nice = os.getpriority(os.PRIO_PROCESS, line.pid)
         assert nice == granted("import os; os.setpriority(os.PRIO_PROCESS, 0, -20)", -20, 0)
         lock = "import bench.safety.guardian, ctypes, sys; sys.exit(ctypes.CDLL(None).mlockall(5))"
@@ -153,7 +158,9 @@ def granted(code: str, yes: Any, no: Any) -> Any:
     return no if tried.returncode else yes
 
 
-def test_a_mistake_in_one_try_does_not_end_the_guardian(hot: HotBath, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mistake_in_one_try_does_not_end_the_guardian(
+    hot: HotBath, monkeypatch: pytest.MonkeyPatch
+) -> None:
     safe, tries = Bath.safe, list[int]()
 
     def fails_once(bath: Bath) -> None:
@@ -175,11 +182,15 @@ def test_a_mistake_in_one_try_does_not_end_the_guardian(hot: HotBath, monkeypatc
     assert (hot.record()["standby"], hot.record()["tries"]) == (True, 2)
 
 
-def test_the_guardian_is_small_and_hears_no_signal_that_is_meant_for_the_bench(hot: HotBath) -> None:
+def test_the_guardian_is_small_and_hears_no_signal_that_is_meant_for_the_bench(
+    hot: HotBath,
+) -> None:
     with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
         if sys.platform == "linux":
             status = Path(f"/proc/{line.pid}/status").read_text(encoding="utf-8")
-            (resident,) = [int(row.split()[1]) for row in status.split("\n") if row.startswith("VmRSS")]
+            (resident,) = [
+                int(row.split()[1]) for row in status.split("\n") if row.startswith("VmRSS")
+            ]
             assert resident < 60_000, "kB"
             for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 os.kill(line.pid, name)
@@ -199,7 +210,10 @@ def test_a_guardian_that_cannot_start_is_told_with_its_own_words(tmp_path: Path)
 
 
 def test_under_virtual_time_there_is_nothing_to_guard(tmp_path: Path) -> None:
-    with guarded(Charge("tcp://127.0.0.1:1", "julabo-presto"), tmp_path, VirtualClock()) as (_, lifeline):
+    with guarded(Charge("tcp://127.0.0.1:1", "julabo-presto"), tmp_path, VirtualClock()) as (
+        _,
+        lifeline,
+    ):
         assert lifeline is None
 
 
@@ -232,7 +246,9 @@ time.sleep(100)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="sees the bench's end in /proc")
 def test_a_bench_that_dies_is_noticed_while_its_end_of_the_pipe_is_still_open(hot: HotBath) -> None:
-    """As a process that it has forked keeps it, or the system, which is slow to end a process when it has much to do."""
+    """As a process that it has forked keeps it, or the system, which is slow to end a process when
+    it has much to do.
+    """
     record = hot.folder / "guardian.json"
     command = [sys.executable, "-c", BENCH_THAT_FORKS, hot.url, str(record)]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as child:

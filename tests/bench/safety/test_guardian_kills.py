@@ -1,7 +1,9 @@
-"""The bench is killed in every step of a run in real time, in every way, and the bath is in standby within three seconds.
+"""The bench is killed in every step of a run in real time, in every way, and the bath is in standby
+within three seconds.
 
-The emulators live here, the bench and its guardian in processes of their own; what the bath does is seen at the plant and
-asked by a second Modbus client. The times measured stand in the summary of the tests, and in their JUnit file.
+The emulators live here, the bench and its guardian in processes of their own; what the bath does is
+seen at the plant and asked by a second Modbus client. The times measured stand in the summary of
+the tests, and in their JUnit file.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ CHECK, TOUCH = r"(\d) of (\d)\] Arm check", r"ouch the end of teat (\d+).* of (\
 
 @dataclass(frozen=True)
 class Step:
-    """Where to kill: once the bench has said ``words`` for the ``nth`` time and ``then_s`` are over."""
+    """Where to kill: once the bench has said ``words`` for the ``nth`` time and ``then_s`` are
+    over.
+    """
 
     words: str
     nth: int = 1
@@ -67,7 +71,9 @@ PAST_ENDING = ("going to safe",)  # what is asked there is noted: the run has en
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one bench: the time to standby as the plant saw it, and what the record says."""
+    """What became of one bench: the time to standby as the plant
+    saw it, and what the record says.
+    """
 
     step: str
     seconds: float
@@ -129,7 +135,15 @@ def kill_in(name: str, kill: str, folder: Path, recording: Path) -> Outcome:
         running.process.join(60)
         if kill == "SIGKILL":
             await_record(rig.run_folder() / "guardian.json")
-        return Outcome(name, seconds, killed, state, running.process.exitcode, read_run(rig.run_folder()), running.said)
+        return Outcome(
+            name,
+            seconds,
+            killed,
+            state,
+            running.process.exitcode,
+            read_run(rig.run_folder()),
+            running.said,
+        )
 
 
 def await_record(path: Path, within_s: float = 60.0) -> None:
@@ -155,13 +169,17 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_one(tmp_path_factory.mktemp("frames") / "recording")
 
 
-def all_steps(kill: str, folder: Path, recording: Path, request: pytest.FixtureRequest) -> list[Outcome]:
+def all_steps(
+    kill: str, folder: Path, recording: Path, request: pytest.FixtureRequest
+) -> list[Outcome]:
     """A bench killed in each step, beside each other; the test's record gets what was measured."""
     with ThreadPoolExecutor(AT_ONCE) as pool:
         jobs = [pool.submit(kill_in, name, kill, folder / name, recording) for name in STEPS]
         outcomes = [job.result() for job in jobs]
     for outcome in outcomes:
-        request.node.user_properties.append((f"s to standby, {kill} while {outcome.step}", round(outcome.seconds, 3)))
+        request.node.user_properties.append(
+            (f"s to standby, {kill} while {outcome.step}", round(outcome.seconds, 3))
+        )
     assert len(outcomes) == len(STEPS) == 13
     for outcome in outcomes:
         assert outcome.seconds < STANDBY_S, f"{kill} while {outcome.step}"
@@ -169,16 +187,27 @@ def all_steps(kill: str, folder: Path, recording: Path, request: pytest.FixtureR
     return outcomes
 
 
-def test_a_kill_in_any_step_leaves_standby_and_a_record_of_it(recording: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+def test_a_kill_in_any_step_leaves_standby_and_a_record_of_it(
+    recording: Path, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     for outcome in all_steps("SIGKILL", tmp_path, recording, request):
         told = outcome.run.guardian
         assert outcome.run.ending == "interrupted", outcome.step
-        assert not outcome.run.trials or outcome.step in ("checking the arm after", "going to safe"), "a trial is there whole or not at all"
+        assert not outcome.run.trials or outcome.step in (
+            "checking the arm after",
+            "going to safe",
+        ), "a trial is there whole or not at all"
         assert told is not None, outcome.step
         assert (told["cause"], told["standby"], told["tries"]) == ("died", True, 1), outcome.step
-        assert abs((datetime.fromisoformat(told["wall_noticed"]) - outcome.killed).total_seconds()) < 1.0
+        assert (
+            abs((datetime.fromisoformat(told["wall_noticed"]) - outcome.killed).total_seconds())
+            < 1.0
+        )
         assert told["seconds"] < STANDBY_S
-        sentence = f"The bench died at {told['wall_noticed']}; the guardian had the bath in standby at {told['wall_safe']}"
+        sentence = (
+            f"The bench died at {told['wall_noticed']}; the guardian had the bath in standby at"
+            f" {told['wall_safe']}"
+        )
         assert sentence in headline(outcome.run, ())[1]
 
 

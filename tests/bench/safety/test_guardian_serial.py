@@ -1,4 +1,6 @@
-"""The guardian on a serial port, which has one owner only, and with a pump that a relay turns: real time, pseudo-terminals."""
+"""The guardian on a serial port, which has one owner only, and with a pump that a relay turns: real
+time, pseudo-terminals.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,8 @@ from tests.bench.marked_bench import MARK, MarkedBench, marked_bench, serve
 
 STANDBY_S, HANG_S = 3.0, 10.0  # what docs/safety.md promises; standby takes milliseconds
 RTU_FAMILY = "eurotherm-2400"
-OVERRUN_S, SEEN_LATE_S = 5.0, 4.0  # of the pump; how much later than it happens a busy machine may show us something
+# of the pump; how much later than it happens a busy machine may show us something
+OVERRUN_S, SEEN_LATE_S = 5.0, 4.0
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +64,9 @@ def until(there: Callable[[], bool], within_s: float, what: str) -> float:
     return time.monotonic() - start
 
 
-def record_of(folder: Path, done: Callable[[dict[str, Any]], bool], within_s: float = 60.0) -> dict[str, Any]:
+def record_of(
+    folder: Path, done: Callable[[dict[str, Any]], bool], within_s: float = 60.0
+) -> dict[str, Any]:
     """The guardian's record, once it is ``done``."""
 
     def there() -> dict[str, Any]:
@@ -84,7 +89,9 @@ def test_a_killed_bench_leaves_its_serial_port_to_the_guardian(
             assert plant.running
             running.signal(kill)
             seconds = until(lambda: not plant.running, 60.0, "standby")
-            request.node.user_properties.append((f"s to standby, {kill} while settling, serial port", round(seconds, 3)))
+            request.node.user_properties.append(
+                (f"s to standby, {kill} while settling, serial port", round(seconds, 3))
+            )
             running.process.join(60)
         assert seconds < STANDBY_S
         if kill == "SIGKILL":
@@ -95,15 +102,21 @@ def test_a_killed_bench_leaves_its_serial_port_to_the_guardian(
             assert read_run(rig.run_folder()).ending == "aborted"
 
 
-def test_a_hung_bench_that_holds_its_serial_port_is_ended_first(recording: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    """The port takes no second owner, so standby takes the hang's ten seconds, the tries to open, and the end of the bench."""
+def test_a_hung_bench_that_holds_its_serial_port_is_ended_first(
+    recording: Path, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """The port takes no second owner, so standby takes the hang's ten seconds, the tries to open,
+    and the end of the bench.
+    """
     with real_rig(tmp_path / "rig", recording, profile=RTU_FAMILY, pty=True, window_s=60.0) as rig:
         plant = rig.twin.world.plant
         with marked_bench(rig, "settling") as running:
             to_settling(running)
             running.signal("SIGSTOP")
             seconds = until(lambda: not plant.running, 60.0, "standby")
-            request.node.user_properties.append(("s to standby, SIGSTOP while settling, serial port", round(seconds, 3)))
+            request.node.user_properties.append(
+                ("s to standby, SIGSTOP while settling, serial port", round(seconds, 3))
+            )
             told = record_of(rig.run_folder(), lambda record: record["standby"])
             running.process.join(60)
             assert running.process.exitcode == -signal.SIGKILL
@@ -124,7 +137,9 @@ def test_with_a_pump_on_a_relay_the_heater_goes_off_first_and_the_pump_runs_on(
             assert (plant.running, plant.pump) == (True, "on")
             running.signal("SIGKILL")
             seconds = until(lambda: not plant.running, 60.0, "standby")
-            request.node.user_properties.append(("s to standby, SIGKILL while settling, pump on a relay", round(seconds, 3)))
+            request.node.user_properties.append(
+                ("s to standby, SIGKILL while settling, pump on a relay", round(seconds, 3))
+            )
         assert seconds < STANDBY_S
         told = record_of(rig.run_folder(), lambda record: "pump" in record)
         os.kill(told["guardian"], signal.SIGKILL)  # it would wait out its minute
@@ -151,7 +166,9 @@ class Hot:
         more = ["--record", str(self.record), "--bench", "1", "--overrun-s", str(overrun_s)]
         command = [sys.executable, "-m", "bench.safety.guardian", *self.arguments, *more]
         pipe = subprocess.PIPE
-        with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe, start_new_session=True) as process:
+        with subprocess.Popen(
+            command, cwd=ROOT, stdin=pipe, stdout=pipe, start_new_session=True
+        ) as process:
             assert process.stdin is not None
             assert process.stdout is not None
             assert process.stdout.readline().strip() == b"ready"
@@ -165,12 +182,27 @@ def hot(tmp_path: Path) -> Iterator[Hot]:
     clock, plant, lock = RealClock(), Plant(1, start_c=33.0), threading.RLock()
     family, relay_profile = load_profile(RTU_FAMILY), load_relay("modbus-relay")
     bath, relay = BathEmulator(plant, family, clock), RelayEmulator(plant, relay_profile, clock)
-    listeners = [Listener(device, clock, lock=lock, name=name) for name, device in (("bath", bath), ("pump", relay))]
+    listeners = [
+        Listener(device, clock, lock=lock, name=name)
+        for name, device in (("bath", bath), ("pump", relay))
+    ]
     schemes = ["tcp://" if device.framing == "tcp" else "rtu+tcp://" for device in (bath, relay)]
-    urls = [listener.url.replace("socket://", scheme) for listener, scheme in zip(listeners, schemes, strict=True)]
+    urls = [
+        listener.url.replace("socket://", scheme)
+        for listener, scheme in zip(listeners, schemes, strict=True)
+    ]
     plant.pump = "on"
     plant.run(33.0)
-    arguments = ["--url", urls[0], "--profile", RTU_FAMILY, "--pump-url", urls[1], "--pump-profile", "modbus-relay"]
+    arguments = [
+        "--url",
+        urls[0],
+        "--profile",
+        RTU_FAMILY,
+        "--pump-url",
+        urls[1],
+        "--pump-profile",
+        "modbus-relay",
+    ]
     try:
         yield Hot(plant, relay, arguments, tmp_path / "guardian.json")
     finally:
@@ -212,8 +244,24 @@ def test_a_relay_that_is_dead_keeps_nobody_from_standby(hot: Hot) -> None:
 
 
 def test_a_bench_that_has_made_safe_itself_leaves_the_pump_to_nobody(hot: Hot) -> None:
-    command = [sys.executable, "-m", "bench.safety.guardian", *hot.arguments, "--record", str(hot.record), "--bench", "1"]
-    done = subprocess.run(command, cwd=ROOT, input=f"{DONE}\n".encode(), stdout=subprocess.PIPE, timeout=60, check=False)
+    command = [
+        sys.executable,
+        "-m",
+        "bench.safety.guardian",
+        *hot.arguments,
+        "--record",
+        str(hot.record),
+        "--bench",
+        "1",
+    ]
+    done = subprocess.run(
+        command,
+        cwd=ROOT,
+        input=f"{DONE}\n".encode(),
+        stdout=subprocess.PIPE,
+        timeout=60,
+        check=False,
+    )
     assert done.returncode == 0
     assert (hot.plant.running, hot.plant.pump) == (True, "on")
     assert not hot.record.exists()

@@ -1,4 +1,6 @@
-"""Signs of life: who looks at the clock lives, who is silent for too long hangs, and what takes too long in all does too."""
+"""Signs of life: who looks at the clock lives, who is silent for too long hangs, and what takes too
+long in all does too.
+"""
 
 from __future__ import annotations
 

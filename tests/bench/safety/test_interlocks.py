@@ -1,4 +1,6 @@
-"""The table of interlocks, row by row: what trips, what doesn't, and what resets; figures typed from the fact sheet, section 4.1."""
+"""The table of interlocks, row by row: what trips, what doesn't, and what resets; figures typed
+from the fact sheet, section 4.1.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +16,35 @@ from bench.safety.interlocks import RULES, Bath, Interlocks, InterlockTrip, bath
 from instruments.bath.profile import load_profile
 from instruments.bath.reading import BathReading
 
-CALM = BathReading(t_s=0.0, temp_c=33.0, raw=(1, 2), external_c=None, power_percent=2.0, safety_c=None, alarm=0, warning=0, remote=True)
+CALM = BathReading(
+    t_s=0.0,
+    temp_c=33.0,
+    raw=(1, 2),
+    external_c=None,
+    power_percent=2.0,
+    safety_c=None,
+    alarm=0,
+    warning=0,
+    remote=True,
+)
 PRESTO = bath_of(load_profile("julabo-presto"))
 
 
 def readings(at: Callable[[int], BathReading], seconds: int) -> list[BathReading]:
     """One a second; the raw value is the temperature's, as on a wire."""
-    return [replace(reading, t_s=float(t), raw=(round(reading.temp_c * 1000),)) for t in range(seconds) for reading in [at(t)]]
+    return [
+        replace(reading, t_s=float(t), raw=(round(reading.temp_c * 1000),))
+        for t in range(seconds)
+        for reading in [at(t)]
+    ]
 
 
 def first_trip(
-    at: Callable[[int], BathReading], seconds: int = 600, *, bath: Bath = PRESTO, pump_on: bool | None = None
+    at: Callable[[int], BathReading],
+    seconds: int = 600,
+    *,
+    bath: Bath = PRESTO,
+    pump_on: bool | None = None,
 ) -> InterlockTrip | None:
     interlocks = Interlocks(Limits(), bath)
     interlocks.heating(33.0)
@@ -58,70 +78,205 @@ def wobbling(t: int) -> float:
     [
         ("a calm bath", lambda t: replace(CALM, temp_c=33.0 + wobbling(t)), None),
         ("a steady bath that shows one value, hardly heated", lambda t: CALM, None),
-        ("heating at full power", lambda t: at_power(min(33.0, 20.0 + t * 2.4 / 60), 100.0 if t < 320 else 3.0), None),
+        (
+            "heating at full power",
+            lambda t: at_power(min(33.0, 20.0 + t * 2.4 / 60), 100.0 if t < 320 else 3.0),
+            None,
+        ),
         ("37 degC", lambda t: replace(CALM, temp_c=37.0 + 0 * t), None),
-        ("above 37 degC", lambda t: replace(CALM, temp_c=37.01 if t == 40 else 33.0 + wobbling(t)), ("over-temperature", 40.0)),
-        ("the safety sensor above 37 degC", lambda t: replace(CALM, safety_c=33.0 if t < 9 else 37.5), ("over-temperature", 9.0)),
-        ("below -5 degC", lambda t: replace(CALM, temp_c=-5.1 if t == 7 else 33.0), ("implausible reading", 7.0)),
-        ("above 60 degC", lambda t: replace(CALM, temp_c=60.1 if t == 7 else 33.0), ("over-temperature", 7.0)),
-        ("frozen at 21 % output", lambda t: replace(CALM, temp_c=25.0, power_percent=21.0), ("frozen reading", 120.0)),
+        (
+            "above 37 degC",
+            lambda t: replace(CALM, temp_c=37.01 if t == 40 else 33.0 + wobbling(t)),
+            ("over-temperature", 40.0),
+        ),
+        (
+            "the safety sensor above 37 degC",
+            lambda t: replace(CALM, safety_c=33.0 if t < 9 else 37.5),
+            ("over-temperature", 9.0),
+        ),
+        (
+            "below -5 degC",
+            lambda t: replace(CALM, temp_c=-5.1 if t == 7 else 33.0),
+            ("implausible reading", 7.0),
+        ),
+        (
+            "above 60 degC",
+            lambda t: replace(CALM, temp_c=60.1 if t == 7 else 33.0),
+            ("over-temperature", 7.0),
+        ),
+        (
+            "frozen at 21 % output",
+            lambda t: replace(CALM, temp_c=25.0, power_percent=21.0),
+            ("frozen reading", 120.0),
+        ),
         ("frozen at 20 % output", lambda t: replace(CALM, temp_c=25.0, power_percent=20.0), None),
-        ("frozen but for one reading in 119 s", lambda t: replace(CALM, temp_c=25.0 + 0.01 * (t // 119), power_percent=50.0), None),
+        (
+            "frozen but for one reading in 119 s",
+            lambda t: replace(CALM, temp_c=25.0 + 0.01 * (t // 119), power_percent=50.0),
+            None,
+        ),
         ("+4.1 K/min", lambda t: replace(CALM, temp_c=25.0 + t * 4.1 / 60), ("rate", 30.0)),
         ("-4.1 K/min", lambda t: replace(CALM, temp_c=33.0 - t * 4.1 / 60), ("rate", 30.0)),
         ("+3.9 K/min", lambda t: replace(CALM, temp_c=25.0 + min(t, 100) * 3.9 / 60), None),
-        ("falling at 91 %", lambda t: replace(CALM, temp_c=25.0 - t * 0.01 / 60 - wobbling(t), power_percent=91.0), ("loop break", 120.0)),
-        ("not rising at 100 %", lambda t: replace(CALM, temp_c=20.0 + wobbling(t), power_percent=100.0), ("loop break", 120.0)),
-        ("falling at 90 %", lambda t: replace(CALM, temp_c=25.0 - t * 0.01 / 60 - wobbling(t), power_percent=90.0), None),
+        (
+            "falling at 91 %",
+            lambda t: replace(CALM, temp_c=25.0 - t * 0.01 / 60 - wobbling(t), power_percent=91.0),
+            ("loop break", 120.0),
+        ),
+        (
+            "not rising at 100 %",
+            lambda t: replace(CALM, temp_c=20.0 + wobbling(t), power_percent=100.0),
+            ("loop break", 120.0),
+        ),
+        (
+            "falling at 90 %",
+            lambda t: replace(CALM, temp_c=25.0 - t * 0.01 / 60 - wobbling(t), power_percent=90.0),
+            None,
+        ),
         (
             "a heater that dies after five minutes of heating",
-            lambda t: replace(CALM, temp_c=20.0 + min(t, 300) * 2.4 / 60 - max(0, t - 300) * 0.001, power_percent=100.0),
+            lambda t: replace(
+                CALM,
+                temp_c=20.0 + min(t, 300) * 2.4 / 60 - max(0, t - 300) * 0.001,
+                power_percent=100.0,
+            ),
             ("loop break", 420.0),
         ),
-        ("0.29 K/min, the weakest bath", lambda t: at_power(20.0 + t * 0.29 / 60 + wobbling(t), 100.0), None),
-        ("an external sensor 1.9 K away", lambda t: replace(CALM, temp_c=33.0 + wobbling(t), external_c=31.1), None),
-        ("an external sensor 2.1 K away", lambda t: with_external(33.0 + wobbling(t), 30.9), ("sensor disagreement", 129.0)),
-        ("a safety sensor 2.1 K away", lambda t: replace(CALM, temp_c=33.0 + wobbling(t), safety_c=30.9), ("sensor disagreement", 129.0)),
-        ("a lagging sensor while heating", lambda t: replace(CALM, temp_c=20.0 + t * 1.0 / 60, external_c=17.0 + t * 1.0 / 60), None),
+        (
+            "0.29 K/min, the weakest bath",
+            lambda t: at_power(20.0 + t * 0.29 / 60 + wobbling(t), 100.0),
+            None,
+        ),
+        (
+            "an external sensor 1.9 K away",
+            lambda t: replace(CALM, temp_c=33.0 + wobbling(t), external_c=31.1),
+            None,
+        ),
+        (
+            "an external sensor 2.1 K away",
+            lambda t: with_external(33.0 + wobbling(t), 30.9),
+            ("sensor disagreement", 129.0),
+        ),
+        (
+            "a safety sensor 2.1 K away",
+            lambda t: replace(CALM, temp_c=33.0 + wobbling(t), safety_c=30.9),
+            ("sensor disagreement", 129.0),
+        ),
+        (
+            "a lagging sensor while heating",
+            lambda t: replace(CALM, temp_c=20.0 + t * 1.0 / 60, external_c=17.0 + t * 1.0 / 60),
+            None,
+        ),
         (
             "a pump that stops after settling, and a bath driven off its set point since",
-            lambda t: replace(CALM, temp_c=33.0 + wobbling(t) + (1.0 if t > 310 else 0.0), external_c=32.7 if t < 300 else 30.0),
+            lambda t: replace(
+                CALM,
+                temp_c=33.0 + wobbling(t) + (1.0 if t > 310 else 0.0),
+                external_c=32.7 if t < 300 else 30.0,
+            ),
             ("sensor disagreement", 309.0),
         ),
-        ("stopped by somebody else", lambda t: replace(CALM, running=t < 60), ("changed at the controller", 60.0)),
-        ("another set point", lambda t: replace(CALM, set_point_c=33.0 if t < 60 else 33.1), ("changed at the controller", 60.0)),
+        (
+            "stopped by somebody else",
+            lambda t: replace(CALM, running=t < 60),
+            ("changed at the controller", 60.0),
+        ),
+        (
+            "another set point",
+            lambda t: replace(CALM, set_point_c=33.0 if t < 60 else 33.1),
+            ("changed at the controller", 60.0),
+        ),
         ("a set point in tenths", lambda t: replace(CALM, set_point_c=33.04, running=True), None),
-        ("settled half a kelvin away", lambda t: with_external(33.5, 30.0), ("sensor disagreement", 129.0)),
+        (
+            "settled half a kelvin away",
+            lambda t: with_external(33.5, 30.0),
+            ("sensor disagreement", 129.0),
+        ),
         ("not settled beyond it", lambda t: with_external(33.501, 30.0), None),
-        ("settled anew", lambda t: with_external(33.6 if t == 60 else 33.0, 30.0), ("sensor disagreement", 190.0)),
+        (
+            "settled anew",
+            lambda t: with_external(33.6 if t == 60 else 33.0, 30.0),
+            ("sensor disagreement", 190.0),
+        ),
         ("0.06 K from the set point", lambda t: replace(CALM, set_point_c=33.0595), None),
-        ("just above", lambda t: replace(CALM, set_point_c=33.0605), ("changed at the controller", 0.0)),
-        ("frozen just above 20 %", lambda t: replace(CALM, temp_c=25.0, power_percent=20.01), ("frozen reading", 120.0)),
-        ("falling just above 90 %", lambda t: at_power(25.0 - t * 0.001, 90.01), ("loop break", 120.0)),
-        ("risen by 0.1 K after 100 s", lambda t: at_power(20.0 + 0.1015 * (t >= 100) + 0.001 * (t % 2), 95.0), ("loop break", 220.0)),
-        ("risen by less", lambda t: at_power(20.0 + 0.0985 * (t >= 100) + 0.001 * (t % 2), 95.0), ("loop break", 120.0)),
-        ("low level, hardly heated", lambda t: replace(CALM, alarm=1, power_percent=0.0005), ("heat without pump or level", 0.0)),
-        ("low level while cooling", lambda t: replace(CALM, alarm=1, power_percent=-5.0), ("controller alarm", 0.0)),
-        ("low level, no output told", lambda t: replace(CALM, alarm=1, power_percent=None), ("controller alarm", 0.0)),
+        (
+            "just above",
+            lambda t: replace(CALM, set_point_c=33.0605),
+            ("changed at the controller", 0.0),
+        ),
+        (
+            "frozen just above 20 %",
+            lambda t: replace(CALM, temp_c=25.0, power_percent=20.01),
+            ("frozen reading", 120.0),
+        ),
+        (
+            "falling just above 90 %",
+            lambda t: at_power(25.0 - t * 0.001, 90.01),
+            ("loop break", 120.0),
+        ),
+        (
+            "risen by 0.1 K after 100 s",
+            lambda t: at_power(20.0 + 0.1015 * (t >= 100) + 0.001 * (t % 2), 95.0),
+            ("loop break", 220.0),
+        ),
+        (
+            "risen by less",
+            lambda t: at_power(20.0 + 0.0985 * (t >= 100) + 0.001 * (t % 2), 95.0),
+            ("loop break", 120.0),
+        ),
+        (
+            "low level, hardly heated",
+            lambda t: replace(CALM, alarm=1, power_percent=0.0005),
+            ("heat without pump or level", 0.0),
+        ),
+        (
+            "low level while cooling",
+            lambda t: replace(CALM, alarm=1, power_percent=-5.0),
+            ("controller alarm", 0.0),
+        ),
+        (
+            "low level, no output told",
+            lambda t: replace(CALM, alarm=1, power_percent=None),
+            ("controller alarm", 0.0),
+        ),
         ("alarm 5", lambda t: replace(CALM, alarm=5 if t == 60 else 0), ("controller alarm", 60.0)),
-        ("low level with the heater on", lambda t: replace(CALM, alarm=1 if t == 60 else 0), ("heat without pump or level", 60.0)),
-        ("low level with the heater off", lambda t: replace(CALM, alarm=int(t == 60), power_percent=0.0), ("controller alarm", 60.0)),
+        (
+            "low level with the heater on",
+            lambda t: replace(CALM, alarm=1 if t == 60 else 0),
+            ("heat without pump or level", 60.0),
+        ),
+        (
+            "low level with the heater off",
+            lambda t: replace(CALM, alarm=int(t == 60), power_percent=0.0),
+            ("controller alarm", 60.0),
+        ),
     ],
-)  # fmt: skip
-def test_when_each_rule_trips_and_when_not(what: str, at: Callable[[int], BathReading], expected: tuple[str, float] | None) -> None:
+)
+def test_when_each_rule_trips_and_when_not(
+    what: str, at: Callable[[int], BathReading], expected: tuple[str, float] | None
+) -> None:
     assert tripped_at(at) == expected
 
 
-@pytest.mark.parametrize(("pump_on", "rule"), [(None, None), (True, None), (False, "heat without pump or level")])
+@pytest.mark.parametrize(
+    ("pump_on", "rule"), [(None, None), (True, None), (False, "heat without pump or level")]
+)
 def test_no_heat_while_the_pump_is_known_to_stand(pump_on: bool | None, rule: str | None) -> None:
     trip = first_trip(lambda t: replace(CALM, temp_c=33.0 + wobbling(t)), pump_on=pump_on)
     assert (trip.rule if trip else None) == rule
-    assert first_trip(lambda t: replace(CALM, power_percent=0.0), pump_on=False) is None, "a standing pump is no fault of a cold heater"
+    assert first_trip(lambda t: replace(CALM, power_percent=0.0), pump_on=False) is None, (
+        "a standing pump is no fault of a cold heater"
+    )
 
 
 def test_a_family_that_tells_no_output_has_rules_that_sleep_and_says_so() -> None:
     silent = Interlocks(Limits(), Bath(tells=frozenset()))
-    assert set(silent.asleep) == {"heat without pump or level", "frozen reading", "loop break", "sensor disagreement"}
+    assert set(silent.asleep) == {
+        "heat without pump or level",
+        "frozen reading",
+        "loop break",
+        "sensor disagreement",
+    }
     assert Interlocks(Limits(), PRESTO).asleep == ()
 
 
@@ -162,7 +317,9 @@ def test_what_resets_each_rule(rule: str, reading: BathReading, word: str | None
 
 def test_a_bath_that_the_bench_has_not_started_may_stand_and_have_any_set_point() -> None:
     interlocks = Interlocks(Limits(), PRESTO)
-    for reading in readings(lambda t: replace(CALM, running=False, set_point_c=12.0, power_percent=0.0), 300):
+    for reading in readings(
+        lambda t: replace(CALM, running=False, set_point_c=12.0, power_percent=0.0), 300
+    ):
         assert interlocks.add(reading) is None
 
 
@@ -170,7 +327,9 @@ def test_silence_is_another_trip_than_an_answer_without_a_temperature() -> None:
     interlocks = Interlocks(Limits(), PRESTO)
     nothing = OSError("no answer")
     assert interlocks.silent(4.9, nothing, answered=False) is None
-    silent, dumb = (interlocks.silent(5.0, nothing, answered=answered) for answered in (False, True))
+    silent, dumb = (
+        interlocks.silent(5.0, nothing, answered=answered) for answered in (False, True)
+    )
     assert silent is not None
     assert dumb is not None
     assert (silent.rule, dumb.rule) == ("communications lost", "implausible reading")
@@ -180,27 +339,49 @@ def test_silence_is_another_trip_than_an_answer_without_a_temperature() -> None:
 def test_a_trip_has_the_readings_that_led_to_it() -> None:
     trip = first_trip(lambda t: replace(CALM, temp_c=37.5 if t == 90 else 33.0 + wobbling(t)))
     assert trip is not None
-    assert [row["t_s"] for row in trip.values] == [60.0, *(float(t) for t in range(81, 91))], "and one of half a minute before"
-    seen = {"t_s": 90.0, "temp_c": 37.5, "external_c": None, "safety_c": None, "power_percent": 2.0, "alarm": 0}
+    assert [row["t_s"] for row in trip.values] == [
+        60.0,
+        *(float(t) for t in range(81, 91)),
+    ], "and one of half a minute before"
+    seen = {
+        "t_s": 90.0,
+        "temp_c": 37.5,
+        "external_c": None,
+        "safety_c": None,
+        "power_percent": 2.0,
+        "alarm": 0,
+    }
     assert trip.values[-1] == seen | {"running": None, "set_point_c": None, "raw": [37500]}
 
 
-@given(st.lists(st.floats(min_value=32.9, max_value=33.1), min_size=2, max_size=300), st.floats(min_value=0.0, max_value=20.0))
-def test_a_bath_near_its_set_point_with_little_power_never_trips(temps: list[float], power: float) -> None:
+@given(
+    st.lists(st.floats(min_value=32.9, max_value=33.1), min_size=2, max_size=300),
+    st.floats(min_value=0.0, max_value=20.0),
+)
+def test_a_bath_near_its_set_point_with_little_power_never_trips(
+    temps: list[float], power: float
+) -> None:
     interlocks = Interlocks(Limits(), PRESTO)
-    for reading in readings(lambda t: replace(CALM, temp_c=temps[t], external_c=temps[t] - 0.3, power_percent=power), len(temps)):
+    for reading in readings(
+        lambda t: replace(CALM, temp_c=temps[t], external_c=temps[t] - 0.3, power_percent=power),
+        len(temps),
+    ):
         assert interlocks.add(reading) is None
 
 
 @given(st.floats(min_value=37.01, max_value=1e4), st.integers(min_value=0, max_value=200))
 def test_no_heat_above_the_limit_is_ever_missed(temp_c: float, after_s: int) -> None:
-    trip = first_trip(lambda t: replace(CALM, temp_c=temp_c if t == after_s else 33.0 + wobbling(t)), after_s + 2)
+    trip = first_trip(
+        lambda t: replace(CALM, temp_c=temp_c if t == after_s else 33.0 + wobbling(t)), after_s + 2
+    )
     assert trip is not None
     assert trip.values[-1]["t_s"] == float(after_s)
 
 
 def test_a_trip_says_how_long_it_lasted() -> None:
     """The heater dies after five minutes, and the rule compares with the last reading that rose."""
-    trip = first_trip(lambda t: at_power(20.0 + min(t, 300) * 0.04 - max(0, t - 300) * 0.001, 100.0))
+    trip = first_trip(
+        lambda t: at_power(20.0 + min(t, 300) * 0.04 - max(0, t - 300) * 0.001, 100.0)
+    )
     assert trip is not None
     assert trip.why == "the bath went from 32.00 to 31.88 degC in 120 s at 100 % output"

@@ -16,21 +16,32 @@ def rows(heading: str) -> list[tuple[str, ...]]:
     part = TEXT[TEXT.index(heading) :]
     table = re.search(r"(?:^\|.*\n)+", part, re.MULTILINE)
     assert table is not None
-    return [tuple(cell.strip() for cell in line.strip("|").split("|")) for line in table[0].strip().split("\n")[2:]]
+    return [
+        tuple(cell.strip() for cell in line.strip("|").split("|"))
+        for line in table[0].strip().split("\n")[2:]
+    ]
 
 
 def plain(text: str) -> str:
-    return text.replace("`", "").replace("it", "bath_max_c") if text.endswith("below it") else text.replace("`", "")
+    return (
+        text.replace("`", "").replace("it", "bath_max_c")
+        if text.endswith("below it")
+        else text.replace("`", "")
+    )
 
 
 def test_the_table_is_the_program_s() -> None:
-    assert [tuple(plain(cell) for cell in row) for row in rows("## Interlocks")] == [(r.name, r.trips, r.resets) for r in RULES]
+    assert [tuple(plain(cell) for cell in row) for row in rows("## Interlocks")] == [
+        (r.name, r.trips, r.resets) for r in RULES
+    ]
 
 
 def test_every_kind_of_lost_communication_is_explained() -> None:
     from typing import get_args
 
-    assert {row[0].strip("`") for row in rows("## When the computer dies")} == set(get_args(CommsLoss))
+    assert {row[0].strip("`") for row in rows("## When the computer dies")} == set(
+        get_args(CommsLoss)
+    )
 
 
 def test_it_says_plainly_what_it_is_not() -> None:

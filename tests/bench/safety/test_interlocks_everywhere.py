@@ -1,6 +1,8 @@
-"""Through every wait, move, capture and prompt of a run in real time the interlocks are looked at once a second, and a trip acts at once.
+"""Through every wait, move, capture and prompt of a run in real time the interlocks are looked at
+once a second, and a trip acts at once.
 
-The bench is at it all the while: nobody answers the prompt, the camera takes its time, the stage is on its way.
+The bench is at it all the while: nobody answers the prompt, the camera takes its time, the stage is
+on its way.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ if sys.platform == "win32":
 from tests.bench.marked_bench import MARK, MarkedBench, marked_bench, serve
 
 LASTS_S = 4.0  # each step goes on at least so long before anything happens
-GAP_S = 3.5  # a look a second, seen on a machine that is busy; one that the step stops comes LASTS_S late
+# a look a second, seen on a machine that is busy; one that the step stops comes LASTS_S late
+GAP_S = 3.5
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,10 @@ class Outcome:
 
 def trip_in(name: str, folder: Path, recording: Path) -> Outcome:
     step = STEPS[name]
-    with real_rig(folder, recording, **dict(step.more)) as rig, marked_bench(rig, step.mark) as running:
+    with (
+        real_rig(folder, recording, **dict(step.more)) as rig,
+        marked_bench(rig, step.mark) as running,
+    ):
         running.wait_for("on its peg")
         running.enter()
         if name == "capture":
@@ -74,7 +80,9 @@ def trip_in(name: str, folder: Path, recording: Path) -> Outcome:
         running.process.join(60)
         assert running.process.exitcode == 3, running.said
         latch = json.loads((rig.folder / "lab.tripped.json").read_text(encoding="utf-8"))
-        return Outcome(name, seconds, still_at_it, stage_still, read_run(rig.run_folder()), latch, running.said)
+        return Outcome(
+            name, seconds, still_at_it, stage_still, read_run(rig.run_folder()), latch, running.said
+        )
 
 
 def overheat(rig: RealRig, running: MarkedBench) -> float:
@@ -104,12 +112,16 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_one(tmp_path_factory.mktemp("frames") / "recording")
 
 
-def test_a_trip_in_any_step_acts_at_once_and_is_latched(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_trip_in_any_step_acts_at_once_and_is_latched(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with ThreadPoolExecutor(3) as pool:
         jobs = [pool.submit(trip_in, name, tmp_path / name, recording) for name in STEPS]
         outcomes = [job.result() for job in jobs]
     for outcome in outcomes:
-        assert outcome.safe_after_s < 3.0 + 5.0, f"{outcome.name}: sensor's lag, a second, and a busy machine"
+        assert outcome.safe_after_s < 3.0 + 5.0, (
+            f"{outcome.name}: sensor's lag, a second, and a busy machine"
+        )
         assert outcome.stage_still, outcome.name
         assert outcome.run.ending == "faulted", outcome.name
         trip = outcome.run.facts["trip"]
@@ -122,9 +134,23 @@ def test_a_trip_in_any_step_acts_at_once_and_is_latched(recording: Path, tmp_pat
         assert len(looked_s) >= LASTS_S, outcome.name
         assert float(np.max(np.diff(looked_s))) < GAP_S, f"{outcome.name}: a look every second"
         assert float(np.median(np.diff(looked_s))) == pytest.approx(1.0, abs=0.1), outcome.name
-    assert all(outcome.still_at_it for outcome in outcomes if outcome.name == "capture"), "the main thread was still at it"
+    assert all(outcome.still_at_it for outcome in outcomes if outcome.name == "capture"), (
+        "the main thread was still at it"
+    )
     move = next(outcome for outcome in outcomes if outcome.name == "move")
     assert "stage is held" in move.run.facts["trip"]["done"]
     again = tmp_path / "move"
-    assert main(["run", str(again / "short.toml"), "--rig", str(again / "lab.toml"), "--out", str(tmp_path / "elsewhere")]) == 3
+    assert (
+        main(
+            [
+                "run",
+                str(again / "short.toml"),
+                "--rig",
+                str(again / "lab.toml"),
+                "--out",
+                str(tmp_path / "elsewhere"),
+            ]
+        )
+        == 3
+    )
     assert "teatbench bath acknowledge" in capsys.readouterr().err

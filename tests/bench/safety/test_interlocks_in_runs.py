@@ -1,4 +1,6 @@
-"""Trips in whole runs: with emulated faults under virtual time, and in real time while the operator lets the bench wait."""
+"""Trips in whole runs: with emulated faults under virtual time, and in real time while the operator
+lets the bench wait.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +26,28 @@ at_s = {at_s}
 
 
 def run_with_fault(name: str, at_s: float, short_script: Path, folder: Path) -> RunRecord:
-    """A run on the emulated rig whose bath gets a fault; it is still settling when the latest of them comes."""
-    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    """A run on the emulated rig whose bath gets a fault; it is still settling when the latest of
+    them comes.
+    """
+    (folder / "calibration.toml").write_text(
+        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
     (folder / "rig.toml").write_text(text + FAULT.format(name=name, at_s=at_s), encoding="utf-8")
-    script = short_script.read_text(encoding="utf-8").replace("window_s = 60.0", "window_s = 3000.0")
+    script = short_script.read_text(encoding="utf-8").replace(
+        "window_s = 60.0", "window_s = 3000.0"
+    )
     (folder / "script.toml").write_text(script, encoding="utf-8")
-    code = main(["run", str(folder / "script.toml"), "--rig", str(folder / "rig.toml"), "--out", str(folder / "runs")])
+    code = main(
+        [
+            "run",
+            str(folder / "script.toml"),
+            "--rig",
+            str(folder / "rig.toml"),
+            "--out",
+            str(folder / "runs"),
+        ]
+    )
     assert code == 3
     (run,) = (folder / "runs").iterdir()
     return read_run(run)
@@ -51,7 +68,13 @@ def run_with_fault(name: str, at_s: float, short_script: Path, folder: Path) -> 
     ],
 )
 def test_each_fault_of_the_bath_trips_its_rule_in_time(
-    fault: str, at_s: float, rule: str, within_s: float, short_script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fault: str,
+    at_s: float,
+    rule: str,
+    within_s: float,
+    short_script: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     run = run_with_fault(fault, at_s, short_script, tmp_path)
     trip = run.facts["trip"]
@@ -65,7 +88,9 @@ def test_each_fault_of_the_bath_trips_its_rule_in_time(
     assert f"interlock {rule}" in said, "shown to the operator"
     page = (run.folder / "report" / "index.html").read_text(encoding="utf-8")
     assert f"Readings that led to the trip: {rule}" in page
-    assert not list(tmp_path.glob("*.tripped.json")), "an emulated bath is a new one in each run: nothing is latched"
+    assert not list(tmp_path.glob("*.tripped.json")), (
+        "an emulated bath is a new one in each run: nothing is latched"
+    )
 
 
 OWN_LIMITS = """
@@ -87,11 +112,17 @@ at_s = 30.0
     ("fault", "rule"),
     [("stuck heater", "over-temperature"), ("silence", "communications lost")],
 )
-def test_a_run_trips_at_the_limits_of_its_rig_file(fault: str, rule: str, short_script: Path, tmp_path: Path) -> None:
-    calibration, rig = ((RIGS / name).read_text(encoding="utf-8") for name in ("calibration.toml", "emulated.toml"))
+def test_a_run_trips_at_the_limits_of_its_rig_file(
+    fault: str, rule: str, short_script: Path, tmp_path: Path
+) -> None:
+    calibration, rig = (
+        (RIGS / name).read_text(encoding="utf-8") for name in ("calibration.toml", "emulated.toml")
+    )
     (tmp_path / "calibration.toml").write_text(calibration, encoding="utf-8")
     (tmp_path / "rig.toml").write_text(rig + OWN_LIMITS.format(fault=fault), encoding="utf-8")
-    script = short_script.read_text(encoding="utf-8").replace("window_s = 60.0", "window_s = 3000.0")
+    script = short_script.read_text(encoding="utf-8").replace(
+        "window_s = 60.0", "window_s = 3000.0"
+    )
     (tmp_path / "script.toml").write_text(script, encoding="utf-8")
     given = [str(tmp_path / name) for name in ("script.toml", "rig.toml", "runs")]
     assert main(["run", given[0], "--rig", given[1], "--out", given[2]]) == 3
@@ -130,7 +161,8 @@ def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowl
             assert plant.running
             with rig.twin.world.lock:
                 plant.bath_c = 39.0
-            running.wait_until(lambda: not plant.running, "made safe", within_s=120.0)  # and nobody pressed Enter
+            # and nobody pressed Enter
+            running.wait_until(lambda: not plant.running, "made safe", within_s=120.0)
             running.wait_for("interlock over-temperature")
             running.wait_for("No answer is needed any more")
             assert running.process.wait(60) == 3, running.said
@@ -139,7 +171,14 @@ def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowl
         latch = rig.folder / "lab.tripped.json"
         assert json.loads(latch.read_text(encoding="utf-8"))["rule"] == "over-temperature"
 
-        again = ["run", str(rig.script_path), "--rig", str(rig.rig_path), "--out", str(tmp_path / "elsewhere")]
+        again = [
+            "run",
+            str(rig.script_path),
+            "--rig",
+            str(rig.rig_path),
+            "--out",
+            str(tmp_path / "elsewhere"),
+        ]
         assert main(again) == 3
         assert "teatbench bath acknowledge" in capsys.readouterr().err
         assert not (tmp_path / "elsewhere").exists(), "another folder is no way round"
@@ -156,13 +195,31 @@ def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowl
         assert "nothing is latched" in capsys.readouterr().out
 
 
-def test_after_a_trip_a_pump_on_a_relay_runs_on_for_a_minute_behind_the_heater(short_script: Path, tmp_path: Path) -> None:
-    (tmp_path / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+def test_after_a_trip_a_pump_on_a_relay_runs_on_for_a_minute_behind_the_heater(
+    short_script: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "calibration.toml").write_text(
+        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     text, before = (RIGS / "emulated.toml").read_text(encoding="utf-8"), 'profile = "julabo-presto"'
     assert before in text
     relay = 'profile = "eurotherm-2400"\npump_url = "emulator:"\npump_profile = "modbus-relay"'
-    (tmp_path / "rig.toml").write_text(text.replace(before, relay) + FAULT.format(name="dead heater", at_s=300.0), encoding="utf-8")
-    assert main(["run", str(short_script), "--rig", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "runs")]) == 3
+    (tmp_path / "rig.toml").write_text(
+        text.replace(before, relay) + FAULT.format(name="dead heater", at_s=300.0), encoding="utf-8"
+    )
+    assert (
+        main(
+            [
+                "run",
+                str(short_script),
+                "--rig",
+                str(tmp_path / "rig.toml"),
+                "--out",
+                str(tmp_path / "runs"),
+            ]
+        )
+        == 3
+    )
     (folder,) = (tmp_path / "runs").iterdir()
     run = read_run(folder)
     trip = run.facts["trip"]

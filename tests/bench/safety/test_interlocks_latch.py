@@ -12,12 +12,36 @@ from bench.cli.main import main
 from bench.config import ConfigError
 from bench.rig.loading import RIGS, LoadedRig, find_rig, load_rig
 from bench.safety.interlocks import InterlockTrip
-from bench.safety.latch import Latch, LatchedError, acknowledge, latch_path, read_latch, refuse_latched, refuse_untested_cut_out, set_latch
+from bench.safety.latch import (
+    Latch,
+    LatchedError,
+    acknowledge,
+    latch_path,
+    read_latch,
+    refuse_latched,
+    refuse_untested_cut_out,
+    set_latch,
+)
 from instruments.bath.reading import BathReading
 from tests.conftest import ROOT
 
-CALM = BathReading(t_s=0.0, temp_c=33.0, raw=(1, 2), external_c=None, power_percent=2.0, safety_c=None, alarm=0, warning=0, remote=True)
-TRIP = InterlockTrip("controller alarm", "the controller reports alarm 1", "Clear it there.", ({"t_s": 1.0, "temp_c": 33.0},))
+CALM = BathReading(
+    t_s=0.0,
+    temp_c=33.0,
+    raw=(1, 2),
+    external_c=None,
+    power_percent=2.0,
+    safety_c=None,
+    alarm=0,
+    warning=0,
+    remote=True,
+)
+TRIP = InterlockTrip(
+    "controller alarm",
+    "the controller reports alarm 1",
+    "Clear it there.",
+    ({"t_s": 1.0, "temp_c": 33.0},),
+)
 
 
 @pytest.fixture
@@ -39,7 +63,12 @@ def test_a_trip_keeps_the_rig_from_starting_and_says_what_and_what_to_do(lab: Lo
     assert path == lab.path.with_name("lab.example.tripped.json")
     set_latch(path, TRIP, "runs/one")
     set_latch(path, InterlockTrip("rate", "later", "Other."), "runs/one")
-    with pytest.raises(LatchedError, match=r"controller alarm.*reports alarm 1.*Clear it there\. Then: teatbench bath acknowledge"):
+    with pytest.raises(
+        LatchedError,
+        match=(
+            r"controller alarm.*reports alarm 1.*Clear it there\. Then: teatbench bath acknowledge"
+        ),
+    ):
         refuse_latched(lab)
     assert latched(lab).told["values"] == [{"t_s": 1.0, "temp_c": 33.0}]
 
@@ -93,7 +122,9 @@ def with_bath(folder: Path, profile: str, tested: str) -> LoadedRig:
 
 
 @pytest.mark.parametrize(("profile", "loss"), [("julabo-presto", "hold"), ("omega-cn7", "unknown")])
-def test_a_bath_that_may_stay_hot_needs_a_tested_cut_out(profile: str, loss: str, lab: LoadedRig, tmp_path: Path) -> None:
+def test_a_bath_that_may_stay_hot_needs_a_tested_cut_out(
+    profile: str, loss: str, lab: LoadedRig, tmp_path: Path
+) -> None:
     with pytest.raises(ConfigError) as caught:
         refuse_untested_cut_out(with_bath(tmp_path, profile, ""), TODAY)
     said = str(caught.value)
@@ -106,7 +137,9 @@ def test_a_bath_that_may_stay_hot_needs_a_tested_cut_out(profile: str, loss: str
 @pytest.mark.parametrize("loss", ["stop", "safe_setpoint"])
 def test_a_bath_that_stops_by_itself_needs_none(loss: str, lab: LoadedRig, tmp_path: Path) -> None:
     shipped = ROOT / "instruments" / "bath" / "profiles" / "julabo-presto.toml"
-    text = shipped.read_text(encoding="utf-8").replace('comms_loss = "hold"', f'comms_loss = "{loss}"')
+    text = shipped.read_text(encoding="utf-8").replace(
+        'comms_loss = "hold"', f'comms_loss = "{loss}"'
+    )
     (tmp_path / "own.toml").write_text(text, encoding="utf-8")
     refuse_untested_cut_out(with_bath(tmp_path, "own.toml", ""), TODAY)
 

@@ -1,4 +1,6 @@
-"""The table of interlocks, walked: each row trips, stays tripped whatever the bath does then, and resets when its condition holds."""
+"""The table of interlocks, walked: each row trips, stays tripped whatever the bath does then, and
+resets when its condition holds.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,14 @@ from bench.rig.loading import RIGS, LoadedRig, load_rig
 from bench.rig.model import Limits
 from bench.safety.bath_monitor import Watch
 from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, bath_of, moving_of, rule_named
-from bench.safety.latch import LatchedError, acknowledge, latch_path, read_latch, refuse_latched, set_latch
+from bench.safety.latch import (
+    LatchedError,
+    acknowledge,
+    latch_path,
+    read_latch,
+    refuse_latched,
+    set_latch,
+)
 from bench.safety.stability import StabilityGate
 from bench.script.model import load_script
 from instruments.bath.profile import load_profile
@@ -23,14 +32,26 @@ from instruments.bath.reading import BathReading
 from instruments.clock import VirtualClock
 from instruments.errors import LinkError
 
-CALM = BathReading(t_s=0.0, temp_c=33.0, raw=(1, 2), external_c=None, power_percent=2.0, safety_c=None, alarm=0, warning=0, remote=True)
+CALM = BathReading(
+    t_s=0.0,
+    temp_c=33.0,
+    raw=(1, 2),
+    external_c=None,
+    power_percent=2.0,
+    safety_c=None,
+    alarm=0,
+    warning=0,
+    remote=True,
+)
 COLD = replace(CALM, power_percent=0.0)
 FROM_S, TO_S = 200.0, 800.0  # the trouble comes and goes
 
 
 @dataclass(frozen=True)
 class Walk:
-    """How a row is tripped (``trouble`` at a time, or what ``also`` finds), what keeps it from being reset, and what doesn't."""
+    """How a row is tripped (``trouble`` at a time, or what ``also`` finds), what keeps it from
+    being reset, and what doesn't.
+    """
 
     trouble: Callable[[float], BathReading]
     within_s: float
@@ -46,11 +67,21 @@ def silence(_: float) -> BathReading:
 WALKS = {
     "over-temperature": Walk(lambda t: replace(CALM, temp_c=37.1), 0.0, replace(COLD, temp_c=36.5)),
     "heat without pump or level": Walk(lambda t: replace(CALM, alarm=1), 0.0, CALM),
-    "implausible reading": Walk(lambda t: replace(CALM, temp_c=-20.0), 0.0, replace(COLD, temp_c=-20.0)),
-    "frozen reading": Walk(lambda t: replace(CALM, temp_c=32.8, power_percent=30.0), 121.0, replace(CALM, power_percent=30.0)),
+    "implausible reading": Walk(
+        lambda t: replace(CALM, temp_c=-20.0), 0.0, replace(COLD, temp_c=-20.0)
+    ),
+    "frozen reading": Walk(
+        lambda t: replace(CALM, temp_c=32.8, power_percent=30.0),
+        121.0,
+        replace(CALM, power_percent=30.0),
+    ),
     "rate": Walk(lambda t: replace(CALM, temp_c=33.0 - (t - FROM_S) * 4.5 / 60), 32.0, CALM),
-    "loop break": Walk(lambda t: replace(CALM, temp_c=33.0 - (t - FROM_S) * 1e-4, power_percent=95.0), 121.0, CALM),
-    "sensor disagreement": Walk(lambda t: replace(CALM, temp_c=33.0 + 0.01 * (t % 2), external_c=30.9), 11.0, CALM),
+    "loop break": Walk(
+        lambda t: replace(CALM, temp_c=33.0 - (t - FROM_S) * 1e-4, power_percent=95.0), 121.0, CALM
+    ),
+    "sensor disagreement": Walk(
+        lambda t: replace(CALM, temp_c=33.0 + 0.01 * (t % 2), external_c=30.9), 11.0, CALM
+    ),
     "controller alarm": Walk(lambda t: replace(CALM, alarm=3), 0.0, replace(COLD, alarm=3)),
     "changed at the controller": Walk(lambda t: replace(CALM, running=False), 0.0, CALM),
     "communications lost": Walk(silence, 6.0, resets=CALM),
@@ -95,7 +126,9 @@ def test_a_row_trips_latches_and_resets(name: str, lab: LoadedRig) -> None:
 
 
 def walked(walk: Walk) -> list[tuple[float, Exception]]:
-    """What tripped and when, in a watched bath whose trouble comes and goes; a trip has to outlast it."""
+    """What tripped and when, in a watched bath whose trouble comes and goes; a trip has to outlast
+    it.
+    """
     clock, acts = VirtualClock(), list[tuple[float, Exception]]()
     profile = load_profile("julabo-presto")
     interlocks = Interlocks(Limits(), bath_of(profile))
@@ -113,10 +146,18 @@ def walked(walk: Walk) -> list[tuple[float, Exception]]:
 
     def also() -> InterlockTrip | None:
         lost = walk.also and clock.now() >= FROM_S
-        return InterlockTrip("guardian lost", "it ended", rule_named("guardian lost").then, interlocks.values) if lost else None
+        return (
+            InterlockTrip(
+                "guardian lost", "it ended", rule_named("guardian lost").then, interlocks.values
+            )
+            if lost
+            else None
+        )
 
     gate = StabilityGate(33.0)
-    watch = Watch(Bath(), clock, gate, interlocks, lambda _: None, act, also=also, moving=moving_of(profile))
+    watch = Watch(
+        Bath(), clock, gate, interlocks, lambda _: None, act, also=also, moving=moving_of(profile)
+    )
     watch.start()
     watch.heating()
     clock.sleep(TO_S + 300.0)
@@ -138,8 +179,12 @@ def test_what_a_rule_compared_with_is_among_its_values() -> None:
     assert stopped.values[-1]["running"] is False
 
 
-@pytest.mark.parametrize(("family", "alive"), [("julabo-presto", False), ("eurotherm-2400", False), ("omega-cn7", True)])
-def test_only_a_coarse_temperature_may_stand_while_the_output_moves(family: str, alive: bool) -> None:
+@pytest.mark.parametrize(
+    ("family", "alive"), [("julabo-presto", False), ("eurotherm-2400", False), ("omega-cn7", True)]
+)
+def test_only_a_coarse_temperature_may_stand_while_the_output_moves(
+    family: str, alive: bool
+) -> None:
     moving = moving_of(load_profile(family))
     gate = StabilityGate(33.0)
     states = set()
@@ -259,7 +304,9 @@ HOT, DISAGREE, BROKEN = "over-temperature", "sensor disagreement", "implausible 
         ("rate", replace(CALM, power_percent=None), True),
     ],
 )
-def test_what_a_rig_file_allows_to_reset(rule: str, reading: BathReading, resets: bool, tmp_path: Path) -> None:
+def test_what_a_rig_file_allows_to_reset(
+    rule: str, reading: BathReading, resets: bool, tmp_path: Path
+) -> None:
     rig = with_limits(tmp_path)
     path = latch_path(rig)
     assert path is not None
@@ -293,7 +340,9 @@ def test_what_a_rig_file_allows_to_reset(rule: str, reading: BathReading, resets
         ({"away_s": "86400.000001"}, "less than or equal to 86400"),
     ],
 )
-def test_which_limits_a_rig_file_may_have(changed: dict[str, str], fault: str, tmp_path: Path) -> None:
+def test_which_limits_a_rig_file_may_have(
+    changed: dict[str, str], fault: str, tmp_path: Path
+) -> None:
     if not fault:
         with_limits(tmp_path, **changed)
         return
@@ -301,7 +350,9 @@ def test_which_limits_a_rig_file_may_have(changed: dict[str, str], fault: str, t
         with_limits(tmp_path, **changed)
 
 
-@pytest.mark.parametrize(("set_point_c", "allowed"), [(22.0, True), (21.999999, False), (33.0, True), (33.000001, False)])
+@pytest.mark.parametrize(
+    ("set_point_c", "allowed"), [(22.0, True), (21.999999, False), (33.0, True), (33.000001, False)]
+)
 def test_a_script_may_ask_for_what_the_rig_file_allows(
     set_point_c: float,
     allowed: bool,

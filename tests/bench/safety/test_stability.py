@@ -1,4 +1,6 @@
-"""The bath's gate: when it opens, when it closes, and that its running figures are those of numpy on the same window."""
+"""The bath's gate: when it opens, when it closes, and that its running figures are those of numpy
+on the same window.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ SP = 33.0
 HEATING, SETTLING, STABLE = State.HEATING, State.SETTLING, State.STABLE
 
 
-def feed(gate: StabilityGate, temps: list[float], start_s: float = 0.0, step_s: float = 1.0) -> list[State]:
+def feed(
+    gate: StabilityGate, temps: list[float], start_s: float = 0.0, step_s: float = 1.0
+) -> list[State]:
     return [gate.add(start_s + k * step_s, t) for k, t in enumerate(temps)]
 
 
@@ -40,12 +44,18 @@ def test_a_quiet_bath_is_stable_when_the_window_is_full_and_not_before() -> None
 def test_a_bath_that_heats_up_goes_through_all_three_states() -> None:
     ramp = [float(v) for v in np.linspace(20, 33, 400, endpoint=False)]
     states = feed(StabilityGate(SP), ramp + quiet(1100))
-    assert [s for s, after in pairwise([*states, None]) if s is not after] == [HEATING, SETTLING, STABLE]
+    assert [s for s, after in pairwise([*states, None]) if s is not after] == [
+        HEATING,
+        SETTLING,
+        STABLE,
+    ]
     assert states.index(STABLE) >= 400 + 590  # the ramp has to leave the window first
 
 
 def test_what_is_waited_for_is_told_by_the_readings_near_the_set_point() -> None:
-    """The way there fills the window too, and has a slope and a range that say nothing of how steady the bath is now."""
+    """The way there fills the window too, and has a slope and a range that say nothing of how
+    steady the bath is now.
+    """
     gate = StabilityGate(SP)
     feed(gate, [float(v) for v in np.linspace(20, 32.8, 1500)])
     assert list(gate.report.reasons) == ["32.80 degC, needs 33 ± 0.15"]
@@ -60,7 +70,10 @@ def test_what_is_waited_for_is_told_by_the_readings_near_the_set_point() -> None
     ("temps", "reason"),
     [
         (quiet(2000, offset_k=0.12), "mean +0.1"),
-        ([SP + 0.06 * (-1) ** (k // 30) for k in range(2000)], "half the range 0.060 K, needs 0.05"),
+        (
+            [SP + 0.06 * (-1) ** (k // 30) for k in range(2000)],
+            "half the range 0.060 K, needs 0.05",
+        ),
         ([SP - 0.04 + 0.011 / 60 * k for k in range(700)], "slope +0.011 K/min, needs 0.01"),
     ],
 )
@@ -73,7 +86,9 @@ def test_each_criterion_alone_keeps_the_gate_shut(temps: list[float], reason: st
 
 def test_just_within_each_criterion_it_opens() -> None:
     assert feed(StabilityGate(SP), quiet(601, offset_k=0.08))[-1] is STABLE
-    assert feed(StabilityGate(SP), [SP + 0.04 * (-1) ** (k // 30) for k in range(601)])[-1] is STABLE
+    assert (
+        feed(StabilityGate(SP), [SP + 0.04 * (-1) ** (k // 30) for k in range(601)])[-1] is STABLE
+    )
     assert feed(StabilityGate(SP), [SP - 0.04 + 0.0075 / 60 * k for k in range(601)])[-1] is STABLE
 
 
@@ -93,7 +108,8 @@ def test_after_leaving_the_whole_window_has_to_be_quiet_again() -> None:
     gate = stable_gate()
     gate.add(601, SP + 0.2)
     states = feed(gate, quiet(700, seed=1), start_s=602)
-    assert states.index(STABLE) == 600  # at 1201 s the window still begins with the excursion at 601 s
+    # at 1201 s the window still begins with the excursion at 601 s
+    assert states.index(STABLE) == 600
     assert set(states[:600]) == {SETTLING}
 
 
@@ -140,25 +156,38 @@ class TestFrozenReading:
 
     def test_a_raw_reading_that_stands_still_is_not_saved_by_a_moving_temperature(self) -> None:
         gate = StabilityGate(SP)
-        assert STABLE not in [gate.add(float(t), temp, raw=3300) for t, temp in enumerate(quiet(1500))]
+        assert STABLE not in [
+            gate.add(float(t), temp, raw=3300) for t, temp in enumerate(quiet(1500))
+        ]
 
 
 class TestTeats:
-    """The sensor at the teats, where there is one, has a slope of its own: 0.02 K/min (section 4.2)."""
+    """The sensor at the teats, where there is one, has a slope of its own: 0.02 K/min (section
+    4.2).
+    """
 
-    @pytest.mark.parametrize(("k_per_min", "state"), [(0.018, STABLE), (0.022, SETTLING), (-0.022, SETTLING)])
-    def test_teats_that_still_warm_up_keep_the_gate_shut(self, k_per_min: float, state: State) -> None:
+    @pytest.mark.parametrize(
+        ("k_per_min", "state"), [(0.018, STABLE), (0.022, SETTLING), (-0.022, SETTLING)]
+    )
+    def test_teats_that_still_warm_up_keep_the_gate_shut(
+        self, k_per_min: float, state: State
+    ) -> None:
         gate = StabilityGate(SP)
         for t, temp in enumerate(quiet(700)):
             gate.add(float(t), temp, teat_c=32.0 + k_per_min * t / 60)
         assert gate.state is state
         assert (gate.report.reasons == ()) is (state is STABLE)
         if state is SETTLING:
-            assert gate.report.reasons == (f"slope at the teats {k_per_min:+.3f} K/min, needs 0.02",)
+            assert gate.report.reasons == (
+                f"slope at the teats {k_per_min:+.3f} K/min, needs 0.02",
+            )
 
     def test_what_the_teats_do_later_is_no_reason_to_leave(self) -> None:
         gate = StabilityGate(SP)
-        states = [gate.add(float(t), temp, teat_c=32.0 + 0.1 * max(0, t - 650)) for t, temp in enumerate(quiet(800))]
+        states = [
+            gate.add(float(t), temp, teat_c=32.0 + 0.1 * max(0, t - 650))
+            for t, temp in enumerate(quiet(800))
+        ]
         assert set(states[601:]) == {STABLE}
 
     def test_a_sensor_that_has_gone_asks_for_nothing(self) -> None:
@@ -179,16 +208,28 @@ def test_a_new_set_point_restarts_and_the_same_does_not() -> None:
 
 def test_before_the_first_reading_there_are_no_figures() -> None:
     report = StabilityGate(SP).report
-    assert (report.state, report.n, report.mean_c, report.half_range_k, report.slope_k_per_min) == (HEATING, 0, None, None, None)
+    assert (report.state, report.n, report.mean_c, report.half_range_k, report.slope_k_per_min) == (
+        HEATING,
+        0,
+        None,
+        None,
+        None,
+    )
     assert report.as_dict()["state"] == "heating"
 
 
-STEPS = st.lists(st.tuples(st.sampled_from([0.1, 0.5, 1.0, 2.5, 5.0]), st.integers(-300, 300)), min_size=2, max_size=250)
+STEPS = st.lists(
+    st.tuples(st.sampled_from([0.1, 0.5, 1.0, 2.5, 5.0]), st.integers(-300, 300)),
+    min_size=2,
+    max_size=250,
+)
 
 
 @settings(max_examples=150, deadline=None)
 @given(STEPS, st.sampled_from([2.0, 10.0, 60.0]), st.sampled_from([0.0, 1e6]))
-def test_the_running_figures_are_those_of_numpy(steps: list[tuple[float, int]], window_s: float, start_s: float) -> None:
+def test_the_running_figures_are_those_of_numpy(
+    steps: list[tuple[float, int]], window_s: float, start_s: float
+) -> None:
     gate = StabilityGate(SP, window_s=window_s, frozen_s=1e9)
     times = start_s + np.cumsum([dt for dt, _ in steps])
     temps = np.array([SP + k / 1000 for _, k in steps])
@@ -203,7 +244,9 @@ def test_the_running_figures_are_those_of_numpy(steps: list[tuple[float, int]], 
     assert report.distinct == len(set(y.tolist()))
     if len(t) > 1:
         x = t - t[0] - (t - t[0]).mean()
-        assert report.slope_k_per_min == pytest.approx(60 * float((x * (y - y.mean())).sum() / (x * x).sum()), abs=1e-6)
+        assert report.slope_k_per_min == pytest.approx(
+            60 * float((x * (y - y.mean())).sum() / (x * x).sum()), abs=1e-6
+        )
 
 
 def test_a_day_of_readings_leaves_no_rounding_behind() -> None:
@@ -213,7 +256,9 @@ def test_a_day_of_readings_leaves_no_rounding_behind() -> None:
         gate.add(1e6 + k, temp)
     window = np.array(temps[-601:])
     assert gate.report.mean_c == pytest.approx(window.mean(), abs=1e-12)
-    assert gate.report.slope_k_per_min == pytest.approx(60 * np.polyfit(np.arange(601.0), window, 1)[0], abs=1e-12)
+    assert gate.report.slope_k_per_min == pytest.approx(
+        60 * np.polyfit(np.arange(601.0), window, 1)[0], abs=1e-12
+    )
 
 
 def test_bad_readings_and_limits_are_refused() -> None:

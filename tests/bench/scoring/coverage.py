@@ -1,4 +1,6 @@
-"""How often the interval of a comparison covers, and how often it lies within the margin, for changes with long tails: simulated."""
+"""How often the interval of a comparison covers, and how often it lies within the margin, for
+changes with long tails: simulated.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,10 @@ Draw = Callable[[np.random.Generator, int], Floats]
 
 
 def _outliers(share: float, low_mm: float, high_mm: float, sd_mm: float = 0.2) -> Draw:
-    return lambda rng, n: rng.normal(0.0, sd_mm, n) + np.where(rng.random(n) < share, rng.uniform(low_mm, high_mm, n), 0.0)
+    return lambda rng, n: (
+        rng.normal(0.0, sd_mm, n)
+        + np.where(rng.random(n) < share, rng.uniform(low_mm, high_mm, n), 0.0)
+    )
 
 
 DRAWS: dict[str, Draw] = {
@@ -29,10 +34,22 @@ DRAWS: dict[str, Draw] = {
 
 
 def coverage(name: str, poses: int, runs: int) -> tuple[float, float, float, float]:
-    """The changes' mean, the share of `runs` that cover it, their median width, and the share that shows less than the margin."""
+    """The changes' mean, the share of `runs` that cover it, their median width, and the share that
+    shows less than the margin.
+    """
     rng, draw = np.random.default_rng(poses), DRAWS[name]
     mean = float(np.clip(draw(rng, 2_000_000), -LIMIT_MM, LIMIT_MM).mean())
     drawn = [np.clip(draw(rng, poses), -LIMIT_MM, LIMIT_MM) for _ in range(runs)]
-    spans = np.array([(-upper_bound(-changes, LIMIT_MM, 0.975), upper_bound(changes, LIMIT_MM, 0.975)) for changes in drawn])
+    spans = np.array(
+        [
+            (-upper_bound(-changes, LIMIT_MM, 0.975), upper_bound(changes, LIMIT_MM, 0.975))
+            for changes in drawn
+        ]
+    )
     covers = (spans[:, 0] <= mean) & (mean <= spans[:, 1])
-    return mean, float(covers.mean()), float(np.median(np.diff(spans))), float((spans[:, 1] <= MARGIN_MM).mean())
+    return (
+        mean,
+        float(covers.mean()),
+        float(np.median(np.diff(spans))),
+        float((spans[:, 1] <= MARGIN_MM).mean()),
+    )

@@ -7,17 +7,32 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.scoring.comparison import Compared, Discordance, ScenePair, common_errors, compare, why_failed
+from bench.scoring.comparison import (
+    Compared,
+    Discordance,
+    ScenePair,
+    common_errors,
+    compare,
+    why_failed,
+)
 from bench.scoring.decisions import Verdict
 from bench.scoring.errors import Floats
 from bench.scoring.scene import SceneScore, score_scene
 
-TRUTH = np.array([[-260.0, 267.0, 136.0], [-110.0, 284.0, 136.0], [-205.0, 200.0, 137.0], [-140.0, 205.0, 136.0]])
+TRUTH = np.array(
+    [[-260.0, 267.0, 136.0], [-110.0, 284.0, 136.0], [-205.0, 200.0, 137.0], [-140.0, 205.0, 136.0]]
+)
 MET, NOT_MET, OPEN = Verdict.MET, Verdict.NOT_MET, Verdict.INCONCLUSIVE
 
 
 def scored(found: Any, **changes: Any) -> SceneScore:
-    settings: dict[str, Any] = {"u_mm": 0.2, "seconds": 0.4, "limit_mm": 5.0, "time_limit_s": 2.0, "hidden_claimed": 0}
+    settings: dict[str, Any] = {
+        "u_mm": 0.2,
+        "seconds": 0.4,
+        "limit_mm": 5.0,
+        "time_limit_s": 2.0,
+        "hidden_claimed": 0,
+    }
     return score_scene(found, TRUTH, [True] * 4, **(settings | changes))
 
 
@@ -27,7 +42,13 @@ def noisy(seed: int, sd_mm: float = 0.4) -> Floats:
 
 def pairs(olds: list[Any], news: list[Any], repeats: int = 1) -> list[ScenePair]:
     return [
-        ScenePair(f"{k:03d}-a-{k % repeats + 1}", f"a-{k // repeats}", "ideal" if k % 2 else "dim", scored(old), scored(new))
+        ScenePair(
+            f"{k:03d}-a-{k % repeats + 1}",
+            f"a-{k // repeats}",
+            "ideal" if k % 2 else "dim",
+            scored(old),
+            scored(new),
+        )
         for k, (old, new) in enumerate(zip(olds, news, strict=True))
     ]
 
@@ -39,28 +60,42 @@ def shifted(by_mm: float, scenes: int = 12) -> Compared:
 
 @pytest.mark.parametrize(("n", "verdict"), [(1, OPEN), (71, OPEN), (72, MET)])
 def test_the_same_answers_are_shown_to_be_no_worse_by_72_poses(n: int, verdict: Verdict) -> None:
-    """A twentieth of the poses, each worse by the limit, would make the margin; less than 72 poses might all miss them."""
+    """A twentieth of the poses, each worse by the limit, would make the margin; less than 72 poses
+    might all miss them.
+    """
     same = compare(pairs([noisy(1)] * n, [noisy(1)] * n))
     assert same.gate.verdict is verdict
     assert same.gate.margin_mm == pytest.approx(0.25)  # a twentieth of 5 mm
     assert same.pooled.radial.mean == 0.0
     told = "; ".join(same.gate.reasons)
     if verdict is MET:
-        assert "grew by at most 0.250 mm (margin 0.25 mm) and at most 5.0 % of poses are lost anew (72 poses, 97.5 % confidence" in told
+        assert (
+            "grew by at most 0.250 mm (margin 0.25 mm) and at most 5.0 % of poses are lost anew (72"
+            " poses, 97.5 % confidence" in told
+        )
     else:
         assert told.endswith("(margin 0.25 mm): 72 poses with such changes show less")
 
 
 @pytest.mark.parametrize("n", [8, 20, 60])
-def test_a_gate_is_hardly_ever_green_where_some_poses_got_worse_by_more_than_the_margin(n: int) -> None:
-    """7 % of the poses are 4 mm worse, 0.28 mm in the mean: of 60 gates at most 6 green (99.9 % where 2.5 % are)."""
+def test_a_gate_is_hardly_ever_green_where_some_poses_got_worse_by_more_than_the_margin(
+    n: int,
+) -> None:
+    """7 % of the poses are 4 mm worse, 0.28 mm in the mean: of 60 gates at most 6 green (99.9 %
+    where 2.5 % are).
+    """
     rng, start = np.random.default_rng(n), TRUTH[:1]
     green = 0
     for _ in range(60):
         worse = np.where(rng.random(n) < 0.07, 4.0, 0.0)
         olds = rng.normal(0.0, 0.1, n)
-        scores = [(one(start, 0.5 + old), one(start, 0.5 + old + by)) for old, by in zip(olds, worse, strict=True)]
-        found = compare([ScenePair(str(k), str(k), "ideal", *both) for k, both in enumerate(scores)])
+        scores = [
+            (one(start, 0.5 + old), one(start, 0.5 + old + by))
+            for old, by in zip(olds, worse, strict=True)
+        ]
+        found = compare(
+            [ScenePair(str(k), str(k), "ideal", *both) for k, both in enumerate(scores)]
+        )
         green += found.gate.verdict is MET
     assert green <= 6
 
@@ -124,7 +159,9 @@ def test_a_false_teat_more_and_a_miss_more_in_scenes_that_failed_before() -> Non
 
 def test_scenes_without_a_counterpart_leave_it_open() -> None:
     same = [noisy(1)] * 72
-    assert compare(pairs(same, same), unpaired=2).gate.reasons == ("2 scenes of the old one were not run with the new one",)
+    assert compare(pairs(same, same), unpaired=2).gate.reasons == (
+        "2 scenes of the old one were not run with the new one",
+    )
 
 
 def test_nothing_found_by_both_compares_no_error() -> None:
@@ -159,8 +196,13 @@ def test_situations_are_adjusted_for_being_several() -> None:
     assert sum(row.teats for row in found.situations) == found.pooled.teats == 48
 
 
-@pytest.mark.parametrize(("dim", "verdict", "says"), [(10, NOT_MET, "adjusted p = 0.0"), (4, OPEN, "don't tell from chance")])
-def test_an_error_that_grew_in_one_situation_is_not_lost_among_the_others(dim: int, verdict: Verdict, says: str) -> None:
+@pytest.mark.parametrize(
+    ("dim", "verdict", "says"),
+    [(10, NOT_MET, "adjusted p = 0.0"), (4, OPEN, "don't tell from chance")],
+)
+def test_an_error_that_grew_in_one_situation_is_not_lost_among_the_others(
+    dim: int, verdict: Verdict, says: str
+) -> None:
     olds = [noisy(k, 0.1) for k in range(48)]
     news = [np.add(old, [0.0, 0.9, 0.0]) if k < dim else old for k, old in enumerate(olds)]
     found = compare(
@@ -187,5 +229,7 @@ def test_bad_questions() -> None:
     for margin in (-1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="0 or more"):
             compare(pairs([TRUTH], [TRUTH]), margin_mm=margin)
-    with pytest.raises(ValueError, match="scored within 5 mm and 10 mm; score both by the same rules"):
+    with pytest.raises(
+        ValueError, match="scored within 5 mm and 10 mm; score both by the same rules"
+    ):
         compare([ScenePair("001-a-1", "a", "dim", scored(TRUTH), scored(TRUTH, limit_mm=10.0))])

@@ -1,4 +1,6 @@
-"""Verdicts on rates, times, counts and conditions: the three outcomes of each rule, and what the sentences say."""
+"""Verdicts on rates, times, counts and conditions: the three outcomes of each rule, and what the
+sentences say.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +12,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.report.wording import measured
-from bench.scoring.decisions import Decision, Verdict, decide_condition, decide_count, decide_error, decide_rate, decide_time, overall
+from bench.scoring.decisions import (
+    Decision,
+    Verdict,
+    decide_condition,
+    decide_count,
+    decide_error,
+    decide_rate,
+    decide_time,
+    overall,
+)
 from bench.scoring.rates import Rate
 
-MET, NOT_MET, INCONCLUSIVE, NOT_MEASURED = Verdict.MET, Verdict.NOT_MET, Verdict.INCONCLUSIVE, Verdict.NOT_MEASURED
+MET, NOT_MET, INCONCLUSIVE, NOT_MEASURED = (
+    Verdict.MET,
+    Verdict.NOT_MET,
+    Verdict.INCONCLUSIVE,
+    Verdict.NOT_MEASURED,
+)
 rate95 = partial(decide_rate, "success", required=0.95, confidence=0.95)
 error95 = partial(decide_error, "error", limit_mm=5.0, u_mm=0.23, rate=0.95, confidence=0.95)
 
@@ -57,7 +73,10 @@ class TestRate:
         assert "24 of 24 poses succeeded (100 %): only 88.3 % is shown; 35 more poses" in d.sentence
 
     def test_a_verdict_names_the_rate_that_was_shown(self) -> None:
-        assert "a rate of at least 95.0 % is shown, with 95 % confidence" in rate95(Rate(59, 59)).sentence
+        assert (
+            "a rate of at least 95.0 % is shown, with 95 % confidence"
+            in rate95(Rate(59, 59)).sentence
+        )
         assert "a rate of at most 11.7 % is shown" in rate95(Rate(0, 24)).sentence
         assert "59 without a failure would show 95 %" in rate95(Rate()).sentence
 
@@ -96,7 +115,10 @@ class TestTime:
         assert decide_time("aim", seconds, limit_s=1.0, statistic="p95").verdict is MET
         assert decide_time("most", seconds, limit_s=2.0, statistic="max").verdict is MET
         assert decide_time("most", seconds, limit_s=1.4, statistic="max").verdict is NOT_MET
-        assert decide_time("aim", [0.5] * 94 + [1.5] * 6, limit_s=1.0, statistic="p95").verdict is NOT_MET
+        assert (
+            decide_time("aim", [0.5] * 94 + [1.5] * 6, limit_s=1.0, statistic="p95").verdict
+            is NOT_MET
+        )
 
     def test_the_limit_itself_is_in_time(self) -> None:
         d = decide_time("aim", [1.0], limit_s=1.0, statistic="max")
@@ -127,7 +149,10 @@ class TestTime:
         )
 
     def test_without_a_rate_it_says_what_is_shown(self) -> None:
-        assert "6 of 6 poses in time, which shows 60.7 %" in decide_time("most", [1.0] * 6, limit_s=2.0, statistic="max").sentence
+        assert (
+            "6 of 6 poses in time, which shows 60.7 %"
+            in decide_time("most", [1.0] * 6, limit_s=2.0, statistic="max").sentence
+        )
 
     def test_nothing_timed(self) -> None:
         assert decide_time("aim", [], limit_s=1.0, statistic="p95").verdict is NOT_MEASURED
@@ -145,12 +170,20 @@ class TestCountAndCondition:
         d = decide_count("false teats", 0, scenes=18, per_pose=[0] * 6)
         assert (d.n, d.measured) == (6, 0.0)
         assert "0 in 18 scenes of 6 poses: at most 0.5 a scene" in d.sentence  # 2.996 / 6
-        assert "3 in 18 scenes of 6 poses: at most 0.79" in decide_count("false teats", 3, scenes=18, per_pose=[1, 0, 0, 0, 0, 0]).sentence
+        assert (
+            "3 in 18 scenes of 6 poses: at most 0.79"
+            in decide_count("false teats", 3, scenes=18, per_pose=[1, 0, 0, 0, 0, 0]).sentence
+        )
 
     def test_a_condition_has_to_hold_every_time(self) -> None:
         assert decide_condition("bath", "in band at every capture", held=18, of=18).verdict is MET
-        assert decide_condition("bath", "in band at every capture", held=17, of=18).verdict is NOT_MET
-        assert decide_condition("bath", "in band at every capture", held=0, of=0).verdict is NOT_MEASURED
+        assert (
+            decide_condition("bath", "in band at every capture", held=17, of=18).verdict is NOT_MET
+        )
+        assert (
+            decide_condition("bath", "in band at every capture", held=0, of=0).verdict
+            is NOT_MEASURED
+        )
 
     def test_impossible_counts(self) -> None:
         with pytest.raises(ValueError, match="1 in 0 scenes"):

@@ -1,4 +1,6 @@
-"""The decision on the error: its three outcomes, how many poses it asks for, and how often it accepts what it must not."""
+"""The decision on the error: its three outcomes, how many poses it asks for, and how often it
+accepts what it must not.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,12 @@ from bench.truth.uncertainty import end_u_mm, reading_u_mm
 from instruments.microscribe.mechanics import KinematicError, workspace
 from instruments.microscribe.unit import UNIT_40937
 
-MET, NOT_MET, INCONCLUSIVE, NOT_MEASURED = Verdict.MET, Verdict.NOT_MET, Verdict.INCONCLUSIVE, Verdict.NOT_MEASURED
+MET, NOT_MET, INCONCLUSIVE, NOT_MEASURED = (
+    Verdict.MET,
+    Verdict.NOT_MET,
+    Verdict.INCONCLUSIVE,
+    Verdict.NOT_MEASURED,
+)
 U = 0.23
 error = partial(decide_error, "error", limit_mm=5.0, u_mm=U, rate=0.95, confidence=0.95)
 
@@ -71,8 +78,20 @@ def test_the_decision_carries_what_a_report_prints() -> None:
     assert (d.n, d.measured, d.unit, d.limit, d.margin) == (59, 3.0, "mm", 5.0, 2.0)
     assert d.accept == pytest.approx(4.611, abs=0.0005)
     assert d.uncertainty == pytest.approx(0.389, abs=0.0005)
-    assert d.sentence == "The largest distance over 59 poses is 3.00 mm, within the acceptance limit of 4.611 mm; shown for 95 % of poses."
-    for figure in ("4.611", "5.378", "T = 5 mm", "u = 0.23 mm", "59 poses", "95 %", "more near the acceptance limit"):
+    assert (
+        d.sentence
+        == "The largest distance over 59 poses is 3.00 mm, within the acceptance limit of 4.611 mm;"
+        " shown for 95 % of poses."
+    )
+    for figure in (
+        "4.611",
+        "5.378",
+        "T = 5 mm",
+        "u = 0.23 mm",
+        "59 poses",
+        "95 %",
+        "more near the acceptance limit",
+    ):
         assert figure in d.rule
     assert d.as_dict()["verdict"] == "met"
 
@@ -118,7 +137,13 @@ def test_the_quantile_forgives_what_the_largest_does_not() -> None:
 
 def test_nothing_measured_has_no_figures() -> None:
     d = error([])
-    assert (d.n, d.measured, d.margin, d.uncertainty, d.verdict) == (0, None, None, None, NOT_MEASURED)
+    assert (d.n, d.measured, d.margin, d.uncertainty, d.verdict) == (
+        0,
+        None,
+        None,
+        None,
+        NOT_MEASURED,
+    )
 
 
 def test_bad_rows() -> None:
@@ -129,8 +154,9 @@ def test_bad_rows() -> None:
     assert worst_per_pose(np.array([1.0, 5.0, 2.0]), ["a", "b", "a"]).tolist() == [2.0, 5.0]
 
 
-# How often the rule says "met" of a detector that fails the requirement. Seen = true + the truth's own error, as in an emulated run: in one
-# run a touching arm is off by much the same everywhere, so the truth's errors are drawn afresh, alike, and by the emulated arm.
+# How often the rule says "met" of a detector that fails the requirement. Seen = true + the truth's
+# own error, as in an emulated run: in one run a touching arm is off by much the same everywhere, so
+# the truth's errors are drawn afresh, alike, and by the emulated arm.
 
 EXPERIMENTS = 10_000
 Drawn = Callable[[np.random.Generator, int], Floats]
@@ -150,14 +176,18 @@ def half_alike(rng: np.random.Generator, n: int) -> Floats:
 
 
 def of_emulated_arms(rng: np.random.Generator, n: int, arms: int = 80) -> Floats:
-    """An arm of its own an experiment (of so many), each at n poses near one another, with the hand's and the counts' scatter."""
+    """An arm of its own an experiment (of so many), each at n poses near one another, with the
+    hand's and the counts' scatter.
+    """
     geometry = UNIT_40937.geometry()
     home = geometry.angles(UNIT_40937.home)[0]
     off = np.empty((arms, n, 3))
     for seed in range(arms):
         at = workspace(geometry, home, rng)[0] + rng.uniform(-0.15, 0.15, (n, 6))
         off[seed] = KinematicError(geometry, home, seed=seed, accuracy_mm=ARM.accuracy_mm).at(at)
-    return off[rng.integers(arms, size=EXPERIMENTS)] + rng.normal(0, reading_u_mm(ARM) / np.sqrt(ARM.touches), (EXPERIMENTS, n, 3))
+    return off[rng.integers(arms, size=EXPERIMENTS)] + rng.normal(
+        0, reading_u_mm(ARM) / np.sqrt(ARM.touches), (EXPERIMENTS, n, 3)
+    )
 
 
 ARM = Arm(url="socket://127.0.0.1:1")
@@ -170,7 +200,9 @@ TRUTHS: dict[str, tuple[Drawn, float]] = {
 
 
 def spread(rng: np.random.Generator, n: int) -> Floats:
-    """|e| of three normal components of sd s: its 95 % quantile is 2.7955 s (chi distribution, 3 degrees of freedom)."""
+    """|e| of three normal components of sd s: its 95 % quantile is 2.7955 s (chi distribution, 3
+    degrees of freedom).
+    """
     return rng.normal(0, 5.01 / 2.7955, (EXPERIMENTS, n, 3))
 
 
@@ -185,7 +217,9 @@ def biased(rng: np.random.Generator, n: int) -> Floats:
 
 
 def just_over(rng: np.random.Generator, n: int) -> Floats:
-    """The worst there can be for the rule: every bad pose hardly over the limit and the same way, every good one far below it."""
+    """The worst there can be for the rule: every bad pose hardly over the limit and the same way,
+    every good one far below it.
+    """
     true = np.zeros((EXPERIMENTS, n, 3))
     true[..., 0] = np.where(rng.random((EXPERIMENTS, n)) < 0.055, 5.0001, 0.0)
     return true
@@ -204,15 +238,21 @@ def largest_met_mm(n: int, u: float) -> float:
 
 
 @pytest.mark.parametrize("truth", TRUTHS)
-@pytest.mark.parametrize(("detector", "n"), [(spread, 59), (astray, 59), (biased, 59), (just_over, 59), (just_over, 91)])
-def test_10_000_experiments_accept_fewer_than_5_percent_of_what_fails(truth: str, detector: Drawn, n: int) -> None:
+@pytest.mark.parametrize(
+    ("detector", "n"), [(spread, 59), (astray, 59), (biased, 59), (just_over, 59), (just_over, 91)]
+)
+def test_10_000_experiments_accept_fewer_than_5_percent_of_what_fails(
+    truth: str, detector: Drawn, n: int
+) -> None:
     draw, u = TRUTHS[truth]
     rng = np.random.default_rng([n, *truth.encode(), *detector.__name__.encode()])
     true = detector(rng, n)
     assert float(np.mean(np.linalg.norm(true, axis=2) > 5.0)) > 0.05
     seen = np.linalg.norm(true + draw(rng, n), axis=2)
     met = seen.max(axis=1) <= largest_met_mm(n, u)
-    for row, expected in zip([*seen[:100], *seen[met][:25]], [*met[:100], *met[met][:25]], strict=True):
+    for row, expected in zip(
+        [*seen[:100], *seen[met][:25]], [*met[:100], *met[met][:25]], strict=True
+    ):
         assert (error(row, u_mm=u).verdict is MET) == expected
     assert float(met.mean()) < 0.05
 
@@ -224,14 +264,19 @@ def test_no_number_of_poses_makes_the_risk_more_than_5_percent(u: float, rate: f
     assert accept is not None
     for share in (0.7, 0.9, 0.95, 0.99, 0.9999):
         passed = leak(share * accept, 5.0, u)
-        assert passed == pytest.approx(float(ncx2.cdf((share * accept / u) ** 2, 3, (5.0 / u) ** 2)), rel=1e-6, abs=1e-12)
+        assert passed == pytest.approx(
+            float(ncx2.cdf((share * accept / u) ** 2, 3, (5.0 / u) ** 2)), rel=1e-6, abs=1e-12
+        )
         n = guarded_n(0, rate, 0.95, passed)
         assert n is not None
         assert shown_falsely(0, n, rate, passed) <= 0.05 < shown_falsely(0, n - 1, rate, passed)
 
 
 def test_a_detector_always_over_the_limit_is_never_accepted() -> None:
-    assert all(error(row).verdict is not MET for row in 5.0001 + np.random.default_rng(34).normal(0, U, (300, 59)))
+    assert all(
+        error(row).verdict is not MET
+        for row in 5.0001 + np.random.default_rng(34).normal(0, U, (300, 59))
+    )
 
 
 def test_a_good_detector_is_accepted_mostly() -> None:

@@ -1,4 +1,6 @@
-"""Error summaries: the thesis's tables 5.1 to 5.3, and the identities that must hold for any errors."""
+"""Error summaries: the thesis's tables 5.1 to 5.3, and the identities that must hold for any
+errors.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +13,38 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from bench.scoring.errors import AxisSummary, Floats, RadialSummary, percentile, summarise, summarise_radial
+from bench.scoring.errors import (
+    AxisSummary,
+    Floats,
+    RadialSummary,
+    percentile,
+    summarise,
+    summarise_radial,
+)
 from bench.scoring.matching import gate_mm, match
 
-TABLE_5_1 = [[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]]
-TABLE_5_2 = [[-109.8, 285.7, 135.5], [-161.3, 191.7, 137.8], [-224.2, 197.4, 137.4], [-260.5, 269.9, 137.4]]
-TABLE_5_3 = [[-105.1, 290.8, 134.9], [-152.8, 201.8, 137.6], [-215.9, 206.9, 136.9], [-255.2, 275.2, 136.3]]
+TABLE_5_1 = [
+    [-110.2, 284.2, 134.2],
+    [-161.9, 192.6, 137.6],
+    [-224.9, 199.4, 136.7],
+    [-260.6, 267.1, 136.3],
+]
+TABLE_5_2 = [
+    [-109.8, 285.7, 135.5],
+    [-161.3, 191.7, 137.8],
+    [-224.2, 197.4, 137.4],
+    [-260.5, 269.9, 137.4],
+]
+TABLE_5_3 = [
+    [-105.1, 290.8, 134.9],
+    [-152.8, 201.8, 137.6],
+    [-215.9, 206.9, 136.9],
+    [-255.2, 275.2, 136.3],
+]
 PUBLISHED = Path(__file__).resolve().parents[3] / ".." / "shared" / "seed" / "published.toml"
-ERRORS = st.integers(1, 30).flatmap(lambda n: hnp.arrays(np.float64, (n, 3), elements=st.floats(-50, 50)))
+ERRORS = st.integers(1, 30).flatmap(
+    lambda n: hnp.arrays(np.float64, (n, 3), elements=st.floats(-50, 50))
+)
 
 
 def errors(found: list[list[float]]) -> Floats:
@@ -30,7 +56,8 @@ def errors(found: list[list[float]]) -> Floats:
 
 def test_table_5_2_by_hand_picked_points() -> None:
     s = summarise(errors(TABLE_5_2))
-    assert s.components.bias_mm == pytest.approx(0.54, abs=0.005)  # what the thesis prints as its average error
+    # what the thesis prints as its average error
+    assert s.components.bias_mm == pytest.approx(0.54, abs=0.005)
     assert s.components.mean_abs_mm == pytest.approx(1.03, abs=0.0051)
     assert s.components.max_abs_mm == pytest.approx(2.8)
     assert s.radial.mean_mm == pytest.approx(2.09, abs=0.005)
@@ -53,8 +80,12 @@ def test_the_published_file_holds_the_same_tables() -> None:
     assert published["table_5_2"]["teat_ends_mm"] == TABLE_5_2
     assert published["table_5_3"]["teat_ends_mm"] == TABLE_5_3
     s = summarise(errors(TABLE_5_2))
-    assert s.components.bias_mm == pytest.approx(published["derived"]["table_5_2_signed_mean_mm"], abs=0.005)
-    assert s.radial.mean_mm == pytest.approx(published["derived"]["table_5_2_mean_distance_mm"], abs=0.005)
+    assert s.components.bias_mm == pytest.approx(
+        published["derived"]["table_5_2_signed_mean_mm"], abs=0.005
+    )
+    assert s.radial.mean_mm == pytest.approx(
+        published["derived"]["table_5_2_mean_distance_mm"], abs=0.005
+    )
 
 
 @given(ERRORS)
@@ -77,7 +108,8 @@ def test_order_does_not_matter(values: Floats, seed: int) -> None:
 
 @given(ERRORS)
 def test_camera_axes_keep_distances_and_turn_biases(values: Floats) -> None:
-    camera_from_world = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])  # camera x is world y, camera z is world x
+    # camera x is world y, camera z is world x
+    camera_from_world = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
     world, camera = summarise(values), summarise(values, camera_from_world)
     assert (world.frame, camera.frame) == ("world", "camera")
     assert (camera.x, camera.y, camera.z) == (world.y, world.z, world.x)
@@ -92,7 +124,9 @@ def test_nothing_measured_is_none_and_not_zero() -> None:
 
 
 @given(st.lists(st.floats(0, 1e3), min_size=1, max_size=150), st.sampled_from([50, 95, 99]))
-def test_a_percentile_is_the_smallest_value_with_that_share_at_or_below(values: list[float], percent: int) -> None:
+def test_a_percentile_is_the_smallest_value_with_that_share_at_or_below(
+    values: list[float], percent: int
+) -> None:
     p = percentile(values, percent)
     at_or_below, below = sum(v <= p for v in values), sum(v < p for v in values)
     assert p in values
@@ -101,7 +135,14 @@ def test_a_percentile_is_the_smallest_value_with_that_share_at_or_below(values: 
 
 def test_the_radial_figures_of_a_known_list() -> None:
     s = summarise_radial(np.arange(1.0, 101.0))
-    assert (s.n, s.mean_mm, s.median_mm, s.p95_mm, s.p99_mm, s.max_mm) == (100, 50.5, 50.5, 95.0, 99.0, 100.0)
+    assert (s.n, s.mean_mm, s.median_mm, s.p95_mm, s.p99_mm, s.max_mm) == (
+        100,
+        50.5,
+        50.5,
+        95.0,
+        99.0,
+        100.0,
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,6 @@
-"""Gage R&R: the manual's own worked example, statsmodels' analysis of variance, and components that were put in."""
+"""Gage R&R: the manual's own worked example, statsmodels' analysis of variance, and components that
+were put in.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,12 @@ def test_the_manuals_example() -> None:
 
 def test_the_table_against_statsmodels() -> None:
     rng = np.random.default_rng(1)
-    table = rng.normal(0, 1, (6, 1, 1)) + rng.normal(0, 0.5, (1, 4, 1)) + rng.normal(0, 0.4, (6, 4, 1)) + rng.normal(0, 0.2, (6, 4, 3))
+    table = (
+        rng.normal(0, 1, (6, 1, 1))
+        + rng.normal(0, 0.5, (1, 4, 1))
+        + rng.normal(0, 0.4, (6, 4, 1))
+        + rng.normal(0, 0.2, (6, 4, 3))
+    )
     study = gage_study(table)
     part, appraiser, _ = np.indices(table.shape)
     frame = pd.DataFrame({"part": part.ravel(), "who": appraiser.ravel(), "value": table.ravel()})
@@ -59,7 +66,12 @@ def test_the_table_against_statsmodels() -> None:
 def test_the_components_that_were_put_in_are_found() -> None:
     rng = np.random.default_rng(2)
     shape = (60, 40, 4)
-    table = rng.normal(0, 5, (60, 1, 1)) + rng.normal(0, 0.30, (1, 40, 1)) + rng.normal(0, 0.25, (60, 40, 1)) + rng.normal(0, 0.20, shape)
+    table = (
+        rng.normal(0, 5, (60, 1, 1))
+        + rng.normal(0, 0.30, (1, 40, 1))
+        + rng.normal(0, 0.25, (60, 40, 1))
+        + rng.normal(0, 0.20, shape)
+    )
     study = gage_study(table)
     assert study.repeatability == pytest.approx(0.20, rel=0.05)
     assert study.interaction == pytest.approx(0.25, rel=0.05)

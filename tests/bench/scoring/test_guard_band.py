@@ -1,4 +1,6 @@
-"""Guard bands and tolerance limits: frozen numbers, scipy.stats as referee, Monte Carlo as judge."""
+"""Guard bands and tolerance limits: frozen numbers, scipy.stats
+as referee, Monte Carlo as judge.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,13 @@ from scipy.stats import (
 )
 
 from bench.scoring.errors import distribution_free_n, normal_k, quantile_bounds
-from bench.scoring.guard_band import acceptance_limit_mm, error_without_noise_mm, guard_band_mm, leak, refusal_limit_mm
+from bench.scoring.guard_band import (
+    acceptance_limit_mm,
+    error_without_noise_mm,
+    guard_band_mm,
+    leak,
+    refusal_limit_mm,
+)
 
 T, U = 5.0, 0.23
 
@@ -26,7 +34,12 @@ def test_frozen_acceptance_limits() -> None:
 
 
 def test_a_truth_without_uncertainty_has_no_guard_band() -> None:
-    assert acceptance_limit_mm(T, 0.0) == acceptance_limit_mm(T, 0.0, "axis") == refusal_limit_mm(T, 0.0) == T
+    assert (
+        acceptance_limit_mm(T, 0.0)
+        == acceptance_limit_mm(T, 0.0, "axis")
+        == refusal_limit_mm(T, 0.0)
+        == T
+    )
 
 
 @given(st.floats(1, 20), st.floats(1e-4, 0.55))
@@ -59,7 +72,10 @@ def test_a_true_error_at_the_limit_is_accepted_in_fewer_than_5_percent() -> None
 def test_more_uncertainty_never_accepts_more(limit: float, a: float, b: float) -> None:
     low, high = sorted((a, b))
     for along in ("radial", "axis"):
-        tight, loose = acceptance_limit_mm(limit, high, along), acceptance_limit_mm(limit, low, along)
+        tight, loose = (
+            acceptance_limit_mm(limit, high, along),
+            acceptance_limit_mm(limit, low, along),
+        )
         assert tight is None or (loose is not None and tight <= loose + 1e-9)
 
 
@@ -93,7 +109,9 @@ def test_frozen_tolerance_factors() -> None:
     assert (distribution_free_n(0.95, 0.95), distribution_free_n(0.99, 0.95)) == (59, 299)
 
 
-@given(st.integers(2, 500), st.sampled_from([0.9, 0.95, 0.99]), st.sampled_from([0.5, 0.9, 0.95, 0.99]))
+@given(
+    st.integers(2, 500), st.sampled_from([0.9, 0.95, 0.99]), st.sampled_from([0.5, 0.9, 0.95, 0.99])
+)
 def test_the_normal_factor_against_scipy_stats(n: int, rate: float, confidence: float) -> None:
     referee = nct.ppf(confidence, n - 1, norm.ppf(rate) * np.sqrt(n)) / np.sqrt(n)
     assert normal_k(n, rate, confidence) == pytest.approx(referee, rel=1e-6)

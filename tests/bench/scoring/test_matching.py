@@ -24,13 +24,21 @@ COORDINATE = st.floats(-40, 40, allow_nan=False).map(lambda v: round(v, 3))
 
 
 def clouds(most: int = 4) -> st.SearchStrategy[Floats]:
-    return st.integers(0, most).flatmap(lambda n: hnp.arrays(np.float64, (n, 3), elements=COORDINATE))
+    return st.integers(0, most).flatmap(
+        lambda n: hnp.arrays(np.float64, (n, 3), elements=COORDINATE)
+    )
 
 
 def cost(m: Match, found: Floats, truth: Floats) -> float:
-    """What the assignment costs: squared distances (half of them on hidden teats), c^2/2 for a miss and for a false finding."""
+    """What the assignment costs: squared distances (half of them on hidden teats), c^2/2 for a miss
+    and for a false finding.
+    """
     on_hidden = sum(float(((found[i] - truth[j]) ** 2).sum()) / 2 for i, j in m.hidden_pairs)
-    return sum(d * d for d in m.distances_mm) + on_hidden + m.gate_mm**2 / 2 * (len(m.missed) + len(m.false))
+    return (
+        sum(d * d for d in m.distances_mm)
+        + on_hidden
+        + m.gate_mm**2 / 2 * (len(m.missed) + len(m.false))
+    )
 
 
 def cheapest(found: Floats, truth: Floats, visible: list[bool], c: float) -> float:
@@ -66,7 +74,10 @@ def scene(seed: int, teats: int, spread_mm: float) -> tuple[Floats, Floats]:
     grid = np.stack(np.meshgrid(np.arange(4), np.arange(4), [0]), axis=-1).reshape(-1, 3) * 30.0
     truth = grid[rng.permutation(16)[:teats]] + rng.normal(0, 4, (teats, 3))
     found = np.repeat(truth, rng.integers(0, 3, teats), axis=0)
-    return np.vstack([found + rng.normal(0, spread_mm, found.shape), rng.uniform(-50, 150, (2, 3))]), truth
+    return (
+        np.vstack([found + rng.normal(0, spread_mm, found.shape), rng.uniform(-50, 150, (2, 3))]),
+        truth,
+    )
 
 
 @settings(max_examples=60, deadline=None)
@@ -76,27 +87,54 @@ def test_under_the_benchs_gate_against_motmetrics(seed: int, teats: int, spread_
     gate = gate_mm(truth)
     mine = match(found, truth, np.ones(teats, dtype=bool), gate)
     distances = np.linalg.norm(truth[:, None] - found[None], axis=2)
-    rows, cols = motmetrics.lap.linear_sum_assignment(np.where(distances <= gate, distances**2, np.nan), solver="scipy")
-    theirs = [(int(i), int(j)) for j, i in sorted(zip(rows, cols, strict=True)) if distances[j, i] <= gate]
+    rows, cols = motmetrics.lap.linear_sum_assignment(
+        np.where(distances <= gate, distances**2, np.nan), solver="scipy"
+    )
+    theirs = [
+        (int(i), int(j)) for j, i in sorted(zip(rows, cols, strict=True)) if distances[j, i] <= gate
+    ]
     assert mine.pairs == tuple(theirs)
     book = motmetrics.MOTAccumulator()
-    book.update(list(range(teats)), list(range(len(found))), np.where(distances <= gate, distances**2, np.nan), frameid=0)
-    found_all = motmetrics.metrics.create().compute(book, metrics=["num_misses", "num_false_positives", "recall", "precision"])
-    assert (len(mine.missed), len(mine.false)) == (int(found_all["num_misses"].iloc[0]), int(found_all["num_false_positives"].iloc[0]))
+    book.update(
+        list(range(teats)),
+        list(range(len(found))),
+        np.where(distances <= gate, distances**2, np.nan),
+        frameid=0,
+    )
+    found_all = motmetrics.metrics.create().compute(
+        book, metrics=["num_misses", "num_false_positives", "recall", "precision"]
+    )
+    assert (len(mine.missed), len(mine.false)) == (
+        int(found_all["num_misses"].iloc[0]),
+        int(found_all["num_false_positives"].iloc[0]),
+    )
     assert (mine.counts.recall.value, mine.counts.precision.value) == pytest.approx(
-        (float(found_all["recall"].iloc[0]), float(found_all["precision"].iloc[0]) if len(found) else None)
+        (
+            float(found_all["recall"].iloc[0]),
+            float(found_all["precision"].iloc[0]) if len(found) else None,
+        )
     )
 
 
 @settings(max_examples=200, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.floats(0.5, 30), st.floats(1, 60), st.integers(0, 63))
-def test_the_short_way_costs_what_the_whole_assignment_costs(seed: int, teats: int, spread_mm: float, gate: float, hidden: int) -> None:
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 6),
+    st.floats(0.5, 30),
+    st.floats(1, 60),
+    st.integers(0, 63),
+)
+def test_the_short_way_costs_what_the_whole_assignment_costs(
+    seed: int, teats: int, spread_mm: float, gate: float, hidden: int
+) -> None:
     found, truth = scene(seed, teats, spread_mm)
     seen = [not hidden >> k & 1 for k in range(teats)]
     squared = ((found[:, None] - truth[None]) ** 2).sum(axis=2)
     gain = np.where(seen, 1.0, 0.5) * (np.minimum(squared, gate**2) - gate**2)
     least = float(gain[linear_sum_assignment(gain)].sum()) + gate**2 / 2 * (len(found) + sum(seen))
-    assert cost(match(found, truth, np.array(seen), gate), found, truth) == pytest.approx(least, abs=1e-6)
+    assert cost(match(found, truth, np.array(seen), gate), found, truth) == pytest.approx(
+        least, abs=1e-6
+    )
 
 
 @given(clouds(), clouds(), st.integers(0, 2**32 - 1), st.floats(1, 60))
@@ -107,11 +145,17 @@ def test_order_does_not_matter(found: Floats, truth: Floats, seed: int, c: float
 
 
 @given(clouds(), clouds(), st.floats(1, 60), st.data())
-def test_every_finding_and_every_teat_is_accounted_for_once(found: Floats, truth: Floats, c: float, data: st.DataObject) -> None:
+def test_every_finding_and_every_teat_is_accounted_for_once(
+    found: Floats, truth: Floats, c: float, data: st.DataObject
+) -> None:
     visible = data.draw(st.lists(st.booleans(), min_size=len(truth), max_size=len(truth)))
     m = match(found, truth, visible, c)
-    assert sorted([i for i, _ in m.pairs + m.hidden_pairs] + list(m.false)) == list(range(len(found)))
-    assert sorted([j for _, j in m.pairs] + list(m.missed)) == [j for j in range(len(truth)) if visible[j]]
+    assert sorted([i for i, _ in m.pairs + m.hidden_pairs] + list(m.false)) == list(
+        range(len(found))
+    )
+    assert sorted([j for _, j in m.pairs] + list(m.missed)) == [
+        j for j in range(len(truth)) if visible[j]
+    ]
     assert all(not visible[j] for _, j in m.hidden_pairs)
     assert all(0 <= d <= c for d in m.distances_mm)
     assert m.counts.found == len(found)
@@ -149,7 +193,8 @@ def test_of_two_findings_at_one_distance_the_first_is_taken(found: list[list[flo
     for truth in (SQUARE[:1], SQUARE[:2]):
         m = match(found, truth, ALL[: len(truth)], 25.0)
         assert (m.pairs, m.false) == (((0, 0),), (1,))
-    crowded = match(found, [[0.0, 0, 0], [0, 20.0, 0]], [True, True], 25.0)  # both are within the gate of both teats
+    # both are within the gate of both teats
+    crowded = match(found, [[0.0, 0, 0], [0, 20.0, 0]], [True, True], 25.0)
     assert (crowded.pairs, crowded.false) == (((0, 0), (1, 1)), ())
 
 
@@ -172,7 +217,8 @@ def test_the_gate_is_half_the_least_spacing_and_at_most_25_mm() -> None:
 
 def test_a_pair_that_crosses_over_is_resolved_as_a_whole() -> None:
     truth, found = [[0, 0, 0], [10, 0, 0]], [[6, 0, 0], [16, 0, 0]]
-    m = match(found, truth, [True, True], 25.0)  # nearest first would pair 6 with 10 and leave 16 to 0
+    # nearest first would pair 6 with 10 and leave 16 to 0
+    m = match(found, truth, [True, True], 25.0)
     assert m.distances_mm == (6.0, 6.0)
 
 
@@ -181,7 +227,9 @@ class TestHiddenTeats:
     VISIBLE = (True, False)
 
     def test_absent_it_is_not_missed(self) -> None:
-        assert match([[1, 0, 0]], self.TRUTH, self.VISIBLE, 15).counts == Counts(visible=1, hidden=1, matched=1)
+        assert match([[1, 0, 0]], self.TRUTH, self.VISIBLE, 15).counts == Counts(
+            visible=1, hidden=1, matched=1
+        )
 
     def test_found_it_is_not_false(self) -> None:
         m = match([[1, 0, 0], [29, 0, 0]], self.TRUTH, self.VISIBLE, 15)
@@ -189,7 +237,9 @@ class TestHiddenTeats:
         assert m.hidden_pairs == ((1, 1),)
 
     def test_a_finding_on_it_does_not_hide_a_miss(self) -> None:
-        assert match([[29, 0, 0]], self.TRUTH, self.VISIBLE, 15).counts == Counts(visible=1, hidden=1, missed=1, on_hidden=1)
+        assert match([[29, 0, 0]], self.TRUTH, self.VISIBLE, 15).counts == Counts(
+            visible=1, hidden=1, missed=1, on_hidden=1
+        )
 
     def test_a_second_finding_on_it_is_false(self) -> None:
         m = match([[29, 0, 0], [31, 0, 0], [0, 0, 0]], self.TRUTH, self.VISIBLE, 15)
@@ -200,7 +250,8 @@ class TestHiddenTeats:
         assert match(found, self.TRUTH, self.VISIBLE, 40).pairs == ((1, 0),)
 
     def test_it_does_not_take_the_only_finding_of_a_visible_teat(self) -> None:
-        m = match([[16, 0, 0]], self.TRUTH, self.VISIBLE, 25)  # 16 mm from the visible teat, 14 mm from the hidden one
+        # 16 mm from the visible teat, 14 mm from the hidden one
+        m = match([[16, 0, 0]], self.TRUTH, self.VISIBLE, 25)
         assert (m.pairs, m.hidden_pairs, m.missed) == (((0, 0),), (), ())
 
     def test_precision_and_recall_leave_it_out(self) -> None:
@@ -211,7 +262,9 @@ class TestHiddenTeats:
 def test_empty_arrays() -> None:
     assert match([], [], [], 25.0).counts == Counts()
     assert match([[0, 0, 0]], [], [], 25.0).counts == Counts(false=1)
-    assert match(np.zeros((0, 3)), [[0, 0, 0], [50, 0, 0]], [1, 0], 25.0).counts == Counts(visible=1, hidden=1, missed=1)
+    assert match(np.zeros((0, 3)), [[0, 0, 0], [50, 0, 0]], [1, 0], 25.0).counts == Counts(
+        visible=1, hidden=1, missed=1
+    )
     assert match([], [], [], 25.0).counts.recall.value is None
 
 
@@ -227,13 +280,22 @@ def test_counts_add(parts: list[Counts]) -> None:
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda: match([[0, 0]], SQUARE, ALL, 25), r"found: expected points of shape \(n, 3\).*\(1, 2\)"),
+        (
+            lambda: match([[0, 0]], SQUARE, ALL, 25),
+            r"found: expected points of shape \(n, 3\).*\(1, 2\)",
+        ),
         (lambda: match([[0, np.nan, 0]], SQUARE, ALL, 25), "found: point 0 .*not finite"),
         (lambda: match([], SQUARE, [True], 25), "one flag for each of the 4 teats"),
         (lambda: match([], SQUARE, [2, 0, 0, 0], 25), "true or false"),
         (lambda: match([], SQUARE, ALL, 0), "gate: 0 mm"),
-        (lambda: gate_mm([[1, 1, 1], [99, 0, 0], [1, 1, 1]]), "teats 1 and 3 are 0.00 mm apart.*touched twice"),
-        (lambda: gate_mm([[99.0, 0.0, 0.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.3]]), "teats 2 and 3 are 0.30 mm apart"),
+        (
+            lambda: gate_mm([[1, 1, 1], [99, 0, 0], [1, 1, 1]]),
+            "teats 1 and 3 are 0.00 mm apart.*touched twice",
+        ),
+        (
+            lambda: gate_mm([[99.0, 0.0, 0.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.3]]),
+            "teats 2 and 3 are 0.30 mm apart",
+        ),
     ],
 )
 def test_bad_input_is_refused_with_its_place(call: Callable[[], object], says: str) -> None:

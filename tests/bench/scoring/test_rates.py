@@ -13,7 +13,16 @@ from scipy.stats import (
     binomtest,  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
 )
 
-from bench.scoring.rates import Rate, guarded_n, percent, percent_apart, pose_successes, shown_falsely, trials_needed, zero_failure_n
+from bench.scoring.rates import (
+    Rate,
+    guarded_n,
+    percent,
+    percent_apart,
+    pose_successes,
+    shown_falsely,
+    trials_needed,
+    zero_failure_n,
+)
 
 RATES = st.integers(1, 400).flatmap(lambda n: st.builds(Rate, st.integers(0, n), st.just(n)))
 
@@ -26,8 +35,12 @@ def test_the_interval_is_the_exact_one(rate: Rate, confidence: float) -> None:
 
 @given(RATES)
 def test_one_sided_bounds(rate: Rate) -> None:
-    greater = binomtest(rate.successes, rate.trials, alternative="greater").proportion_ci(0.95, method="exact")
-    less = binomtest(rate.successes, rate.trials, alternative="less").proportion_ci(0.95, method="exact")
+    greater = binomtest(rate.successes, rate.trials, alternative="greater").proportion_ci(
+        0.95, method="exact"
+    )
+    less = binomtest(rate.successes, rate.trials, alternative="less").proportion_ci(
+        0.95, method="exact"
+    )
     assert rate.lower_bound() == pytest.approx(greater.low, abs=1e-9)
     assert rate.upper_bound() == pytest.approx(less.high, abs=1e-9)
 
@@ -58,14 +71,22 @@ def test_trials_needed_are_the_fewest(failures: int, rate: float, confidence: fl
 
 def test_an_empty_rate_is_not_measured() -> None:
     empty = Rate()
-    assert (empty.value, empty.interval(), empty.lower_bound(), empty.upper_bound()) == (None, None, None, None)
+    assert (empty.value, empty.interval(), empty.lower_bound(), empty.upper_bound()) == (
+        None,
+        None,
+        None,
+        None,
+    )
     assert str(empty) == "not measured"
 
 
 @given(st.lists(RATES, max_size=5))
 def test_rates_add_by_their_counts(rates: list[Rate]) -> None:
     total = sum(rates, Rate())
-    assert (total.successes, total.trials) == (sum(r.successes for r in rates), sum(r.trials for r in rates))
+    assert (total.successes, total.trials) == (
+        sum(r.successes for r in rates),
+        sum(r.trials for r in rates),
+    )
 
 
 def test_a_pose_succeeds_when_all_its_repeats_do() -> None:
@@ -128,17 +149,34 @@ def test_rates_and_confidences_lie_between_0_and_1_both_excluded(claim: str) -> 
 
 @pytest.mark.parametrize(
     ("failures", "leak", "n"),
-    [(0, 0.0, 59), (0, 1e-4, 59), (0, 0.0408, 91), (0, 0.05, None), (1, 0.0, 93), (1, 0.02, 110), (1, 0.05, None)],
+    [
+        (0, 0.0, 59),
+        (0, 1e-4, 59),
+        (0, 0.0408, 91),
+        (0, 0.05, None),
+        (1, 0.0, 93),
+        (1, 0.02, 110),
+        (1, 0.05, None),
+    ],
 )
-def test_poses_where_the_truth_could_pass_a_bad_one(failures: int, leak: float, n: int | None) -> None:
+def test_poses_where_the_truth_could_pass_a_bad_one(
+    failures: int, leak: float, n: int | None
+) -> None:
     assert guarded_n(failures, 0.95, 0.95, leak) == n
 
 
-@pytest.mark.parametrize(("failures", "trials", "rate", "leak"), [(0, 59, 0.95, 0.04), (1, 100, 0.95, 0.02), (3, 3000, 0.999, 0.01)])
-def test_the_risk_of_a_false_claim_is_the_sum_over_the_bad_poses(failures: int, trials: int, rate: float, leak: float) -> None:
+@pytest.mark.parametrize(
+    ("failures", "trials", "rate", "leak"),
+    [(0, 59, 0.95, 0.04), (1, 100, 0.95, 0.02), (3, 3000, 0.999, 0.01)],
+)
+def test_the_risk_of_a_false_claim_is_the_sum_over_the_bad_poses(
+    failures: int, trials: int, rate: float, leak: float
+) -> None:
     b = np.arange(failures + 1, trials + 1)
     passed = np.minimum(1.0, b * leak / (b - failures))
-    expected = binom.cdf(failures, trials, 1.0 - rate) + np.sum(binom.pmf(b, trials, 1.0 - rate) * passed)
+    expected = binom.cdf(failures, trials, 1.0 - rate) + np.sum(
+        binom.pmf(b, trials, 1.0 - rate) * passed
+    )
     assert shown_falsely(failures, trials, rate, leak) == pytest.approx(float(expected), abs=1e-9)
     if failures == 0:
         assert expected == pytest.approx(rate**trials + (1.0 - rate**trials) * leak)
@@ -146,7 +184,9 @@ def test_the_risk_of_a_false_claim_is_the_sum_over_the_bad_poses(failures: int, 
 
 @pytest.mark.parametrize("failures", [0, 1, 2])
 @pytest.mark.parametrize("dependence", ["afresh", "alike"])
-def test_the_risk_stays_below_5_percent_however_the_truths_errors_depend(failures: int, dependence: str) -> None:
+def test_the_risk_stays_below_5_percent_however_the_truths_errors_depend(
+    failures: int, dependence: str
+) -> None:
     leak, experiments = 0.01, 20_000
     n = guarded_n(failures, 0.95, 0.95, leak)
     assert n is not None
@@ -167,5 +207,7 @@ def test_the_risk_stays_below_5_percent_however_the_truths_errors_depend(failure
         (0.5, 0.95, "50.0 %"),
     ],
 )
-def test_a_figure_is_read_on_the_right_side_of_its_limit(fraction: float, limit: float, text: str) -> None:
+def test_a_figure_is_read_on_the_right_side_of_its_limit(
+    fraction: float, limit: float, text: str
+) -> None:
     assert percent_apart(fraction, limit) == text

@@ -28,7 +28,12 @@ SPREAD = np.array([0.4, 2.0, 0.8])
 
 
 def holds(region: Ellipsoid, points: Floats) -> npt.NDArray[np.bool_]:
-    inside: npt.NDArray[np.bool_] = np.square((points - region.centre_mm) @ region.directions.T / region.half_axes_mm).sum(axis=-1) <= 1.0
+    inside: npt.NDArray[np.bool_] = (
+        np.square((points - region.centre_mm) @ region.directions.T / region.half_axes_mm).sum(
+            axis=-1
+        )
+        <= 1.0
+    )
     return inside
 
 
@@ -55,13 +60,17 @@ def test_the_bias_lies_within_as_often_as_said() -> None:
 def test_axes_are_those_of_the_spread_longest_first() -> None:
     region = prediction_ellipsoid(np.random.default_rng(3).normal(0, SPREAD, (4000, 3)))
     assert region is not None
-    assert region.half_axes_mm == pytest.approx(np.array([2.0, 0.8, 0.4]) * np.sqrt(chi2.ppf(0.95, 3)), rel=0.05)
+    assert region.half_axes_mm == pytest.approx(
+        np.array([2.0, 0.8, 0.4]) * np.sqrt(chi2.ppf(0.95, 3)), rel=0.05
+    )
     assert np.abs(region.directions) == pytest.approx(np.eye(3)[[1, 2, 0]], abs=0.05)
     assert region.volume_mm3 == pytest.approx(4 / 3 * np.pi * np.prod(region.half_axes_mm))
 
 
 def test_the_outline_is_the_shadow() -> None:
-    region = Ellipsoid(9, np.array([1.0, 2.0, 3.0]), np.array([3.0, 2.0, 1.0]), np.eye(3)[[1, 2, 0]])
+    region = Ellipsoid(
+        9, np.array([1.0, 2.0, 3.0]), np.array([3.0, 2.0, 1.0]), np.eye(3)[[1, 2, 0]]
+    )
     shadow = region.outline_mm(0, 1) - [1.0, 2.0]
     assert np.square(shadow / [1.0, 3.0]).sum(axis=1) == pytest.approx(1.0)
 
@@ -83,12 +92,23 @@ def test_no_bias_is_shown_exactly_where_the_region_holds_zero() -> None:
 
 def test_too_few_say_nothing() -> None:
     few = np.ones((LEAST_POSES - 1, 3))
-    assert (prediction_ellipsoid(few), bias_ellipsoid(few), bias_test(few).p_value, consistency([], []).ratio) == (None, None, None, None)
-    assert bias_test(np.column_stack([np.arange(9.0), np.arange(9.0), np.ones(9)])).t_squared is None  # flat: no volume to judge by
+    assert (
+        prediction_ellipsoid(few),
+        bias_ellipsoid(few),
+        bias_test(few).p_value,
+        consistency([], []).ratio,
+    ) == (None, None, None, None)
+    # flat: no volume to judge by
+    assert (
+        bias_test(np.column_stack([np.arange(9.0), np.arange(9.0), np.ones(9)])).t_squared is None
+    )
 
 
 def test_a_pose_counts_once() -> None:
-    assert pose_means([[1, 0, 0], [3, 0, 0], [9, 0, 0]], ["a", "a", "b"]).tolist() == [[2, 0, 0], [9, 0, 0]]
+    assert pose_means([[1, 0, 0], [3, 0, 0], [9, 0, 0]], ["a", "a", "b"]).tolist() == [
+        [2, 0, 0],
+        [9, 0, 0],
+    ]
     assert pose_means([], []).shape == (0, 3)
 
 
@@ -100,7 +120,9 @@ def test_covariances_that_hold_have_a_ratio_of_one() -> None:
     assert right.high is not None
     assert right.ratio is not None
     assert right.low < right.ratio < right.high
-    assert (right.low, right.high) == pytest.approx((chi2.ppf(0.025, 600) / 600, chi2.ppf(0.975, 600) / 600))
+    assert (right.low, right.high) == pytest.approx(
+        (chi2.ppf(0.025, 600) / 600, chi2.ppf(0.975, 600) / 600)
+    )
     boastful = consistency(rng.normal(0, 1.5 * SPREAD, (200, 3)), claimed)
     assert boastful.ratio is not None
     assert boastful.ratio > right.high
@@ -114,7 +136,10 @@ def test_shares_of_a_normal_population() -> None:
 
 def test_a_map_counts_what_was_missed() -> None:
     cells = error_map([[25, 0], [0, 0], [0, 0]], [[1, 0, 0], [0, 3, 4]], [False, True, True])
-    assert cells == (Cell(0.0, 0.0, 2, 2, (0.5, 1.5, 2.0), 3.0, float(np.sqrt(13.0)), 5.0), Cell(25.0, 0.0, 1, 0))
+    assert cells == (
+        Cell(0.0, 0.0, 2, 2, (0.5, 1.5, 2.0), 3.0, float(np.sqrt(13.0)), 5.0),
+        Cell(25.0, 0.0, 1, 0),
+    )
 
 
 @given(st.integers(0, 60), st.integers(0, 2**32 - 1), st.floats(1, 200))
@@ -125,12 +150,16 @@ def test_cells_hold_all_rows_once(n: int, seed: int, step: float) -> None:
     cells = error_map(places, errors, found, step_mm=step)
     assert sum(cell.teats for cell in cells) == n
     assert sum(cell.found for cell in cells) == len(errors)
-    biases = np.array([np.array(cell.bias_mm) * cell.found for cell in cells if cell.bias_mm is not None]).reshape(-1, 3)
+    biases = np.array(
+        [np.array(cell.bias_mm) * cell.found for cell in cells if cell.bias_mm is not None]
+    ).reshape(-1, 3)
     assert biases.sum(axis=0) == pytest.approx(errors.sum(axis=0), abs=1e-6)
     squares = sum(cell.rms_mm**2 * cell.found for cell in cells if cell.rms_mm is not None)
     assert squares == pytest.approx(float(np.square(errors).sum()), abs=1e-6)
     if len(errors):
-        assert max(cell.max_mm or 0.0 for cell in cells) == pytest.approx(float(np.linalg.norm(errors, axis=1).max()))
+        assert max(cell.max_mm or 0.0 for cell in cells) == pytest.approx(
+            float(np.linalg.norm(errors, axis=1).max())
+        )
 
 
 def test_a_map_that_does_not_fit_is_refused() -> None:

@@ -1,4 +1,6 @@
-"""Repeated poses (ISO 9283, ISO 5725) and the uncertainty budget, against worked numbers and known populations."""
+"""Repeated poses (ISO 9283, ISO 5725) and the uncertainty budget, against worked numbers and known
+populations.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from hypothesis import strategies as st
 from bench.scoring.precision import distance_accuracy, drift_mm, pose_accuracy, precision
 from bench.truth.uncertainty import Component, TruthUncertainty
 
-LINE = [[9.0, 0, 0], [11.0, 0, 0], [10.0, 1, 0], [10.0, -1, 0]]  # four repeats, each 1 mm from their mean (10, 0, 0)
+# four repeats, each 1 mm from their mean (10, 0, 0)
+LINE = [[9.0, 0, 0], [11.0, 0, 0], [10.0, 1, 0], [10.0, -1, 0]]
 
 
 def test_pose_accuracy_and_repeatability() -> None:
@@ -20,7 +23,8 @@ def test_pose_accuracy_and_repeatability() -> None:
     assert p.ap_mm == pytest.approx(5.0)
     assert p.ap_xyz_mm == pytest.approx((0.0, -3.0, -4.0))
     assert p.rp_mm == pytest.approx(1.0)  # mean l = 1, no spread of l
-    uneven = pose_accuracy([[0, 0, 0], [0, 0, 0], [3, 0, 0]], [1, 0, 0])  # l = 1, 1, 2: mean 4/3, sd sqrt(1/3)
+    # l = 1, 1, 2: mean 4/3, sd sqrt(1/3)
+    uneven = pose_accuracy([[0, 0, 0], [0, 0, 0], [3, 0, 0]], [1, 0, 0])
     assert uneven.ap_mm == pytest.approx(0.0)
     assert uneven.rp_mm == pytest.approx(4 / 3 + 3 * sqrt(1 / 3))
 
@@ -40,7 +44,10 @@ def test_distance_accuracy() -> None:
 
 
 def test_drift_is_the_largest_change_of_accuracy() -> None:
-    points = np.array([[0, 0, 0], [0, 0, 0], [1, 0, 0], [1, 0, 0], [0.5, 0, 0], [0.5, 0, 0], [9, 9, 9]])  # the last block is not full
+    # the last block is not full
+    points = np.array(
+        [[0, 0, 0], [0, 0, 0], [1, 0, 0], [1, 0, 0], [0.5, 0, 0], [0.5, 0, 0], [9, 9, 9]]
+    )
     assert drift_mm(points, [0, 0, 0], repeats=2) == pytest.approx(1.0)
     assert drift_mm(points[:3], [0, 0, 0], repeats=2) is None
     with pytest.raises(ValueError, match="blocks of 0"):
@@ -69,7 +76,8 @@ def test_precision_says_only_what_the_groups_tell() -> None:
     one = precision([[1.0, 3.0], []])
     assert (one.groups, one.s_R) == (1, None)
     assert one.s_r == pytest.approx(sqrt(2))
-    assert precision([[0.0, 2.0], [0.0, 2.0]]).s_between == 0.0  # less between than within: none, not a negative variance
+    # less between than within: none, not a negative variance
+    assert precision([[0.0, 2.0], [0.0, 2.0]]).s_between == 0.0
 
 
 def test_bad_points_are_refused() -> None:
@@ -104,8 +112,12 @@ def test_no_component_is_larger_than_the_whole(values: list[float]) -> None:
 
 def test_a_half_width_and_a_step_are_rectangular() -> None:
     spread = np.random.default_rng(6).uniform(-1, 1, 200_000)
-    assert Component.from_half_width("c", 1.0, "test").u_mm == pytest.approx(float(spread.std()), rel=0.01)
-    assert Component.from_resolution("c", 2.0, "test").u_mm == pytest.approx(float(spread.std()), rel=0.01)
+    assert Component.from_half_width("c", 1.0, "test").u_mm == pytest.approx(
+        float(spread.std()), rel=0.01
+    )
+    assert Component.from_resolution("c", 2.0, "test").u_mm == pytest.approx(
+        float(spread.std()), rel=0.01
+    )
 
 
 def test_a_budget_has_to_make_sense() -> None:

@@ -36,7 +36,11 @@ def test_frozen_numbers() -> None:
 @given(st.integers(1, 400), st.sampled_from([0.8, 0.95, 0.99]))
 def test_the_failures_allowed_are_the_most(trials: int, rate: float) -> None:
     allowed = failures_allowed(trials, rate)
-    shows = [k for k in range(min(trials, 60) + 1) if (Rate(trials - k, trials).lower_bound() or 0.0) >= rate]
+    shows = [
+        k
+        for k in range(min(trials, 60) + 1)
+        if (Rate(trials - k, trials).lower_bound() or 0.0) >= rate
+    ]
     assert allowed == (max(shows) if shows else None) or (allowed or 0) >= 60
 
 
@@ -46,7 +50,9 @@ def test_the_chance_to_show_a_rate() -> None:
     assert power_of_rate(58, 0.999, 0.95) == 0.0
 
 
-@pytest.mark.parametrize(("trials", "u_mm"), [(59, 0.23), (70, 0.23), (91, 0.23), (500, 0.23), (59, 0.0), (62, 1.0)])
+@pytest.mark.parametrize(
+    ("trials", "u_mm"), [(59, 0.23), (70, 0.23), (91, 0.23), (500, 0.23), (59, 0.0), (62, 1.0)]
+)
 def test_the_largest_error_that_poses_show(trials: int, u_mm: float) -> None:
     most = shown_error_mm(trials, 0.95, 5.0, u_mm)
     assert most is not None
@@ -81,13 +87,18 @@ def test_the_power_of_mcnemar_by_counting_every_outcome(n: int, lost: float, won
     for b in range(n + 1):
         for c in range(n - b + 1):
             if Discordance(only_old=b, only_new=c, both=n - b - c).p_value < 0.05:
-                chance = binom.pmf(b, n, lost) * (binom.pmf(c, n - b, won / (1.0 - lost)) if lost < 1.0 else float(c == 0))
+                chance = binom.pmf(b, n, lost) * (
+                    binom.pmf(c, n - b, won / (1.0 - lost)) if lost < 1.0 else float(c == 0)
+                )
                 total += float(chance)
     assert mcnemar_power(n, lost, won) == pytest.approx(total, abs=1e-9)
 
 
 def test_under_no_difference_mcnemar_is_wrong_in_fewer_than_5_percent() -> None:
-    assert max(mcnemar_power(n, share, share) for n in (10, 59, 300) for share in (0.02, 0.1, 0.3)) < 0.05
+    assert (
+        max(mcnemar_power(n, share, share) for n in (10, 59, 300) for share in (0.02, 0.1, 0.3))
+        < 0.05
+    )
 
 
 def test_the_smallest_loss_that_shows() -> None:
@@ -100,7 +111,9 @@ def test_the_smallest_loss_that_shows() -> None:
 
 @pytest.mark.parametrize("n", [4, 6, 20, 59, 300])
 def test_the_smallest_shift_against_statsmodels(n: int) -> None:
-    assert detectable_shift(n, 1.5) == pytest.approx(1.5 * TTestPower().solve_power(nobs=n, alpha=0.05, power=0.8), rel=1e-5)
+    assert detectable_shift(n, 1.5) == pytest.approx(
+        1.5 * TTestPower().solve_power(nobs=n, alpha=0.05, power=0.8), rel=1e-5
+    )
 
 
 def test_the_smallest_shift_by_experiment() -> None:
@@ -112,7 +125,8 @@ def test_the_smallest_shift_by_experiment() -> None:
 
 
 def test_the_poses_for_a_shift() -> None:
-    assert poses_for_shift(0.5, 1.0) == 34  # the textbook's one-sample t test with effect 0.5, 5 %, 80 %
+    # the textbook's one-sample t test with effect 0.5, 5 %, 80 %
+    assert poses_for_shift(0.5, 1.0) == 34
     assert detectable_shift(1, 1.0) is None
 
 

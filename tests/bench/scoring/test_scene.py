@@ -17,13 +17,22 @@ from bench.scoring.rates import Rate
 from bench.scoring.sample_size import failures_allowed, shown_error_mm
 from bench.scoring.scene import SceneScore, scene_from_dict, score_scene
 
-TRUTH = np.array([[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]])  # table 5.1
+# table 5.1
+TRUTH = np.array(
+    [[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]]
+)
 ALL = (True, True, True, True)
 THREE = (True, True, True, False)
 
 
 def score(found: Any, visible: tuple[bool, ...] = ALL, **changes: Any) -> SceneScore:
-    settings: dict[str, Any] = {"u_mm": 0.23, "seconds": 0.4, "limit_mm": 5.0, "time_limit_s": 2.0, **changes}
+    settings: dict[str, Any] = {
+        "u_mm": 0.23,
+        "seconds": 0.4,
+        "limit_mm": 5.0,
+        "time_limit_s": 2.0,
+        **changes,
+    }
     return score_scene(found, TRUTH, visible, **settings)
 
 
@@ -80,7 +89,9 @@ def test_the_hidden_count_is_scored_beside_the_success() -> None:
 
 def test_errors_are_found_minus_truth_in_the_order_of_the_teats() -> None:
     s = score(moved(2, -3.0)[::-1])
-    assert s.errors_mm == pytest.approx(np.array([[0, 0, 0], [0, 0, 0], [0, 0, -3], [0, 0, 0]], dtype=float))
+    assert s.errors_mm == pytest.approx(
+        np.array([[0, 0, 0], [0, 0, 0], [0, 0, -3], [0, 0, 0]], dtype=float)
+    )
     assert s.radial_mm == pytest.approx((0, 0, 3, 0))
     with pytest.raises(ValueError, match="read-only"):
         s.errors_mm[0, 0] = 1.0
@@ -91,8 +102,14 @@ def test_doubtful_are_the_teats_in_the_guard_band(off: float, doubtful: tuple[in
     assert score(moved(1, off)).doubtful == doubtful
 
 
-@given(st.lists(st.tuples(*[st.floats(-300, 300)] * 3), max_size=6), st.tuples(*[st.booleans()] * 4), st.sampled_from([None, 0, 1]))
-def test_a_score_survives_json_exactly(found: list[tuple[float, ...]], visible: tuple[bool, ...], claimed: int | None) -> None:
+@given(
+    st.lists(st.tuples(*[st.floats(-300, 300)] * 3), max_size=6),
+    st.tuples(*[st.booleans()] * 4),
+    st.sampled_from([None, 0, 1]),
+)
+def test_a_score_survives_json_exactly(
+    found: list[tuple[float, ...]], visible: tuple[bool, ...], claimed: int | None
+) -> None:
     s = score(found, visible, hidden_claimed=claimed)
     back = scene_from_dict(json.loads(json.dumps(s.as_dict())))
     assert back.as_dict() == s.as_dict()
@@ -131,17 +148,27 @@ def test_impossible_input() -> None:
         (TRUTH, {"u_mm": 1.8}, ""),  # a truth too uncertain to accept anything
     ],
 )
-def test_what_the_truths_uncertainty_could_turn_is_neither(found: Any, changes: dict[str, Any], surely: str) -> None:
+def test_what_the_truths_uncertainty_could_turn_is_neither(
+    found: Any, changes: dict[str, Any], surely: str
+) -> None:
     s = score(found, **changes)
     assert (s.surely_succeeded, s.surely_failed) == (surely == "succeeded", surely == "failed")
 
 
 class TestPool:
-    GOOD, BAD = score(TRUTH, hidden_claimed=0), score(moved(0, 7.0)[:3], hidden_claimed=1, seconds=3.0)
+    GOOD, BAD = (
+        score(TRUTH, hidden_claimed=0),
+        score(moved(0, 7.0)[:3], hidden_claimed=1, seconds=3.0),
+    )
 
     def test_rates_count_poses_and_a_pose_needs_all_its_repeats(self) -> None:
         p = pool([self.GOOD, self.GOOD, self.GOOD, self.BAD], ["a", "a", "b", "b"])
-        assert (p.frames, p.success, p.in_time, p.hidden_right) == (Rate(3, 4), Rate(1, 2), Rate(1, 2), Rate(1, 2))
+        assert (p.frames, p.success, p.in_time, p.hidden_right) == (
+            Rate(3, 4),
+            Rate(1, 2),
+            Rate(1, 2),
+            Rate(1, 2),
+        )
         assert p.counts == Counts(visible=16, matched=15, missed=1)
         assert p.counts.recall == Rate(15, 16)
         assert p.seconds == (0.4, 0.4, 0.4, 3.0)
@@ -156,41 +183,74 @@ class TestPool:
 
     def test_rates_that_the_truth_cannot_turn_count_poses(self) -> None:
         near, over = score(moved(0, 4.9)), score(moved(0, 5.1))
-        p = pool([self.GOOD, near, over, self.BAD, self.GOOD, self.GOOD], ["a", "a", "b", "c", "d", "d"])
-        assert (p.surely_succeeded(0.95, 0.95), p.success, p.perhaps_succeeded) == (Rate(1, 4), Rate(2, 4), Rate(3, 4))
+        p = pool(
+            [self.GOOD, near, over, self.BAD, self.GOOD, self.GOOD], ["a", "a", "b", "c", "d", "d"]
+        )
+        assert (p.surely_succeeded(0.95, 0.95), p.success, p.perhaps_succeeded) == (
+            Rate(1, 4),
+            Rate(2, 4),
+            Rate(3, 4),
+        )
 
     @pytest.mark.parametrize(
         ("near_mm", "poses", "sure"),
-        [(4.6, 20, 20), (4.3, 59, 59), (4.4, 59, 58), (4.6, 91, 91), (4.6, 93, 92), (3.9, 93, 93), (4.7, 93, 92)],
+        [
+            (4.6, 20, 20),
+            (4.3, 59, 59),
+            (4.4, 59, 58),
+            (4.6, 91, 91),
+            (4.6, 93, 92),
+            (3.9, 93, 93),
+            (4.7, 93, 92),
+        ],
     )
-    def test_how_near_a_success_may_be_follows_from_the_number_of_poses(self, near_mm: float, poses: int, sure: int) -> None:
+    def test_how_near_a_success_may_be_follows_from_the_number_of_poses(
+        self, near_mm: float, poses: int, sure: int
+    ) -> None:
         p = pool([score(moved(0, near_mm)), *[self.GOOD] * (poses - 1)])
         assert p.surely_succeeded(0.95, 0.95) == Rate(sure, poses)
 
     @pytest.mark.parametrize("n", [59, 93, 150])
-    def test_one_pose_in_twenty_just_over_the_limit_is_taken_for_reliable_in_no_more_than_5_percent(self, n: int) -> None:
-        """The worst detector against the worst truth: off to one side, and off by the same all through a run."""
+    def test_one_pose_in_twenty_just_over_the_limit_is_taken_for_reliable_in_no_more_than_5_percent(
+        self, n: int
+    ) -> None:
+        """The worst detector against the worst truth: off to one side, and off by the same all
+        through a run.
+        """
         rng = np.random.default_rng(n)
         reach = shown_error_mm(n, 0.95, 5.0, 0.23, 0.95, failures_allowed(n, 0.95) or 0)
         bad, off = rng.random((10_000, n)) < 0.0501, rng.normal(0, 0.23, (10_000, 1, 3))
         true = np.zeros((10_000, n, 3))
         true[..., 0] = np.where(bad, 5.0001, 0.0)
         sure = (np.linalg.norm(true + off, axis=2) <= reach).sum(axis=1)
-        met = [decide_rate("rate", Rate(n, n), required=0.95, confidence=0.95, shown=Rate(k, n)).verdict == "met" for k in range(n + 1)]
+        met = [
+            decide_rate(
+                "rate", Rate(n, n), required=0.95, confidence=0.95, shown=Rate(k, n)
+            ).verdict
+            == "met"
+            for k in range(n + 1)
+        ]
         assert float(np.mean(np.array(met)[sure])) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 10_000)
 
     def test_recall_and_precision_by_pose(self) -> None:
         false = score(np.vstack([TRUTH, [[0, 0, 0]]]))
         p = pool([self.GOOD, self.BAD, false, false, self.GOOD], ["a", "b", "c", "c", "d"])
-        assert (p.all_found, p.nothing_false, p.worst_false) == (Rate(3, 4), Rate(3, 4), (0, 0, 1, 0))
-        nothing_there = score_scene([], np.zeros((0, 3)), [], u_mm=0.2, seconds=0.1, limit_mm=5.0, time_limit_s=2.0)
+        assert (p.all_found, p.nothing_false, p.worst_false) == (
+            Rate(3, 4),
+            Rate(3, 4),
+            (0, 0, 1, 0),
+        )
+        nothing_there = score_scene(
+            [], np.zeros((0, 3)), [], u_mm=0.2, seconds=0.1, limit_mm=5.0, time_limit_s=2.0
+        )
         assert (pool([nothing_there]).all_found.value, Pool().nothing_false.value) == (None, None)
 
     def test_two_pools_merge_to_what_one_would_have_been(self) -> None:
         first, second = pool([self.GOOD, self.BAD], ["a", "b"]), pool([self.BAD], ["a"])
         merged = first + second
         assert merged == Pool((self.GOOD, self.BAD, self.BAD), ("a", "b", "a"))
-        assert merged.success == Rate(0, 2)  # pose a failed in its second repeat: adding the two rates would have hidden it
+        # pose a failed in its second repeat: adding the two rates would have hidden it
+        assert merged.success == Rate(0, 2)
         assert merged.counts == first.counts + second.counts
         assert merged.summary().n == first.summary().n + second.summary().n
 
@@ -198,7 +258,8 @@ class TestPool:
         few = pool([score(moved(0, 5.0)[:1])], ["a"])  # one teat, 5 mm off
         many = pool([score(TRUTH)] * 6, [f"b{k}" for k in range(6)])  # 24 teats, none off
         rms = (few + many).summary().radial.rms_mm
-        assert rms == pytest.approx(1.0)  # sqrt(25 / 25); the mean of the two runs' rms would say 2.5
+        # sqrt(25 / 25); the mean of the two runs' rms would say 2.5
+        assert rms == pytest.approx(1.0)
         assert (few + many).counts.recall == Rate(25, 28)
 
     def test_no_claim_on_hidden_teats_is_not_measured(self) -> None:
@@ -206,7 +267,12 @@ class TestPool:
 
     def test_an_empty_pool_measured_nothing(self) -> None:
         p = Pool()
-        assert (p.success.value, p.counts, p.summary().radial.mean_mm, p.errors_of_teat(0).shape) == (None, Counts(), None, (0, 3))
+        assert (
+            p.success.value,
+            p.counts,
+            p.summary().radial.mean_mm,
+            p.errors_of_teat(0).shape,
+        ) == (None, Counts(), None, (0, 3))
 
     def test_poses_have_to_fit(self) -> None:
         with pytest.raises(ValueError, match="1 scores with 2 pose names"):

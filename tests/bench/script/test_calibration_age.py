@@ -1,4 +1,6 @@
-"""How old a calibration may be, and whose cameras it is of: refused before a run, judged after it."""
+"""How old a calibration may be, and whose cameras it is of:
+refused before a run, judged after it.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def made(day: str, **cameras: str) -> Calibration:
 def script(tmp_path: Path) -> LoadedScript:
     path = tmp_path / "fresh.toml"
     text = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
-    path.write_text(text.replace("[bath]", "[calibration]\nmax_age_days = 30\n\n[bath]", 1), encoding="utf-8")
+    path.write_text(
+        text.replace("[bath]", "[calibration]\nmax_age_days = 30\n\n[bath]", 1), encoding="utf-8"
+    )
     return load_script(path)
 
 
@@ -47,8 +51,13 @@ def real() -> LoadedRig:
 
 class TestBeforeARun:
     def test_one_of_last_month_is_refused(self, real: LoadedRig, script: LoadedScript) -> None:
-        with pytest.raises(ConfigError, match=r"made on 2026-10-20, 31 days ago; .*fresh.toml allows 30 days .*Calibrate again"):
-            refuse_old_calibration(replace(real, made_calibration=made("2026-10-20")), script, TODAY)
+        with pytest.raises(
+            ConfigError,
+            match=r"made on 2026-10-20, 31 days ago; .*fresh.toml allows 30 days .*Calibrate again",
+        ):
+            refuse_old_calibration(
+                replace(real, made_calibration=made("2026-10-20")), script, TODAY
+            )
 
     def test_one_of_this_month_is_taken(self, real: LoadedRig, script: LoadedScript) -> None:
         refuse_old_calibration(replace(real, made_calibration=made("2026-10-21")), script, TODAY)
@@ -59,7 +68,9 @@ class TestBeforeARun:
 
     def test_one_of_next_week_is_refused(self, real: LoadedRig, script: LoadedScript) -> None:
         with pytest.raises(ConfigError, match="is this machine's clock right"):
-            refuse_old_calibration(replace(real, made_calibration=made("2026-11-27")), script, TODAY)
+            refuse_old_calibration(
+                replace(real, made_calibration=made("2026-11-27")), script, TODAY
+            )
 
     def test_a_script_that_asks_for_nothing_gets_any(self, real: LoadedRig) -> None:
         refuse_old_calibration(real, load_script(TRIALS / "six-situations.toml"), TODAY)
@@ -70,15 +81,32 @@ class TestBeforeARun:
     def test_by_command_nothing_is_opened_and_the_exit_code_is_2(
         self, tmp_path: Path, script: LoadedScript, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        (tmp_path / "calibration.toml").write_text(dump_calibration(made("2020-01-01")), encoding="utf-8")
+        (tmp_path / "calibration.toml").write_text(
+            dump_calibration(made("2020-01-01")), encoding="utf-8"
+        )
         text = (RIGS / "lab.example.toml").read_text(encoding="utf-8")
         (tmp_path / "lab.toml").write_text(text, encoding="utf-8")
-        assert main(["run", str(script.path), "--rig", str(tmp_path / "lab.toml"), "--out", str(tmp_path / "runs")]) == 2
+        assert (
+            main(
+                [
+                    "run",
+                    str(script.path),
+                    "--rig",
+                    str(tmp_path / "lab.toml"),
+                    "--out",
+                    str(tmp_path / "runs"),
+                ]
+            )
+            == 2
+        )
         assert "was made on 2020-01-01" in capsys.readouterr().err
         assert not (tmp_path / "runs").exists()
 
 
-SEEN = {"left": "Basler acA1300-60gm, serial 21876543", "right": "Basler acA1300-60gm, serial 21876544"}
+SEEN = {
+    "left": "Basler acA1300-60gm, serial 21876543",
+    "right": "Basler acA1300-60gm, serial 21876544",
+}
 
 
 class TestCameras:
@@ -92,16 +120,40 @@ class TestCameras:
         refuse_other_cameras(made("2026-11-01", thermal="FLIR 7").record, SEEN)
 
     def test_cables_that_were_swapped(self) -> None:
-        with pytest.raises(LimitError, match=r"made for the left camera '21876544', but the one that answers is 'Basler .*543'"):
+        with pytest.raises(
+            LimitError,
+            match=(
+                r"made for the left camera '21876544', but the one that answers is 'Basler .*543'"
+            ),
+        ):
             refuse_other_cameras(made("2026-11-01", left="21876544", right="21876543").record, SEEN)
 
-    def test_in_a_run_it_is_an_instruments_fault(self, tmp_path: Path, short_script: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_in_a_run_it_is_an_instruments_fault(
+        self, tmp_path: Path, short_script: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
         text = dump_calibration(made("2026-11-01", left="emulated 640 x 480"))
         (tmp_path / "calibration.toml").write_text(text, encoding="utf-8")
-        (tmp_path / "rig.toml").write_text((RIGS / "emulated.toml").read_text(encoding="utf-8"), encoding="utf-8")
-        assert main(["run", str(short_script), "--rig", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "runs")]) == 3
+        (tmp_path / "rig.toml").write_text(
+            (RIGS / "emulated.toml").read_text(encoding="utf-8"), encoding="utf-8"
+        )
+        assert (
+            main(
+                [
+                    "run",
+                    str(short_script),
+                    "--rig",
+                    str(tmp_path / "rig.toml"),
+                    "--out",
+                    str(tmp_path / "runs"),
+                ]
+            )
+            == 3
+        )
         said = " ".join(capsys.readouterr().out.split())  # the terminal breaks lines
-        assert "made for the left camera 'emulated 640 x 480', but the one that answers is 'emulated 1360 x 1024'" in said
+        assert (
+            "made for the left camera 'emulated 640 x 480', but the one that answers is 'emulated"
+            " 1360 x 1024'" in said
+        )
 
 
 @pytest.mark.parametrize(
@@ -117,7 +169,9 @@ class TestCameras:
 )
 def test_the_requirement(day: str | None, emulated: bool, verdict: str) -> None:
     calibration = made(day) if day else load_calibration(RIGS / "calibration.toml")
-    facts: dict[str, Any] = {CALIBRATION_FACT: calibration_fact(calibration, TODAY, emulated=emulated)}
+    facts: dict[str, Any] = {
+        CALIBRATION_FACT: calibration_fact(calibration, TODAY, emulated=emulated)
+    }
     assert decide_calibration(RULE, facts).verdict == verdict
 
 

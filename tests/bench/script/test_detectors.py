@@ -21,11 +21,17 @@ from tests.detector.children import answering, ask
 COMMAND = f"command = [{json.dumps(sys.executable)}, 'x.py']\n"
 
 
-def test_names_commands_and_files_are_all_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_commands_and_files_are_all_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "detectors").mkdir()
-    (tmp_path / "detectors" / "barn.toml").write_text(f'about = "of the barn"\n{COMMAND}', encoding="utf-8")
-    (tmp_path / "far.toml").write_text(f'name = "other"\nversion = "9"\ntime_limit_s = 2\n{COMMAND}', encoding="utf-8")
+    (tmp_path / "detectors" / "barn.toml").write_text(
+        f'about = "of the barn"\n{COMMAND}', encoding="utf-8"
+    )
+    (tmp_path / "far.toml").write_text(
+        f'name = "other"\nversion = "9"\ntime_limit_s = 2\n{COMMAND}', encoding="utf-8"
+    )
     (tmp_path / "my detector.py").write_text("", encoding="utf-8")
     quoted = f'exec:"{sys.executable}" "my detector.py" --fast'
     made = make_detectors(["thesis", quoted, "far.toml", "barn", "thesis"])
@@ -39,8 +45,15 @@ def test_names_commands_and_files_are_all_taken(tmp_path: Path, monkeypatch: pyt
 
 
 def test_commands_are_taken_apart_as_each_system_writes_them() -> None:
-    assert taken_apart(r"python 'my detector.py' a\ b", windows=False) == ["python", "my detector.py", "a b"]
-    assert taken_apart(r'"C:\Program Files\x.exe" C:\my\det.py', windows=True) == [r"C:\Program Files\x.exe", r"C:\my\det.py"]
+    assert taken_apart(r"python 'my detector.py' a\ b", windows=False) == [
+        "python",
+        "my detector.py",
+        "a b",
+    ]
+    assert taken_apart(r'"C:\Program Files\x.exe" C:\my\det.py', windows=True) == [
+        r"C:\Program Files\x.exe",
+        r"C:\my\det.py",
+    ]
 
 
 def test_its_version_follows_its_files(tmp_path: Path) -> None:
@@ -87,13 +100,19 @@ def test_two_of_one_name_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_script_names_them_as_a_command_does(tmp_path: Path) -> None:
-    text = (TRIALS / "six-situations.toml").read_text(encoding="utf-8").replace('["thesis"]', '["thesis", "mine.toml", "exec:x"]')
+    text = (
+        (TRIALS / "six-situations.toml")
+        .read_text(encoding="utf-8")
+        .replace('["thesis"]', '["thesis", "mine.toml", "exec:x"]')
+    )
     (tmp_path / "trials.toml").write_text(text, encoding="utf-8")
     (tmp_path / "mine.toml").write_text(COMMAND, encoding="utf-8")
     script = load_script(tmp_path / "trials.toml")
     (mine,) = make_detectors(script.script.detectors[1:2], script.path.parent)
     assert isinstance(mine, ExternalDetector)
-    (tmp_path / "trials.toml").write_text(text.replace('"thesis", ', '"thesys", '), encoding="utf-8")
+    (tmp_path / "trials.toml").write_text(
+        text.replace('"thesis", ', '"thesys", '), encoding="utf-8"
+    )
     with pytest.raises(ConfigError, match=r"no detector 'thesys'; did you mean \"thesis\""):
         load_script(tmp_path / "trials.toml")
     check_named(["exec:whatever", "what/ever.toml"])
@@ -111,7 +130,9 @@ def test_the_list_tells_a_faulty_file_and_goes_on(
     assert "thesis: " in said
 
 
-def test_a_program_sees_the_variables_of_the_list_and_those_that_its_file_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_program_sees_the_variables_of_the_list_and_those_that_its_file_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("LAB_TOKEN", "secret")
     monkeypatch.setenv("LAB_MODEL", "heavy")
     monkeypatch.setenv("LANG", "C.UTF-8")
@@ -119,12 +140,16 @@ def test_a_program_sees_the_variables_of_the_list_and_those_that_its_file_names(
     (tmp_path / "mine.py").write_text(answering(says), encoding="utf-8")
     command = f"command = [{sys.executable!r}, 'mine.py']\n"
     (tmp_path / "plain.toml").write_text(command, encoding="utf-8")
-    (tmp_path / "more.toml").write_text(f"{command}environment = ['LAB_MODEL', 'NOT_THERE']\n", encoding="utf-8")
+    (tmp_path / "more.toml").write_text(
+        f"{command}environment = ['LAB_MODEL', 'NOT_THERE']\n", encoding="utf-8"
+    )
     seen = {}
     for detector in make_detectors(["plain.toml", "more.toml"], tmp_path):
         assert isinstance(detector, ExternalDetector)
         try:
-            seen[detector.name] = json.loads(str(ask(detector, load_rig(find_rig(None)).calibration).reason))
+            seen[detector.name] = json.loads(
+                str(ask(detector, load_rig(find_rig(None)).calibration).reason)
+            )
         finally:
             detector.close()
     assert seen["plain"]["LANG"] == "C.UTF-8"

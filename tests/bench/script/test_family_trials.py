@@ -1,4 +1,6 @@
-"""Trials that show families of situations: which members, what the operator is told, what is wrong, and a run through the whole bench."""
+"""Trials that show families of situations: which members, what the operator is told, what is wrong,
+and a run through the whole bench.
+"""
 
 from __future__ import annotations
 
@@ -38,15 +40,24 @@ def script(tmp_path: Path, trial: str) -> LoadedScript:
 
 
 def test_redrawn_trials_show_one_member_for_each_pose(tmp_path: Path) -> None:
-    loaded = script(tmp_path, 'family = "hot_body_at_ends"\nmember = 5\nredraw = true\nrepeats = 2\ndraw = { count = 3 }\n')
+    loaded = script(
+        tmp_path,
+        'family = "hot_body_at_ends"\nmember = 5\nredraw = true\nrepeats = 2\ndraw = { count ='
+        " 3 }\n",
+    )
     scenes = [one.scene for one in loaded.planned]
     assert scenes == [situation("hot_body_at_ends", seed) for seed in (5, 5, 6, 6, 7, 7)]
     assert [one.phantom for one in loaded.planned] == [scene.phantom for scene in scenes if scene]
-    assert "family hot_body_at_ends, members from 5 on, one for each pose" in chosen(loaded.script.trials[0])
+    assert "family hot_body_at_ends, members from 5 on, one for each pose" in chosen(
+        loaded.script.trials[0]
+    )
 
 
 def test_one_member_stands_at_every_pose(tmp_path: Path) -> None:
-    loaded = script(tmp_path, 'family = "hot_body_at_ends"\nmember = 2\nposes = [{ x_mm = 0.0 }, { x_mm = 5.0 }]\n')
+    loaded = script(
+        tmp_path,
+        'family = "hot_body_at_ends"\nmember = 2\nposes = [{ x_mm = 0.0 }, { x_mm = 5.0 }]\n',
+    )
     assert {one.scene for one in loaded.planned} == {situation("hot_body_at_ends", 2)}
     assert "member 2" in chosen(loaded.script.trials[0])
 
@@ -67,7 +78,11 @@ def test_the_emulated_operator_sets_the_whole_scene_up(tmp_path: Path) -> None:
     with EmulatedRig(load_rig(find_rig(None)), VirtualClock(), seed=5) as twin:
         placed = twin.operator.set_up(planned.arrangement("XY"))
         seen = twin.world.scene()
-    assert (seen.backdrop, seen.lighting, seen.teat_paint) == (found.backdrop, found.lighting, found.teat_paint)
+    assert (seen.backdrop, seen.lighting, seen.teat_paint) == (
+        found.backdrop,
+        found.lighting,
+        found.teat_paint,
+    )
     assert len(placed.visible) == 4
     assert np.ptp([teat.base_mm[0] for teat in seen.phantom.teats]) > 0.0
 

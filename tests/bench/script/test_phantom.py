@@ -1,4 +1,6 @@
-"""Phantom description files: what ships is what the sources say, what is drawn keeps to its envelope, what is wrong is explained."""
+"""Phantom description files: what ships is what the sources say, what is drawn keeps to its
+envelope, what is wrong is explained.
+"""
 
 from __future__ import annotations
 
@@ -37,17 +39,31 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_table_5_1_is_the_published_one(shared_data: Path) -> None:
-    published = tomllib.loads((shared_data.parent / "seed" / "published.toml").read_text(encoding="utf-8"))
-    assert shipped_phantom("table-5-1").ends_mm == pytest.approx(np.array(published["table_5_1"]["teat_ends_mm"]), abs=1e-9)
+    published = tomllib.loads(
+        (shared_data.parent / "seed" / "published.toml").read_text(encoding="utf-8")
+    )
+    assert shipped_phantom("table-5-1").ends_mm == pytest.approx(
+        np.array(published["table_5_1"]["teat_ends_mm"]), abs=1e-9
+    )
 
 
 def test_what_ships() -> None:
-    assert layout_names() == ["narrow-rear", "non-vertical", "overlapping", "random-udder", "single", "table-5-1", "widest"]
+    assert layout_names() == [
+        "narrow-rear",
+        "non-vertical",
+        "overlapping",
+        "random-udder",
+        "single",
+        "table-5-1",
+        "widest",
+    ]
     for name in layout_names():
         phantom = load_layout(find_layout(name)).phantom(1)
         assert phantom.name == name
         assert phantom.emissivity == 0.95
-        assert sorted(teat.name for teat in phantom.teats) == (["RF"] if name == "single" else ["LF", "LR", "RF", "RR"])
+        assert sorted(teat.name for teat in phantom.teats) == (
+            ["RF"] if name == "single" else ["LF", "LR", "RF", "RR"]
+        )
 
 
 def test_narrow_rear_teats_are_the_nearest_and_widest_the_widest() -> None:
@@ -87,7 +103,9 @@ def test_a_seed_is_one_udder_and_another_seed_another() -> None:
 def test_the_paint_of_the_file_is_the_paint_of_the_scene(tmp_path: Path) -> None:
     calibration = tomllib.loads((ROOT / "bench/rigs/calibration.toml").read_text(encoding="utf-8"))
     world = World(VirtualClock(), 1, Renderer.from_calibration(calibration, 1))
-    world.arrange(load_layout(written(tmp_path, f'about = "dull"\nemissivity = 0.6\n{TEAT}')).phantom(), ())
+    world.arrange(
+        load_layout(written(tmp_path, f'about = "dull"\nemissivity = 0.6\n{TEAT}')).phantom(), ()
+    )
     assert world.scene().teat_paint.emissivity == 0.6
     assert len(world.ends_mm()) == 1
 
@@ -100,14 +118,24 @@ def test_the_paint_of_the_file_is_the_paint_of_the_scene(tmp_path: Path) -> None
         (f'about = "x"\n{TEAT}radius_mm = 200.0\n', 2, "a teat needs"),
         (f'about = "x"\n{TEAT}tilt_deg = [0.0, 75.0]\n', 5, "less than 60"),
         (f'about = "x"\n{TEAT}{TEAT}', 2, "two teats are LF"),
-        (f'about = "x"\n{TEAT}{TEAT.replace("LF", "RF").replace("[0.0", "[15.0")}', 2, "teats LF and RF stand 7.0 mm inside each other"),
+        (
+            f'about = "x"\n{TEAT}{TEAT.replace("LF", "RF").replace("[0.0", "[15.0")}',
+            2,
+            "teats LF and RF stand 7.0 mm inside each other",
+        ),
         (f'about = "x"\n{TEAT.replace("LF", "FL")}', 3, "'FL' is not allowed"),
         ('about = "x"\n', 1, "either [[teats]] or an [envelope]"),
         ('about = "x"\nemissivity = 1.5\n' + TEAT, 2, "less than or equal to 1"),
-        (ENVELOPE.replace("[80.0, 90.0]", "[90.0, 80.0]"), 4, "the first number must be the smaller one"),
+        (
+            ENVELOPE.replace("[80.0, 90.0]", "[90.0, 80.0]"),
+            4,
+            "the first number must be the smaller one",
+        ),
     ],
 )
-def test_a_wrong_file_says_what_and_where(tmp_path: Path, text: str, line: int, message: str) -> None:
+def test_a_wrong_file_says_what_and_where(
+    tmp_path: Path, text: str, line: int, message: str
+) -> None:
     with pytest.raises(ConfigError) as caught:
         load_layout(written(tmp_path, text))
     assert message in str(caught.value)
@@ -115,14 +143,19 @@ def test_a_wrong_file_says_what_and_where(tmp_path: Path, text: str, line: int, 
 
 
 def test_an_envelope_in_which_no_udder_fits_is_refused(tmp_path: Path) -> None:
-    spans = "front_spacing_mm = [20.0, 21.0]\nrear_spacing_mm = [20.0, 21.0]\nfront_to_rear_mm = [20.0, 21.0]\n"
+    spans = (
+        "front_spacing_mm = [20.0, 21.0]\nrear_spacing_mm = [20.0, 21.0]\nfront_to_rear_mm = [20.0,"
+        " 21.0]\n"
+    )
     path = written(tmp_path, f'about = "x"\n[envelope]\nmiddle_mm = [0.0, 0.0]\n{spans}')
     with pytest.raises(ConfigError, match="widen the spacings"):
         load_layout(path)
 
 
 def test_a_layout_that_is_not_there_lists_what_is(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r'did you mean "overlapping"\? \(shipped: narrow-rear, non-vertical'):
+    with pytest.raises(
+        ValueError, match=r'did you mean "overlapping"\? \(shipped: narrow-rear, non-vertical'
+    ):
         find_layout("overlaping")
     with pytest.raises(ValueError, match="no such file"):
         find_layout("mine.toml", tmp_path)

@@ -1,4 +1,6 @@
-"""The sensitivity of stereo to pixels: against OpenCV, against the geometry's own limit, and beside the published figures."""
+"""The sensitivity of stereo to pixels: against OpenCV, against the geometry's own limit, and beside
+the published figures.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,13 @@ from bench.config import ConfigError
 from bench.report.pixel_offsets import beyond_axes, published_move_mm
 from bench.rig.loading import find_rig, load_rig
 from bench.script.model import TRIALS, find_script
-from bench.script.pixel_offsets import LoadedOffsets, is_offset_script, load_offsets, offset_errors, outcomes
+from bench.script.pixel_offsets import (
+    LoadedOffsets,
+    is_offset_script,
+    load_offsets,
+    offset_errors,
+    outcomes,
+)
 from detector.calibration import Calibration
 from detector.geometry import Camera
 
@@ -33,70 +41,119 @@ def loaded() -> LoadedOffsets:
 
 
 def matrix(camera: Camera) -> np.ndarray:
-    return np.array([[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]])
+    return np.array(
+        [[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]]
+    )
 
 
-def by_opencv(calibration: Calibration, point_mm: np.ndarray, right_px: float, directions: int) -> np.ndarray:
-    """Errors (n, 3), world frame, of a point whose right picture is put off: projected and triangulated by OpenCV."""
+def by_opencv(
+    calibration: Calibration, point_mm: np.ndarray, right_px: float, directions: int
+) -> np.ndarray:
+    """Errors (n, 3), world frame, of a point whose right picture is put off: projected and
+    triangulated by OpenCV.
+    """
     right_from_world = calibration.world_from_right.inverse()
     left_from_right = calibration.right_from_left.inverse()
     in_right = right_from_world.apply(point_mm)
     in_left = left_from_right.apply(in_right)
     k_left, k_right = matrix(calibration.left), matrix(calibration.right)
-    left, _ = cv2.projectPoints(in_left[None], np.zeros(3), np.zeros(3), k_left, np.array(calibration.left.kc))
-    right, _ = cv2.projectPoints(in_right[None], np.zeros(3), np.zeros(3), k_right, np.array(calibration.right.kc))
+    left, _ = cv2.projectPoints(
+        in_left[None], np.zeros(3), np.zeros(3), k_left, np.array(calibration.left.kc)
+    )
+    right, _ = cv2.projectPoints(
+        in_right[None], np.zeros(3), np.zeros(3), k_right, np.array(calibration.right.kc)
+    )
     angle = 2.0 * np.pi * np.arange(directions) / directions
     off = right.reshape(1, 2) + right_px * np.column_stack([np.cos(angle), np.sin(angle)])
-    a = cv2.undistortPoints(np.repeat(left.reshape(1, 2), directions, axis=0), k_left, np.array(calibration.left.kc)).reshape(-1, 2)
+    a = cv2.undistortPoints(
+        np.repeat(left.reshape(1, 2), directions, axis=0), k_left, np.array(calibration.left.kc)
+    ).reshape(-1, 2)
     b = cv2.undistortPoints(off, k_right, np.array(calibration.right.kc)).reshape(-1, 2)
     p_left = np.column_stack([left_from_right.R, left_from_right.T])
     found = cv2.triangulatePoints(p_left, np.eye(3, 4), a.T, b.T)
     return np.asarray(calibration.world_from_right.apply((found[:3] / found[3]).T) - point_mm)
 
 
-def test_the_errors_are_those_that_opencv_gets(calibration: Calibration, loaded: LoadedOffsets) -> None:
-    """Rays that meet give the same point; where the offset makes them skew, DLT and midpoint differ a little."""
+def test_the_errors_are_those_that_opencv_gets(
+    calibration: Calibration, loaded: LoadedOffsets
+) -> None:
+    """Rays that meet give the same point; where the offset makes them skew, DLT and midpoint differ
+    a little.
+    """
     for point in loaded.points_mm:
-        ours, theirs = offset_errors(calibration, point, 0.0, 2.0, 24), by_opencv(calibration, point, 2.0, 24)
+        ours, theirs = (
+            offset_errors(calibration, point, 0.0, 2.0, 24),
+            by_opencv(calibration, point, 2.0, 24),
+        )
         assert ours[[0, 12]] == pytest.approx(theirs[[0, 12]], abs=0.02)
         assert ours == pytest.approx(theirs, abs=0.5)
         assert np.abs(theirs).max() > 14.0
 
 
-def test_a_pixel_of_disparity_is_what_the_geometry_says(shared_data: Path, calibration: Calibration, loaded: LoadedOffsets) -> None:
-    published = tomllib.loads((shared_data.parent / "seed" / "published.toml").read_text(encoding="utf-8"))
-    derived = published["derived"]  # its figures went through the published transformation, which shortens depth
-    low, high = np.array(derived["depth_per_disparity_pixel_mm"]) / derived["world_transformation_singular_values"][2]
+def test_a_pixel_of_disparity_is_what_the_geometry_says(
+    shared_data: Path, calibration: Calibration, loaded: LoadedOffsets
+) -> None:
+    published = tomllib.loads(
+        (shared_data.parent / "seed" / "published.toml").read_text(encoding="utf-8")
+    )
+    # its figures went through the published transformation, which shortens depth
+    derived = published["derived"]
+    low, high = (
+        np.array(derived["depth_per_disparity_pixel_mm"])
+        / derived["world_transformation_singular_values"][2]
+    )
     for point in loaded.points_mm:
-        both_ways = offset_errors(calibration, point, 0.0, 1.0, 4)[[0, 2]]  # to the right, and to the left
+        # to the right, and to the left
+        both_ways = offset_errors(calibration, point, 0.0, 1.0, 4)[[0, 2]]
         a_pixel = float(np.linalg.norm(both_ways, axis=1).mean())
         assert 0.97 * low <= a_pixel <= 1.03 * high
 
 
 def test_the_script_says_what_the_thesis_printed(shared_data: Path, loaded: LoadedOffsets) -> None:
-    published = tomllib.loads((shared_data.parent / "seed" / "published.toml").read_text(encoding="utf-8"))
+    published = tomllib.loads(
+        (shared_data.parent / "seed" / "published.toml").read_text(encoding="utf-8")
+    )
     offsets = loaded.script.offsets
-    assert loaded.points_mm == pytest.approx(np.array(published["table_5_1"]["teat_ends_mm"]), abs=1e-9)
-    assert [list(one.published_plain_mm or ()) for one in offsets] == published["table_5_2"]["teat_ends_mm"]
-    assert [list(one.published_mm or ()) for one in offsets] == published["table_5_3"]["teat_ends_mm"]
-    asked = [{key: px for key, px in (("left", one.left_px), ("right", one.right_px)) if px} for one in offsets]
+    assert loaded.points_mm == pytest.approx(
+        np.array(published["table_5_1"]["teat_ends_mm"]), abs=1e-9
+    )
+    assert [list(one.published_plain_mm or ()) for one in offsets] == published["table_5_2"][
+        "teat_ends_mm"
+    ]
+    assert [list(one.published_mm or ()) for one in offsets] == published["table_5_3"][
+        "teat_ends_mm"
+    ]
+    asked = [
+        {key: px for key, px in (("left", one.left_px), ("right", one.right_px)) if px}
+        for one in offsets
+    ]
     assert asked == published["table_5_3"]["offsets_px"]
     assert loaded.script.limit_mm == published["requirements"]["max_error_mm"]
 
 
-def test_no_direction_gives_the_published_errors_along_x(calibration: Calibration, loaded: LoadedOffsets) -> None:
-    """Offsets of a pixel or two move x by less than 3 mm under the published calibration; the thesis printed 4.7 to 8.5."""
+def test_no_direction_gives_the_published_errors_along_x(
+    calibration: Calibration, loaded: LoadedOffsets
+) -> None:
+    """Offsets of a pixel or two move x by less than 3 mm under the published calibration; the
+    thesis printed 4.7 to 8.5.
+    """
     for one in outcomes(loaded, calibration):
         moved = published_move_mm(one.offset)
         assert moved is not None
         assert one.most_mm[0] < 3.0 < abs(moved[0])
         assert beyond_axes(one)[0] == "x"
-        assert "y" not in beyond_axes(one), "along the cameras' axis the printed figures are possible"
+        assert "y" not in beyond_axes(one), (
+            "along the cameras' axis the printed figures are possible"
+        )
 
 
-def test_no_offset_is_no_error_and_twice_the_offset_about_twice(calibration: Calibration, loaded: LoadedOffsets) -> None:
+def test_no_offset_is_no_error_and_twice_the_offset_about_twice(
+    calibration: Calibration, loaded: LoadedOffsets
+) -> None:
     point = loaded.points_mm[0]
-    assert offset_errors(calibration, point, 0.0, 0.0, 8) == pytest.approx(np.zeros((1, 3)), abs=1e-6)
+    assert offset_errors(calibration, point, 0.0, 0.0, 8) == pytest.approx(
+        np.zeros((1, 3)), abs=1e-6
+    )
     small, twice = (offset_errors(calibration, point, 0.0, px, 8) for px in (0.05, 0.1))
     assert twice == pytest.approx(2.0 * small, rel=0.02, abs=1e-3)
     assert offset_errors(calibration, point, 1.0, 1.0, 6).shape == (36, 3)
@@ -107,7 +164,9 @@ def test_a_point_that_no_camera_sees_is_refused(calibration: Calibration) -> Non
         offset_errors(calibration, np.array([2000.0, 300.0, 135.0]), 1.0, 0.0, 8)
 
 
-def test_the_command_reports_and_reports_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_reports_and_reports_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["run", "thesis-test-2", "--out", str(tmp_path)]) == 1
     assert "Verdict: not met (limit 5 mm)" in capsys.readouterr().out
     (folder,) = tmp_path.iterdir()
@@ -120,10 +179,17 @@ def test_the_command_reports_and_reports_again(tmp_path: Path, capsys: pytest.Ca
     assert (folder / "report" / "index.html").read_bytes() == page
 
 
-def test_an_offset_that_does_no_harm_is_met(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "mine.toml").write_text('about = "x"\n[[teats]]\nname = "LF"\nbase_mm = [-190.0, 240.0]\n', encoding="utf-8")
+def test_an_offset_that_does_no_harm_is_met(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.toml").write_text(
+        'about = "x"\n[[teats]]\nname = "LF"\nbase_mm = [-190.0, 240.0]\n', encoding="utf-8"
+    )
     path = tmp_path / "tenth.toml"
-    text = 'kind = "offsets"\ntitle = "A tenth"\nlayout = "mine.toml"\nlimit_mm = 5.0\n[[offsets]]\nteat = 1\nleft_px = 0.1\n'
+    text = (
+        'kind = "offsets"\ntitle = "A tenth"\nlayout = "mine.toml"\nlimit_mm ='
+        " 5.0\n[[offsets]]\nteat = 1\nleft_px = 0.1\n"
+    )
     path.write_text(text, encoding="utf-8")
     assert main(["run", str(path), "--dry-run", "--out", str(tmp_path / "runs")]) == 0
     assert not (tmp_path / "runs").exists()

@@ -1,4 +1,6 @@
-"""From trial tables to trials: counts, orders and names are fixed, and the same script is the same trials."""
+"""From trial tables to trials: counts, orders and names are fixed, and the same script is the same
+trials.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ LAYOUTS = {name: load_layout(find_layout(name)) for name in ("single", "random-u
 FAR_MM = st.floats(-200, 200)
 
 
-def planned(*, repeats: int = 1, seed: int = 1, shuffled: bool = False, **table: Any) -> tuple[PlannedTrial, ...]:
+def planned(
+    *, repeats: int = 1, seed: int = 1, shuffled: bool = False, **table: Any
+) -> tuple[PlannedTrial, ...]:
     trial = Trial.model_validate({**HEAD, **table})
     return plan([trial], LAYOUTS, repeats=repeats, seed=seed, shuffled=shuffled)
 
@@ -40,16 +44,40 @@ def test_a_serpentine_by_hand() -> None:
     grid = {"x_mm": (-10.0, 10.0), "y_mm": (0.0, 5.0), "step_mm": (10.0, 5.0)}
     trials = planned(grid=grid)
     assert places(trials) == [(-10, 0), (0, 0), (10, 0), (10, 5), (0, 5), (-10, 5)]
-    assert [one.id for one in trials] == ["001-t-1-1", "002-t-2-1", "003-t-3-1", "004-t-6-1", "005-t-5-1", "006-t-4-1"]
-    assert places(planned(grid={**grid, "order": "rows"})) == [(-10, 0), (0, 0), (10, 0), (-10, 5), (0, 5), (10, 5)]
+    assert [one.id for one in trials] == [
+        "001-t-1-1",
+        "002-t-2-1",
+        "003-t-3-1",
+        "004-t-6-1",
+        "005-t-5-1",
+        "006-t-4-1",
+    ]
+    assert places(planned(grid={**grid, "order": "rows"})) == [
+        (-10, 0),
+        (0, 0),
+        (10, 0),
+        (-10, 5),
+        (0, 5),
+        (10, 5),
+    ]
     along_y = planned(grid={**grid, "along": "y"})
     assert places(along_y) == [(-10, 0), (-10, 5), (0, 5), (0, 0), (10, 0), (10, 5)]
     where = {one.name: place for one, place in zip(trials, places(trials), strict=True)}
-    assert {one.name: place for one, place in zip(along_y, places(along_y), strict=True)} == where, "a name is a pose, whatever the order"
+    assert {
+        one.name: place for one, place in zip(along_y, places(along_y), strict=True)
+    } == where, "a name is a pose, whatever the order"
 
 
-@given(columns=st.integers(1, 12), rows=st.integers(1, 12), dx=st.floats(0.5, 40), dy=st.floats(0.5, 40), along=st.sampled_from("xy"))
-def test_a_serpentine_is_everywhere_once_in_single_steps(columns: int, rows: int, dx: float, dy: float, along: str) -> None:
+@given(
+    columns=st.integers(1, 12),
+    rows=st.integers(1, 12),
+    dx=st.floats(0.5, 40),
+    dy=st.floats(0.5, 40),
+    along=st.sampled_from("xy"),
+)
+def test_a_serpentine_is_everywhere_once_in_single_steps(
+    columns: int, rows: int, dx: float, dy: float, along: str
+) -> None:
     spans = {"x_mm": (0.0, (columns - 1) * dx), "y_mm": (0.0, (rows - 1) * dy), "step_mm": (dx, dy)}
     grid = Grid.model_validate({**spans, "along": along})
     poses, visited = grid.poses(), grid.visited()
@@ -78,27 +106,53 @@ def test_repeatability_is_five_poses_in_thirty_cycles() -> None:
 
 def test_random_udders_differ_in_udder_and_place() -> None:
     trials = load_script(find_script("random-udder")).planned
-    assert len({one.phantom for one in trials}) == len({one.pose for one in trials}) == len(trials) == 59
-    assert all(abs(one.pose.x_mm) <= 25.0 and abs(one.pose.y_mm) <= 30.0 and abs(one.yaw_deg) <= 8.0 for one in trials)
+    assert (
+        len({one.phantom for one in trials})
+        == len({one.pose for one in trials})
+        == len(trials)
+        == 59
+    )
+    assert all(
+        abs(one.pose.x_mm) <= 25.0 and abs(one.pose.y_mm) <= 30.0 and abs(one.yaw_deg) <= 8.0
+        for one in trials
+    )
     assert [one.name for one in trials] != sorted(one.name for one in trials)
 
 
 def test_repeats_cycles_and_sides_multiply_and_count_on() -> None:
-    trials = planned(poses=({"x_mm": 1.0}, {"x_mm": 2.0}), cycles=2, repeats=3, approach=("+x", "-y"), approach_mm=5.0)
+    trials = planned(
+        poses=({"x_mm": 1.0}, {"x_mm": 2.0}),
+        cycles=2,
+        repeats=3,
+        approach=("+x", "-y"),
+        approach_mm=5.0,
+    )
     assert len(trials) == 2 * 2 * 3 * 2
     assert sorted(one.repeat for one in trials if one.name == "t-1") == list(range(1, 13))
-    assert [(one.name, one.side) for one in trials[:7]] == [("t-1", "+x")] * 3 + [("t-1", "-y")] * 3 + [("t-2", "+x")]
+    assert [(one.name, one.side) for one in trials[:7]] == [("t-1", "+x")] * 3 + [
+        ("t-1", "-y")
+    ] * 3 + [("t-2", "+x")]
     assert trials[0].approach == PlatePose(6.0, 0.0)
     assert trials[3].approach == PlatePose(1.0, -5.0)
     assert len({one.id for one in trials}) == len(trials)
 
 
-@given(count=st.integers(1, 40), seed=st.integers(0, 2**40), low=FAR_MM, width=st.floats(0, 100), lift=st.floats(0, 100))
-def test_draws_keep_to_their_envelope_and_to_their_seed(count: int, seed: int, low: float, width: float, lift: float) -> None:
+@given(
+    count=st.integers(1, 40),
+    seed=st.integers(0, 2**40),
+    low=FAR_MM,
+    width=st.floats(0, 100),
+    lift=st.floats(0, 100),
+)
+def test_draws_keep_to_their_envelope_and_to_their_seed(
+    count: int, seed: int, low: float, width: float, lift: float
+) -> None:
     draw = {"count": count, "x_mm": (low, low + width), "z_mm": (0.0, lift), "yaw_deg": (-5.0, 5.0)}
     trials = planned(draw=draw, seed=seed)
     assert trials == planned(draw=draw, seed=seed)
-    assert all(low <= one.pose.x_mm <= low + width and 0.0 <= one.pose.z_mm <= lift for one in trials)
+    assert all(
+        low <= one.pose.x_mm <= low + width and 0.0 <= one.pose.z_mm <= lift for one in trials
+    )
     assert all(one.pose.y_mm == 0.0 and abs(one.yaw_deg) <= 5.0 + 1e-12 for one in trials)
 
 
@@ -109,10 +163,15 @@ def test_another_seed_or_name_is_another_draw() -> None:
 
 
 def test_shuffling_moves_trials_and_changes_none() -> None:
-    table: dict[str, Any] = {"grid": {"x_mm": (0.0, 90.0), "y_mm": (0.0, 0.0), "step_mm": (10.0, 10.0)}, "repeats": 2}
+    table: dict[str, Any] = {
+        "grid": {"x_mm": (0.0, 90.0), "y_mm": (0.0, 0.0), "step_mm": (10.0, 10.0)},
+        "repeats": 2,
+    }
     plain, mixed = planned(**table), planned(**table, shuffled=True)
     assert [one.number for one in mixed] == list(range(1, 21))
-    assert {(one.name, one.repeat, one.pose) for one in mixed} == {(one.name, one.repeat, one.pose) for one in plain}
+    assert {(one.name, one.repeat, one.pose) for one in mixed} == {
+        (one.name, one.repeat, one.pose) for one in plain
+    }
     assert [one.name for one in mixed] != [one.name for one in plain]
     assert mixed == planned(**table, shuffled=True)
     assert mixed != planned(**table, shuffled=True, seed=2)
@@ -125,9 +184,15 @@ def test_a_hundred_thousand_poses_share_one_phantom() -> None:
 
 
 @given(
-    x=FAR_MM, y=FAR_MM, z=st.floats(0, 50), yaw=st.floats(-3, 3), axes=st.sampled_from(["", "XY", "XYZ", "XYA", "XYZA"])
-)  # fmt: skip
-def test_what_the_stage_does_and_what_the_operator_does_is_the_pose(x: float, y: float, z: float, yaw: float, axes: str) -> None:
+    x=FAR_MM,
+    y=FAR_MM,
+    z=st.floats(0, 50),
+    yaw=st.floats(-3, 3),
+    axes=st.sampled_from(["", "XY", "XYZ", "XYA", "XYZA"]),
+)
+def test_what_the_stage_does_and_what_the_operator_does_is_the_pose(
+    x: float, y: float, z: float, yaw: float, axes: str
+) -> None:
     pose = PlatePose(x, y, z, yaw)
     by_stage, by_hand = shared(pose, axes)
     both = by_hand.carried(by_stage)
@@ -138,10 +203,19 @@ def test_what_the_stage_does_and_what_the_operator_does_is_the_pose(x: float, y:
 def test_the_prompt_says_what_no_motor_does() -> None:
     (one,) = planned(pose={"x_mm": 5.0, "yaw_deg": 10.0}, approach=("+x",))
     assert one.arrangement("XYA").instruction == "One teat."
-    assert one.arrangement("XY").instruction == "One teat. Move the plate to x +0 mm, y +0 mm, yaw +10 deg from its reference place."
+    assert (
+        one.arrangement("XY").instruction
+        == "One teat. Move the plate to x +0 mm, y +0 mm, yaw +10 deg from its reference place."
+    )
     by_hand = one.arrangement("")
-    assert "Move the plate to x +15 mm, y +0 mm, yaw +10 deg first, so that it comes from the +x side." in by_hand.instruction
-    assert "Move the plate to x +5 mm, y +0 mm, yaw +10 deg from its reference place." in by_hand.instruction
+    assert (
+        "Move the plate to x +15 mm, y +0 mm, yaw +10 deg first, so that it comes from the +x side."
+        in by_hand.instruction
+    )
+    assert (
+        "Move the plate to x +5 mm, y +0 mm, yaw +10 deg from its reference place."
+        in by_hand.instruction
+    )
     assert by_hand.pose == one.pose
     (udder,) = planned(layout="random-udder", redraw=True)
     assert "LF: x " in udder.arrangement("XY").instruction
@@ -149,10 +223,15 @@ def test_the_prompt_says_what_no_motor_does() -> None:
 
 def test_the_record_tells_how_the_poses_were_chosen() -> None:
     script = load_script(find_script("random-udder"))
-    kept = pose_set(script.script.trials, script.planned, seed=script.script.seed, order=script.script.order)
+    kept = pose_set(
+        script.script.trials, script.planned, seed=script.script.seed, order=script.script.order
+    )
     assert kept["order"] == "shuffled"
     poses, layout = kept["chosen"][0].split("; ")
-    assert poses == "udder: 59 poses drawn evenly within x -25 to 25 mm, y -30 to 30 mm, yaw -8 to 8 deg"
+    assert (
+        poses
+        == "udder: 59 poses drawn evenly within x -25 to 25 mm, y -30 to 30 mm, yaw -8 to 8 deg"
+    )
     assert layout == "layout random-udder, another udder for each pose."
     first = dict(zip(POSE_KEYS, kept["poses"][0], strict=True))
     assert first["id"] == script.planned[0].id
@@ -186,8 +265,14 @@ set_up = "One teat."
             "grid = { x_mm = [0.0, 10.0], y_mm = [0.0, 10.0], step_mm = [3.0, 5.0] }",
             "spans 10 mm, which is no whole number of steps of 3",
         ),
-        ("grid = { x_mm = [0.0, 1000.0], y_mm = [0.0, 1000.0], step_mm = [1.0, 1.0] }", "at most 100000"),
-        ("grid = { x_mm = [10.0, 0.0], y_mm = [0.0, 10.0], step_mm = [5.0, 5.0] }", "the first number must be the smaller one"),
+        (
+            "grid = { x_mm = [0.0, 1000.0], y_mm = [0.0, 1000.0], step_mm = [1.0, 1.0] }",
+            "at most 100000",
+        ),
+        (
+            "grid = { x_mm = [10.0, 0.0], y_mm = [0.0, 10.0], step_mm = [5.0, 5.0] }",
+            "the first number must be the smaller one",
+        ),
         ('approach = ["+x", "+x"]', "names a side twice"),
         ('approach = ["left"]', "is not allowed"),
         ("poses = []", "at least 1"),
@@ -205,13 +290,19 @@ def test_a_wrong_table_says_where(tmp_path: Path, more: str, message: str) -> No
 
 
 def test_a_layout_may_lie_beside_the_script(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text('about = "x"\n[[teats]]\nname = "LF"\nbase_mm = [1.0, 2.0]\n', encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(
+        'about = "x"\n[[teats]]\nname = "LF"\nbase_mm = [1.0, 2.0]\n', encoding="utf-8"
+    )
     path = tmp_path / "script.toml"
     path.write_text(SCRIPT.replace('"single"', '"mine.toml"'), encoding="utf-8")
     script = load_script(path)
     assert script.planned[0].phantom.name == "mine"
     assert list(script.layout_files) == ["mine.toml"]
-    for wrong, why in (("other.toml", "no such file"), ("../mine.toml", "of its own in the script's folder"), ("rig.toml", "of its own")):
+    for wrong, why in (
+        ("other.toml", "no such file"),
+        ("../mine.toml", "of its own in the script's folder"),
+        ("rig.toml", "of its own"),
+    ):
         path.write_text(SCRIPT.replace('"single"', f'"{wrong}"'), encoding="utf-8")
         with pytest.raises(ConfigError, match=why):
             load_script(path)

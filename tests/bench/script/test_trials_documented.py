@@ -1,4 +1,6 @@
-"""docs/trials.md: its examples are read as they stand, and it names every key that a person may write."""
+"""docs/trials.md: its examples are read as they stand, and it names every key that a person may
+write.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +22,16 @@ EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
 ELSEWHERE = {"title", "about", "source", "kind", "layout"}  # as in every script, or said in words
 
 
-@pytest.mark.parametrize("model", [Trial, PoseTable, Grid, Draw, PhantomFile, TeatTable, Envelope, OffsetScript, Offset])
+@pytest.mark.parametrize(
+    "model", [Trial, PoseTable, Grid, Draw, PhantomFile, TeatTable, Envelope, OffsetScript, Offset]
+)
 def test_every_key_is_there(model: type[BaseModel]) -> None:
     missing = [
-        key for key in model.model_fields if key not in ELSEWHERE and not re.search(rf"[`\[ ,]{key}\b", PAGE) and f"\n{key} =" not in PAGE
+        key
+        for key in model.model_fields
+        if key not in ELSEWHERE
+        and not re.search(rf"[`\[ ,]{key}\b", PAGE)
+        and f"\n{key} =" not in PAGE
     ]
     assert missing == []
 
@@ -39,7 +47,9 @@ def test_every_layout_that_ships_is_there() -> None:
 
 def test_the_examples_are_read(tmp_path: Path) -> None:
     trial, *layouts = EXAMPLES
-    (tmp_path / "script.toml").write_text(SCRIPT[: SCRIPT.index("[[trials]]")] + trial, encoding="utf-8")
+    (tmp_path / "script.toml").write_text(
+        SCRIPT[: SCRIPT.index("[[trials]]")] + trial, encoding="utf-8"
+    )
     assert len(load_script(tmp_path / "script.toml").planned) == 10
     assert len(layouts) == 2
     for number, text in enumerate(layouts):

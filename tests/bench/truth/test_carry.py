@@ -1,4 +1,6 @@
-"""Truth that the stage carries: its stated 95 % region holds the exact truth, also of a stage that is worse than the rig file states."""
+"""Truth that the stage carries: its stated 95 % region holds the exact truth, also of a stage that
+is worse than the rig file states.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,16 @@ import pytest
 from bench.truth.carrying import Reference, carried, check_touches, fixed_key, reference_from_dict
 from bench.truth.uncertainty import CARRY, ROUNDING_MM, TruthPoint, touched, triple
 from instruments.world.phantom import PlatePose
-from tests.bench.truth.touches import ACCURACY, CORNERS_MM, ENDS_MM, TrueStage, arm_settings, layout, registered, stage_of
+from tests.bench.truth.touches import (
+    ACCURACY,
+    CORNERS_MM,
+    ENDS_MM,
+    TrueStage,
+    arm_settings,
+    layout,
+    registered,
+    stage_of,
+)
 
 ARM = arm_settings()
 POSES = 2000
@@ -19,21 +30,29 @@ Draw = Callable[[np.random.Generator], TrueStage]
 
 
 def touch(rng: np.random.Generator, end_mm: np.ndarray) -> TruthPoint:
-    """Three readings of one end: the arm's error, the definition's and the rounding are the same for all of them, the hand's is not."""
+    """Three readings of one end: the arm's error, the definition's and the rounding are the same
+    for all of them, the hand's is not.
+    """
     common = rng.normal(0.0, [ARM.accuracy_mm, ARM.definition_mm, ROUNDING_MM], (3, 3)).sum(axis=1)
     return touched(end_mm + common + rng.normal(0.0, 0.1, (3, 3)), ARM)
 
 
 def coverage(draw: Draw, poses: int = POSES) -> float:
-    """The share of poses whose region holds the exact truth: for each a new stage, registration, reference and carry."""
+    """The share of poses whose region holds the exact truth: for each a new stage, registration,
+    reference and carry.
+    """
     held = 0
     for seed in range(poses):
         rng = np.random.default_rng([11, seed])
         stage = draw(rng)
         registration = registered(stage, rng)
-        start, there = (CORNERS_MM[-1] + rng.uniform(-150.0, 150.0, 3) * [1.0, 1.0, 0.0] for _ in range(2))
+        start, there = (
+            CORNERS_MM[-1] + rng.uniform(-150.0, 150.0, 3) * [1.0, 1.0, 0.0] for _ in range(2)
+        )
         slack = rng.normal(0.0, ACCURACY.repeatability_mm, (2, 3))
-        reference = Reference("001", "one", triple(start), (touch(rng, ENDS_MM[0]),), ((0.0, 0.0, 1.0),))
+        reference = Reference(
+            "001", "one", triple(start), (touch(rng, ENDS_MM[0]),), ((0.0, 0.0, 1.0),)
+        )
         (truth,) = carried(reference, registration, triple(there), lambda _: None)
         held += truth.holds(ENDS_MM[0] + stage.moves(there - start) + slack[1] - slack[0])
     return held / poses
@@ -45,7 +64,9 @@ def as_stated(rng: np.random.Generator) -> TrueStage:
 
 def off_by(scale: float) -> Draw:
     def draw(rng: np.random.Generator) -> TrueStage:
-        return TrueStage(stage_of(rng).R, np.array([[scale, scale, 0.0], [0.0, -scale, 0.0], [0.0, 0.0, 0.0]]))
+        return TrueStage(
+            stage_of(rng).R, np.array([[scale, scale, 0.0], [0.0, -scale, 0.0], [0.0, 0.0, 0.0]])
+        )
 
     return draw
 
@@ -56,7 +77,9 @@ def test_the_stated_region_holds_the_truth_in_95_of_100_poses() -> None:
 
 @pytest.mark.parametrize("scale", [0.0, 1e-3, 2.5e-3, 5e-3])
 def test_it_does_so_for_one_stage_too_better_or_ten_times_worse_than_stated(scale: float) -> None:
-    assert 0.93 <= coverage(off_by(scale), 700) <= 0.985, "more than stated is a pity, less is a lie"
+    assert 0.93 <= coverage(off_by(scale), 700) <= 0.985, (
+        "more than stated is a pity, less is a lie"
+    )
 
 
 def test_without_its_line_for_the_carry_the_region_would_lie() -> None:
@@ -67,7 +90,12 @@ def test_without_its_line_for_the_carry_the_region_would_lie() -> None:
         registration = registered(stage, rng)
         start, there = CORNERS_MM[0], CORNERS_MM[2]
         seen = touch(rng, ENDS_MM[0])
-        off = np.array(seen.point_mm) + registration.carry_mm(start, there) - ENDS_MM[0] - stage.moves(there - start)
+        off = (
+            np.array(seen.point_mm)
+            + registration.carry_mm(start, there)
+            - ENDS_MM[0]
+            - stage.moves(there - start)
+        )
         bare += seen.holds(np.array(seen.point_mm) + off)
     assert bare / 300 < 0.9
 
@@ -87,7 +115,12 @@ def test_the_carry_costs_more_the_further_it_goes() -> None:
     rng = np.random.default_rng(2)
     registration = registered(stage_of(rng), rng)
     reference = Reference("001", "one", (-150.0, -137.5, -1.0), (touch(rng, ENDS_MM[0]),), ())
-    u = [carried(reference, registration, (-150.0 + way, -137.5, -1.0), lambda _: None)[0].uncertainty.u_mm for way in (0, 50, 100, 150)]
+    u = [
+        carried(reference, registration, (-150.0 + way, -137.5, -1.0), lambda _: None)[
+            0
+        ].uncertainty.u_mm
+        for way in (0, 50, 100, 150)
+    ]
     assert u == sorted(u)
     assert u[-1] > u[0] + 0.05
 
@@ -102,7 +135,12 @@ def test_the_table_frame_s_part_is_asked_for_at_the_new_place() -> None:
         asked.append(place)
         return 0.4
 
-    (there,) = carried(Reference("1", "f", (-150.0, -137.5, 0.0), (start,), ()), registration, (-50.0, -137.5, 0.0), frame)
+    (there,) = carried(
+        Reference("1", "f", (-150.0, -137.5, 0.0), (start,), ()),
+        registration,
+        (-50.0, -137.5, 0.0),
+        frame,
+    )
     assert np.allclose(asked[0], there.point_mm)
     assert {c.name: c.u_mm for c in there.uncertainty.components}["registration"] == 0.4
 
@@ -110,26 +148,34 @@ def test_the_table_frame_s_part_is_asked_for_at_the_new_place() -> None:
 def test_a_reference_outlives_the_bench() -> None:
     rng = np.random.default_rng(4)
     points = tuple(touch(rng, end) for end in ENDS_MM)
-    reference = Reference("001-map-1", "abc", (1.0, 2.0, 3.0), points, tuple((0.0, 0.0, 1.0) for _ in ENDS_MM))
+    reference = Reference(
+        "001-map-1", "abc", (1.0, 2.0, 3.0), points, tuple((0.0, 0.0, 1.0) for _ in ENDS_MM)
+    )
     assert reference_from_dict(json.loads(json.dumps(reference.as_dict()))) == reference
 
 
 def test_what_is_carried_together_has_one_key() -> None:
     phantom = layout("table-5-1")
     key = fixed_key(phantom, PlatePose(), 0.0)
-    assert key == fixed_key(phantom.moved(PlatePose(30.0, -20.0)), PlatePose(), 0.0), "the stage's shifts change nothing"
+    assert key == fixed_key(phantom.moved(PlatePose(30.0, -20.0)), PlatePose(), 0.0), (
+        "the stage's shifts change nothing"
+    )
     others = [
         fixed_key(layout("overlapping"), PlatePose(), 0.0),
         fixed_key(phantom, PlatePose(1.0), 0.0),
         fixed_key(phantom, PlatePose(), 0.1),
     ]
-    assert len({key, *others}) == 4, "other teats, a plate shifted by hand, and a turn each need a touch of their own"
+    assert len({key, *others}) == 4, (
+        "other teats, a plate shifted by hand, and a turn each need a touch of their own"
+    )
 
 
 def test_a_check_compares_each_end() -> None:
     rng = np.random.default_rng(5)
     expected = [touch(rng, end) for end in ENDS_MM]
-    lifted = np.array([p.point_mm for p in expected]) + np.array([[0.0, 0.0, 0.0]] * 2 + [[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]])
+    lifted = np.array([p.point_mm for p in expected]) + np.array(
+        [[0.0, 0.0, 0.0]] * 2 + [[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]
+    )
     seen = [touched(end[None], ARM) for end in lifted]
     checks = check_touches(seen, expected, 1.5)
     assert [one.held for one in checks] == [True, True, False, True]

@@ -1,4 +1,6 @@
-"""One teat end as a point: its mean, its budget line by line, the ball tip, and a region that holds what it says."""
+"""One teat end as a point: its mean, its budget line by line, the ball tip, and a region that holds
+what it says.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,18 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from bench.truth.uncertainty import CARRY, CHI2_95, ROUNDING_MM, Component, How, end_u_mm, moved, reading_u_mm, tip_radius_u_mm, touched
+from bench.truth.uncertainty import (
+    CARRY,
+    CHI2_95,
+    ROUNDING_MM,
+    Component,
+    How,
+    end_u_mm,
+    moved,
+    reading_u_mm,
+    tip_radius_u_mm,
+    touched,
+)
 from instruments.teat_end import DEFINITION, apex_mm, ball_centre_mm, end_under_ball_mm
 from tests.bench.truth.touches import arm_settings, layout
 
@@ -23,7 +36,9 @@ def test_the_mean_and_the_budget() -> None:
     assert parts["arm"] == 0.23
     assert parts["resolution"] == pytest.approx(0.0606, abs=1e-4)
     assert parts["scatter"] == pytest.approx(np.sqrt(0.03 / 3))
-    assert truth.uncertainty.u_mm == pytest.approx(np.sqrt(0.23**2 + 0.1**2 + ROUNDING_MM**2 + 0.03 / 3))
+    assert truth.uncertainty.u_mm == pytest.approx(
+        np.sqrt(0.23**2 + 0.1**2 + ROUNDING_MM**2 + 0.03 / 3)
+    )
     assert np.allclose(truth.covariance_mm2, truth.uncertainty.u_mm**2 * np.eye(3))
 
 

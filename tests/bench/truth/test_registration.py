@@ -1,4 +1,6 @@
-"""Where the stage's axes lie: errors that are put in are found again, within what is stated; what can't be fitted is refused."""
+"""Where the stage's axes lie: errors that are put in are found again, within what is stated; what
+can't be fitted is refused.
+"""
 
 from __future__ import annotations
 
@@ -12,19 +14,28 @@ from scipy.stats import binom
 
 from bench.config import ConfigError
 from bench.truth.registration import Registration, RegistrationError, Station
-from bench.truth.registration_file import as_facts, load_registration, registration_from_facts, registration_text, write_registration
+from bench.truth.registration_file import (
+    as_facts,
+    load_registration,
+    registration_from_facts,
+    registration_text,
+    write_registration,
+)
 from bench.truth.stage_registration import around
 from detector.geometry import Motion
 from instruments.world.phantom import PlatePose
 from tests.bench.truth.touches import CORNERS_MM, MADE, U_MM, TrueStage, registered, stage_of
 
 SEEDS = 200
-MOST = int(binom.ppf(0.9999, SEEDS, 0.0455))  # of 200 honest figures no more lie beyond 2 u, but once in ten thousand
+# of 200 honest figures no more lie beyond 2 u, but once in ten thousand
+MOST = int(binom.ppf(0.9999, SEEDS, 0.0455))
 TILTED_MM = np.vstack([CORNERS_MM, CORNERS_MM + np.array([0.0, 0.0, -60.0])])
 
 
 @pytest.mark.parametrize("at_mm", [CORNERS_MM, TILTED_MM], ids=["flat", "with heights"])
-def test_scale_squareness_and_rotation_are_found_again_within_twice_their_uncertainty(at_mm: np.ndarray) -> None:
+def test_scale_squareness_and_rotation_are_found_again_within_twice_their_uncertainty(
+    at_mm: np.ndarray,
+) -> None:
     beyond: dict[str, int] = {}
     for seed in range(SEEDS):
         rng = np.random.default_rng(seed)
@@ -37,9 +48,13 @@ def test_scale_squareness_and_rotation_are_found_again_within_twice_their_uncert
         turned, covariance = found.axes_turned
         off = Motion(stage.R.T @ turned.R, np.zeros(3)).om
         for name, angle, u in zip("xyz", off, np.sqrt(np.diag(covariance)), strict=True):
-            beyond[f"rotation {name}"] = beyond.get(f"rotation {name}", 0) + bool(abs(angle) > 2.0 * u)
+            beyond[f"rotation {name}"] = beyond.get(f"rotation {name}", 0) + bool(
+                abs(angle) > 2.0 * u
+            )
     assert len(beyond) == (6 if at_mm is CORNERS_MM else 9)
-    assert all(1 <= count <= MOST for count in beyond.values()), f"of {SEEDS}, beyond 2 u: {beyond}; at most {MOST} of each"
+    assert all(1 <= count <= MOST for count in beyond.values()), (
+        f"of {SEEDS}, beyond 2 u: {beyond}; at most {MOST} of each"
+    )
 
 
 def test_a_perfect_stage_is_fitted_rigidly_and_nothing_is_said_against_it() -> None:
@@ -70,7 +85,9 @@ def test_a_crooked_stage_is_told_with_what_to_do() -> None:
 
 
 def test_touches_that_scatter_more_than_stated_say_so_and_count_for_less() -> None:
-    found = registered(stage_of(np.random.default_rng(2)), np.random.default_rng(2), at_mm=TILTED_MM, u_mm=0.9)
+    found = registered(
+        stage_of(np.random.default_rng(2)), np.random.default_rng(2), at_mm=TILTED_MM, u_mm=0.9
+    )
     claimed = replace(found, stations=tuple(replace(s, u_mm=0.3) for s in found.stations))
     assert claimed.stated_u_mm == pytest.approx(0.3)
     assert claimed.u_mm > 0.5
@@ -98,7 +115,11 @@ def test_too_few_too_near_and_in_line_are_refused() -> None:
 def test_another_teat_among_the_touches_is_refused() -> None:
     found = registered(stage_of(np.random.default_rng(7)), np.random.default_rng(7))
     x, y, z = found.stations[2].touched_mm
-    wrong = [*found.stations[:2], replace(found.stations[2], touched_mm=(x - 50.0, y - 90.0, z)), *found.stations[3:]]
+    wrong = [
+        *found.stations[:2],
+        replace(found.stations[2], touched_mm=(x - 50.0, y - 90.0, z)),
+        *found.stations[3:],
+    ]
     with pytest.raises(RegistrationError, match=r"position 3 of 5.*another teat"):
         replace(found, stations=tuple(wrong))
 
@@ -113,13 +134,22 @@ def test_it_holds_in_the_world_that_it_was_made_in() -> None:
 
 def test_the_places_to_touch_span_what_the_script_uses() -> None:
     poses = around([PlatePose(-60.0, 0.0), PlatePose(90.0, 40.0)])
-    assert [(p.x_mm, p.y_mm) for p in poses] == [(-60.0, -55.0), (90.0, -55.0), (90.0, 95.0), (-60.0, 95.0), (15.0, 20.0)]
+    assert [(p.x_mm, p.y_mm) for p in poses] == [
+        (-60.0, -55.0),
+        (90.0, -55.0),
+        (90.0, 95.0),
+        (-60.0, 95.0),
+        (15.0, 20.0),
+    ]
 
 
 def test_the_file_reads_back_and_the_record_too(tmp_path: Path) -> None:
     found = registered(stage_of(np.random.default_rng(8), scale=1e-3), np.random.default_rng(8))
     write_registration(tmp_path / "stage.toml", found)
-    for again in (load_registration(tmp_path / "stage.toml"), registration_from_facts(as_facts(found))):
+    for again in (
+        load_registration(tmp_path / "stage.toml"),
+        registration_from_facts(as_facts(found)),
+    ):
         assert isinstance(again, Registration)
         assert again.stations == found.stations
         assert (again.made, again.teat, again.stated) == (found.made, found.teat, found.stated)
@@ -150,7 +180,9 @@ def test_a_file_whose_touches_make_no_registration_is_refused(tmp_path: Path) ->
     near = found.stations[0]
     text = registration_text(found)
     for station in found.stations[1:]:
-        text = text.replace(f"stage_mm = {list(station.stage_mm)}", f"stage_mm = {list(near.stage_mm)}")
+        text = text.replace(
+            f"stage_mm = {list(station.stage_mm)}", f"stage_mm = {list(near.stage_mm)}"
+        )
     (tmp_path / "stage.toml").write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match="near together"):
         load_registration(tmp_path / "stage.toml")

@@ -1,4 +1,6 @@
-"""When a touch is refused: slips of the tip, and tips at another teat; and what must not be refused."""
+"""When a touch is refused: slips of the tip, and tips at another teat; and what must not be
+refused.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ def test_the_median_length_is_that_of_a_normal_vector() -> None:
 
 
 @given(st.permutations([1, 2, 3, 4]), st.tuples(*[st.floats(-12.0, 12.0)] * 2))
-def test_a_wrong_order_is_noticed_wherever_the_phantom_came_to_stand(order: list[int], shift: tuple[float, float]) -> None:
+def test_a_wrong_order_is_noticed_wherever_the_phantom_came_to_stand(
+    order: list[int], shift: tuple[float, float]
+) -> None:
     there = ENDS_MM + np.array([*shift, 0.0])
     done: dict[int, np.ndarray] = {}
     noticed = False
@@ -77,6 +81,7 @@ def test_a_place_between_two_teats_is_left_to_the_operator() -> None:
 
 
 def test_teats_that_touch_each_other_are_told_apart() -> None:
-    near = np.array([[-95.0, 232.0, 136.0], [-117.0, 232.0, 134.0]])  # 22 mm: the layout "overlapping"
+    # 22 mm: the layout "overlapping"
+    near = np.array([[-95.0, 232.0, 136.0], [-117.0, 232.0, 134.0]])
     assert mistaken(near[0] + [3.0, 0.0, 0.0], 1, near, {}) is None
     assert mistaken(near[1] + [3.0, 0.0, 0.0], 1, near, {}) is not None

@@ -1,4 +1,6 @@
-"""When the ends are touched, carried and checked, and which trials lose their truth: the sources against a stage that can slip."""
+"""When the ends are touched, carried and checked, and which trials lose their truth: the sources
+against a stage that can slip.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,14 @@ import pytest
 
 from bench.record.reader import RunRecord, TrialRecord
 from bench.record.writer import Row
-from bench.truth.carrying import REFERENCE_FACT, UNCONFIRMED_FACT, CarriedTruth, CarryState, CheckRule, resumed
+from bench.truth.carrying import (
+    REFERENCE_FACT,
+    UNCONFIRMED_FACT,
+    CarriedTruth,
+    CarryState,
+    CheckRule,
+    resumed,
+)
 from bench.truth.registration import Registration
 from bench.truth.touching import NoTruthError, Shown, TouchedTruth, Toucher, TrialTruth
 from bench.truth.uncertainty import How, Triple, triple
@@ -22,7 +31,9 @@ HOME = np.array([-150.0, -137.5, -1.0])
 
 @dataclass
 class Bench:
-    """A stage that is told where it is, may have slipped by ``slip_mm``, and a hand that touches where the ends then are."""
+    """A stage that is told where it is, may have slipped by ``slip_mm``, and a hand that touches
+    where the ends then are.
+    """
 
     at_mm: np.ndarray = field(default_factory=lambda: HOME.copy())
     slip_mm: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -41,10 +52,14 @@ class Bench:
         self.source = self.new_source()
         self.source.begin()
 
-    def new_source(self, state: CarryState | None = None, hand: Toucher | None = None) -> CarriedTruth:
+    def new_source(
+        self, state: CarryState | None = None, hand: Toucher | None = None
+    ) -> CarriedTruth:
         asks = hand or toucher(self.hand, readings=1)
         rule = CheckRule(self.every, 1.5)
-        return CarriedTruth(asks, self.registration, self.stands, rule, self, self.tell, lambda: 7.0, state)
+        return CarriedTruth(
+            asks, self.registration, self.stands, rule, self, self.tell, lambda: 7.0, state
+        )
 
     def registration(self) -> Registration:
         return registered(self.stage, np.random.default_rng(2), u_mm=1e-3)
@@ -55,7 +70,9 @@ class Bench:
     def fact(self, key: str, value: object) -> None:
         self.facts[key] = value
 
-    def checked(self, touches: Sequence[Row], confirmed: Sequence[str], invalid: Sequence[str], reason: str) -> None:
+    def checked(
+        self, touches: Sequence[Row], confirmed: Sequence[str], invalid: Sequence[str], reason: str
+    ) -> None:
         self.checks += touches
         self.confirmed += confirmed
         self.invalid |= dict.fromkeys(invalid, reason)
@@ -80,7 +97,11 @@ def test_touched_once_then_carried() -> None:
     assert len(bench.hand.asked) == 4, "the four ends, once"
     assert [len(t.touches) for t in truths] == [4, 0, 0]
     for number, truth in enumerate(truths):
-        assert np.allclose([p.point_mm for p in truth.points], ENDS_MM + [20.0 * number, 0.0, 0.0], atol=0.01)  # noqa: RUF005 - a sum
+        assert np.allclose(
+            [p.point_mm for p in truth.points],
+            ENDS_MM + np.array([20.0 * number, 0.0, 0.0]),
+            atol=0.01,
+        )
         assert truth.stage_mm == (-150.0 + 20.0 * number, -137.5, -1.0)
 
 
@@ -154,7 +175,8 @@ def test_a_trial_that_is_done_again_is_touched_anew() -> None:
     bench.trial(0, 0.0)
     bench.trial(1, 10.0)
     shown = Shown("002", table_5_1(), "one")
-    bench.source.before(shown)  # and then the operator wanted it again: what went wrong, nobody can tell
+    # and then the operator wanted it again: what went wrong, nobody can tell
+    bench.source.before(shown)
     assert bench.trial(2, 20.0).how is How.TOUCHED
     assert bench.confirmed == ["001"]
 
@@ -167,7 +189,14 @@ def test_a_person_is_needed_only_where_something_was_touched() -> None:
         bench.source.before(shown)
         asked.append(not bench.source.unattended(shown))
         bench.source.stored(shown.trial, bench.source.of_trial(shown))
-    assert asked == [True, True, False, True, False, True], "to touch, to put the arm away, and the same after each check"
+    assert asked == [
+        True,
+        True,
+        False,
+        True,
+        False,
+        True,
+    ], "to touch, to put the arm away, and the same after each check"
 
 
 def test_who_skips_the_last_check_leaves_trials_unconfirmed() -> None:
@@ -176,7 +205,10 @@ def test_who_skips_the_last_check_leaves_trials_unconfirmed() -> None:
     bench.trial(1, 10.0)
     bench.hand.skips = 1
     bench.source.end()
-    assert bench.told[-1] == ("check touch", "check touch 1 was skipped: tired. 1 trial is unconfirmed so far")
+    assert bench.told[-1] == (
+        "check touch",
+        "check touch 1 was skipped: tired. 1 trial is unconfirmed so far",
+    )
     assert bench.invalid == {}
     assert bench.facts[UNCONFIRMED_FACT] == ["001"]
 
@@ -196,7 +228,9 @@ def test_what_was_taken_away_unchecked_is_never_confirmed_by_a_later_check() -> 
     bench.trial(0, 0.0)
     bench.trial(1, 10.0)
     bench.hand.skips = 1
-    hows = {f"{number:03d}": bench.trial(number, 10.0 * number, fixed="two").how for number in (2, 3)}
+    hows = {
+        f"{number:03d}": bench.trial(number, 10.0 * number, fixed="two").how for number in (2, 3)
+    }
     bench.source.end()
     assert bench.confirmed == ["003"]
     state = resumed(record(bench, {"000": How.TOUCHED, "001": How.CARRIED, **hows}))
@@ -238,8 +272,22 @@ def test_touching_every_trial_needs_neither_stage_nor_checks() -> None:
 def record(bench: Bench, hows: dict[str, How]) -> RunRecord:
     """What a stopped run left: facts, checks and trials, as `read_run` gives them."""
     heads = {name: {"id": name, "invalid": bench.invalid.get(name)} for name in hows}
-    trials = tuple(TrialRecord(heads[name], (), (), ({"how": how.value},), (), (), {}) for name, how in hows.items())
-    return RunRecord(Path(), bench.facts, trials, (), tuple(bench.checks), (), np.zeros((0, 3)), (), np.zeros(0), None)
+    trials = tuple(
+        TrialRecord(heads[name], (), (), ({"how": how.value},), (), (), {})
+        for name, how in hows.items()
+    )
+    return RunRecord(
+        Path(),
+        bench.facts,
+        trials,
+        (),
+        tuple(bench.checks),
+        (),
+        np.zeros((0, 3)),
+        (),
+        np.zeros(0),
+        None,
+    )
 
 
 def test_a_stopped_run_goes_on_from_what_is_in_the_store() -> None:

@@ -16,7 +16,9 @@ def test_every_end_is_read_as_often_as_asked() -> None:
     points, rows = toucher(hand, readings=2).touch_all(table_5_1())
     assert hand.asked == [(teat, number, 2) for teat in (1, 2, 3, 4) for number in (1, 2)]
     assert np.allclose([p.point_mm for p in points], ENDS_MM)
-    assert [(row["teat"], row["touch"], row["refused"]) for row in rows] == [(str(t), n, None) for t in (1, 2, 3, 4) for n in (1, 2)]
+    assert [(row["teat"], row["touch"], row["refused"]) for row in rows] == [
+        (str(t), n, None) for t in (1, 2, 3, 4) for n in (1, 2)
+    ]
     assert hand.released == 1
     assert hand.again == []
 
@@ -56,7 +58,9 @@ def test_the_same_end_twice_is_asked_for_again_also_where_the_places_are_not_kno
 
 def test_asking_again_has_an_end() -> None:
     hand = Hand(ENDS_MM, [ENDS_MM[1]] * 20)
-    with pytest.raises(NoTruthError, match=r"teat 1.*could not be used.*looks like teat 2") as raised:
+    with pytest.raises(
+        NoTruthError, match=r"teat 1.*could not be used.*looks like teat 2"
+    ) as raised:
         toucher(hand, readings=3).touch_all(table_5_1())
     assert len(hand.asked) == 3 + SPARE
     assert "stand where the script says" in str(raised.value)
@@ -75,12 +79,21 @@ def test_an_arm_that_moves_is_read_again() -> None:
 
 def test_a_ball_tip_is_taken_off_along_each_teat_s_axis() -> None:
     phantom = layout("non-vertical")
-    centres = [ball_centre_mm(end, axis, 3.0) for end, axis in zip(phantom.ends_mm, phantom.axes, strict=True)]
+    centres = [
+        ball_centre_mm(end, axis, 3.0)
+        for end, axis in zip(phantom.ends_mm, phantom.axes, strict=True)
+    ]
     hand = Hand(phantom.ends_mm, centres)
-    points, rows = toucher(hand, readings=1, arm=arm_settings(tip_radius_mm=3.0)).touch_all(Ends(phantom.ends_mm, phantom.axes))
+    points, rows = toucher(hand, readings=1, arm=arm_settings(tip_radius_mm=3.0)).touch_all(
+        Ends(phantom.ends_mm, phantom.axes)
+    )
     assert np.allclose([p.point_mm for p in points], phantom.ends_mm)
-    assert np.allclose([[row["x_mm"], row["y_mm"], row["z_mm"]] for row in rows], centres), "the record keeps what the arm said"
-    plain, _ = toucher(Hand(phantom.ends_mm, centres), readings=1).touch_all(Ends(phantom.ends_mm, phantom.axes))
+    assert np.allclose([[row["x_mm"], row["y_mm"], row["z_mm"]] for row in rows], centres), (
+        "the record keeps what the arm said"
+    )
+    plain, _ = toucher(Hand(phantom.ends_mm, centres), readings=1).touch_all(
+        Ends(phantom.ends_mm, phantom.axes)
+    )
     off = np.linalg.norm(np.array([p.point_mm for p in plain]) - phantom.ends_mm, axis=1)
     assert off == pytest.approx(3.0), "not corrected, the truth is a radius off"
 

@@ -1,4 +1,6 @@
-"""A night's run asks nobody where nothing has to be done: set-ups of carried trials pass without a prompt."""
+"""A night's run asks nobody where nothing has to be done: set-ups of carried trials pass without a
+prompt.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def test_what_stands_as_asked_and_was_not_touched_needs_nobody() -> None:
     operator = PromptedOperator(person)
     seen = [operator.set_up(one).visible for one in (ASKED, CARRIED, CARRIED)]
     assert len(person.prompts) == 1
-    assert seen == [(True, True, False, True)] * 3, "what was hidden when it was set up counts as hidden"
+    assert seen == [(True, True, False, True)] * 3, (
+        "what was hidden when it was set up counts as hidden"
+    )
 
 
 def test_another_scene_and_an_attended_trial_are_asked_for() -> None:

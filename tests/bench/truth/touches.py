@@ -1,4 +1,6 @@
-"""What the tests of the truth share: an arm and an operator in one, that is told where each touch lands; stages, noise, registrations."""
+"""What the tests of the truth share: an arm and an operator in one, that is told where each touch
+lands; stages, noise, registrations.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,20 @@ from instruments.world.phantom import Phantom
 Floats = NDArray[np.float64]
 
 MADE = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
-ENDS_MM = np.array([[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]])  # table 5.1
+# table 5.1
+ENDS_MM = np.array(
+    [[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]]
+)
 UP = np.tile([0.0, 0.0, 1.0], (4, 1))
-CORNERS_MM = np.array([[-225.0, -212.5, -1.0], [-75.0, -212.5, -1.0], [-75.0, -62.5, -1.0], [-225.0, -62.5, -1.0], [-150.0, -137.5, -1.0]])
+CORNERS_MM = np.array(
+    [
+        [-225.0, -212.5, -1.0],
+        [-75.0, -212.5, -1.0],
+        [-75.0, -62.5, -1.0],
+        [-225.0, -62.5, -1.0],
+        [-150.0, -137.5, -1.0],
+    ]
+)
 ACCURACY = StageAccuracy(scale_u=5e-4, squareness_u_rad=5e-4, repeatability_mm=0.02)
 U_MM = 0.28  # of one registration touch along an axis
 
@@ -38,7 +51,8 @@ def arm_settings(**settings: float) -> Arm:
 
 @dataclass
 class Hand:
-    """Operator and arm: each touch that is asked for lands at the next of ``places``, or on the asked end when they are used up.
+    """Operator and arm: each touch that is asked for lands at the next of ``places``, or on the
+    asked end when they are used up.
 
     The next ``skips`` prompts are answered with a skip.
     """
@@ -52,7 +66,9 @@ class Hand:
     _next: Iterator[Floats | None] | None = None
     _at: Floats | None = None
 
-    def touch(self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = "") -> None:
+    def touch(
+        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
+    ) -> None:
         assert of == len(self.ends)
         if self.skips:
             self.skips -= 1
@@ -72,13 +88,17 @@ class Hand:
 
     def read(self, n: int = 8, max_spread_mm: float = 1.0) -> Reading:
         if self._at is None:
-            raise ArmMovesError("arm", f"the tip moved by more than {max_spread_mm:g} mm while it was read")
+            raise ArmMovesError(
+                "arm", f"the tip moved by more than {max_spread_mm:g} mm while it was read"
+            )
         return Reading(self._at, 0.05, np.array([0.0, 0.0, 1.0]), n, (0,) * 6)
 
 
 def toucher(hand: Hand, *, readings: int | None = None, arm: Arm | None = None) -> Toucher:
     settings = arm or arm_settings()
-    return Toucher(hand, TipReader(hand, settings, None), settings, VirtualClock(), lambda: None, readings)
+    return Toucher(
+        hand, TipReader(hand, settings, None), settings, VirtualClock(), lambda: None, readings
+    )
 
 
 def layout(name: str) -> Phantom:
@@ -101,15 +121,21 @@ class TrueStage:
 
 
 def stage_of(rng: np.random.Generator, *, scale: float = 0.0, squareness: float = 0.0) -> TrueStage:
-    """Scale and squareness drawn with these standard deviations, and any turn about the vertical."""
+    """Scale and squareness drawn with these standard deviations,
+    and any turn about the vertical.
+    """
     sx, sy, sz = rng.normal(0.0, scale, 3)
     a, b, c = rng.normal(0.0, squareness, 3)
     R = Motion.from_vectors(rng.normal(0.0, 1.0, 3) * [0.02, 0.02, 0.6], (0.0, 0.0, 0.0)).R
     return TrueStage(R, np.array([[sx, -a, -b], [0.0, sy, -c], [0.0, 0.0, sz]]))
 
 
-def registered(stage: TrueStage, rng: np.random.Generator, *, u_mm: float = U_MM, at_mm: Floats = CORNERS_MM) -> Registration:
+def registered(
+    stage: TrueStage, rng: np.random.Generator, *, u_mm: float = U_MM, at_mm: Floats = CORNERS_MM
+) -> Registration:
     """What touches of one end at ``at_mm`` give, each coordinate off by ``u_mm``."""
     touched = ENDS_MM[0] + stage.moves(at_mm - CORNERS_MM[-1]) + rng.normal(0.0, u_mm, at_mm.shape)
     rows = [[(float(x), float(y), float(z)) for x, y, z in points] for points in (at_mm, touched)]
-    return Registration(MADE, "40937", "Grbl 1.1h", 1, stations_of(rows[0], rows[1], u_mm), ACCURACY)
+    return Registration(
+        MADE, "40937", "Grbl 1.1h", 1, stations_of(rows[0], rows[1], u_mm), ACCURACY
+    )

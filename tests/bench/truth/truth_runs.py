@@ -1,4 +1,6 @@
-"""What the end-to-end tests of the truth share: a script over a few poses, the emulated rig with more lines, and what a run left."""
+"""What the end-to-end tests of the truth share: a script over a few poses, the emulated rig with
+more lines, and what a run left.
+"""
 
 from __future__ import annotations
 
@@ -50,11 +52,17 @@ class Done:
     def off_mm(self) -> np.ndarray:
         """How far each truth lies from the exact end, (n, 3)."""
         rows = [row for trial in self.run.counted for row in trial.truth]
-        return np.array([np.array([r["x_mm"], r["y_mm"], r["z_mm"]]) - json.loads(r["exact_mm"]) for r in rows])
+        return np.array(
+            [np.array([r["x_mm"], r["y_mm"], r["z_mm"]]) - json.loads(r["exact_mm"]) for r in rows]
+        )
 
     @property
     def regions(self) -> list[np.ndarray]:
-        return [np.array(json.loads(row["covariance_mm2"])) for trial in self.run.counted for row in trial.truth]
+        return [
+            np.array(json.loads(row["covariance_mm2"]))
+            for trial in self.run.counted
+            for row in trial.truth
+        ]
 
 
 def script_in(folder: Path, truth: str, poses: str = GRID) -> Path:
@@ -66,14 +74,32 @@ def script_in(folder: Path, truth: str, poses: str = GRID) -> Path:
 def rig_in(folder: Path, *, arm: str = "", emulation: str = "") -> Path:
     text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
     assert "[arm]\n" in text
-    (folder / "calibration.toml").write_text((RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "calibration.toml").write_text(
+        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     path = folder / "rig.toml"
-    path.write_text(text.replace("[arm]\n", f"[arm]\n{arm}\n") + f"\n[emulation]\n{emulation}\n", encoding="utf-8")
+    path.write_text(
+        text.replace("[arm]\n", f"[arm]\n{arm}\n") + f"\n[emulation]\n{emulation}\n",
+        encoding="utf-8",
+    )
     return path
 
 
 def done(rig: Path, script: Path, folder: Path) -> Done:
     recording = folder / "recording"
-    main(["run", str(script), "--rig", str(rig), "--out", str(folder / "runs"), "--record", str(recording)])
+    main(
+        [
+            "run",
+            str(script),
+            "--rig",
+            str(rig),
+            "--out",
+            str(folder / "runs"),
+            "--record",
+            str(recording),
+        ]
+    )
     (run,) = (folder / "runs").iterdir()
-    return Done(read_run(run), (run / "report" / "index.html").read_text(encoding="utf-8"), recording)
+    return Done(
+        read_run(run), (run / "report" / "index.html").read_text(encoding="utf-8"), recording
+    )

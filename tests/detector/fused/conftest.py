@@ -1,7 +1,8 @@
-"""Scenes of round-ended teats drawn with OpenCV: surfaces sampled densely, projected by `cv2.projectPoints`, filled, averaged down.
+"""Scenes of round-ended teats drawn with OpenCV: surfaces sampled densely, projected by
+`cv2.projectPoints`, filled, averaged down.
 
-Nothing here comes from the detector, nor from the renderer: outlines are hulls of projected points, bent as the lens bends lines, and
-cameras are OpenCV's.
+Nothing here comes from the detector, nor from the renderer: outlines are hulls of projected points,
+bent as the lens bends lines, and cameras are OpenCV's.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ class Frames:
 
 @dataclass(frozen=True)
 class Body:
-    """A teat in the world: its end (3,) mm, the way to its base, its shape, its grey and its temperature. ``seen_by``: L, R, T."""
+    """A teat in the world: its end (3,) mm, the way to its base, its shape, its grey and its
+    temperature. ``seen_by``: L, R, T.
+    """
 
     end_mm: tuple[float, float, float]
     lean: tuple[float, float] = (0.0, 0.0)  # along world x and y, a unit downwards
@@ -55,28 +58,43 @@ class Body:
         ring = np.cos(turn)[:, None] * e1 + np.sin(turn)[:, None] * e2
         middle = np.array(self.end_mm) + self.radius_mm * self.height * axis
         polar = np.linspace(0, np.pi / 2, 60)
-        end = [middle + self.radius_mm * (np.sin(p) * ring - self.height * np.cos(p) * axis) for p in polar]
+        end = [
+            middle + self.radius_mm * (np.sin(p) * ring - self.height * np.cos(p) * axis)
+            for p in polar
+        ]
         return np.concatenate([*end, middle + self.radius_mm * ring + 100.0 * axis])
 
 
-def coverage(body: Body, camera: Camera, camera_from_world: Motion) -> tuple[tuple[slice, slice], NDArray[np.float64]]:
+def coverage(
+    body: Body, camera: Camera, camera_from_world: Motion
+) -> tuple[tuple[slice, slice], NDArray[np.float64]]:
     """Where a body is in a picture, and how much of each pixel there it covers."""
     lens = np.array([[camera.fc[0], 0, camera.cc[0]], [0, camera.fc[1], camera.cc[1]], [0, 0, 1]])
-    flat = cv2.projectPoints(body.surface(), camera_from_world.om, camera_from_world.T, np.eye(3), None)[0]
+    flat = cv2.projectPoints(
+        body.surface(), camera_from_world.om, camera_from_world.T, np.eye(3), None
+    )[0]
     hull = cv2.convexHull(flat.astype(np.float32)).reshape(-1, 2).astype(np.float64)
     steps = np.linspace(0, 1, 20, endpoint=False)[None, :, None]  # lines bend in the lens
     edge = (hull[:, None] + steps * (np.roll(hull, -1, axis=0) - hull)[:, None]).reshape(-1, 2)
-    pixels = cv2.projectPoints(np.column_stack([edge, np.ones(len(edge))]), np.zeros(3), np.zeros(3), lens, np.array(camera.kc))[0].reshape(
-        -1, 2
-    )
+    pixels = cv2.projectPoints(
+        np.column_stack([edge, np.ones(len(edge))]),
+        np.zeros(3),
+        np.zeros(3),
+        lens,
+        np.array(camera.kc),
+    )[0].reshape(-1, 2)
     columns, rows = camera.image_size
     low = np.clip(np.floor(pixels.min(axis=0)).astype(int) - 2, 0, None)
     high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + 3, [columns, rows])
     fine = np.zeros(np.maximum(high - low, 1)[::-1] * FINE, dtype=np.uint8)
     # the pixel at 0 reaches from -0.5 to 0.5: its first sub-pixel's centre is at -0.5 + 0.5 / FINE
-    cv2.fillPoly(fine, [np.rint(((pixels - low + 0.5) * FINE - 0.5) * 256).astype(np.int32)], 255, shift=8)
+    cv2.fillPoly(
+        fine, [np.rint(((pixels - low + 0.5) * FINE - 0.5) * 256).astype(np.int32)], 255, shift=8
+    )
     size = tuple(int(v) for v in np.maximum(high - low, 1))
-    cover = np.asarray(cv2.resize(fine, size, interpolation=cv2.INTER_AREA), dtype=np.float64) / 255.0
+    cover = (
+        np.asarray(cv2.resize(fine, size, interpolation=cv2.INTER_AREA), dtype=np.float64) / 255.0
+    )
     return (slice(low[1], low[1] + size[1]), slice(low[0], low[0] + size[0])), cover
 
 
@@ -85,7 +103,9 @@ Draw = Callable[..., Frames]
 
 @pytest.fixture(scope="session")
 def draw_scene(rig: Calibration) -> Draw:
-    """A function that draws bodies, the farthest first, in all three cameras, with noise from a seed."""
+    """A function that draws bodies, the farthest first, in all three cameras, with noise from a
+    seed.
+    """
     assert rig.thermal.lens is not None
     assert rig.thermal_from_right is not None
     right_from_world = rig.world_from_right.inverse()
@@ -103,7 +123,13 @@ def draw_scene(rig: Calibration) -> Draw:
         "T": (sensor, rig.thermal_from_right @ right_from_world),
     }
 
-    def scene(bodies: list[Body], seed: int = 0, ground: float = 190.0, noise: float = 1.5, netd_k: float = 0.08) -> Frames:
+    def scene(
+        bodies: list[Body],
+        seed: int = 0,
+        ground: float = 190.0,
+        noise: float = 1.5,
+        netd_k: float = 0.08,
+    ) -> Frames:
         rng = np.random.default_rng(seed)
         pictures = {}
         for eye, (camera, motion) in eyes.items():
@@ -111,7 +137,9 @@ def draw_scene(rig: Calibration) -> Draw:
             for body in sorted(bodies, key=lambda b: -b.end_mm[1]):
                 if eye in body.seen_by:
                     at, cover = coverage(body, camera, motion)
-                    picture[at] += cover * ((body.kelvin if eye == "T" else body.grey) - picture[at])
+                    picture[at] += cover * (
+                        (body.kelvin if eye == "T" else body.grey) - picture[at]
+                    )
             picture = cv2.GaussianBlur(picture, (0, 0), 0.6)
             grain = rng.standard_normal(picture.shape, dtype=np.float32)
             pictures[eye] = picture + (netd_k if eye == "T" else noise) * grain

@@ -22,14 +22,23 @@ def test_points_inside_of_an_outline_are_those_of_opencv(seed: int) -> None:
     outline = np.column_stack([np.cos(angle), np.sin(angle)]) * rng.uniform(20, 60, (30, 1)) + 100.0
     points = rng.uniform(20, 180, (3, 200, 2))
     polygon = outline.astype(np.float32).reshape(-1, 1, 2)
-    off = np.array([cv2.pointPolygonTest(polygon, (float(x), float(y)), True) for x, y in points.reshape(-1, 2)]).reshape(3, 200)
+    off = np.array(
+        [
+            cv2.pointPolygonTest(polygon, (float(x), float(y)), True)
+            for x, y in points.reshape(-1, 2)
+        ]
+    ).reshape(3, 200)
     for room in (3.0, 1.0):
         sure = np.abs(off + room) > 0.01  # OpenCV's is in single precision
         assert (_inside(points, outline, room)[sure] == (off > -room)[sure]).all()
 
 
-def test_a_bright_dome_isnt_taken_for_the_whole_teat(draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration) -> None:
-    """Light on the shaft alone: a flatter rim below the end has far more contrast, before a thing as warm as the teat."""
+def test_a_bright_dome_isnt_taken_for_the_whole_teat(
+    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
+) -> None:
+    """Light on the shaft alone: a flatter rim below the end has far more contrast, before a thing
+    as warm as the teat.
+    """
     teat = replace(udder[2], end_mm=(-140.0, 205.0, 136.0), height=1.0, radius_mm=11.0, grey=60.0)
     rim = replace(teat, end_mm=(-140.0, 204.9, 130.0), height=0.4, grey=150.0, seen_by="LR")
     arm = replace(teat, end_mm=(-140.0, 330.0, 220.0), radius_mm=60.0, grey=85.0, kelvin=305.5)

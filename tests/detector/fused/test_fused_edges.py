@@ -1,4 +1,6 @@
-"""Edges to a small part of a pixel: steps at known places, on paint that shades towards the limb, in noise, and where there is none."""
+"""Edges to a small part of a pixel: steps at known places, on paint that shades towards the limb,
+in noise, and where there is none.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,12 @@ Lines = NDArray[np.float32]
 RNG = np.random.default_rng(3)
 
 
-def steps(places: NDArray[np.float64], inner: float, outer: float, noise: float, limb: float = 0.0) -> Lines:
-    """Lines (1, n, s) with a blurred step at each place; ``limb``: how far the inside rises within 4 px of the edge."""
+def steps(
+    places: NDArray[np.float64], inner: float, outer: float, noise: float, limb: float = 0.0
+) -> Lines:
+    """Lines (1, n, s) with a blurred step at each place; ``limb``: how far the inside rises within
+    4 px of the edge.
+    """
     spread = np.linspace(-3.2, 3.2, 129)
     weight = np.exp(-0.5 * (spread / 0.8) ** 2)
     x = OPTICAL_FINE.offsets[None, :, None] - places[:, None, None] - spread
@@ -35,9 +41,16 @@ def test_steps_are_found_at_every_phase(inner: float, outer: float) -> None:
 def test_paint_that_shades_towards_the_limb_moves_the_edge_little() -> None:
     places = np.linspace(-1.0, 1.0, 41)
     found = find_edges(steps(places, 60.0, 20.0, 0.0, limb=60.0), OPTICAL_FINE, 0.05)
-    plain = find_edges(steps(places, 60.0, 20.0, 0.0, limb=60.0), Profile(5.0, 0.5, 2.0, 0.25, 0.8, limb=False, pull_px=1.5), 0.05)
+    plain = find_edges(
+        steps(places, 60.0, 20.0, 0.0, limb=60.0),
+        Profile(5.0, 0.5, 2.0, 0.25, 0.8, limb=False, pull_px=1.5),
+        0.05,
+    )
     assert np.abs(found.offset_px[0] - places).mean() < 0.08
-    assert np.abs(found.offset_px[0] - places).mean() < 0.5 * np.abs(plain.offset_px[0] - places).mean()
+    assert (
+        np.abs(found.offset_px[0] - places).mean()
+        < 0.5 * np.abs(plain.offset_px[0] - places).mean()
+    )
 
 
 def test_the_claimed_spread_is_honest() -> None:
@@ -45,19 +58,27 @@ def test_the_claimed_spread_is_honest() -> None:
     found = find_edges(steps(places, 40.0, 120.0, 3.0), OPTICAL_FINE, 3.0)
     alone = found.clarity[0] > CLEAR
     z = found.offset_px[0][alone] / found.sd_px[0][alone]
-    assert 0.5 < z.std() < 1.6  # samples half a pixel apart count as independent here, as the noise of this test is
+    # samples half a pixel apart count as independent here, as the noise of this test is
+    assert 0.5 < z.std() < 1.6
 
 
 def test_noise_alone_is_seldom_an_edge() -> None:
-    found = find_edges(RNG.normal(100, 3, (1, 600, len(OPTICAL_FINE.offsets))).astype(np.float32), OPTICAL_FINE, 3.0)
+    found = find_edges(
+        RNG.normal(100, 3, (1, 600, len(OPTICAL_FINE.offsets))).astype(np.float32),
+        OPTICAL_FINE,
+        3.0,
+    )
     assert (found.clarity > LEAST_CLEAR).mean() < 0.1
 
 
 def test_faint_edges_are_found_together() -> None:
-    """Seven grey levels of step in noise of two: a line alone misses many, neighbours together hardly any."""
+    """Seven grey levels of step in noise of two: a line alone misses many, neighbours together
+    hardly any.
+    """
     lines = steps(np.full(200, 0.4), 50.0, 57.0, 2.0)
     together = find_edges(lines, OPTICAL_FINE, 2.0)
-    alone = find_edges(lines.transpose(1, 0, 2), OPTICAL_FINE, 2.0)  # each line an outline of its own: it has no neighbours but itself
+    # each line an outline of its own: it has no neighbours but itself
+    alone = find_edges(lines.transpose(1, 0, 2), OPTICAL_FINE, 2.0)
     usable = together.clarity[0] > LEAST_CLEAR
     assert usable.mean() > 0.9
     assert abs(np.median(together.offset_px[0][usable]) - 0.4) < 0.1
@@ -67,7 +88,10 @@ def test_faint_edges_are_found_together() -> None:
 def test_lines_beyond_the_picture_have_no_edge() -> None:
     field = np.zeros((40, 40), dtype=np.float32)
     field[:, 20:] = 100.0
-    middles, normals = np.array([[19.5, 20.0], [1.0, 20.0], [np.nan, 3.0]]), np.tile([1.0, 0.0], (3, 1))
+    middles, normals = (
+        np.array([[19.5, 20.0], [1.0, 20.0], [np.nan, 3.0]]),
+        np.tile([1.0, 0.0], (3, 1)),
+    )
     lines = sample(field, middles, normals, OPTICAL_FINE.offsets)
     assert np.isfinite(lines[0]).all()
     assert np.isnan(lines[1:]).all()

@@ -1,6 +1,8 @@
-"""Are the stated covariances honest? Normalised squared errors against chi-square, on two members of every family.
+"""Are the stated covariances honest? Normalised squared errors against chi-square, on two members
+of every family.
 
-The scenes are rendered by the bench's own renderer, which shares no code with the detector; the path-traced ones are next door.
+The scenes are rendered by the bench's own renderer, which shares no code with the detector; the
+path-traced ones are next door.
 """
 
 from __future__ import annotations
@@ -37,7 +39,9 @@ class Taken:
 
 @dataclass(frozen=True)
 class Seen:
-    """What was answered on a member of a family, its ends (n, 3) mm, and which of them every camera sees."""
+    """What was answered on a member of a family, its ends (n, 3) mm, and which of them every camera
+    sees.
+    """
 
     family: str
     answer: Detection
@@ -54,14 +58,23 @@ def seen(families: tuple[str, ...], seeds: tuple[int, ...]) -> Iterator[Seen]:
             taken = renderer.render(state, np.random.default_rng([1, seed, *name.encode()]))
             frames = Taken(taken.left, taken.right, None, taken.thermal_ck / 100.0)
             visible = np.array([row.all() for row in renderer.visible_ends(state)])
-            yield Seen(name, FusedDetector().detect(frames, rig.calibration), state.phantom.ends_mm, visible)
+            yield Seen(
+                name,
+                FusedDetector().detect(frames, rig.calibration),
+                state.phantom.ends_mm,
+                visible,
+            )
 
 
 def normalised(one: Seen) -> list[float]:
-    """Normalised squared errors of the answers on visible ends: gross errors among them, none left out."""
+    """Normalised squared errors of the answers on visible ends: gross errors among them, none left
+    out.
+    """
     found = np.array([teat.world_mm for teat in one.answer.teats]).reshape(-1, 3)
     pairs = match(found, one.ends_mm, one.visible, gate_mm(one.ends_mm)).pairs
-    return [squared(found[i] - one.ends_mm[j], one.answer.teats[i].covariance_mm2) for i, j in pairs]
+    return [
+        squared(found[i] - one.ends_mm[j], one.answer.teats[i].covariance_mm2) for i, j in pairs
+    ]
 
 
 def squared(error: Array, covariance: Array | None) -> float:
@@ -83,7 +96,9 @@ def test_nothing_false_is_said_of_any_family(members: list[Seen]) -> None:
 
 
 def test_normalised_squared_errors_are_within_the_bounds_of_chi_square(members: list[Seen]) -> None:
-    """Their mean over all families, both sides (Bar-Shalom, Li, Kirubarajan, "Estimation with applications", section 5.4.2)."""
+    """Their mean over all families, both sides (Bar-Shalom, Li, Kirubarajan, "Estimation with
+    applications", section 5.4.2).
+    """
     sums = np.concatenate([normalised(one) for one in members])
     n = len(sums)
     assert n > 80

@@ -1,4 +1,6 @@
-"""Changes whose effect on the answers is known beforehand: mirrors, brightness, gain, another world, another order."""
+"""Changes whose effect on the answers is known beforehand: mirrors, brightness, gain, another
+world, another order.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,12 @@ def places(found: Detection) -> Array:
 
 def mirrored_camera(camera: Camera) -> Camera:
     k1, k2, p1, p2, k3 = camera.kc
-    return replace(camera, cc=(camera.image_size[0] - 1 - camera.cc[0], camera.cc[1]), alpha_c=-camera.alpha_c, kc=(k1, k2, p1, -p2, k3))
+    return replace(
+        camera,
+        cc=(camera.image_size[0] - 1 - camera.cc[0], camera.cc[1]),
+        alpha_c=-camera.alpha_c,
+        kc=(k1, k2, p1, -p2, k3),
+    )
 
 
 def mirrored_motion(motion: Motion) -> Motion:
@@ -46,7 +53,9 @@ def mirrored_motion(motion: Motion) -> Motion:
 
 
 def mirrored_rig(rig: Calibration) -> Calibration:
-    """The rig in a mirror: what was the left camera is the right one, and the world's x runs the other way."""
+    """The rig in a mirror: what was the left camera is the right one, and the world's x runs the
+    other way.
+    """
     assert rig.thermal.lens is not None
     assert rig.thermal_from_right is not None
     return replace(
@@ -60,16 +69,28 @@ def mirrored_rig(rig: Calibration) -> Calibration:
     )
 
 
-def test_a_mirrored_scene_has_mirrored_answers(frames: Any, plain: Detection, rig: Calibration) -> None:
-    left, right = np.ascontiguousarray(frames.right[:, ::-1]), np.ascontiguousarray(frames.left[:, ::-1])
-    mirrored = replace(frames, left=left, right=right, thermal_k=np.ascontiguousarray(frames.thermal_k[:, ::-1]))
+def test_a_mirrored_scene_has_mirrored_answers(
+    frames: Any, plain: Detection, rig: Calibration
+) -> None:
+    left, right = (
+        np.ascontiguousarray(frames.right[:, ::-1]),
+        np.ascontiguousarray(frames.left[:, ::-1]),
+    )
+    mirrored = replace(
+        frames, left=left, right=right, thermal_k=np.ascontiguousarray(frames.thermal_k[:, ::-1])
+    )
     found = FusedDetector().detect(mirrored, mirrored_rig(rig))
     assert np.abs(places(found)[::-1] * [-1, 1, 1] - places(plain)).max() < 0.1
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(0.5, 0.0), (0.8, 40.0), (1.2, 10.0)])
-def test_brightness_and_gain_hardly_move_the_ends(frames: Any, plain: Detection, rig: Calibration, gain: float, offset: float) -> None:
-    left, right = (np.clip(np.rint(p * gain + offset), 0, 255).astype(np.uint8) for p in (frames.left, frames.right))
+def test_brightness_and_gain_hardly_move_the_ends(
+    frames: Any, plain: Detection, rig: Calibration, gain: float, offset: float
+) -> None:
+    left, right = (
+        np.clip(np.rint(p * gain + offset), 0, 255).astype(np.uint8)
+        for p in (frames.left, frames.right)
+    )
     found = FusedDetector().detect(replace(frames, left=left, right=right), rig)
     assert np.linalg.norm(places(found) - places(plain), axis=1).max() < 0.1
 
@@ -79,23 +100,38 @@ def test_a_warmer_room_moves_nothing(frames: Any, plain: Detection, rig: Calibra
     assert np.linalg.norm(places(found) - places(plain), axis=1).max() < 0.01
 
 
-def test_another_world_frame_turns_the_answers(frames: Any, plain: Detection, rig: Calibration) -> None:
+def test_another_world_frame_turns_the_answers(
+    frames: Any, plain: Detection, rig: Calibration
+) -> None:
     turn = Motion.from_vectors([0.3, -0.5, 1.1], [10.0, -200.0, 35.0])
-    found = FusedDetector().detect(frames, replace(rig, world_from_right=turn @ rig.world_from_right))
+    found = FusedDetector().detect(
+        frames, replace(rig, world_from_right=turn @ rig.world_from_right)
+    )
     for before, after in zip(plain.teats, found.teats, strict=True):
         assert np.allclose(turn.apply(before.world_mm), after.world_mm, atol=1e-6)
         assert before.covariance_mm2 is not None
         assert after.covariance_mm2 is not None
-        assert np.allclose(turn.R @ before.covariance_mm2 @ turn.R.T, after.covariance_mm2, atol=1e-9)
+        assert np.allclose(
+            turn.R @ before.covariance_mm2 @ turn.R.T, after.covariance_mm2, atol=1e-9
+        )
 
 
-def test_the_same_frames_give_the_same_answer(frames: Any, plain: Detection, rig: Calibration) -> None:
+def test_the_same_frames_give_the_same_answer(
+    frames: Any, plain: Detection, rig: Calibration
+) -> None:
     again = FusedDetector().detect(frames, rig)
-    assert all(np.array_equal(a.world_mm, b.world_mm) for a, b in zip(plain.teats, again.teats, strict=True))
+    assert all(
+        np.array_equal(a.world_mm, b.world_mm)
+        for a, b in zip(plain.teats, again.teats, strict=True)
+    )
 
 
-def test_a_shifted_world_of_teats_shifts_the_answers(draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration) -> None:
+def test_a_shifted_world_of_teats_shifts_the_answers(
+    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
+) -> None:
     by = np.array([7.3, -11.7, 4.1])
     shifted = [replace(b, end_mm=tuple(np.add(b.end_mm, by))) for b in udder]
-    found, before = (FusedDetector().detect(draw_scene(bodies, noise=0.5), rig) for bodies in (shifted, udder))
+    found, before = (
+        FusedDetector().detect(draw_scene(bodies, noise=0.5), rig) for bodies in (shifted, udder)
+    )
     assert np.linalg.norm(places(found) - places(before) - by, axis=1).max() < 0.4

@@ -1,4 +1,6 @@
-"""The closed-form outlines of the model against brute force: hulls of densely sampled surfaces, projected by OpenCV."""
+"""The closed-form outlines of the model against brute force: hulls of densely sampled surfaces,
+projected by OpenCV.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,20 @@ import numpy as np
 import pytest
 
 from detector.calibration import Calibration
-from detector.fused.model import COUNT, END, HEIGHT, SIDE_A, SIDE_B, Outline, apexes, axes, contours, normals_of, pixels_of, slopes
+from detector.fused.model import (
+    COUNT,
+    END,
+    HEIGHT,
+    SIDE_A,
+    SIDE_B,
+    Outline,
+    apexes,
+    axes,
+    contours,
+    normals_of,
+    pixels_of,
+    slopes,
+)
 from detector.geometry import Motion
 
 TEATS = np.array(
@@ -22,13 +37,18 @@ TEATS = np.array(
 OUTLINE = Outline.of(60.0, 8, 15)
 
 
-def surface(teat: np.ndarray[tuple[int], np.dtype[np.float64]]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def surface(
+    teat: np.ndarray[tuple[int], np.dtype[np.float64]],
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     axis = axes(teat[None])[0]
     e1 = np.cross(axis, [0.0, 0.0, 1.0])
     e1 /= np.linalg.norm(e1)
     turn = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
     ring = np.cos(turn)[:, None] * e1 + np.sin(turn)[:, None] * np.cross(axis, e1)
-    cap = [teat[:3] + teat[5] * (np.sin(p) * ring - teat[HEIGHT] * np.cos(p) * axis) for p in np.linspace(0, np.pi / 2, 400)]
+    cap = [
+        teat[:3] + teat[5] * (np.sin(p) * ring - teat[HEIGHT] * np.cos(p) * axis)
+        for p in np.linspace(0, np.pi / 2, 400)
+    ]
     return np.concatenate([*cap, teat[:3] + teat[5] * ring + 90.0 * axis])
 
 
@@ -36,8 +56,11 @@ def surface(teat: np.ndarray[tuple[int], np.dtype[np.float64]]) -> np.ndarray[tu
 def test_outlines_lie_on_the_hull_of_the_projected_surface(rig: Calibration, number: int) -> None:
     motion = rig.right_from_left.inverse()
     teat = TEATS[number]
-    lens = np.array([[rig.left.fc[0], 0, rig.left.cc[0]], [0, rig.left.fc[1], rig.left.cc[1]], [0, 0, 1]])
-    straight = replace(rig.left, kc=(0.0, 0.0, 0.0, 0.0, 0.0))  # a lens that bends lines would make the outline hollow, and a hull isn't
+    lens = np.array(
+        [[rig.left.fc[0], 0, rig.left.cc[0]], [0, rig.left.fc[1], rig.left.cc[1]], [0, 0, 1]]
+    )
+    # a lens that bends lines would make the outline hollow, and a hull isn't
+    straight = replace(rig.left, kc=(0.0, 0.0, 0.0, 0.0, 0.0))
     projected = cv2.projectPoints(surface(teat), motion.om, motion.T, lens, None)[0]
     hull = cv2.convexHull(projected.astype(np.float32))
     found = pixels_of(contours(teat[None], motion, OUTLINE).points, straight)[0]
@@ -66,7 +89,12 @@ def test_slopes_are_the_differences(rig: Calibration) -> None:
     outward = (pixels_of(contour.points + 0.1 * contour.normals, rig.left) - pixels) / 0.1
     closed = slopes(TEATS, contour, np.einsum("mnd,mnd->mn", outward, normals), motion)
     for i, step in enumerate((0.05, 0.05, 0.5, 1e-3, 1e-3, 0.05, 1e-4, 5e-3)):
-        moved = [pixels_of(contours(TEATS + sign * step * np.eye(COUNT)[i], motion, OUTLINE).points, rig.left) for sign in (-1, 1)]
+        moved = [
+            pixels_of(
+                contours(TEATS + sign * step * np.eye(COUNT)[i], motion, OUTLINE).points, rig.left
+            )
+            for sign in (-1, 1)
+        ]
         differences = np.einsum("mnd,mnd->mn", moved[1] - moved[0], normals) / (2 * step)
         inner = slice(1, -1)  # the last point's normal is one-sided
         scale = np.abs(differences).max()

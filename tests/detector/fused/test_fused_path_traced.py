@@ -1,4 +1,6 @@
-"""The figures reached on frames that another program rendered: a path tracer that shares no code with the bench."""
+"""The figures reached on frames that another program rendered: a path tracer that shares no code
+with the bench.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,9 @@ class Tally:
 
 def read(folder: Path) -> Recorded:
     names = ("left", "right", "thermal", "thermal_radiometric")
-    left, right, thermal, centikelvin = (cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_UNCHANGED) for name in names)
+    left, right, thermal, centikelvin = (
+        cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_UNCHANGED) for name in names
+    )
     assert left is not None
     assert right is not None
     assert centikelvin is not None
@@ -71,15 +75,23 @@ def tallies(shared: Path) -> dict[str, Tally]:
     return dict(found)
 
 
-def count(tally: Tally, rows: list[dict[str, str]], answers: list[tuple[Array, Array | None]]) -> None:
-    """Optimal assignment within half the least spacing, 25 mm at most; hidden teats count neither way."""
+def count(
+    tally: Tally, rows: list[dict[str, str]], answers: list[tuple[Array, Array | None]]
+) -> None:
+    """Optimal assignment within half the least spacing, 25 mm at most; hidden teats count neither
+    way.
+    """
     ends = np.array([[float(row[axis]) for axis in ("x_mm", "y_mm", "z_mm")] for row in rows])
     visible = np.array([row["visible"] == "1" for row in rows])
     apart = np.linalg.norm(ends[:, None] - ends, axis=2)
     gate = min(25.0, 0.5 * apart[apart > 0].min())
     way = ends[:, None] - np.array([place for place, _ in answers]).reshape(1, -1, 3)
     distance = np.linalg.norm(way, axis=2)
-    pairs = [(i, j) for i, j in zip(*linear_sum_assignment(np.minimum(distance, 1e3)), strict=True) if distance[i, j] <= gate]
+    pairs = [
+        (i, j)
+        for i, j in zip(*linear_sum_assignment(np.minimum(distance, 1e3)), strict=True)
+        if distance[i, j] <= gate
+    ]
     tally.visible += int(visible.sum())
     tally.false += len(answers) - len(pairs)
     for i, j in pairs:
@@ -93,15 +105,26 @@ def count(tally: Tally, rows: list[dict[str, str]], answers: list[tuple[Array, A
 
 def test_every_visible_teat_is_found_and_nothing_else(tallies: dict[str, Tally]) -> None:
     assert len(tallies) == 11
-    assert {name: (t.found, t.visible, t.false) for name, t in tallies.items() if t.found < t.visible or t.false} == {}
+    assert {
+        name: (t.found, t.visible, t.false)
+        for name, t in tallies.items()
+        if t.found < t.visible or t.false
+    } == {}
     assert {name: t.imagined for name, t in tallies.items() if t.imagined} == {}
 
 
-LIMITS = {"overlapping": (1.0, 3.5), "cooler_bodies": (1.0, 3.0), "low_contrast": (1.1, 3.5), "hot_body_at_ends": (0.7, 2.0)}
+LIMITS = {
+    "overlapping": (1.0, 3.5),
+    "cooler_bodies": (1.0, 3.0),
+    "low_contrast": (1.1, 3.5),
+    "hot_body_at_ends": (0.7, 2.0),
+}
 
 
 def test_the_errors_are_those_reached(tallies: dict[str, Tally]) -> None:
-    """Mean and greatest distance, mm, with some room for other builds of the libraries; the figures themselves are in the README."""
+    """Mean and greatest distance, mm, with some room for other builds of the libraries; the figures
+    themselves are in the README.
+    """
     for name, tally in tallies.items():
         mean, greatest = LIMITS.get(name, (0.6, 2.0))
         assert np.mean(tally.errors_mm) < mean, name
@@ -113,12 +136,22 @@ def test_the_errors_are_those_reached(tallies: dict[str, Tally]) -> None:
 
 
 def test_the_covariances_claim_what_is_so(tallies: dict[str, Tally]) -> None:
-    """Mean normalised squared error a degree of freedom: within chi-square's bounds where nothing hides a teat's outline.
+    """Mean normalised squared error a degree of freedom: within chi-square's bounds where nothing
+    hides a teat's outline.
 
-    Elsewhere (touching teats, an arm's edge at an end, bodies of the same grey) wrong edges can't be told from right ones by how they
-    scatter, and the claimed standard deviations are too small by a factor of up to 1.6.
+    Elsewhere (touching teats, an arm's edge at an end, bodies of the same grey) wrong edges can't
+    be told from right ones by how they scatter, and the claimed standard deviations are too small
+    by a factor of up to 1.6.
     """
-    plain = ["ideal", "non_vertical", "spurious_teat", "hot_body_at_base", "dim_light", "missing_or_hidden", "anywhere"]
+    plain = [
+        "ideal",
+        "non_vertical",
+        "spurious_teat",
+        "hot_body_at_base",
+        "dim_light",
+        "missing_or_hidden",
+        "anywhere",
+    ]
     sums = np.concatenate([tallies[name].normalised for name in plain])
     assert 0.3 * 3 < np.mean(sums) < chi2.ppf(0.975, 3 * len(sums)) / len(sums)
     assert np.mean(np.concatenate([t.normalised for t in tallies.values()])) < 1.5 * 3

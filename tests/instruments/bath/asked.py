@@ -34,12 +34,21 @@ class Sink:
 
 
 class Asked:
-    """An emulated controller on an RTU line, at 20 degC and without noise. ``ask`` gives the PDU answered, in hex; "" for silence."""
+    """An emulated controller on an RTU line, at 20 degC and without noise. ``ask`` gives the PDU
+    answered, in hex; "" for silence.
+    """
 
     def __init__(self, profile: str, *, as_shipped: bool = False) -> None:
         self.clock = VirtualClock()
         self.plant = Plant(1, constants=PlantConstants(sensor_noise_k=0.0))
-        self.emulator = BathEmulator(self.plant, load_profile(profile), self.clock, unit_id=1, framing="rtu", as_shipped=as_shipped)
+        self.emulator = BathEmulator(
+            self.plant,
+            load_profile(profile),
+            self.clock,
+            unit_id=1,
+            framing="rtu",
+            as_shipped=as_shipped,
+        )
         self.sink = Sink()
         self.connection: Connection = self.sink  # type: ignore[assignment]
         self.emulator.connect(self.connection)

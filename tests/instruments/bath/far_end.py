@@ -1,6 +1,8 @@
-"""A Modbus device that can be told to misbehave: registers in a dictionary, answers early, late, damaged or never.
+"""A Modbus device that can be told to misbehave: registers in a dictionary, answers early, late,
+damaged or never.
 
-Written from the Modbus documents for these tests alone; it shares no code with the driver nor with the emulator.
+Written from the Modbus documents for these tests alone; it shares no code with the driver nor with
+the emulator.
 """
 
 from __future__ import annotations
@@ -34,11 +36,13 @@ def rtu(text: str) -> bytes:
 
 
 class FarEnd:
-    """Answers functions 1 to 6 and 16, unit 1, in order, as a slow device does: the next answer waits for the one before.
+    """Answers functions 1 to 6 and 16, unit 1, in order, as a slow device does: the next answer
+    waits for the one before.
 
-    ``delays_s`` are how long each next answer takes (None: it never comes); when they are used up, answers come at once.
-    ``spoils`` are what becomes of each next frame. ``asked`` are the PDUs as they came; ``memory`` holds bits and registers.
-    With ``gateway``, late answers go to whoever is connected then, as a serial server sends them on.
+    ``delays_s`` are how long each next answer takes (None: it never comes); when they are used up,
+    answers come at once. ``spoils`` are what becomes of each next frame. ``asked`` are the PDUs as
+    they came; ``memory`` holds bits and registers. With ``gateway``, late answers go to whoever is
+    connected then, as a serial server sends them on.
     """
 
     def __init__(self, clock: Clock, *, framing: str = "rtu", gateway: bool = False) -> None:
@@ -67,7 +71,11 @@ class FarEnd:
             self.asked.append(pdu)
             answer = self.answer_of(head[-1], pdu)
             whole = head + answer
-            whole = whole + crc(whole) if self.framing == "rtu" else whole[:4] + struct.pack(">HB", len(answer) + 1, head[6]) + answer
+            whole = (
+                whole + crc(whole)
+                if self.framing == "rtu"
+                else whole[:4] + struct.pack(">HB", len(answer) + 1, head[6]) + answer
+            )
             self._send(connection, self.spoils.pop(0)(whole) if self.spoils else whole)
 
     def answer(self, pdu: bytes) -> bytes:
@@ -77,7 +85,12 @@ class FarEnd:
             bits = sum(self.memory.get(address + at, 0) << at for at in range(value))
             return bytes((function, -(-value // 8))) + bits.to_bytes(-(-value // 8), "little")
         if function in (3, 4):
-            return struct.pack(f">BB{value}H", function, 2 * value, *(self.memory.get(address + at, 0) for at in range(value)))
+            return struct.pack(
+                f">BB{value}H",
+                function,
+                2 * value,
+                *(self.memory.get(address + at, 0) for at in range(value)),
+            )
         if function == 16:
             self.memory |= dict(enumerate(struct.unpack_from(f">{value}H", pdu, 6), address))
         elif function in (5, 6):

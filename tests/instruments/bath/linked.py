@@ -1,4 +1,6 @@
-"""Transactions with a far end that holds 100 at register 0, 200 at 1 and so on: a value at the wrong address is a wrong value."""
+"""Transactions with a far end that holds 100 at register 0, 200 at 1 and so on: a value at the
+wrong address is a wrong value.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What a rule machine needs of a bath: a clock that tells when it stands still, and a cable that can be pulled."""
+"""What a rule machine needs of a bath: a clock that tells when it stands still, and a cable that
+can be pulled.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ SCHEMES: dict[Framing, str] = {"tcp": "tcp", "rtu": "rtu+tcp"}
 
 
 class MovingClock(VirtualClock):
-    """Virtual time that notices when somebody waits for it and does not let it move: a hang, told at once."""
+    """Virtual time that notices when somebody waits for it and does not let it move: a hang, told
+    at once.
+    """
 
     def __init__(self) -> None:
         super().__init__()

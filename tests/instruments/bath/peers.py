@@ -1,4 +1,6 @@
-"""Independent Modbus programs: where they are, how they are built, and ports for them to meet the emulators at."""
+"""Independent Modbus programs: where they are, how they are built, and ports for them to meet the
+emulators at.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,8 @@ def program(name: str) -> str:
 
 
 def built(example: str, folder: Path, *, over_rtu: bool = False) -> Path:
-    """One of libmodbus's example programs, told its address by PEER_PORT or PEER_DEVICE; `absent` where it can't be built.
+    """One of libmodbus's example programs, told its address by PEER_PORT or PEER_DEVICE; `absent`
+    where it can't be built.
 
     ``over_rtu`` makes a client that only knows TCP ask over a serial port.
     """
@@ -58,21 +61,74 @@ def built(example: str, folder: Path, *, over_rtu: bool = False) -> Path:
     copy = folder / source.name
     copy.write_text(text, encoding="utf-8")
     target = folder / example
-    command = [program("gcc"), "-w", "-I/usr/include/modbus", f"-I{EXAMPLES}", str(copy), "-lmodbus", "-o", str(target)]
+    command = [
+        program("gcc"),
+        "-w",
+        "-I/usr/include/modbus",
+        f"-I{EXAMPLES}",
+        str(copy),
+        "-lmodbus",
+        "-o",
+        str(target),
+    ]
     subprocess.run(command, check=True, capture_output=True, timeout=60)
     return target
 
 
 def memory_profile() -> Profile:
-    """A family without manners of its own: 100 coils and 100 registers that keep what is written, and a bath behind them."""
+    """A family without manners of its own: 100 coils and 100 registers that keep what is written,
+    and a bath behind them.
+    """
     whole = {"evidence": "CERTAIN", "access": "rw"}
     bath = [
-        {"name": "temperature", "table": "input", "address": 200, "type": "f32", "unit": "degC", "evidence": "CERTAIN"},
-        {"name": "set_point", "table": "holding", "address": 200, "type": "f32", "unit": "degC", "range": [0, 40], **whole},
-        {"name": "run", "table": "holding", "address": 202, "type": "u16", "values": {"standby": 0, "started": 1}, **whole},
+        {
+            "name": "temperature",
+            "table": "input",
+            "address": 200,
+            "type": "f32",
+            "unit": "degC",
+            "evidence": "CERTAIN",
+        },
+        {
+            "name": "set_point",
+            "table": "holding",
+            "address": 200,
+            "type": "f32",
+            "unit": "degC",
+            "range": [0, 40],
+            **whole,
+        },
+        {
+            "name": "run",
+            "table": "holding",
+            "address": 202,
+            "type": "u16",
+            "values": {"standby": 0, "started": 1},
+            **whole,
+        },
     ]
-    registers = [{"name": f"r{n}", "table": "holding", "address": n, "type": "u16", "range": [0, 65535], **whole} for n in range(100)]
-    coils = [{"name": f"c{n}", "table": "coil", "address": n, "type": "bit", "values": {"off": 0, "on": 1}, **whole} for n in range(100)]
+    registers = [
+        {
+            "name": f"r{n}",
+            "table": "holding",
+            "address": n,
+            "type": "u16",
+            "range": [0, 65535],
+            **whole,
+        }
+        for n in range(100)
+    ]
+    coils = [
+        {
+            "name": f"c{n}",
+            "table": "coil",
+            "address": n,
+            "type": "bit",
+            "values": {"off": 0, "on": 1},
+            **whole,
+        }
+        for n in range(100)
+    ]
     return Profile.model_validate(
         {
             "family": "memory",
@@ -87,7 +143,9 @@ def memory_profile() -> Profile:
 
 
 class Bridge:
-    """A device that hands bytes on to a program's serial port: what the program takes for an adapter is ``path``."""
+    """A device that hands bytes on to a program's serial port: what the program takes for an
+    adapter is ``path``.
+    """
 
     def __init__(self) -> None:
         tty = pytest.importorskip("tty", reason="needs pseudo-terminals: Linux and macOS have them")

@@ -32,7 +32,9 @@ class Watched(BathEmulator):
 
     def receive(self, connection: Connection, data: bytes) -> None:
         at = 7 if self.framing == "tcp" else 1
-        self.asked.append((self.clock.now(), data[at], int.from_bytes(data[at + 1 : at + 3], "big")))
+        self.asked.append(
+            (self.clock.now(), data[at], int.from_bytes(data[at + 1 : at + 3], "big"))
+        )
         super().receive(connection, data)
 
     def writes(self) -> list[tuple[float, int]]:
@@ -42,7 +44,9 @@ class Watched(BathEmulator):
 @dataclass
 class Stand:
     clock: VirtualClock = field(default_factory=VirtualClock)
-    plant: Plant = field(default_factory=lambda: Plant(1, constants=PlantConstants(sensor_noise_k=0.0)))
+    plant: Plant = field(
+        default_factory=lambda: Plant(1, constants=PlantConstants(sensor_noise_k=0.0))
+    )
     profile: Profile = field(default_factory=lambda: load_profile("julabo-presto"))
 
     def __post_init__(self) -> None:
@@ -52,12 +56,19 @@ class Stand:
         self._opened: list[Bath] = []
 
     def bath(self, *, allow_inferred: bool = False, identify: bool = True) -> Bath:
-        self._opened.append(Bath(self.url, self.profile, self.clock, allow_inferred=allow_inferred, identify=identify))
+        self._opened.append(
+            Bath(
+                self.url, self.profile, self.clock, allow_inferred=allow_inferred, identify=identify
+            )
+        )
         return self._opened[-1]
 
     def edited(self, row: str, **changes: object) -> None:
         """The profile with one row changed, on the driver's side only."""
-        rows = tuple(known.model_copy(update=changes) if known.name == row else known for known in self.profile.rows)
+        rows = tuple(
+            known.model_copy(update=changes) if known.name == row else known
+            for known in self.profile.rows
+        )
         self.profile = self.profile.model_copy(update={"rows": rows})
 
     def close(self) -> None:

@@ -1,6 +1,8 @@
-"""Driver against emulators, every shipped profile, through faults in any order; a family without a pump has a relay's.
+"""Driver against emulators, every shipped profile, through faults in any order; a family without a
+pump has a relay's.
 
-Never a wrong value, never a set point that nobody asked for, never a start against an alarm or without a pump, and safe in the end.
+Never a wrong value, never a set point that nobody asked for, never a start against an alarm or
+without a pump, and safe in the end.
 """
 
 from __future__ import annotations
@@ -11,7 +13,13 @@ from contextlib import suppress
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule, run_state_machine_as_test
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import FAULTS
@@ -39,7 +47,9 @@ class BathInAnyOrder(RuleBasedStateMachine):
         self.clock = MovingClock()
         self.plant = Plant(1, constants=PlantConstants(sensor_noise_k=0.0))
         self.emulator = Cable(self.plant, self.profile, self.clock)
-        self.faults = [fault for fault in FAULTS if fault != "bad CRC" or self.emulator.framing == "rtu"]
+        self.faults = [
+            fault for fault in FAULTS if fault != "bad CRC" or self.emulator.framing == "rtu"
+        ]
         self.lock = threading.RLock()
         self.listener = Listener(self.emulator, self.clock, lock=self.lock, name="bath")
         url = f"{SCHEMES[self.emulator.framing]}://127.0.0.1:{self.listener.port}"
@@ -54,7 +64,11 @@ class BathInAnyOrder(RuleBasedStateMachine):
         profile = load_relay("modbus-relay")
         relay = RelayEmulator(self.plant, profile, self.clock, framing=self.emulator.framing)
         listener = Listener(relay, self.clock, lock=self.lock, name="pump")
-        return relay, listener, PumpAt(f"{SCHEMES[relay.framing]}://127.0.0.1:{listener.port}", profile)
+        return (
+            relay,
+            listener,
+            PumpAt(f"{SCHEMES[relay.framing]}://127.0.0.1:{listener.port}", profile),
+        )
 
     @rule(data=st.data(), on=st.booleans())
     def break_or_mend(self, data: st.DataObject, on: bool) -> None:
@@ -67,7 +81,9 @@ class BathInAnyOrder(RuleBasedStateMachine):
     def break_or_mend_the_relay(self, data: st.DataObject, on: bool) -> None:
         relay = self.relay
         assert relay
-        fault = data.draw(st.sampled_from([f for f in RELAY_FAULTS if f != "bad CRC" or relay.framing == "rtu"]))
+        fault = data.draw(
+            st.sampled_from([f for f in RELAY_FAULTS if f != "bad CRC" or relay.framing == "rtu"])
+        )
         with self.lock:
             relay.fault(fault, on=on)
         self.relay_was_cut |= on and fault == POWER_CUT
@@ -124,8 +140,10 @@ class BathInAnyOrder(RuleBasedStateMachine):
         except InstrumentError:
             return
         took_s = self.clock.now() - before_s
-        if not self.plant.broken_sensor:  # some controllers go on showing the last value: they have to tell, which is asked below
-            assert reading.temp_c == pytest.approx(before_c, abs=0.051 + FASTEST_K_PER_S * took_s)  # 0.1 K is what 16 bits resolve
+        # some controllers go on showing the last value: they have to tell, which is asked below
+        if not self.plant.broken_sensor:
+            # 0.1 K is what 16 bits resolve
+            assert reading.temp_c == pytest.approx(before_c, abs=0.051 + FASTEST_K_PER_S * took_s)
         assert reading.set_point_c == pytest.approx(self.plant.set_point_c, abs=0.051)
         if self.plant.broken_sensor and self.profile not in SEES_NO_SENSOR_BREAK:
             assert reading.alarm
@@ -145,7 +163,8 @@ class BathInAnyOrder(RuleBasedStateMachine):
             shown_c = self.bath.get("set_point")
         except InstrumentError:
             return
-        if not {"fahrenheit", "word order"} & self.emulator.faults:  # a row alone shows nothing to doubt it by
+        # a row alone shows nothing to doubt it by
+        if not {"fahrenheit", "word order"} & self.emulator.faults:
             assert shown_c == pytest.approx(self.plant.set_point_c, abs=0.051)
 
     @rule(wanted_c=st.sampled_from(SET_POINTS))
@@ -163,7 +182,8 @@ class BathInAnyOrder(RuleBasedStateMachine):
         assert self.plant.manual_output is None or "manual mode" in self.emulator.faults
         if self.emulator.profile.capabilities.level == "alarm":
             assert alarm == ""
-            assert self.plant.pump_on or self.plant.stopped_pump or self.plant.level_low  # a level that fell just now is told a step later
+            # a level that fell just now is told a step later
+            assert self.plant.pump_on or self.plant.stopped_pump or self.plant.level_low
         elif self.profile not in SEES_NO_SENSOR_BREAK:
             assert alarm != "sensor"
 
@@ -248,7 +268,8 @@ def test_any_order(name: str) -> None:
             max_examples=25,
             stateful_step_count=20,
             deadline=None,
-            phases=[Phase.explicit, Phase.reuse, Phase.generate],  # as found: to shrink a run that hangs takes minutes
+            # as found: to shrink a run that hangs takes minutes
+            phases=[Phase.explicit, Phase.reuse, Phase.generate],
             suppress_health_check=list(HealthCheck),
         ),
     )

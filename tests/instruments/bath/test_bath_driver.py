@@ -31,7 +31,11 @@ def test_a_poll_is_the_same_three_questions_every_time(stand: Stand) -> None:
     stand.emulator.asked.clear()
     bath.read()
     bath.read()
-    assert [(function, address) for _, function, address in stand.emulator.asked] == [(3, 0), (3, 90), (4, 5)] * 2
+    assert [(function, address) for _, function, address in stand.emulator.asked] == [
+        (3, 0),
+        (3, 90),
+        (4, 5),
+    ] * 2
 
 
 def test_identity(stand: Stand) -> None:

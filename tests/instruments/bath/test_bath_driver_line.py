@@ -20,7 +20,14 @@ from instruments.bath.connection import Line, LineError, parse_line
         ("COM5", Line("serial", device="COM5")),
         (
             "/dev/serial/by-id/usb-FTDI?unit=12&baud=19200&parity=e&stopbits=2",
-            Line("serial", device="/dev/serial/by-id/usb-FTDI", unit_id=12, baud=19200, parity="E", stopbits=2),
+            Line(
+                "serial",
+                device="/dev/serial/by-id/usb-FTDI",
+                unit_id=12,
+                baud=19200,
+                parity="E",
+                stopbits=2,
+            ),
         ),
         ("COM12?baud=9600", Line("serial", device="COM12", baud=9600)),
     ],

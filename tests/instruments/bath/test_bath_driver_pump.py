@@ -1,4 +1,6 @@
-"""A pump with a relay of its own, on the controller's line and elsewhere; and what is said where there is no such thing."""
+"""A pump with a relay of its own, on the controller's line and elsewhere; and what is said where
+there is no such thing.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,9 @@ def line() -> Iterator[tuple[Multidrop, str]]:
         yield far_end, url
 
 
-def test_on_one_line_the_relay_and_the_controller_share_a_link(line: tuple[Multidrop, str], relay: RelayProfile) -> None:
+def test_on_one_line_the_relay_and_the_controller_share_a_link(
+    line: tuple[Multidrop, str], relay: RelayProfile
+) -> None:
     far_end, url = line
     bath = Bath(url, load_profile("omega-cn7"), far_end.clock, pump=PumpAt(f"{url}?unit=5", relay))
     assert bath.pump == "own"
@@ -85,7 +89,9 @@ def test_on_one_line_the_relay_and_the_controller_share_a_link(line: tuple[Multi
     bath.close()
 
 
-def test_a_late_answer_of_the_relay_is_never_the_controllers(line: tuple[Multidrop, str], relay: RelayProfile) -> None:
+def test_a_late_answer_of_the_relay_is_never_the_controllers(
+    line: tuple[Multidrop, str], relay: RelayProfile
+) -> None:
     far_end, url = line
     bath = Bath(url, load_profile("omega-cn7"), far_end.clock, pump=PumpAt(f"{url}?unit=5", relay))
     bath.set("pump", "on")
@@ -126,7 +132,9 @@ def test_what_a_relay_does_not_do_is_told(relay: RelayProfile) -> None:
             return frame
 
         box.spoils = [bytes, forget]
-        with pytest.raises(DeviceError, match=r"pump at .*did not do it \(asked pump = on, got pump = off\)"):
+        with pytest.raises(
+            DeviceError, match=r"pump at .*did not do it \(asked pump = on, got pump = off\)"
+        ):
             bath.set("pump", "on")
         with pytest.raises(LimitError, match="pump has no value 'fast'"):
             bath.set("pump", "fast")
@@ -134,8 +142,16 @@ def test_what_a_relay_does_not_do_is_told(relay: RelayProfile) -> None:
 
 
 def test_a_family_with_a_pump_takes_no_relay(relay: RelayProfile) -> None:
-    with pytest.raises(LimitError, match=r"JULABO PRESTO: its pump \(with run\) is the family's own, and no relay switches it"):
-        Bath("tcp://127.0.0.1:1", load_profile("julabo-presto"), VirtualClock(), pump=PumpAt("tcp://127.0.0.1:2", relay))
+    with pytest.raises(
+        LimitError,
+        match=r"JULABO PRESTO: its pump \(with run\) is the family's own, and no relay switches it",
+    ):
+        Bath(
+            "tcp://127.0.0.1:1",
+            load_profile("julabo-presto"),
+            VirtualClock(),
+            pump=PumpAt("tcp://127.0.0.1:2", relay),
+        )
 
 
 @pytest.mark.parametrize(
@@ -154,7 +170,13 @@ def test_a_relays_profile_is_checked(tmp_path: Path, old: str, new: str, message
 
 
 PUMP = 'pump_url = "/dev/ttyUSB1?unit=5"\npump_profile = "relay.toml"\n'
-REAL = {"operator": "console:", "arm": "COM1", "bath": "COM3?parity=E", "stage": "COM2", "cameras": "opencv:0,1,2"}
+REAL = {
+    "operator": "console:",
+    "arm": "COM1",
+    "bath": "COM3?parity=E",
+    "stage": "COM2",
+    "cameras": "opencv:0,1,2",
+}
 
 
 @pytest.fixture
@@ -184,13 +206,20 @@ def test_a_pump_in_the_rig_file(real_rig: Path) -> None:
             "JULABO PRESTO has a pump of its own: leave pump_url and pump_profile out",
         ),
         ("rig.toml", '"relay.toml"', '"rely.toml"', "no such file beside the rig file"),
-        ("rig.toml", "ttyUSB1?unit=5", "ttyUSB1?unit=500", "unit=500: a whole number from 1 to 254"),
+        (
+            "rig.toml",
+            "ttyUSB1?unit=5",
+            "ttyUSB1?unit=500",
+            "unit=500: a whole number from 1 to 254",
+        ),
         ("rig.toml", 'pump_profile = "relay.toml"\n', "", "pump_profile is missing"),
         ("rig.toml", 'pump_url = "/dev/ttyUSB1?unit=5"\n', "", "pump_url is missing"),
         ("relay.toml", 'name = "pump"', 'name = "pomp"', "the row 'pump' is missing"),
     ],
 )
-def test_faults_of_a_pump_are_shown_in_their_place(real_rig: Path, name: str, old: str, new: str, message: str) -> None:
+def test_faults_of_a_pump_are_shown_in_their_place(
+    real_rig: Path, name: str, old: str, new: str, message: str
+) -> None:
     path = real_rig.with_name(name)
     change(path, old, new)
     with pytest.raises(ConfigError) as caught:
@@ -201,14 +230,18 @@ def test_faults_of_a_pump_are_shown_in_their_place(real_rig: Path, name: str, ol
 
 def test_a_real_bath_has_no_emulated_pump(real_rig: Path) -> None:
     change(real_rig, 'pump_url = "/dev/ttyUSB1?unit=5"', 'pump_url = "emulator:"')
-    with pytest.raises(ConfigError, match=r"bath\.pump_url: bath and pump are both emulated or both real"):
+    with pytest.raises(
+        ConfigError, match=r"bath\.pump_url: bath and pump are both emulated or both real"
+    ):
         load_rig(real_rig)
 
 
 def test_an_emulated_bath_has_no_real_pump(rig: Path) -> None:  # noqa: F811 - the fixture
     rig.with_name("relay.toml").write_text(RELAY, encoding="utf-8")
     change(rig, 'profile = "own.toml"', f'profile = "own.toml"\n{PUMP}')
-    with pytest.raises(ConfigError, match=r"bath\.pump_url: bath and pump are both emulated or both real"):
+    with pytest.raises(
+        ConfigError, match=r"bath\.pump_url: bath and pump are both emulated or both real"
+    ):
         load_rig(rig)
 
 
@@ -218,7 +251,9 @@ def test_a_shipped_relay_by_its_name(real_rig: Path) -> None:
     assert loaded.relay is not None
     assert loaded.relay.family == "Modbus relay board"
     change(real_rig, 'pump_profile = "modbus-relay"', 'pump_profile = "modbus-rely"')
-    with pytest.raises(ConfigError, match=r'no such profile; did you mean "modbus-relay"\? .*shipped: modbus-relay'):
+    with pytest.raises(
+        ConfigError, match=r'no such profile; did you mean "modbus-relay"\? .*shipped: modbus-relay'
+    ):
         load_rig(real_rig)
 
 
@@ -234,19 +269,33 @@ def test_an_inferred_relay_is_not_switched_unless_the_rig_says_so(relay: RelayPr
             bath.set("pump", "on")
         assert box.memory == {}
         bath.close()
-        bath = Bath(url, load_profile("omega-cn7"), clock, pump=PumpAt(pump_url, doubtful), allow_inferred=True)
+        bath = Bath(
+            url,
+            load_profile("omega-cn7"),
+            clock,
+            pump=PumpAt(pump_url, doubtful),
+            allow_inferred=True,
+        )
         bath.set("pump", "on")
         assert box.memory == {2: 1}
         bath.close()
 
 
 @pytest.mark.parametrize("off", ["off", 0.0, 0])
-def test_the_pump_is_not_switched_off_before_the_heater(line: tuple[Multidrop, str], relay: RelayProfile, off: float | str) -> None:
+def test_the_pump_is_not_switched_off_before_the_heater(
+    line: tuple[Multidrop, str], relay: RelayProfile, off: float | str
+) -> None:
     far_end, url = line
     bath = Bath(url, load_profile("omega-cn7"), far_end.clock, pump=PumpAt(f"{url}?unit=5", relay))
     bath.set("pump", "on")
     bath.start(33.0)
-    with pytest.raises(LimitError, match=r"the pump is not switched off while the controller is started.*Put the controller into standby"):
+    with pytest.raises(
+        LimitError,
+        match=(
+            r"the pump is not switched off while the controller is started.*Put the controller into"
+            r" standby"
+        ),
+    ):
         bath.set("pump", off)
     assert far_end.relay.memory[2] == 1
     bath.safe()

@@ -33,7 +33,9 @@ from tests.instruments.bath.stand import Stand
         ("pump_stage", 5, "pump_stage takes 1 to 4"),
     ],
 )
-def test_what_the_profile_does_not_list_is_not_written(stand: Stand, row: str, value: float | str, message: str) -> None:
+def test_what_the_profile_does_not_list_is_not_written(
+    stand: Stand, row: str, value: float | str, message: str
+) -> None:
     bath = stand.bath()
     with pytest.raises(LimitError, match=message) as caught:
         bath.set(row, value)
@@ -59,7 +61,10 @@ def test_inferred_rows_are_not_written_unless_allowed(stand: Stand) -> None:
 def test_a_row_that_the_family_lacks(stand: Stand) -> None:
     bath = stand.bath()
     for call in (lambda: bath.get("flow"), lambda: bath.set("flow", 1.0), bath.acknowledge):
-        with pytest.raises(LimitError, match=r"JULABO PRESTO has no '(flow|acknowledge)'\. It has: actuating, alarm, "):
+        with pytest.raises(
+            LimitError,
+            match=r"JULABO PRESTO has no '(flow|acknowledge)'\. It has: actuating, alarm, ",
+        ):
             call()
 
 
@@ -69,14 +74,31 @@ def test_a_row_that_the_family_lacks(stand: Stand) -> None:
 @pytest.mark.parametrize(
     ("fault", "error", "message"),
     [
-        ("fahrenheit", DeviceError, r"does not speak degC \(asked its unit, got f\)\. Set the controller to degrees Celsius"),
-        ("sensor break", DeviceError, r"has no temperature \(asked temperature, got alarm 5, working sensor"),
+        (
+            "fahrenheit",
+            DeviceError,
+            (
+                r"does not speak degC \(asked its unit, got f\)\. Set the controller to degrees"
+                r" Celsius"
+            ),
+        ),
+        (
+            "sensor break",
+            DeviceError,
+            r"has no temperature \(asked temperature, got alarm 5, working sensor",
+        ),
         ("silence", LinkError, r"no answer \(asked holding registers 93 to 93, after 2 s\)"),
-        ("busy", DeviceError, r"refused: it is busy \(asked holding registers 93 to 93, got Modbus exception 6\)"),
+        (
+            "busy",
+            DeviceError,
+            r"refused: it is busy \(asked holding registers 93 to 93, got Modbus exception 6\)",
+        ),
         ("wrong length", ProtocolError, "0 registers were answered where 1 were asked"),
     ],
 )
-def test_a_controller_that_does_not_fit_is_refused(stand: Stand, fault: str, error: type[InstrumentError], message: str) -> None:
+def test_a_controller_that_does_not_fit_is_refused(
+    stand: Stand, fault: str, error: type[InstrumentError], message: str
+) -> None:
     stand.emulator.fault(fault)
     stand.clock.sleep(1.0)
     with pytest.raises(error, match=message):
@@ -98,8 +120,13 @@ def test_another_order_of_bytes_is_learnt(stand: Stand) -> None:
 def test_a_code_of_order_that_nobody_knows_is_refused(stand: Stand) -> None:
     codes = stand.profile.order_from
     assert codes is not None
-    stand.profile = stand.profile.model_copy(update={"order_from": codes.model_copy(update={"codes": {"9": "ABCD"}})})
-    with pytest.raises(ProtocolError, match=r"order of bytes is none that the profile knows \(asked encoding, got 0\)"):
+    stand.profile = stand.profile.model_copy(
+        update={"order_from": codes.model_copy(update={"codes": {"9": "ABCD"}})}
+    )
+    with pytest.raises(
+        ProtocolError,
+        match=r"order of bytes is none that the profile knows \(asked encoding, got 0\)",
+    ):
         stand.bath()
 
 
@@ -108,15 +135,26 @@ def test_an_order_that_changes_behind_our_back_is_noticed(stand: Stand) -> None:
     bath.start(33.0)
     stand.clock.sleep(300.0)
     stand.emulator.fault("word order")
-    with pytest.raises(ProtocolError, match=r"its order of bytes has changed \(asked encoding, got 3\)"):
+    with pytest.raises(
+        ProtocolError, match=r"its order of bytes has changed \(asked encoding, got 3\)"
+    ):
         bath.read()
     assert bath.read().set_point_c == 33.0  # learnt anew
     bath.safe()
     assert not stand.plant.running
 
 
-@pytest.mark.parametrize("call", [lambda bath: bath.get("set_point"), lambda bath: bath.set_point(30.0), lambda bath: bath.read()])
-def test_a_unit_that_changes_behind_our_back_is_noticed(stand: Stand, call: Callable[[Bath], object]) -> None:
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda bath: bath.get("set_point"),
+        lambda bath: bath.set_point(30.0),
+        lambda bath: bath.read(),
+    ],
+)
+def test_a_unit_that_changes_behind_our_back_is_noticed(
+    stand: Stand, call: Callable[[Bath], object]
+) -> None:
     bath = stand.bath()
     stand.emulator.fault("fahrenheit")
     with pytest.raises(DeviceError, match=r"does not speak degC \(asked its unit, got f\)"):
@@ -133,13 +171,22 @@ def test_gaps_that_the_controller_refuses_are_left_out(stand: Stand) -> None:
 
 
 def test_a_url_that_is_none(stand: Stand) -> None:
-    with pytest.raises(LinkError, match=r'bath at tpc://h:1: "tpc://" is no link to a Modbus device; did you mean "tcp://"'):
+    with pytest.raises(
+        LinkError,
+        match=r'bath at tpc://h:1: "tpc://" is no link to a Modbus device; did you mean "tcp://"',
+    ):
         Bath("tpc://h:1", stand.profile, stand.clock)
 
 
 def test_a_family_that_does_not_speak_tcp(stand: Stand) -> None:
     stand.profile = stand.profile.model_copy(update={"transports": ("rtu",)})
-    with pytest.raises(LinkError, match=r"JULABO PRESTO does not speak Modbus TCP\. It has: rtu\+tcp://host:port or a serial port"):
+    with pytest.raises(
+        LinkError,
+        match=(
+            r"JULABO PRESTO does not speak Modbus TCP\. It has: rtu\+tcp://host:port or a serial"
+            r" port"
+        ),
+    ):
         stand.bath()
 
 
@@ -153,7 +200,9 @@ def test_another_unit_is_silence_and_the_url_names_it(stand: Stand) -> None:
 
 
 def test_nobody_there_is_said_after_some_tries(stand: Stand) -> None:
-    with pytest.raises(LinkError, match=r"nothing took the connection in 6 tries: .+ \(after 3\.1 s\)"):
+    with pytest.raises(
+        LinkError, match=r"nothing took the connection in 6 tries: .+ \(after 3\.1 s\)"
+    ):
         Bath("tcp://127.0.0.1:1", stand.profile, stand.clock)
     with pytest.raises(LinkError, match="nothing took the connection"):
         Bath("tcp://no-such-host.invalid:502", stand.profile, stand.clock)
@@ -166,7 +215,15 @@ def test_a_controller_that_comes_up_late_is_waited_for() -> None:
     listeners: list[Listener] = []
 
     def switch_on() -> None:
-        listeners.append(Listener(BathEmulator(Plant(1), profile, clock), clock, lock=threading.RLock(), name="bath", port=port))
+        listeners.append(
+            Listener(
+                BathEmulator(Plant(1), profile, clock),
+                clock,
+                lock=threading.RLock(),
+                name="bath",
+                port=port,
+            )
+        )
 
     clock.call_at(1.0, switch_on)
     bath = Bath(f"tcp://127.0.0.1:{port}", profile, clock)
@@ -179,7 +236,9 @@ def test_a_controller_that_comes_up_late_is_waited_for() -> None:
 # ---- refusals to start
 
 
-@pytest.mark.parametrize(("fault", "message"), [("low level", "alarm 1, low level"), ("sensor break", "working sensor")])
+@pytest.mark.parametrize(
+    ("fault", "message"), [("low level", "alarm 1, low level"), ("sensor break", "working sensor")]
+)
 def test_no_heat_with_an_alarm(stand: Stand, fault: str, message: str) -> None:
     bath = stand.bath()
     stand.emulator.fault(fault)
@@ -194,6 +253,8 @@ def test_a_write_that_does_not_stand_is_told(stand: Stand) -> None:
     bath = stand.bath()
     stand.emulator.fault("manual mode")
     assert bath.read().remote is False
-    with pytest.raises(DeviceError, match=r"did not do it \(asked set_point = 33, got set_point = 20\).*'manual'"):
+    with pytest.raises(
+        DeviceError, match=r"did not do it \(asked set_point = 33, got set_point = 20\).*'manual'"
+    ):
         bath.start(33.0)
     assert not stand.plant.running

@@ -1,4 +1,6 @@
-"""The driver on a serial port, in real time: an emulated controller on a pseudo-terminal. And what a tap sees of each link."""
+"""The driver on a serial port, in real time: an emulated controller on a pseudo-terminal. And what
+a tap sees of each link.
+"""
 
 from __future__ import annotations
 
@@ -116,7 +118,10 @@ def test_a_tap_sees_every_byte_garbage_too() -> None:
         del tap.told[:]
         far_end.spoils = [lambda frame: b"\xff" + frame]
         bath.get("run")
-        assert tap.told == [("sent", rtu("01 02 0814 0001")), ("received", b"\xff" + rtu("01 02 01 00"))]
+        assert tap.told == [
+            ("sent", rtu("01 02 0814 0001")),
+            ("received", b"\xff" + rtu("01 02 01 00")),
+        ]
         bath.close()
         bath.close()
     assert tap.told[2:] == [("closed", "")]
@@ -129,12 +134,21 @@ def test_a_tap_is_told_of_a_link_that_breaks_and_of_the_next_one(stand: Stand) -
     bath.read()
     bath.close()
     events = [(what, told) for what, told in tap.told if what in ("opened", "closed")]
-    assert events == [("opened", stand.url), ("closed", "the other end hung up"), ("opened", stand.url), ("closed", "")]
+    assert events == [
+        ("opened", stand.url),
+        ("closed", "the other end hung up"),
+        ("opened", stand.url),
+        ("closed", ""),
+    ]
     sent = [told for what, told in tap.told if what == "sent"]
     assert len(sent) - len(stand.emulator.asked) in (0, 1)  # one may have met nobody
 
 
 @pty
 def test_a_setting_that_the_port_does_not_have_is_told() -> None:
-    with terminal("omega-cn7") as (listener, _, clock), pytest.raises(LinkError, match=r"the port can't be opened in 6 tries"):
-        Bath(f"{listener.url}?parity=E", load_profile("omega-cn7"), clock)  # pseudo-terminals have no parity
+    with (
+        terminal("omega-cn7") as (listener, _, clock),
+        pytest.raises(LinkError, match=r"the port can't be opened in 6 tries"),
+    ):
+        # pseudo-terminals have no parity
+        Bath(f"{listener.url}?parity=E", load_profile("omega-cn7"), clock)

@@ -1,4 +1,6 @@
-"""The emulated controller by its bytes, typed from the Modbus specification and the fact sheet, and by an independent client."""
+"""The emulated controller by its bytes, typed from the Modbus specification and the fact sheet, and
+by an independent client.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ class Stand:
         return self.plant.running
 
     def ask(self, text: str, answers: int = 1) -> str:
-        """Hex bytes to a fresh connection; hex of what comes back, which is nothing when it hangs up or stays silent."""
+        """Hex bytes to a fresh connection; hex of what comes back, which is nothing when it hangs
+        up or stays silent.
+        """
         with socket.create_connection(("127.0.0.1", self.listener.port), timeout=5.0) as link:
             link.sendall(bytes.fromhex(text))
             link.shutdown(socket.SHUT_WR)
@@ -53,20 +57,25 @@ def stand() -> Iterator[Stand]:
 
 FAHRENHEIT = "00 1C 00 00 00 07 01 04 04 42 88 00 00"  # 68
 LOW_WORD_FIRST = "00 1C 00 00 00 07 01 04 04 00 00 41 A0"
-POLLED = " 41 A0 00 00 41 A0 00 00 00 00 00 00 41 A0 00 00"  # bath, external; power and a gap; safety
+# bath, external; power and a gap; safety
+POLLED = " 41 A0 00 00 41 A0 00 00 00 00 00 00 41 A0 00 00"
 
 
-# transaction, protocol, length, unit | function ... ; 33.0 as float32 is 4204 0000 and 20.0 is 41A0 0000
+# transaction, protocol, length, unit | function ... ; 33.0 as float32 is 4204 0000 and 20.0 is 41A0
+# 0000
 @pytest.mark.parametrize(
     ("request_", "answer"),
     [
-        ("0001 0000 0006 01 04 000A 0002", "00 01 00 00 00 07 01 04 04 41 A0 00 00"),  # bath temperature
+        # bath temperature
+        ("0001 0000 0006 01 04 000A 0002", "00 01 00 00 00 07 01 04 04 41 A0 00 00"),
         ("FFFF 0000 0006 01 03 0002 0002", "FF FF 00 00 00 07 01 03 04 41 A0 00 00"),  # set point
         ("0002 0000 0006 01 03 005A 0001", "00 02 00 00 00 05 01 03 02 00 00"),  # degC
-        ("0003 0000 0006 01 04 0005 0001", "00 03 00 00 00 05 01 04 02 00 04"),  # remote control by Modbus
+        # remote control by Modbus
+        ("0003 0000 0006 01 04 0005 0001", "00 03 00 00 00 05 01 04 02 00 04"),
         ("0004 0000 0006 01 04 0005 000D", "00 04 00 00 00 1D 01 04 1A 00 04" + " 00" * 8 + POLLED),
         ("0005 0000 0006 01 06 0000 0001", "00 05 00 00 00 06 01 06 00 00 00 01"),  # start
-        ("0006 0000 000B 01 10 0002 0002 04 4204 0000", "00 06 00 00 00 06 01 10 00 02 00 02"),  # set point 33
+        # set point 33
+        ("0006 0000 000B 01 10 0002 0002 04 4204 0000", "00 06 00 00 00 06 01 10 00 02 00 02"),
         ("0007 0000 0006 01 04 000B 0001", "00 07 00 00 00 05 01 04 02 00 00"),  # half a float
         ("0008 0000 0006 02 04 000A 0002", ""),  # another unit: silence
         ("0009 0000 0006 00 04 000A 0002", ""),
@@ -80,11 +89,19 @@ POLLED = " 41 A0 00 00 41 A0 00 00 00 00 00 00 41 A0 00 00"  # bath, external; p
         ("0011 0000 0006 01 06 0000 0002", "00 11 00 00 00 03 01 86 03"),  # run = 2
         ("0012 0000 0006 01 06 0002 4204", "00 12 00 00 00 03 01 86 02"),  # floats need function 16
         ("0013 0000 0009 01 10 0002 0001 02 4204", "00 13 00 00 00 03 01 90 02"),  # half a float
-        ("0014 0000 000B 01 10 0002 0002 04 7FC0 0000", "00 14 00 00 00 03 01 90 03"),  # not a number
+        # not a number
+        ("0014 0000 000B 01 10 0002 0002 04 7FC0 0000", "00 14 00 00 00 03 01 90 03"),
         ("0015 0000 0006 01 06 005A 0002", "00 15 00 00 00 03 01 86 03"),  # a unit that is none
-        ("001B 0000 0006 01 06 005A 0001 001C 0000 0006 01 04 000A 0002", "00 1B 00 00 00 06 01 06 00 5A 00 01 " + FAHRENHEIT),
-        ("001D 0000 0006 01 06 005D 0003 001C 0000 0006 01 04 000A 0002", "00 1D 00 00 00 06 01 06 00 5D 00 03 " + LOW_WORD_FIRST),
-        ("0016 0000 000A 01 10 0002 0002 04 4204 00", "00 16 00 00 00 03 01 90 03"),  # a byte is missing
+        (
+            "001B 0000 0006 01 06 005A 0001 001C 0000 0006 01 04 000A 0002",
+            "00 1B 00 00 00 06 01 06 00 5A 00 01 " + FAHRENHEIT,
+        ),
+        (
+            "001D 0000 0006 01 06 005D 0003 001C 0000 0006 01 04 000A 0002",
+            "00 1D 00 00 00 06 01 06 00 5D 00 03 " + LOW_WORD_FIRST,
+        ),
+        # a byte is missing
+        ("0016 0000 000A 01 10 0002 0002 04 4204 00", "00 16 00 00 00 03 01 90 03"),
         ("0017 0000 0005 01 04 000A 00", "00 17 00 00 00 03 01 84 03"),
         ("0018 0001 0006 01 04 000A 0002", ""),  # no Modbus: it hangs up
         ("0019 0000 FFFF 01 04 000A 0002", ""),
@@ -107,9 +124,15 @@ def test_a_value_written_acts(stand: Stand) -> None:
 
 
 def test_registers_written_together_are_all_or_nothing(stand: Stand) -> None:
-    assert stand.ask("0001 0000 000F 01 10 0000 0004 08 0001 0009 4204 0000") == "00 01 00 00 00 03 01 90 03"
+    assert (
+        stand.ask("0001 0000 000F 01 10 0000 0004 08 0001 0009 4204 0000")
+        == "00 01 00 00 00 03 01 90 03"
+    )
     assert not stand.runs()
-    assert stand.ask("0001 0000 000F 01 10 0000 0004 08 0001 0000 4204 0000") == "00 01 00 00 00 06 01 10 00 00 00 04"
+    assert (
+        stand.ask("0001 0000 000F 01 10 0000 0004 08 0001 0000 4204 0000")
+        == "00 01 00 00 00 06 01 10 00 00 00 04"
+    )
     assert stand.runs()
     assert stand.plant.set_point_c == 33.0
 
@@ -143,9 +166,14 @@ def test_pump_stage_and_heating_limit_reach_the_plant(stand: Stand) -> None:
         ("busy", "0001 0000 0006 01 04 000A 0002", "00 01 00 00 00 03 01 84 06"),
         ("wrong length", "0001 0000 0006 01 04 000A 0002", "00 01 00 00 00 05 01 04 02 41 A0"),
         ("gaps refused", "0001 0000 0006 01 04 0005 000D", "00 01 00 00 00 03 01 84 02"),
-        ("fahrenheit", "0001 0000 0006 01 04 000A 0002", "00 01 00 00 00 07 01 04 04 42 88 00 00"),  # 68
+        # 68
+        ("fahrenheit", "0001 0000 0006 01 04 000A 0002", "00 01 00 00 00 07 01 04 04 42 88 00 00"),
         ("word order", "0001 0000 0006 01 04 000A 0002", "00 01 00 00 00 07 01 04 04 00 00 41 A0"),
-        ("sensor break", "0001 0000 0006 01 04 000A 0002", "00 01 00 00 00 07 01 04 04 7F C0 00 00"),
+        (
+            "sensor break",
+            "0001 0000 0006 01 04 000A 0002",
+            "00 01 00 00 00 07 01 04 04 7F C0 00 00",
+        ),
         ("low level", "0001 0000 0006 01 04 0006 0001", "00 01 00 00 00 05 01 04 02 00 01"),
     ],
 )
@@ -162,7 +190,12 @@ def test_faults_by_name(stand: Stand, fault: str, request_: str, answer: str) ->
 
 
 @pytest.mark.parametrize(
-    ("fault", "attribute"), [("stuck heater", "stuck_heater"), ("dead heater", "dead_heater"), ("pump stopped", "stopped_pump")]
+    ("fault", "attribute"),
+    [
+        ("stuck heater", "stuck_heater"),
+        ("dead heater", "dead_heater"),
+        ("pump stopped", "stopped_pump"),
+    ],
 )
 def test_faults_of_the_plant(stand: Stand, fault: str, attribute: str) -> None:
     stand.emulator.fault(fault)
@@ -181,7 +214,9 @@ def test_an_independent_client_reads_and_writes(stand: Stand) -> None:
     with ModbusTcpClient("127.0.0.1", port=stand.listener.port, timeout=5, retries=0) as client:
 
         def number(registers: list[int]) -> object:
-            return client.convert_from_registers(registers, client.DATATYPE.FLOAT32, word_order="big")
+            return client.convert_from_registers(
+                registers, client.DATATYPE.FLOAT32, word_order="big"
+            )
 
         assert number(client.read_input_registers(10, count=2).registers) == 20.0
         registers = client.convert_to_registers(33.5, client.DATATYPE.FLOAT32, word_order="big")
@@ -225,10 +260,12 @@ def answers_to(pieces: list[bytes]) -> bytes:
 
 # fmt: off - a message a line
 STREAM = bytes.fromhex(
-    "0001 0000 0006 01 04 000A 00020002 0000 0006 01 03 005A 00010003 0000 000B 01 10 0002 0002 04 4204 00000004 0000 0006 01 03 0002 0002"
+    "0001 0000 0006 01 04 000A 00020002 0000 0006 01 03 005A 00010003 0000 000B 01 10 0002 0002 04"
+    " 4204 00000004 0000 0006 01 03 0002 0002"
 )
 SAID = bytes.fromhex(
-    "0001 0000 0007 01 04 04 41A0 00000002 0000 0005 01 03 02 00000003 0000 0006 01 10 0002 00020004 0000 0007 01 03 04 4204 0000"
+    "0001 0000 0007 01 04 04 41A0 00000002 0000 0005 01 03 02 00000003 0000 0006 01 10 0002"
+    " 00020004 0000 0007 01 03 04 4204 0000"
 )
 # fmt: on
 

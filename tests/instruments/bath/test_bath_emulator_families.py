@@ -1,4 +1,6 @@
-"""Each family's ways on the wire, by bytes typed from the fact sheet (section 1): addresses, areas, codes, refusals, silence."""
+"""Each family's ways on the wire, by bytes typed from the fact sheet (section 1): addresses, areas,
+codes, refusals, silence.
+"""
 
 from __future__ import annotations
 
@@ -73,7 +75,8 @@ def test_eurotherm_status_word(profile: str) -> None:
     controller.clock.sleep(1.0)
     assert controller.word(75) & 0x0020 == 0x0020  # bit 5
     assert controller.float(0x8002) == 20.0  # undocumented, and so the worst: the last value
-    assert int(controller.ask("07")[3:], 16) & 0x20 == 0x20  # the fast status byte is the lower half
+    # the fast status byte is the lower half
+    assert int(controller.ask("07")[3:], 16) & 0x20 == 0x20
 
 
 @pytest.mark.parametrize("profile", EUROTHERMS)
@@ -115,10 +118,13 @@ def test_eurotherm_ramp_output_limit_and_rate(profile: str) -> None:
     controller.clock.sleep(30.0)
     assert controller.float(0x8008) == pytest.approx(40.0)  # parameter 4
     if profile == "eurotherm-3200":
-        assert controller.float(0x80CE) == pytest.approx(0.4 * 1.8, abs=0.3)  # parameter 103: 40 % of 1.8 K/min
+        # parameter 103: 40 % of 1.8 K/min
+        assert controller.float(0x80CE) == pytest.approx(0.4 * 1.8, abs=0.3)
 
 
-@pytest.mark.parametrize(("profile", "model"), [("eurotherm-2400", 0x2416), ("eurotherm-3200", 0x3216)])
+@pytest.mark.parametrize(
+    ("profile", "model"), [("eurotherm-2400", 0x2416), ("eurotherm-3200", 0x3216)]
+)
 def test_eurotherm_says_which_it_is(profile: str, model: int) -> None:
     assert Asked(profile).word(122) == model
 
@@ -126,13 +132,20 @@ def test_eurotherm_says_which_it_is(profile: str, model: int) -> None:
 # ---- Watlow: 1.3
 
 
-@pytest.mark.parametrize(("profile", "set_point", "mode", "power"), [(WATLOWS[0], 2160, 1880, 1904), (WATLOWS[1], 2640, 2360, 2384)])
+@pytest.mark.parametrize(
+    ("profile", "set_point", "mode", "power"),
+    [(WATLOWS[0], 2160, 1880, 1904), (WATLOWS[1], 2640, 2360, 2384)],
+)
 def test_watlow_maps(profile: str, set_point: int, mode: int, power: int) -> None:
     controller = Asked(profile)
-    assert controller.ask("03 0168 0002") == "03 04 00 00 41 A0"  # 360: 20.0 with the low word first
+    # 360: 20.0 with the low word first
+    assert controller.ask("03 0168 0002") == "03 04 00 00 41 A0"
     assert controller.ask("04 0168 0002") == "04 04 00 00 41 A0"
     assert controller.word(mode) == 62  # off
-    assert controller.ask(f"10 {set_point:04X} 0002 04 0000 4204") == f"10 {set_point >> 8:02X} {set_point & 255:02X} 00 02"
+    assert (
+        controller.ask(f"10 {set_point:04X} 0002 04 0000 4204")
+        == f"10 {set_point >> 8:02X} {set_point & 255:02X} 00 02"
+    )
     assert controller.ask(f"06 {mode:04X} 000A")[-5:] == "00 0A"
     assert controller.plant.running
     assert controller.plant.set_point_c == 33.0

@@ -1,4 +1,6 @@
-"""RTU as the emulator hears and speaks it: golden frames, bytes cut anywhere, broken frames, silence on the line."""
+"""RTU as the emulator hears and speaks it: golden frames, bytes cut anywhere, broken frames,
+silence on the line.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,13 @@ from instruments.listener import Connection, Listener
 from instruments.world.plant import Plant, PlantConstants
 
 # From the serial-line guide (status query to unit 2) and Modbus primers that many a maker prints.
-GOLDEN = ["02 07 41 12", "01 04 02 FF FF B8 80", "11 03 00 6B 00 03 76 87", "11 06 00 01 00 03 9A 9B", "11 05 00 AC FF 00 4E 8B"]
+GOLDEN = [
+    "02 07 41 12",
+    "01 04 02 FF FF B8 80",
+    "11 03 00 6B 00 03 76 87",
+    "11 06 00 01 00 03 9A 9B",
+    "11 05 00 AC FF 00 4E 8B",
+]
 
 
 @pytest.mark.parametrize("frame", GOLDEN)
@@ -68,7 +76,10 @@ def test_each_request_ends_where_it_ends(request_: bytes) -> None:
     assert frames([request_, REQUESTS[0][:3]]) == [request_]
 
 
-@given(order=st.lists(st.sampled_from(REQUESTS[:-1]), min_size=1, max_size=4), cuts=st.lists(st.integers(0, 60)))
+@given(
+    order=st.lists(st.sampled_from(REQUESTS[:-1]), min_size=1, max_size=4),
+    cuts=st.lists(st.integers(0, 60)),
+)
 def test_bytes_may_be_cut_anywhere(order: list[bytes], cuts: list[int]) -> None:
     stream = b"".join(order)
     edges = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
@@ -116,7 +127,9 @@ class Wired:
     def __init__(self) -> None:
         self.clock = VirtualClock()
         self.plant = Plant(1, constants=PlantConstants(sensor_noise_k=0.0))
-        self.emulator = BathEmulator(self.plant, load_profile("julabo-presto"), self.clock, unit_id=1, framing="rtu")
+        self.emulator = BathEmulator(
+            self.plant, load_profile("julabo-presto"), self.clock, unit_id=1, framing="rtu"
+        )
         self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="bath")
         self.link = Link(self.listener.url, self.clock, who="test")
 

@@ -1,4 +1,6 @@
-"""JULABO's ways on the wire, by bytes typed from the fact sheet (section 1.2), and what holds for all families."""
+"""JULABO's ways on the wire, by bytes typed from the fact sheet (section 1.2), and what holds for
+all families.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,10 @@ from tests.instruments.bath.asked import EUROTHERMS, OMEGA, WATLOWS, Asked, requ
 @pytest.mark.parametrize("profile", ["julabo-magio", "julabo-presto"])
 def test_julabo_exchanges_registers(profile: str) -> None:
     controller = Asked(profile)
-    assert controller.ask("17 0000 0004 0000 0004 08 0001 0000 4204 0000") == "17 08 00 01 00 00 42 04 00 00"
+    assert (
+        controller.ask("17 0000 0004 0000 0004 08 0001 0000 4204 0000")
+        == "17 08 00 01 00 00 42 04 00 00"
+    )
     assert controller.plant.running
     assert controller.ask("17 0000 0004 0000 0001 02 0007") == "97 03"
     assert controller.ask("03 0003 0001") == "03 02 00 00"
@@ -38,11 +43,16 @@ def test_julabo_heats_with_a_power_of_its_own_when_that_is_digital() -> None:
 
 @pytest.mark.parametrize("code", range(4))
 def test_julabo_turns_every_register_but_the_one_that_tells_the_order(code: int) -> None:
-    """20.0 is 41A0 0000: no swap, little, big swapped, little swapped, as section 1.2 numbers them."""
+    """20.0 is 41A0 0000: no swap, little, big swapped, little
+    swapped, as section 1.2 numbers them.
+    """
     controller = Asked("julabo-presto")
     controller.ask(f"06 005D {code:04X}")
     assert controller.word(93) == code
-    assert controller.ask("04 000A 0002") == "04 04 " + ["41 A0 00 00", "00 00 A0 41", "A0 41 00 00", "00 00 41 A0"][code]
+    assert (
+        controller.ask("04 000A 0002")
+        == "04 04 " + ["41 A0 00 00", "00 00 A0 41", "A0 41 00 00", "00 00 41 A0"][code]
+    )
 
 
 def test_julabo_forgets_the_start_command_in_a_reset() -> None:
@@ -58,9 +68,17 @@ def test_julabo_forgets_the_start_command_in_a_reset() -> None:
 
 
 @pytest.mark.parametrize(
-    ("profile", "place", "code"), [("eurotherm-3200", 273, 1), (WATLOWS[0], 1880, 54), (WATLOWS[1], 2362, 54), (OMEGA, 0x1005, 2)]
+    ("profile", "place", "code"),
+    [
+        ("eurotherm-3200", 273, 1),
+        (WATLOWS[0], 1880, 54),
+        (WATLOWS[1], 2362, 54),
+        (OMEGA, 0x1005, 2),
+    ],
 )
-def test_a_controller_switched_to_manual_holds_its_output(profile: str, place: int, code: int) -> None:
+def test_a_controller_switched_to_manual_holds_its_output(
+    profile: str, place: int, code: int
+) -> None:
     controller = Asked(profile)
     controller.plant.run(33.0)
     controller.clock.sleep(60.0)
@@ -79,7 +97,10 @@ def test_a_controller_switched_to_manual_holds_its_output(profile: str, place: i
 
 @pytest.mark.parametrize("profile", ["julabo-presto", *EUROTHERMS, *WATLOWS, OMEGA])
 @settings(max_examples=60)
-@given(pdu=st.binary(min_size=1, max_size=40) | st.builds(request_of, st.integers(1, 24), st.integers(0, 0xFFFF), st.integers(0, 260)))
+@given(
+    pdu=st.binary(min_size=1, max_size=40)
+    | st.builds(request_of, st.integers(1, 24), st.integers(0, 0xFFFF), st.integers(0, 260))
+)
 def test_any_request_gets_one_whole_answer_or_none(profile: str, pdu: bytes) -> None:
     answer = bytes.fromhex(Asked(profile).ask(pdu.hex()))  # `ask` looks at unit and check sum
     assert not answer or answer[0] & 0x7F == pdu[0] & 0x7F
@@ -98,7 +119,12 @@ def test_every_register_pair_of_a_reading_is_whole() -> None:
 
 
 @pytest.mark.parametrize(
-    ("profile", "turns"), [("julabo-presto", True), ("julabo-magio", True), *((name, False) for name in (*EUROTHERMS, *WATLOWS, OMEGA))]
+    ("profile", "turns"),
+    [
+        ("julabo-presto", True),
+        ("julabo-magio", True),
+        *((name, False) for name in (*EUROTHERMS, *WATLOWS, OMEGA)),
+    ],
 )
 def test_only_a_circulator_turns_a_pump(profile: str, turns: bool) -> None:
     plant = Asked(profile).plant

@@ -1,4 +1,6 @@
-"""Rules that hold for every shipped family, each seen through driver and emulator: who is refused, and what is never written."""
+"""Rules that hold for every shipped family, each seen through driver and emulator: who is refused,
+and what is never written.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +26,12 @@ ALIKE = {  # nothing that may be read for certain tells them apart
 
 
 @contextmanager
-def met(name: str, other: str | None = None, *, fault: str = "", warm: bool = True) -> Iterator[tuple[Watched, str, Profile, VirtualClock]]:
-    """A controller of the family ``other`` (its own by default), and the profile ``name`` to meet it with, over TCP."""
+def met(
+    name: str, other: str | None = None, *, fault: str = "", warm: bool = True
+) -> Iterator[tuple[Watched, str, Profile, VirtualClock]]:
+    """A controller of the family ``other`` (its own by default), and the profile ``name`` to meet
+    it with, over TCP.
+    """
     clock, plant = VirtualClock(), Plant(1, constants=PlantConstants(sensor_noise_k=0.0))
     served = load_profile(other or name).model_copy(update=BOTH)
     emulator = Watched(plant, served, clock)
@@ -34,7 +40,12 @@ def met(name: str, other: str | None = None, *, fault: str = "", warm: bool = Tr
     if fault:
         emulator.fault(fault)
     with closing(Listener(emulator, clock, lock=threading.RLock(), name="bath")) as listener:
-        yield emulator, f"tcp://127.0.0.1:{listener.port}", load_profile(name).model_copy(update=BOTH), clock
+        yield (
+            emulator,
+            f"tcp://127.0.0.1:{listener.port}",
+            load_profile(name).model_copy(update=BOTH),
+            clock,
+        )
 
 
 # ---- evidence
@@ -48,32 +59,63 @@ def test_no_inferred_row_is_written_or_polled_unless_the_rig_says_so(name: str) 
         for row in profile.rows:
             if row.evidence != "INFERRED" or row.access == "r":
                 continue
-            value = float(next(iter(row.values.values()))) if row.values else row.range[0] if row.range else 0.0
-            with pytest.raises(LimitError, match=f"not written: the profile only infers where {row.name} is"):
+            value = (
+                float(next(iter(row.values.values())))
+                if row.values
+                else row.range[0]
+                if row.range
+                else 0.0
+            )
+            with pytest.raises(
+                LimitError, match=f"not written: the profile only infers where {row.name} is"
+            ):
                 bath.set(row.name, value)
         bath.read()
         inferred = {row.address for row in profile.rows if row.evidence == "INFERRED"}
-        certain = {address for row in profile.rows if row.evidence != "INFERRED" for address in range(row.address, row.end)}
+        certain = {
+            address
+            for row in profile.rows
+            if row.evidence != "INFERRED"
+            for address in range(row.address, row.end)
+        }
         assert emulator.writes() == []
         assert not {address for _, _, address in emulator.asked} & (inferred - certain)
 
 
 @pytest.mark.parametrize(
-    "name", [name for name in NAMES if any(r.evidence == "INFERRED" and r.access != "r" for r in load_profile(name).rows)]
+    "name",
+    [
+        name
+        for name in NAMES
+        if any(r.evidence == "INFERRED" and r.access != "r" for r in load_profile(name).rows)
+    ],
 )
 def test_an_inferred_row_is_written_where_the_rig_says_so(name: str) -> None:
-    with met(name) as (emulator, url, profile, clock), closing(Bath(url, profile, clock, allow_inferred=True)) as bath:
+    with (
+        met(name) as (emulator, url, profile, clock),
+        closing(Bath(url, profile, clock, allow_inferred=True)) as bath,
+    ):
         for row in profile.rows:
             if row.evidence == "INFERRED" and row.access != "r" and row.values:
                 bath.set(row.name, float(max(row.values.values())))
-            elif row.evidence == "INFERRED" and row.access != "r" and row.range and row.range[1] < 1e6:
+            elif (
+                row.evidence == "INFERRED"
+                and row.access != "r"
+                and row.range
+                and row.range[1] < 1e6
+            ):
                 bath.set(row.name, float(round(min(row.range[1], 30.0))))
         assert emulator.writes()
 
 
 def test_which_families_have_inferred_rows_that_could_be_written() -> None:
     """So that the two tests above are known to have looked at something."""
-    inferred = {name: [r.name for r in load_profile(name).rows if r.evidence == "INFERRED" and r.access != "r"] for name in NAMES}
+    inferred = {
+        name: [
+            r.name for r in load_profile(name).rows if r.evidence == "INFERRED" and r.access != "r"
+        ]
+        for name in NAMES
+    }
     assert {name for name, rows in inferred.items() if rows} == WITH_DOUBT
 
 
@@ -82,7 +124,9 @@ def test_which_families_have_inferred_rows_that_could_be_written() -> None:
 
 @pytest.mark.parametrize("other", NAMES)
 @pytest.mark.parametrize("name", NAMES)
-def test_a_controller_of_another_family_is_refused_before_the_first_write(name: str, other: str) -> None:
+def test_a_controller_of_another_family_is_refused_before_the_first_write(
+    name: str, other: str
+) -> None:
     with met(name, other) as (emulator, url, profile, clock):
         if name == other or (name, other) in ALIKE:
             with closing(Bath(url, profile, clock)) as bath:
@@ -135,7 +179,11 @@ def test_a_port_that_drops_comes_back(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_controller_in_fahrenheit_is_refused(name: str) -> None:
     with met(name, fault="fahrenheit") as (emulator, url, profile, clock):
-        error, what = (DeviceError, "does not speak degC") if profile.find("unit") else (ProtocolError, "In degF it would be 20")
+        error, what = (
+            (DeviceError, "does not speak degC")
+            if profile.find("unit")
+            else (ProtocolError, "In degF it would be 20")
+        )
         with pytest.raises(error, match=what):
             Bath(url, profile, clock)
         assert emulator.writes() == []
@@ -145,7 +193,12 @@ def test_a_controller_in_fahrenheit_is_refused(name: str) -> None:
 def test_a_unit_changed_behind_our_back_is_noticed_and_nothing_written(name: str) -> None:
     with met(name) as (emulator, url, profile, clock), closing(Bath(url, profile, clock)) as bath:
         emulator.fault("fahrenheit")
-        for call in (bath.read, lambda: bath.get("set_point"), lambda: bath.set_point(33.0), lambda: bath.start(33.0)):
+        for call in (
+            bath.read,
+            lambda: bath.get("set_point"),
+            lambda: bath.set_point(33.0),
+            lambda: bath.start(33.0),
+        ):
             with pytest.raises(InstrumentError, match=r"degC|degF"):
                 call()
         assert emulator.writes() == []
@@ -171,7 +224,13 @@ def test_words_the_other_way_round_are_refused_or_learnt(name: str) -> None:
                 assert bath.identity["order"] == "CDAB"
         else:
             turned = "ABCD" if profile.order == "CDAB" else "CDAB"
-            with pytest.raises(ProtocolError, match=rf"can't be: not within -5 to 60 degC.*In the order {turned} it would be 20\.0 degC"):
+            with pytest.raises(
+                ProtocolError,
+                match=(
+                    rf"can't be: not within -5 to 60 degC.*In the order {turned} it would be 20\.0"
+                    r" degC"
+                ),
+            ):
                 Bath(url, profile, clock)
         assert emulator.writes() == []
 

@@ -18,12 +18,18 @@ from tests.instruments.bath.moving import SCHEMES, Cable, MovingClock
 def connected(name: str, clock: VirtualClock) -> tuple[Cable, Listener, Bath]:
     emulator = Cable(Plant(1, constants=PlantConstants(sensor_noise_k=0.0)), name, clock)
     listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
-    return emulator, listener, Bath(f"{SCHEMES[emulator.framing]}://127.0.0.1:{listener.port}", emulator.profile, clock)
+    return (
+        emulator,
+        listener,
+        Bath(f"{SCHEMES[emulator.framing]}://127.0.0.1:{listener.port}", emulator.profile, clock),
+    )
 
 
 @pytest.mark.parametrize("start_s", [26.60000000000002, 28.600000000000012, 62.300000000000054])
 def test_a_late_answer_stops_no_clock_whatever_the_rounding(start_s: float) -> None:
-    """Times that the rule machine found: a deadline and a late answer, one step of rounding apart."""
+    """Times that the rule machine found: a deadline and a late
+    answer, one step of rounding apart.
+    """
     clock = MovingClock()
     emulator, listener, bath = connected("julabo-presto", clock)
     with closing(listener), closing(bath):
@@ -39,7 +45,9 @@ def test_a_late_answer_stops_no_clock_whatever_the_rounding(start_s: float) -> N
 @pytest.mark.parametrize("name", ["watlow-pm-map1", "watlow-pm-map2"])
 @pytest.mark.parametrize("temp_c", [20.01, 20.03, 25.07, 33.03])
 def test_words_turned_behind_our_back_are_never_a_value(name: str, temp_c: float) -> None:
-    """20.03 degC with its words the other way round is 0.06 degC, which a bath may have; the set point tells."""
+    """20.03 degC with its words the other way round is 0.06 degC, which a bath may have; the set
+    point tells.
+    """
     clock = MovingClock()
     emulator, listener, bath = connected(name, clock)
     with closing(listener), closing(bath):

@@ -1,4 +1,6 @@
-"""Profiles: what ships, what is refused and with which words, and numbers against bytes typed from the documents."""
+"""Profiles: what ships, what is refused and with which words, and numbers against bytes typed from
+the documents.
+"""
 
 from __future__ import annotations
 
@@ -89,7 +91,9 @@ def test_every_shipped_profile_loads() -> None:
         ("cut_out", "input", 20, "f32", "r"),
     ],
 )
-def test_the_presto_is_as_its_manual_says(name: str, table: str, address: int, kind: str, access: str) -> None:
+def test_the_presto_is_as_its_manual_says(
+    name: str, table: str, address: int, kind: str, access: str
+) -> None:
     row = load_profile("julabo-presto").row(name)
     assert (row.table, row.address, row.type, row.access) == (table, address, kind, access)
     assert row.evidence == "CERTAIN"
@@ -113,34 +117,75 @@ def test_the_small_profile_is_whole(tmp_path: Path) -> None:
     [
         ("address = 2\n", "address = 1\n", "", ""),  # 1-2 leaves 0 free: no fault
         ("address = 2\n", "address = 65535\n", "rows.1", "leaves no room for 2 registers"),
-        ("values = { standby = 0, started = 1 }", "values = { off = 0, on = 1 }", "rows.2.values", "'standby' and 'started'"),
-        ("values = { standby = 0, started = 1 }", "values = { standby = 1, started = 1 }", "rows.2", "mean the same code"),
-        ("values = { standby = 0, started = 1 }", "values = { standby = 0, started = 70000 }", "rows.2", "does not fit into u16"),
+        (
+            "values = { standby = 0, started = 1 }",
+            "values = { off = 0, on = 1 }",
+            "rows.2.values",
+            "'standby' and 'started'",
+        ),
+        (
+            "values = { standby = 0, started = 1 }",
+            "values = { standby = 1, started = 1 }",
+            "rows.2",
+            "mean the same code",
+        ),
+        (
+            "values = { standby = 0, started = 1 }",
+            "values = { standby = 0, started = 70000 }",
+            "rows.2",
+            "does not fit into u16",
+        ),
         ("range = [5.0, 36.0]\n", "", "rows.1", "needs 'values' or 'range'"),
         ("range = [5.0, 36.0]", "range = [36.0, 5.0]", "rows.1", "is empty"),
         ("range = [5.0, 36.0]", 'range = ["5.0", 36.0]', "rows.1.range.0", "valid number"),
-        ('table = "holding"\naddress = 2', 'table = "input"\naddress = 2', "rows.1", "can't be written"),
+        (
+            'table = "holding"\naddress = 2',
+            'table = "input"\naddress = 2',
+            "rows.1",
+            "can't be written",
+        ),
         ('type = "u16"', 'type = "bit"', "rows.2", "type bit does not go into table holding"),
         ('type = "u16"', 'type = "u8"', "rows.2.type", "Input should be 'u16'"),
         ('name = "run"', 'name = "go"', "rows", "the row 'run' is missing"),
         ('name = "run"', 'name = "set_point"', "rows.2.name", "a second row 'set_point'"),
         ('family = "SMALL"', 'familly = "SMALL"', "familly", "Extra inputs are not permitted"),
-        ('evidence = "CERTAIN"\n[[rows]]\nname = "run"', '[[rows]]\nname = "run"', "rows.1.evidence", "Field required"),
-        ('comms_loss = "unknown"', 'comms_loss = "unknown"\norder_from = { row = "run", codes = {} }', "order_from.row", "of its own"),
-        ('comms_loss = "unknown"', 'comms_loss = "unknown"\nbefore_start = { run = "up" }', "before_start.run", "with the value 'up'"),
+        (
+            'evidence = "CERTAIN"\n[[rows]]\nname = "run"',
+            '[[rows]]\nname = "run"',
+            "rows.1.evidence",
+            "Field required",
+        ),
+        (
+            'comms_loss = "unknown"',
+            'comms_loss = "unknown"\norder_from = { row = "run", codes = {} }',
+            "order_from.row",
+            "of its own",
+        ),
+        (
+            'comms_loss = "unknown"',
+            'comms_loss = "unknown"\nbefore_start = { run = "up" }',
+            "before_start.run",
+            "with the value 'up'",
+        ),
     ],
 )
-def test_a_fault_is_told_with_its_place(tmp_path: Path, old: str, new: str, key: str, message: str) -> None:
+def test_a_fault_is_told_with_its_place(
+    tmp_path: Path, old: str, new: str, key: str, message: str
+) -> None:
     assert SMALL.count(old) >= 1
     text = SMALL.replace(old, new, 1)
     if not message:
         assert load_profile(written(tmp_path, text))
         return
-    assert any(place == key and message in said for place, said in faults_of(tmp_path, text)), faults_of(tmp_path, text)
+    assert any(place == key and message in said for place, said in faults_of(tmp_path, text)), (
+        faults_of(tmp_path, text)
+    )
 
 
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
-    text = SMALL.replace("values = { standby = 0, started = 1 }", "values = { off = 0 }").replace("range = [5.0, 36.0]\n", "")
+    text = SMALL.replace("values = { standby = 0, started = 1 }", "values = { off = 0 }").replace(
+        "range = [5.0, 36.0]\n", ""
+    )
     assert {place for place, _ in faults_of(tmp_path, text)} == {"rows.1", "rows.2.values"}
 
 
@@ -160,7 +205,9 @@ type = "u16"
 evidence = "FIELD"
 """
     faults = faults_of(tmp_path, SMALL + extra)
-    assert faults == (("rows.4.address", "under_the_set_point at holding 3 overlaps set_point at 2"),)
+    assert faults == (
+        ("rows.4.address", "under_the_set_point at holding 3 overlaps set_point at 2"),
+    )
 
 
 def test_a_file_that_is_missing_or_no_toml_says_so(tmp_path: Path) -> None:
@@ -192,7 +239,8 @@ def test_alarm_codes_are_told_with_their_doubt() -> None:
     assert "manual" in profile.alarm_text(77)
 
 
-# Eurotherm's handbook gives 1.001 as 3F80 20C5; Watlow's pages give 75.0, low word first, as 0000 4296.
+# Eurotherm's handbook gives 1.001 as 3F80 20C5; Watlow's pages give 75.0, low word first, as 0000
+# 4296.
 @pytest.mark.parametrize(
     ("registers", "kind", "order", "value"),
     [
@@ -217,7 +265,11 @@ def test_floats_come_back(value: float, order: Order) -> None:
     assert decode(encode(value, "f32", order), "f32", order) == value
 
 
-@given(value=st.integers(-0x8000, 0xFFFFFFFF), kind=st.sampled_from(["u16", "i16", "u32"]), order=st.sampled_from(ORDERS))
+@given(
+    value=st.integers(-0x8000, 0xFFFFFFFF),
+    kind=st.sampled_from(["u16", "i16", "u32"]),
+    order=st.sampled_from(ORDERS),
+)
 def test_whole_numbers_come_back_or_are_refused(value: int, kind: Kind, order: Order) -> None:
     low, high = {"u16": (0, 0xFFFF), "i16": (-0x8000, 0x7FFF), "u32": (0, 0xFFFFFFFF)}[kind]
     if low <= value <= high:

@@ -1,4 +1,6 @@
-"""The shipped families against the fact sheet: where each quantity is, and the bytes that go over the wire, typed from it."""
+"""The shipped families against the fact sheet: where each quantity is, and the bytes that go over
+the wire, typed from it.
+"""
 
 from __future__ import annotations
 
@@ -87,7 +89,16 @@ def test_the_magio_is_as_its_pages_say() -> None:
     told(profile, MAGIO, "holding")
     assert profile.find("encoding") is None
     assert profile.find("flow_set_point") is None
-    inputs = {"firmware": 0, "remote": 5, "alarm": 6, "warning": 7, "temperature": 10, "external": 12, "power": 14, "safety": 16}
+    inputs = {
+        "firmware": 0,
+        "remote": 5,
+        "alarm": 6,
+        "warning": 7,
+        "temperature": 10,
+        "external": 12,
+        "power": 14,
+        "safety": 16,
+    }
     assert {name: profile.row(name).address for name in inputs} == inputs
     assert profile.row("cut_out").evidence == profile.row("pump_pressure").evidence == "INFERRED"
 
@@ -117,10 +128,21 @@ def told(profile: Profile, sheet: str, table: str) -> set[str]:
     ],
 )
 def test_each_familys_ways(
-    name: str, functions: tuple[int, ...], order: str, transports: tuple[str, ...], pump: str, comms_loss: str
+    name: str,
+    functions: tuple[int, ...],
+    order: str,
+    transports: tuple[str, ...],
+    pump: str,
+    comms_loss: str,
 ) -> None:
     profile = load_profile(name)
-    seen = (profile.functions, profile.order, profile.transports, profile.capabilities.pump, profile.comms_loss)
+    seen = (
+        profile.functions,
+        profile.order,
+        profile.transports,
+        profile.capabilities.pump,
+        profile.comms_loss,
+    )
     assert seen == (functions, order, transports, pump, comms_loss)
     assert profile.comms_loss_evidence == "INFERRED"
     fitted = profile.capabilities
@@ -142,11 +164,22 @@ def test_no_code_of_a_mode_that_may_do_harm_can_be_written() -> None:
 
 
 def test_a_polls_questions() -> None:
-    asked = {name: [(b.function, b.address, b.count) for b in blocks(load_profile(name), gaps=True)] for name in SHIPPED}
+    asked = {
+        name: [(b.function, b.address, b.count) for b in blocks(load_profile(name), gaps=True)]
+        for name in SHIPPED
+    }
     assert asked["eurotherm-3200"] == [(3, 75, 1), (3, 199, 1), (3, 516, 1), (3, 0x8002, 10)]
     assert asked["omega-cn7"] == [(2, 0x0814, 1), (3, 0x1000, 2), (3, 0x1012, 1)]
-    assert asked["watlow-pm-map1"] == [(3, 360, 2), (3, 1880, 1), (3, 1904, 2), (3, 2160, 2), (3, 2490, 1)]
-    with_inferred = [block.address for block in blocks(load_profile("watlow-pm-map1"), gaps=True, inferred=True)]
+    assert asked["watlow-pm-map1"] == [
+        (3, 360, 2),
+        (3, 1880, 1),
+        (3, 1904, 2),
+        (3, 2160, 2),
+        (3, 2490, 1),
+    ]
+    with_inferred = [
+        block.address for block in blocks(load_profile("watlow-pm-map1"), gaps=True, inferred=True)
+    ]
     assert with_inferred == [360, 1496, 1880, 1904, 2160, 2490]
 
 
@@ -178,7 +211,11 @@ def asked_by(name: str, row: str, answer: str) -> tuple[bytes, float]:
 EUROTHERM_MEMORY = {122: 0x2416, 199: 1, 0x8002: 0x41A0, 0x8004: 0x41A0}  # all else 0
 WATLOW_MEMORY = {360: 0, 361: 0x41A0, 1880: 62, 2490: 15, 2160: 0, 2161: 0x41A0}
 OMEGA_MEMORY = {0x1000: 200, 0x1001: 200, 0x1005: 0, 0x0814: 0}
-BROWSED = {"eurotherm-2400": EUROTHERM_MEMORY, "watlow-pm-map1": WATLOW_MEMORY, "omega-cn7": OMEGA_MEMORY}
+BROWSED = {
+    "eurotherm-2400": EUROTHERM_MEMORY,
+    "watlow-pm-map1": WATLOW_MEMORY,
+    "omega-cn7": OMEGA_MEMORY,
+}
 
 
 @pytest.mark.parametrize(
@@ -196,7 +233,9 @@ BROWSED = {"eurotherm-2400": EUROTHERM_MEMORY, "watlow-pm-map1": WATLOW_MEMORY, 
         ("omega-cn7", "run", "02 0814 0001", "01 02 01 01", 1.0),
     ],
 )
-def test_questions_and_answers_by_the_byte(name: str, row: str, question: str, answer: str, value: float) -> None:
+def test_questions_and_answers_by_the_byte(
+    name: str, row: str, question: str, answer: str, value: float
+) -> None:
     asked, seen = asked_by(name, row, answer)
     assert asked == bytes.fromhex(question)
     assert seen == pytest.approx(value, rel=1e-7)
@@ -227,7 +266,8 @@ def test_writes_by_the_byte(name: str, row: str, value: float | str, written: st
         bath.close()
     writes = [pdu for pdu in far_end.asked if pdu[0] in (5, 6, 16)]
     assert writes[0] == bytes.fromhex(written)
-    assert len(writes) == (3 if row == "acknowledge" else 2)  # once, and standby; a command every time
+    # once, and standby; a command every time
+    assert len(writes) == (3 if row == "acknowledge" else 2)
 
 
 def test_standby_by_the_byte_whatever_is_there() -> None:

@@ -20,7 +20,9 @@ def rig(tmp_path: Path) -> Path:
     shutil.copy(SHIPPED / "watlow-pm-map2.toml", tmp_path / "own.toml")
     text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
     path = tmp_path / "rig.toml"
-    path.write_text(text.replace('profile = "julabo-presto"', 'profile = "own.toml"'), encoding="utf-8")
+    path.write_text(
+        text.replace('profile = "julabo-presto"', 'profile = "own.toml"'), encoding="utf-8"
+    )
     return path
 
 
@@ -48,19 +50,33 @@ def test_a_profile_of_its_own(rig: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("address = 1882", "address = 1881", "alarm1_low at holding 1881 overlaps alarm1_high at 1880"),
+        (
+            "address = 1882",
+            "address = 1881",
+            "alarm1_low at holding 1881 overlaps alarm1_high at 1880",
+        ),
         ("address = 2362", "address = 2360", "run_active at holding 2360 overlaps run at 2360"),
         ('order = "CDAB"', 'order = "CDBA"', "CDBA"),
         ("address = 2640", "address = 70000", "less than or equal to 65535"),
-        ("address = 2640", "address = 65535", "set_point: address 65535 leaves no room for 2 registers"),
+        (
+            "address = 2640",
+            "address = 65535",
+            "set_point: address 65535 leaves no room for 2 registers",
+        ),
         ("range = [5.0, 36.0]", "range = [36.0, 5.0]", "is empty"),
         ('row = "device_status"', 'row = "divice_status"', "there is no row 'divice_status'"),
-        ('comms_loss = "hold"', 'comms_loss = "maybe"', "'hold', 'stop', 'safe_setpoint' or 'unknown'"),
+        (
+            'comms_loss = "hold"',
+            'comms_loss = "maybe"',
+            "'hold', 'stop', 'safe_setpoint' or 'unknown'",
+        ),
         ('pump = "none"', 'pump = "perhaps"', "'none', 'with run' or 'own'"),
         ('family = "', 'famly = "', "Extra inputs"),
     ],
 )
-def test_a_fault_of_the_profile_is_shown_in_its_line(rig: Path, old: str, new: str, message: str) -> None:
+def test_a_fault_of_the_profile_is_shown_in_its_line(
+    rig: Path, old: str, new: str, message: str
+) -> None:
     own = rig.with_name("own.toml")
     line = change(own, old, new)
     said = fault_of(rig)
@@ -73,7 +89,10 @@ def test_a_fault_of_the_profile_is_shown_in_its_line(rig: Path, old: str, new: s
 
 def test_two_rows_far_apart_in_the_file_that_overlap(rig: Path) -> None:
     own = rig.with_name("own.toml")
-    extra = '\n[[rows]]\nname = "mine"\ntable = "holding"\naddress = 361\ntype = "u16"\nevidence = "FIELD"\n'
+    extra = (
+        '\n[[rows]]\nname = "mine"\ntable = "holding"\naddress = 361\ntype = "u16"\nevidence ='
+        ' "FIELD"\n'
+    )
     own.write_text(own.read_text(encoding="utf-8") + extra, encoding="utf-8")
     assert "mine at holding 361 overlaps temperature at 360" in fault_of(rig)
 
@@ -88,7 +107,15 @@ def test_a_profile_that_is_not_there_or_no_toml(rig: Path) -> None:
     assert 'did you mean "eurotherm-3200"?' in fault_of(rig)
 
 
-@pytest.mark.parametrize("url", ["tcp://10.0.0.7:502", "rtu+tcp://moxa:4001?unit=3", "/dev/ttyUSB0?unit=3&baud=9600&parity=E", "COM5"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "tcp://10.0.0.7:502",
+        "rtu+tcp://moxa:4001?unit=3",
+        "/dev/ttyUSB0?unit=3&baud=9600&parity=E",
+        "COM5",
+    ],
+)
 def test_links_that_a_rig_may_name(rig: Path, url: str) -> None:
     change(rig, 'url = "emulator:"\nprofile', f'url = "{url}"\nprofile')
     assert "emulated and real instruments don't mix" in fault_of(rig)  # the URL itself is fine
@@ -97,7 +124,10 @@ def test_links_that_a_rig_may_name(rig: Path, url: str) -> None:
 @pytest.mark.parametrize(
     ("url", "message"),
     [
-        ("socket://moxa:4001", 'did you mean "rtu+tcp://"?; allowed: "emulator:", "tcp://host:port"'),
+        (
+            "socket://moxa:4001",
+            'did you mean "rtu+tcp://"?; allowed: "emulator:", "tcp://host:port"',
+        ),
         ("tcp://h:502?untit=1", 'did you mean "unit"?'),
         ("/dev/ttyUSB0?parity=even", "N (none), E (even) and O (odd)"),
     ],

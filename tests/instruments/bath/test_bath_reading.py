@@ -9,7 +9,8 @@ from instruments.bath.reading import BathReading, Poll
 from instruments.bath.registers import Order
 from instruments.errors import DeviceError, ProtocolError
 
-RUN = "0001 0000 4204 8000 | 0000 0000 0000 0000 | "  # started, controller in charge, set point 33.125; degC, first order
+# started, controller in charge, set point 33.125; degC, first order
+RUN = "0001 0000 4204 8000 | 0000 0000 0000 0000 | "
 RUN_APART = "0001 | 4204 8000 | 0000 | 0000 | "
 HEAD = "0004 0000 0002 0000 0000 "  # Modbus in charge, no alarm, warning 2, a gap
 
@@ -18,7 +19,9 @@ def read(registers: str, *, order: Order = "ABCD", gaps: bool = True) -> BathRea
     """The reading at 7 s; blocks are cut apart by ``|``."""
     poll = Poll(load_profile("julabo-presto"), order, gaps=gaps, who="bath")
     run = RUN if gaps else RUN_APART
-    return poll.reading(7.0, [[int(word, 16) for word in block.split()] for block in (run + registers).split("|")])
+    return poll.reading(
+        7.0, [[int(word, 16) for word in block.split()] for block in (run + registers).split("|")]
+    )
 
 
 def test_a_reading() -> None:
@@ -71,8 +74,14 @@ def test_what_no_bath_has_is_not_believed(registers: str) -> None:
     [
         (HEAD + "4204 0000  4204 0000  0065 0000  7FC0 0000", "its power can't be: .* got 101 %"),
         (HEAD + "4204 0000  4204 0000  FF9B 0000  7FC0 0000", "its power can't be: .* got -101 %"),
-        (HEAD + "4204 0000  4274 0000  0000 0000  7FC0 0000", "its external can't be: .* got 61 degC"),
-        ("0006" + HEAD[4:] + "4204 0000  4204 0000  0000 0000  7FC0 0000", "its remote can't be: .* got 6"),
+        (
+            HEAD + "4204 0000  4274 0000  0000 0000  7FC0 0000",
+            "its external can't be: .* got 61 degC",
+        ),
+        (
+            "0006" + HEAD[4:] + "4204 0000  4204 0000  0000 0000  7FC0 0000",
+            "its remote can't be: .* got 6",
+        ),
     ],
 )
 def test_every_value_has_to_be_one_that_a_bath_has(registers: str, what: str) -> None:

@@ -23,7 +23,9 @@ from instruments.world.plant import Plant
 def test_in_real_time_it_works_from_several_threads() -> None:
     before, clock = threading.active_count(), RealClock()
     profile, plant = load_profile("julabo-presto"), Plant(1)
-    listener = Listener(BathEmulator(plant, profile, clock), clock, lock=threading.RLock(), name="bath")
+    listener = Listener(
+        BathEmulator(plant, profile, clock), clock, lock=threading.RLock(), name="bath"
+    )
     bath = Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock)
     wrong: list[object] = []
 
@@ -64,7 +66,9 @@ def test_in_real_time_silence_takes_2_s() -> None:
 
 @pytest.fixture
 def ctrl_c() -> Iterator[None]:
-    """Ctrl-C raises KeyboardInterrupt, also where a shell has started us in the background, and so without it."""
+    """Ctrl-C raises KeyboardInterrupt, also where a shell has started us in the background, and so
+    without it.
+    """
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)

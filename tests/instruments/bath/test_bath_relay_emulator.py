@@ -1,4 +1,6 @@
-"""The emulated relay of a pump: bytes as public notes on such boards print them, the plant's pump behind, and what goes wrong."""
+"""The emulated relay of a pump: bytes as public notes on such boards print them, the plant's pump
+behind, and what goes wrong.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ class Asked:
     def __init__(self, framing: Framing) -> None:
         self.clock, self.plant, self.port = VirtualClock(), Plant(1), Deaf()
         self.plant.fit(circulator=False)
-        self.relay = RelayEmulator(self.plant, load_relay("modbus-relay"), self.clock, framing=framing)
+        self.relay = RelayEmulator(
+            self.plant, load_relay("modbus-relay"), self.clock, framing=framing
+        )
         self.host = Connection(self.port, self.clock, threading.RLock())  # type: ignore[arg-type]
         self.relay.connect(self.host)
 
@@ -58,8 +62,15 @@ class Asked:
 def test_one_ships() -> None:
     assert relay_names() == ["modbus-relay"]
     profile = load_relay("modbus-relay")
-    assert [(row.name, row.table, row.address, row.evidence) for row in profile.rows] == [("pump", "coil", 0, "FIELD")]
-    assert (profile.functions, profile.baud, profile.parity, profile.transports) == ((1, 5), 9600, "N", ("rtu", "tcp"))
+    assert [(row.name, row.table, row.address, row.evidence) for row in profile.rows] == [
+        ("pump", "coil", 0, "FIELD")
+    ]
+    assert (profile.functions, profile.baud, profile.parity, profile.transports) == (
+        (1, 5),
+        9600,
+        "N",
+        ("rtu", "tcp"),
+    )
 
 
 def test_bytes_as_they_are_printed_for_such_boards() -> None:
@@ -77,8 +88,12 @@ def test_bytes_as_they_are_printed_for_such_boards() -> None:
 
 def test_the_same_over_tcp() -> None:
     board = Asked("tcp")
-    assert board.ask(bytes.fromhex("0001 0000 0006 01 05 0000 FF00")) == bytes.fromhex("0001 0000 0006 01 05 0000 FF00")
-    assert board.ask(bytes.fromhex("0002 0000 0006 01 01 0000 0001")) == bytes.fromhex("0002 0000 0004 01 01 01 01")
+    assert board.ask(bytes.fromhex("0001 0000 0006 01 05 0000 FF00")) == bytes.fromhex(
+        "0001 0000 0006 01 05 0000 FF00"
+    )
+    assert board.ask(bytes.fromhex("0002 0000 0006 01 01 0000 0001")) == bytes.fromhex(
+        "0002 0000 0004 01 01 01 01"
+    )
 
 
 @pytest.mark.parametrize(
@@ -101,9 +116,15 @@ def test_what_it_does_not_do(question: str, answer: str) -> None:
 
 
 @contextmanager
-def bath_and_relay(family: str, framing: Framing) -> Iterator[tuple[Bath, BathEmulator, RelayEmulator, VirtualClock]]:
+def bath_and_relay(
+    family: str, framing: Framing
+) -> Iterator[tuple[Bath, BathEmulator, RelayEmulator, VirtualClock]]:
     clock, lock = VirtualClock(), threading.RLock()
-    plant, profile, board = Plant(1, constants=PlantConstants(sensor_noise_k=0.0)), load_profile(family), load_relay("modbus-relay")
+    plant, profile, board = (
+        Plant(1, constants=PlantConstants(sensor_noise_k=0.0)),
+        load_profile(family),
+        load_relay("modbus-relay"),
+    )
     emulator = BathEmulator(plant, profile, clock)
     relay = RelayEmulator(plant, board, clock, framing=framing)
     with (
@@ -152,7 +173,9 @@ WIRED: list[tuple[str, Framing]] = [
 
 
 @pytest.mark.parametrize(("fault", "framing"), WIRED)
-def test_whatever_is_wrong_with_its_wire_no_wrong_state_is_told(fault: str, framing: Framing) -> None:
+def test_whatever_is_wrong_with_its_wire_no_wrong_state_is_told(
+    fault: str, framing: Framing
+) -> None:
     with bath_and_relay("eurotherm-3200", framing) as (bath, emulator, relay, clock):
         for label in ("on", "off", "on"):
             relay.fault(fault)
@@ -189,7 +212,9 @@ def test_a_power_cut_opens_the_contact_and_is_told(framing: Framing) -> None:
 
 def test_faults_that_it_can_not_have_are_refused() -> None:
     board = Asked("tcp")
-    with pytest.raises(ValueError, match="the pump's relay speaks Modbus TCP, which has no check sum"):
+    with pytest.raises(
+        ValueError, match="the pump's relay speaks Modbus TCP, which has no check sum"
+    ):
         board.relay.fault("bad CRC")
     with pytest.raises(ValueError, match="no fault 'low level'; there are silence"):
         board.relay.fault("low level")

@@ -1,6 +1,8 @@
-"""Standby from an event of virtual time, in the midst of another call on the same link: it goes out, and it has the last word.
+"""Standby from an event of virtual time, in the midst of another call on the same link: it goes
+out, and it has the last word.
 
-Interlocks do that: their watch is planned on the clock, and the clock moves while a driver waits for an answer.
+Interlocks do that: their watch is planned on the clock, and the clock moves while a driver waits
+for an answer.
 """
 
 from __future__ import annotations
@@ -34,14 +36,18 @@ def stand_of(family: str) -> Stand:
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("call", CALLS)
 @pytest.mark.parametrize("after_s", [0.05, 0.3, 0.9, 1.4, 2.6])
-def test_standby_within_another_call_while_nobody_answers(family: str, call: str, after_s: float) -> None:
+def test_standby_within_another_call_while_nobody_answers(
+    family: str, call: str, after_s: float
+) -> None:
     """The first attempts fail and close the session that the outer call waits on."""
     stand = stand_of(family)
     try:
         bath = stand.bath()
         stand.plant.run(33.0)
         stand.emulator.fault("silence")
-        stand.clock.call_at(stand.clock.now() + after_s + 4.0, lambda: stand.emulator.fault("silence", on=False))
+        stand.clock.call_at(
+            stand.clock.now() + after_s + 4.0, lambda: stand.emulator.fault("silence", on=False)
+        )
         made_safe: list[bool] = []
 
         def trip() -> None:
@@ -115,7 +121,8 @@ def test_who_starts_learns_that_it_was_made_safe() -> None:
     stand = stand_of("julabo-presto")
     try:
         bath = stand.bath()
-        stand.clock.call_at(stand.clock.now() + 0.1, bath.safe)  # writes to a JULABO keep 0.25 s apart
+        # writes to a JULABO keep 0.25 s apart
+        stand.clock.call_at(stand.clock.now() + 0.1, bath.safe)
         with pytest.raises(InstrumentError, match="not started: it was made safe meanwhile"):
             bath.start(33.0)
         assert not stand.plant.running

@@ -1,4 +1,6 @@
-"""The driver when things break: silence, late answers, pulled cables, liars. Any order of it: `test_any_order`."""
+"""The driver when things break: silence, late answers, pulled cables, liars. Any order of it:
+`test_any_order`.
+"""
 
 from __future__ import annotations
 
@@ -56,14 +58,18 @@ def test_a_poll_that_takes_too_long_is_none(stand: Stand) -> None:
     bath = stand.bath()
     stand.emulator.fault("late answer")
     stand.emulator.late_s = 1.8
-    with pytest.raises(LinkError, match=r"it answers too slowly \(asked 3 questions of a poll, after 5\.4 s\)"):
+    with pytest.raises(
+        LinkError, match=r"it answers too slowly \(asked 3 questions of a poll, after 5\.4 s\)"
+    ):
         bath.read()
 
 
 def test_a_wrong_length_is_nonsense(stand: Stand) -> None:
     bath = stand.bath()
     stand.emulator.fault("wrong length")
-    with pytest.raises(ProtocolError, match=r"3 registers were answered where 4 were asked.*got 00"):
+    with pytest.raises(
+        ProtocolError, match=r"3 registers were answered where 4 were asked.*got 00"
+    ):
         bath.read()
 
 
@@ -73,7 +79,10 @@ def test_a_cable_pulled_between_two_questions_is_mended(stand: Stand) -> None:
     for connection in list(stand.emulator.hosts):
         connection.hang_up()
     assert bath.read().temp_c == pytest.approx(20.0, abs=0.05)
-    assert [address for _, function, address in stand.emulator.asked if function == 3].count(93) == 2  # looked at anew
+    # looked at anew
+    assert [address for _, function, address in stand.emulator.asked if function == 3].count(
+        93
+    ) == 2
 
 
 def test_a_power_cut_is_told_once(stand: Stand) -> None:
@@ -123,13 +132,17 @@ def test_an_interrupted_question_drops_the_link(stand: Stand) -> None:
     bath.safe()
     assert not stand.plant.running
     assert bath.read().temp_c == pytest.approx(20.0, abs=0.05)
-    assert [address for _, _, address in stand.emulator.asked].count(93) == 2  # over a new link, looked at anew
+    # over a new link, looked at anew
+    assert [address for _, _, address in stand.emulator.asked].count(93) == 2
 
 
 # ---- safe
 
 
-@pytest.mark.parametrize("fault", ["fahrenheit", "sensor break", "low level", "word order", "gaps refused", "stuck heater"])
+@pytest.mark.parametrize(
+    "fault",
+    ["fahrenheit", "sensor break", "low level", "word order", "gaps refused", "stuck heater"],
+)
 def test_safe_is_standby_whatever_is_wrong(stand: Stand, fault: str) -> None:
     bath = stand.bath()
     bath.start(33.0)
@@ -155,8 +168,13 @@ def test_safe_gets_over_a_silence_that_ends(stand: Stand) -> None:
     assert not stand.plant.running
 
 
-@pytest.mark.parametrize(("fault", "error"), [("silence", LinkError), ("busy", DeviceError), ("manual mode", DeviceError)])
-def test_safe_says_so_when_it_can_not(stand: Stand, fault: str, error: type[InstrumentError]) -> None:
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [("silence", LinkError), ("busy", DeviceError), ("manual mode", DeviceError)],
+)
+def test_safe_says_so_when_it_can_not(
+    stand: Stand, fault: str, error: type[InstrumentError]
+) -> None:
     bath = stand.bath()
     bath.start(33.0)
     stand.emulator.fault(fault)
@@ -201,11 +219,28 @@ class Liar:
 @pytest.mark.parametrize(
     ("reply", "message"),
     [
-        (lambda asked: asked[:2] + bytes.fromhex("0000 0005 01 04 02 0000"), "function 4 was answered to function 3"),
-        (lambda asked: b"\0\x63" + bytes.fromhex("0000 0005 01 03 02 0000"), "what came is no answer to this"),  # another transaction
-        (lambda asked: asked[:2] + bytes.fromhex("0000 0005 02 03 02 0000"), "what came is no answer to this"),  # another unit
-        (lambda asked: asked[:2] + bytes.fromhex("0000 0005 01 2A 02 0000"), "function 42 was answered to function 3"),
-        (lambda asked: b"HTTP/1.1 400 Bad Request\r\n\r\n", r"what came is no answer to this.*got 48 54 54 50"),
+        (
+            lambda asked: asked[:2] + bytes.fromhex("0000 0005 01 04 02 0000"),
+            "function 4 was answered to function 3",
+        ),
+        # another transaction
+        (
+            lambda asked: b"\0\x63" + bytes.fromhex("0000 0005 01 03 02 0000"),
+            "what came is no answer to this",
+        ),
+        # another unit
+        (
+            lambda asked: asked[:2] + bytes.fromhex("0000 0005 02 03 02 0000"),
+            "what came is no answer to this",
+        ),
+        (
+            lambda asked: asked[:2] + bytes.fromhex("0000 0005 01 2A 02 0000"),
+            "function 42 was answered to function 3",
+        ),
+        (
+            lambda asked: b"HTTP/1.1 400 Bad Request\r\n\r\n",
+            r"what came is no answer to this.*got 48 54 54 50",
+        ),
     ],
 )
 def test_answers_that_are_none(reply: Callable[[bytes], bytes], message: str) -> None:

@@ -1,4 +1,6 @@
-"""What clients of Modbus get wrong about links (fact sheet, section 2.3, P7 to P10): none at first, one that breaks, one that is shared."""
+"""What clients of Modbus get wrong about links (fact sheet, section 2.3, P7 to P10): none at first,
+one that breaks, one that is shared.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,12 @@ def test_p7_a_first_connect_that_fails_is_tried_again() -> None:
         clock, port = elsewhere.clock, int(url.rpartition(":")[2])
     listeners: list[Listener] = []
     far_end = FarEnd(clock)
-    clock.call_at(1.0, lambda: listeners.append(Listener(far_end, clock, lock=threading.RLock(), name="far end", port=port)))
+    clock.call_at(
+        1.0,
+        lambda: listeners.append(
+            Listener(far_end, clock, lock=threading.RLock(), name="far end", port=port)
+        ),
+    )
     link = Transactions(parse_line(url), clock, who="bath")
     link.connect()
     assert clock.now() == pytest.approx(1.5)  # 0.1, 0.3, 0.7, 1.5 s: growing pauses
@@ -39,14 +46,18 @@ def test_p7_nobody_there_is_said_after_some_tries() -> None:
     with virtual() as (far_end, url):
         clock = far_end.clock
     link = Transactions(parse_line(url), clock, who="bath at X")
-    with pytest.raises(LinkError, match=r"bath at X: nothing took the connection in 6 tries: .+ \(after 3\.1 s\)"):
+    with pytest.raises(
+        LinkError, match=r"bath at X: nothing took the connection in 6 tries: .+ \(after 3\.1 s\)"
+    ):
         link.connect()
 
 
 def test_a_port_that_is_not_there_is_said_with_the_systems_words() -> None:
     with virtual() as (far_end, _):
         link = Transactions(parse_line("/dev/no-such-port"), far_end.clock, who="bath")
-        with pytest.raises(LinkError, match=r"can't be opened in 6 tries: .*no-such-port.*list_ports"):
+        with pytest.raises(
+            LinkError, match=r"can't be opened in 6 tries: .*no-such-port.*list_ports"
+        ):
             link.connect()
 
 
@@ -105,7 +116,10 @@ def test_p10_bytes_one_by_one_are_one_answer(framing: str) -> None:
 
         def drop(frame: bytes) -> bytes:
             for at, byte in enumerate(frame):
-                far_end.clock.call_at(far_end.clock.now() + 0.02 * at, lambda byte=byte: far_end.hosts[0].send(bytes((byte,))))  # type: ignore[misc]
+                far_end.clock.call_at(
+                    far_end.clock.now() + 0.02 * at,
+                    lambda byte=byte: far_end.hosts[0].send(bytes((byte,))),  # type: ignore[misc]
+                )
             return b""
 
         far_end.spoils = [drop]

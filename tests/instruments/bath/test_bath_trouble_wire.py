@@ -1,6 +1,8 @@
-"""What clients of Modbus get wrong on a bad wire (fact sheet, section 2.3, P1 to P6), each reproduced and shown cured.
+"""What clients of Modbus get wrong on a bad wire (fact sheet, section 2.3, P1 to P6), each
+reproduced and shown cured.
 
-The far end holds 100 at register 0, 200 at 1 and so on: a value at the wrong address is a wrong value.
+The far end holds 100 at register 0, 200 at 1 and so on: a value at the wrong address is a wrong
+value.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from tests.instruments.bath.far_end import rtu, virtual
 from tests.instruments.bath.linked import MARKERS, linked, right
 from tests.instruments.bath.stand import Stand
 
-LATE_S = [0.1, 0.9, 1.1, 1.4, 1.6, 2.4, 2.6, 3.6, 7.0, 9.5]  # about the ends of time-out, quiet and proof
+# about the ends of time-out, quiet and proof
+LATE_S = [0.1, 0.9, 1.1, 1.4, 1.6, 2.4, 2.6, 3.6, 7.0, 9.5]
 
 
 # ---- P1, P5: late answers
@@ -54,7 +57,8 @@ def test_p1_silence_costs_little_and_a_slow_answer_is_taken_for_what_it_is() -> 
         assert len(far_end.asked) == 1
         far_end.delays_s = [None]
         assert link.read(3, 2, 1) == right(2)
-        assert far_end.clock.now() - start == pytest.approx(1.3 + 1.5)  # time-out and quiet; then the proof, and asked again
+        # time-out and quiet; then the proof, and asked again
+        assert far_end.clock.now() - start == pytest.approx(1.3 + 1.5)
         assert [pdu[0] for pdu in far_end.asked] == [3, 3, 4, 3]
 
 
@@ -81,19 +85,28 @@ steps = st.tuples(
 )
 
 
-@given(script=st.lists(steps, min_size=2, max_size=12), pauses=st.lists(st.floats(0.0, 3.0), min_size=12, max_size=12))
+@given(
+    script=st.lists(steps, min_size=2, max_size=12),
+    pauses=st.lists(st.floats(0.0, 3.0), min_size=12, max_size=12),
+)
 @settings(max_examples=150, deadline=None)
-def test_p1_whatever_is_late_no_wrong_value_gets_through(script: list[Step], pauses: list[float]) -> None:
+def test_p1_whatever_is_late_no_wrong_value_gets_through(
+    script: list[Step], pauses: list[float]
+) -> None:
     with linked() as (far_end, link):
         now = {address: 100 * (address + 1) for address in range(16)}
-        for number, ((kind, address, count, delay_s), pause_s) in enumerate(zip(script, pauses, strict=False)):
+        for number, ((kind, address, count, delay_s), pause_s) in enumerate(
+            zip(script, pauses, strict=False)
+        ):
             far_end.delays_s = [delay_s]
             wanted = 1000 + number
             try:
                 if kind == "write":
                     link.write(16, address, [wanted])
                 else:
-                    assert link.read(3, address, count) == [now[address + at] for at in range(count)]
+                    assert link.read(3, address, count) == [
+                        now[address + at] for at in range(count)
+                    ]
             except InstrumentError:
                 pass
             now = {known: far_end.memory.get(known, value) for known, value in now.items()}
@@ -118,7 +131,9 @@ def test_p2_a_wrong_number_of_registers_is_told(framing: str, sent: int) -> None
             return frame[:4] + (len(registers) + 1).to_bytes(2, "big") + frame[6:7] + registers
 
         far_end.spoils = [wrong]
-        with pytest.raises(ProtocolError, match=f"{sent} registers were answered where 2 were asked"):
+        with pytest.raises(
+            ProtocolError, match=f"{sent} registers were answered where 2 were asked"
+        ):
             link.read(3, 4, 2)
         assert link.read(3, 4, 2) == right(4, 2)
 
@@ -134,7 +149,13 @@ def test_p2_a_late_block_is_no_answer_to_a_single_register() -> None:
 
 @pytest.mark.parametrize(
     ("function", "echo"),
-    [(6, "01 06 0001 0007"), (6, "01 06 0002 0008"), (16, "01 10 0002 0002"), (16, "01 10 0003 0001"), (5, "01 05 0002 0000")],
+    [
+        (6, "01 06 0001 0007"),
+        (6, "01 06 0002 0008"),
+        (16, "01 10 0002 0002"),
+        (16, "01 10 0003 0001"),
+        (5, "01 05 0002 0000"),
+    ],
 )
 def test_a_write_that_is_confirmed_wrongly(function: int, echo: str) -> None:
     with linked() as (far_end, link):
@@ -215,7 +236,9 @@ def test_p4_over_tcp_only_the_right_number_and_unit_count(number: str) -> None:
 # ---- P6: garbage
 
 
-@pytest.mark.parametrize("garbage", ["00", "FF", "01", "03", "0103", "01 03 02", "0183", "01 03 FA 00", "00" * 40])
+@pytest.mark.parametrize(
+    "garbage", ["00", "FF", "01", "03", "0103", "01 03 02", "0183", "01 03 FA 00", "00" * 40]
+)
 def test_p6_garbage_ahead_of_an_answer_costs_nothing(garbage: str) -> None:
     with linked() as (far_end, link):
         link.read(3, 0, 1)
@@ -227,9 +250,16 @@ def test_p6_garbage_ahead_of_an_answer_costs_nothing(garbage: str) -> None:
         assert len(far_end.asked) == 5
 
 
-@given(ahead=st.binary(max_size=40), behind=st.binary(max_size=40), address=st.integers(0, 7), count=st.integers(1, 4))
+@given(
+    ahead=st.binary(max_size=40),
+    behind=st.binary(max_size=40),
+    address=st.integers(0, 7),
+    count=st.integers(1, 4),
+)
 @settings(max_examples=150, deadline=None)
-def test_p6_any_garbage_around_answers(ahead: bytes, behind: bytes, address: int, count: int) -> None:
+def test_p6_any_garbage_around_answers(
+    ahead: bytes, behind: bytes, address: int, count: int
+) -> None:
     with linked() as (far_end, link):
         far_end.spoils = [lambda frame: ahead + frame + behind] * 3
         for _ in range(3):
@@ -256,7 +286,9 @@ def test_p6_one_damaged_answer_costs_a_time_out_and_no_more(damage: str) -> None
 def test_p6_damage_that_stays_is_told_with_what_came() -> None:
     with linked() as (far_end, link):
         far_end.spoils = [lambda frame: frame[:-1] + bytes((frame[-1] ^ 1,))] * 3
-        with pytest.raises(ProtocolError, match=r"what came is no answer to this .*got 01 04 02 00 64"):
+        with pytest.raises(
+            ProtocolError, match=r"what came is no answer to this .*got 01 04 02 00 64"
+        ):
             link.read(3, 3, 1)
 
 
@@ -313,7 +345,10 @@ def test_where_every_shape_of_an_answer_is_owed_a_call_waits_and_says_so() -> No
                 bath.read()
             assert 1.0 <= stand.clock.now() - start <= 7.0
             said.append(str(raised.value))
-        assert any(re.search(r"no answer to 3 questions .* Nothing is asked for \d s at most", message) for message in said)
+        assert any(
+            re.search(r"no answer to 3 questions .* Nothing is asked for \d s at most", message)
+            for message in said
+        )
         stand.emulator.fault("silence", on=False)
         back_s = stand.clock.now()
         while True:

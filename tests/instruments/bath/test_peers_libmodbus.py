@@ -1,7 +1,9 @@
-"""libmodbus's own test programs against our two ends: its client asks our emulator, its server answers our driver.
+"""libmodbus's own test programs against our two ends: its client asks our emulator, its server
+answers our driver.
 
-The server misbehaves on purpose: a request for two registers gets one, and four registers of it answer with an exception, for
-another unit or transaction, late, or byte by byte. Whatever is asked in whatever order, a value that is returned is the right one.
+The server misbehaves on purpose: a request for two registers gets one, and four registers of it
+answer with an exception, for another unit or transaction, late, or byte by byte. Whatever is asked
+in whatever order, a value that is returned is the right one.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ REGISTERS, INPUT = 0x160, 0x108
 BUSY, OTHER, LATE, BYTEWISE = 0x170, 0x171, 0x172, 0x173
 VALUES = [0x0101, 0x0202, 0x0303]
 TIMEOUT_S = 2.0  # the late register naps for 5 s, so that its answer comes after both attempts
-AS_KNOWN_S, SLOWER_S = 4.0, 0.5  # how late an answer may come: as late as it does, or sooner, so that it takes us by surprise
+# how late an answer may come: as late as it does, or sooner, so that it takes us by surprise
+AS_KNOWN_S, SLOWER_S = 4.0, 0.5
 
 
 @pytest.fixture
@@ -50,7 +53,9 @@ def clock() -> Iterator[RealClock]:
 
 def passes(client: Path, **address: str) -> bool:
     environment = {**os.environ, **address}
-    said = subprocess.run([client], capture_output=True, text=True, timeout=60, check=True, env=environment).stdout
+    said = subprocess.run(
+        [client], capture_output=True, text=True, timeout=60, check=True, env=environment
+    ).stdout
     return said.splitlines()[-1] == "Test: SUCCESS" and "ERROR" not in said
 
 
@@ -78,8 +83,13 @@ def test_its_random_client_notices_an_emulator_that_errs(tmp_path: Path, clock: 
     """The witness is one: with a register that takes less than 16 bits, it does not pass."""
     client = built("random-test-client", tmp_path)
     profile = memory_profile()
-    rows = tuple(row.model_copy(update={"range": (0.0, 99.0)}) if row.name == "r50" else row for row in profile.rows)
-    emulator = BathEmulator(Plant(1), profile.model_copy(update={"rows": rows}), clock, unit_id=ANY_TCP)
+    rows = tuple(
+        row.model_copy(update={"range": (0.0, 99.0)}) if row.name == "r50" else row
+        for row in profile.rows
+    )
+    emulator = BathEmulator(
+        Plant(1), profile.model_copy(update={"rows": rows}), clock, unit_id=ANY_TCP
+    )
     listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
     try:
         assert not passes(client, PEER_PORT=str(listener.port))
@@ -98,7 +108,9 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @contextmanager
 def running(server: Path, kind: str, **address: str) -> Iterator[None]:
     environment = {**os.environ, **address}
-    with subprocess.Popen([server, kind], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment) as process:
+    with subprocess.Popen(
+        [server, kind], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment
+    ) as process:
         try:
             yield
         finally:
@@ -130,9 +142,12 @@ def link(request: pytest.FixtureRequest, server: Path, clock: RealClock) -> Iter
     kind, quiet_s = request.param
     with (tcp_server if kind == "tcp" else rtu_server)(server) as url:
         line, markers = parse_line(f"{url}?unit={UNIT}"), [(4, INPUT, 1), (3, REGISTERS, 3)]
-        link = Transactions(line, clock, who="peer", markers=markers, timeout_s=TIMEOUT_S, quiet_s=quiet_s)
+        link = Transactions(
+            line, clock, who="peer", markers=markers, timeout_s=TIMEOUT_S, quiet_s=quiet_s
+        )
         link.connect()
-        until_it_answers(link)  # it has no way to say that its port is open, and drops what came before
+        # it has no way to say that its port is open, and drops what came before
+        until_it_answers(link)
         yield link
         link.close()
 
@@ -166,7 +181,8 @@ def test_an_answer_for_somebody_else_is_none(link: Transactions) -> None:
 def test_a_late_answer_is_never_another_ones(link: Transactions) -> None:
     with suppress(InstrumentError):
         assert link.read(3, LATE, 1) == [0]
-    for address, value in zip(range(REGISTERS, REGISTERS + 3), VALUES, strict=True):  # each as long as the late one
+    # each as long as the late one
+    for address, value in zip(range(REGISTERS, REGISTERS + 3), VALUES, strict=True):
         with suppress(InstrumentError):
             assert link.read(3, address, 1) == [value]
     assert after_trouble(link) == VALUES

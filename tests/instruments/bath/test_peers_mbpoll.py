@@ -1,6 +1,8 @@
-"""mbpoll (libmodbus's command line) reads and writes every emulated controller, over TCP and on a serial port.
+"""mbpoll (libmodbus's command line) reads and writes every emulated controller, over TCP and on a
+serial port.
 
-Addresses, codes and word orders are typed from the fact sheet, section 1, and not taken from the profiles.
+Addresses, codes and word orders are typed from the fact sheet, section 1, and not taken from the
+profiles.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ from tests.instruments.bath.peers import program
 
 @dataclass(frozen=True)
 class Seen:
-    """How mbpoll is told a family: ``-t`` type and address of what is read and written, and codes and numbers as they are shown."""
+    """How mbpoll is told a family: ``-t`` type and address of what is read and written, and codes
+    and numbers as they are shown.
+    """
 
     temperature: tuple[str, int]
     set_point: tuple[str, int]
@@ -44,9 +48,15 @@ SEEN = {
     "julabo-magio": Seen(("3:float", 10), ("4:float", 2), ("4", 0), "1", "0"),
     "eurotherm-2400": EUROTHERM,
     "eurotherm-3200": EUROTHERM,
-    "watlow-pm-map1": Seen(("4:float", 360), ("4:float", 2160), ("4", 1880), "10", "62", high_word_first=False),
-    "watlow-pm-map2": Seen(("4:float", 360), ("4:float", 2640), ("4", 2360), "10", "62", high_word_first=False),
-    "omega-cn7": Seen(("4", 0x1000), ("4", 0x1001), ("0", 0x0814), "1", "0", scale=0.1, run_read="1"),
+    "watlow-pm-map1": Seen(
+        ("4:float", 360), ("4:float", 2160), ("4", 1880), "10", "62", high_word_first=False
+    ),
+    "watlow-pm-map2": Seen(
+        ("4:float", 360), ("4:float", 2640), ("4", 2360), "10", "62", high_word_first=False
+    ),
+    "omega-cn7": Seen(
+        ("4", 0x1000), ("4", 0x1001), ("0", 0x0814), "1", "0", scale=0.1, run_read="1"
+    ),
 }
 
 RELAYS = {"modbus-relay": ("0", 0)}  # ``-t`` type and address of the contact
@@ -65,11 +75,30 @@ class Polled:
     emulator: BathEmulator | RelayEmulator
     where: list[str]
 
-    def ask(self, kind: str, address: int, *values: str, unit: int = 1, high: bool = True) -> subprocess.CompletedProcess[str]:
+    def ask(
+        self, kind: str, address: int, *values: str, unit: int = 1, high: bool = True
+    ) -> subprocess.CompletedProcess[str]:
         order = ["-B"] if high else []
         reading = ["-1"] if not values else []
-        options = ["-0", "-a", str(unit), "-t", kind, "-r", str(address), "-o", "0.5", *order, *reading]
-        return subprocess.run([program("mbpoll"), *options, *self.where, *values], capture_output=True, text=True, timeout=60)
+        options = [
+            "-0",
+            "-a",
+            str(unit),
+            "-t",
+            kind,
+            "-r",
+            str(address),
+            "-o",
+            "0.5",
+            *order,
+            *reading,
+        ]
+        return subprocess.run(
+            [program("mbpoll"), *options, *self.where, *values],
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
 
     def read(self, kind: str, address: int, *, high: bool = True) -> str:
         """The value as it is shown."""
@@ -95,9 +124,15 @@ def polled(name: str, transport: str) -> Iterator[Polled]:
         emulator = BathEmulator(plant, load_profile(name), clock, framing=framing)
     lock = threading.RLock()
     listener = (
-        Listener(emulator, clock, lock=lock, name="bath") if transport == "tcp" else PtyListener(emulator, clock, lock=lock, name="bath")
+        Listener(emulator, clock, lock=lock, name="bath")
+        if transport == "tcp"
+        else PtyListener(emulator, clock, lock=lock, name="bath")
     )
-    port = ["-m", "tcp", "-p", str(listener.port), "127.0.0.1"] if isinstance(listener, Listener) else serial(listener.url)
+    port = (
+        ["-m", "tcp", "-p", str(listener.port), "127.0.0.1"]
+        if isinstance(listener, Listener)
+        else serial(listener.url)
+    )
     try:
         yield Polled(plant, emulator, port)
     finally:

@@ -1,4 +1,6 @@
-"""minimalmodbus, a client with a framing of its own, on the serial port of emulated controllers; addresses as in the fact sheet."""
+"""minimalmodbus, a client with a framing of its own, on the serial port of emulated controllers;
+addresses as in the fact sheet.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,9 @@ def test_eurotherm(profile: str) -> None:
             on.client.write_bits(0, [1, 0])  # function 15: an unsupported one gets no reply
 
 
-@pytest.mark.parametrize(("profile", "set_point"), [("watlow-pm-map1", 2160), ("watlow-pm-map2", 2640)])
+@pytest.mark.parametrize(
+    ("profile", "set_point"), [("watlow-pm-map1", 2160), ("watlow-pm-map2", 2640)]
+)
 def test_watlow(profile: str, set_point: int) -> None:
     with instrument(profile) as on:
         low_first = on.library.BYTEORDER_LITTLE_SWAP

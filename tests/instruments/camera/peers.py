@@ -1,4 +1,6 @@
-"""Independent GigE Vision cameras: the fake of Aravis as a process of its own, and the one that the library has in this process."""
+"""Independent GigE Vision cameras: the fake of Aravis as a process of its own, and the one that the
+library has in this process.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def need_aravis() -> None:
 
 @contextmanager
 def gige_camera(*options: str) -> Iterator[str]:
-    """A GigE Vision camera as another process; gives its serial number. One at a time on a machine: the protocol has one port."""
+    """A GigE Vision camera as another process; gives its serial number. One at a time on a machine:
+    the protocol has one port.
+    """
     need_aravis()
     path = program(FAKE)
     if sys.platform == "win32":
@@ -36,7 +40,11 @@ def gige_camera(*options: str) -> Iterator[str]:
 
     with open(path, "rb") as lock:  # noqa: PTH123 - a lock on the program itself: whoever runs it, waits for who ran it before
         fcntl.flock(lock, fcntl.LOCK_EX)
-        process = subprocess.Popen([path, "-i", ADDRESS, "-s", "TEATBENCH", *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            [path, "-i", ADDRESS, "-s", "TEATBENCH", *options],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         try:
             _wait_for_it(process)
             yield "TEATBENCH"
@@ -52,5 +60,8 @@ def _wait_for_it(process: subprocess.Popen[bytes]) -> None:
         if any("TEATBENCH" in aravis.get_device_id(i) for i in range(aravis.get_n_devices())):
             return
         if process.poll() is not None:
-            pytest.fail(f"{FAKE} ended with {process.returncode}: does another program hold UDP port 3956 of {ADDRESS}?")
+            pytest.fail(
+                f"{FAKE} ended with {process.returncode}: does another program hold UDP port 3956"
+                f" of {ADDRESS}?"
+            )
     pytest.fail(f"{FAKE} does not answer at {ADDRESS}")

@@ -44,11 +44,16 @@ class SmallWorld:
 @cache
 def gallery() -> tuple[RenderedSet, ...]:
     """Five frame sets of one scene, each with noise of its own: drawn once."""
-    return tuple(renderer().render(situation("spurious_teat"), np.random.default_rng(seed)) for seed in range(5))
+    return tuple(
+        renderer().render(situation("spurious_teat"), np.random.default_rng(seed))
+        for seed in range(5)
+    )
 
 
 class Gallery:
-    """A renderer that shows the gallery in turn, whatever stands in the world: for tests of what is done with frames."""
+    """A renderer that shows the gallery in turn, whatever stands in the world: for tests of what is
+    done with frames.
+    """
 
     def __init__(self) -> None:
         self.cameras = renderer().cameras

@@ -56,7 +56,13 @@ def video(path: Path, level: int, frames: int = 3) -> str:
 
 
 def pair(left: str, right: str, clock: VirtualClock) -> CameraSet:
-    return CameraSet({"left": lambda: OpenCvCamera("left", left, clock), "right": lambda: OpenCvCamera("right", right, clock)}, {})
+    return CameraSet(
+        {
+            "left": lambda: OpenCvCamera("left", left, clock),
+            "right": lambda: OpenCvCamera("right", right, clock),
+        },
+        {},
+    )
 
 
 def test_opencv_plays_a_recorded_video_to_its_end(tmp_path: Path) -> None:
@@ -84,7 +90,10 @@ def test_opencv_says_which_camera_does_not_open_and_lets_the_others_go(tmp_path:
         def close(self) -> None:
             closed.append("left")
 
-    openers: Mapping[str, Any] = {"left": Seen, "right": lambda: OpenCvCamera("right", str(tmp_path / "nothing.avi"), VirtualClock())}
+    openers: Mapping[str, Any] = {
+        "left": Seen,
+        "right": lambda: OpenCvCamera("right", str(tmp_path / "nothing.avi"), VirtualClock()),
+    }
     with pytest.raises(LinkError, match=r"right camera at .*nothing\.avi: can't be opened"):
         CameraSet(openers, {})
     assert closed == ["left"]
@@ -92,22 +101,40 @@ def test_opencv_says_which_camera_does_not_open_and_lets_the_others_go(tmp_path:
 
 def test_what_a_file_cannot_be_set_to_is_an_error_unless_tried(tmp_path: Path) -> None:
     path = video(tmp_path / "left.avi", 40)
-    asked: dict[str, Any] = {"resolution": (640, 480), "exposure": 100.0, "gain": 2.0, "pixel_format": "YUYV"}
+    asked: dict[str, Any] = {
+        "resolution": (640, 480),
+        "exposure": 100.0,
+        "gain": 2.0,
+        "pixel_format": "YUYV",
+    }
     with pytest.raises(
-        DeviceError, match=r"pixel_format asked YUYV, is MJPG; resolution asked 640 x 480, is 64 x 48; exposure asked 100, is -?\d; gain"
+        DeviceError,
+        match=(
+            r"pixel_format asked YUYV, is MJPG; resolution asked 640 x 480, is 64 x 48; exposure"
+            r" asked 100, is -?\d; gain"
+        ),
     ):
         OpenCvCamera("left", path, VirtualClock(), Settings(**asked))
     camera = OpenCvCamera("left", path, VirtualClock(), Settings(**asked, tries=frozenset({"all"})))
     assert "resolution asked 640 x 480, is 64 x 48" in camera.identity
     camera.close()
-    taken = OpenCvCamera("left", path, VirtualClock(), Settings(resolution=(64, 48), pixel_format="MJPG", fps=10.0))
+    taken = OpenCvCamera(
+        "left", path, VirtualClock(), Settings(resolution=(64, 48), pixel_format="MJPG", fps=10.0)
+    )
     assert taken.identity.endswith("(FFMPEG, 64 x 48)")
     taken.close()
 
 
 @pytest.mark.parametrize(
     ("source", "live"),
-    [(0, True), ("/dev/video0", True), ("http://h/a.mjpg", True), ("rtsp://h/a", True), ("C:\\a.avi", False), ("a.avi", False)],
+    [
+        (0, True),
+        ("/dev/video0", True),
+        ("http://h/a.mjpg", True),
+        ("rtsp://h/a", True),
+        ("C:\\a.avi", False),
+        ("a.avi", False),
+    ],
 )
 def test_which_sources_are_live(source: int | str, live: bool) -> None:
     assert is_live(source) is live
@@ -136,12 +163,15 @@ class Still:
 
 
 def of(**cameras: Camera) -> dict[str, Any]:
-    return {name: (lambda camera=camera: camera) for name, camera in cameras.items()}
+    return {name: lambda camera=camera: camera for name, camera in cameras.items()}
 
 
 def test_a_radiometric_camera_gives_temperatures_and_no_picture() -> None:
     thermal = Still(np.full((3, 4), 7600, np.uint16), 16)
-    cameras = CameraSet(of(left=Still(), right=Still(), thermal=thermal), {"thermal": Conversion(radiometry=Radiometry(0.04))})
+    cameras = CameraSet(
+        of(left=Still(), right=Still(), thermal=thermal),
+        {"thermal": Conversion(radiometry=Radiometry(0.04))},
+    )
     frames = cameras.capture()
     assert frames.thermal is None
     assert frames.thermal_k is not None
@@ -151,7 +181,10 @@ def test_a_radiometric_camera_gives_temperatures_and_no_picture() -> None:
 
 def test_what_is_declared_wrongly_is_said() -> None:
     thermal = Still(np.full((3, 4), 60000, np.uint16), 16)
-    cameras = CameraSet(of(left=Still(), right=Still(), thermal=thermal), {"thermal": Conversion(radiometry=Radiometry(0.04))})
+    cameras = CameraSet(
+        of(left=Still(), right=Still(), thermal=thermal),
+        {"thermal": Conversion(radiometry=Radiometry(0.04))},
+    )
     with pytest.raises(ProtocolError, match="kelvin_per_count or kelvin_at_zero is wrong"):
         cameras.capture()
     with pytest.raises(ValueError, match="left, right and perhaps thermal, got left"):

@@ -28,7 +28,10 @@ def test_without_radiometry_there_are_no_kelvin() -> None:
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"left": GREY.astype(np.uint16)}, r"a frame set's left must be an array .* of uint8, is \(3, 4\) of uint16"),
+        (
+            {"left": GREY.astype(np.uint16)},
+            r"a frame set's left must be an array .* of uint8, is \(3, 4\) of uint16",
+        ),
         ({"right": np.zeros((3, 4, 3), np.uint8)}, r"right must be .* is \(3, 4, 3\)"),
         ({"right": [[1, 2]]}, r"right must be .* is a list"),
         ({"thermal": np.zeros((0, 4), np.uint8)}, r"thermal must be"),
@@ -56,10 +59,20 @@ def test_colour_becomes_grey_by_the_weights_of_bt_601() -> None:
 def test_sixteen_bits_are_scaled_and_clipped() -> None:
     raw = np.array([[0, 257, 65535]], dtype=np.uint16)
     assert grey8(raw).tolist() == [[0, 1, 255]]
-    assert grey8(np.array([[0, 2048, 4095, 5000]], dtype=np.uint16), full_scale=4095).tolist() == [[0, 128, 255, 255]]
+    assert grey8(np.array([[0, 2048, 4095, 5000]], dtype=np.uint16), full_scale=4095).tolist() == [
+        [0, 128, 255, 255]
+    ]
 
 
-@pytest.mark.parametrize("image", [np.zeros((3, 4)), np.zeros((3, 4, 2), np.uint8), np.zeros(5, np.uint8), np.zeros((0, 0), np.uint8)])
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.zeros((3, 4)),
+        np.zeros((3, 4, 2), np.uint8),
+        np.zeros(5, np.uint8),
+        np.zeros((0, 0), np.uint8),
+    ],
+)
 def test_what_is_no_image_is_refused(image: np.ndarray[Any, Any]) -> None:
     with pytest.raises(ValueError, match="an image must"):
         grey8(image)

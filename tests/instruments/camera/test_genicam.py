@@ -1,4 +1,6 @@
-"""GenICam cameras: the driver against two cameras that share no code with it, one over GigE Vision, one in this process."""
+"""GenICam cameras: the driver against two cameras that share no code with it, one over GigE Vision,
+one in this process.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,12 @@ def whole(camera: GenicamCamera) -> RawFrame:
 
 @pytest.mark.parametrize(
     ("pixel_format", "kind", "bits", "dimensions"),
-    [("Mono8", "uint8", 8, 2), ("Mono16", "uint16", 16, 2), ("RGB8", "uint8", 8, 3), ("BayerRG8", "uint8", 8, 3)],
+    [
+        ("Mono8", "uint8", 8, 2),
+        ("Mono16", "uint16", 16, 2),
+        ("RGB8", "uint8", 8, 3),
+        ("BayerRG8", "uint8", 8, 3),
+    ],
 )
 def test_pixel_formats_of_the_camera_in_this_process(
     aravis: Any, clock: RealClock, pixel_format: str, kind: str, bits: int, dimensions: int
@@ -58,19 +65,37 @@ def test_pixel_formats_of_the_camera_in_this_process(
     with opened(IN_PROCESS, clock, pixel_format=pixel_format, resolution=(320, 240)) as camera:
         assert camera.identity == f"Aravis Fake 1 (320 x 240, {pixel_format})"
         frame = whole(camera)
-    assert (frame.pixels.shape[:2], str(frame.pixels.dtype), frame.bits, frame.pixels.ndim) == ((240, 320), kind, bits, dimensions)
+    assert (frame.pixels.shape[:2], str(frame.pixels.dtype), frame.bits, frame.pixels.ndim) == (
+        (240, 320),
+        kind,
+        bits,
+        dimensions,
+    )
     assert frame.pixels.max() > frame.pixels.min()
 
 
 def test_over_gige_vision_everything_that_is_asked_for_is_read_back(clock: RealClock) -> None:
-    asked: dict[str, Any] = {"pixel_format": "Mono16", "resolution": (256, 128), "exposure": 5000.0, "gain": 3.0, "fps": 50.0}
+    asked: dict[str, Any] = {
+        "pixel_format": "Mono16",
+        "resolution": (256, 128),
+        "exposure": 5000.0,
+        "gain": 3.0,
+        "fps": 50.0,
+    }
     features = {"TriggerSelector": "FrameStart", "GevSCPSPacketSize": 1400}
-    with gige_camera() as serial, opened(ADDRESS, clock, **asked, features=features, trigger="software") as camera:
+    with (
+        gige_camera() as serial,
+        opened(ADDRESS, clock, **asked, features=features, trigger="software") as camera,
+    ):
         assert camera.identity == f"Aravis Fake {serial} (256 x 128, Mono16)"
         times = []
         for _ in range(4):
             frame = whole(camera)
-            assert (frame.pixels.shape, str(frame.pixels.dtype), frame.bits) == ((128, 256), "uint16", 16)
+            assert (frame.pixels.shape, str(frame.pixels.dtype), frame.bits) == (
+                (128, 256),
+                "uint16",
+                16,
+            )
             times.append(frame.exposed_s)
             assert frame.exposed_s <= clock.now()
         assert times == sorted(set(times)), "the camera's own stamps go on"
@@ -82,7 +107,9 @@ def test_one_of_this_machine_is_found_by_its_name_too(clock: RealClock) -> None:
 
 
 def test_lost_packets_are_told_and_the_next_frame_is_whole(clock: RealClock) -> None:
-    """One packet in a thousand is lost, and a frame has some 190: about one frame in six comes with holes."""
+    """One packet in a thousand is lost, and a frame has some 190: about one frame in six comes with
+    holes.
+    """
     seen: Counter[str] = Counter()
     with gige_camera("-r", "1"), opened(ADDRESS, clock, fps=100.0) as camera:
         for _ in range(300):
@@ -95,13 +122,17 @@ def test_lost_packets_are_told_and_the_next_frame_is_whole(clock: RealClock) -> 
 
 def test_one_that_is_open_already_is_told_as_such(clock: RealClock) -> None:
     with gige_camera(), opened(ADDRESS, clock) as camera:
-        with pytest.raises(LinkError, match=r"right camera .*: it is open already, here or .* Is it twice"):
+        with pytest.raises(
+            LinkError, match=r"right camera .*: it is open already, here or .* Is it twice"
+        ):
             GenicamCamera("right", ADDRESS, clock)
         assert whole(camera).pixels.shape == (512, 512), "the first one goes on"
 
 
 @pytest.mark.parametrize("trigger", ["free", "software"])
-def test_one_that_lost_control_says_so_and_is_opened_again(clock: RealClock, trigger: Trigger) -> None:
+def test_one_that_lost_control_says_so_and_is_opened_again(
+    clock: RealClock, trigger: Trigger
+) -> None:
     with gige_camera():
         camera = GenicamCamera("left", ADDRESS, clock, Settings(trigger=trigger), patience_s=0.5)
         whole(camera)
@@ -135,9 +166,17 @@ def outcome(camera: GenicamCamera) -> str:
 
 def test_a_hardware_trigger_that_never_comes(clock: RealClock) -> None:
     with gige_camera():
-        camera = GenicamCamera("thermal", ADDRESS, clock, Settings(trigger="hardware", trigger_source="Line0"), patience_s=0.3)
+        camera = GenicamCamera(
+            "thermal",
+            ADDRESS,
+            clock,
+            Settings(trigger="hardware", trigger_source="Line0"),
+            patience_s=0.3,
+        )
         camera.begin()
-        with pytest.raises(FrameError, match=r"no frame came .*after 0\.3 s\)\. Did its trigger come\?") as error:
+        with pytest.raises(
+            FrameError, match=r"no frame came .*after 0\.3 s\)\. Did its trigger come\?"
+        ) as error:
             camera.take()
         assert (error.value.fault, error.value.camera) == (FrameFault.DROPPED, "thermal")
         camera.close()
@@ -148,22 +187,39 @@ def test_a_hardware_trigger_that_never_comes(clock: RealClock) -> None:
 
 def test_settings_that_do_not_take(aravis: Any, clock: RealClock) -> None:
     with pytest.raises(
-        DeviceError, match=r"settings did not take: pixel_format was refused: .*Mono12p.*; TrigerMode was refused: .*did you mean"
+        DeviceError,
+        match=(
+            r"settings did not take: pixel_format was refused: .*Mono12p.*; TrigerMode was refused:"
+            r" .*did you mean"
+        ),
     ):
-        GenicamCamera("left", IN_PROCESS, clock, Settings(pixel_format="Mono12p", features={"TrigerMode": "On"}))
-    at_odds: dict[str, Any] = {"exposure": 5000.0, "features": {"ExposureTimeAbs": 20000.0, "Nonsense": 3}}
-    with pytest.raises(DeviceError, match=r"Nonsense was refused.*exposure asked 5000, is 20000"):  # one setting undid another
+        GenicamCamera(
+            "left",
+            IN_PROCESS,
+            clock,
+            Settings(pixel_format="Mono12p", features={"TrigerMode": "On"}),
+        )
+    at_odds: dict[str, Any] = {
+        "exposure": 5000.0,
+        "features": {"ExposureTimeAbs": 20000.0, "Nonsense": 3},
+    }
+    # one setting undid another
+    with pytest.raises(DeviceError, match=r"Nonsense was refused.*exposure asked 5000, is 20000"):
         GenicamCamera("left", IN_PROCESS, clock, Settings(**at_odds))
     with opened(IN_PROCESS, clock, **at_odds, tries=frozenset({"exposure", "Nonsense"})) as camera:
         assert "exposure asked 5000, is 20000" in camera.identity
 
 
 def test_a_camera_that_is_not_there(aravis: Any, clock: RealClock) -> None:
-    with pytest.raises(LinkError, match=r"left camera genicam:nobody: can't be opened: .*Cameras that answer: "):
+    with pytest.raises(
+        LinkError, match=r"left camera genicam:nobody: can't be opened: .*Cameras that answer: "
+    ):
         GenicamCamera("left", "nobody", clock)
 
 
-def test_without_the_library_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch, clock: RealClock) -> None:
+def test_without_the_library_it_is_said_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, clock: RealClock
+) -> None:
     real: Any = importlib.import_module
 
     def without(name: str, package: str | None = None) -> Any:
@@ -172,5 +228,11 @@ def test_without_the_library_it_is_said_what_to_install(monkeypatch: pytest.Monk
         return real(name, package)
 
     monkeypatch.setattr(importlib, "import_module", without)
-    with pytest.raises(DeviceError, match=r"No module named 'gi'\. Install Aravis .*apt install gir1\.2-aravis-0\.8.*teatbench\[genicam\]"):
+    with pytest.raises(
+        DeviceError,
+        match=(
+            r"No module named 'gi'\. Install Aravis .*apt install"
+            r" gir1\.2-aravis-0\.8.*teatbench\[genicam\]"
+        ),
+    ):
         GenicamCamera("left", IN_PROCESS, clock)

@@ -1,4 +1,6 @@
-"""Pixels off the wire: golden bytes from the layouts of the PFNC and of GigE Vision, and every value there and back by another way."""
+"""Pixels off the wire: golden bytes from the layouts of the PFNC and of GigE Vision, and every
+value there and back by another way.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +25,12 @@ CODES = {known.name: known.code for known in FORMATS}
         ("Mono12", "BC 0A FF 0F 01 00", [0xABC, 0xFFF, 1]),
         ("Mono14", "FF 3F 34 12 00 00", [0x3FFF, 0x1234, 0]),
         ("Mono16", "34 12 FF FF 00 80", [0x1234, 0xFFFF, 0x8000]),
-        # GigE Vision: byte 0 = P0[9:2], byte 1 = P1[1:0] in bits 5:4 and P0[1:0] in bits 1:0, byte 2 = P1[9:2]
+        # GigE Vision: byte 0 = P0[9:2], byte 1 = P1[1:0] in bits 5:4 and P0[1:0] in bits 1:0, byte
+        # 2 = P1[9:2]
         ("Mono10Packed", "80 31 40", [0x201, 0x103]),
         ("Mono10Packed", "FF 03 00", [0x3FF, 0]),
-        # GigE Vision: byte 0 = P0[11:4], byte 1 = P1[3:0] in the high and P0[3:0] in the low half, byte 2 = P1[11:4]
+        # GigE Vision: byte 0 = P0[11:4], byte 1 = P1[3:0] in the high and P0[3:0] in the low half,
+        # byte 2 = P1[11:4]
         ("Mono12Packed", "AB FC DE", [0xABC, 0xDEF]),
         ("Mono12Packed", "12 63 45 FF 0F 00", [0x123, 0x456, 0xFFF, 0x000]),
         # PFNC: P0[7:0] | P1[5:0] P0[9:8] | P2[3:0] P1[9:6] | P3[1:0] P2[9:4] | P3[9:2]
@@ -55,15 +59,26 @@ def packed(name: str, values: list[int]) -> bytes:
         data = b""
         for first, second in zip(values[::2], [*values[1::2], 0], strict=False):
             low = (1 << (bits - 8)) - 1
-            data += bytes([first >> (bits - 8), (second & low) << 4 | first & low, second >> (bits - 8)])
+            data += bytes(
+                [first >> (bits - 8), (second & low) << 4 | first & low, second >> (bits - 8)]
+            )
         return data
     return b"".join(value.to_bytes(1 if bits == 8 else 2, "little") for value in values)
 
 
-@given(st.data(), st.sampled_from([known.name for known in FORMATS if known.name.startswith("Mono")]), st.integers(1, 9), st.integers(1, 5))
-def test_every_value_of_every_mono_format_survives(data: st.DataObject, name: str, width: int, height: int) -> None:
+@given(
+    st.data(),
+    st.sampled_from([known.name for known in FORMATS if known.name.startswith("Mono")]),
+    st.integers(1, 9),
+    st.integers(1, 5),
+)
+def test_every_value_of_every_mono_format_survives(
+    data: st.DataObject, name: str, width: int, height: int
+) -> None:
     top = (1 << BY_CODE[CODES[name]].bits) - 1
-    values = data.draw(st.lists(st.integers(0, top), min_size=width * height, max_size=width * height))
+    values = data.draw(
+        st.lists(st.integers(0, top), min_size=width * height, max_size=width * height)
+    )
     image, _ = unpack(packed(name, values), CODES[name], width, height)
     assert image.reshape(-1).tolist() == values
 
@@ -82,7 +97,10 @@ def test_colour_comes_as_blue_green_red() -> None:
     assert unpack(rgb, CODES["BGR8"], 2, 1)[0].tolist() == [[[255, 0, 0], [0, 255, 0]]]
 
 
-@pytest.mark.parametrize(("name", "red"), [("BayerRG8", (0, 0)), ("BayerGR8", (0, 1)), ("BayerGB8", (1, 0)), ("BayerBG8", (1, 1))])
+@pytest.mark.parametrize(
+    ("name", "red"),
+    [("BayerRG8", (0, 0)), ("BayerGR8", (0, 1)), ("BayerGB8", (1, 0)), ("BayerBG8", (1, 1))],
+)
 def test_a_mosaic_that_only_sees_red_is_red(name: str, red: tuple[int, int]) -> None:
     mosaic = np.zeros((16, 16), np.uint8)
     mosaic[red[0] :: 2, red[1] :: 2] = 200
@@ -93,7 +111,9 @@ def test_a_mosaic_that_only_sees_red_is_red(name: str, red: tuple[int, int]) -> 
 def test_what_cannot_be_unpacked_is_said() -> None:
     with pytest.raises(ValueError, match=r"3 x 2 pixels of Mono12p take 9 bytes, 8 came"):
         unpack(bytes(8), CODES["Mono12p"], 3, 2)
-    with pytest.raises(ValueError, match="0x01080002 is not one that is unpacked here; choose one of Mono8"):
+    with pytest.raises(
+        ValueError, match="0x01080002 is not one that is unpacked here; choose one of Mono8"
+    ):
         format_of(0x01080002)
 
 
@@ -105,13 +125,27 @@ def test_codes_are_those_of_aravis() -> None:
     except (ImportError, ValueError):
         absent("needs Aravis: apt-get install gir1.2-aravis-0.8, pip install 'PyGObject<3.51'")
     theirs = {
-        "Mono8": "MONO_8", "Mono10": "MONO_10", "Mono12": "MONO_12", "Mono14": "MONO_14", "Mono16": "MONO_16",
-        "Mono10Packed": "MONO_10_PACKED", "Mono12Packed": "MONO_12_PACKED",
-        "Mono10p": "MONO_10_P", "Mono12p": "MONO_12_P", "RGB8": "RGB_8_PACKED",
+        "Mono8": "MONO_8",
+        "Mono10": "MONO_10",
+        "Mono12": "MONO_12",
+        "Mono14": "MONO_14",
+        "Mono16": "MONO_16",
+        "Mono10Packed": "MONO_10_PACKED",
+        "Mono12Packed": "MONO_12_PACKED",
+        "Mono10p": "MONO_10_P",
+        "Mono12p": "MONO_12_P",
+        "RGB8": "RGB_8_PACKED",
         "BGR8": "BGR_8_PACKED",
-        "BayerGR8": "BAYER_GR_8", "BayerRG8": "BAYER_RG_8", "BayerGB8": "BAYER_GB_8", "BayerBG8": "BAYER_BG_8",
-    }  # fmt: skip
-    known = {name: getattr(aravis, f"PIXEL_FORMAT_{word}") for name, word in theirs.items() if hasattr(aravis, f"PIXEL_FORMAT_{word}")}
+        "BayerGR8": "BAYER_GR_8",
+        "BayerRG8": "BAYER_RG_8",
+        "BayerGB8": "BAYER_GB_8",
+        "BayerBG8": "BAYER_BG_8",
+    }
+    known = {
+        name: getattr(aravis, f"PIXEL_FORMAT_{word}")
+        for name, word in theirs.items()
+        if hasattr(aravis, f"PIXEL_FORMAT_{word}")
+    }
     assert len(known) > 10
     assert {name: CODES[name] for name in known} == known
     assert theirs.keys() == CODES.keys()

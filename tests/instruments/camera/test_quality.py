@@ -1,4 +1,6 @@
-"""Figures of one picture: they find what they are for in any light, and see nothing where there is nothing."""
+"""Figures of one picture: they find what they are for in any light, and see nothing where there is
+nothing.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +14,34 @@ from scipy.special import ndtr
 from instruments.camera.quality import edge_blur_px, level_dn, missing_rows, saturated_share, spread
 
 
-def edges(blur_px: float, *, contrast: float = 120.0, noise_dn: float = 0.5, seed: int = 1) -> NDArray[np.uint8]:
-    """Slanted dark bars on grey behind a lens of that blur: each edge is the integral of a normal distribution."""
+def edges(
+    blur_px: float, *, contrast: float = 120.0, noise_dn: float = 0.5, seed: int = 1
+) -> NDArray[np.uint8]:
+    """Slanted dark bars on grey behind a lens of that blur: each edge is the integral of a normal
+    distribution.
+    """
     y, x = np.mgrid[0:160, 0:160].astype(np.float64)
     across = ((x + 0.17 * y) / np.hypot(1.0, 0.17)) % 60.0
     wall = ndtr((across - 15.0) / blur_px) - ndtr((across - 45.0) / blur_px)
     noise = noise_dn * np.random.default_rng(seed).standard_normal(wall.shape)
-    picture: NDArray[np.uint8] = np.clip(np.rint(30.0 + contrast * wall + noise), 0, 255).astype(np.uint8)
+    picture: NDArray[np.uint8] = np.clip(np.rint(30.0 + contrast * wall + noise), 0, 255).astype(
+        np.uint8
+    )
     return picture
 
 
 @settings(max_examples=15, deadline=None)
 @given(st.floats(0.6, 4.0), st.floats(40.0, 200.0))
 def test_the_blur_of_an_edge_whatever_its_contrast(blur_px: float, contrast: float) -> None:
-    assert edge_blur_px(edges(blur_px, contrast=contrast)) == pytest.approx(blur_px, rel=0.1, abs=0.1)
+    assert edge_blur_px(edges(blur_px, contrast=contrast)) == pytest.approx(
+        blur_px, rel=0.1, abs=0.1
+    )
 
 
 def test_noise_is_no_edge_and_neither_is_nothing() -> None:
-    noise = np.clip(100.0 + 8.0 * np.random.default_rng(1).standard_normal((200, 200)), 0, 255).astype(np.uint8)
+    noise = np.clip(
+        100.0 + 8.0 * np.random.default_rng(1).standard_normal((200, 200)), 0, 255
+    ).astype(np.uint8)
     assert edge_blur_px(noise) is None
     assert edge_blur_px(np.full((200, 200), 90, np.uint8)) is None
     assert edge_blur_px(np.zeros((12, 12), np.uint8)) is None

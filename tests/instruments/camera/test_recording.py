@@ -9,12 +9,21 @@ import numpy as np
 import pytest
 
 from instruments.camera.frame import FrameSet
-from instruments.camera.recording import Recording, RecordingCameras, RecordingError, RecordingWriter, TruthRow
+from instruments.camera.recording import (
+    Recording,
+    RecordingCameras,
+    RecordingError,
+    RecordingWriter,
+    TruthRow,
+)
 from instruments.errors import DeviceError
 
 ROOT = Path(__file__).resolve().parents[3]
 HEAD = "frame,situation,teat,x_mm,y_mm,z_mm,visible\n"
-TRUTH = (TruthRow("ideal", "1", (-110.2, 284.2, 134.2), True, 0.23), TruthRow("ideal", "2", (-161.9, 1 / 3, 137.6), False))
+TRUTH = (
+    TruthRow("ideal", "1", (-110.2, 284.2, 134.2), True, 0.23),
+    TruthRow("ideal", "2", (-161.9, 1 / 3, 137.6), False),
+)
 
 
 def frame_set(seed: int, *, thermal: bool = True) -> FrameSet:
@@ -22,7 +31,12 @@ def frame_set(seed: int, *, thermal: bool = True) -> FrameSet:
     left, right = rng.integers(0, 256, (2, 24, 32), dtype=np.uint8)
     if not thermal:
         return FrameSet(left, right)
-    return FrameSet(left, right, rng.integers(0, 256, (12, 16), dtype=np.uint8), rng.integers(28000, 31000, (3, 4), dtype=np.uint16))
+    return FrameSet(
+        left,
+        right,
+        rng.integers(0, 256, (12, 16), dtype=np.uint8),
+        rng.integers(28000, 31000, (3, 4), dtype=np.uint16),
+    )
 
 
 @pytest.fixture
@@ -130,16 +144,31 @@ def test_a_radiometric_picture_of_eight_bits_is_refused(folder: Path) -> None:
     [
         ("frame,teat\n", r"truth\.csv:1: the column\(s\) situation, x_mm"),
         ("", r"truth\.csv:1: the column"),
-        (HEAD + "0000,ideal,1,1,2,3,1\n0000,ideal,2,1,2,3.2,1\n", r"truth\.csv:3: the ends of teats '1' and '2' .* are 0.20 mm"),
-        (HEAD + "0000,ideal,1,1,2,3,1\n0000,ideal,1,1,2,4,1\n", r"truth\.csv:3: teat '1' of frame '0000' stands here a second time"),
+        (
+            HEAD + "0000,ideal,1,1,2,3,1\n0000,ideal,2,1,2,3.2,1\n",
+            r"truth\.csv:3: the ends of teats '1' and '2' .* are 0.20 mm",
+        ),
+        (
+            HEAD + "0000,ideal,1,1,2,3,1\n0000,ideal,1,1,2,4,1\n",
+            r"truth\.csv:3: teat '1' of frame '0000' stands here a second time",
+        ),
         (HEAD + "0000,ideal,1,1,2,x,1\n", r"truth\.csv:2: z_mm must be a number in mm, is 'x'"),
         (HEAD + "0000,ideal,1,1,nan,3,1\n", r"truth\.csv:2: y_mm must be finite"),
         (HEAD + "0000,ideal,1,1,2,3,yes\n", r"truth\.csv:2: visible must be 0 or 1, is 'yes'"),
         (HEAD + "0000,ideal,1,1,2\n", r"truth\.csv:2: has another number of values"),
         (HEAD + "0000,ideal,1,1,2,3,1,4\n", r"truth\.csv:2: has another number of values"),
-        (HEAD + "0000,ideal,1,1,2,3,1\n0000,other,2,1,2,3,1\n", r"truth\.csv:3: frame '0000' is 'other' here and 'ideal' above"),
-        (HEAD + "0007,ideal,1,1,2,3,1\n", r"truth\.csv:2: names frame '0007', but frames/ has no such folder"),
-        (HEAD.strip() + ",u_mm\n0000,ideal,1,1,2,3,1,-1\n", r"truth\.csv:2: u_mm, a standard uncertainty"),
+        (
+            HEAD + "0000,ideal,1,1,2,3,1\n0000,other,2,1,2,3,1\n",
+            r"truth\.csv:3: frame '0000' is 'other' here and 'ideal' above",
+        ),
+        (
+            HEAD + "0007,ideal,1,1,2,3,1\n",
+            r"truth\.csv:2: names frame '0007', but frames/ has no such folder",
+        ),
+        (
+            HEAD.strip() + ",u_mm\n0000,ideal,1,1,2,3,1,-1\n",
+            r"truth\.csv:2: u_mm, a standard uncertainty",
+        ),
         (HEAD + '0000,"ideal,1,1,2,3,1\n', r"truth\.csv: is not a table"),
     ],
 )
@@ -183,5 +212,7 @@ def test_the_path_traced_recording() -> None:
     assert frames.thermal.shape == (480, 640)
     assert frames.thermal_ck.shape == (120, 160)
     # From the first line of its truth.csv, by eye.
-    assert recording.truth["0000"][0] == TruthRow("ideal", "1", (-250.7173, 294.5578, 131.3914), True)
+    assert recording.truth["0000"][0] == TruthRow(
+        "ideal", "1", (-250.7173, 294.5578, 131.3914), True
+    )
     assert sum(not row.visible for rows in recording.truth.values() for row in rows) == 2

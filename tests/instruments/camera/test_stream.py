@@ -1,4 +1,6 @@
-"""The emulated cameras as MJPEG streams on loopback, met by the OpenCV driver as any network camera."""
+"""The emulated cameras as MJPEG streams on loopback, met by the OpenCV driver as any network
+camera.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +8,7 @@ import http.client
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import partial
 
 import cv2
 import numpy as np
@@ -27,7 +30,9 @@ SIZES = {"left": (96, 128), "right": (96, 128), "thermal": (48, 64)}
 
 @dataclass
 class Counting:
-    """Cameras whose pictures tell their number: each is 40 + 10 x n bright, n beginning again after 20."""
+    """Cameras whose pictures tell their number: each is 40 + 10 x n bright, n beginning again after
+    20.
+    """
 
     clock: RealClock
     taken: int = 0
@@ -38,8 +43,17 @@ class Counting:
         self.taken += 1
         if self.taken in self.dropped:
             raise FrameError(FrameFault.DROPPED, "left", "left camera", "no frame came")
-        grey = {name: np.full(size, 40 + 10 * (self.taken % 20), np.uint8) for name, size in self.sizes.items()}
-        return FrameSet(grey["left"], grey["right"], grey["thermal"], None, dict.fromkeys(SIZES, self.clock.now()))
+        grey = {
+            name: np.full(size, 40 + 10 * (self.taken % 20), np.uint8)
+            for name, size in self.sizes.items()
+        }
+        return FrameSet(
+            grey["left"],
+            grey["right"],
+            grey["thermal"],
+            None,
+            dict.fromkeys(SIZES, self.clock.now()),
+        )
 
 
 @pytest.fixture
@@ -55,14 +69,18 @@ def served(clock: RealClock) -> Iterator[StreamServer]:
 
 
 def cameras_of(server: StreamServer, clock: RealClock) -> CameraSet:
-    return CameraSet({name: (lambda name=name: OpenCvCamera(name, server.urls[name], clock)) for name in SIZES}, {})  # type: ignore[misc]
+    openers = {name: partial(OpenCvCamera, name, server.urls[name], clock) for name in SIZES}
+    return CameraSet(openers, {})
 
 
-def test_the_driver_gets_all_three_of_the_same_moment(served: StreamServer, clock: RealClock) -> None:
+def test_the_driver_gets_all_three_of_the_same_moment(
+    served: StreamServer, clock: RealClock
+) -> None:
     with closing(cameras_of(served, clock)) as cameras:
         assert "128 x 96" in cameras.identity["left"]
         assert "64 x 48" in cameras.identity["thermal"]
-        for _ in range(20):  # two may fall on the two sides of a tick; its skew tells, and the bench takes it again
+        # two may fall on the two sides of a tick; its skew tells, and the bench takes it again
+        for _ in range(20):
             frames = cameras.capture()
             if max(frames.exposed_s.values()) - min(frames.exposed_s.values()) < 0.02:
                 break
@@ -108,7 +126,9 @@ def test_a_camera_that_falls_silent_and_a_server_that_goes(clock: RealClock) -> 
     camera.close()
 
 
-def test_a_size_that_changes_within_a_stream_is_told_until_it_is_the_old_one(clock: RealClock) -> None:
+def test_a_size_that_changes_within_a_stream_is_told_until_it_is_the_old_one(
+    clock: RealClock,
+) -> None:
     source = Counting(clock)
 
     def outcomes_until(wanted: str) -> set[str]:
@@ -159,8 +179,10 @@ def test_what_is_sent(served: StreamServer) -> None:
 
 
 def test_one_part_of_the_stream() -> None:
-    assert part(b"JPEG", 1.5) == (
-        b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: 4\r\nX-Exposed-Seconds: 1.500000\r\n\r\nJPEG\r\n"
+    assert (
+        part(b"JPEG", 1.5)
+        == b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: 4\r\nX-Exposed-Seconds:"
+        b" 1.500000\r\n\r\nJPEG\r\n"
     )
 
 
@@ -170,12 +192,17 @@ def test_no_stream_under_virtual_time() -> None:
 
 
 def test_the_scene_itself_over_the_wire(clock: RealClock) -> None:
-    """What the renderer draws, through JPEG, HTTP and FFmpeg; then left and right exchanged by a fault of the emulator's."""
+    """What the renderer draws, through JPEG, HTTP and FFmpeg; then left and right exchanged by a
+    fault of the emulator's.
+    """
     from instruments.camera.emulator import EmulatedCameras
 
     emulated = EmulatedCameras(SmallWorld(clock=clock))
     seen = emulated.capture()
-    with closing(StreamServer(emulated, clock, fps=4.0)) as server, closing(cameras_of(server, clock)) as cameras:
+    with (
+        closing(StreamServer(emulated, clock, fps=4.0)) as server,
+        closing(cameras_of(server, clock)) as cameras,
+    ):
         frames = cameras.capture()
         assert np.abs(frames.left.astype(int) - seen.left).mean() < 2.5
         assert frames.thermal is not None

@@ -1,4 +1,6 @@
-"""A host that sends hexadecimal to an emulated arm over loopback under virtual time, and shows what comes."""
+"""A host that sends hexadecimal to an emulated arm over loopback under virtual time, and shows what
+comes.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,13 @@ class Hand:
 class Host:
     """Sends hexadecimal, and gives back what comes within 50 ms."""
 
-    def __init__(self, *, unit: ArmIdentity | None = None, habits: Habits | None = None, tremor_mm: float = 0.05) -> None:
+    def __init__(
+        self,
+        *,
+        unit: ArmIdentity | None = None,
+        habits: Habits | None = None,
+        tremor_mm: float = 0.05,
+    ) -> None:
         self.clock = VirtualClock()
         self.hand = Hand()
         self.arm = ArmEmulator(self.hand, self.clock, unit=unit, habits=habits, tremor_mm=tremor_mm)

@@ -1,4 +1,6 @@
-"""Rigs for the driver's tests. Whatever a test does, no rig has heard a byte that writes, or letters without an end before them."""
+"""Rigs for the driver's tests. Whatever a test does, no rig has heard a byte that writes, or
+letters without an end before them.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""One emulated arm on loopback under virtual time, in a hand, with an ear on its wire and a cable that can be pulled."""
+"""One emulated arm on loopback under virtual time, in a hand, with an ear on its wire and a cable
+that can be pulled.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ MAKERS_ORDER = bytes.fromhex("C8 C9 CA CB CC CD CE C6 C0 D3")
 
 
 class Hand:
-    """Holds the tip at ``point`` with the stylus upright, or leaves it on its peg; ``drift`` mm along x a second."""
+    """Holds the tip at ``point`` with the stylus upright, or leaves it on its peg; ``drift`` mm
+    along x a second.
+    """
 
     def __init__(self, clock: VirtualClock) -> None:
         self.clock = clock
@@ -77,10 +81,14 @@ class Ear:
 class Rig:
     """One emulated arm, plugged in."""
 
-    def __init__(self, unit: ArmIdentity = UNIT_40937, *, echo_after: int = 1, accuracy_mm: float = 0.23) -> None:
+    def __init__(
+        self, unit: ArmIdentity = UNIT_40937, *, echo_after: int = 1, accuracy_mm: float = 0.23
+    ) -> None:
         self.clock = VirtualClock()
         self.hand = Hand(self.clock)
-        self.arm = ArmEmulator(self.hand, self.clock, unit=unit, seed=5, echo_after=echo_after, accuracy_mm=accuracy_mm)
+        self.arm = ArmEmulator(
+            self.hand, self.clock, unit=unit, seed=5, echo_after=echo_after, accuracy_mm=accuracy_mm
+        )
         self.ear = Ear(self.arm)
         self.lock = threading.RLock()
         self.listener = Listener(self.ear, self.clock, lock=self.lock, name="arm")

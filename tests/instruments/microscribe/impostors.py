@@ -1,4 +1,6 @@
-"""Far ends that are no emulator: what says an arm's words with other answers, and what only sends something back."""
+"""Far ends that are no emulator: what says an arm's words with other answers, and what only sends
+something back.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ from instruments.microscribe.driver import MicroScribe
 
 
 class Ghost:
-    """An arm as far as its words go, whose answers are what ``answer`` makes of the command byte."""
+    """An arm as far as its words go, whose answers are what
+    ``answer`` makes of the command byte.
+    """
 
     def __init__(self, answer: Callable[[int], bytes]) -> None:
         self.answer = answer

@@ -1,7 +1,8 @@
 """Driver against emulator through every fault in any order.
 
-Never a wrong position, never a byte that writes nor letters without an end before them, and back in session when the arm is
-back. The operator is honest: homing is confirmed only when the arm was switched on, or homed, on its peg.
+Never a wrong position, never a byte that writes nor letters without an end before them, and back in
+session when the arm is back. The operator is honest: homing is confirmed only when the arm was
+switched on, or homed, on its peg.
 """
 
 from __future__ import annotations
@@ -28,13 +29,23 @@ from tests.instruments.microscribe.bare_host import UP
 
 PEG = UNIT_40937.geometry().forward(UNIT_40937.home)[0][0]
 POINTS = [None, np.array([-180.0, 240.0, 130.0]), np.array([-120.0, 200.0, 140.0])]
-# A perfect arm in a hand that trembles by 0.05 mm: rounding alone is 0.31 mm at most (the sheet), and a bit flipped in one of
-# eight packets moves their mean by an eighth of what the reading's spread allows it.
+# A perfect arm in a hand that trembles by 0.05 mm: rounding alone is 0.31 mm at most (the sheet),
+# and a bit flipped in one of eight packets moves their mean by an eighth of what the reading's
+# spread allows it.
 NOISE_MM = 0.31 + 0.15 + 0.1
 PASSING = [
-    Fault.SILENT, Fault.BIT_7, Fault.LOST_BYTE, Fault.GARBAGE, Fault.OLD_SESSION, Fault.WRONG_BAUD, Fault.SURPLUS_ECHOES,
-    Fault.INTERFACE_BOX, Fault.BLOCK_LENGTH, Fault.PEDAL_BOUNCE, Fault.SLOW_ADAPTER,
-]  # fmt: skip
+    Fault.SILENT,
+    Fault.BIT_7,
+    Fault.LOST_BYTE,
+    Fault.GARBAGE,
+    Fault.OLD_SESSION,
+    Fault.WRONG_BAUD,
+    Fault.SURPLUS_ECHOES,
+    Fault.INTERFACE_BOX,
+    Fault.BLOCK_LENGTH,
+    Fault.PEDAL_BOUNCE,
+    Fault.SLOW_ADAPTER,
+]
 ONCE = [Fault.FLIPPED_BIT, Fault.LOST_QUESTION]
 WITH_RULES_OF_THEIR_OWN = [Fault.LATE_ECHO, Fault.DISCONNECT, Fault.POWER_LOSS, Fault.NEVER_HOMED]
 WRITES = {0xC3, 0xC7, 0xD0, 0xD1}
@@ -77,7 +88,9 @@ class ArmInAnyOrder(RuleBasedStateMachine):
         return None if self.point is None else (self.point, UP)
 
     def plugged_in(self) -> MicroScribe:
-        return MicroScribe(Link(f"socket://127.0.0.1:{self.port}", self.clock, who="arm"), self.clock)
+        return MicroScribe(
+            Link(f"socket://127.0.0.1:{self.port}", self.clock, who="arm"), self.clock
+        )
 
     @property
     def powered(self) -> bool:
@@ -146,7 +159,9 @@ class ArmInAnyOrder(RuleBasedStateMachine):
     @rule()
     def plug_in(self) -> None:
         if self.listener is None:
-            self.listener = Listener(self.ear, self.clock, lock=self.lock, name="arm", port=self.port)
+            self.listener = Listener(
+                self.ear, self.clock, lock=self.lock, name="arm", port=self.port
+            )
 
     # The host
 
@@ -193,12 +208,17 @@ class ArmInAnyOrder(RuleBasedStateMachine):
         else:
             assert homed
             assert self.powered
-            assert np.linalg.norm(reading.tip_mm - (PEG if self.point is None else self.point)) < NOISE_MM
+            assert (
+                np.linalg.norm(reading.tip_mm - (PEG if self.point is None else self.point))
+                < NOISE_MM
+            )
             event("read")
 
     @rule(point=st.sampled_from(POINTS))
     def work(self, point: Floats | None) -> None:
-        """What an operator does all day: touch and read; and what it takes, if the arm asks for it."""
+        """What an operator does all day: touch and read; and what it
+        takes, if the arm asks for it.
+        """
         if not self.driver.live:
             self.recover()
         if not self.driver.homed and not self.well_homed:
@@ -216,9 +236,14 @@ class ArmInAnyOrder(RuleBasedStateMachine):
         self.arm.faults.inject(fault, 1)
         self.work(point)
 
-    @rule(fault=st.sampled_from([Fault.FLIPPED_BIT, Fault.LOST_BYTE]), after=st.sampled_from([0, 1, 5, 9, 10, 11, 20]))
+    @rule(
+        fault=st.sampled_from([Fault.FLIPPED_BIT, Fault.LOST_BYTE]),
+        after=st.sampled_from([0, 1, 5, 9, 10, 11, 20]),
+    )
     def work_through_a_bad_sign_on(self, fault: Fault, after: int) -> None:
-        """Replies have no checksum: a bit flipped in maxima or parameters (9 to 11 answers after the echo's) bends the arm."""
+        """Replies have no checksum: a bit flipped in maxima or parameters (9 to 11 answers after
+        the echo's) bends the arm.
+        """
         with contextlib.suppress(LinkError):
             self.driver.safe()
         self.arm.faults.inject(fault, 1, after=after)
@@ -257,7 +282,8 @@ class ArmInAnyOrder(RuleBasedStateMachine):
         if asks_driver_to_recover:
             self.driver.recover()
         else:
-            with contextlib.suppress(LinkError):  # a cable that was out is told of once, and opened again the next time
+            # a cable that was out is told of once, and opened again the next time
+            with contextlib.suppress(LinkError):
                 self.driver.sign_on()
             self.driver.sign_on()
         self.driver.home()
@@ -272,7 +298,8 @@ class ArmInAnyOrder(RuleBasedStateMachine):
     def no_byte_that_writes(self) -> None:
         assert not WRITES & set(self.ear.heard)
         assert self.ear.heard.count(b"IMMC") == self.ear.heard.count(b"\xc5IMMC")
-        # An end that was lost on its way leaves the letters behind it to a session that somebody left alive: no host can help it.
+        # An end that was lost on its way leaves the letters behind it to a session that somebody
+        # left alive: no host can help it.
         assert self.arm.eeprom_attempts == 0 or self.may_have_lost_c5
 
     def teardown(self) -> None:

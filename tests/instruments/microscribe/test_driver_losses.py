@@ -1,4 +1,6 @@
-"""Power that goes, cables that are pulled: noticed, told, and brought back without a position that could be wrong."""
+"""Power that goes, cables that are pulled: noticed, told, and brought back without a position that
+could be wrong.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,13 @@ import pytest
 
 from instruments.errors import LinkError
 from instruments.microscribe.emulator import ArmEmulator
-from instruments.microscribe.errors import AnotherArmError, InterfaceBoxError, NoSessionError, NotHomedError, SilentArmError
+from instruments.microscribe.errors import (
+    AnotherArmError,
+    InterfaceBoxError,
+    NoSessionError,
+    NotHomedError,
+    SilentArmError,
+)
 from instruments.microscribe.protocol import State
 from instruments.microscribe.unit import UNIT_40937
 from tests.instruments.microscribe.driver_rig import POINT, Rig, renamed
@@ -80,7 +88,9 @@ def test_plugged_in_again_it_is_back_within_two_seconds_and_homing_is_demanded(r
     driver.recover(60.0)
     assert 0.0 <= rig.clock.now() - back < 2.0
     assert rig.arm.state is State.SESSION
-    with pytest.raises(NotHomedError, match="the link broke, and nobody can tell whether the arm kept its power"):
+    with pytest.raises(
+        NotHomedError, match="the link broke, and nobody can tell whether the arm kept its power"
+    ):
         driver.read()
     driver.confirm_homed()
     driver.read()
@@ -99,7 +109,8 @@ def test_nothing_read_before_counts_as_read_after(rig: Rig) -> None:
     driver = rig.signed_on()
     rig.hand.point = POINT
     rig.ear.late_s = 0.01
-    rig.clock.call_at(rig.clock.now() + 0.005, rig.ear.hosts[-1].hang_up)  # a question is on its way: its answer is from the point
+    # a question is on its way: its answer is from the point
+    rig.clock.call_at(rig.clock.now() + 0.005, rig.ear.hosts[-1].hang_up)
     with pytest.raises(LinkError):
         driver.read()
     rig.hand.point = None

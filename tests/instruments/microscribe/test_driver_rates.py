@@ -18,7 +18,9 @@ from tests.instruments.microscribe.impostors import Parrot, sign_on_to
 
 
 class AtRate:
-    """An arm whose session was left at another rate than the link's: it understands only that one."""
+    """An arm whose session was left at another rate than the
+    link's: it understands only that one.
+    """
 
     def __init__(self, rig: Rig, baud: int) -> None:
         self.rig, self.baud = rig, baud
@@ -54,7 +56,9 @@ def at_rate(rig: Rig) -> Callable[[int], tuple[MicroScribe, AtRate]]:
     return build
 
 
-def test_a_session_at_another_rate_is_found(rig: Rig, at_rate: Callable[[int], tuple[MicroScribe, AtRate]]) -> None:
+def test_a_session_at_another_rate_is_found(
+    rig: Rig, at_rate: Callable[[int], tuple[MicroScribe, AtRate]]
+) -> None:
     driver, device = at_rate(9600)
     rig.arm.faults.inject(Fault.OLD_SESSION, 1)
     driver.sign_on()
@@ -64,7 +68,9 @@ def test_a_session_at_another_rate_is_found(rig: Rig, at_rate: Callable[[int], t
     assert driver.poll().counts == UNIT_40937.home
 
 
-def test_after_a_search_for_the_rate_a_word_is_not_enough(at_rate: Callable[[int], tuple[MicroScribe, AtRate]]) -> None:
+def test_after_a_search_for_the_rate_a_word_is_not_enough(
+    at_rate: Callable[[int], tuple[MicroScribe, AtRate]],
+) -> None:
     driver, _ = at_rate(9600)
     driver.sign_on()
     with pytest.raises(NotHomedError, match=r"may have re-homed it.*on its peg and home the arm"):
@@ -75,7 +81,9 @@ def test_after_a_search_for_the_rate_a_word_is_not_enough(at_rate: Callable[[int
     driver.read()
 
 
-def test_no_rate_that_works_is_told_with_all_that_were_tried(rig: Rig, at_rate: Callable[[int], tuple[MicroScribe, AtRate]]) -> None:
+def test_no_rate_that_works_is_told_with_all_that_were_tried(
+    rig: Rig, at_rate: Callable[[int], tuple[MicroScribe, AtRate]]
+) -> None:
     driver, device = at_rate(57600)
     with pytest.raises(NoMicroScribeError, match="at 115200 or 38400 or 9600 baud"):
         driver.sign_on()

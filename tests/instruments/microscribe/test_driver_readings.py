@@ -1,4 +1,6 @@
-"""Readings: right when the arm is still and homed, refused when it isn't, and honest on a bad cable."""
+"""Readings: right when the arm is still and homed, refused when it isn't, and honest on a bad
+cable.
+"""
 
 from __future__ import annotations
 
@@ -84,8 +86,13 @@ def test_the_same_seed_gives_the_same_readings(make: Callable[..., Rig]) -> None
     assert readings[0] == readings[1]
 
 
-@pytest.mark.parametrize(("encoders", "stamped", "asked", "counts"), [(5, False, 0x01, 5), (5, True, 0x21, 5), (6, True, 0x23, 6)])
-def test_five_encoders_or_six_with_a_stamp_or_without(rig: Rig, encoders: int, stamped: bool, asked: int, counts: int) -> None:
+@pytest.mark.parametrize(
+    ("encoders", "stamped", "asked", "counts"),
+    [(5, False, 0x01, 5), (5, True, 0x21, 5), (6, True, 0x23, 6)],
+)
+def test_five_encoders_or_six_with_a_stamp_or_without(
+    rig: Rig, encoders: int, stamped: bool, asked: int, counts: int
+) -> None:
     driver = rig.signed_on()
     packet = driver.poll(encoders=encoders, stamped=stamped)
     assert rig.ear.heard.endswith(bytes([asked]))
@@ -101,18 +108,28 @@ def test_seven_encoders_are_no_arm(rig: Rig) -> None:
 
 def test_another_tip_is_longer_along_the_stylus(rig: Rig) -> None:
     standard = rig.signed_on().read()
-    driver = MicroScribe(Link(rig.listener.url, rig.clock, who="arm"), rig.clock, tip_longer_mm=25.0)
+    driver = MicroScribe(
+        Link(rig.listener.url, rig.clock, who="arm"), rig.clock, tip_longer_mm=25.0
+    )
     rig.drivers.append(driver)
     driver.sign_on()
     driver.confirm_homed()
-    np.testing.assert_allclose(driver.read().tip_mm, standard.tip_mm - 25.0 * standard.axis, atol=1e-9)
+    np.testing.assert_allclose(
+        driver.read().tip_mm, standard.tip_mm - 25.0 * standard.axis, atol=1e-9
+    )
 
 
 def test_no_position_before_homing_is_confirmed(rig: Rig) -> None:
     driver = rig.driver()
     driver.sign_on()
     assert driver.poll().counts == UNIT_40937.home
-    with pytest.raises(NotHomedError, match=r"before homing is confirmed: it has not been confirmed since sign-on.*stylus on its peg"):
+    with pytest.raises(
+        NotHomedError,
+        match=(
+            r"before homing is confirmed: it has not been confirmed since sign-on.*stylus on"
+            r" its peg"
+        ),
+    ):
         driver.read()
     driver.confirm_homed()
     assert driver.homed
@@ -154,7 +171,9 @@ def test_homing_that_is_not_confirmed_by_the_arm_does_not_count(rig: Rig) -> Non
 def test_a_reading_is_refused_while_the_arm_moves(rig: Rig) -> None:
     driver = rig.signed_on()
     rig.hand.point, rig.hand.drift = POINT, 100.0
-    with pytest.raises(ArmMovesError, match=r"the arm moves: 8 packets spread by \d\.\d+ mm, more than 1 mm.*still"):
+    with pytest.raises(
+        ArmMovesError, match=r"the arm moves: 8 packets spread by \d\.\d+ mm, more than 1 mm.*still"
+    ):
         driver.read()
     rig.hand.drift = 0.0
     driver.read()
@@ -201,7 +220,8 @@ def test_a_flipped_bit_shows_as_motion(rig: Rig) -> None:
             tip = driver.read().tip_mm
         except LimitError:
             refused += 1
-        else:  # a low bit, a joint that is none, or the buttons: no further off than the spread allows
+        # a low bit, a joint that is none, or the buttons: no further off than the spread allows
+        else:
             assert np.hypot(*tip[:2]) == pytest.approx(75, abs=1)
     assert refused > 5
 

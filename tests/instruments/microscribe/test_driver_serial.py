@@ -1,4 +1,6 @@
-"""The driver through pyserial, on a pseudo-terminal paced at 115200 baud, in real time: what loopback can't show."""
+"""The driver through pyserial, on a pseudo-terminal paced at 115200 baud, in real time: what
+loopback can't show.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ class Peg:
 
 
 class Bench:
-    """An arm on a port whose name, as under /dev/serial/by-id, stays when the adapter comes back under another."""
+    """An arm on a port whose name, as under /dev/serial/by-id, stays when the adapter comes back
+    under another.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.clock = RealClock()
@@ -45,7 +49,9 @@ class Bench:
         self.plug_in()
 
     def plug_in(self, *, baud: int = 115200, latency_s: float = 0.0) -> None:
-        self.listener = PtyListener(self.arm, self.clock, lock=self.lock, name="arm", baud=baud, latency_s=latency_s)
+        self.listener = PtyListener(
+            self.arm, self.clock, lock=self.lock, name="arm", baud=baud, latency_s=latency_s
+        )
         self.name.symlink_to(self.listener.url)
 
     def unplug(self) -> None:
@@ -55,7 +61,9 @@ class Bench:
         self.listener = None
 
     def signed_on(self, baud: int = 115200) -> MicroScribe:
-        self.driver = MicroScribe(Link(str(self.name), self.clock, who="arm", baud=baud), self.clock)
+        self.driver = MicroScribe(
+            Link(str(self.name), self.clock, who="arm", baud=baud), self.clock
+        )
         self.driver.sign_on()
         return self.driver
 
@@ -132,12 +140,19 @@ def test_unplugged_and_plugged_in_again(bench: Bench) -> None:
 
 def test_a_port_that_another_program_has_open(bench: Bench) -> None:
     bench.signed_on()
-    with pytest.raises(LinkError, match=r"can't be opened.*Another program has the port open: close it.*fuser"):
+    with pytest.raises(
+        LinkError, match=r"can't be opened.*Another program has the port open: close it.*fuser"
+    ):
         Link(str(bench.name), bench.clock, who="arm")
 
 
 def test_a_port_that_is_not_there(bench: Bench) -> None:
-    with pytest.raises(LinkError, match=r"Is the adapter plugged in, and the port's name right\? Serial ports on this machine"):
+    with pytest.raises(
+        LinkError,
+        match=(
+            r"Is the adapter plugged in, and the port's name right\? Serial ports on this machine"
+        ),
+    ):
         Link(str(bench.name.with_name("ttyUSB9")), bench.clock, who="arm")
 
 

@@ -26,12 +26,21 @@ def test_sign_on_goes_by_the_sheet_and_reads_who_it_is_twice(rig: Rig) -> None:
     driver = rig.driver()
     identity = driver.sign_on()
     assert rig.ear.heard == b"\xc5\xc5IMMCBEGIN" + MAKERS_ORDER + MAKERS_ORDER
-    assert dataclasses.astuple(identity) == ("MicroScribe3D", "MSCR", "DX", "40937", "Standard+Beta", "Format DH0.5", "HCI 2.0")
+    assert dataclasses.astuple(identity) == (
+        "MicroScribe3D",
+        "MSCR",
+        "DX",
+        "40937",
+        "Standard+Beta",
+        "Format DH0.5",
+        "HCI 2.0",
+    )
     assert driver.identity == identity
     assert driver.maxima.turns == (16384, 16384, 8192, 4096, 4096, 0)
     assert driver.parameters.d == (8300, -878, -3, 9244, 320, -5274)
     assert driver.beta_rad == pytest.approx(3 / 32768 * np.pi)
-    assert rig.clock.now() == pytest.approx(0.115)  # the pause after an end, and the silence that surplus echoes are waited for
+    # the pause after an end, and the silence that surplus echoes are waited for
+    assert rig.clock.now() == pytest.approx(0.115)
     assert driver.warnings == ()
 
 
@@ -45,7 +54,9 @@ def test_what_a_run_records_is_enough_to_compute_positions_anew(rig: Rig) -> Non
 
 
 @pytest.mark.parametrize("echo_after", [2, 6])
-def test_an_arm_that_wants_to_hear_it_several_times(make: Callable[..., Rig], echo_after: int) -> None:
+def test_an_arm_that_wants_to_hear_it_several_times(
+    make: Callable[..., Rig], echo_after: int
+) -> None:
     rig = make(echo_after=echo_after)
     rig.driver().sign_on()
     assert rig.ear.heard.startswith(b"\xc5" + b"\xc5IMMC" * echo_after + b"BEGIN" + MAKERS_ORDER)
@@ -80,7 +91,9 @@ def test_an_arm_without_beta_is_not_asked_for_it(make: Callable[..., Rig]) -> No
 
 
 def test_a_joint_that_loses_count_is_told(make: Callable[..., Rig]) -> None:
-    maxima = dataclasses.replace(UNIT_40937.maxima, encoders=(0x3FFF, 0x3FFF, 0x1FFF, 4999, 0x0FFF, 0))
+    maxima = dataclasses.replace(
+        UNIT_40937.maxima, encoders=(0x3FFF, 0x3FFF, 0x1FFF, 4999, 0x0FFF, 0)
+    )
     driver = make(dataclasses.replace(UNIT_40937, maxima=maxima)).driver()
     driver.sign_on()
     assert len(driver.warnings) == 1
@@ -112,14 +125,20 @@ def test_a_flipped_bit_in_any_reply_is_outvoted(hit: int, bit: int) -> None:
     listener = Listener(Ghost(answer), clock, lock=threading.RLock(), name="ghost")
     driver = MicroScribe(Link(listener.url, clock, who="arm"), clock)
     driver.sign_on()
-    assert (driver.identity, driver.maxima, driver.parameters) == (UNIT_40937.names, UNIT_40937.maxima, UNIT_40937.parameters)
+    assert (driver.identity, driver.maxima, driver.parameters) == (
+        UNIT_40937.names,
+        UNIT_40937.maxima,
+        UNIT_40937.parameters,
+    )
     assert driver.beta_rad == pytest.approx(3 / 32768 * np.pi)
     driver.close()
     listener.close()
 
 
 @pytest.mark.parametrize("lost", range(30))
-def test_whichever_byte_of_sign_on_is_lost_an_old_session_comes_to_no_harm(rig: Rig, lost: int) -> None:
+def test_whichever_byte_of_sign_on_is_lost_an_old_session_comes_to_no_harm(
+    rig: Rig, lost: int
+) -> None:
     rig.arm.faults.inject(Fault.OLD_SESSION, 1)
     driver = rig.driver()
     rig.ear.lose = {lost}

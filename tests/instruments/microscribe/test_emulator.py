@@ -53,7 +53,10 @@ def host(fresh: Host) -> Host:
         ("C6", "C6 03 3F FF 00 00 00 00 00 00 00 00 00 3F FF 3F FF 1F FF 0F FF 0F FF 00 00"),
         (
             "C0",
-            "C0 24 00 00 3F F5 FF F9 3F E5 C0 02 C0 0C 00 00 03 C0 28 10 02 15 FE 6F 01 8F 20 6C FC 92 FF FD 24 1C 01 40 EB 66",
+            (
+                "C0 24 00 00 3F F5 FF F9 3F E5 C0 02 C0 0C 00 00 03 C0 28 10 02 15 FE 6F 01 8F 20"
+                " 6C FC 92 FF FD 24 1C 01 40 EB 66"
+            ),
         ),
         ("D3", "D3 02 00 03"),
         ("C2", "C2"),
@@ -104,7 +107,8 @@ def test_homing_off_the_peg_ruins_every_later_position(host: Host, asked: str) -
     before = host.counts()
     assert before != UNIT_40937.home
     assert host.ask(asked) == "C2"
-    assert np.abs(np.subtract(host.counts()[:5], UNIT_40937.home[:5])).max() <= 3  # the hand trembles
+    # the hand trembles
+    assert np.abs(np.subtract(host.counts()[:5], UNIT_40937.home[:5])).max() <= 3
     host.hand.point = None
     assert host.counts() != UNIT_40937.home
 
@@ -181,8 +185,12 @@ def test_whatever_it_hears_it_can_be_signed_on_again(noise: list[bytes]) -> None
 # Mechanics
 
 
-def mechanics(hand: Hand, *, seed: int = 1, accuracy_mm: float = 0.0, tremor_mm: float = 0.0) -> Mechanics:
-    return Mechanics(ARM, UNIT_40937.home, hand, seed=seed, accuracy_mm=accuracy_mm, tremor_mm=tremor_mm)
+def mechanics(
+    hand: Hand, *, seed: int = 1, accuracy_mm: float = 0.0, tremor_mm: float = 0.0
+) -> Mechanics:
+    return Mechanics(
+        ARM, UNIT_40937.home, hand, seed=seed, accuracy_mm=accuracy_mm, tremor_mm=tremor_mm
+    )
 
 
 def grip(x: float = -180.0, y: float = 240.0, z: float = 130.0) -> Hand:
@@ -199,7 +207,8 @@ def test_a_perfect_arm_stands_where_the_hand_holds_it() -> None:
 def test_the_mean_error_over_the_workspace_is_what_was_asked_for(seed: int) -> None:
     error = KinematicError(ARM, HOME_RAD, seed=seed, accuracy_mm=0.23)
     poses = workspace(ARM, HOME_RAD, np.random.default_rng(99))
-    assert np.linalg.norm(error.at(poses).mean(axis=0)) < 0.02  # a shift of all would be another frame
+    # a shift of all would be another frame
+    assert np.linalg.norm(error.at(poses).mean(axis=0)) < 0.02
     sizes = np.linalg.norm(error.at(poses), axis=1)
     assert sizes.mean() == pytest.approx(0.23, rel=0.04)
     assert sizes.max() < 1.0
@@ -216,7 +225,9 @@ def test_the_error_is_the_arms_not_the_packets() -> None:
     arm = mechanics(grip(), accuracy_mm=0.23)
     first, tip = arm.counts(1), ARM.forward(arm.counts(2))[0][0]
     np.testing.assert_array_equal(first, arm.counts(500))
-    expected = KinematicError(ARM, HOME_RAD, seed=1, accuracy_mm=0.23).at(ARM.angles(mechanics(grip()).counts(1)))[0]
+    expected = KinematicError(ARM, HOME_RAD, seed=1, accuracy_mm=0.23).at(
+        ARM.angles(mechanics(grip()).counts(1))
+    )[0]
     np.testing.assert_allclose(tip - POINT, expected, atol=1e-6)
 
 

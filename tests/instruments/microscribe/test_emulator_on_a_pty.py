@@ -1,4 +1,6 @@
-"""Driver and emulated arm over pyserial and a pseudo-terminal, paced as a real line is: the nearest to a real arm without one."""
+"""Driver and emulated arm over pyserial and a pseudo-terminal, paced as a real line is: the nearest
+to a real arm without one.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from instruments.microscribe.unit import UNIT_40937
 from instruments.pty_listener import PtyListener
 from tests.instruments.microscribe.bare_host import POINT, UP, Hand
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them")
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them"
+)
 POLL_S = 15 * 10 / 115200
 STREAMED_S = 14 * 10 / 115200
 
@@ -34,11 +38,15 @@ class Rig:
         self.hand = Hand()
         self.lock = threading.RLock()
         self.arm = ArmEmulator(self.hand, self.clock, accuracy_mm=0.0)
-        self.listener = PtyListener(self.arm, self.clock, lock=self.lock, name="arm", baud=115200, latency_s=latency_s)
+        self.listener = PtyListener(
+            self.arm, self.clock, lock=self.lock, name="arm", baud=115200, latency_s=latency_s
+        )
         self.drivers: list[MicroScribe] = []
 
     def driver(self, baud: int = 115200) -> MicroScribe:
-        self.drivers.append(MicroScribe(Link(self.listener.url, self.clock, who="arm", baud=baud), self.clock))
+        self.drivers.append(
+            MicroScribe(Link(self.listener.url, self.clock, who="arm", baud=baud), self.clock)
+        )
         return self.drivers[-1]
 
     def close(self) -> None:
@@ -88,7 +96,9 @@ def test_a_touch_over_a_real_port(make: Callable[..., Rig]) -> None:
     assert driver.poll().counts != UNIT_40937.home
 
 
-def test_an_adapter_of_one_millisecond_polls_as_the_sheet_says_at_best(make: Callable[..., Rig]) -> None:
+def test_an_adapter_of_one_millisecond_polls_as_the_sheet_says_at_best(
+    make: Callable[..., Rig],
+) -> None:
     rig = make(latency_s=0.001)
     driver = rig.driver()
     driver.sign_on()
@@ -128,7 +138,9 @@ def test_a_session_at_another_rate_is_found_and_ended(make: Callable[..., Rig]) 
     assert driver.baud == 57600
 
 
-def test_the_arm_changes_its_rate_with_the_host_and_hears_no_other(make: Callable[..., Rig]) -> None:
+def test_the_arm_changes_its_rate_with_the_host_and_hears_no_other(
+    make: Callable[..., Rig],
+) -> None:
     rig = make()
     driver = rig.driver()
     driver.sign_on()

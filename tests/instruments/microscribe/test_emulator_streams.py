@@ -1,4 +1,6 @@
-"""Streams of the emulated arm: by time, by differences, by pedals; and what nobody knows of them, either way."""
+"""Streams of the emulated arm: by time, by differences, by pedals; and what nobody knows of them,
+either way.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +28,15 @@ def host() -> Iterator[Host]:
     host.close()
 
 
-def stream(delay_ms: int, *, command: str = "03", mask: int = 0, deltas: tuple[int, ...] = (0,) * 6) -> str:
+def stream(
+    delay_ms: int, *, command: str = "03", mask: int = 0, deltas: tuple[int, ...] = (0,) * 6
+) -> str:
     """The stream command, typed field by field as the sheet has it."""
-    return f"CF {delay_ms:04X} {command} {mask:02X} " + "00 " * 8 + " ".join(f"{delta:04X}" for delta in deltas)
+    return (
+        f"CF {delay_ms:04X} {command} {mask:02X} "
+        + "00 " * 8
+        + " ".join(f"{delta:04X}" for delta in deltas)
+    )
 
 
 @pytest.mark.parametrize(
@@ -36,7 +44,9 @@ def stream(delay_ms: int, *, command: str = "03", mask: int = 0, deltas: tuple[i
     [("03", 822.9), ("01", 960.0), ("23", 720.0), ("00", 5760.0)],
     ids=["six encoders", "five", "time stamps", "buttons alone"],
 )
-def test_without_delay_a_stream_is_as_fast_as_115200_baud(host: Host, command: str, rate_hz: float) -> None:
+def test_without_delay_a_stream_is_as_fast_as_115200_baud(
+    host: Host, command: str, rate_hz: float
+) -> None:
     assert len(host.packets(stream(0, command=command), 1.0)) == pytest.approx(rate_hz, abs=1)
 
 
@@ -79,13 +89,18 @@ def test_a_pedal_of_the_mask_sends(releases: bool, expected: list[int]) -> None:
 
 
 def test_a_slow_drift_and_what_differences_are_measured_from() -> None:
-    drift = [Look(0, (count,)) for count in range(16380, 16384)] + [Look(0, (count,)) for count in range(30)]
+    drift = [Look(0, (count,)) for count in range(16380, 16384)] + [
+        Look(0, (count,)) for count in range(30)
+    ]
     request = StreamRequest(0, 3, encoder_deltas=(5, 0, 0, 0, 0, 0))
     fired = {}
     for habit in ("last packet", "last look"):
         trigger = Trigger(request, Habits(deltas_from=habit), drift[0])
         fired[habit] = [look.counts[0] for look in drift[1:] if trigger.fires(look)]
-    assert fired == {"last packet": [1, 6, 11, 16, 21, 26], "last look": []}, "counts go round at 16384"
+    assert fired == {
+        "last packet": [1, 6, 11, 16, 21, 26],
+        "last look": [],
+    }, "counts go round at 16384"
 
 
 def test_the_marker_comes_back_in_its_place_and_any_command_ends_a_stream(host: Host) -> None:
@@ -105,7 +120,9 @@ def test_a_second_stream_replaces_the_first(host: Host) -> None:
 def test_a_stream_goes_on_for_the_next_host(host: Host) -> None:
     host.ask(stream(10))
     host.plug_in_again()
-    assert host.ask("", 0.105) == " ".join([AT_REST] * 10), "the arm doesn't notice who is plugged in"
+    assert host.ask("", 0.105) == " ".join([AT_REST] * 10), (
+        "the arm doesn't notice who is plugged in"
+    )
     assert host.ask("03") == AT_REST
     assert host.ask("", 0.1) == ""
 

@@ -50,7 +50,15 @@ def test_a_bad_cable(host: Host) -> None:
 
 def test_a_fault_may_spare_the_first_answers(host: Host) -> None:
     host.arm.faults.inject("bit 7 in payload", 2, after=3)
-    assert [host.ask("03") == AT_REST for _ in range(7)] == [True, True, True, False, False, True, True]
+    assert [host.ask("03") == AT_REST for _ in range(7)] == [
+        True,
+        True,
+        True,
+        False,
+        False,
+        True,
+        True,
+    ]
 
 
 @pytest.mark.parametrize(("fault", "left"), [("flipped bit", 37), ("lost byte", 37)])
@@ -68,7 +76,10 @@ def test_a_byte_lost_to_the_arm_makes_it_wait_for_one_more(host: Host) -> None:
     assert host.ask("03") == ""
     assert host.ask("03") == AT_REST
     host.arm.faults.inject("lost byte to the arm", 1)
-    assert host.ask("D2 41") in ("", "87 00 00 00 00 " + AT_REST[6:]), "the marker's code or its value, which is no command"
+    assert host.ask("D2 41") in (
+        "",
+        "87 00 00 00 00 " + AT_REST[6:],
+    ), "the marker's code or its value, which is no command"
 
 
 def test_an_old_session_hears_letters_as_commands(fresh: Host) -> None:
@@ -78,7 +89,9 @@ def test_an_old_session_hears_letters_as_commands(fresh: Host) -> None:
     fresh.hand.point = POINT
     assert fresh.ask("42 45 47 49 4E") == "C2 C5"
     fresh.session()
-    assert np.abs(np.subtract(fresh.counts()[:5], UNIT_40937.home[:5])).max() <= 3, "re-homed off the peg"
+    assert np.abs(np.subtract(fresh.counts()[:5], UNIT_40937.home[:5])).max() <= 3, (
+        "re-homed off the peg"
+    )
 
 
 @pytest.mark.parametrize("letter", ["43", "47", "C3", "C7", "D0", "D1", "50", "51"])
@@ -135,7 +148,9 @@ def test_power_goes_and_comes_back(host: Host) -> None:
     host.arm.faults.clear("power loss")
     assert host.ask("03") == "", "the session is gone"
     host.session()
-    assert np.abs(np.subtract(host.counts()[:5], UNIT_40937.home[:5])).max() <= 3, "home counts, wherever the stylus is"
+    assert np.abs(np.subtract(host.counts()[:5], UNIT_40937.home[:5])).max() <= 3, (
+        "home counts, wherever the stylus is"
+    )
 
 
 def test_a_session_left_alive_needs_power(fresh: Host) -> None:
@@ -244,7 +259,9 @@ def test_a_fault_that_is_none_is_refused() -> None:
 
 @pytest.mark.parametrize(("fault", "amount"), [("silent", 3.0), ("slow adapter", -0.1)])
 def test_an_amount_that_cannot_be_is_refused(fault: str, amount: float) -> None:
-    with pytest.raises(ValueError, match=rf"'{fault}' has no amount {amount:g}.*slow adapter \(0.016\)"):
+    with pytest.raises(
+        ValueError, match=rf"'{fault}' has no amount {amount:g}.*slow adapter \(0.016\)"
+    ):
         Faults(0).inject(fault, amount=amount)
 
 

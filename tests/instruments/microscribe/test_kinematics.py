@@ -12,21 +12,37 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from instruments.microscribe import configuration as conf
-from instruments.microscribe.kinematics import RANGES_RAD, ArmGeometry, Floats, OutOfReachError, encoded, inverse
+from instruments.microscribe.kinematics import (
+    RANGES_RAD,
+    ArmGeometry,
+    Floats,
+    OutOfReachError,
+    encoded,
+    inverse,
+)
 
-PARAMETERS = bytes.fromhex("C0 24 0000 3FF5 FFF9 3FE5 C002 C00C 0000 03C0 2810 0215 FE6F 018F 206C FC92 FFFD 241C 0140 EB66")
+PARAMETERS = bytes.fromhex(
+    "C0 24 0000 3FF5 FFF9 3FE5 C002 C00C 0000 03C0 2810 0215 FE6F 018F 206C FC92 FFFD 241C 0140"
+    " EB66"
+)
 TURNS = (16384, 16384, 8192, 4096, 4096, 0)
 ARM = ArmGeometry.from_block(conf.decode_parameters(PARAMETERS), conf.angle_rad(3), TURNS)
 HOME = (13903, 6238, 6868, 4098, 3193, 8416)
 SHEET = [
     ((0, 6238, 6868, 4098, 3193, 8416), (73.6746, 14.0353, 212.2005), (0.00842, -0.00297, 0.99996)),
     ((0, 0, 0, 0, 0, 0), (298.3763, 12.8422, -157.9246), (0, 0.00297, 1)),
-    ((4096, 2048, 1024, 512, 256, 0), (19.6568, 563.1507, 438.6562), (-0.27183, -0.92310, -0.27201)),
+    (
+        (4096, 2048, 1024, 512, 256, 0),
+        (19.6568, 563.1507, 438.6562),
+        (-0.27183, -0.92310, -0.27201),
+    ),
 ]
 
 
 @pytest.mark.parametrize(("counts", "tip", "axis"), SHEET)
-def test_check_values_of_the_sheet(counts: tuple[int, ...], tip: tuple[float, ...], axis: tuple[float, ...]) -> None:
+def test_check_values_of_the_sheet(
+    counts: tuple[int, ...], tip: tuple[float, ...], axis: tuple[float, ...]
+) -> None:
     tips, axes = ARM.forward(counts)
     np.testing.assert_allclose(tips, [tip], atol=1e-4)
     np.testing.assert_allclose(axes, [axis], atol=1e-5)
@@ -47,7 +63,9 @@ def test_the_home_pose_stands_where_the_sheet_says() -> None:
 
 def test_counts_past_one_turn_are_the_same_pose_and_the_sixth_joint_is_none() -> None:
     once = np.array([100, 200, 300, 2, 400, 0])
-    np.testing.assert_array_equal(ARM.forward(once)[0], ARM.forward(once + np.array([0, 0, 8192, 4096, 3 * 4096, 77]))[0])
+    np.testing.assert_array_equal(
+        ARM.forward(once)[0], ARM.forward(once + np.array([0, 0, 8192, 4096, 3 * 4096, 77]))[0]
+    )
 
 
 def test_rounding_alone_moves_the_tip_by_what_the_sheet_says() -> None:
@@ -63,7 +81,9 @@ def test_frames_end_where_forward_says() -> None:
     tips, axes = ARM.forward_angles(angles)
     np.testing.assert_allclose(origins[:, -1], tips, atol=1e-9)
     np.testing.assert_allclose(rotations[:, -1, :, 2], axes, atol=1e-12)
-    np.testing.assert_allclose(rotations @ rotations.transpose(0, 1, 3, 2), np.tile(np.eye(3), (3, 6, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        rotations @ rotations.transpose(0, 1, 3, 2), np.tile(np.eye(3), (3, 6, 1, 1)), atol=1e-12
+    )
 
 
 def test_the_jacobian_is_the_slope() -> None:
@@ -84,8 +104,16 @@ def tilted(tilt_deg: float, towards_deg: float) -> Floats:
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.floats(-260, -110), st.floats(190, 290), st.floats(120, 145), st.floats(0, 40), st.floats(0, 360))
-def test_the_arm_reaches_the_teats_with_the_stylus_from_above(x: float, y: float, z: float, tilt: float, towards: float) -> None:
+@given(
+    st.floats(-260, -110),
+    st.floats(190, 290),
+    st.floats(120, 145),
+    st.floats(0, 40),
+    st.floats(0, 360),
+)
+def test_the_arm_reaches_the_teats_with_the_stylus_from_above(
+    x: float, y: float, z: float, tilt: float, towards: float
+) -> None:
     direction = tilted(tilt, towards)
     counts = inverse(ARM, (x, y, z), direction, start=HOME)
     tips, axes = ARM.forward(counts)
@@ -104,14 +132,18 @@ def test_the_direction_is_met_exactly_outside_the_blind_cone() -> None:
     chance = np.random.default_rng(2)
     off = []
     for _ in range(60):
-        point, direction = chance.uniform((-260, 190, 120), (-110, 290, 145)), tilted(chance.uniform(0, 20), chance.uniform(0, 360))
+        point, direction = (
+            chance.uniform((-260, 190, 120), (-110, 290, 145)),
+            tilted(chance.uniform(0, 20), chance.uniform(0, 360)),
+        )
         _, axes = ARM.forward(inverse(ARM, point, direction, start=HOME))
         off.append(np.linalg.norm(axes - direction))
     assert max(off) < 1e-8
 
 
 def test_in_line_with_the_forearm_the_direction_gives_way_and_the_tip_does_not() -> None:
-    # Found by a search for what 48 starts don't reach: the stylus is 0.4 degrees from the forearm's line.
+    # Found by a search for what 48 starts don't reach: the stylus is 0.4 degrees from the forearm's
+    # line.
     point, direction = (-149.8, 251.4, 139.3), np.array([0.2059, -0.436, 0.8761])
     tips, axes = ARM.forward(inverse(ARM, point, direction, start=HOME))
     np.testing.assert_allclose(tips, [point], atol=1e-6)
@@ -140,7 +172,9 @@ def test_a_joint_past_its_range_is_out_of_reach() -> None:
 
 
 def test_counts_are_rounded_as_encoders_do() -> None:
-    np.testing.assert_array_equal(encoded([0.4, 0.6, -1, 16384, 20000.2, 16383.6]), [0, 1, 16383, 0, 3616, 0])
+    np.testing.assert_array_equal(
+        encoded([0.4, 0.6, -1, 16384, 20000.2, 16383.6]), [0, 1, 16383, 0, 3616, 0]
+    )
 
 
 @pytest.mark.parametrize("direction", [(0, 0, 0), (0, 1), (0, 0, float("nan"))])
@@ -160,14 +194,18 @@ def test_an_arm_of_five_joints_is_refused() -> None:
 
 
 def test_five_counts_will_do_for_an_arm_without_a_sixth_encoder() -> None:
-    np.testing.assert_array_equal(ARM.forward([0, 6238, 6868, 4098, 3193])[0], ARM.forward([0, 6238, 6868, 4098, 3193, 0])[0])
+    np.testing.assert_array_equal(
+        ARM.forward([0, 6238, 6868, 4098, 3193])[0], ARM.forward([0, 6238, 6868, 4098, 3193, 0])[0]
+    )
     six = dataclasses.replace(ARM, turns=np.array([16384, 16384, 8192, 4096, 4096, 4096]))
     with pytest.raises(ValueError, match="shape"):
         six.forward([0, 6238, 6868, 4098, 3193])
 
 
 @given(arrays(np.int64, (4, 6), elements=st.integers(0, 16383)), st.floats(-50.0, 200.0))
-def test_a_longer_tip_reaches_further_against_the_stylus_axis(counts: npt.NDArray[np.int64], longer_mm: float) -> None:
+def test_a_longer_tip_reaches_further_against_the_stylus_axis(
+    counts: npt.NDArray[np.int64], longer_mm: float
+) -> None:
     tips, axes = ARM.forward(counts)
     further, same = ARM.with_tip(longer_mm).forward(counts)
     np.testing.assert_allclose(further, tips - longer_mm * axes, atol=1e-9)
@@ -175,8 +213,12 @@ def test_a_longer_tip_reaches_further_against_the_stylus_axis(counts: npt.NDArra
 
 
 @given(arrays(np.int64, (4, 6), elements=st.integers(0, 16383)))
-def test_orientations_are_rotations_whose_third_column_is_the_axis(counts: npt.NDArray[np.int64]) -> None:
+def test_orientations_are_rotations_whose_third_column_is_the_axis(
+    counts: npt.NDArray[np.int64],
+) -> None:
     rotations = ARM.orientations(counts)
-    np.testing.assert_allclose(rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (4, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (4, 1, 1)), atol=1e-12
+    )
     np.testing.assert_allclose(np.linalg.det(rotations), 1.0)
     np.testing.assert_allclose(rotations[:, :, 2], ARM.forward(counts)[1], atol=1e-12)

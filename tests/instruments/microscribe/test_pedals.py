@@ -25,7 +25,9 @@ def test_press_and_release_once_they_have_lasted() -> None:
 
 def test_a_bounce_starts_the_time_anew() -> None:
     assert fed([(0, 0), (10, 1), (15, 0), (20, 1), (35, 1)]) == []
-    assert fed([(0, 0), (10, 1), (15, 0), (20, 1), (40, 1)]) == [PedalEvent(Pedal.RIGHT, True, 0.02)]
+    assert fed([(0, 0), (10, 1), (15, 0), (20, 1), (40, 1)]) == [
+        PedalEvent(Pedal.RIGHT, True, 0.02)
+    ]
 
 
 def test_a_single_packet_is_no_event_at_a_slow_rate() -> None:
@@ -113,5 +115,6 @@ def test_a_bouncing_contact_is_one_press(rig: Rig) -> None:
     press(rig, 0.6, 0x00)
     with driver.stream(500.0) as samples:
         got = list(itertools.islice(samples, 500))
-    assert sum(a.buttons != b.buttons for a, b in itertools.pairwise(got)) > 2  # the contacts did bounce
+    # the contacts did bounce
+    assert sum(a.buttons != b.buttons for a, b in itertools.pairwise(got)) > 2
     assert [event.pressed for sample in got for event in sample.events] == [True, False]

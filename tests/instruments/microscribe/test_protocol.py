@@ -18,7 +18,10 @@ from instruments.microscribe.protocol import Code, Packet, PacketDecoder, WireEr
 
 AT_REST = bytes.fromhex("83 00 6C 4F 30 5E 35 54 20 02 18 79 41 60")
 MAXIMA = bytes.fromhex("C6 03 3FFF 00 00 00 00 00 00 00 00 00 3FFF 3FFF 1FFF 0FFF 0FFF 0000")
-PARAMETERS = bytes.fromhex("C0 24 0000 3FF5 FFF9 3FE5 C002 C00C 0000 03C0 2810 0215 FE6F 018F 206C FC92 FFFD 241C 0140 EB66")
+PARAMETERS = bytes.fromhex(
+    "C0 24 0000 3FF5 FFF9 3FE5 C002 C00C 0000 03C0 2810 0215 FE6F 018F 206C FC92 FFFD 241C 0140"
+    " EB66"
+)
 EXTENDED = bytes.fromhex("D3 02 0003")
 NAMES = {
     0xC8: "MicroScribe3D",
@@ -46,7 +49,9 @@ def with_trailing(data: bytes) -> Iterable[bytes]:
 
 @pytest.mark.parametrize("cut", [whole, byte_by_byte, with_trailing])
 @pytest.mark.parametrize("command", [None, wire.POLL])
-def test_the_recorded_packet_three_ways(cut: Callable[[bytes], Iterable[bytes]], command: int | None) -> None:
+def test_the_recorded_packet_three_ways(
+    cut: Callable[[bytes], Iterable[bytes]], command: int | None
+) -> None:
     decoder = PacketDecoder(command)
     packets = [packet for piece in cut(AT_REST) for packet in decoder.feed(piece)]
     assert packets == [REST]
@@ -70,17 +75,24 @@ def test_packet_lengths_of_the_sheet(command: int, header: int, length: int) -> 
 
 
 def test_a_time_stamp_and_analogs_come_before_the_encoders() -> None:
-    # 0x25: stamp, two analogs, five encoders. Analog 0xFF is 7F and low bit 1, at bit 6; 0x80 is 40 and low bit 0.
+    # 0x25: stamp, two analogs, five encoders. Analog 0xFF is 7F and low bit 1, at bit 6; 0x80 is 40
+    # and low bit 0.
     data = bytes.fromhex("A5 02 01 02 7F 40 40 00 01 00 02 00 03 00 04 00 05")
-    assert PacketDecoder().feed(data) == [Packet(0x25, 2, (1, 2, 3, 4, 5), ticks=130, analogs=(0xFF, 0x80))]
+    assert PacketDecoder().feed(data) == [
+        Packet(0x25, 2, (1, 2, 3, 4, 5), ticks=130, analogs=(0xFF, 0x80))
+    ]
 
 
 def test_the_eighth_analog_has_no_low_bit() -> None:
     packet = Packet(0x0C, 0, (), analogs=(255,) * 8)
-    assert PacketDecoder().feed(wire.encode_packet(packet)) == [Packet(0x0C, 0, (), analogs=(255,) * 7 + (254,))]
+    assert PacketDecoder().feed(wire.encode_packet(packet)) == [
+        Packet(0x0C, 0, (), analogs=(255,) * 7 + (254,))
+    ]
 
 
-@pytest.mark.parametrize("packet", [Packet(0x03, 0, (1,) * 5), Packet(0x23, 0, (1,) * 6), Packet(0x07, 0, (1,) * 6)])
+@pytest.mark.parametrize(
+    "packet", [Packet(0x03, 0, (1,) * 5), Packet(0x23, 0, (1,) * 6), Packet(0x07, 0, (1,) * 6)]
+)
 def test_a_packet_that_does_not_fit_its_command_is_refused(packet: Packet) -> None:
     with pytest.raises(WireError, match=f"command {packet.command:02X} has"):
         wire.encode_packet(packet)
@@ -97,7 +109,8 @@ def test_a_lost_byte_costs_one_packet_and_a_lost_header_also_the_one_before() ->
     decoder = PacketDecoder(0x03)
     assert decoder.feed(AT_REST[:-1] + AT_REST + AT_REST) == [REST, REST]
     assert decoder.damaged == 1
-    assert decoder.feed(AT_REST + AT_REST[1:] + AT_REST) == [REST]  # which of the 26 bytes are surplus can't be told
+    # which of the 26 bytes are surplus can't be told
+    assert decoder.feed(AT_REST + AT_REST[1:] + AT_REST) == [REST]
     assert decoder.damaged == 2
 
 
@@ -115,7 +128,9 @@ def test_a_byte_that_comes_twice_costs_its_packet_and_none_is_wrong(place: int) 
 
 
 def kept(stream: bytes, cuts: list[int]) -> tuple[list[Packet], int]:
-    """The packets of a stream in pieces, without those that were withdrawn; and how many came damaged."""
+    """The packets of a stream in pieces, without those that were withdrawn; and how many came
+    damaged.
+    """
     decoder = PacketDecoder()
     got: list[Packet] = []
     for a, b in itertools.pairwise([0, *sorted(cuts), len(stream)]):
@@ -148,7 +163,13 @@ def packets(draw: st.DrawFn) -> Packet:
         draw(st.integers(0, 127)),
         tuple(draw(st.lists(fourteen, min_size=count, max_size=count))),
         draw(fourteen) if command & wire.TIME_STAMP else None,
-        tuple(draw(st.lists(st.integers(0, 127).map(lambda v: v * 2), min_size=channels, max_size=channels))),
+        tuple(
+            draw(
+                st.lists(
+                    st.integers(0, 127).map(lambda v: v * 2), min_size=channels, max_size=channels
+                )
+            )
+        ),
     )
 
 
@@ -172,7 +193,9 @@ def test_after_any_garbage_the_second_packet_is_right(garbage: bytes, cuts: list
 
 
 @given(
-    st.lists(st.one_of(st.binary(max_size=20), packets().map(wire.encode_packet)), max_size=6).map(b"".join),
+    st.lists(st.one_of(st.binary(max_size=20), packets().map(wire.encode_packet)), max_size=6).map(
+        b"".join
+    ),
     st.data(),
 )
 def test_cutting_changes_nothing(data: bytes, drawn: st.DataObject) -> None:
@@ -193,7 +216,17 @@ def test_the_names_are_asked_in_the_makers_order() -> None:
     assert bytes(conf.NAMES) == bytes.fromhex("C8 C9 CA CB CC CD CE")
 
 
-@pytest.mark.parametrize("reply", [b"", b"\xc9MSCR\0", b"\xc8MicroScribe", b"\xc8A\0B\0", b"\xc8" + b"A" * 32 + b"\0", b"\xc8\xff\0"])
+@pytest.mark.parametrize(
+    "reply",
+    [
+        b"",
+        b"\xc9MSCR\0",
+        b"\xc8MicroScribe",
+        b"\xc8A\0B\0",
+        b"\xc8" + b"A" * 32 + b"\0",
+        b"\xc8\xff\0",
+    ],
+)
 def test_a_name_that_is_none_is_refused(reply: bytes) -> None:
     with pytest.raises(WireError):
         conf.decode_name(0xC8, reply)
@@ -245,14 +278,23 @@ SHORTS = st.lists(st.integers(-32768, 32767), min_size=6, max_size=6).map(tuple)
 
 
 @given(SHORTS, SHORTS, SHORTS)
-def test_any_parameters_come_back(alpha: tuple[int, ...], a: tuple[int, ...], d: tuple[int, ...]) -> None:
+def test_any_parameters_come_back(
+    alpha: tuple[int, ...], a: tuple[int, ...], d: tuple[int, ...]
+) -> None:
     parameters = Parameters(alpha, a, d)
     assert conf.decode_parameters(conf.encode_parameters(parameters)) == parameters
 
 
-@pytest.mark.parametrize("decode", [conf.decode_maxima, conf.decode_parameters, conf.decode_extended, conf.decode_stream])
-@given(st.sampled_from([b"", b"\xc6", b"\xc0", b"\xc0\x24", b"\xd3\x02", b"\xcf"]), st.binary(max_size=50))
-def test_garbage_raises_nothing_but_ours(decode: Callable[[bytes], object], head: bytes, rest: bytes) -> None:
+@pytest.mark.parametrize(
+    "decode", [conf.decode_maxima, conf.decode_parameters, conf.decode_extended, conf.decode_stream]
+)
+@given(
+    st.sampled_from([b"", b"\xc6", b"\xc0", b"\xc0\x24", b"\xd3\x02", b"\xcf"]),
+    st.binary(max_size=50),
+)
+def test_garbage_raises_nothing_but_ours(
+    decode: Callable[[bytes], object], head: bytes, rest: bytes
+) -> None:
     with contextlib.suppress(WireError):
         decode(head + rest)
 

@@ -1,4 +1,6 @@
-"""Where replies end, the commands that carry a byte or two, and what would be a command by accident."""
+"""Where replies end, the commands that carry a byte or two, and what would be a command by
+accident.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,10 @@ REPLIES = {
     0xCB: b"\xcb40937\0",
     0xCC: b"\xccStandard+Beta\0",
     0xC6: bytes.fromhex("C6 03 3FFF 00 00 00 00 00 00 00 00 00 3FFF 3FFF 1FFF 0FFF 0FFF 0000"),
-    0xC0: bytes.fromhex("C0 24 0000 3FF5 FFF9 3FE5 C002 C00C 0000 03C0 2810 0215 FE6F 018F 206C FC92 FFFD 241C 0140 EB66"),
+    0xC0: bytes.fromhex(
+        "C0 24 0000 3FF5 FFF9 3FE5 C002 C00C 0000 03C0 2810 0215 FE6F 018F 206C FC92 FFFD 241C 0140"
+        " EB66"
+    ),
     0xD3: bytes.fromhex("D3 02 0003"),
     0xC2: b"\xc2",
     0xC4: b"\xc4",
@@ -32,10 +37,16 @@ REPLIES = {
 }
 
 
-@pytest.mark.parametrize(("code", "reply"), REPLIES.items(), ids=[f"{code:02X}" for code in REPLIES])
-def test_where_a_reply_ends_whole_byte_by_byte_and_with_what_follows(code: int, reply: bytes) -> None:
+@pytest.mark.parametrize(
+    ("code", "reply"), REPLIES.items(), ids=[f"{code:02X}" for code in REPLIES]
+)
+def test_where_a_reply_ends_whole_byte_by_byte_and_with_what_follows(
+    code: int, reply: bytes
+) -> None:
     assert conf.reply_length(code, reply) == len(reply)
-    assert [conf.reply_length(code, reply[:end]) for end in range(len(reply))] == [None] * len(reply)
+    assert [conf.reply_length(code, reply[:end]) for end in range(len(reply))] == [None] * len(
+        reply
+    )
     assert conf.reply_length(code, reply + AT_REST) == len(reply)
 
 
@@ -58,7 +69,16 @@ def test_another_length_of_a_block_is_told_from_a_short_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("baud", "code"), [(115200, 0x00), (57600, 0x01), (28800, 0x02), (14400, 0x03), (38400, 0x10), (19200, 0x11), (9600, 0x12)]
+    ("baud", "code"),
+    [
+        (115200, 0x00),
+        (57600, 0x01),
+        (28800, 0x02),
+        (14400, 0x03),
+        (38400, 0x10),
+        (19200, 0x11),
+        (9600, 0x12),
+    ],
 )
 def test_the_rates_of_the_sheet(baud: int, code: int) -> None:
     assert protocol.encode_set_baud(baud) == bytes([0xC4, code])
@@ -78,24 +98,40 @@ def test_a_rate_that_is_none_is_refused(data: bytes) -> None:
 
 def test_markers_keep_their_place_among_packets() -> None:
     decoder = PacketDecoder(0x03, markers=True)
-    stream = AT_REST + b"\xd2\x83" + AT_REST + b"\xd2\x00" + AT_REST  # a marker's byte may look like a header
+    # a marker's byte may look like a header
+    stream = AT_REST + b"\xd2\x83" + AT_REST + b"\xd2\x00" + AT_REST
     assert decoder.feed_all(stream) == [REST, Marker(0x83), REST, Marker(0), REST]
     assert decoder.damaged == 0
 
 
-@given(st.lists(st.one_of(st.just(REST), st.builds(Marker, st.integers(0, 255))), max_size=10), st.lists(st.integers(0, 150), max_size=8))
-def test_markers_and_packets_cut_anywhere_come_back(items: list[Packet | Marker], cuts: list[int]) -> None:
-    stream = b"".join(AT_REST if isinstance(item, Packet) else protocol.encode_marker(item) for item in items)
+@given(
+    st.lists(st.one_of(st.just(REST), st.builds(Marker, st.integers(0, 255))), max_size=10),
+    st.lists(st.integers(0, 150), max_size=8),
+)
+def test_markers_and_packets_cut_anywhere_come_back(
+    items: list[Packet | Marker], cuts: list[int]
+) -> None:
+    stream = b"".join(
+        AT_REST if isinstance(item, Packet) else protocol.encode_marker(item) for item in items
+    )
     places = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
     decoder = PacketDecoder(0x03, markers=True)
-    assert [item for a, b in itertools.pairwise(places) for item in decoder.feed_all(stream[a:b])] == items
+    assert [
+        item for a, b in itertools.pairwise(places) for item in decoder.feed_all(stream[a:b])
+    ] == items
     assert (decoder.damaged, decoder.pending) == (0, 0)
 
 
-@pytest.mark.parametrize("cut", [lambda data: [data], lambda data: [data[i : i + 1] for i in range(len(data))]], ids=["whole", "by byte"])
+@pytest.mark.parametrize(
+    "cut",
+    [lambda data: [data], lambda data: [data[i : i + 1] for i in range(len(data))]],
+    ids=["whole", "by byte"],
+)
 def test_who_waits_for_no_marker_takes_none(cut: Callable[[bytes], Iterable[bytes]]) -> None:
     decoder = PacketDecoder(0x03)
-    assert [packet for piece in cut(b"\xd2\x07" + AT_REST) for packet in decoder.feed(piece)] == [REST]
+    assert [packet for piece in cut(b"\xd2\x07" + AT_REST) for packet in decoder.feed(piece)] == [
+        REST
+    ]
 
 
 def test_a_marker_is_a_byte() -> None:
@@ -114,15 +150,24 @@ def test_a_marker_is_a_byte() -> None:
 def test_no_delay_configures_anything_and_none_is_longer_than_asked(period_s: float) -> None:
     delay = protocol.harmless_delay_ms(period_s)
     assert 1 <= delay <= max(1.0, period_s * 1000 + 1e-5)
-    assert all(wire.event_of(byte) is not wire.Event.CONFIGURE and not byte & wire.CONFIGURE for byte in delay.to_bytes(2, "big"))
+    assert all(
+        wire.event_of(byte) is not wire.Event.CONFIGURE and not byte & wire.CONFIGURE
+        for byte in delay.to_bytes(2, "big")
+    )
 
 
-@pytest.mark.parametrize(("period_s", "delay_ms"), [(0.01, 10), (0.001, 1), (0.0001, 1), (0.063, 63), (0.066, 63), (0.1, 63), (0.13, 130)])
+@pytest.mark.parametrize(
+    ("period_s", "delay_ms"),
+    [(0.01, 10), (0.001, 1), (0.0001, 1), (0.063, 63), (0.066, 63), (0.1, 63), (0.13, 130)],
+)
 def test_delays(period_s: float, delay_ms: int) -> None:
     assert protocol.harmless_delay_ms(period_s) == delay_ms
 
 
-@pytest.mark.parametrize("data", [bytes.fromhex("CF 0042 03") + bytes(21), b"\xd2\x45", b"\xcf\x00\x0a\x03\x00\xc2" + bytes(19)])
+@pytest.mark.parametrize(
+    "data",
+    [bytes.fromhex("CF 0042 03") + bytes(21), b"\xd2\x45", b"\xcf\x00\x0a\x03\x00\xc2" + bytes(19)],
+)
 def test_what_follows_a_command_in_a_session_may_not_configure(data: bytes) -> None:
     for state in (State.SESSION, State.STREAMING):
         with pytest.raises(WireError, match="if the byte before it were lost"):

@@ -28,7 +28,9 @@ def test_the_table_of_states(event: Event, after: dict[State, State]) -> None:
         if state in after:
             assert wire.next_state(state, event) is after[state]
         else:
-            with pytest.raises(WireError, match=f"{event.value} is not allowed while {state.value}"):
+            with pytest.raises(
+                WireError, match=f"{event.value} is not allowed while {state.value}"
+            ):
                 wire.next_state(state, event)
 
 

@@ -1,4 +1,6 @@
-"""Streams: at the rate that was asked for, in the arm's own time, ended as the maker's host does, and restarted."""
+"""Streams: at the rate that was asked for, in the arm's own time, ended as the maker's host does,
+and restarted.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,8 @@ def test_the_same_session_goes_on_behind_a_stream(rig: Rig) -> None:
     rig.hand.point = POINT
     assert driver.homed
     asked = rig.clock.now()
-    assert driver.poll().counts != UNIT_40937.home  # nothing that the stream left is taken for the answer
+    # nothing that the stream left is taken for the answer
+    assert driver.poll().counts != UNIT_40937.home
     assert rig.clock.now() == asked
 
 
@@ -84,7 +87,10 @@ def test_what_a_pedal_does_comes_with_the_samples(rig: Rig) -> None:
     rig.clock.call_at(rig.clock.now() + 0.8, lambda: setattr(rig.arm, "buttons", 0x00))
     with driver.stream(100.0) as samples:
         events = [event for sample in itertools.islice(samples, 150) for event in sample.events]
-    assert [(event.pedal, event.pressed) for event in events] == [(Pedal.LEFT, True), (Pedal.LEFT, False)]
+    assert [(event.pedal, event.pressed) for event in events] == [
+        (Pedal.LEFT, True),
+        (Pedal.LEFT, False),
+    ]
     assert events[1].t_s - events[0].t_s == pytest.approx(0.3, abs=0.02)
 
 
@@ -94,7 +100,8 @@ def test_no_delay_is_asked_for_that_would_be_a_command_by_itself(rig: Rig, rate_
     rig.ear.heard = b""
     with driver.stream(rate_hz) as samples:
         next(samples)
-    assert rig.ear.heard[:4] == bytes.fromhex("CF 003F 23")  # 63 ms: the next shorter one that is harmless
+    # 63 ms: the next shorter one that is harmless
+    assert rig.ear.heard[:4] == bytes.fromhex("CF 003F 23")
 
 
 @pytest.mark.parametrize("lost", range(25))
@@ -105,7 +112,11 @@ def test_whichever_byte_of_the_request_is_lost_no_harm_is_done(rig: Rig, lost: i
     rig.ear.lose = {lost}
     with driver.stream(100.0) as samples:
         got = list(itertools.islice(samples, 30))
-    assert all(abs(a - b) < 20 for sample in got for a, b in zip(sample.counts[:5], before[:5], strict=True))
+    assert all(
+        abs(a - b) < 20
+        for sample in got
+        for a, b in zip(sample.counts[:5], before[:5], strict=True)
+    )
     assert rig.arm.eeprom_attempts == 0
     driver.read()
 
@@ -114,7 +125,9 @@ def test_whichever_byte_of_the_request_is_lost_no_harm_is_done(rig: Rig, lost: i
 def test_damage_costs_packets_and_nothing_else(rig: Rig, fault: str) -> None:
     driver = rig.signed_on()
     with driver.stream(100.0) as samples:
-        for _ in range(20):  # one at a time: a byte lost in one packet and the header of the next make a packet that no rule refuses
+        # one at a time: a byte lost in one packet and the header of the next make a packet that no
+        # rule refuses
+        for _ in range(20):
             rig.arm.faults.inject(fault, 1)
             assert {sample.counts for sample in itertools.islice(samples, 5)} == {UNIT_40937.home}
     assert driver.damaged >= (0 if fault == "garbage between packets" else 10)
@@ -124,7 +137,13 @@ def test_damage_costs_packets_and_nothing_else(rig: Rig, fault: str) -> None:
 def test_questions_within_a_stream_are_refused(rig: Rig) -> None:
     driver = rig.signed_on()
     with driver.stream(100.0) as samples:
-        for ask in (driver.poll, driver.read, driver.home, lambda: driver.wait_for_pedal(1.0), lambda: driver.stream(10.0).__enter__()):
+        for ask in (
+            driver.poll,
+            driver.read,
+            driver.home,
+            lambda: driver.wait_for_pedal(1.0),
+            lambda: driver.stream(10.0).__enter__(),
+        ):
             with pytest.raises(StreamingError, match="End the stream first"):
                 ask()
         next(samples)
@@ -144,7 +163,10 @@ def test_a_stream_that_something_ended_is_started_again(rig: Rig) -> None:
 
 def test_power_loss_within_a_stream(rig: Rig) -> None:
     driver = rig.signed_on()
-    with pytest.raises(SilentArmError, match="fallen silent"), driver.stream(100.0) as samples:  # noqa: PT012 - the stream is what raises
+    with (  # noqa: PT012
+        pytest.raises(SilentArmError, match="fallen silent"),
+        driver.stream(100.0) as samples,
+    ):
         next(samples)
         rig.arm.power_cycle()
         list(itertools.islice(samples, 100))
@@ -154,7 +176,10 @@ def test_power_loss_within_a_stream(rig: Rig) -> None:
 
 def test_a_cable_pulled_within_a_stream(rig: Rig) -> None:
     driver = rig.signed_on()
-    with pytest.raises(LinkError, match="the link broke"), driver.stream(100.0) as samples:  # noqa: PT012 - the stream is what raises
+    with (  # noqa: PT012
+        pytest.raises(LinkError, match="the link broke"),
+        driver.stream(100.0) as samples,
+    ):
         next(samples)
         rig.ear.hosts[-1].hang_up()
         list(itertools.islice(samples, 100))
@@ -182,7 +207,10 @@ class Deaf:
 
 @pytest.mark.parametrize(
     ("answer", "error", "message"),
-    [(b"", SilentArmError, "answers polls, but no stream"), (b"\x81\x02", ProtocolError, r"answered otherwise .asked CF, got 81 02")],
+    [
+        (b"", SilentArmError, "answers polls, but no stream"),
+        (b"\x81\x02", ProtocolError, r"answered otherwise .asked CF, got 81 02"),
+    ],
 )
 def test_an_arm_that_does_not_stream_is_told_apart_from_one_that_is_gone(
     rig: Rig, answer: bytes, error: type[Exception], message: str

@@ -30,9 +30,13 @@ def test_a_long_pause_loses_no_wrap() -> None:
     st.integers(0, WRAP - 1),
     st.lists(st.tuples(st.integers(0, 200_000), st.floats(0.0, 4.0)), min_size=1, max_size=30),
 )
-def test_any_steps_add_up_whatever_the_hosts_delays(first: int, steps: list[tuple[int, float]]) -> None:
+def test_any_steps_add_up_whatever_the_hosts_delays(
+    first: int, steps: list[tuple[int, float]]
+) -> None:
     arm, made = ArmTime(), 0
     assert arm.seconds(first, 0.0) == 0.0
     for step, late_s in steps:
         made += step
-        assert arm.seconds((first + made) % WRAP, made * TICK_S + late_s) == pytest.approx(made * TICK_S)
+        assert arm.seconds((first + made) % WRAP, made * TICK_S + late_s) == pytest.approx(
+            made * TICK_S
+        )

@@ -1,4 +1,6 @@
-"""Arms by file: the one that ships says what was recorded, any other emulates as well, and a wrong file says all that is wrong."""
+"""Arms by file: the one that ships says what was recorded, any other emulates as well, and a wrong
+file says all that is wrong.
+"""
 
 from __future__ import annotations
 
@@ -55,8 +57,12 @@ def test_what_ships_is_the_arm_of_the_sheet() -> None:
     assert [path.stem for path in SHIPPED.glob("*.toml")] == ["40937"]
     replies = UNIT_40937.replies()
     assert replies[0xC8] == b"\xc8MicroScribe3D\0"
-    assert replies[0xC6] == bytes.fromhex("C6 03 3FFF" + "00" * 8 + "00 3FFF 3FFF 1FFF 0FFF 0FFF 0000")
-    blocks = "0000 3FF5 FFF9 3FE5 C002 C00C 0000 03C0 2810 0215 FE6F 018F 206C FC92 FFFD 241C 0140 EB66"
+    assert replies[0xC6] == bytes.fromhex(
+        "C6 03 3FFF" + "00" * 8 + "00 3FFF 3FFF 1FFF 0FFF 0FFF 0000"
+    )
+    blocks = (
+        "0000 3FF5 FFF9 3FE5 C002 C00C 0000 03C0 2810 0215 FE6F 018F 206C FC92 FFFD 241C 0140 EB66"
+    )
     assert replies[0xC0] == bytes.fromhex("C0 24" + blocks)
     assert replies[0xD3] == bytes.fromhex("D3 02 0003")
     assert UNIT_40937.home == (13903, 6238, 6868, 4098, 3193, 8416)
@@ -64,7 +70,9 @@ def test_what_ships_is_the_arm_of_the_sheet() -> None:
 
 
 def test_only_what_ships_is_there() -> None:
-    with pytest.raises(FileNotFoundError, match="no arm ships under the serial number 1; there is 40937"):
+    with pytest.raises(
+        FileNotFoundError, match="no arm ships under the serial number 1; there is 40937"
+    ):
         shipped_unit("1")
     with pytest.raises(AttributeError, match="no attribute 'UNIT_1'"):
         getattr(units, "UNIT_1")  # noqa: B009 - the name is no attribute
@@ -131,12 +139,23 @@ def test_all_faults_of_a_file_at_once(tmp_path: Path) -> None:
     [
         ("[names]", "[names", "not TOML: "),
         ("d = [9000", "beta = 3\nd = [9000", 'beta has no meaning without "Beta" in names.comment'),
-        ("[0x3FFF, 0x3FFF, 0x3FFF, 0x1FFF, 0x1FFF, 0x0FFF]", "[0x3FFF, 0x3FFF, 0, 0, 0, 0]", "can't be moved in three dimensions"),
+        (
+            "[0x3FFF, 0x3FFF, 0x3FFF, 0x1FFF, 0x1FFF, 0x0FFF]",
+            "[0x3FFF, 0x3FFF, 0, 0, 0, 0]",
+            "can't be moved in three dimensions",
+        ),
         ("counts = [0,", "counts = [16384,", "peg.counts.0: input should be less than 16384"),
         ("counts = [0,", 'counts = ["a",', "peg.counts.0: input should be a valid integer"),
         ("counts = [0,", 'counts = ["0",', "peg.counts.0: input should be a valid integer"),
     ],
-    ids=["syntax", "beta without Beta", "two encoders", "a count too high", "a word", "a number in quotes"],
+    ids=[
+        "syntax",
+        "beta without Beta",
+        "two encoders",
+        "a count too high",
+        "a word",
+        "a number in quotes",
+    ],
 )
 def test_a_file_that_describes_no_arm(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in SIX

@@ -1,4 +1,6 @@
-"""Operators of each kind for tests, all willing: the console's person presses Enter, the script says go, the hands are emulated."""
+"""Operators of each kind for tests, all willing: the console's person presses Enter, the script
+says go, the hands are emulated.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +26,15 @@ CHECK_POINT_MM = (-190.0, 120.0, 15.0)
 
 
 def arrangement(layout: str = "table-5-1", pose: PlatePose | None = None) -> Arrangement:
-    return Arrangement("ideal", shipped_phantom(layout), (), "Four teats as in table 5.1.", pose or PlatePose())
+    return Arrangement(
+        "ideal", shipped_phantom(layout), (), "Four teats as in table 5.1.", pose or PlatePose()
+    )
 
 
 def world(seed: int = 3) -> World:
-    cameras = cameras_from_calibration(tomllib.loads((RIGS / "calibration.toml").read_text(encoding="utf-8")))
+    cameras = cameras_from_calibration(
+        tomllib.loads((RIGS / "calibration.toml").read_text(encoding="utf-8"))
+    )
     return World(VirtualClock(), seed, Renderer(cameras, seed))
 
 
@@ -69,4 +75,6 @@ def keeper(kind: str) -> Operator:
         return PromptedOperator(willing_script())
     if kind == "awaited":
         return AwaitedOperator(hands(world()), Pulse())
-    return hands(world()) if kind == "emulated" else PromptedOperator(willing_script(), hands(world()))
+    return (
+        hands(world()) if kind == "emulated" else PromptedOperator(willing_script(), hands(world()))
+    )

@@ -1,4 +1,6 @@
-"""Operators who hold calibration boards: what a person may answer, and where emulated hands hold and touch one."""
+"""Operators who hold calibration boards: what a person may answer, and where emulated hands hold
+and touch one.
+"""
 
 from __future__ import annotations
 
@@ -48,17 +50,23 @@ class TestAPerson:
     def test_is_told_why_a_point_is_asked_for_again(self) -> None:
         out = io.StringIO()
         person("\n", out).touch_board(0, "Touch point 1.", again="That was another point.")
-        assert out.getvalue().index("That was another point.") < out.getvalue().index("Touch point 1.")
+        assert out.getvalue().index("That was another point.") < out.getvalue().index(
+            "Touch point 1."
+        )
 
 
 def test_a_script_says_enough_to_boards_only() -> None:
-    script = ScriptedAnswers([ScriptedAnswer("board", "enough", says="view 3")], {"board": "go"}, "answers.txt")
+    script = ScriptedAnswers(
+        [ScriptedAnswer("board", "enough", says="view 3")], {"board": "go"}, "answers.txt"
+    )
     who = PromptedOperator(script)
     who.hold_board(replace(HELD, number=2))
     with pytest.raises(OperatorEnough):
         who.hold_board(HELD)
     who.finish()
-    with pytest.raises(ValueError, match='to a prompt of the kind "corner" there are "go", "abort"'):
+    with pytest.raises(
+        ValueError, match='to a prompt of the kind "corner" there are "go", "abort"'
+    ):
         ScriptedAnswer("corner", "enough")
 
 

@@ -12,7 +12,13 @@ import pytest
 
 from instruments.clock import VirtualClock
 from instruments.operators.console import Console
-from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip, Prompt, time_left
+from instruments.operators.operator import (
+    OperatorAbort,
+    OperatorRepeat,
+    OperatorSkip,
+    Prompt,
+    time_left,
+)
 from instruments.operators.prompted import PromptedOperator
 from instruments.world.phantom import Teat
 from tests.instruments.operators.people import arrangement, person
@@ -37,7 +43,12 @@ def test_it_says_what_to_do_and_waits_for_enter() -> None:
     who.confirm_homing("Put the stylus on its peg.")
     assert who.set_up(ASKED).visible == (True,) * 4
     who.touch(3, 4)
-    for words in ("Put the stylus on its peg.", "layout overlapping", ASKED.instruction, "teat 3 of 4"):
+    for words in (
+        "Put the stylus on its peg.",
+        "layout overlapping",
+        ASKED.instruction,
+        "teat 3 of 4",
+    ):
         assert words in out.getvalue()
 
 
@@ -49,7 +60,10 @@ def test_it_says_how_far_the_run_is() -> None:
     who.touch_check_point(4, 5)
     said = out.getvalue()
     assert "[trial 3 of 18; about 13 min left] Situation ideal" in said
-    assert "[trial 3 of 18, teat 2 of 4, touch 1 of 3; about 13 min left] Touch the end of teat 2 (RR) of 4" in said
+    assert (
+        "[trial 3 of 18, teat 2 of 4, touch 1 of 3; about 13 min left] Touch the end of teat 2 (RR)"
+        " of 4" in said
+    )
     assert "[touch 4 of 5] Arm check" in said
 
 
@@ -63,7 +77,12 @@ def test_before_anything_is_known_no_time_is_told() -> None:
 
 @pytest.mark.parametrize(
     ("seconds", "words"),
-    [(0.0, "less than a minute left"), (59.0, "less than a minute left"), (754.0, "about 13 min left"), (9000.0, "about 2.5 h left")],
+    [
+        (0.0, "less than a minute left"),
+        (59.0, "less than a minute left"),
+        (754.0, "about 13 min left"),
+        (9000.0, "about 2.5 h left"),
+    ],
 )
 def test_the_time_left_in_words(seconds: float, words: str) -> None:
     assert time_left(seconds) == words
@@ -71,7 +90,10 @@ def test_the_time_left_in_words(seconds: float, words: str) -> None:
 
 def test_teats_are_told_by_their_names_where_they_have_some() -> None:
     who, out = asked("\n\n")
-    named = tuple(replace(teat, name=name) for teat, name in zip(ASKED.phantom.teats, ("LF", "RF", "LR", "RR"), strict=True))
+    named = tuple(
+        replace(teat, name=name)
+        for teat, name in zip(ASKED.phantom.teats, ("LF", "RF", "LR", "RR"), strict=True)
+    )
     assert isinstance(named[0], Teat)
     who.set_up(replace(ASKED, phantom=replace(ASKED.phantom, teats=named)))
     who.touch(3, 4)
@@ -82,7 +104,9 @@ def test_a_touch_that_is_asked_for_again_says_why() -> None:
     who, out = asked("\n")
     who.touch(2, 4, again="That was nearer to teat 3.")
     said = out.getvalue()
-    assert said.index("That was nearer to teat 3.") < said.index("Once more: touch the end of teat 2 of 4")
+    assert said.index("That was nearer to teat 3.") < said.index(
+        "Once more: touch the end of teat 2 of 4"
+    )
 
 
 def test_hidden_teats_are_told_by_number() -> None:
@@ -100,7 +124,9 @@ def test_nonsense_is_asked_again(wrong: str) -> None:
 @pytest.mark.parametrize("prompt", PROMPTS)
 def test_every_prompt_can_abort_and_says_how(prompt: str, answer: str) -> None:
     who, out = asked(answer)
-    with pytest.raises(OperatorAbort, match="aborted the run" if answer else "nobody is at the terminal any more"):
+    with pytest.raises(
+        OperatorAbort, match="aborted the run" if answer else "nobody is at the terminal any more"
+    ):
         PROMPTS[prompt](who)
     assert "a = abort the run" in out.getvalue()
 
@@ -109,7 +135,10 @@ def test_every_prompt_can_abort_and_says_how(prompt: str, answer: str) -> None:
 def test_a_question_mark_explains_the_prompt_and_it_is_asked_again(prompt: str) -> None:
     who, out = asked("?\n\n")
     PROMPTS[prompt](who)
-    first, explained, again = out.getvalue().split("\n", 3)[1], *out.getvalue().rsplit(": \n", 2)[1:]
+    first, explained, again = (
+        out.getvalue().split("\n", 3)[1],
+        *out.getvalue().rsplit(": \n", 2)[1:],
+    )
     assert first
     assert ("Skip: " in explained) is (prompt in IN_TRIALS)
     assert "Abort: " in explained
@@ -175,7 +204,9 @@ def test_without_a_terminal_nobody_asks_the_pedals() -> None:
 
 
 def test_an_answer_that_nobody_typed_ends_the_row_of_its_question() -> None:
-    """On a terminal Enter does that; what is shown next would stand, and be cleared, in the question's row."""
+    """On a terminal Enter does that; what is shown next would stand, and be cleared, in the
+    question's row.
+    """
     who, out = asked("\n")
     who.touch(1, 4)
     assert out.getvalue().endswith("a = abort the run): \n")
@@ -197,5 +228,7 @@ def test_the_screen_is_cleared_for_each_prompt_and_given_back() -> None:
         yield
         course.append("back")
 
-    Console(io.StringIO("\n"), io.StringIO(), VirtualClock(), screen=screen).ask(Prompt("task", "x"))
+    Console(io.StringIO("\n"), io.StringIO(), VirtualClock(), screen=screen).ask(
+        Prompt("task", "x")
+    )
     assert course == ["aside", "back"]

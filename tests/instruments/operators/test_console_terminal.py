@@ -1,4 +1,6 @@
-"""The console at a pseudo-terminal: a person who presses wrong keys, has a pedal, takes long, or walks away."""
+"""The console at a pseudo-terminal: a person who presses wrong keys, has a pedal, takes long, or
+walks away.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ if sys.platform == "win32":
 import pty
 
 PATIENCE_S = 60.0
-KEYS = "(s REASON = skip this trial, r = repeat it from its set-up, ? = explain, a = abort the run): "
+KEYS = (
+    "(s REASON = skip this trial, r = repeat it from its set-up, ? = explain, a = abort the run): "
+)
 
 
 class SteeredClock:
@@ -43,9 +47,13 @@ class SteeredClock:
 
 
 class Desk:
-    """A terminal with a console on it, and the person before it. ``asked`` runs beside, as a prompt of the bench does."""
+    """A terminal with a console on it, and the person before it. ``asked`` runs beside, as a prompt
+    of the bench does.
+    """
 
-    def __init__(self, near: int, console: Console, clock: SteeredClock, pool: ThreadPoolExecutor) -> None:
+    def __init__(
+        self, near: int, console: Console, clock: SteeredClock, pool: ThreadPoolExecutor
+    ) -> None:
         self.near = near
         self.clock = clock
         self.who = PromptedOperator(console)
@@ -113,7 +121,13 @@ def test_what_is_typed_can_be_taken_back() -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "wish"), [("a\n", OperatorAbort), ("Q\n", OperatorAbort), ("r\n", OperatorRepeat), ("\x04", OperatorAbort)]
+    ("keys", "wish"),
+    [
+        ("a\n", OperatorAbort),
+        ("Q\n", OperatorAbort),
+        ("r\n", OperatorRepeat),
+        ("\x04", OperatorAbort),
+    ],
 )
 def test_wishes(keys: str, wish: type[Exception]) -> None:
     """The last one is Ctrl-D: nobody will type any more."""

@@ -1,4 +1,6 @@
-"""Emulated hands: errors of the size that was asked for, the same for the same seed, and mistakes once each when told."""
+"""Emulated hands: errors of the size that was asked for, the same for the same seed, and mistakes
+once each when told.
+"""
 
 from __future__ import annotations
 
@@ -22,22 +24,30 @@ def tip(of: World) -> np.ndarray:
 
 
 def turn_and_shift(of: World) -> tuple[float, float, float]:
-    """How the phantom of table 5.1 stands against its layout, told from its ends alone: shift of the pivot in mm, turn in rad."""
+    """How the phantom of table 5.1 stands against its layout, told from its ends alone: shift of
+    the pivot in mm, turn in rad.
+    """
     wanted, found = arrangement().phantom.ends_mm[:, :2] - PIVOT_MM, of.ends_mm()[:, :2] - PIVOT_MM
     a, b = wanted - wanted.mean(axis=0), found - found.mean(axis=0)
     yaw = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
-    turned = wanted.mean(axis=0) @ np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+    turned = wanted.mean(axis=0) @ np.array(
+        [[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]
+    )
     x, y = found.mean(axis=0) - turned
     return float(x), float(y), yaw
 
 
-def test_placement_errors_have_the_spread_that_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_placement_errors_have_the_spread_that_was_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     here = world()
     who = hands(here, placement_error_mm=ERROR_MM, placement_error_rad=ERROR_RAD)
-    monkeypatch.setattr(here.renderer, "visible_ends", lambda _: np.ones((4, 2), dtype=bool))  # drawn 400 times it takes a minute
+    # drawn 400 times it takes a minute
+    monkeypatch.setattr(here.renderer, "visible_ends", lambda _: np.ones((4, 2), dtype=bool))
     errors = []
     for n in range(400):
-        who.set_up(arrangement(pose=PlatePose(float(n % 2), 0.0)))  # it only errs where it moves something
+        # it only errs where it moves something
+        who.set_up(arrangement(pose=PlatePose(float(n % 2), 0.0)))
         x, y, yaw = turn_and_shift(here)
         errors.append((x - n % 2, y, yaw))
     spread = np.std(errors, axis=0)
@@ -153,11 +163,17 @@ SHIFTS, TURNS = st.floats(-50.0, 50.0), st.floats(-3.0, 3.0)
 
 
 @given(st.tuples(SHIFTS, SHIFTS, TURNS), st.tuples(SHIFTS, SHIFTS, TURNS))
-def test_what_was_put_on_a_stage_moves_with_it(put: tuple[float, float, float], stage: tuple[float, float, float]) -> None:
-    """The ends after both motions are those after the first, turned about the turntable's axis and shifted by the second."""
+def test_what_was_put_on_a_stage_moves_with_it(
+    put: tuple[float, float, float], stage: tuple[float, float, float]
+) -> None:
+    """The ends after both motions are those after the first, turned about the turntable's axis and
+    shifted by the second.
+    """
     phantom = arrangement().phantom
     (x, y, yaw), pivot = stage, np.array([*PIVOT_MM, 0.0])
     first, second = PlatePose(put[0], put[1], 2.0, put[2]), PlatePose(x, y, 3.0, yaw)
-    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+    turn = np.array(
+        [[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]]
+    )
     wanted = (phantom.moved(first).ends_mm - pivot) @ turn.T + pivot + [x, y, 3.0]
     assert phantom.moved(first.carried(second)).ends_mm == pytest.approx(wanted, abs=1e-6)

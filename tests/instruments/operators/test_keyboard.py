@@ -1,4 +1,6 @@
-"""Lines without waiting for them: from pipes, files and terminals here, and key by key as a Windows console gives them."""
+"""Lines without waiting for them: from pipes, files and terminals here, and key by key as a Windows
+console gives them.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def pipe() -> Iterator[tuple[Keyboard, int]]:
 
 @POSIX
 class TestPipe:
-    def test_nothing_is_waited_for_and_no_part_of_a_line_is_taken_for_one(self, pipe: tuple[Keyboard, int]) -> None:
+    def test_nothing_is_waited_for_and_no_part_of_a_line_is_taken_for_one(
+        self, pipe: tuple[Keyboard, int]
+    ) -> None:
         keyboard, writes = pipe
         assert keyboard.line() is None
         os.write(writes, "schö".encode()[:-1])
@@ -53,7 +57,10 @@ def test_a_terminal_gives_up_what_was_typed_too_early() -> None:
     import pty
 
     near, far = pty.openpty()
-    with os.fdopen(far, "r+b", buffering=0) as device, io.TextIOWrapper(device, encoding="utf-8") as stream:
+    with (
+        os.fdopen(far, "r+b", buffering=0) as device,
+        io.TextIOWrapper(device, encoding="utf-8") as stream,
+    ):
         keyboard = keyboard_of(stream, print)
         os.write(near, b"\nabort\npart")
         assert keyboard.typed_ahead() == ["\n", "abort\n"]
@@ -72,7 +79,9 @@ def test_a_stream_without_a_keyboard_is_read() -> None:
 
 
 class WindowsConsole:
-    """What kbhit, getwch and putwch are there: keys that were pressed, and what the screen shows."""
+    """What kbhit, getwch and putwch are there: keys that were
+    pressed, and what the screen shows.
+    """
 
     def __init__(self) -> None:
         self.pressed: list[str] = []

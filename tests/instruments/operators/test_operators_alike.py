@@ -1,5 +1,6 @@
-"""What the bench relies on, of every keeper of the protocol alike: a person, a script, emulated hands, a rehearsal of both,
-and whoever is awaited under the guardian's eyes."""
+"""What the bench relies on, of every keeper of the protocol alike: a person, a script, emulated
+hands, a rehearsal of both, and whoever is awaited under the guardian's eyes.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +33,12 @@ ASKED: dict[str, Callable[[Operator], object]] = {
     "hold a board": lambda who: who.hold_board(HELD),
     "fix a board": lambda who: who.hold_board(FIXED),
     "touch the board": lambda who: who.touch_board(4, "Touch the middle point."),
-    "touch the board again": lambda who: who.touch_board(4, "Touch the middle point.", again="That was another point."),
-    "touch again": lambda who: who.touch(2, 4, number=2, numbers=3, again="That was nearer to teat 3."),
+    "touch the board again": lambda who: who.touch_board(
+        4, "Touch the middle point.", again="That was another point."
+    ),
+    "touch again": lambda who: who.touch(
+        2, 4, number=2, numbers=3, again="That was nearer to teat 3."
+    ),
 }
 
 

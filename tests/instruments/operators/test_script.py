@@ -1,4 +1,6 @@
-"""A script of answers: each at its place, and a clear error where script and run don't fit each other."""
+"""A script of answers: each at its place, and a clear error where script and run don't fit each
+other.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,17 @@ from tests.instruments.operators.people import arrangement
 
 def scripted(*answers: ScriptedAnswer, **otherwise: str) -> tuple[PromptedOperator, list[str]]:
     shown: list[str] = []
-    kinds: dict[str, Kind] = {"homing": "homing", "check_point": "check point", "set_up": "set up", "touch": "touch"}
+    kinds: dict[str, Kind] = {
+        "homing": "homing",
+        "check_point": "check point",
+        "set_up": "set up",
+        "touch": "touch",
+    }
     by_kind = {kinds[name]: answer for name, answer in otherwise.items()}
-    return PromptedOperator(ScriptedAnswers(answers, by_kind, "answers.toml", show=shown.append)), shown
+    return (
+        PromptedOperator(ScriptedAnswers(answers, by_kind, "answers.toml", show=shown.append)),
+        shown,
+    )
 
 
 def test_answers_come_in_their_order() -> None:
@@ -43,7 +53,9 @@ def test_answers_come_in_their_order() -> None:
 
 
 def test_an_answer_waits_for_the_prompt_that_it_is_for() -> None:
-    who, _ = scripted(ScriptedAnswer("touch", "skip worn", says="trial 2 of 3, TEAT 3"), touch="go", set_up="go")
+    who, _ = scripted(
+        ScriptedAnswer("touch", "skip worn", says="trial 2 of 3, TEAT 3"), touch="go", set_up="go"
+    )
     for trial in (1, 2):
         who.next_trial(trial, 3, None)
         who.set_up(arrangement())
@@ -60,7 +72,12 @@ def test_an_unexpected_prompt_says_what_was_asked_and_what_is_next() -> None:
     who.next_trial(1, 6, None)
     with pytest.raises(ProtocolError) as error:
         who.set_up(arrangement())
-    for words in ("answers.toml has no answer", "set up: [trial 1 of 6] Situation ideal", "'overlapping' (line 7)", 'to = "set up"'):
+    for words in (
+        "answers.toml has no answer",
+        "set up: [trial 1 of 6] Situation ideal",
+        "'overlapping' (line 7)",
+        'to = "set up"',
+    ):
         assert words in str(error.value)
     who, _ = scripted()
     with pytest.raises(ProtocolError, match="got no further answer"):
@@ -68,10 +85,15 @@ def test_an_unexpected_prompt_says_what_was_asked_and_what_is_next() -> None:
 
 
 def test_answers_that_nobody_asked_for_are_an_error_at_the_end() -> None:
-    who, _ = scripted(ScriptedAnswer("homing", "go"), ScriptedAnswer("touch", "go", times=12, where="answer 2"))
+    who, _ = scripted(
+        ScriptedAnswer("homing", "go"), ScriptedAnswer("touch", "go", times=12, where="answer 2")
+    )
     who.confirm_homing("On its peg.")
     who.touch(1, 4)
-    with pytest.raises(ProtocolError, match=r"11 answers of answers.toml were never asked for; the first is 'go' .*answer 2"):
+    with pytest.raises(
+        ProtocolError,
+        match=r"11 answers of answers.toml were never asked for; the first is 'go' .*answer 2",
+    ):
         who.finish()
 
 
@@ -85,13 +107,22 @@ def test_a_teat_that_is_not_there_can_not_be_hidden() -> None:
     ("to", "answer", "words"),
     [
         ("touch", "skip", "needs a reason"),
-        ("touch", "2", 'Not understood: \'2\'; to a prompt of the kind "touch" there are "go", "skip REASON", "repeat", "abort"'),
+        (
+            "touch",
+            "2",
+            (
+                'Not understood: \'2\'; to a prompt of the kind "touch" there are "go", "skip'
+                ' REASON", "repeat", "abort"'
+            ),
+        ),
         ("homing", "skip it", 'there are "go", "abort"'),
         ("check point", "repeat", 'there are "go", "abort"'),
         ("set up", "hidden", '"hidden 2 4"'),
     ],
 )
-def test_an_answer_that_fits_no_such_prompt_is_refused_at_once(to: Kind, answer: str, words: str) -> None:
+def test_an_answer_that_fits_no_such_prompt_is_refused_at_once(
+    to: Kind, answer: str, words: str
+) -> None:
     with pytest.raises(ValueError, match=r".") as error:
         ScriptedAnswer(to, answer)
     assert words in str(error.value)

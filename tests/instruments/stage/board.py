@@ -29,7 +29,14 @@ class Board:
         fresh_eeprom: bool = False,
     ) -> None:
         self.clock = VirtualClock()
-        self.emulator = StageEmulator(self.clock, settings=settings, dialect=dialect, axes=axes, play_mm=play_mm, fresh_eeprom=fresh_eeprom)
+        self.emulator = StageEmulator(
+            self.clock,
+            settings=settings,
+            dialect=dialect,
+            axes=axes,
+            play_mm=play_mm,
+            fresh_eeprom=fresh_eeprom,
+        )
         self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="stage")
         self.links: list[Link] = []
         self.greeting = self.plug_in()

@@ -1,4 +1,6 @@
-"""What the stage's tests share: a driver with its emulator, and the bare board. No test may leave a thread behind."""
+"""What the stage's tests share: a driver with its emulator, and the bare board. No test may leave a
+thread behind.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,11 @@ from tests.instruments.stage.stage_bench import Bench
 @pytest.fixture(autouse=True)
 def _no_thread_is_left() -> Iterator[None]:
     yield
-    assert [thread.name for thread in threading.enumerate() if thread.name in ("stage emulator", "clock")] == []
+    assert [
+        thread.name
+        for thread in threading.enumerate()
+        if thread.name in ("stage emulator", "clock")
+    ] == []
 
 
 @pytest.fixture

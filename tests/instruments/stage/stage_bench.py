@@ -31,7 +31,12 @@ class Bench:
         self.axes = axes
         count = 4 if "A" in axes else 3
         self.emulator = StageEmulator(
-            self.clock, settings=settings, dialect=dialect, axes=count, play_mm=play_mm, fresh_eeprom=fresh_eeprom
+            self.clock,
+            settings=settings,
+            dialect=dialect,
+            axes=count,
+            play_mm=play_mm,
+            fresh_eeprom=fresh_eeprom,
         )
         self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="stage")
         self.stage = self.plug_in()

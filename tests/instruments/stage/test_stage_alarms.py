@@ -1,4 +1,6 @@
-"""Every alarm and error that the fact sheet lists, made to come from the emulated board, with the bytes around it."""
+"""Every alarm and error that the fact sheet lists, made to come from the emulated board, with the
+bytes around it.
+"""
 
 from __future__ import annotations
 
@@ -75,8 +77,14 @@ CASES: list[tuple[int, Callable[[Board], bytes], bytes]] = [
 ]
 
 
-@pytest.mark.parametrize(("code", "bring_about", "answer"), CASES, ids=[f"alarm-{code}-{at}" for at, (code, _, _) in enumerate(CASES)])
-def test_every_alarm_of_the_sheet(board: Board, code: int, bring_about: Callable[[Board], bytes], answer: bytes) -> None:
+@pytest.mark.parametrize(
+    ("code", "bring_about", "answer"),
+    CASES,
+    ids=[f"alarm-{code}-{at}" for at, (code, _, _) in enumerate(CASES)],
+)
+def test_every_alarm_of_the_sheet(
+    board: Board, code: int, bring_about: Callable[[Board], bytes], answer: bytes
+) -> None:
     assert f"ALARM:{code}\r\n".encode() in answer
     assert bring_about(board) == answer
     assert board.say(b"\x18").endswith(WELCOME + LOCK)
@@ -115,7 +123,9 @@ ERROR_CASES: list[tuple[int, bytes]] = [
 
 @pytest.mark.parametrize("dialect", [CLASSIC, GRBL_HAL], ids=["grbl", "grblHAL"])
 @pytest.mark.parametrize(("code", "lines"), ERROR_CASES)
-def test_every_error_of_the_sheet(make_board: Make, dialect: Dialect, code: int, lines: bytes) -> None:
+def test_every_error_of_the_sheet(
+    make_board: Make, dialect: Dialect, code: int, lines: bytes
+) -> None:
     board = make_board({22: int(code == 15), 20: int(code == 15)}, dialect=dialect)
     if code == 15:
         board.answered_at(HOMED)

@@ -1,4 +1,6 @@
-"""Stages with a Z and a rotation A, as declared; what the controller must have for it; and reports with more in them than we know."""
+"""Stages with a Z and a rotation A, as declared; what the controller must have for it; and reports
+with more in them than we know.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,15 @@ Make = Callable[..., Bench]
 SETTINGS = {13: "0", 20: "1", 21: "0", 22: "1", 24: "25.000", 25: "500.000", 27: "1.000"} | {
     first + axis: "100.000" for first in (100, 110, 120, 130) for axis in range(3)
 }
-WITH_A = SETTINGS | {103: "100.000", 113: "3600.000", 123: "360.000", 133: "360.000", 44: "4", 45: "3", 46: "8"}
+WITH_A = SETTINGS | {
+    103: "100.000",
+    113: "3600.000",
+    123: "360.000",
+    133: "360.000",
+    44: "4",
+    45: "3",
+    46: "8",
+}
 
 
 def test_a_stage_with_all_four_axes_moves_them_together(make: Make) -> None:
@@ -54,10 +64,17 @@ def test_a_two_axis_stage_on_a_four_axis_controller(make: Make) -> None:
     assert stage.position() == pytest.approx([-100, -50, -1])
 
 
-@pytest.mark.parametrize(("axes", "more"), [("XY", {"z_mm": -5.0}), ("XYZ", {"a_deg": -5.0}), ("XYA", {"z_mm": -5.0})])
-def test_an_axis_that_is_not_declared_is_refused(make: Make, axes: str, more: dict[str, float]) -> None:
+@pytest.mark.parametrize(
+    ("axes", "more"), [("XY", {"z_mm": -5.0}), ("XYZ", {"a_deg": -5.0}), ("XYA", {"z_mm": -5.0})]
+)
+def test_an_axis_that_is_not_declared_is_refused(
+    make: Make, axes: str, more: dict[str, float]
+) -> None:
     stage = make(dialect=GRBL_HAL, axes=axes).homed()
-    with pytest.raises(LimitError, match=f"this stage has no axis {'Z' if 'z_mm' in more else 'A'}.*declared with {axes}"):
+    with pytest.raises(
+        LimitError,
+        match=f"this stage has no axis {'Z' if 'z_mm' in more else 'A'}.*declared with {axes}",
+    ):
         stage.move_to(-10, -10, **more)
     with pytest.raises(LimitError, match="this stage has no axis"):
         stage.jog(**more)
@@ -74,7 +91,9 @@ def test_a_controller_without_a_fourth_axis_is_told(make: Make) -> None:
     bench.stage.close()
     bench.axes = "XYA"
     bench.stage = bench.plug_in()
-    with pytest.raises(DeviceError, match=r"no axis A: setting \$103 is missing.*grblHAL build with four axes"):
+    with pytest.raises(
+        DeviceError, match=r"no axis A: setting \$103 is missing.*grblHAL build with four axes"
+    ):
         bench.stage.connect()
 
 
@@ -101,7 +120,9 @@ def test_settings_of_four_axes() -> None:
         ("XY", {22: "yes"}, ProtocolError, r"setting \$22 is not usable"),
     ],
 )
-def test_settings_that_a_stage_cannot_be_driven_with(axes: str, changes: dict[int, str], error: type[Exception], sentence: str) -> None:
+def test_settings_that_a_stage_cannot_be_driven_with(
+    axes: str, changes: dict[int, str], error: type[Exception], sentence: str
+) -> None:
     with pytest.raises(error, match=sentence):
         read_settings(WITH_A | changes, who="stage", axes=axes)
 
@@ -140,13 +161,17 @@ class Spoiled:
 
 
 @pytest.mark.parametrize("told", [b"-100.020", b"-99.980", b"-1.000"])
-def test_a_move_that_is_read_back_elsewhere_is_not_finished_and_asks_for_homing(make: Make, told: bytes) -> None:
+def test_a_move_that_is_read_back_elsewhere_is_not_finished_and_asks_for_homing(
+    make: Make, told: bytes
+) -> None:
     bench = make()
     bench.stage.close()
     bench.listener._device = Spoiled(bench, rb"<Idle\|MPos:-100\.000", b"<Idle|MPos:" + told)
     bench.stage = bench.plug_in()
     stage = bench.homed()
-    with pytest.raises(DeviceError, match=rf"not at its target, X = -100\.000 \(got X = {float(told):.3f}"):
+    with pytest.raises(
+        DeviceError, match=rf"not at its target, X = -100\.000 \(got X = {float(told):.3f}"
+    ):
         stage.move_to(-100, -50)
     assert not stage.homed
     with pytest.raises(LimitError, match="no move before homing"):
@@ -164,6 +189,9 @@ def test_a_report_with_too_few_numbers_for_the_declared_axes(make: Make) -> None
 
 def test_alarm_10_is_another_thing_in_each_firmware() -> None:
     hal = b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
-    for greeting, sentence in ((GREETING, "two motors of one axis"), (hal, "emergency stop is pressed")):
+    for greeting, sentence in (
+        (GREETING, "two motors of one axis"),
+        (hal, "emergency stop is pressed"),
+    ):
         with pytest.raises(DeviceError, match=f"alarm 10: .*{sentence}"):
             meet(Parrot(greeting, {b"$I\n": b"ALARM:10\r\n"}))

@@ -1,4 +1,6 @@
-"""The driver against the emulator over a loopback link, under virtual time, both dialects: who it is, homing, moves, limits."""
+"""The driver against the emulator over a loopback link, under virtual time, both dialects: who it
+is, homing, moves, limits.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,11 @@ def test_connecting_tells_who_it_is_and_what_it_can_do(bench: Bench) -> None:
     assert bench.stage.identity == identity
     assert str(identity).startswith(f"{identity.dialect} {identity.version} (build ")
     settings = bench.stage.settings
-    assert (settings.travel_mm, settings.soft_limits, settings.homing) == ((300.0, 275.0, 50.0), True, True)
+    assert (settings.travel_mm, settings.soft_limits, settings.homing) == (
+        (300.0, 275.0, 50.0),
+        True,
+        True,
+    )
     assert bench.stage.limits["Y"].low_mm == -275.0
     assert not bench.stage.homed
 
@@ -30,7 +36,12 @@ def test_a_fresh_eeprom_is_no_obstacle(make: Make) -> None:
 
 
 def test_nothing_works_before_connecting(bench: Bench) -> None:
-    for call in (lambda: bench.stage.identity, lambda: bench.stage.limits, bench.stage.home, lambda: bench.stage.move_to(-1, -1)):
+    for call in (
+        lambda: bench.stage.identity,
+        lambda: bench.stage.limits,
+        bench.stage.home,
+        lambda: bench.stage.move_to(-1, -1),
+    ):
         with pytest.raises(LimitError, match="not connected yet"):
             call()
 
@@ -64,9 +75,19 @@ def test_a_move_takes_its_trapezoid_and_at_most_one_poll_more(bench: Bench) -> N
 
 
 @pytest.mark.parametrize(
-    "place", [(0.001, -1.0), (-300.001, -1.0), (-1.0, -275.01), (-1.0, 1e6), (float("nan"), -1.0), (-1.0, float("inf"))]
+    "place",
+    [
+        (0.001, -1.0),
+        (-300.001, -1.0),
+        (-1.0, -275.01),
+        (-1.0, 1e6),
+        (float("nan"), -1.0),
+        (-1.0, float("inf")),
+    ],
 )
-def test_a_target_beyond_the_travel_is_refused_before_sending(make: Make, place: tuple[float, float]) -> None:
+def test_a_target_beyond_the_travel_is_refused_before_sending(
+    make: Make, place: tuple[float, float]
+) -> None:
     bench = make()
     stage = bench.homed()
     with pytest.raises(LimitError):
@@ -82,7 +103,12 @@ def test_a_feed_that_is_no_feed_is_refused(make: Make, feed: float) -> None:
 
 
 def test_the_message_names_the_limit_and_the_line(make: Make) -> None:
-    with pytest.raises(LimitError, match=r"X = 5\.000 mm is outside the travel, -300 to 0 mm \(asked G21G90G94G53G1X5Y-5F3000\)"):
+    with pytest.raises(
+        LimitError,
+        match=(
+            r"X = 5\.000 mm is outside the travel, -300 to 0 mm \(asked G21G90G94G53G1X5Y-5F3000\)"
+        ),
+    ):
         make().homed().move_to(5, -5)
 
 

@@ -37,7 +37,16 @@ def test_a_board_without_homing_starts_idle(make_board: Make) -> None:
 def test_identity_and_settings(board: Board) -> None:
     assert re.fullmatch(rb"\[VER:1\.1h\.\d{8}:\]\r\n\[OPT:V,15,128\]\r\nok\r\n", board.say(b"$I\n"))
     lines = board.say(b"$$\n").split(b"\r\n")
-    for line in (b"$20=1", b"$22=1", b"$27=1.000", b"$110=3000.000", b"$120=200.000", b"$130=300.000", b"$131=275.000", b"$132=50.000"):
+    for line in (
+        b"$20=1",
+        b"$22=1",
+        b"$27=1.000",
+        b"$110=3000.000",
+        b"$120=200.000",
+        b"$130=300.000",
+        b"$131=275.000",
+        b"$132=50.000",
+    ):
         assert line in lines
     assert lines[-2:] == [b"ok", b""]
     assert board.say(b"$130=250\n$$\n").count(b"$130=250.000") == 1
@@ -159,7 +168,8 @@ def test_position_and_speed_are_right_on_the_way(free: Board) -> None:
 
 
 def test_the_sixteenth_move_waits_for_a_free_place_in_the_planner(free: Board) -> None:
-    lines = b"".join(b"G1X-%dF600\n" % (n + 1) for n in range(16))  # 160 bytes would not fit a waiting buffer
+    # 160 bytes would not fit a waiting buffer
+    lines = b"".join(b"G1X-%dF600\n" % (n + 1) for n in range(16))
     answers = free.say(lines)
     assert answers == b"ok\r\n" * 15
     assert free.hear(60.0) == b"ok\r\n"
@@ -177,7 +187,10 @@ def test_work_coordinates_are_the_machines_less_their_offset(make_board: Make) -
     board = make_board({20: 0, 10: 2})
     board.unlock()
     board.say(b"G92X10Y-5\n")
-    assert board.say(b"?") == b"<Idle|WPos:10.000,-5.000,0.000|Bf:15,128|FS:0,0|WCO:-10.000,5.000,0.000>\r\n"
+    assert (
+        board.say(b"?")
+        == b"<Idle|WPos:10.000,-5.000,0.000|Bf:15,128|FS:0,0|WCO:-10.000,5.000,0.000>\r\n"
+    )
     board.say(b"G0X0\n", 5.0)
     assert board.emulator.position_mm()[0] == pytest.approx(-160.0)
     board.say(b"G53G0X0\n", 5.0)
@@ -208,7 +221,9 @@ def test_two_runs_give_the_same_bytes(make_board: Make) -> None:
         board = make_board()
         said = board.say(b"$H\n", 30.0)
         for n in range(12):
-            said += board.say(b"G53G1X-%dY-%dF%d\n?" % (20 * n + 3, 7 * n + 2, 900 + 100 * n), 0.37) + board.say(b"?")
+            said += board.say(
+                b"G53G1X-%dY-%dF%d\n?" % (20 * n + 3, 7 * n + 2, 900 + 100 * n), 0.37
+            ) + board.say(b"?")
         return said
 
     assert run() == run()
@@ -218,7 +233,11 @@ def test_under_real_time_a_move_takes_its_time() -> None:
     clock = RealClock()
     emulator = StageEmulator(clock, settings={20: 0, 22: 0, 120: 5000})
     listener = Listener(emulator, clock, lock=threading.RLock(), name="stage")
-    with contextlib.closing(clock), contextlib.closing(listener), contextlib.closing(Link(listener.url, clock, who="stage")) as link:
+    with (
+        contextlib.closing(clock),
+        contextlib.closing(listener),
+        contextlib.closing(Link(listener.url, clock, who="stage")) as link,
+    ):
         link.read_until(b"help]\r\n", 2.0)
         link.write(b"G1X-5F3000\n")
         assert link.read_until(b"ok\r\n", 2.0) == b"ok\r\n"
@@ -232,7 +251,15 @@ def test_under_real_time_a_move_takes_its_time() -> None:
 def test_a_fourth_axis_in_the_grblhal_dialect(make_board: Make) -> None:
     board = make_board(dialect=GRBL_HAL, axes=4)
     lines = board.say(b"$$\n").split(b"\r\n")
-    for line in (b"$44=4", b"$45=3", b"$46=8", b"$103=100.000", b"$113=3600.000", b"$123=360.000", b"$133=360.000"):
+    for line in (
+        b"$44=4",
+        b"$45=3",
+        b"$46=8",
+        b"$103=100.000",
+        b"$113=3600.000",
+        b"$123=360.000",
+        b"$133=360.000",
+    ):
         assert line in lines
     assert lines == [*sorted(lines[:-2], key=lambda line: int(line[1:].split(b"=")[0])), b"ok", b""]
     assert b"|H:0|TLR:0>" in board.say(b"?")
@@ -272,4 +299,6 @@ def test_the_welcome_comes_after_every_reset(board: Board) -> None:
         assert board.say(b"\x18").count(WELCOME) == 1
     board.answered_at(b"$H\n")
     assert board.say(b"\x18") == WELCOME
-    assert b"|WCO:0.000,0.000,0.000" in board.say(b"?"), "the first report after a reset has the offset"
+    assert b"|WCO:0.000,0.000,0.000" in board.say(b"?"), (
+        "the first report after a reset has the offset"
+    )

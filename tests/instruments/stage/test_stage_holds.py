@@ -145,9 +145,24 @@ def _asleep(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    "state", [_idle, _unhomed, _moving, _move_over_but_not_finished, _held, _braking, _door, _homing, _alarm, _alarm_unseen, _asleep]
+    "state",
+    [
+        _idle,
+        _unhomed,
+        _moving,
+        _move_over_but_not_finished,
+        _held,
+        _braking,
+        _door,
+        _homing,
+        _alarm,
+        _alarm_unseen,
+        _asleep,
+    ],
 )
-def test_safe_stops_from_every_state_and_may_be_called_again(bench: Bench, state: Callable[[Bench], None]) -> None:
+def test_safe_stops_from_every_state_and_may_be_called_again(
+    bench: Bench, state: Callable[[Bench], None]
+) -> None:
     state(bench)
     start = bench.clock.now()
     for _ in range(3):

@@ -40,7 +40,16 @@ def test_what_a_move_sends(bench: Bench) -> None:
     sent = heard(bench)
     bench.stage.home()
     bench.stage.move_to(-1.5, -1, z_mm=-2.25, feed_mm_min=600)
-    assert sent == [b"$H\n", b"?", b"?", b"G21G90G94G53G1X-1.5Y-1Z-2.25F600\n", b"?", b"?", b"G4P0\n", b"?"]
+    assert sent == [
+        b"$H\n",
+        b"?",
+        b"?",
+        b"G21G90G94G53G1X-1.5Y-1Z-2.25F600\n",
+        b"?",
+        b"?",
+        b"G4P0\n",
+        b"?",
+    ]
 
 
 def test_what_connecting_sends(bench: Bench) -> None:
@@ -61,7 +70,12 @@ def test_what_jogs_holds_and_recovery_send(bench: Bench) -> None:
     stage.hold()
     stage.resume()
     stage.recover()
-    assert [data for data in sent if data != b"?"] == [b"G21G90G94G53G1X-200Y-100F3000\n", b"!", b"~", b"\x18"]
+    assert [data for data in sent if data != b"?"] == [
+        b"G21G90G94G53G1X-200Y-100F3000\n",
+        b"!",
+        b"~",
+        b"\x18",
+    ]
 
 
 def test_a_jog_ends_where_it_should(bench: Bench) -> None:
@@ -116,14 +130,28 @@ def test_a_jog_that_the_panel_ended_is_told_and_keeps_the_position(bench: Bench)
     stage.jog(x_mm=-200)
     bench.clock.sleep(1.0)
     stage.brake()
-    with pytest.raises(DeviceError, match=r"not at its target, X = -201\.000.*its position is kept"):
+    with pytest.raises(
+        DeviceError, match=r"not at its target, X = -201\.000.*its position is kept"
+    ):
         stage.finish_move()
     assert stage.homed
     stage.move_to(-5, -5)
 
 
-@pytest.mark.parametrize("way", [{"x_mm": 1.001}, {"x_mm": -299.001}, {"y_mm": float("nan")}, {"y_mm": float("inf")}, {"z_mm": 5.0}, {}])
-def test_a_jog_beyond_the_travel_is_refused_before_sending(bench: Bench, way: dict[str, float]) -> None:
+@pytest.mark.parametrize(
+    "way",
+    [
+        {"x_mm": 1.001},
+        {"x_mm": -299.001},
+        {"y_mm": float("nan")},
+        {"y_mm": float("inf")},
+        {"z_mm": 5.0},
+        {},
+    ],
+)
+def test_a_jog_beyond_the_travel_is_refused_before_sending(
+    bench: Bench, way: dict[str, float]
+) -> None:
     stage = bench.homed()
     sent = heard(bench)
     with pytest.raises(LimitError):
@@ -135,7 +163,9 @@ def test_a_jog_beyond_the_travel_is_refused_before_sending(bench: Bench, way: di
 def test_the_controllers_own_refusal_is_a_sentence_and_no_alarm(bench: Bench) -> None:
     stage = bench.homed()
     bench.emulator._controller.settings.write(130, 100)  # the driver has read 300
-    with pytest.raises(DeviceError, match="error 15: the jog goes beyond the travel; it was not started"):
+    with pytest.raises(
+        DeviceError, match="error 15: the jog goes beyond the travel; it was not started"
+    ):
         stage.jog(x_mm=-150)
     assert stage.homed
     stage.jog(x_mm=-50)

@@ -1,4 +1,6 @@
-"""What the carriage does that the controller can't know: stalls, lost steps, play, rails' ends, power cuts; and faults of the line."""
+"""What the carriage does that the controller can't know: stalls, lost steps, play, rails' ends,
+power cuts; and faults of the line.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,8 @@ def test_a_pulled_cable_ends_the_link_and_not_the_motion(free: Board) -> None:
     with pytest.raises(LinkError, match="hung up"):
         free.hear_until_broken()
     free.clock.sleep(5.0)
-    assert free.emulator.position_mm()[0] == pytest.approx(-200.0)  # what was planned has run to its end
+    # what was planned has run to its end
+    assert free.emulator.position_mm()[0] == pytest.approx(-200.0)
 
 
 def test_a_power_dip_in_motion_shows_as_a_welcome(free: Board) -> None:
@@ -109,12 +112,28 @@ def test_play_is_taken_up_after_each_reversal(make_board: Make) -> None:
     board = make_board(play_mm=(0.3, 0.1, 0.0))
     board.answered_at(b"$H\n")
     places = []
-    for target in (b"X-50Y-50", b"X-100Y-20", b"X-60Y-20", b"X-60.2Y-20", b"X-60.4Y-20", b"X-80Y-60", b"X-79.8Y-60"):
+    for target in (
+        b"X-50Y-50",
+        b"X-100Y-20",
+        b"X-60Y-20",
+        b"X-60.2Y-20",
+        b"X-60.4Y-20",
+        b"X-80Y-60",
+        b"X-79.8Y-60",
+    ):
         board.say(b"G53G1" + target + b"F3000\n", 5.0)
         assert b"MPos:" + target[1:].replace(b"Y", b",")[:3] in board.say(b"?")
         places.append(tuple(board.emulator.position_mm()[:2].round(6).tolist()))
     # Homing ends by moving down, so that going down is exact and going up falls short by the play.
-    assert places == [(-50, -50), (-100, -20.1), (-60.3, -20.1), (-60.3, -20.1), (-60.4, -20.1), (-80, -60), (-80, -60)]
+    assert places == [
+        (-50, -50),
+        (-100, -20.1),
+        (-60.3, -20.1),
+        (-60.3, -20.1),
+        (-60.4, -20.1),
+        (-80, -60),
+        (-80, -60),
+    ]
 
 
 def test_play_of_an_axis_that_homes_to_its_far_end_is_on_the_other_side(make_board: Make) -> None:
@@ -156,7 +175,9 @@ def test_without_hard_limits_the_switch_says_nothing(make_board: Make) -> None:
     st.booleans(),
     st.floats(-50, 0),
 )
-def test_a_drive_never_leaves_its_rails_or_its_play(counts: list[float], play: float, at_far_end: bool, place: float) -> None:
+def test_a_drive_never_leaves_its_rails_or_its_play(
+    counts: list[float], play: float, at_far_end: bool, place: float
+) -> None:
     axis = AxisDrive(place, low=-50.0, high=0.0, play=play, at_far_end=at_far_end)
     for count in counts:
         before, was = axis.place, axis.count
@@ -164,11 +185,20 @@ def test_a_drive_never_leaves_its_rails_or_its_play(counts: list[float], play: f
         assert -50.0 <= axis.place <= 0.0
         low, high = (0.0, play) if at_far_end else (-play, 0.0)
         assert low - 1e-9 <= axis.place - axis.motor <= high + 1e-9
-        assert abs(axis.place - before) <= abs(count - was) + 1e-9, "the carriage never goes further than the count"
+        assert abs(axis.place - before) <= abs(count - was) + 1e-9, (
+            "the carriage never goes further than the count"
+        )
 
 
-@given(st.lists(st.floats(-40, 40), min_size=1, max_size=8), st.integers(2, 7), st.floats(0, 2), st.floats(0, 3))
-def test_a_drive_fed_in_pieces_of_straight_lines_ends_the_same(ends: list[float], pieces: int, play: float, lost: float) -> None:
+@given(
+    st.lists(st.floats(-40, 40), min_size=1, max_size=8),
+    st.integers(2, 7),
+    st.floats(0, 2),
+    st.floats(0, 3),
+)
+def test_a_drive_fed_in_pieces_of_straight_lines_ends_the_same(
+    ends: list[float], pieces: int, play: float, lost: float
+) -> None:
     whole, cut = (AxisDrive(-25.0, low=-50.0, high=0.0, play=play, to_lose=lost) for _ in range(2))
     at = 0.0
     for end in ends:
@@ -190,5 +220,7 @@ def test_a_switch_on_the_second_leg_closes_at_its_moment(free: Board) -> None:
     free.links[-1].write(b"G1X-50F3000\nG1X160\nG4P0\n")
     start = free.clock.now()
     free.links[-1].read_until(b"ALARM:1\r\n", 60.0)
-    assert free.clock.now() - start == pytest.approx((50 / 50 + 0.25) + (200 / 50 + 0.125), abs=2e-3)
+    assert free.clock.now() - start == pytest.approx(
+        (50 / 50 + 0.25) + (200 / 50 + 0.125), abs=2e-3
+    )
     assert free.emulator.position_mm()[0] == pytest.approx(0.0)

@@ -1,4 +1,6 @@
-"""The emulator's motion over time: profiles, corners, holds, homing. Expected figures are worked out by hand."""
+"""The emulator's motion over time: profiles, corners, holds, homing. Expected figures are worked
+out by hand.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.stage.emulator.homing import Switch, homing
-from instruments.stage.emulator.motion import AxisRates, Motion, Vector, junction_speed, lay, profile
+from instruments.stage.emulator.motion import (
+    AxisRates,
+    Motion,
+    Vector,
+    junction_speed,
+    lay,
+    profile,
+)
 from instruments.stage.emulator.store import Store
 
 RATES = AxisRates((50.0, 50.0, 50.0), (200.0, 200.0, 200.0), 0.01)
@@ -47,7 +56,9 @@ def test_a_diagonal_move_is_as_fast_as_its_slowest_axis_allows() -> None:
     st.floats(1, 80),
     st.floats(10, 1000),
 )
-def test_a_profile_covers_its_length_and_joins_without_steps(length: float, entry: float, cruise: float, accel: float) -> None:
+def test_a_profile_covers_its_length_and_joins_without_steps(
+    length: float, entry: float, cruise: float, accel: float
+) -> None:
     phases = lay(profile(length, entry, cruise, 0.0, accel), 0.0)
     last = phases[-1]
     assert last.place_mm(last.end_s) == pytest.approx(length, rel=1e-9, abs=1e-9)
@@ -60,7 +71,9 @@ def test_a_profile_covers_its_length_and_joins_without_steps(length: float, entr
 def test_the_speed_at_a_right_angle() -> None:
     # accel 200·√2 along the bisector, deviation 0.01 mm, sin 45°/(1 - sin 45°) = 2.41421
     expected = math.sqrt(200 * math.sqrt(2) * 0.01 * 2.414213562)
-    assert junction_speed((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), RATES) == pytest.approx(expected, rel=1e-6)
+    assert junction_speed((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), RATES) == pytest.approx(
+        expected, rel=1e-6
+    )
     assert junction_speed((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), RATES) == 0.0
     assert junction_speed((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), RATES) == math.inf
 
@@ -92,7 +105,8 @@ def test_a_hold_brakes_across_blocks() -> None:
     motion = Motion((0.0, 0.0, 0.0))
     for end in (-50.0, -51.0, -52.0, -100.0):
         motion.go((end, 0.0, 0.0), 50.0, RATES, 0.0)
-    motion.hold(1.0)  # at 43.75 mm with 50 mm/s: stands 6.25 mm further on, at the first block's end
+    # at 43.75 mm with 50 mm/s: stands 6.25 mm further on, at the first block's end
+    motion.hold(1.0)
     assert motion.position(5.0) == pytest.approx((-50.0, 0, 0))
     motion.resume(5.0)
     motion.hold(5.15)
@@ -100,8 +114,13 @@ def test_a_hold_brakes_across_blocks() -> None:
     assert motion.position(20.0) == (-100.0, 0.0, 0.0)
 
 
-@given(st.lists(st.tuples(PLACES, st.floats(1, 60)), min_size=1, max_size=6), st.lists(st.floats(0.01, 2.0), max_size=5))
-def test_any_path_with_any_holds_is_smooth_and_ends_at_its_target(moves: list[tuple[Vector, float]], holds: list[float]) -> None:
+@given(
+    st.lists(st.tuples(PLACES, st.floats(1, 60)), min_size=1, max_size=6),
+    st.lists(st.floats(0.01, 2.0), max_size=5),
+)
+def test_any_path_with_any_holds_is_smooth_and_ends_at_its_target(
+    moves: list[tuple[Vector, float]], holds: list[float]
+) -> None:
     motion, now = Motion((-1.0, -1.0, -1.0)), 0.0
     for target, feed in moves:
         motion.go(target, feed, RATES, now)
@@ -110,7 +129,10 @@ def test_any_path_with_any_holds_is_smooth_and_ends_at_its_target(moves: list[tu
         assert math.dist(before, motion.position(now + run)) <= 1e-6 * 50 * math.sqrt(3) + 1e-9
         now += run
         motion.hold(now)
-        assert math.dist(motion.position(now), motion.position(now + 1e-6)) <= 1e-6 * 50 * math.sqrt(3) + 1e-9
+        assert (
+            math.dist(motion.position(now), motion.position(now + 1e-6))
+            <= 1e-6 * 50 * math.sqrt(3) + 1e-9
+        )
         now += 1.0  # 87 mm/s at 200 mm/s² stand within 0.44 s
         assert not motion.moving(now)
         motion.resume(now)

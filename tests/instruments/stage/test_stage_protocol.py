@@ -1,4 +1,6 @@
-"""GRBL's bytes to values and back. Lines as the fact sheet and the recorded transcripts give them."""
+"""GRBL's bytes to values and back. Lines as the fact sheet and
+the recorded transcripts give them.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,18 @@ from hypothesis import strategies as st
 from instruments.errors import LimitError
 from instruments.stage import protocol
 from instruments.stage.alarm_texts import ALARMS, ERRORS, alarm_meaning, error_meaning
-from instruments.stage.protocol import Alarm, Decoder, ErrorReply, Message, Nonsense, Ok, Response, Setting, Status, Welcome
+from instruments.stage.protocol import (
+    Alarm,
+    Decoder,
+    ErrorReply,
+    Message,
+    Nonsense,
+    Ok,
+    Response,
+    Setting,
+    Status,
+    Welcome,
+)
 
 VECTORS: list[tuple[bytes, Response]] = [
     (b"ok", Ok()),
@@ -38,12 +51,24 @@ VECTORS: list[tuple[bytes, Response]] = [
     ),
     (
         b"<Hold:1|WPos:-1.500,2.000,-3.250|Bf:15,128|F:500>",
-        Status("Hold", 1, None, (-1.5, 2.0, -3.25), None, {"WPos": "-1.500,2.000,-3.250", "Bf": "15,128", "F": "500"}),
+        Status(
+            "Hold",
+            1,
+            None,
+            (-1.5, 2.0, -3.25),
+            None,
+            {"WPos": "-1.500,2.000,-3.250", "Bf": "15,128", "F": "500"},
+        ),
     ),
     (
         b"<Alarm|MPos:1.000,2.000,3.000,4.000|H:0|A:S|TLR:0|Pn>",
         Status(
-            "Alarm", None, (1.0, 2.0, 3.0, 4.0), None, None, {"MPos": "1.000,2.000,3.000,4.000", "H": "0", "A": "S", "TLR": "0", "Pn": ""}
+            "Alarm",
+            None,
+            (1.0, 2.0, 3.0, 4.0),
+            None,
+            None,
+            {"MPos": "1.000,2.000,3.000,4.000", "H": "0", "A": "S", "TLR": "0", "Pn": ""},
         ),
     ),
 ]
@@ -66,7 +91,9 @@ NONSENSE = [
 
 
 @pytest.mark.parametrize(("line", "value"), VECTORS)
-def test_a_line_is_read_whole_in_bytes_and_with_more_behind_it(line: bytes, value: Response) -> None:
+def test_a_line_is_read_whole_in_bytes_and_with_more_behind_it(
+    line: bytes, value: Response
+) -> None:
     assert list(Decoder().feed(line + b"\r\n")) == [value]
     decoder = Decoder()
     assert [answer for byte in line + b"\r\n" for answer in decoder.feed(bytes([byte]))] == [value]
@@ -90,7 +117,12 @@ def test_bytes_without_a_line_end_are_given_up_after_a_kilobyte() -> None:
     assert list(decoder.feed(b"ok\r\n")) == [Ok()]
 
 
-@given(st.lists(st.one_of(st.binary(max_size=60), st.sampled_from([line + b"\r\n" for line, _ in VECTORS])), max_size=8))
+@given(
+    st.lists(
+        st.one_of(st.binary(max_size=60), st.sampled_from([line + b"\r\n" for line, _ in VECTORS])),
+        max_size=8,
+    )
+)
 def test_any_bytes_give_answers_however_they_are_cut(parts: list[bytes]) -> None:
     decoder = Decoder()
     cut = [answer for part in parts for answer in decoder.feed(part)]
@@ -105,12 +137,18 @@ def test_text_that_looks_like_grbl_never_raises(text: str) -> None:
 
 def test_a_move_states_units_distance_mode_and_machine_coordinates() -> None:
     assert protocol.move_line({"X": -12.5, "Y": -275.0}, 3000) == "G21G90G94G53G1X-12.5Y-275F3000"
-    assert protocol.move_line({"X": -0.0001, "Z": -0.1236}, 99.95) == "G21G90G94G53G1X0Z-0.124F99.95"
+    assert (
+        protocol.move_line({"X": -0.0001, "Z": -0.1236}, 99.95) == "G21G90G94G53G1X0Z-0.124F99.95"
+    )
     assert protocol.encode("$H") == b"$H\n"
 
 
-@given(st.fixed_dictionaries({axis: st.floats(-1e6, 1e6) for axis in "XYZA"}), st.floats(0.001, 1e6))
-def test_every_move_fits_the_controllers_line_buffer(target_mm: dict[str, float], feed_mm_min: float) -> None:
+@given(
+    st.fixed_dictionaries({axis: st.floats(-1e6, 1e6) for axis in "XYZA"}), st.floats(0.001, 1e6)
+)
+def test_every_move_fits_the_controllers_line_buffer(
+    target_mm: dict[str, float], feed_mm_min: float
+) -> None:
     line = protocol.move_line(target_mm, feed_mm_min)
     assert len(protocol.encode(line)) <= 80
     assert "E" not in line.upper().replace("-", "")
@@ -129,7 +167,9 @@ def test_every_move_fits_the_controllers_line_buffer(target_mm: dict[str, float]
         ({"X": 1.0}, float("nan")),
     ],
 )
-def test_a_move_that_cannot_be_written_is_refused(target_mm: dict[str, float], feed_mm_min: float) -> None:
+def test_a_move_that_cannot_be_written_is_refused(
+    target_mm: dict[str, float], feed_mm_min: float
+) -> None:
     with pytest.raises(LimitError):
         protocol.move_line(target_mm, feed_mm_min)
 
@@ -155,7 +195,18 @@ def test_every_code_of_the_sheet_has_a_sentence_and_advice() -> None:
 
 
 def test_real_time_bytes_are_those_of_the_sheet() -> None:
-    assert (protocol.STATUS_QUERY, protocol.HOLD, protocol.RESUME, protocol.SOFT_RESET) == (b"?", b"!", b"~", b"\x18")
+    assert (protocol.STATUS_QUERY, protocol.HOLD, protocol.RESUME, protocol.SOFT_RESET) == (
+        b"?",
+        b"!",
+        b"~",
+        b"\x18",
+    )
     assert (protocol.DOOR, protocol.JOG_CANCEL) == (b"\x84", b"\x85")
-    assert protocol.FEED_OVERRIDES == {b"\x90": None, b"\x91": 10, b"\x92": -10, b"\x93": 1, b"\x94": -1}
+    assert protocol.FEED_OVERRIDES == {
+        b"\x90": None,
+        b"\x91": 10,
+        b"\x92": -10,
+        b"\x93": 1,
+        b"\x94": -1,
+    }
     assert set(protocol.RAPID_OVERRIDES) == {b"\x95", b"\x96", b"\x97"}

@@ -1,4 +1,6 @@
-"""From each alarm there is one way out, and somebody has to ask for it; and the whole driver on a pseudo-terminal in real time."""
+"""From each alarm there is one way out, and somebody has to ask for it; and the whole driver on a
+pseudo-terminal in real time.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,11 @@ from instruments.stage.driver import Stage
 from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, Fault, StageEmulator
 from tests.instruments.stage.stage_bench import Bench
 
-FAST = {24: 6000, 25: 60000, 26: 1} | {110 + axis: 60000 for axis in range(3)} | {120 + axis: 20000 for axis in range(3)}
+FAST = (
+    {24: 6000, 25: 60000, 26: 1}
+    | {110 + axis: 60000 for axis in range(3)}
+    | {120 + axis: 20000 for axis in range(3)}
+)
 
 
 @pytest.mark.parametrize("critical", [False, True], ids=["heard", "deaf"])
@@ -91,7 +97,9 @@ def test_the_driver_works_on_a_pseudo_terminal(dialect: Dialect) -> None:
     with contextlib.closing(RealClock()) as clock:
         emulator = StageEmulator(clock, dialect=dialect, settings=FAST)
         with (
-            contextlib.closing(PtyListener(emulator, clock, lock=threading.RLock(), name="stage", baud=115200)) as listener,
+            contextlib.closing(
+                PtyListener(emulator, clock, lock=threading.RLock(), name="stage", baud=115200)
+            ) as listener,
             contextlib.closing(Stage(Link(listener.url, clock, who="stage"), clock)) as stage,
         ):
             assert stage.connect().dialect == dialect.name

@@ -1,8 +1,10 @@
-"""Driver against emulator in any order of calls and faults: what must never happen, whatever happens before.
+"""Driver against emulator in any order of calls and faults: what must never happen, whatever
+happens before.
 
-Two faults no controller can see: a stall and lost steps. Of those the driver knows nothing, and a move is "finished" with the
-carriage elsewhere; what finds them is the next check touch of the arm. Here the carriage's place is then no longer held against
-the driver, only its rails; homing heals it, and everything counts again.
+Two faults no controller can see: a stall and lost steps. Of those the driver knows nothing, and a
+move is "finished" with the carriage elsewhere; what finds them is the next check touch of the arm.
+Here the carriage's place is then no longer held against the driver, only its rails; homing heals
+it, and everything counts again.
 """
 
 from __future__ import annotations
@@ -32,10 +34,20 @@ PLAY = (0.2, 0.1, 0.05, 0.5)
 
 
 class StageRules(RuleBasedStateMachine):
-    """Never a move before homing, never beyond the travel, never "finished" away from the target, never moving after ``stop``."""
+    """Never a move before homing, never beyond the travel, never "finished" away from the target,
+    never moving after ``stop``.
+    """
 
     @initialize(
-        board=st.sampled_from([(CLASSIC, "XY"), (CLASSIC, "XYZ"), (GRBL_HAL, "XYZ"), (GRBL_HAL, "XYZA"), (GRBL_HAL, "XYA")]),
+        board=st.sampled_from(
+            [
+                (CLASSIC, "XY"),
+                (CLASSIC, "XYZ"),
+                (GRBL_HAL, "XYZ"),
+                (GRBL_HAL, "XYZA"),
+                (GRBL_HAL, "XYA"),
+            ]
+        ),
         play=st.booleans(),
     )
     def power_on(self, board: tuple[Dialect, str], play: bool) -> None:
@@ -43,7 +55,9 @@ class StageRules(RuleBasedStateMachine):
         count = 4 if "A" in self.axes else 3
         self.play = PLAY if play else (0.0, 0.0, 0.0, 0.0)
         self.clock = VirtualClock()
-        self.emulator = StageEmulator(self.clock, dialect=dialect, axes=count, play_mm=self.play[:count])
+        self.emulator = StageEmulator(
+            self.clock, dialect=dialect, axes=count, play_mm=self.play[:count]
+        )
         self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="stage")
         self.unseen = False
         self.plug_in()
@@ -60,7 +74,9 @@ class StageRules(RuleBasedStateMachine):
         return dict(named[axis] for axis in self.axes[2:])
 
     def finished_at(self, place: Place) -> None:
-        """A move to ``place`` is said to be finished: the count is there, and the carriage is, but for the play."""
+        """A move to ``place`` is said to be finished: the count is there, and the carriage is, but
+        for the play.
+        """
         reported, there = self.stage.position(), self.emulator.position_mm()
         for axis in self.axes:
             at = "XYZA".index(axis)
@@ -217,7 +233,9 @@ class StageRules(RuleBasedStateMachine):
 
     @invariant()
     def no_move_before_homing(self) -> None:
-        """As the board knows it itself, which it doesn't tell the driver (the classic one never does)."""
+        """As the board knows it itself, which it doesn't tell the driver (the classic one never
+        does).
+        """
         if hasattr(self, "emulator"):
             board = self.emulator._controller
             assert board.homed or board.carriage.homing or not board.moving
@@ -229,6 +247,9 @@ class StageRules(RuleBasedStateMachine):
 
 
 StageRules.TestCase.settings = settings(
-    max_examples=60, stateful_step_count=30, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
+    max_examples=60,
+    stateful_step_count=30,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )
 TestStageRules = StageRules.TestCase

@@ -58,7 +58,9 @@ def test_grblhal_still_reports_in_that_alarm(make_board: Make) -> None:
     assert b"|H:" in report
 
 
-def test_grblhal_tells_of_a_buffer_that_holds_a_byte_less_and_knows_any_line_number(make_board: Make) -> None:
+def test_grblhal_tells_of_a_buffer_that_holds_a_byte_less_and_knows_any_line_number(
+    make_board: Make,
+) -> None:
     board = make_board({10: 3, 20: 0}, dialect=GRBL_HAL)
     assert b"|Bf:35,1023|FS:" in board.say(b"?")
     assert b"[OPT:V,35,1024]" in board.say(b"$I\n")
@@ -88,7 +90,9 @@ def test_a_reset_at_a_hold_keeps_the_position_without_alarm(free: Board) -> None
     assert free.say(b"\x18") == WELCOME
     report = free.say(b"?")
     assert report.startswith(b"<Idle|MPos:")
-    assert float(re.findall(rb"MPos:([-\d.]+)", report)[0]) == pytest.approx(place[0] + 150, abs=0.005)
+    assert float(re.findall(rb"MPos:([-\d.]+)", report)[0]) == pytest.approx(
+        place[0] + 150, abs=0.005
+    )
 
 
 def test_resume_is_lost_while_the_stage_still_brakes(free: Board) -> None:
@@ -117,14 +121,22 @@ def test_sleep_is_left_only_by_a_reset_and_into_the_alarm(free: Board) -> None:
 
 
 def test_blasting_blindly_mangles_lines_into_many_kinds_of_error(free: Board) -> None:
-    """As recorded, where 1230 bytes gave 48 ``ok`` and six kinds of error; which ones depends on the moves that were sent.
+    """As recorded, where 1230 bytes gave 48 ``ok`` and six kinds of error; which ones depends on
+    the moves that were sent.
 
-    Bytes come at 115200 baud; where the planner is full and the buffer too, they are lost, and what is left joins up.
+    Bytes come at 115200 baud; where the planner is full and the buffer too, they are lost, and what
+    is left joins up.
     """
-    lines = b"".join(b"G1X%.3fY%.3fF3000\r\n" % (-(n % 2) * 0.004, -(n % 3) * 0.004) for n in range(60))
-    answers = b"".join(free.say(bytes([byte]), 10 / 115200) for byte in lines[:1230]) + free.hear(60.0)
+    lines = b"".join(
+        b"G1X%.3fY%.3fF3000\r\n" % (-(n % 2) * 0.004, -(n % 3) * 0.004) for n in range(60)
+    )
+    answers = b"".join(free.say(bytes([byte]), 10 / 115200) for byte in lines[:1230]) + free.hear(
+        60.0
+    )
     assert len(set(re.findall(rb"error:\d+", answers))) >= 3
-    assert answers.count(b"\r\n") < 2 * lines[:1230].count(b"\n"), "CR and LF end a line each; some were lost"
+    assert answers.count(b"\r\n") < 2 * lines[:1230].count(b"\n"), (
+        "CR and LF end a line each; some were lost"
+    )
 
 
 def test_the_buffer_holds_exactly_128_bytes(free: Board) -> None:

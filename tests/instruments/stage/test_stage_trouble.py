@@ -17,7 +17,9 @@ def test_an_alarm_in_a_move_is_a_sentence_and_asks_for_recovery_and_homing(bench
     stage = bench.homed()
     bench.emulator.inject(Fault.LIMIT_HIT, 0.7)
     start = bench.clock.now()
-    with pytest.raises(DeviceError, match=r"alarm 1: a limit switch was hit .*recover\(\) and home\(\)"):
+    with pytest.raises(
+        DeviceError, match=r"alarm 1: a limit switch was hit .*recover\(\) and home\(\)"
+    ):
         stage.move_to(-200, -200)
     assert bench.clock.now() - start == pytest.approx(0.7)
     assert not stage.homed
@@ -147,19 +149,46 @@ def test_silence_in_a_move(bench: Bench) -> None:
         (b"\r\nGrbl 0.9j ['$' for help]\r\n", {}, DeviceError, "speaks another protocol"),
         (GREETING, {}, LinkError, r"no answer \(asked \$I"),
         (GREETING, {b"$I\n": b"error:3\r\n"}, DeviceError, "error 3"),
-        (GREETING, {b"$I\n": b"ok\r\n", b"$$\n": b"ok\r\n"}, ProtocolError, r"setting \$\d+ is not usable"),
-        (GREETING, {b"$I\n": b"ok\r\nok\r\n", b"$$\n": b"ok\r\n"}, ProtocolError, "nothing was asked for"),
+        (
+            GREETING,
+            {b"$I\n": b"ok\r\n", b"$$\n": b"ok\r\n"},
+            ProtocolError,
+            r"setting \$\d+ is not usable",
+        ),
+        (
+            GREETING,
+            {b"$I\n": b"ok\r\nok\r\n", b"$$\n": b"ok\r\n"},
+            ProtocolError,
+            "nothing was asked for",
+        ),
         (GREETING, {b"$I\n": b"[MSG:x]\r\n" + GREETING}, DeviceError, "restarted by itself"),
-        (GREETING, {b"$I\n": b"ALARM:77\r\n"}, DeviceError, "alarm 77: an alarm that this program does not know"),
+        (
+            GREETING,
+            {b"$I\n": b"ALARM:77\r\n"},
+            DeviceError,
+            "alarm 77: an alarm that this program does not know",
+        ),
     ],
 )
-def test_other_devices_are_refused(greeting: bytes, answers: Mapping[bytes, bytes], error: type[InstrumentError], sentence: str) -> None:
+def test_other_devices_are_refused(
+    greeting: bytes, answers: Mapping[bytes, bytes], error: type[InstrumentError], sentence: str
+) -> None:
     with pytest.raises(error, match=sentence) as caught:
         meet(Parrot(greeting, answers))
     assert str(caught.value).startswith("stage at socket://")
 
 
 def test_a_stale_boot_message_before_the_welcome_is_no_obstacle(make: Make) -> None:
-    settings = b"".join(b"$%d=%s\r\n" % (n, b"100.000") for n in (*range(100, 103), *range(110, 113), *range(120, 123), *range(130, 133)))
-    flags = b"$13=0\r\n$20=1\r\n$21=0\r\n$22=1\r\n$24=25.000\r\n$25=500.000\r\n$27=1.000\r\n$74=my network\r\nok\r\n"
-    meet(Parrot(b"\xf0\xe0boot\r\nok\r\n" + GREETING, {b"$I\n": b"ok\r\n", b"$$\n": settings + flags}))
+    settings = b"".join(
+        b"$%d=%s\r\n" % (n, b"100.000")
+        for n in (*range(100, 103), *range(110, 113), *range(120, 123), *range(130, 133))
+    )
+    flags = (
+        b"$13=0\r\n$20=1\r\n$21=0\r\n$22=1\r\n$24=25.000\r\n$25=500.000\r\n$27=1.000\r\n$74=my"
+        b" network\r\nok\r\n"
+    )
+    meet(
+        Parrot(
+            b"\xf0\xe0boot\r\nok\r\n" + GREETING, {b"$I\n": b"ok\r\n", b"$$\n": settings + flags}
+        )
+    )

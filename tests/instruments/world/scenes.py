@@ -1,4 +1,6 @@
-"""What the tests of the scene share: the emulated rig's cameras, an empty scene, and OpenCV as the referee of geometry."""
+"""What the tests of the scene share: the emulated rig's cameras, an empty scene, and OpenCV as the
+referee of geometry.
+"""
 
 from __future__ import annotations
 
@@ -31,11 +33,15 @@ def calibration_table() -> dict[str, Any]:
 @lru_cache(maxsize=2)  # some 100 MB each
 def renderer(**changes: Any) -> Renderer:
     """Its cameras, the sensors with these changes."""
-    return Renderer.from_calibration(calibration_table(), camera_seed=7, optical=replace(OpticalSensor(), **changes))
+    return Renderer.from_calibration(
+        calibration_table(), camera_seed=7, optical=replace(OpticalSensor(), **changes)
+    )
 
 
 def by_opencv(camera: CameraModel, points_mm: Floats) -> Floats:
     """Pixels (n, 2) of world points (n, 3), by `cv2.projectPoints`."""
-    K = np.array([[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]])
+    K = np.array(
+        [[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]]
+    )
     pixels, _ = cv2.projectPoints(points_mm, cv2.Rodrigues(camera.R)[0], camera.t_mm, K, camera.kc)
     return np.asarray(pixels[:, 0], dtype=np.float64)

@@ -1,4 +1,6 @@
-"""Calibration boards in the scene: their corners against OpenCV's projection and detectors, by light and by heat, still and moving."""
+"""Calibration boards in the scene: their corners against OpenCV's projection and detectors, by
+light and by heat, still and moving.
+"""
 
 from __future__ import annotations
 
@@ -30,16 +32,20 @@ def held(pattern: Pattern) -> tuple[Board, ...]:
 def refined(picture: Image, corners_px: Floats, window: int = 4) -> Floats:
     grey = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
     start = corners_px.astype(np.float32).reshape(-1, 1, 2) + np.float32(0.3)
-    return np.asarray(cv2.cornerSubPix(grey, start, (window, window), (-1, -1), CRITERIA).reshape(-1, 2), dtype=np.float64)
+    return np.asarray(
+        cv2.cornerSubPix(grey, start, (window, window), (-1, -1), CRITERIA).reshape(-1, 2),
+        dtype=np.float64,
+    )
 
 
 @pytest.mark.parametrize("which", ["left", "right"])
 @pytest.mark.parametrize("number", [0, 7, 13])
 def test_corners_lie_where_opencv_projects_them(which: str, number: int) -> None:
-    """Within 0.05 px rms of `cv2.projectPoints`, in tilted poses, before noise, and on the mean within 0.01 px.
+    """Within 0.05 px rms of `cv2.projectPoints`, in tilted poses, before noise, and on the mean
+    within 0.01 px.
 
-    Through a soft lens and in a large window, for `cornerSubPix` itself is off by up to 0.1 px on pictures that are exact, as the next
-    test shows that these are.
+    Through a soft lens and in a large window, for `cornerSubPix` itself is off by up to 0.1 px on
+    pictures that are exact, as the next test shows that these are.
     """
     board = held(replace(CHESS, square_mm=40.0))[number]
     eye = renderer(blur_px=1.0).left if which == "left" else renderer(blur_px=1.0).right
@@ -66,26 +72,40 @@ def test_every_pixel_has_its_exact_share_of_dark(pattern: Pattern) -> None:
     u, v = np.meshgrid(u0 + fine, v0 + fine)
     dark = _dark_at(board, np.column_stack([u.ravel(), v.ravel()])).reshape(u.shape)
     expected = dark.reshape(2 * half + 1, samples, 2 * half + 1, samples).mean(axis=(1, 3))
-    assert np.abs(expected - share[v0 - half : v0 + half + 1, u0 - half : u0 + half + 1]).max() < 0.003
+    assert (
+        np.abs(expected - share[v0 - half : v0 + half + 1, u0 - half : u0 + half + 1]).max() < 0.003
+    )
 
 
 def _dark_at(board: Board, pixels: Floats) -> Floats:
-    """1 where the board is dark, at pixels (n, 2), by OpenCV's inverse of the lens and one ray each."""
+    """1 where the board is dark, at pixels (n, 2), by OpenCV's inverse of the lens and one ray
+    each.
+    """
     camera = renderer().left.view.camera
-    K = np.array([[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]])
+    K = np.array(
+        [[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]]
+    )
     plane = cv2.undistortPoints(pixels[:, None, :], K, camera.kc)[:, 0]
     rays = np.column_stack([plane, np.ones(len(plane))]) @ camera.R
-    depth = ((np.asarray(board.corner_mm) - camera.centre_mm) @ board.normal) / (rays @ board.normal)
+    depth = ((np.asarray(board.corner_mm) - camera.centre_mm) @ board.normal) / (
+        rays @ board.normal
+    )
     on = camera.centre_mm + depth[:, None] * rays - np.asarray(board.corner_mm)
     flat = np.column_stack([on @ np.asarray(board.across), on @ np.asarray(board.along)])
     if board.pattern.kind == "chessboard":
         squares = np.floor((flat - board.pattern.margin_mm) / board.pattern.square_mm)
         return np.asarray(squares.sum(axis=1) % 2 == 0, dtype=np.float64)
     scale = 20  # a ChArUco board is OpenCV's own drawing, 20 px a mm
-    size = (round(board.pattern.columns * board.pattern.square_mm * scale), round(board.pattern.rows * board.pattern.square_mm * scale))
+    size = (
+        round(board.pattern.columns * board.pattern.square_mm * scale),
+        round(board.pattern.rows * board.pattern.square_mm * scale),
+    )
     dictionary = cv2.aruco.getPredefinedDictionary(board.pattern.dictionary)
     drawn = cv2.aruco.CharucoBoard(
-        (board.pattern.columns, board.pattern.rows), board.pattern.square_mm, 0.75 * board.pattern.square_mm, dictionary
+        (board.pattern.columns, board.pattern.rows),
+        board.pattern.square_mm,
+        0.75 * board.pattern.square_mm,
+        dictionary,
     )
     picture = drawn.generateImage(size)
     at = np.floor((flat - board.pattern.margin_mm) * scale).astype(int)
@@ -96,7 +116,9 @@ def _dark_at(board: Board, pixels: Floats) -> Floats:
 
 
 def test_opencv_finds_the_chessboard_and_its_order() -> None:
-    picture = np.clip(np.rint(renderer().left.expected(with_board(UPRIGHT))), 0, 255).astype(np.uint8)
+    picture = np.clip(np.rint(renderer().left.expected(with_board(UPRIGHT))), 0, 255).astype(
+        np.uint8
+    )
     found, corners = cv2.findChessboardCorners(picture, (9, 6))
     assert found
     expected = by_opencv(renderer().cameras[0], UPRIGHT.corners_mm)
@@ -117,7 +139,9 @@ def test_opencv_reads_the_charuco_board() -> None:
     assert (
         np.linalg.norm(corners.reshape(-1, 2) - expected, axis=1).max() < 0.25
     )  # the detector's own refinement; order and place are the point
-    assert board.pattern.corners_mm - pattern.margin_mm == pytest.approx(np.asarray(referee.getChessboardCorners())[:, :2])
+    assert board.pattern.corners_mm - pattern.margin_mm == pytest.approx(
+        np.asarray(referee.getChessboardCorners())[:, :2]
+    )
 
 
 def test_dark_parts_are_half_of_a_chessboard_and_circles_are_round() -> None:
@@ -133,16 +157,24 @@ def test_dark_parts_are_half_of_a_chessboard_and_circles_are_round() -> None:
 
 
 def test_circles_lie_where_opencv_projects_them_by_heat() -> None:
-    """A heated board of circles: the middle of each one's heat against `cv2.projectPoints`, in thermal pixels."""
+    """A heated board of circles: the middle of each one's heat against `cv2.projectPoints`, in
+    thermal pixels.
+    """
     pattern = Pattern("circles", 4, 3, 36.0, 9.0, feature_mm=18.0)
     board = Board((-175.0, 240.0, 155.0), pattern=pattern, light=20.0, dark=36.0)
     camera = renderer().cameras[2].resized(160, 120)
     warmth = renderer().thermal.expected_k(with_board(board)) - 293.15
     reach = round(18.0 * camera.fc[0] / 1080.0)
     for u, v in by_opencv(camera, board.corners_mm):
-        rows, columns = slice(round(v) - reach, round(v) + reach + 1), slice(round(u) - reach, round(u) + reach + 1)
+        rows, columns = (
+            slice(round(v) - reach, round(v) + reach + 1),
+            slice(round(u) - reach, round(u) + reach + 1),
+        )
         patch = warmth[rows, columns]
-        at = [(patch.sum(axis=0) @ np.arange(columns.start, columns.stop)), (patch.sum(axis=1) @ np.arange(rows.start, rows.stop))]
+        at = [
+            (patch.sum(axis=0) @ np.arange(columns.start, columns.stop)),
+            (patch.sum(axis=1) @ np.arange(rows.start, rows.stop)),
+        ]
         assert np.array(at) / patch.sum() == pytest.approx([u, v], abs=0.05)
 
 
@@ -172,19 +204,33 @@ def test_a_heated_board_shows_its_squares_to_the_thermal_camera() -> None:
     camera = renderer().cameras[2].resized(160, 120)
     seen = renderer().thermal.expected_k(with_board(board))
     corners = by_opencv(camera, board.corners_mm)
-    grey = cv2.resize(((seen - seen.min()) / np.ptp(seen) * 255.0).astype(np.float32), None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
+    grey = cv2.resize(
+        ((seen - seen.min()) / np.ptp(seen) * 255.0).astype(np.float32),
+        None,
+        fx=4,
+        fy=4,
+        interpolation=cv2.INTER_CUBIC,
+    )
     at = refined(np.asarray(grey), 4.0 * corners + 1.5, window=10)
     off = (at - 1.5) / 4.0 - corners
     assert np.sqrt((off**2).sum(axis=1).mean()) < 0.06  # of a thermal pixel of 8 mm
     assert np.abs(off.mean(axis=0)).max() < 0.04
-    middle = by_opencv(camera, board.placed(np.array([[10.0 + 22.5, 10.0 + 22.5], [10.0 + 67.5, 10.0 + 22.5]]))).round().astype(int)
+    middle = (
+        by_opencv(
+            camera, board.placed(np.array([[10.0 + 22.5, 10.0 + 22.5], [10.0 + 67.5, 10.0 + 22.5]]))
+        )
+        .round()
+        .astype(int)
+    )
     dark, light = (seen[v, u] - 273.15 for u, v in middle)
     assert dark == pytest.approx(0.93 * 36.0 + 0.07 * 20.0, abs=0.25)
     assert light == pytest.approx(0.93 * 28.0 + 0.07 * 20.0, abs=0.25)
 
 
 def test_a_board_that_moves_is_smeared_along_its_way() -> None:
-    """At 50 mm/s and 0.1 s an upright edge is smeared over 5 mm, some 5.7 px; and stays where it is at mid-exposure."""
+    """At 50 mm/s and 0.1 s an upright edge is smeared over 5 mm, some 5.7 px; and stays where it is
+    at mid-exposure.
+    """
     board = replace(UPRIGHT, pattern=Pattern("plain", 6, 6, 25.0, 0.0))
     still, moving = (
         renderer().left.expected(with_board(b, exposure=Exposure(0.1, 0.2)))
@@ -220,7 +266,10 @@ def test_poses_spread_tilt_and_stay_in_view() -> None:
     assert boards == poses(CHESS, renderer().cameras[:2], (450.0, 1200.0), seed=3)
     tilts = [np.degrees(np.arccos(abs(float(board.normal @ [0.0, 1.0, 0.0])))) for board in boards]
     assert max(tilts) > 30.0
-    pixels = [np.array([by_opencv(camera, board.corners_mm) for board in boards]) for camera in renderer().cameras[:2]]
+    pixels = [
+        np.array([by_opencv(camera, board.corners_mm) for board in boards])
+        for camera in renderer().cameras[:2]
+    ]
     assert all(np.all((seen > 5.0) & (seen < [1354.0, 1018.0])) for seen in pixels)
     assert np.ptp(pixels[0].reshape(-1, 2), axis=0).tolist() > [1000.0, 700.0]
     with pytest.raises(ValueError, match="take a smaller board"):

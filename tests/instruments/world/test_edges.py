@@ -1,4 +1,6 @@
-"""Geometry and edges of rendered solids against OpenCV, at every orientation and sub-pixel phase; the lens's MTF; focus."""
+"""Geometry and edges of rendered solids against OpenCV, at every orientation and sub-pixel phase;
+the lens's MTF; focus.
+"""
 
 from __future__ import annotations
 
@@ -40,19 +42,28 @@ def hidden_share(which: str, *hulls: Hull) -> Floats:
     """Share of the board's light that black solids take from each pixel, (h, w), before noise."""
     thing = SceneObject("black", hulls, BLACK, "ambient")
     dark = covered(which)
-    return np.asarray(1.0 - (_eye(which).expected(replace(NOBODY, objects=(thing,))) - dark) / (empty(which) - dark), dtype=np.float64)
+    return np.asarray(
+        1.0
+        - (_eye(which).expected(replace(NOBODY, objects=(thing,))) - dark) / (empty(which) - dark),
+        dtype=np.float64,
+    )
 
 
 @pytest.mark.parametrize("which", ["left", "right"])
 def test_small_balls_lie_where_opencv_projects_them(which: str) -> None:
     camera = _eye(which).view.camera
-    places = [(x, y, z) for x in (-620.0, -200.0, 250.0) for y, z in ((150.0, 130.0), (700.0, 420.0))]
+    places = [
+        (x, y, z) for x in (-620.0, -200.0, 250.0) for y, z in ((150.0, 130.0), (700.0, 420.0))
+    ]
     share = hidden_share(which, *(ball(place, 4.0) for place in places))
     for u, v in by_opencv(camera, np.array(places)):
         rows, columns = slice(round(v) - 14, round(v) + 15), slice(round(u) - 14, round(u) + 15)
         patch = share[rows, columns]
         at = np.array(
-            [(patch.sum(axis=0) @ np.arange(columns.start, columns.stop)), (patch.sum(axis=1) @ np.arange(rows.start, rows.stop))]
+            [
+                (patch.sum(axis=0) @ np.arange(columns.start, columns.stop)),
+                (patch.sum(axis=1) @ np.arange(rows.start, rows.stop)),
+            ]
         )
         assert at / patch.sum() == pytest.approx([u, v], abs=0.03)
 
@@ -60,10 +71,15 @@ def test_small_balls_lie_where_opencv_projects_them(which: str) -> None:
 @pytest.mark.parametrize("which", ["left", "right"])
 @pytest.mark.parametrize("lean_mm", [0.0, 20.0])
 def test_edges_at_every_sub_pixel_phase(which: str, lean_mm: float) -> None:
-    """Both edges of a post, in rows of pixels, against the limb of the post by `cv2.projectPoints`: below 0.01 px before noise."""
+    """Both edges of a post, in rows of pixels, against the limb of the post by `cv2.projectPoints`:
+    below 0.01 px before noise.
+    """
     camera, worst = _eye(which).view.camera, 0.0
     for phase in np.linspace(0.0, 0.85, 9):
-        a, b = np.array([-180.0 + phase, 230.0, 60.0]), np.array([-180.0 + phase + lean_mm, 230.0, 180.0])
+        a, b = (
+            np.array([-180.0 + phase, 230.0, 60.0]),
+            np.array([-180.0 + phase + lean_mm, 230.0, 180.0]),
+        )
         share = hidden_share(which, Hull(tuple(a), tuple(b), 11.0, 11.0))
         middle = by_opencv(camera, 0.5 * (a + b)[None, :])[0]
         rows = np.arange(round(middle[1]) - 30, round(middle[1]) + 30)
@@ -81,7 +97,9 @@ def test_edges_at_every_sub_pixel_phase(which: str, lean_mm: float) -> None:
 @pytest.mark.parametrize("which", ["left", "right"])
 @pytest.mark.parametrize("angle_deg", [0.0, 1.0, 5.0, 17.0, 30.0, 45.0, 60.0, 73.0, 89.0, 90.0])
 def test_edges_of_every_orientation(which: str, angle_deg: float) -> None:
-    """Both edges of a post turned in the picture's plane, sampled along its normal: their mean place over each stretch, below 0.01 px."""
+    """Both edges of a post turned in the picture's plane, sampled along its normal: their mean
+    place over each stretch, below 0.01 px.
+    """
     camera = _eye(which).view.camera
     angle = np.radians(angle_deg)
     way = np.array([np.cos(angle), 0.0, np.sin(angle)])
@@ -91,22 +109,36 @@ def test_edges_of_every_orientation(which: str, angle_deg: float) -> None:
         share = hidden_share(which, Hull(tuple(a), tuple(b), 9.0, 9.0))
         upright = angle_deg > 45.0
         flat = share if upright else share.T
-        limbs = [by_opencv(camera, _limb(camera, a, b, 9.0, side))[:, :: 1 if upright else -1] for side in (-1.0, 1.0)]
+        limbs = [
+            by_opencv(camera, _limb(camera, a, b, 9.0, side))[:, :: 1 if upright else -1]
+            for side in (-1.0, 1.0)
+        ]
         along = 0.5 * (limbs[0][:, 1] + limbs[1][:, 1])
         rows = np.arange(int(np.quantile(along, 0.25)), int(np.quantile(along, 0.75)))
-        expected = [np.interp(rows, limb[np.argsort(limb[:, 1]), 1], limb[np.argsort(limb[:, 1]), 0]) for limb in limbs]
-        low, high = int(min(e.min() for e in expected)) - 12, int(max(e.max() for e in expected)) + 13
+        expected = [
+            np.interp(rows, limb[np.argsort(limb[:, 1]), 1], limb[np.argsort(limb[:, 1]), 0])
+            for limb in limbs
+        ]
+        low, high = (
+            int(min(e.min() for e in expected)) - 12,
+            int(max(e.max() for e in expected)) + 13,
+        )
         columns = np.arange(low, high)
         profile = flat[np.ix_(rows, columns)]
         width, centre = profile.sum(axis=1), profile @ columns / profile.sum(axis=1)
-        for side, limb in zip((-1.0, 1.0), sorted(expected, key=lambda e: float(e.mean())), strict=True):
-            # A row's edge is a mean over the lens's blur of rows: a mean over many rows is the edge's.
+        for side, limb in zip(
+            (-1.0, 1.0), sorted(expected, key=lambda e: float(e.mean())), strict=True
+        ):
+            # A row's edge is a mean over the lens's blur of rows: a mean over many rows is the
+            # edge's.
             worst = max(worst, abs(float(np.mean(centre + side * width / 2.0 - limb))))
     assert worst < 0.01, f"worst edge error {worst:.4f} px"
 
 
 def _limb(camera: CameraModel, a: Floats, b: Floats, radius: float, side: float) -> Floats:
-    """Points where rays touch a cylinder on its left or right: the normal is square to the axis and to the ray."""
+    """Points where rays touch a cylinder on its left or right: the normal is square to the axis and
+    to the ray.
+    """
     axis = (b - a) / np.linalg.norm(b - a)
     away = a - camera.centre_mm
     away -= (away @ axis) * axis
@@ -117,9 +149,13 @@ def _limb(camera: CameraModel, a: Floats, b: Floats, radius: float, side: float)
 
 
 def test_the_rounded_end_reaches_its_apex() -> None:
-    """The picture of a teat ends where its hemisphere's limb does: highest covered row against geometry."""
+    """The picture of a teat ends where its hemisphere's limb does: highest covered row against
+    geometry.
+    """
     camera = renderer().cameras[0]
-    share = hidden_share("left", Hull((-180.0, 230.0, 30.0), (-180.0, 230.0, 125.0), 11.0, 11.0, flat_a=True))
+    share = hidden_share(
+        "left", Hull((-180.0, 230.0, 30.0), (-180.0, 230.0, 125.0), 11.0, 11.0, flat_a=True)
+    )
     angle = np.linspace(0.0, 2.0 * np.pi, 4000)
     centre = np.array([-180.0, 230.0, 125.0])
     away = centre - camera.centre_mm
@@ -130,7 +166,9 @@ def test_the_rounded_end_reaches_its_apex() -> None:
     v = np.cross(u, forward)
     rim = centre - 11.0**2 / distance * forward
     radius = 11.0 * np.sqrt(1.0 - (11.0 / distance) ** 2)
-    limb = by_opencv(camera, rim + radius * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v))
+    limb = by_opencv(
+        camera, rim + radius * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v)
+    )
     outline = limb[np.abs(limb[:, 0] - limb[:, 0].mean()) < 13.0]
     top = outline[:, 1].min()
     column = round(float(outline[outline[:, 1].argmin(), 0]))
@@ -151,7 +189,9 @@ def test_nothing_seen_beside_the_outline() -> None:
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("blur_px", [0.5, 0.9])
 def test_a_slanted_edge_has_the_declared_mtf(blur_px: float, turned: bool) -> None:
-    """ISO 12233: the edge spread along the edge's normal, finely binned; its derivative's spectrum is the declared transfer."""
+    """ISO 12233: the edge spread along the edge's normal, finely binned; its derivative's spectrum
+    is the declared transfer.
+    """
     eye = renderer(blur_px=blur_px, prnu=0.0, dsnu_e=0.0, vignetting=0.0).left
     angle = np.radians(5.0)
     across, along = (np.cos(angle), 0.0, np.sin(angle)), (np.sin(angle), 0.0, -np.cos(angle))
@@ -176,9 +216,13 @@ def test_a_slanted_edge_has_the_declared_mtf(blur_px: float, turned: bool) -> No
     fine = 0.1
     bins = np.round(distance / fine).astype(int)
     edge = np.array([values[bins == k].mean() for k in range(-160, 161)])
-    line = np.diff(edge) * np.hanning(len(edge) - 1) / abs(np.diff(edge) @ np.hanning(len(edge) - 1))
+    line = (
+        np.diff(edge) * np.hanning(len(edge) - 1) / abs(np.diff(edge) @ np.hanning(len(edge) - 1))
+    )
     for f in (0.05, 0.1, 0.2, 0.3, 0.4, 0.5):
-        seen = abs(np.sum(line * np.exp(-2j * np.pi * f * fine * np.arange(len(line))))) / (np.sinc(f * fine) ** 2)
+        seen = abs(np.sum(line * np.exp(-2j * np.pi * f * fine * np.arange(len(line))))) / (
+            np.sinc(f * fine) ** 2
+        )
         declared = np.prod(transfer(blur_px, f * np.abs(normal)))
         assert seen == pytest.approx(declared, abs=0.01), f"{f} cycles a pixel"
 
@@ -186,7 +230,11 @@ def test_a_slanted_edge_has_the_declared_mtf(blur_px: float, turned: bool) -> No
 def _between(panel: Board, turned: bool) -> Floats:
     part = np.linspace(0.05, 0.95, 19)[:, None]
     width, height = panel.pattern.size_mm
-    flat = np.hstack([part * width, np.zeros_like(part)]) if turned else np.hstack([np.zeros_like(part), part * height])
+    flat = (
+        np.hstack([part * width, np.zeros_like(part)])
+        if turned
+        else np.hstack([np.zeros_like(part), part * height])
+    )
     return panel.placed(flat)
 
 
@@ -202,13 +250,23 @@ def test_the_kernel_has_its_variance_and_its_transfer(sigma: float) -> None:
 
 
 def test_out_of_focus_widens_edges_as_the_thin_lens_says() -> None:
-    """A panel at twice the focused distance, through a wide lens: its edge spreads by the circle of confusion; one in focus doesn't."""
+    """A panel at twice the focused distance, through a wide lens: its edge spreads by the circle of
+    confusion; one in focus doesn't.
+    """
     focus = Focus(aperture_mm=8.0, distance_mm=1040.0)
-    sharp, soft = renderer(prnu=0.0, dsnu_e=0.0).left, renderer(prnu=0.0, dsnu_e=0.0, focus=focus).left
-    for y, expected_px in ((200.0, 0.0), (960.0, 0.25 * 8.0 * 1293.1 * abs(1.0 / 1799.5 - 1.0 / 1040.0))):
+    sharp, soft = (
+        renderer(prnu=0.0, dsnu_e=0.0).left,
+        renderer(prnu=0.0, dsnu_e=0.0, focus=focus).left,
+    )
+    for y, expected_px in (
+        (200.0, 0.0),
+        (960.0, 0.25 * 8.0 * 1293.1 * abs(1.0 / 1799.5 - 1.0 / 1040.0)),
+    ):
         panel = Board((-200.0, y, 430.0), pattern=PANEL, light_albedo=0.0)
         widths = [_edge_width(eye, panel) for eye in (sharp, soft)]
-        assert np.sqrt(max(widths[1] ** 2 - widths[0] ** 2, 0.0)) == pytest.approx(expected_px, abs=0.12)
+        assert np.sqrt(max(widths[1] ** 2 - widths[0] ** 2, 0.0)) == pytest.approx(
+            expected_px, abs=0.12
+        )
 
 
 def _edge_width(eye: OpticalCamera, panel: Board) -> float:
@@ -221,7 +279,16 @@ def _edge_width(eye: OpticalCamera, panel: Board) -> float:
     lines = np.diff(cover, axis=1)
     at = np.arange(lines.shape[1])
     means = lines @ at / lines.sum(axis=1)
-    return float(np.sqrt(np.mean([(line / line.sum()) @ (at - mean) ** 2 for line, mean in zip(lines, means, strict=True)])))
+    return float(
+        np.sqrt(
+            np.mean(
+                [
+                    (line / line.sum()) @ (at - mean) ** 2
+                    for line, mean in zip(lines, means, strict=True)
+                ]
+            )
+        )
+    )
 
 
 def test_a_blur_that_varies_agrees_with_even_ones() -> None:

@@ -1,4 +1,6 @@
-"""EMVA 1288's own referee, the package `emva1288`, run on rendered flat fields: it returns what the sensor was given."""
+"""EMVA 1288's own referee, the package `emva1288`, run on rendered flat fields: it returns what the
+sensor was given.
+"""
 
 from __future__ import annotations
 
@@ -14,27 +16,35 @@ from instruments.world.sensor import NORMAL_EXPOSURE_S, Exposure, OpticalReadout
 
 SHAPE = (300, 400)
 LEVELS = np.linspace(0.0, 1.1, 23)  # of what fills a pixel
-PHOTONS = 30000.0  # at level 1: the referee wants a scale, and K, noise and patterns don't depend on it
+# at level 1: the referee wants a scale, and K, noise and patterns don't depend on it
+PHOTONS = 30000.0
 SPATIAL_FRAMES = 40
-DEEP = replace(OpticalSensor(), bits=12, white_dn=3800.0, offset_dn=100.0, vignetting=0.0)  # 12 bits resolve what noise there is
+# 12 bits resolve what noise there is
+DEEP = replace(OpticalSensor(), bits=12, white_dn=3800.0, offset_dn=100.0, vignetting=0.0)
 
 
 @pytest.fixture(autouse=True)
 def _numpy_1(monkeypatch: pytest.MonkeyPatch) -> None:
     """emva1288 1.0.2 calls a function that NumPy 2 has no longer."""
-    monkeypatch.setattr(np, "asfarray", lambda values: np.asarray(values, dtype=np.float64), raising=False)
+    monkeypatch.setattr(
+        np, "asfarray", lambda values: np.asarray(values, dtype=np.float64), raising=False
+    )
 
 
 class Bench:
     """Writes flat fields as files, which is how the referee takes them."""
 
     def __init__(self, sensor: OpticalSensor, folder: Path, exposure: Exposure) -> None:
-        self._camera = OpticalReadout(sensor, (np.zeros(SHAPE), np.zeros(SHAPE)), np.random.SeedSequence(5))
+        self._camera = OpticalReadout(
+            sensor, (np.zeros(SHAPE), np.zeros(SHAPE)), np.random.SeedSequence(5)
+        )
         self._folder, self._exposure = folder, exposure
         self._taken = 0
 
     def frames(self, level: float, count: int) -> list[str]:
-        flat = self._camera.expected(np.full(SHAPE, level, dtype=np.float32), slice(None), slice(None), self._exposure)
+        flat = self._camera.expected(
+            np.full(SHAPE, level, dtype=np.float32), slice(None), slice(None), self._exposure
+        )
         names = []
         for _ in range(count):
             self._taken += 1
@@ -47,7 +57,9 @@ class Bench:
 def measured(sensor: OpticalSensor, folder: Path, exposure: Exposure | None = None) -> Any:
     """The referee's results on a sensor's flat fields."""
     pytest.importorskip("emva1288", reason="the referee emva1288 is not installed")
-    load, data, results = (import_module(f"emva1288.process.{name}") for name in ("loader", "data", "results"))
+    load, data, results = (
+        import_module(f"emva1288.process.{name}") for name in ("loader", "data", "results")
+    )
     bench = Bench(sensor, folder, exposure or Exposure())
     pairs = {PHOTONS * level: bench.frames(level, 2) for level in LEVELS}
     spatial = {PHOTONS * level: bench.frames(level, SPATIAL_FRAMES) for level in (0.0, 0.5)}
@@ -58,7 +70,9 @@ def measured(sensor: OpticalSensor, folder: Path, exposure: Exposure | None = No
 def test_the_referee_returns_gain_dark_noise_and_patterns(tmp_path: Path) -> None:
     seen = measured(DEEP, tmp_path)
     assert pytest.approx(DEEP.gain_dn_per_e, rel=0.02) == seen.K
-    assert seen.sigma_d == pytest.approx(np.sqrt(DEEP.read_noise_e**2 + DEEP.dark_e_per_s * NORMAL_EXPOSURE_S), rel=0.05)
+    assert seen.sigma_d == pytest.approx(
+        np.sqrt(DEEP.read_noise_e**2 + DEEP.dark_e_per_s * NORMAL_EXPOSURE_S), rel=0.05
+    )
     assert pytest.approx(DEEP.dsnu_e, rel=0.05) == seen.DSNU1288
     assert pytest.approx(100.0 * DEEP.prnu, rel=0.05) == seen.PRNU1288
     assert seen.u_e_sat == pytest.approx(DEEP.full_well_e, rel=0.05)
@@ -73,7 +87,9 @@ def test_gain_multiplies_the_gain_and_nothing_else(tmp_path: Path) -> None:
 
 
 def test_eight_bits_keep_gain_and_patterns(tmp_path: Path) -> None:
-    """The shipped camera. Its dark noise of 0.39 grey levels is below the 0.49 that EMVA 1288 (6.5) asks for to tell it from rounding."""
+    """The shipped camera. Its dark noise of 0.39 grey levels is below the 0.49 that EMVA 1288 (6.5)
+    asks for to tell it from rounding.
+    """
     sensor = replace(OpticalSensor(), vignetting=0.0)
     seen = measured(sensor, tmp_path)
     assert pytest.approx(sensor.gain_dn_per_e, rel=0.03) == seen.K

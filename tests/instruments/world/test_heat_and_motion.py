@@ -1,4 +1,6 @@
-"""Heat along teats and at grazing angles, the backdrop's warmth; motion during exposure and the thermal camera's lag; exposure."""
+"""Heat along teats and at grazing angles, the backdrop's warmth; motion during exposure and the
+thermal camera's lag; exposure.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,13 @@ from instruments.world.optics import Floats
 from instruments.world.phantom import Phantom, PlatePose, Teat, TeatShape
 from instruments.world.scene import Renderer
 from instruments.world.sensor import Exposure, Image, OpticalSensor
-from instruments.world.shading import Lighting, Paint, directional_emissivity, kelvin_from_radiance, radiance_from_c
+from instruments.world.shading import (
+    Lighting,
+    Paint,
+    directional_emissivity,
+    kelvin_from_radiance,
+    radiance_from_c,
+)
 from instruments.world.state import SceneState
 from tests.instruments.world.scenes import NOBODY, PLAIN, by_opencv, renderer
 
@@ -23,10 +31,14 @@ WARM = SceneState(UPRIGHT, (33.0,), 33.0, 20.0, backdrop=PLAIN)
 
 
 def test_the_power_law_stands_for_the_band() -> None:
-    """Against Planck's law over 8 to 13 um, solved for the apparent temperature: within 0.1 K from 10 to 45 degC, room 20."""
+    """Against Planck's law over 8 to 13 um, solved for the apparent temperature: within 0.1 K from
+    10 to 45 degC, room 20.
+    """
 
     def band(kelvin: float) -> float:
-        return float(quad(lambda um: um**-5 / (np.exp(14387.77 / (um * kelvin)) - 1.0), 8.0, 13.0)[0])
+        return float(
+            quad(lambda um: um**-5 / (np.exp(14387.77 / (um * kelvin)) - 1.0), 8.0, 13.0)[0]
+        )
 
     for celsius in (10.0, 20.0, 33.0, 45.0):
         mixed = 0.95 * band(celsius + 273.15) + 0.05 * band(293.15)
@@ -34,21 +46,32 @@ def test_the_power_law_stands_for_the_band() -> None:
         while high - low > 1e-6:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if band(middle) < mixed else (low, middle)
-        ours = float(kelvin_from_radiance(0.95 * radiance_from_c(celsius) + 0.05 * radiance_from_c(20.0)))
+        ours = float(
+            kelvin_from_radiance(0.95 * radiance_from_c(celsius) + 0.05 * radiance_from_c(20.0))
+        )
         assert ours == pytest.approx(low, abs=0.1)
 
 
 def column_of_teat(state: SceneState) -> Floats:
-    """degC up the middle of the teat, from near the base to below its rounded end, sensor pixels."""
+    """degC up the middle of the teat, from near the base to below
+    its rounded end, sensor pixels.
+    """
     seen = renderer().thermal.expected_k(state) - 273.15
     (u, top), (_, foot) = (
-        by_opencv(renderer().cameras[2].resized(160, 120), np.array([[-150.0, 240.0, 135.0], [-150.0, 240.0, 30.0]])).round().astype(int)
+        by_opencv(
+            renderer().cameras[2].resized(160, 120),
+            np.array([[-150.0, 240.0, 135.0], [-150.0, 240.0, 30.0]]),
+        )
+        .round()
+        .astype(int)
     )
     return np.asarray(seen[top:foot, u - 1 : u + 2].mean(axis=1)[::-1])
 
 
 def test_a_teat_is_warmer_at_its_base() -> None:
-    """By `teat_fall` of what it is above the room, evenly: 13 K x 0.1 over its length, and its mean stays."""
+    """By `teat_fall` of what it is above the room, evenly: 13 K x 0.1 over its length, and its mean
+    stays.
+    """
     along = column_of_teat(replace(WARM, teat_fall=0.1))
     flat = column_of_teat(replace(WARM, teat_fall=0.0))
     slope = np.polyfit(np.arange(len(along)) / len(along), along - flat, 1)[0]
@@ -69,14 +92,28 @@ def test_emissivity_falls_off_at_grazing_angles() -> None:
 def test_a_shiny_thing_shows_the_room() -> None:
     """Bare aluminium, emissivity 0.07: 13 K above the room look like less than one."""
     thing = replace(
-        make_object("ball", x_mm=-150.0, y_mm=300.0, z_mm=90.0, radius_mm=50.0, temperature=33.0, offset_k=0.0), paint=Paint(0.5, 0.5, 0.07)
+        make_object(
+            "ball",
+            x_mm=-150.0,
+            y_mm=300.0,
+            z_mm=90.0,
+            radius_mm=50.0,
+            temperature=33.0,
+            offset_k=0.0,
+        ),
+        paint=Paint(0.5, 0.5, 0.07),
     )
     seen = renderer().thermal.expected_k(replace(NOBODY, objects=(thing,))) - 273.15
     assert 20.3 < seen.max() < 21.2
 
 
 def test_board_and_table_have_temperatures_of_their_own() -> None:
-    seen = renderer().thermal.expected_k(replace(NOBODY, backdrop=replace(PLAIN, board_k=0.5, table_k=-0.4))) - 273.15
+    seen = (
+        renderer().thermal.expected_k(
+            replace(NOBODY, backdrop=replace(PLAIN, board_k=0.5, table_k=-0.4))
+        )
+        - 273.15
+    )
     assert seen[10].mean() == pytest.approx(20.5, abs=0.01)
     assert seen[-6].mean() == pytest.approx(19.6, abs=0.01)
 
@@ -86,7 +123,9 @@ def test_posters_hang_where_they_are_told_in_both_cameras() -> None:
     for eye in (renderer().left, renderer().right):
         seen = eye.expected(replace(NOBODY, backdrop=replace(PLAIN, posters=(poster,))))
         gone = np.asarray(1.0 - seen / eye.expected(NOBODY), dtype=np.float64)
-        low, high = by_opencv(eye.view.camera, np.array([[-300.0, 1000.0, 360.0], [-210.0, 1000.0, 300.0]]))
+        low, high = by_opencv(
+            eye.view.camera, np.array([[-300.0, 1000.0, 360.0], [-210.0, 1000.0, 300.0]])
+        )
         rows, columns = np.indices(gone.shape)
         at = np.array([(gone * columns).sum(), (gone * rows).sum()]) / gone.sum()
         assert at == pytest.approx(0.5 * (low + high), abs=0.1)
@@ -98,28 +137,42 @@ def test_posters_hang_where_they_are_told_in_both_cameras() -> None:
 
 def profile(state: SceneState) -> Image:
     """A row across the teat, half-way up."""
-    u, v = by_opencv(renderer().cameras[0], np.array([[-150.0, 240.0, 90.0]])).round().astype(int)[0]
+    u, v = (
+        by_opencv(renderer().cameras[0], np.array([[-150.0, 240.0, 90.0]])).round().astype(int)[0]
+    )
     return np.asarray(renderer().left.expected(state)[v - 5 : v + 6, u - 60 : u + 61].mean(axis=0))
 
 
 def test_a_moving_phantom_is_smeared_about_its_place_at_mid_exposure() -> None:
-    """200 mm/s for 40 ms: 8 mm, some 9.6 px, evenly on both sides; the light that the teat takes away stays the same."""
+    """200 mm/s for 40 ms: 8 mm, some 9.6 px, evenly on both sides; the light that the teat takes
+    away stays the same.
+    """
     # In light that doesn't saturate: what is clipped has no smear to show.
     dim = replace(WARM, exposure=Exposure(0.04), lighting=Lighting(brightness=0.4))
     still = profile(dim)
     moving = profile(replace(dim, velocity_mm_s=(200.0, 0.0, 0.0)))
-    shifted = [profile(replace(dim, phantom=UPRIGHT.moved(PlatePose(x)))) for x in np.linspace(-3.9, 3.9, 40)]
+    shifted = [
+        profile(replace(dim, phantom=UPRIGHT.moved(PlatePose(x))))
+        for x in np.linspace(-3.9, 3.9, 40)
+    ]
     assert np.abs(moving - np.mean(shifted, axis=0)).max() < 1.5
-    assert (moving - still).sum() == pytest.approx(0.0, abs=0.02 * float(np.abs(still - still.max()).sum()))
+    assert (moving - still).sum() == pytest.approx(
+        0.0, abs=0.02 * float(np.abs(still - still.max()).sum())
+    )
     assert np.abs(np.diff(moving)).max() < 0.35 * np.abs(np.diff(still)).max()
 
 
 def test_the_thermal_picture_trails_behind() -> None:
     """A pixel of 12 ms lags by 12 ms: at 500 mm/s the teat's picture is 6 mm behind its place."""
-    at, moving = (renderer().thermal.expected_k(replace(WARM, velocity_mm_s=(v, 0.0, 0.0))) - 293.15 for v in (0.0, 500.0))
+    at, moving = (
+        renderer().thermal.expected_k(replace(WARM, velocity_mm_s=(v, 0.0, 0.0))) - 293.15
+        for v in (0.0, 500.0)
+    )
     rows = slice(30, 60)
     columns = np.arange(160)
-    places = [(picture[rows].sum(axis=0) @ columns) / picture[rows].sum() for picture in (at, moving)]
+    places = [
+        (picture[rows].sum(axis=0) @ columns) / picture[rows].sum() for picture in (at, moving)
+    ]
     camera = renderer().cameras[2].resized(160, 120)
     pixel_mm = camera.camera_from_world(UPRIGHT.ends_mm)[0, 2] / camera.fc[0]
     assert (places[0] - places[1]) * pixel_mm == pytest.approx(6.0, rel=0.1)
@@ -128,16 +181,28 @@ def test_the_thermal_picture_trails_behind() -> None:
 def test_longer_exposure_and_gain_brighten_and_saturate() -> None:
     eye = renderer(prnu=0.0, dsnu_e=0.0).left
     offset = OpticalSensor().offset_dn
-    usual, half, loud = (eye.expected(replace(NOBODY, exposure=e)) - offset for e in (Exposure(), Exposure(0.01), Exposure(gain=1.5)))
+    usual, half, loud = (
+        eye.expected(replace(NOBODY, exposure=e)) - offset
+        for e in (Exposure(), Exposure(0.01), Exposure(gain=1.5))
+    )
     dim = usual < 120.0
     assert np.allclose(half[dim], 0.5 * usual[dim], rtol=0.01, atol=0.05)
     assert np.allclose(loud[dim], 1.5 * usual[dim], rtol=0.01, atol=0.05)
-    flooded = Renderer(renderer().cameras, 7).render(replace(NOBODY, exposure=Exposure(0.2)), np.random.default_rng(1)).left
+    flooded = (
+        Renderer(renderer().cameras, 7)
+        .render(replace(NOBODY, exposure=Exposure(0.2)), np.random.default_rng(1))
+        .left
+    )
     assert np.mean(flooded == 255) > 0.4
     with pytest.raises(ValueError, match="an exposure takes up to 10 s"):
         Exposure(0.0)
 
 
 def test_drift_follows_the_scene_s_clock() -> None:
-    frames = [renderer().thermal.expose(replace(WARM, time_s=t), np.random.default_rng(3))[1].astype(float) for t in (0.0, 299.0, 301.0)]
+    frames = [
+        renderer()
+        .thermal.expose(replace(WARM, time_s=t), np.random.default_rng(3))[1]
+        .astype(float)
+        for t in (0.0, 299.0, 301.0)
+    ]
     assert np.abs(frames[1] - frames[0]).mean() > 3.0 * np.abs(frames[2] - frames[0]).mean()

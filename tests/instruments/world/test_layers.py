@@ -1,4 +1,6 @@
-"""Layers laid over one another against a brute-force account of every pixel; what is kept is what would be drawn anew."""
+"""Layers laid over one another against a brute-force account of every pixel; what is kept is what
+would be drawn anew.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,11 @@ SHAPE = (6, 7)
 
 def some_layer(rng: np.random.Generator, near: float, far: float) -> Layer:
     pixel = rng.choice(42, size=rng.integers(0, 30), replace=False)
-    share, depth, value = rng.random(len(pixel)), rng.uniform(near, far, len(pixel)), rng.random(len(pixel))
+    share, depth, value = (
+        rng.random(len(pixel)),
+        rng.uniform(near, far, len(pixel)),
+        rng.random(len(pixel)),
+    )
     return Layer(pixel // 7, pixel % 7, share, depth, value)
 
 
@@ -44,7 +50,11 @@ def one_by_one(layers: list[Layer], background: Floats) -> Floats:
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 6), mixed=st.booleans())
 def test_any_layers_in_any_order_of_depth(seed: int, count: int, mixed: bool) -> None:
     rng = np.random.default_rng(seed)
-    spans = [(1000.0, 1100.0)] * count if mixed else [(1000.0 + 50.0 * i, 1049.0 + 50.0 * i) for i in range(count)]
+    spans = (
+        [(1000.0, 1100.0)] * count
+        if mixed
+        else [(1000.0 + 50.0 * i, 1049.0 + 50.0 * i) for i in range(count)]
+    )
     layers = [some_layer(rng, *span) for span in rng.permutation(spans)] if count else []
     background = rng.random(SHAPE)
     image = background.copy()
@@ -60,7 +70,9 @@ def test_pieces_of_one_object_cover_the_larger_share(seed: int) -> None:
     layer = merged(pixel // 7, pixel % 7, share, depth, value)
     seen = layer.row * 7 + layer.column
     assert len(np.unique(seen)) == len(seen) == len(np.unique(pixel))
-    for at, covered, nearest, mean in zip(seen, layer.share, layer.depth_mm, layer.value, strict=True):
+    for at, covered, nearest, mean in zip(
+        seen, layer.share, layer.depth_mm, layer.value, strict=True
+    ):
         here = pixel == at
         assert covered == pytest.approx(share[here].max())
         assert nearest == depth[here].min()
@@ -73,7 +85,10 @@ def test_kept_layers_make_each_once_and_forget_the_oldest() -> None:
     def make(which: list[int]) -> list[Layer]:
         made.extend(which)
         size = KEPT_PIXELS // 3
-        return [Layer(np.zeros(size, dtype=np.intp), np.zeros(size, dtype=np.intp), *np.ones((3, size))) for _ in which]
+        return [
+            Layer(np.zeros(size, dtype=np.intp), np.zeros(size, dtype=np.intp), *np.ones((3, size)))
+            for _ in which
+        ]
 
     kept.of(["a", "b"], make)
     kept.of(["b", "a"], make)
@@ -87,7 +102,15 @@ def test_kept_layers_make_each_once_and_forget_the_oldest() -> None:
 
 def scene(pose: PlatePose, **more: object) -> SceneState:
     phantom = Phantom((Teat((-110.0, 284.0)), Teat((-160.0, 192.0)), Teat((-225.0, 199.0))), pose)
-    return SceneState(phantom, (32.0, 32.5, 33.0), 33.0, 20.0, (make_object("warm_arm"), make_object("hot_cup")), backdrop=PLAIN, **more)  # type: ignore[arg-type]
+    return SceneState(
+        phantom,
+        (32.0, 32.5, 33.0),
+        33.0,
+        20.0,
+        (make_object("warm_arm"), make_object("hot_cup")),
+        backdrop=PLAIN,
+        **more,  # type: ignore[arg-type]
+    )
 
 
 def test_a_kept_arm_looks_as_one_drawn_anew() -> None:

@@ -1,4 +1,6 @@
-"""The thermal sensor gives back what was put in: noise along every direction, drift, flat-field events, the 8-bit picture."""
+"""The thermal sensor gives back what was put in: noise along every direction, drift, flat-field
+events, the 8-bit picture.
+"""
 
 from __future__ import annotations
 
@@ -13,23 +15,35 @@ from instruments.world.microbolometer import Drift, ThermalReadout, ThermalSenso
 
 STEADY = Drift(level_k_per_min=0.0, pattern_k_per_min=0.0)
 PUT_IN = {
-    "netd_k": 0.10, "row_flicker_k": 0.05, "column_flicker_k": 0.04, "level_flicker_k": 0.03, "fixed_k": 0.06,
-    "row_k": 0.07, "column_k": 0.08,
-}  # fmt: skip
+    "netd_k": 0.10,
+    "row_flicker_k": 0.05,
+    "column_flicker_k": 0.04,
+    "level_flicker_k": 0.03,
+    "fixed_k": 0.06,
+    "row_k": 0.07,
+    "column_k": 0.08,
+}
 NOTHING = dict.fromkeys(PUT_IN, 0.0)
 ROOM = np.full((240, 320), 293.15)
 
 
 def thermal(drift: Drift = STEADY, put_in: Mapping[str, float] = NOTHING) -> ThermalReadout:
-    return ThermalReadout(replace(ThermalSensor(320, 240, drift=drift), **{**NOTHING, **put_in}), np.random.SeedSequence(2))  # type: ignore[arg-type]
+    return ThermalReadout(
+        replace(ThermalSensor(320, 240, drift=drift), **{**NOTHING, **put_in}),  # type: ignore[arg-type]
+        np.random.SeedSequence(2),
+    )
 
 
 def clip(camera: ThermalReadout, count: int, time_s: float = 0.0) -> NDArray[np.float64]:
-    return np.array([celsius(camera.expose(ROOM, time_s, np.random.default_rng(i))) for i in range(count)])
+    return np.array(
+        [celsius(camera.expose(ROOM, time_s, np.random.default_rng(i))) for i in range(count)]
+    )
 
 
 def three_d_noise(frames: NDArray[np.float64]) -> dict[str, float]:
-    """The seven components of a clip (t, v, h): every mean's spread, less what smaller components leave in it (Driggers et al.)."""
+    """The seven components of a clip (t, v, h): every mean's spread, less what smaller components
+    leave in it (Driggers et al.).
+    """
     t, v, h = frames.shape
     frames = frames - frames.mean()
 
@@ -37,10 +51,18 @@ def three_d_noise(frames: NDArray[np.float64]) -> dict[str, float]:
         return np.asarray(frames.mean(axis=axes, keepdims=True))
 
     level, row, column = mean_over(1, 2), mean_over(0, 2), mean_over(0, 1)
-    row_flicker, column_flicker, fixed = mean_over(2) - level - row, mean_over(1) - level - column, mean_over(0) - row - column
+    row_flicker, column_flicker, fixed = (
+        mean_over(2) - level - row,
+        mean_over(1) - level - column,
+        mean_over(0) - row - column,
+    )
     fresh = frames - level - row - column - row_flicker - column_flicker - fixed
     s_tvh = fresh.var()
-    s_tv, s_th, s_vh = row_flicker.var() - s_tvh / h, column_flicker.var() - s_tvh / v, fixed.var() - s_tvh / t
+    s_tv, s_th, s_vh = (
+        row_flicker.var() - s_tvh / h,
+        column_flicker.var() - s_tvh / v,
+        fixed.var() - s_tvh / t,
+    )
     s_t = level.var() - s_tv / v - s_th / h
     s_v, s_h = row.var() - s_tv / t - s_vh / h, column.var() - s_th / t - s_vh / v
     named = zip(PUT_IN, (s_tvh, s_tv, s_th, s_t, s_vh, s_v, s_h), strict=True)
@@ -113,12 +135,16 @@ def test_delivered_is_mirrored_and_hot_is_black() -> None:
     assert picture.shape == (480, 640)
     assert picture[180, 639 - 100] < 20
     assert picture[180, 100] > 230
-    plain = usual(ThermalSensor(mirrored=False, hot_is_black=False)).delivered(hot_square(), 640, 480)
+    plain = usual(ThermalSensor(mirrored=False, hot_is_black=False)).delivered(
+        hot_square(), 640, 480
+    )
     assert np.abs(plain[:, ::-1].astype(int) + picture - 255).max() <= 1
 
 
 def test_a_flat_room_is_not_stretched() -> None:
-    """Two tenths of a kelvin of noise stay within a few grey levels, for the picture spans at least ten kelvin."""
+    """Two tenths of a kelvin of noise stay within a few grey levels, for the picture spans at least
+    ten kelvin.
+    """
     rng = np.random.default_rng(3)
     scene = (29315 + 10.0 * rng.standard_normal((120, 160))).astype(np.uint16)
     assert usual().delivered(scene, 640, 480).std() < 4.0
@@ -134,10 +160,22 @@ def test_the_thermal_edge_keeps_its_place() -> None:
 
 
 def test_the_sensor_is_as_the_calibration_says() -> None:
-    table = {"cameras": {"thermal": {"sensor_size": [320, 240], "mirrored": False, "polarity": "hot_is_white"}}}
+    table = {
+        "cameras": {
+            "thermal": {"sensor_size": [320, 240], "mirrored": False, "polarity": "hot_is_white"}
+        }
+    }
     sensor = ThermalSensor.from_calibration(table)
-    assert (sensor.width_px, sensor.height_px, sensor.mirrored, sensor.hot_is_black) == (320, 240, False, False)
-    assert (ThermalSensor.from_calibration({}).width_px, ThermalSensor.from_calibration({}).height_px) == (160, 120)
+    assert (sensor.width_px, sensor.height_px, sensor.mirrored, sensor.hot_is_black) == (
+        320,
+        240,
+        False,
+        False,
+    )
+    assert (
+        ThermalSensor.from_calibration({}).width_px,
+        ThermalSensor.from_calibration({}).height_px,
+    ) == (160, 120)
     with pytest.raises(ValueError, match="polarity must be"):
         ThermalSensor.from_calibration({"cameras": {"thermal": {"polarity": "hot"}}})
     with pytest.raises(ValueError, match="at least one pixel"):

@@ -13,10 +13,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from instruments.world.optics import CameraModel, Floats, cameras_from_calibration, rotation_from_vector
+from instruments.world.optics import (
+    CameraModel,
+    Floats,
+    cameras_from_calibration,
+    rotation_from_vector,
+)
 
 ROOT = Path(__file__).resolve().parents[3]
-TABLE_5_1_MM = np.array([[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]])
+TABLE_5_1_MM = np.array(
+    [[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]]
+)
 
 
 def shipped() -> dict[str, Any]:
@@ -26,16 +33,28 @@ def shipped() -> dict[str, Any]:
 def model(kc: list[float], alpha_c: float = 0.0) -> CameraModel:
     R = rotation_from_vector(np.array([-1.5, 0.1, -0.05]))
     return CameraModel(
-        "test", 1360, 1024, np.array([1291.0, 1295.2]), np.array([727.4, 528.1]), alpha_c, np.array(kc), R, np.array([150.0, 80.0, 900.0])
+        "test",
+        1360,
+        1024,
+        np.array([1291.0, 1295.2]),
+        np.array([727.4, 528.1]),
+        alpha_c,
+        np.array(kc),
+        R,
+        np.array([150.0, 80.0, 900.0]),
     )
 
 
 def by_opencv(camera: CameraModel, points_mm: Floats) -> Floats:
     """OpenCV knows no skew; Bouguet's is fc[0] alpha_c times the distorted y."""
-    K = np.array([[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]])
+    K = np.array(
+        [[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]]
+    )
     pixels, _ = cv2.projectPoints(points_mm, cv2.Rodrigues(camera.R)[0], camera.t_mm, K, camera.kc)
     u, v = np.asarray(pixels[:, 0], dtype=np.float64).T
-    return np.column_stack([u + camera.fc[0] * camera.alpha_c * (v - camera.cc[1]) / camera.fc[1], v])
+    return np.column_stack(
+        [u + camera.fc[0] * camera.alpha_c * (v - camera.cc[1]) / camera.fc[1], v]
+    )
 
 
 @pytest.mark.parametrize("which", [0, 1, 2])
@@ -54,7 +73,9 @@ def test_the_teat_ends_lie_in_all_three_images() -> None:
 
 
 def test_motions_chain_as_published() -> None:
-    """X_right = R X_left + T, X_world = R X_right + T: the centres of the cameras, by hand from the file."""
+    """X_right = R X_left + T, X_world = R X_right + T: the centres of the cameras, by hand from the
+    file.
+    """
     table = shipped()
     left, right, thermal = cameras_from_calibration(table)
     world_R = cv2.Rodrigues(np.array(table["world"]["om"]))[0]
@@ -63,12 +84,20 @@ def test_motions_chain_as_published() -> None:
     assert left.centre_mm == pytest.approx(world_R @ stereo_T + table["world"]["T"], abs=1e-9)
     left_point = left.camera_from_world(TABLE_5_1_MM)
     R = cv2.Rodrigues(np.array(table["thermal"]["om"]))[0]
-    assert thermal.camera_from_world(TABLE_5_1_MM) == pytest.approx(left_point @ R.T + np.array(table["thermal"]["T"]), abs=1e-9)
+    assert thermal.camera_from_world(TABLE_5_1_MM) == pytest.approx(
+        left_point @ R.T + np.array(table["thermal"]["T"]), abs=1e-9
+    )
 
 
 @settings(max_examples=40, deadline=None)
 @given(
-    kc=st.tuples(st.floats(-0.3, 0.1), st.floats(0.0, 0.35), st.floats(-0.004, 0.004), st.floats(-0.004, 0.004), st.floats(0.0, 0.05)),
+    kc=st.tuples(
+        st.floats(-0.3, 0.1),
+        st.floats(0.0, 0.35),
+        st.floats(-0.004, 0.004),
+        st.floats(-0.004, 0.004),
+        st.floats(0.0, 0.05),
+    ),
     alpha_c=st.floats(-0.01, 0.01),
 )
 def test_distortion_as_opencv_and_back(kc: tuple[float, ...], alpha_c: float) -> None:

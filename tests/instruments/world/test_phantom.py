@@ -11,7 +11,12 @@ from bench.script.phantom import layout_names, shipped_phantom
 from instruments.world.phantom import PIVOT_MM, Phantom, PlatePose, Teat, TeatShape, upright
 
 LAYOUTS = [name for name in layout_names() if name != "random-udder"]
-TABLE_5_1_MM = [[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]]
+TABLE_5_1_MM = [
+    [-110.2, 284.2, 134.2],
+    [-161.9, 192.6, 137.6],
+    [-224.9, 199.4, 136.7],
+    [-260.6, 267.1, 136.3],
+]
 
 
 def test_table_5_1_to_the_last_digit() -> None:
@@ -26,20 +31,32 @@ def test_a_leaning_teat_by_hand() -> None:
     assert phantom.ends_mm[0] == pytest.approx([60.0, 20.0, 86.60254], abs=1e-5)
 
 
-@given(x=st.floats(-60, 60), y=st.floats(-60, 60), z=st.floats(0, 40), yaw=st.floats(-3.1, 3.1), name=st.sampled_from(LAYOUTS))
-def test_a_pose_is_a_rigid_motion_about_the_pivot(x: float, y: float, z: float, yaw: float, name: str) -> None:
+@given(
+    x=st.floats(-60, 60),
+    y=st.floats(-60, 60),
+    z=st.floats(0, 40),
+    yaw=st.floats(-3.1, 3.1),
+    name=st.sampled_from(LAYOUTS),
+)
+def test_a_pose_is_a_rigid_motion_about_the_pivot(
+    x: float, y: float, z: float, yaw: float, name: str
+) -> None:
     home = shipped_phantom(name)
     moved = home.moved(PlatePose(x, y, z, yaw))
     c, s = np.cos(yaw), np.sin(yaw)
     pivot = np.array([*PIVOT_MM, 0.0])
-    turned = (home.ends_mm - pivot) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + pivot + [x, y, z]
+    turned = (
+        (home.ends_mm - pivot) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + pivot + [x, y, z]
+    )
     assert moved.ends_mm == pytest.approx(turned, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_the_end_is_the_apex_of_the_ball(name: str) -> None:
     phantom = shipped_phantom(name).moved(PlatePose(5.0, -7.0, 0.0, 0.3))
-    for hull, end, axis, teat in zip(phantom.teat_hulls(), phantom.ends_mm, phantom.axes, phantom.teats, strict=True):
+    for hull, end, axis, teat in zip(
+        phantom.teat_hulls(), phantom.ends_mm, phantom.axes, phantom.teats, strict=True
+    ):
         assert np.array(hull.b_mm) + teat.shape.radius_mm * axis == pytest.approx(end, abs=1e-9)
         assert hull.flat_a
         assert not hull.flat_b
@@ -77,8 +94,13 @@ def test_upright_teats_end_where_they_are_said_to() -> None:
 
 
 @given(
-    x=st.floats(-50, 50), y=st.floats(-50, 50), yaw=st.floats(-3, 3), dx=st.floats(-50, 50), dy=st.floats(-50, 50), turn=st.floats(-3, 3)
-)  # fmt: skip
+    x=st.floats(-50, 50),
+    y=st.floats(-50, 50),
+    yaw=st.floats(-3, 3),
+    dx=st.floats(-50, 50),
+    dy=st.floats(-50, 50),
+    turn=st.floats(-3, 3),
+)
 def test_a_pose_that_is_carried_is_both_motions_one_after_the_other(
     x: float, y: float, yaw: float, dx: float, dy: float, turn: float
 ) -> None:
@@ -86,7 +108,11 @@ def test_a_pose_that_is_carried_is_both_motions_one_after_the_other(
     first, then = PlatePose(x, y, 1.0, yaw), PlatePose(dx, dy, 2.0, turn)
     c, s = np.cos(turn), np.sin(turn)
     pivot = np.array([*PIVOT_MM, 0.0])
-    both = (home.moved(first).ends_mm - pivot) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + pivot + [dx, dy, 2.0]
+    both = (
+        (home.moved(first).ends_mm - pivot) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        + pivot
+        + [dx, dy, 2.0]
+    )
     assert home.moved(first.carried(then)).ends_mm == pytest.approx(both, abs=1e-9)
 
 

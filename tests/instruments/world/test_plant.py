@@ -1,4 +1,6 @@
-"""The heated circuit against its physics, and against the figures of the fact sheet's own simulation (section 5)."""
+"""The heated circuit against its physics, and against the figures of the fact sheet's own
+simulation (section 5).
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from tests.instruments.world.plants import NO_CUT_OUT, seconds_until, settled
 CW_12_L = 49_800.0  # J/K
 
 
-def heated(plant: Plant, minutes: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def heated(
+    plant: Plant, minutes: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Heating from 20 to 33 degC: time in minutes, measured and true temperature."""
     plant.run(33.0)
     rows = []
@@ -50,7 +54,13 @@ def test_steady_heat_in_is_heat_out_within_1_percent() -> None:
 
 def test_no_heat_is_lost_or_made_on_the_way() -> None:
     """Without losses, all that heater and pump give is in water and metal."""
-    tight = PlantConstants(loss_w_per_k=0.0, hose_loss_w_per_k=0.0, teat_out_w_per_k=0.0, evaporation_g_per_h=0.0, cut_out_c=1000.0)
+    tight = PlantConstants(
+        loss_w_per_k=0.0,
+        hose_loss_w_per_k=0.0,
+        teat_out_w_per_k=0.0,
+        evaporation_g_per_h=0.0,
+        cut_out_c=1000.0,
+    )
     plant = Plant(1, constants=tight)
     plant.run(60.0)
     plant.advance_to(300.0)
@@ -64,7 +74,9 @@ def test_no_heat_is_lost_or_made_on_the_way() -> None:
 
 
 def test_full_power_rate_of_12_l_with_1500_w() -> None:
-    """Section 4.3: 12 L take 1.2 K/min a kilowatt, so 1.8 here; losses and the heater's own heat take under 6 %."""
+    """Section 4.3: 12 L take 1.2 K/min a kilowatt, so 1.8 here; losses and the heater's own heat
+    take under 6 %.
+    """
     plant = Plant(1, constants=NO_CUT_OUT)
     plant.run(60.0)
     plant.advance_to(60.0)
@@ -80,12 +92,21 @@ def test_free_cooling_has_the_time_constant_of_bath_and_loss() -> None:
     tau_s = CW_12_L / 3.0  # 4.6 h
     plant.advance_to(tau_s)
     assert not plant.pump_on
-    assert plant.bath_c - 20.0 == pytest.approx(13.0 * math.exp(-1.0), rel=0.02)  # the heater's 800 J/K slow it by 1.6 %
+    # the heater's 800 J/K slow it by 1.6 %
+    assert plant.bath_c - 20.0 == pytest.approx(13.0 * math.exp(-1.0), rel=0.02)
 
 
-# Fact sheet, section 5: band K, integral s, derivative s; overshoot K, in +-0.1 K from, in +-0.05 K from (minutes).
+# Fact sheet, section 5: band K, integral s, derivative s; overshoot K, in +-0.1 K from, in +-0.05 K
+# from (minutes).
 @pytest.mark.parametrize(
-    ("band_k", "integral_s", "derivative_s", "overshoot_k", "within_100_mk_min", "within_50_mk_min"),
+    (
+        "band_k",
+        "integral_s",
+        "derivative_s",
+        "overshoot_k",
+        "within_100_mk_min",
+        "within_50_mk_min",
+    ),
     [
         (4.0, 240.0, 40.0, 0.99, 35.0, 37.0),
         (4.0, 900.0, 40.0, 0.38, 40.0, 48.0),
@@ -95,7 +116,12 @@ def test_free_cooling_has_the_time_constant_of_bath_and_loss() -> None:
     ],
 )
 def test_the_table_of_tunings_within_20_percent(
-    band_k: float, integral_s: float, derivative_s: float, overshoot_k: float, within_100_mk_min: float, within_50_mk_min: float
+    band_k: float,
+    integral_s: float,
+    derivative_s: float,
+    overshoot_k: float,
+    within_100_mk_min: float,
+    within_50_mk_min: float,
 ) -> None:
     tuning = PlantConstants(band_k=band_k, integral_s=integral_s, derivative_s=derivative_s)
     time_min, pv_c, bath_c = heated(Plant(1, constants=tuning), 80.0)
@@ -123,7 +149,9 @@ def test_steady_state_is_as_simulated() -> None:
 def test_a_stuck_heater_runs_away(to_c: float, seconds: float) -> None:
     plant = settled()
     plant.stuck_heater = True
-    assert seconds_until(plant, lambda plant: plant.bath_c >= to_c) == pytest.approx(seconds, rel=0.05)
+    assert seconds_until(plant, lambda plant: plant.bath_c >= to_c) == pytest.approx(
+        seconds, rel=0.05
+    )
     assert plant.power_percent == 0.0  # the controller does not know
 
 
@@ -144,7 +172,9 @@ def test_a_dead_heater_shows_after_143_s() -> None:
     plant = settled()
     plant.dead_heater = True
     start_c = plant.bath_c
-    assert seconds_until(plant, lambda plant: plant.bath_c <= start_c - 0.1) == pytest.approx(143.0, rel=0.05)
+    assert seconds_until(plant, lambda plant: plant.bath_c <= start_c - 0.1) == pytest.approx(
+        143.0, rel=0.05
+    )
 
 
 @pytest.mark.parametrize(("teat_j_per_k", "seconds"), [(30.0, 54.0), (76.0, 138.0)])
@@ -152,7 +182,9 @@ def test_teats_lose_1_k_when_the_pump_stops(teat_j_per_k: float, seconds: float)
     plant = settled(constants=PlantConstants(teat_j_per_k=teat_j_per_k))
     plant.stopped_pump = True
     start_c = float(plant.teat_c[0])
-    assert seconds_until(plant, lambda plant: float(plant.teat_c[0]) <= start_c - 1.0) == pytest.approx(seconds, rel=0.03)
+    assert seconds_until(
+        plant, lambda plant: float(plant.teat_c[0]) <= start_c - 1.0
+    ) == pytest.approx(seconds, rel=0.03)
     assert not plant.pump_on
 
 
@@ -188,7 +220,12 @@ def test_standby_stops_all() -> None:
     plant = settled()
     plant.standby()
     plant.advance_to(plant.t_s + 0.5)
-    assert (plant.running, plant.pump_on, plant.power_percent, plant.heat_w) == (False, False, 0.0, 0.0)
+    assert (plant.running, plant.pump_on, plant.power_percent, plant.heat_w) == (
+        False,
+        False,
+        0.0,
+        0.0,
+    )
 
 
 def test_a_ramp_is_kept() -> None:
@@ -208,7 +245,12 @@ def test_an_output_limit_is_kept() -> None:
 
 def test_hoses_delay_by_their_transit_time() -> None:
     """2 m of 8 mm bore at 1 L/min take 6 s (section 4.3), so the teats stay cold for so long."""
-    plant = Plant(1, constants=PlantConstants(sensor_noise_k=0.0, loss_w_per_k=0.0, hose_loss_w_per_k=0.0, pump_w=0.0))
+    plant = Plant(
+        1,
+        constants=PlantConstants(
+            sensor_noise_k=0.0, loss_w_per_k=0.0, hose_loss_w_per_k=0.0, pump_w=0.0
+        ),
+    )
     plant.set_flow(1.0)
     plant.bath_c = 33.0
     plant.run(33.0)
@@ -218,9 +260,13 @@ def test_hoses_delay_by_their_transit_time() -> None:
     assert (plant.teat_c > 20.1).all()
 
 
-@pytest.mark.parametrize(("flow_l_per_min", "drop_mk"), [(1.0, 62.0), (3.0, 21.0), (6.0, 10.0), (10.0, 6.0)])
+@pytest.mark.parametrize(
+    ("flow_l_per_min", "drop_mk"), [(1.0, 62.0), (3.0, 21.0), (6.0, 10.0), (10.0, 6.0)]
+)
 def test_hoses_cool_the_water_as_tabled(flow_l_per_min: float, drop_mk: float) -> None:
-    """Section 4.3, foamed hose at 33/20 degC; with no heat through the teats they sit at the supply's temperature."""
+    """Section 4.3, foamed hose at 33/20 degC; with no heat through the teats they sit at the
+    supply's temperature.
+    """
     plant = settled(constants=PlantConstants(teat_out_w_per_k=0.0, flow_l_per_min=flow_l_per_min))
     assert (plant.bath_c - plant.teat_c[0]) * 1000.0 == pytest.approx(drop_mk, rel=0.05, abs=0.6)
 
@@ -246,7 +292,11 @@ def test_how_often_somebody_looks_changes_nothing(looks: list[float]) -> None:
         assert watched.t_s <= t_s + 1e-9
     for plant in (watched, alone):
         plant.advance_to(300.25)
-    assert (watched.pv_c, watched.bath_c, *watched.teat_c) == (alone.pv_c, alone.bath_c, *alone.teat_c)
+    assert (watched.pv_c, watched.bath_c, *watched.teat_c) == (
+        alone.pv_c,
+        alone.bath_c,
+        *alone.teat_c,
+    )
     assert watched.t_s == 300.0
 
 
@@ -276,5 +326,8 @@ def test_a_step_too_long_is_refused(step_s: float) -> None:
 
 
 def test_the_step_hardly_matters() -> None:
-    ends = [heated(Plant(1, constants=PlantConstants(step_s=step_s)), 20.0)[2][-1] for step_s in (0.25, 1.0)]
+    ends = [
+        heated(Plant(1, constants=PlantConstants(step_s=step_s)), 20.0)[2][-1]
+        for step_s in (0.25, 1.0)
+    ]
     assert ends[0] == pytest.approx(ends[1], abs=0.02)

@@ -43,13 +43,17 @@ def test_the_nearer_thing_is_drawn_over_the_farther() -> None:
         assert seen[v, u + 30] > 60.0
 
 
-def warm(layout: str = "table-5-1", teat_c: float = 32.5, ambient_c: float = 20.0, **more: Any) -> SceneState:
+def warm(
+    layout: str = "table-5-1", teat_c: float = 32.5, ambient_c: float = 20.0, **more: Any
+) -> SceneState:
     phantom = shipped_phantom(layout)
     return SceneState(phantom, (teat_c,) * len(phantom.teats), teat_c - 0.5, ambient_c, **more)
 
 
 def test_same_state_and_seed_same_bytes() -> None:
-    one, two = (renderer().render(situation("hot_body_at_base"), np.random.default_rng(5)) for _ in range(2))
+    one, two = (
+        renderer().render(situation("hot_body_at_base"), np.random.default_rng(5)) for _ in range(2)
+    )
     other = renderer().render(situation("hot_body_at_base"), np.random.default_rng(6))
     for name in ("left", "right", "thermal_8bit", "thermal_ck"):
         assert np.array_equal(getattr(one, name), getattr(two, name))
@@ -72,7 +76,9 @@ def test_another_camera_seed_is_another_camera() -> None:
 
 
 def thermal_masks() -> tuple[Floats, Floats]:
-    """Sensor pixels well inside the teats, and well outside of anything, from the warm scene before noise."""
+    """Sensor pixels well inside the teats, and well outside of anything, from the warm scene before
+    noise.
+    """
     seen = renderer().thermal.expected_k(warm())
     return np.asarray(seen > 273.15 + 31.0), np.asarray(seen < 273.15 + 20.001)
 
@@ -95,7 +101,9 @@ def test_a_warm_phantom_stands_out_black_and_mirrored() -> None:
     pixels = renderer().cameras[2].project(state.phantom.ends_mm - [0.0, 0.0, 30.0])
     for u, v in pixels.round().astype(int):
         assert frame.thermal_8bit[v, 639 - u] < 40
-        assert frame.thermal_ck[v // 4, u // 4] / 100.0 - 273.15 == pytest.approx(0.95 * 32.5 + 0.05 * 20.0, abs=0.6)
+        assert frame.thermal_ck[v // 4, u // 4] / 100.0 - 273.15 == pytest.approx(
+            0.95 * 32.5 + 0.05 * 20.0, abs=0.6
+        )
     assert np.median(frame.thermal_8bit) > 200
 
 
@@ -104,7 +112,13 @@ def test_the_thermal_picture_follows_the_rig_file() -> None:
     table["cameras"]["thermal"]["mirrored"] = False
     table["cameras"]["thermal"]["polarity"] = "hot_is_white"
     frame = Renderer.from_calibration(table, 1).thermal.expose(warm(), np.random.default_rng(1))[0]
-    u, v = renderer().cameras[2].project(warm().phantom.ends_mm - [0.0, 0.0, 30.0])[0].round().astype(int)
+    u, v = (
+        renderer()
+        .cameras[2]
+        .project(warm().phantom.ends_mm - [0.0, 0.0, 30.0])[0]
+        .round()
+        .astype(int)
+    )
     assert frame[v, u] > 200
     table["cameras"]["thermal"]["polarity"] = "hot"
     with pytest.raises(ValueError, match=r"polarity must be"):
@@ -116,7 +130,9 @@ def test_teats_have_their_own_temperatures() -> None:
     seen = renderer().thermal.expected_k(state)
     small = renderer().cameras[2].resized(160, 120)
     pixels = small.project(state.phantom.ends_mm - [0.0, 0.0, 40.0]).round().astype(int)
-    assert [seen[v, u] - 273.15 for u, v in pixels] == pytest.approx([29.5, 30.45, 31.4, 32.35], abs=0.1)
+    assert [seen[v, u] - 273.15 for u, v in pixels] == pytest.approx(
+        [29.5, 30.45, 31.4, 32.35], abs=0.1
+    )
 
 
 def test_all_ends_of_the_plain_layout_are_visible() -> None:
@@ -132,7 +148,9 @@ def test_a_post_before_a_teat_hides_it_from_the_cameras_behind_the_post_only() -
     state = warm()
     camera, end = renderer().cameras[0], state.phantom.ends_mm[1]
     half = camera.centre_mm + 0.6 * (end - camera.centre_mm)
-    post = make_object("rod", x_mm=float(half[0]), y_mm=float(half[1]), height_mm=200.0, radius_mm=10.0)
+    post = make_object(
+        "rod", x_mm=float(half[0]), y_mm=float(half[1]), height_mm=200.0, radius_mm=10.0
+    )
     visible = renderer().visible_ends(replace(state, objects=(post,)))
     assert not visible[1, 0]
     assert visible[1, 1]
@@ -143,7 +161,12 @@ def test_a_teat_behind_a_taller_one_is_hidden() -> None:
     camera = renderer().cameras[1]
     near = np.array([-180.0, 200.0])
     far = camera.centre_mm[:2] + (near - camera.centre_mm[:2]) * 1.08
-    phantom = Phantom((Teat((near[0], near[1]), TeatShape(150.0, 12.0)), Teat((far[0], far[1]), TeatShape(130.0, 11.0))))
+    phantom = Phantom(
+        (
+            Teat((near[0], near[1]), TeatShape(150.0, 12.0)),
+            Teat((far[0], far[1]), TeatShape(130.0, 11.0)),
+        )
+    )
     visible = renderer().visible_ends(SceneState(phantom, (32.0, 32.0), 31.0, 20.0))
     assert visible[:, 1].tolist() == [True, False]
 
@@ -158,7 +181,9 @@ def test_an_end_outside_of_the_image_is_not_visible() -> None:
 def test_dim_light_dims() -> None:
     dim = _eye("left").expected(replace(NOBODY, lighting=Lighting(brightness=0.3)))
     offset = _eye("left").readout.sensor.offset_dn
-    assert (np.median(dim) - offset) / (np.median(empty("left")) - offset) == pytest.approx(0.3, rel=0.02)
+    assert (np.median(dim) - offset) / (np.median(empty("left")) - offset) == pytest.approx(
+        0.3, rel=0.02
+    )
 
 
 def test_a_standing_thing_darkens_the_table_at_its_foot() -> None:
@@ -185,7 +210,9 @@ def test_a_scene_that_makes_no_sense_is_refused(change: dict[str, Any], message:
 
 
 def test_a_thing_in_a_camera_s_face_is_refused() -> None:
-    state = replace(warm(), objects=(make_object("ball", x_mm=-200.0, y_mm=-800.0, z_mm=80.0, radius_mm=20.0),))
+    state = replace(
+        warm(), objects=(make_object("ball", x_mm=-200.0, y_mm=-800.0, z_mm=80.0, radius_mm=20.0),)
+    )
     with pytest.raises(ValueError, match=r"within -?\d+ mm of the left camera's plane"):
         renderer().render(state, np.random.default_rng(1))
 

@@ -1,4 +1,6 @@
-"""The sensors give back the parameters that were put in: photon transfer, fixed patterns, NETD; and never wrap around."""
+"""The sensors give back the parameters that were put in: photon transfer, fixed patterns, NETD; and
+never wrap around.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,10 @@ def readout(sensor: OpticalSensor) -> OpticalReadout:
 def frames(sensor: OpticalSensor, level: float, count: int) -> Image:
     camera = readout(sensor)
     expected = camera.expected(np.full(SHAPE, level, dtype=np.float32), *WHOLE)
-    return np.array([camera.expose([expected], np.random.default_rng(i)) for i in range(count)], dtype=np.float32)
+    return np.array(
+        [camera.expose([expected], np.random.default_rng(i)) for i in range(count)],
+        dtype=np.float32,
+    )
 
 
 def test_noise_is_unit_normal() -> None:

@@ -1,4 +1,6 @@
-"""Families of situations: the same for the same seed, possible to set up, in view, and what their names say, over many seeds."""
+"""Families of situations: the same for the same seed, possible to set up, in view, and what their
+names say, over many seeds.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,14 @@ import pytest
 from instruments.world.objects import SceneObject, make_object
 from instruments.world.optics import CameraModel
 from instruments.world.phantom import Phantom, Teat
-from instruments.world.situations import SITUATIONS, Situation, collisions, faults, hidden_ways, situation
+from instruments.world.situations import (
+    SITUATIONS,
+    Situation,
+    collisions,
+    faults,
+    hidden_ways,
+    situation,
+)
 from instruments.world.solids import Solids
 from instruments.world.state import SceneState
 from instruments.world.visibility import seen_share
@@ -21,7 +30,14 @@ from tests.instruments.world.scenes import renderer
 
 NAMES = tuple(SITUATIONS)
 SEEDS = range(24)
-THESIS = ("non_vertical", "overlapping", "spurious_teat", "hot_body_at_base", "hot_body_at_ends", "cooler_bodies")
+THESIS = (
+    "non_vertical",
+    "overlapping",
+    "spurious_teat",
+    "hot_body_at_base",
+    "hot_body_at_ends",
+    "cooler_bodies",
+)
 
 
 @cache
@@ -61,10 +77,14 @@ def test_every_end_is_within_all_three_images(name: str) -> None:
     for found in members(name):
         for camera in renderer().cameras:
             pixels = camera.project(found.phantom.ends_mm)
-            assert np.all((pixels > 4.0) & (pixels < [camera.width_px - 5, camera.height_px - 5])), (found.seed, camera.name)
+            assert np.all(
+                (pixels > 4.0) & (pixels < [camera.width_px - 5, camera.height_px - 5])
+            ), (found.seed, camera.name)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("overlapping", "missing_or_hidden")])
+@pytest.mark.parametrize(
+    "name", [name for name in NAMES if name not in ("overlapping", "missing_or_hidden")]
+)
 def test_nearly_every_end_is_visible_where_nothing_is_meant_to_hide_it(name: str) -> None:
     seen = np.concatenate(visible(name))
     assert seen.mean() > 0.99
@@ -74,7 +94,9 @@ def test_seeds_differ_in_paint_light_and_background() -> None:
     found = members("ideal")
     light = [one.teat_paint.albedo > 0.2 for one in found]
     assert 3 <= sum(light) <= 16
-    assert len({one.lighting for one in found}) == len({one.backdrop for one in found}) == len(found)
+    assert (
+        len({one.lighting for one in found}) == len({one.backdrop for one in found}) == len(found)
+    )
     assert {len(one.lighting.lamps) for one in found} == {2, 3}
 
 
@@ -112,15 +134,25 @@ def test_what_is_warm_and_cold_is_so() -> None:
         assert all(room < thing.temperature_c(room, teat) < teat for thing in found.objects)
         assert 2 <= len(found.objects) <= 6
     for name in ("hot_body_at_base", "hot_body_at_ends"):
-        assert all(abs(thing.temperature_c(room, teat) - teat) <= 4.0 for found in members(name) for thing in found.objects)
+        assert all(
+            abs(thing.temperature_c(room, teat) - teat) <= 4.0
+            for found in members(name)
+            for thing in found.objects
+        )
 
 
 def test_the_cup_stays_below_the_ends_and_the_arm_behind_them() -> None:
     for found in members("hot_body_at_base"):
-        assert max(hull.b_mm[2] for hull in found.objects[0].hulls) <= found.phantom.ends_mm[:, 2].min() - 25.0
+        assert (
+            max(hull.b_mm[2] for hull in found.objects[0].hulls)
+            <= found.phantom.ends_mm[:, 2].min() - 25.0
+        )
     for found in members("hot_body_at_ends"):
         (arm,) = found.objects
-        assert min(min(hull.a_mm[1], hull.b_mm[1]) - hull.radius_a_mm for hull in arm.hulls) > found.phantom.ends_mm[:, 1].max()
+        assert (
+            min(min(hull.a_mm[1], hull.b_mm[1]) - hull.radius_a_mm for hull in arm.hulls)
+            > found.phantom.ends_mm[:, 1].max()
+        )
         bearings = np.array([(end[2] - 62.0) / (end[1] + 840.0) for end in found.phantom.ends_mm])
         low, high = _span(arm.hulls)
         assert np.any((bearings > low) & (bearings < high))
@@ -129,7 +161,9 @@ def test_the_cup_stays_below_the_ends_and_the_arm_behind_them() -> None:
 def _span(hulls: tuple[object, ...]) -> tuple[float, float]:
     solids = Solids.from_hulls(hulls)  # type: ignore[arg-type]
     away = solids.a[:, 1] + 840.0
-    return float(((solids.a[:, 2] - solids.radius_a - 62.0) / away).min()), float(((solids.a[:, 2] + solids.radius_a - 62.0) / away).max())
+    return float(((solids.a[:, 2] - solids.radius_a - 62.0) / away).min()), float(
+        ((solids.a[:, 2] + solids.radius_a - 62.0) / away).max()
+    )
 
 
 def test_low_contrast_is_low_and_dim_is_dim() -> None:
@@ -149,19 +183,27 @@ def test_missing_or_hidden_is_one_or_the_other() -> None:
 
 
 def test_hidden_ways_agree_with_the_renderer() -> None:
-    """Eyes stand where the emulated rig's cameras do, to a few mm: what hides a way hides the end."""
+    """Eyes stand where the emulated rig's cameras do, to a few mm:
+    what hides a way hides the end.
+    """
     agree = []
     for found, seen in zip(members("missing_or_hidden"), visible("missing_or_hidden"), strict=True):
         agree.append(np.mean(hidden_ways(found) == ~seen))
-    assert np.mean(agree) > 0.93  # an end half behind a rim is hidden for one and free for the other
+    # an end half behind a rim is hidden for one and free for the other
+    assert np.mean(agree) > 0.93
 
 
 def test_a_board_hides_an_end() -> None:
     found = next(one for one in members("missing_or_hidden") if one.boards)
     at = int(np.flatnonzero(hidden_ways(found).any(axis=1))[0])
     camera = renderer().cameras[int(np.flatnonzero(hidden_ways(found)[at])[0])]
-    solids = Solids.from_hulls([hull for thing in state(found).everything() for hull in thing.hulls])
-    assert seen_share(found.phantom, solids, camera, found.boards)[at] < seen_share(found.phantom, solids, camera)[at]
+    solids = Solids.from_hulls(
+        [hull for thing in state(found).everything() for hull in thing.hulls]
+    )
+    assert (
+        seen_share(found.phantom, solids, camera, found.boards)[at]
+        < seen_share(found.phantom, solids, camera)[at]
+    )
 
 
 def _rod_in(one: Situation) -> SceneObject:
@@ -173,13 +215,23 @@ def _rod_in(one: Situation) -> SceneObject:
     ("change", "said"),
     [
         (lambda one: {"objects": (_rod_in(one),)}, "within the phantom"),
-        (lambda one: {"objects": (make_object("ball", y_mm=700.0), make_object("ball", y_mm=720.0))}, "in each other"),
-        (lambda one: {"phantom": Phantom((*one.phantom.teats, one.phantom.teats[0]))}, "in each other"),
+        (
+            lambda one: {
+                "objects": (make_object("ball", y_mm=700.0), make_object("ball", y_mm=720.0))
+            },
+            "in each other",
+        ),
+        (
+            lambda one: {"phantom": Phantom((*one.phantom.teats, one.phantom.teats[0]))},
+            "in each other",
+        ),
         (lambda one: {"phantom": Phantom((Teat((-600.0, 250.0)),))}, "out of the arm's reach"),
         (lambda one: {"phantom": Phantom((Teat((-320.0, 250.0)),))}, "out of the cameras' view"),
     ],
-)  # fmt: skip
-def test_what_cannot_be_is_told(change: Callable[[Situation], dict[str, object]], said: str) -> None:
+)
+def test_what_cannot_be_is_told(
+    change: Callable[[Situation], dict[str, object]], said: str
+) -> None:
     one = members("ideal")[0]
     changed = replace(one, **change(one))  # type: ignore[arg-type]
     assert any(said in fault for fault in faults(changed)), faults(changed)
