@@ -87,7 +87,7 @@ class RealClock:
                 self._looked(seconds)
             time.sleep(seconds)
 
-    def heard_by(self, looked: Callable[[float], None] | None) -> None:
+    def subscribe(self, looked: Callable[[float], None] | None) -> None:
         """From now on ``looked`` is called on every thread that looks at the clock, with how long
         it is about to sleep: a sign of life.
         """

@@ -102,13 +102,16 @@ class Commands:
         command: Callable[[argparse.Namespace], int],
         *,
         opens_links: bool = True,
+        once: tuple[str, ...] = (),
     ) -> argparse.ArgumentParser:
         """A command that calls ``command``; gives back its parser for its arguments.
 
         One that opens links has ``--capture FILE``, and asks ``given.capture.tap(name, clock)`` for
-        each link's tap.
+        each link's tap. ``once`` has names of earlier releases, which work for one more.
         """
-        sub = self._subparsers.add_parser(name, help=what, description=what, epilog=EXIT_CODES)
+        sub = self._subparsers.add_parser(
+            name, aliases=once, help=what, description=what, epilog=EXIT_CODES
+        )
         sub.set_defaults(command=add_capture(sub, command) if opens_links else command)
         return sub
 

@@ -165,7 +165,7 @@ def _tell_rehearsal(rehearsal: Rehearsal, beyond: int) -> None:
             " asked about one set"
         )
     print(told)
-    for what, times in rehearsal.got_over.items():
+    for what, times in rehearsal.recovered.items():
         print(f"met and got over: {what} ({times} times)")
     if left := planned - rehearsal.trials:
         print(f"not gone through: {left} trials, for what is said above")

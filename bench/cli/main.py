@@ -1,5 +1,4 @@
-"""The commands. Reads arguments, calls a command, knows the exit codes; with `bench.commands` the
-only place that prints.
+"""The commands: reads arguments, calls a command, knows the exit codes.
 
 Everything heavy is imported by the command that needs it, so that ``teatbench --help`` answers at
 once.

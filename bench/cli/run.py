@@ -53,14 +53,17 @@ def add_to(commands: Commands) -> None:
     resume.add_argument("run", type=Path, help="the run's folder")
     add_events(resume)
     add_despite_damage(resume)
-    tell = commands.add(
-        "tell",
-        "tell a run that goes on: pause, go on, skip REASON, repeat REASON, abort",
-        _tell,
+    control = commands.add(
+        "control",
+        "ask a run that goes on to pause, go on, skip REASON, repeat REASON or abort",
+        _control,
+        once=("tell",),
         opens_links=False,
     )
-    tell.add_argument("run", type=Path, help="the run's folder")
-    tell.add_argument("words", nargs="+", help="pause, go on, skip REASON, repeat REASON or abort")
+    control.add_argument("run", type=Path, help="the run's folder")
+    control.add_argument(
+        "words", nargs="+", help="pause, go on, skip REASON, repeat REASON or abort"
+    )
     report = commands.add("report", "(re)write the report of a run", _report, opens_links=False)
     report.add_argument("run", type=Path, help="the run's folder")
     report.add_argument(
@@ -161,7 +164,7 @@ def _resume(given: argparse.Namespace) -> int:
     from bench.record.reader import read_run
     from bench.run.progress import WatchedProgress, event_lines
     from bench.run.resume import files_of
-    from bench.run.start import HowToRun, resume_run
+    from bench.run.start import RunOptions, resume_run
 
     console = Terminal()
     with undamaged([given.run], given) as damage:
@@ -171,7 +174,7 @@ def _resume(given: argparse.Namespace) -> int:
             resume_run(
                 given.run,
                 progress,
-                HowToRun(capture=given.capture, typed=typed_lines(operator), begun=shown.say),
+                RunOptions(capture=given.capture, typed=typed_lines(operator), begun=shown.say),
             )
             progress.state("writing the report")
             code, show = _reported(given.run, damage=damage)
@@ -179,7 +182,7 @@ def _resume(given: argparse.Namespace) -> int:
     return code
 
 
-def _tell(given: argparse.Namespace) -> int:
+def _control(given: argparse.Namespace) -> int:
     from bench.record.reader import read_run
     from bench.run.requests import leave_wish, was_taken
     from instruments.clock import RealClock
@@ -236,12 +239,12 @@ def _score(given: argparse.Namespace) -> int:
     from bench.cli.terminal import Terminal, TerminalProgress
     from bench.record.reader import read_run
     from bench.report.tables import score_table
-    from bench.run.progress import Unfailing
+    from bench.run.progress import SafeProgress
     from bench.run.start import score_recording
 
     console = Terminal()
     with TerminalProgress(console) as shown:
-        progress = Unfailing(shown)
+        progress = SafeProgress(shown)
         folder = score_recording(given.recording, given.out, progress, given.detector or ["thesis"])
         progress.state("writing the report")
         code, show = _reported(folder)

@@ -90,7 +90,7 @@ class Course:
         self.interrupted = False
         self.trial_now: PlannedTrial | None = None
         self.findings: list[Finding] = []
-        self.got_over: Counter[str] = Counter()
+        self.recovered: Counter[str] = Counter()
 
     def state(self, text: str) -> None:
         """Nobody reads along."""
@@ -129,14 +129,14 @@ class Course:
         elif kind == "aborted":
             self._aborted(text)
         elif kind in GOT_OVER:
-            self.got_over[GOT_OVER[kind]] += 1
+            self.recovered[GOT_OVER[kind]] += 1
 
     def _skipped(self, text: str) -> None:
         """Hands skip what is out of reach, and that was met; otherwise answers do, as they were
         meant to, or the bench has no truth.
         """
         if OPERATOR_SKIPPED in text:
-            self.got_over["the operator's script skips a trial"] += 1
+            self.recovered["the operator's script skips a trial"] += 1
         else:
             self.met("truth", text)
 

@@ -54,8 +54,8 @@ class ReachingHands:
         # to within a millimetre, how the stylus was held: nobody solves the same pose twice
         self._reached: dict[bytes, Floats] = {}
 
-    def heed(self, check: Callable[[], None]) -> None:
-        self._hands.heed(check)
+    def check_interrupts(self, check: Callable[[], None]) -> None:
+        self._hands.check_interrupts(check)
 
     def next_trial(self, number: int, of: int, left_s: float | None) -> None:
         self._hands.next_trial(number, of, left_s)
@@ -203,8 +203,8 @@ class TimedOperator:
         self._seconds = seconds
         self._stands: Arrangement | None = None
 
-    def heed(self, check: Callable[[], None]) -> None:
-        self._operator.heed(check)
+    def check_interrupts(self, check: Callable[[], None]) -> None:
+        self._operator.check_interrupts(check)
 
     def next_trial(self, number: int, of: int, left_s: float | None) -> None:
         self._spent.work(MOVES)

@@ -56,7 +56,7 @@ class Rehearsal:
     planned: int
     trials: int
     findings: tuple[Finding, ...]
-    got_over: Mapping[str, int]
+    recovered: Mapping[str, int]
     spent: Mapping[str, float]
     prompts: int
     disk_mb: float
@@ -134,7 +134,7 @@ def rehearse(
         planned=len(script.planned),
         trials=store.trials,
         findings=tuple(course.findings),
-        got_over=dict(course.got_over),
+        recovered=dict(course.recovered),
         spent=_as_learnt(spent, rig, script, learnt or {}),
         prompts=person.asked,
         disk_mb=disk_mb,

@@ -221,9 +221,9 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
     yield tables.key_values("Care", entries)
     if run.guardian:
         yield Paragraph(guardian_told(run.guardian), tone="warn")
-    asleep = set(facts["interlocks asleep"])
+    inactive = set(facts["interlocks asleep"])
     trip = facts.get("trip", {})
-    rows = [(r.name, r.trips, r.resets, _state(r.name, asleep, trip.get("rule"))) for r in RULES]
+    rows = [(r.name, r.trips, r.resets, _state(r.name, inactive, trip.get("rule"))) for r in RULES]
     columns = (
         Column("interlock"),
         Column("trips"),
@@ -251,10 +251,12 @@ COMMS_LOSS = {
 }
 
 
-def _state(name: str, asleep: set[str], tripped: str | None) -> str:
+def _state(name: str, inactive: set[str], tripped: str | None) -> str:
     if name == tripped:
         return "TRIPPED"
-    return "asleep: the controller doesn't tell what it needs" if name in asleep else "did not trip"
+    return (
+        "asleep: the controller doesn't tell what it needs" if name in inactive else "did not trip"
+    )
 
 
 def _trip_table(trip: dict[str, Any]) -> Table:

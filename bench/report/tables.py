@@ -4,7 +4,7 @@ Situations by detectors as one table for a terminal and for a README: found, fal
 Pure: a run's record in, text out.
 
 The report's table of whose it is that a teat was missed, off, or not judged. It says nothing that
-`bench.attribution` doesn't.
+`results.attribution` doesn't.
 """
 
 from __future__ import annotations

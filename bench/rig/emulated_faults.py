@@ -26,7 +26,7 @@ LATE_ANSWER = "late answer"
 Actions = tuple[Callable[[], None], Callable[[], None]]
 
 
-class Wish(Protocol):
+class Request(Protocol):
     """One fault of a rig file. ``times`` and ``amount`` are None where the file leaves them to the
     emulator.
     """
@@ -62,7 +62,7 @@ def fault_names(instrument: str) -> tuple[str, ...]:
     return tuple(fault.value for fault in Fault)
 
 
-def check_wish(instrument: str, wish: Wish) -> None:
+def check_wish(instrument: str, wish: Request) -> None:
     """Raise ValueError unless the instrument has that fault, so often and of that amount."""
     known = fault_names(instrument)
     if wish.name not in known:
@@ -91,7 +91,7 @@ def check_wish(instrument: str, wish: Wish) -> None:
         )
 
 
-def arm_actions(arm: ArmEmulator, wish: Wish) -> Actions:
+def arm_actions(arm: ArmEmulator, wish: Request) -> Actions:
     """``amount`` is what `instruments.microscribe.faults.AMOUNTS` says."""
     times = arm_faults.FOREVER if wish.times is None else wish.times
     return lambda: arm.faults.inject(
@@ -99,7 +99,7 @@ def arm_actions(arm: ArmEmulator, wish: Wish) -> Actions:
     ), lambda: arm.faults.clear(wish.name)
 
 
-def camera_actions(cameras: EmulatedCameras, wish: Wish) -> Actions:
+def camera_actions(cameras: EmulatedCameras, wish: Request) -> Actions:
     """``amount`` is what `instruments.camera.emulator_faults.AMOUNTS` says, ``times`` counts frame
     sets.
     """
@@ -110,17 +110,17 @@ def camera_actions(cameras: EmulatedCameras, wish: Wish) -> Actions:
     ), lambda: faults.clear(wish.name)
 
 
-def bath_actions(bath: BathEmulator, wish: Wish) -> Actions:
+def bath_actions(bath: BathEmulator, wish: Request) -> Actions:
     """``amount`` is how late a late answer is, in seconds."""
     return _modbus_actions(bath, wish)
 
 
-def pump_actions(relay: RelayEmulator, wish: Wish) -> Actions:
+def pump_actions(relay: RelayEmulator, wish: Request) -> Actions:
     """As `bath_actions`, for the relay of its pump."""
     return _modbus_actions(relay, wish)
 
 
-def _modbus_actions(device: BathEmulator | RelayEmulator, wish: Wish) -> Actions:
+def _modbus_actions(device: BathEmulator | RelayEmulator, wish: Request) -> Actions:
     def break_it() -> None:
         if wish.amount is not None:
             device.late_s = wish.amount
@@ -129,7 +129,7 @@ def _modbus_actions(device: BathEmulator | RelayEmulator, wish: Wish) -> Actions
     return break_it, lambda: device.fault(wish.name, on=False)
 
 
-def stage_actions(stage: StageEmulator, wish: Wish) -> Actions:
+def stage_actions(stage: StageEmulator, wish: Request) -> Actions:
     """``amount`` is what `instruments.stage.emulator.faults.AMOUNTS` says."""
     from instruments.stage.emulator.faults import LATE_S, LOST_MM, Fault
 
@@ -142,7 +142,7 @@ def stage_actions(stage: StageEmulator, wish: Wish) -> Actions:
     return lambda: stage.inject(fault, after_s), lambda: stage.cure(fault)
 
 
-def _check_stage_amount(wish: Wish) -> None:
+def _check_stage_amount(wish: Request) -> None:
     from instruments.stage.emulator.faults import AMOUNTS, Fault
 
     if wish.amount is not None and Fault(wish.name) not in AMOUNTS:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from bench.rig.camera_model import Cameras as CamerasTable
 from bench.rig.devices import Cameras
-from bench.rig.frame_checks import FrameChecks, Noticed
+from bench.rig.frame_checks import FrameChecks, FrameProblem
 from detector.calibration import Calibration
 from instruments.camera.faults import FrameError, FrameFault
 from instruments.camera.frame import FrameSet
@@ -93,11 +93,11 @@ class FrameTaker:
         if frames is None or noticed:
             raise _refused(noticed, 1)
 
-    def _try(self) -> tuple[FrameSet | None, Sequence[Noticed]]:
+    def _try(self) -> tuple[FrameSet | None, Sequence[FrameProblem]]:
         try:
             frames = self._cameras.capture()
         except FrameError as error:
-            return None, [Noticed(error.fault, error.camera, str(error))]
+            return None, [FrameProblem(error.fault, error.camera, str(error))]
         return frames, self._checks.notice(frames)
 
 
@@ -107,7 +107,7 @@ def _next(left: int) -> str:
     return f"Taken again; {left} {'try is' if left == 1 else 'tries are'} left"
 
 
-def _refused(noticed: Sequence[Noticed], tries: int) -> DeviceError:
+def _refused(noticed: Sequence[FrameProblem], tries: int) -> DeviceError:
     hints = dict.fromkeys(HINTS[one.fault] for one in noticed)
     what = (
         f"no usable frame set in {tries} {'try' if tries == 1 else 'tries'}:"

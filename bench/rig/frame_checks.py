@@ -31,7 +31,7 @@ PARTS = {"left": "left", "right": "right", "thermal": "thermal", RADIOMETRIC: "t
 
 
 @dataclass(frozen=True, slots=True)
-class Noticed:
+class FrameProblem:
     """A fault of a frame set: what it is called, whose it is, and what was seen."""
 
     fault: FrameFault
@@ -64,7 +64,7 @@ class FrameChecks:
         self._order: StereoOrder | None = None
         self._last: FrameSet | None = None
 
-    def notice(self, frames: FrameSet) -> list[Noticed]:
+    def notice(self, frames: FrameSet) -> list[FrameProblem]:
         """All that is wrong with ``frames``; they are then the last that was seen."""
         last, self._last = self._last, frames
         found = [*self._late(frames), *self._sizes(frames)]
@@ -79,7 +79,7 @@ class FrameChecks:
             found += self._swapped(frames)
         return list({(one.fault, one.camera): one for one in found}.values())
 
-    def _late(self, frames: FrameSet) -> Iterator[Noticed]:
+    def _late(self, frames: FrameSet) -> Iterator[FrameProblem]:
         if not frames.exposed_s:
             return
         latest = max(frames.exposed_s, key=lambda name: frames.exposed_s[name])
@@ -89,9 +89,9 @@ class FrameChecks:
                 f"exposed {skew_s:.3f} s after the first of its set, limit {self._max_skew_s:g} s:"
                 " what moves would be scored wrongly"
             )
-            yield Noticed(FrameFault.LATE, latest, said)
+            yield FrameProblem(FrameFault.LATE, latest, said)
 
-    def _sizes(self, frames: FrameSet) -> Iterator[Noticed]:
+    def _sizes(self, frames: FrameSet) -> Iterator[FrameProblem]:
         c = self._calibration
         if c is None:
             return
@@ -108,11 +108,11 @@ class FrameChecks:
                     f"{image.shape[1]} x {image.shape[0]}, the calibration is for {width} x"
                     f" {height}"
                 )
-                yield Noticed(FrameFault.WRONG_SIZE, PARTS[part], said)
+                yield FrameProblem(FrameFault.WRONG_SIZE, PARTS[part], said)
 
     def _picture(
         self, part: str, camera: str, image: NDArray[Any], last: NDArray[Any] | None
-    ) -> Iterator[Noticed]:
+    ) -> Iterator[FrameProblem]:
         """The first that is wrong with one picture: a black one is not called frozen too."""
         looks = (
             self._black(part, image),
@@ -122,7 +122,7 @@ class FrameChecks:
         )
         for fault, said in (*looks, self._out_of_focus(part, image)):
             if said:
-                yield Noticed(fault, camera, said)
+                yield FrameProblem(fault, camera, said)
                 return
 
     def _black(self, part: str, image: NDArray[Any]) -> tuple[FrameFault, str]:
@@ -174,26 +174,26 @@ class FrameChecks:
         )
         return FrameFault.OUT_OF_FOCUS, said if blur_px > limit_px else ""
 
-    def _thermal_flat(self, frames: FrameSet) -> Iterator[Noticed]:
+    def _thermal_flat(self, frames: FrameSet) -> Iterator[FrameProblem]:
         if not self._flat:
             return
         if frames.thermal_ck is not None:
             span_k = spread(frames.thermal_ck) / 100.0
             if span_k < self._checks.flat_k:
-                yield Noticed(
+                yield FrameProblem(
                     FrameFault.FLAT_FIELD,
                     "thermal",
                     f"all of it within {span_k:.2f} K, though something warm is there: its"
                     " shutter?",
                 )
         elif frames.thermal is not None and spread(frames.thermal) < self._checks.flat_dn:
-            yield Noticed(
+            yield FrameProblem(
                 FrameFault.FLAT_FIELD,
                 "thermal",
                 f"all of it within {spread(frames.thermal):.0f} grey levels: its shutter?",
             )
 
-    def _swapped(self, frames: FrameSet) -> Iterator[Noticed]:
+    def _swapped(self, frames: FrameSet) -> Iterator[FrameProblem]:
         if self._calibration is None:
             return
         if self._order is None:
@@ -204,4 +204,4 @@ class FrameChecks:
                 f"exchanged with the right one: the calibration fits {order.exchanged:.2f} when"
                 f" they are changed back, {order.as_is:.2f} as they are"
             )
-            yield Noticed(FrameFault.SWAPPED, "left", said)
+            yield FrameProblem(FrameFault.SWAPPED, "left", said)

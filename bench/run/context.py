@@ -11,8 +11,8 @@ from collections.abc import Callable
 from bench.record.writer import Store
 from bench.rig.devices import Devices
 from bench.run.progress import Progress
-from bench.safety.bath_monitor import Watch
-from bench.safety.heartbeat import BRIEF_S, Pulse
+from bench.safety.bath_monitor import BathMonitor
+from bench.safety.heartbeat import BRIEF_S, Heartbeat
 from instruments.clock import stopwatch_s, wall_time
 
 LOOK_S = 1.0
@@ -26,14 +26,19 @@ class Attention:
     """
 
     def __init__(
-        self, devices: Devices, store: Store, progress: Progress, pulse: Pulse, watch: Watch
+        self,
+        devices: Devices,
+        store: Store,
+        progress: Progress,
+        pulse: Heartbeat,
+        watch: BathMonitor,
     ) -> None:
         self._clock = devices.clock
         self._store = store
         self._pulse = pulse
         self._heard: Callable[[str, str], None] | None = None
         self._wall_behind_s: float | None = None
-        self.heed: Callable[[], None] = lambda: None
+        self.check_interrupts: Callable[[], None] = lambda: None
         self.progress = progress
         self.watch = watch
 
@@ -41,7 +46,7 @@ class Attention:
         """The bench's time."""
         return self._clock.now()
 
-    def heard_by(self, heard: Callable[[str, str], None]) -> None:
+    def subscribe(self, heard: Callable[[str, str], None]) -> None:
         """From now on ``heard`` gets each event (its kind and text) once it is in the record."""
         self._heard = heard
 
@@ -65,7 +70,7 @@ class Attention:
         No sign of life: for whoever waits for a person, and has said so.
         """
         self.watch.check()
-        self.heed()
+        self.check_interrupts()
 
     def long(self, what: str, at_most_s: float, *, silent: bool = False) -> None:
         """``what`` may take ``at_most_s`` before the guardian takes the bench for hung: with signs

@@ -23,16 +23,16 @@ from bench.run.context import Attention
 from bench.run.estimate import TimeEstimate, gate_of
 from bench.run.lock import Reserve
 from bench.run.preparation import Preparation
-from bench.run.progress import Progress, Unfailing, WatchedProgress
+from bench.run.progress import Progress, SafeProgress, WatchedProgress
 from bench.run.recovery import Recovery
-from bench.run.requests import Pause, Wishes
-from bench.run.resume import Left, RehearsedStore
+from bench.run.requests import Pause, Requests
+from bench.run.resume import RehearsedStore, ResumePoint
 from bench.run.states import EVENT, RunState, RunStates
 from bench.run.trial import Attempts, FrameSink, TrialRun
 from bench.run.truth_source import choose_truth
-from bench.safety.bath_monitor import Keeper
-from bench.safety.guardian_client import Lifeline
-from bench.safety.heartbeat import AwaitedOperator, Pulse
+from bench.safety.bath_monitor import TripHandler
+from bench.safety.guardian_client import GuardianClient
+from bench.safety.heartbeat import AwaitedOperator, Heartbeat
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.signals import current, undisturbed
 from bench.script.model import LoadedScript
@@ -75,31 +75,31 @@ class Engine:
         *,
         exact_ends: Callable[[], NDArray[np.float64]] | None = None,
         sink: FrameSink | None = None,
-        pulse: Pulse | None = None,
-        lifeline: Lifeline | None = None,
-        left: Left | None = None,
+        pulse: Heartbeat | None = None,
+        guardian_client: GuardianClient | None = None,
+        left: ResumePoint | None = None,
         typed: Callable[[], str | None] = lambda: None,
         expected: TimeEstimate | None = None,
     ) -> None:
-        pulse = pulse or Pulse()
+        pulse = pulse or Heartbeat()
         self._script = script.script
         self._planned = script.planned
         self._left = left
         self._rehearsed = store if isinstance(store, RehearsedStore) else None
         self._devices = replace(devices, operator=AwaitedOperator(devices.operator, pulse))
         self._store = store
-        self._progress = Unfailing(progress, self._not_shown)
+        self._progress = SafeProgress(progress, self._not_shown)
         tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
         self._expected = expected
-        self._keeper = Keeper(
-            rig, devices, gate_of(script), store, self._progress.warn, pulse, lifeline
+        self._trip_handler = TripHandler(
+            rig, devices, gate_of(script), store, self._progress.warn, pulse, guardian_client
         )
-        self._watch = self._keeper.watch
+        self._watch = self._trip_handler.watch
         self._attention = Attention(devices, store, self._progress, pulse, self._watch)
         if isinstance(progress, WatchedProgress):
             progress.fed_by(devices.clock.now, self._live, self._not_shown)
-            self._attention.heard_by(progress.event)
-            self._keeper.heard, self._keeper.seen = progress.event, progress.refresh
+            self._attention.subscribe(progress.event)
+            self._trip_handler.heard, self._trip_handler.seen = progress.event, progress.refresh
         self.states = RunStates(self._tell_state, devices.clock.now)
         self.recovery = Recovery(
             self._devices,
@@ -108,7 +108,7 @@ class Engine:
             rig.rig.limits.away_s,
             lambda: self._trials.look(),
         )
-        self._wishes = Wishes(store.folder, typed, self._progress.warn)
+        self._wishes = Requests(store.folder, typed, self._progress.warn)
         settled = sink.settled if sink else lambda _trials, _good: None
         before = left.run if left and not self._rehearsed else None
         self._truth = choose_truth(
@@ -143,7 +143,7 @@ class Engine:
         not raised.
         """
         exits, ending = current(), Ending.FAULTED
-        exits.at_close = self._keeper.heater_off
+        exits.at_close = self._trip_handler.heater_off
         try:
             self._reserve.keep()
             self._work()
@@ -164,7 +164,7 @@ class Engine:
 
     def _work(self) -> None:
         self._wishes.forget()
-        self._attention.heed = self._wishes.look_between
+        self._attention.check_interrupts = self._wishes.look_between
         self.states.to(RunState.PREPARING)
         self._preparation.run()
         self.recovery.run("preparing the truth", self._truth.begin)
@@ -190,9 +190,9 @@ class Engine:
             return
         self._go_live()
         self._pause.if_asked()
-        self._attention.heed = self._wishes.look
+        self._attention.check_interrupts = self._wishes.look
         self._attempts.run(trial)
-        self._attention.heed = self._wishes.look_between
+        self._attention.check_interrupts = self._wishes.look_between
 
     def _go_live(self) -> None:
         """The first trial without a result is next: from here on all is new, and on record."""
@@ -276,14 +276,14 @@ class Engine:
     def _finish(self, ending: Ending) -> Ending:
         """To safe first, whatever the disk, the terminal and the watch do."""
         self._reserve.give_back()
-        self._attention.heed = lambda: None
+        self._attention.check_interrupts = lambda: None
         self._attention.long("going to safe", 300.0)
         told: list[str] = []
         asked = len(current().asked)
         self._watch.end()
         unsafe = self._devices.make_safe(told.append, lambda: len(current().asked) > asked)
         self.bath_is_safe = "bath" not in unsafe
-        self._keeper.stop()
+        self._trip_handler.stop()
         if unsafe:
             self._progress.warn(
                 f"NOT SAFE: {', '.join(unsafe)}. {' '.join(told)} SWITCH IT OFF BY HAND."

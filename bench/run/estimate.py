@@ -253,7 +253,7 @@ LEAST_RISE_K = 1.0  # less says nothing of how fast a bath heats
 
 
 @dataclass(frozen=True, slots=True)
-class Needs:
+class Forecast:
     """What a run will need: time by parts, room on the disk at most, and how often a person is
     asked.
     """
@@ -263,7 +263,9 @@ class Needs:
     prompts: int
 
 
-def needs(rig: LoadedRig, script: LoadedScript, learnt: Mapping[str, float] | None = None) -> Needs:
+def needs(
+    rig: LoadedRig, script: LoadedScript, learnt: Mapping[str, float] | None = None
+) -> Forecast:
     """By what is ``learnt`` of the rig, and by what is assumed where nothing is; of what is
     emulated nothing needs to be assumed.
     """
@@ -278,7 +280,7 @@ def needs(rig: LoadedRig, script: LoadedScript, learnt: Mapping[str, float] | No
     time = estimate(rig, script, figures)
     if emulated or "heating" not in learnt:
         time = replace(time, settling_s=settling_of(rig, script))
-    return Needs(time, _disk_mb(rig, script), _prompts(rig, script))
+    return Forecast(time, _disk_mb(rig, script), _prompts(rig, script))
 
 
 def _disk_mb(rig: LoadedRig, script: LoadedScript) -> float:

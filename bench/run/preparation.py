@@ -49,7 +49,7 @@ class Preparation:
         d = self._devices
         self._attention.note("preparing")
         self._attention.watch.start()
-        d.operator.heed(self._attention.look)
+        d.operator.check_interrupts(self._attention.look)
         self._recovery.run("signing on to the arm", self._sign_on)
         self._recovery.run("the arm check", lambda: self.check_arm(BEFORE))
         self._attention.check()

@@ -44,7 +44,7 @@ class Progress(Protocol):
         ...
 
 
-class Unfailing:
+class SafeProgress:
     """Shows on ``progress``; from its first failure on only what a person has to see at once is
     still tried there.
 
@@ -125,7 +125,7 @@ class WatchedProgress:
     """
 
     def __init__(self, progress: Progress, lines: EventLines | None) -> None:
-        self._progress = Unfailing(progress, self._screen_failed)
+        self._progress = SafeProgress(progress, self._screen_failed)
         self._lines = lines
         self._failed: Callable[[str], None] = lambda _: None
         self._live: Callable[[], Mapping[str, str]] = dict

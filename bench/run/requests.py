@@ -1,7 +1,7 @@
 """What somebody wants of a run under way: pause, go on, skip or repeat the trial in flight, end. By
 a file in its folder, or typed.
 
-`teatbench tell RUN WORDS` writes the file, from any other terminal, over SSH, on Windows as
+`teatbench control RUN WORDS` writes the file, from any other terminal, over SSH, on Windows as
 elsewhere; where no operator sits at the run's own terminal, the same words may be typed there.
 Looked at wherever the bench looks at its interlocks. A pause takes effect before the next trial,
 for a trial that stood around is none; the others at once, and the trial in flight leaves no trace.
@@ -75,7 +75,7 @@ def was_taken(folder: Path, clock: Clock, within_s: float) -> bool:
     return True
 
 
-class Wishes:
+class Requests:
     """Those left in ``folder``, and those that ``typed`` gives as lines (None: nothing new)."""
 
     def __init__(
@@ -155,7 +155,7 @@ class Pause:
     """
 
     def __init__(
-        self, wishes: Wishes, states: RunStates, attention: Attention, clock: Clock, folder: Path
+        self, wishes: Requests, states: RunStates, attention: Attention, clock: Clock, folder: Path
     ) -> None:
         self._wishes = wishes
         self._states = states
@@ -171,7 +171,8 @@ class Pause:
             return
         with self._states.during(RunState.PAUSED):
             self._attention.progress.warn(
-                f"Paused, as asked. To go on: teatbench tell {self._folder} go on (or type: go on)"
+                "Paused, as asked. To go on: "
+                f"teatbench control {self._folder} go on (or type: go on)"
             )
             while self._wishes.paused:
                 self._attention.progress.state("paused, as asked")

@@ -33,7 +33,7 @@ IN_A_TRIAL = (RunState.RUNNING.value, RunState.PAUSED.value)
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
+class ResumePoint:
     """What a run left: ``done`` have a result or a reason for none, ``deaths`` says in which trial
     it died, by its last event.
     """
@@ -55,7 +55,7 @@ class Left:
         }
 
 
-def what_is_left(folder: Path, planned: Sequence[str]) -> Left:
+def what_is_left(folder: Path, planned: Sequence[str]) -> ResumePoint:
     """For the run in ``folder`` whose trials are ``planned``. Raises ConfigError for a finished
     run.
     """
@@ -76,7 +76,7 @@ def what_is_left(folder: Path, planned: Sequence[str]) -> Left:
     times = [float(event["t_s"]) for event in run.events if event["t_s"] is not None] + (
         [float(run.bath[-1, 0])] if len(run.bath) else []
     )
-    return Left(run, done, deaths, max(times, default=0.0))
+    return ResumePoint(run, done, deaths, max(times, default=0.0))
 
 
 def files_of(run: RunRecord) -> tuple[LoadedRig, LoadedScript]:
@@ -151,7 +151,7 @@ class RehearsedStore(Store):
     have written it: it is taken once.
     """
 
-    def __init__(self, left: Left) -> None:
+    def __init__(self, left: ResumePoint) -> None:
         self._silent = False
         super().__init__(left.run.folder)
         self._read_to_s = float(left.run.bath[-1, 0]) if len(left.run.bath) else -np.inf
@@ -202,7 +202,7 @@ class RehearsedStore(Store):
         return [] if self._silent else super().frames(trial, images, exposed_s)
 
 
-def open_store(left: Left, *, rehearsed: bool) -> Store:
+def open_store(left: ResumePoint, *, rehearsed: bool) -> Store:
     """The run's store, open again for a further session; its folder says from now on that it is
     under way.
     """
@@ -213,7 +213,7 @@ def open_store(left: Left, *, rehearsed: bool) -> Store:
     return store
 
 
-def note_deaths(store: Store, left: Left) -> None:
+def note_deaths(store: Store, left: ResumePoint) -> None:
     """Before anything else: what the last session died of, and that
     the run has no ending any more.
     """

@@ -23,10 +23,10 @@ from bench.run.lock import lock_path, locked, run_lock
 from bench.run.metadata import write_facts
 from bench.run.progress import Progress
 from bench.run.recorder import RECORDED, Recorder, recorder_again
-from bench.run.resume import ASKED, Left, RehearsedStore, files_of, open_store, what_is_left
+from bench.run.resume import ASKED, RehearsedStore, ResumePoint, files_of, open_store, what_is_left
 from bench.run.rows import frame_rows, judged, truth_row
 from bench.run.truth_source import refuse_carry
-from bench.safety.guardian_client import Charge, guarded
+from bench.safety.guardian_client import GuardianTarget, guarded
 from bench.safety.latch import refuse_latched, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
 from bench.script.calibration_age import (
@@ -51,7 +51,7 @@ SAME_POSE_MM = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class HowToRun:
+class RunOptions:
     """What a command line says of how a run is run. ``typed`` gives lines that somebody typed, None
     while there is none.
 
@@ -90,7 +90,7 @@ def run_script(
     refuse_carry(rig, script)
     refuse_old_calibration(rig, script, wall_time().date())
     refuse_untested_cut_out(rig, wall_time().date())
-    how = HowToRun(detectors, record, realtime, capture, typed, begun)
+    how = RunOptions(detectors, record, realtime, capture, typed, begun)
     under_test = (
         make_detectors(detectors)
         if detectors
@@ -105,14 +105,14 @@ def run_script(
 
 
 def resume_run(
-    folder: Path, progress: Progress, how: HowToRun | None = None
+    folder: Path, progress: Progress, how: RunOptions | None = None
 ) -> tuple[Path, Ending]:
     """Go on with the run in ``folder`` at its first trial without a result. Raises ConfigError,
     LatchedError, RigInUseError.
 
     Seed, detectors, kind of time and where it is recorded are the run's own.
     """
-    how = how or HowToRun()
+    how = how or RunOptions()
     rig, script = files_of(run := read_run(folder))
     if rig.rig.cameras.url.startswith("recording:"):
         raise ConfigError.plain(
@@ -149,7 +149,7 @@ def _begun(
     out: Path,
     under_test: Sequence[Detector],
     seed: int,
-    how: HowToRun,
+    how: RunOptions,
 ) -> Store:
     """A new run folder that says what the run is."""
     files = {
@@ -206,14 +206,14 @@ def _run(
     under_test: Sequence[Detector],
     progress: Progress,
     seed: int,
-    how: HowToRun,
+    how: RunOptions,
     recorder: Recorder | None,
-    left: Left | None = None,
+    left: ResumePoint | None = None,
 ) -> tuple[Path, Ending]:
     """From open files to an ended run; closes store and detectors."""
     try:
         try:
-            current().heed()
+            current().check_interrupts()
             start_s = left.last_s + BETWEEN_S if left else 0.0
             expected, trials = (
                 needs(rig, script, read_learnt(store.folder.parent, rig)).time,
@@ -236,14 +236,14 @@ def _run(
             with opened as hookup:
                 refuse_other_cameras(rig.calibration.record, hookup.devices.cameras.identity)
                 bath, clock = hookup.devices.bath, hookup.devices.clock
-                charge = Charge(
+                charge = GuardianTarget(
                     bath.url,
                     rig.profile_source,
                     bath.pump_url,
                     rig.relay_source,
                     rig.rig.bath.allow_inferred,
                 )
-                with guarded(charge, store.folder, clock) as (pulse, lifeline):
+                with guarded(charge, store.folder, clock) as (pulse, guardian_client):
                     engine = Engine(
                         rig,
                         script,
@@ -254,7 +254,7 @@ def _run(
                         exact_ends=hookup.exact_ends,
                         sink=recorder,
                         pulse=pulse,
-                        lifeline=lifeline,
+                        guardian_client=guardian_client,
                         left=left,
                         typed=how.typed,
                         expected=expected,
@@ -262,8 +262,8 @@ def _run(
                     try:
                         return store.folder, engine.run()
                     finally:
-                        if lifeline and engine.bath_is_safe:
-                            lifeline.done()
+                        if guardian_client and engine.bath_is_safe:
+                            guardian_client.done()
         # before the engine had the instruments: nothing was switched on
         except (InstrumentError, KeyboardInterrupt) as error:
             return store.folder, _never_started(store, error)

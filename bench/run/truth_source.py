@@ -23,7 +23,7 @@ from bench.truth.carrying import CarriedTruth, CheckRule, fixed_key, resumed
 from bench.truth.registration import Registration, RegistrationError
 from bench.truth.registration_file import as_facts, registration_from_facts, write_registration
 from bench.truth.stage_registration import around, ends_of, register, stands_at
-from bench.truth.touching import Shown, TouchedTruth, Toucher, TruthSource
+from bench.truth.touching import ExpectedScene, TouchedTruth, Toucher, TruthSource
 from bench.truth.uncertainty import end_u_mm
 from instruments.clock import wall_time
 from instruments.errors import DeviceError, LimitError
@@ -43,12 +43,12 @@ def refuse_carry(rig: LoadedRig, script: LoadedScript) -> None:
         )
 
 
-def shown(trial: PlannedTrial, axes: str) -> Shown:
+def shown(trial: PlannedTrial, axes: str) -> ExpectedScene:
     """What stands there in ``trial`` when the stage's ``axes`` (of "XYZA", none without a stage)
     have moved it.
     """
     _, by_hand = shared(trial.pose, axes)
-    return Shown(
+    return ExpectedScene(
         trial.id,
         ends_of(trial.phantom.moved(trial.pose)),
         fixed_key(trial.phantom, by_hand, trial.pose.yaw_rad),

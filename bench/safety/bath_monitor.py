@@ -23,8 +23,8 @@ from typing import Protocol
 from bench.record.writer import Row, Store
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
-from bench.safety.guardian_client import Lifeline
-from bench.safety.heartbeat import Pulse
+from bench.safety.guardian_client import GuardianClient
+from bench.safety.heartbeat import Heartbeat
 from bench.safety.interlocks import (
     GUARDIAN,
     Interlocks,
@@ -48,7 +48,7 @@ class ReadableBath(Protocol):
     def read(self) -> BathReading: ...
 
 
-class Watch:
+class BathMonitor:
     """Watches ``bath`` from ``start`` to ``stop``.
 
     ``record`` gets each reading as a row. ``act`` gets the first trip, makes safe, and says whether
@@ -214,7 +214,7 @@ NO_GUARDIAN = "none: under virtual time the emulated bath ends with the bench"
 READING_S = 60.0
 
 
-class Keeper:
+class TripHandler:
     """``watch`` is to be started and stopped by the engine; ``lifeline`` is None where nothing
     needs a guardian.
 
@@ -229,21 +229,21 @@ class Keeper:
         gate: StabilityGate,
         store: Store,
         warn: Callable[[str], None],
-        pulse: Pulse,
-        lifeline: Lifeline | None,
+        pulse: Heartbeat,
+        guardian_client: GuardianClient | None,
     ) -> None:
         self._devices = devices
         self._store = store
         self._warn = warn
         self._pulse = pulse
-        self._lifeline = lifeline
+        self._guardian_client = guardian_client
         self._latch = latch_path(rig)
         self._told = self._held = False
         self.heard: Callable[[str, str], None] = lambda _kind, _text: None
         self.seen: Callable[[], None] = lambda: None
         interlocks = self._interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
         moving, pump_on, also = moving_of(rig.profile), self._pump_on, self._also
-        self.watch = Watch(
+        self.watch = BathMonitor(
             devices.bath,
             devices.clock,
             gate,
@@ -275,7 +275,7 @@ class Keeper:
     def _also(self) -> InterlockTrip | None:
         """With each reading: the watch is alive, and the guardian has to be too."""
         self._pulse.sign("reading the bath", READING_S, who=WATCH)
-        lost = self._lifeline.lost if self._lifeline else None
+        lost = self._guardian_client.lost if self._guardian_client else None
         return (
             InterlockTrip(GUARDIAN, lost, rule_named(GUARDIAN).then, self._interlocks.values)
             if lost
@@ -315,12 +315,12 @@ class Keeper:
             self._warn(f"{what}. Nothing but you keeps the next run from starting.")
 
     def _write_facts(self, rig: LoadedRig, interlocks: Interlocks) -> None:
-        self._store.fact("interlocks asleep", interlocks.asleep)
+        self._store.fact("interlocks asleep", interlocks.inactive)
         self._store.fact("pump", pump_told(self._devices.bath))
         self._store.fact("comms loss", rig.profile.comms_loss)
         self._store.fact("cut-out tested", rig.rig.bath.cut_out_tested)
         self._store.fact("safe states", self._devices.safe_states())
-        self._store.fact("guardian", WATCHING if self._lifeline else NO_GUARDIAN)
+        self._store.fact("guardian", WATCHING if self._guardian_client else NO_GUARDIAN)
         room_c = rig.rig.emulation.ambient_c if rig.rig.emulated else rig.rig.bath.room_c
         self._store.fact(
             "bath figures",

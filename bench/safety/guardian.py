@@ -49,7 +49,7 @@ MCL_CURRENT, MCL_ONFAULT = 1, 4  # mman.h of Linux
 IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
-class Ear:
+class HeartbeatReader:
     """Hears the bench on a file descriptor, on a thread: not every system can wait for a pipe with
     a time limit.
 
@@ -124,7 +124,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     preferred = _preferred()
     sys.stdout.write(READY + "\n")
     sys.stdout.flush()
-    trouble = Ear(sys.stdin.fileno(), sys.stdout.fileno(), given.bench).wait_for_trouble()
+    trouble = HeartbeatReader(
+        sys.stdin.fileno(), sys.stdout.fileno(), given.bench
+    ).wait_for_trouble()
     if trouble is None:
         return 0
     cause, why, last_sign_s = trouble

@@ -20,7 +20,7 @@ from typing import IO, cast
 
 from bench.record.schema import GUARDIAN
 from bench.safety.guardian import ALIVE, DONE, HUNG, READY, TAKE_OVER
-from bench.safety.heartbeat import Pulse
+from bench.safety.heartbeat import Heartbeat
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import LinkError
 
@@ -32,7 +32,7 @@ START_S = 30.0  # a loaded machine reads Python's modules slowly
 
 
 @dataclass(frozen=True, slots=True)
-class Charge:
+class GuardianTarget:
     """What a guardian has to put into standby: a bath, and the relay of its pump where it has one;
     profiles by name or whole path.
     """
@@ -61,12 +61,12 @@ class Charge:
         ]
 
 
-class Lifeline:
+class GuardianClient:
     """A running guardian for ``charge``, which keeps its record in ``folder``. Raises LinkError
     when it doesn't start.
     """
 
-    def __init__(self, charge: Charge, folder: Path, pulse: Pulse) -> None:
+    def __init__(self, charge: GuardianTarget, folder: Path, pulse: Heartbeat) -> None:
         self._pulse = pulse
         self._ended = threading.Event()
         self._said = threading.Event()  # its first line, or its end
@@ -81,7 +81,7 @@ class Lifeline:
         self._reader = threading.Thread(target=self._listen, name="guardian", daemon=True)
         self._reader.start()
         self._await_ready()
-        self._beats = threading.Thread(target=self._beat, name="lifeline", daemon=True)
+        self._beats = threading.Thread(target=self._beat, name="guardian-client", daemon=True)
         self._beats.start()
 
     @property
@@ -112,7 +112,7 @@ class Lifeline:
         """
         self._end(TAKE_OVER)
 
-    def __enter__(self) -> Lifeline:
+    def __enter__(self) -> GuardianClient:
         return self
 
     def __exit__(
@@ -192,19 +192,21 @@ def _spawn(command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
 
 
 @contextmanager
-def guarded(charge: Charge, folder: Path, clock: Clock) -> Iterator[tuple[Pulse, Lifeline | None]]:
+def guarded(
+    charge: GuardianTarget, folder: Path, clock: Clock
+) -> Iterator[tuple[Heartbeat, GuardianClient | None]]:
     """Signs of life, and who looks at them: nobody under virtual time, for then the emulated bath
     ends with the bench.
     """
-    pulse = Pulse()
+    pulse = Heartbeat()
     if isinstance(clock, VirtualClock):
         yield pulse, None
         return
     if isinstance(clock, RealClock):
-        clock.heard_by(pulse.alive)
+        clock.subscribe(pulse.alive)
     try:
-        with Lifeline(charge, folder, pulse) as lifeline:
-            yield pulse, lifeline
+        with GuardianClient(charge, folder, pulse) as guardian_client:
+            yield pulse, guardian_client
     finally:
         if isinstance(clock, RealClock):
-            clock.heard_by(None)
+            clock.subscribe(None)

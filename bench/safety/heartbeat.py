@@ -33,7 +33,7 @@ class _Doing:
     silent_until_s: float
 
 
-class Pulse:
+class Heartbeat:
     """Who signs, what is being done, and until when. May be used by all threads."""
 
     def __init__(self) -> None:
@@ -91,12 +91,12 @@ class Pulse:
 class AwaitedOperator:
     """An operator who may take his time: the thread that waits for him doesn't hang."""
 
-    def __init__(self, operator: Operator, pulse: Pulse) -> None:
+    def __init__(self, operator: Operator, pulse: Heartbeat) -> None:
         self._operator = operator
         self._pulse = pulse
 
-    def heed(self, check: Callable[[], None]) -> None:
-        self._operator.heed(check)
+    def check_interrupts(self, check: Callable[[], None]) -> None:
+        self._operator.check_interrupts(check)
 
     def next_trial(self, number: int, of: int, left_s: float | None) -> None:
         self._operator.next_trial(number, of, left_s)

@@ -417,7 +417,7 @@ class Interlocks:
         self._asked_c: float | None = None
 
     @property
-    def asleep(self) -> tuple[str, ...]:
+    def inactive(self) -> tuple[str, ...]:
         """Names of the rules that can't work because the family doesn't tell what they need."""
         return tuple(rule.name for rule in RULES if rule not in self._awake)
 

@@ -158,7 +158,7 @@ class Exits:
         """Requests are raised again."""
         self._held -= 1
 
-    def heed(self) -> None:
+    def check_interrupts(self) -> None:
         """Raise what came while requests were held, where nobody has ended for it."""
         if self.asked and self._raised_s is None:
             self._raised_s = stopwatch_s()

@@ -2,7 +2,7 @@
 writes them.
 
 A table names one pose, a list, a grid or a draw, and how often and from which sides each pose is
-reached. It says what is wanted; what that comes to, trial by trial, is `bench.planning.trials`'s
+reached. It says what is wanted; what that comes to, trial by trial, is `script.planned_trials`'s
 business. May not open an instrument.
 """
 

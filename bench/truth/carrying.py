@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from bench.record.reader import RunRecord
 from bench.record.writer import Row
 from bench.truth.registration import Registration
-from bench.truth.touching import Ends, NoTruthError, Shown, Toucher, TrialTruth, rows_of
+from bench.truth.touching import Ends, ExpectedScene, NoTruthError, Toucher, TrialTruth, rows_of
 from bench.truth.uncertainty import (
     Component,
     How,
@@ -218,7 +218,7 @@ class CarriedTruth:
         for fault in self._registration.faults:
             self._tell("registration", fault)
 
-    def before(self, shown: Shown) -> None:
+    def before(self, shown: ExpectedScene) -> None:
         """Check what the carried trials so far rest on, where it is time or where it is about to be
         changed.
         """
@@ -239,12 +239,12 @@ class CarriedTruth:
             self._tell("state", f"{shown.trial} {why}: its ends are touched anew")
             self._refer(None)
 
-    def unattended(self, shown: Shown) -> bool:
+    def unattended(self, shown: ExpectedScene) -> bool:
         """Carried, and the arm was put away before the trial before this one."""
         reference = self._state.reference
         return self._away and reference is not None and reference.fixed == shown.fixed
 
-    def of_trial(self, shown: Shown) -> TrialTruth:
+    def of_trial(self, shown: ExpectedScene) -> TrialTruth:
         """Carried where the same thing was touched before, else touched, and the reference for what
         follows.
         """

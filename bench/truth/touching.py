@@ -129,7 +129,7 @@ class Toucher:
     def _touch_end(
         self, teat: int, ends: Ends, done: dict[int, Floats]
     ) -> tuple[TruthPoint, list[Row]]:
-        taken = _Taken(teat, ends, done)
+        taken = _TouchSet(teat, ends, done)
         again = ""
         while (missing := self.readings - len(taken.kept)) > 0:
             taken.refuse_endless(self.readings + SPARE)
@@ -148,7 +148,7 @@ class Toucher:
         )
         return truth, [_row(teat, number, r) for number, r in enumerate(taken.readings, 1)]
 
-    def _read(self, taken: _Taken) -> str:
+    def _read(self, taken: _TouchSet) -> str:
         """One reading, judged; gives back why a touch is asked for again, or nothing."""
         try:
             seen = self._tip.read()
@@ -174,7 +174,7 @@ class Toucher:
 
 
 @dataclass(slots=True)
-class _Taken:
+class _TouchSet:
     """What was read of one end so far. ``moved`` are the touches that gave no reading, since the
     arm was not held still.
     """
@@ -237,7 +237,7 @@ def _row(teat: int, number: int, reading: _Reading) -> Row:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shown:
+class ExpectedScene:
     """What stands there for a trial: ``ends`` where they are expected, and `carry.fixed_key` of
     what no shift changes.
     """
@@ -270,17 +270,17 @@ class TruthSource(Protocol):
         """All is homed; nothing has been shown yet."""
         ...
 
-    def before(self, shown: Shown) -> None:
+    def before(self, shown: ExpectedScene) -> None:
         """The phantom is about to be moved and set up for this."""
         ...
 
-    def unattended(self, shown: Shown) -> bool:
+    def unattended(self, shown: ExpectedScene) -> bool:
         """Whether nobody has been near the phantom since the last trial was shown, nor is needed
         for this one.
         """
         ...
 
-    def of_trial(self, shown: Shown) -> TrialTruth:
+    def of_trial(self, shown: ExpectedScene) -> TrialTruth:
         """It stands there, and the cameras have seen it. Raises NoTruthError, and as operator and
         instruments do.
         """
@@ -307,14 +307,14 @@ class TouchedTruth:
     def begin(self) -> None:
         """Nothing to prepare."""
 
-    def before(self, shown: Shown) -> None:
+    def before(self, shown: ExpectedScene) -> None:
         """Nothing to check."""
 
-    def unattended(self, shown: Shown) -> bool:  # noqa: ARG002 - it always is attended
+    def unattended(self, shown: ExpectedScene) -> bool:  # noqa: ARG002 - it always is attended
         """The arm may be in the picture until the operator says that it isn't."""
         return False
 
-    def of_trial(self, shown: Shown) -> TrialTruth:
+    def of_trial(self, shown: ExpectedScene) -> TrialTruth:
         points, rows = self._toucher.touch_all(shown.ends)
         return TrialTruth(tuple(points), rows_of(shown.trial, rows), self._stage_mm())
 

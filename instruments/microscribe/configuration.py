@@ -285,7 +285,7 @@ def _block(code: int, reply: bytes, length: int) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class Portrait:
+class DeviceInfo:
     """All that an arm says of itself at sign-on; beta is 0 where it has none."""
 
     identity: Identity

@@ -27,7 +27,7 @@ from pathlib import Path
 from instruments.clock import Clock
 from instruments.errors import LinkError, ProtocolError
 from instruments.link import Link
-from instruments.microscribe.configuration import Portrait
+from instruments.microscribe.configuration import DeviceInfo
 from instruments.microscribe.errors import (
     AnotherArmError,
     NoSessionError,
@@ -113,7 +113,7 @@ _DOUBT = (
 )
 
 
-class Attachment:
+class ArmConnection:
     """One arm on one link. ``rates``: what sign-on tries, the first one for longest."""
 
     def __init__(
@@ -125,15 +125,15 @@ class Attachment:
         self.session = Session(link, clock, answer_s)
         self.homing = Homing(link.who)
         self.arm_time = ArmTime()
-        self.portrait: Portrait | None = None
+        self.portrait: DeviceInfo | None = None
         self._clock = clock
         self._broken = False
 
-    def sign_on(self) -> Portrait:
+    def sign_on(self) -> DeviceInfo:
         """See ``MicroScribe.sign_on``."""
         return self._sign_on(self.rates, SIGN_ON_S)
 
-    def recover(self, timeout_s: float) -> Portrait:
+    def recover(self, timeout_s: float) -> DeviceInfo:
         """See ``MicroScribe.recover``."""
         before, deadline = self.portrait, self._clock.now() + timeout_s
         try:
@@ -212,7 +212,7 @@ class Attachment:
             return None
         return f"the arm answers at {self.link.baud} baud, not at {self.rates[0]}"
 
-    def _sign_on_again(self, deadline: float) -> Portrait:
+    def _sign_on_again(self, deadline: float) -> DeviceInfo:
         """Until it works, or the deadline has passed. What is
         refused for good is raised at once.
         """
@@ -229,7 +229,7 @@ class Attachment:
                     raise
             self._clock.sleep(_RETRY_S)
 
-    def _sign_on(self, rates: Sequence[int], patience_s: float) -> Portrait:
+    def _sign_on(self, rates: Sequence[int], patience_s: float) -> DeviceInfo:
         self.homing.lost("the session was opened anew")
         self.portrait = None
         self.arm_time = ArmTime()

@@ -18,8 +18,14 @@ from typing import ClassVar
 from instruments.clock import Clock
 from instruments.errors import LinkError
 from instruments.link import Link
-from instruments.microscribe.configuration import Identity, Maxima, Parameters, Portrait, angle_rad
-from instruments.microscribe.connection import SYSFS, Attachment, latency_warning
+from instruments.microscribe.configuration import (
+    DeviceInfo,
+    Identity,
+    Maxima,
+    Parameters,
+    angle_rad,
+)
+from instruments.microscribe.connection import SYSFS, ArmConnection, latency_warning
 from instruments.microscribe.errors import ArmMovesError, NoSessionError
 from instruments.microscribe.kinematics import ArmGeometry
 from instruments.microscribe.protocol import Packet
@@ -73,8 +79,8 @@ class MicroScribe:
         self._clock = clock
         self._tip_longer_mm = tip_longer_mm
         self._sysfs = sysfs
-        self._arm = Attachment(link, clock, rates, answer_s)
-        self._geometry: tuple[Portrait, ArmGeometry] | None = None
+        self._arm = ArmConnection(link, clock, rates, answer_s)
+        self._geometry: tuple[DeviceInfo, ArmGeometry] | None = None
 
     # Who it is
 
@@ -322,7 +328,7 @@ class MicroScribe:
         self._arm.homing.require("a position")
         return reading_of(self.geometry, [sample.counts for sample in samples])
 
-    def _known(self) -> Portrait:
+    def _known(self) -> DeviceInfo:
         if self._arm.portrait is None:
             raise NoSessionError(
                 self.who, "who the arm is has not been read yet", hint="Sign on first"

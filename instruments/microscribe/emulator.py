@@ -14,7 +14,7 @@ from instruments.clock import Clock
 from instruments.listener import Connection
 from instruments.microscribe import protocol as wire
 from instruments.microscribe.faults import Fault, Faults
-from instruments.microscribe.firmware import Firmware, Habits, Look, Stream
+from instruments.microscribe.firmware import Firmware, Look, Stream, UnspecifiedBehaviour
 from instruments.microscribe.kinematics import COUNT_MODULUS, Floats, OutOfReachError
 from instruments.microscribe.mechanics import Contacts, Hand, Mechanics
 from instruments.microscribe.protocol import Event, State
@@ -45,13 +45,15 @@ class ArmEmulator:
         accuracy_mm: float = ACCURACY_MM,
         tremor_mm: float = TREMOR_MM,
         echo_after: int = 1,
-        habits: Habits | None = None,
+        habits: UnspecifiedBehaviour | None = None,
     ) -> None:
         self.unit = unit or shipped_unit("40937")
         self.faults = Faults(seed, self._fault_came_or_went)
         self.unreachable: OutOfReachError | None = None
         home = self.unit.home
-        self._firmware = Firmware(self.unit, self, self.faults, habits or Habits(), echo_after)
+        self._firmware = Firmware(
+            self.unit, self, self.faults, habits or UnspecifiedBehaviour(), echo_after
+        )
         self._mechanics = Mechanics(
             self.unit.geometry(),
             home,

@@ -27,7 +27,7 @@ from instruments.microscribe.unit import ArmIdentity
 
 
 @dataclass(frozen=True, slots=True)
-class Habits:
+class UnspecifiedBehaviour:
     """``echoes_again``: an IMMC behind the echoed one is echoed too. ``release_triggers``: so does
     a pedal that comes up, in a stream by differences. ``deltas_from``: what an encoder's difference
     is measured from there.
@@ -53,7 +53,7 @@ class Trigger:
     Nothing is plugged into the emulated arm's analog channels, so that they never differ.
     """
 
-    def __init__(self, request: StreamRequest, habits: Habits, first: Look) -> None:
+    def __init__(self, request: StreamRequest, habits: UnspecifiedBehaviour, first: Look) -> None:
         self._mask = request.button_mask
         self._deltas = request.encoder_deltas
         self._habits = habits
@@ -122,7 +122,12 @@ class Firmware:
     """
 
     def __init__(
-        self, unit: ArmIdentity, body: Body, faults: Faults, habits: Habits, echo_after: int
+        self,
+        unit: ArmIdentity,
+        body: Body,
+        faults: Faults,
+        habits: UnspecifiedBehaviour,
+        echo_after: int,
     ) -> None:
         self.state = State.FINDING_BAUD
         self.rate: int | None = None

@@ -28,7 +28,7 @@ from instruments.link import Link
 from instruments.microscribe import configuration as conf
 from instruments.microscribe import errors, protocol
 from instruments.microscribe import protocol as wire
-from instruments.microscribe.configuration import Identity, Portrait, StreamRequest
+from instruments.microscribe.configuration import DeviceInfo, Identity, StreamRequest
 from instruments.microscribe.errors import (
     InterfaceBoxError,
     NoMicroScribeError,
@@ -257,14 +257,14 @@ def begin(talk: Conversation) -> None:
     )
 
 
-def read_portrait(talk: Conversation) -> Portrait:
+def read_portrait(talk: Conversation) -> DeviceInfo:
     """Who the arm is, in the maker's order of asking, again and again until two readings agree:
     replies have no checksum.
 
     Raises UnknownFormatError, ParameterLengthError, UnstableUnitError, ProtocolError for damage,
     SilentArmError, LinkError.
     """
-    seen: list[Portrait] = []
+    seen: list[DeviceInfo] = []
     last: ProtocolError | None = None
     for _ in range(READINGS):
         try:
@@ -284,7 +284,7 @@ def read_portrait(talk: Conversation) -> Portrait:
     )
 
 
-def _read_once(talk: Conversation) -> Portrait:
+def _read_once(talk: Conversation) -> DeviceInfo:
     identity = Identity(*(_name(talk, code) for code in conf.NAMES))
     maxima = talk.ask(bytes([Code.MAXIMA]), conf.decode_maxima, timeout_s=SIGN_ON_S)
     if identity.format != conf.FORMAT:
@@ -301,7 +301,7 @@ def _read_once(talk: Conversation) -> Portrait:
         if identity.has_beta
         else 0
     )
-    return Portrait(identity, maxima, parameters, beta)
+    return DeviceInfo(identity, maxima, parameters, beta)
 
 
 def _name(talk: Conversation, code: Code) -> str:
@@ -339,7 +339,9 @@ class Session:
         """Packets that came damaged."""
         return self._damaged + self._decoder.damaged
 
-    def open(self, rates: Sequence[int], *, patience_s: float = SIGN_ON_S) -> tuple[Portrait, int]:
+    def open(
+        self, rates: Sequence[int], *, patience_s: float = SIGN_ON_S
+    ) -> tuple[DeviceInfo, int]:
         """Find the arm, begin, and read who it is; a session that was begun is ended again when
         that fails.
 

@@ -31,7 +31,7 @@ from instruments.clock import Clock
 from instruments.errors import ProtocolError
 from instruments.microscribe import protocol as wire
 from instruments.microscribe.configuration import StreamRequest
-from instruments.microscribe.connection import Attachment
+from instruments.microscribe.connection import ArmConnection
 from instruments.microscribe.errors import NoSessionError, SilentArmError
 from instruments.microscribe.kinematics import ArmGeometry
 from instruments.microscribe.protocol import (
@@ -197,7 +197,7 @@ class Streaming:
     """One stream of one arm."""
 
     def __init__(
-        self, arm: Attachment, clock: Clock, request: StreamRequest, sampler: Sampler
+        self, arm: ArmConnection, clock: Clock, request: StreamRequest, sampler: Sampler
     ) -> None:
         self._arm = arm
         self._clock = clock

@@ -64,7 +64,7 @@ class EmulatedOperator:
         self._stands: tuple[Arrangement, PlatePose] | None = None
         self._boards = BoardHands(world)
 
-    def heed(self, check: Callable[[], None]) -> None:
+    def check_interrupts(self, check: Callable[[], None]) -> None:
         self._check = check
 
     def next_trial(self, number: int, of: int, left_s: float | None) -> None:

@@ -107,7 +107,7 @@ class Operator(Protocol):
     the check point once more.
     """
 
-    def heed(self, check: Callable[[], None]) -> None:
+    def check_interrupts(self, check: Callable[[], None]) -> None:
         """From now on ``check`` is called again and again while a prompt waits; what it raises ends
         the prompt at once.
         """

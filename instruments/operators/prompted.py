@@ -66,10 +66,10 @@ class PromptedOperator:
         self._names: tuple[str, ...] = ()
         self._stands: tuple[Arrangement, frozenset[int]] | None = None
 
-    def heed(self, check: Callable[[], None]) -> None:
+    def check_interrupts(self, check: Callable[[], None]) -> None:
         self._check = check
         if self._hands:
-            self._hands.heed(check)
+            self._hands.check_interrupts(check)
 
     def next_trial(self, number: int, of: int, left_s: float | None) -> None:
         self._trial = (number, of, left_s)

@@ -73,7 +73,7 @@ class RemoteOperator:
         self._link = Link(url, clock, who="operator")
         self._check: Callable[[], None] = lambda: None
 
-    def heed(self, check: Callable[[], None]) -> None:
+    def check_interrupts(self, check: Callable[[], None]) -> None:
         self._check = check
 
     def next_trial(self, number: int, of: int, left_s: float | None) -> None:

@@ -258,7 +258,7 @@ def test_no_damaged_byte_gives_an_error_but_ours(tmp_path: Path, at: int, byte: 
 WRITER = """
 import sys
 from pathlib import Path
-from instruments.capture import CaptureFile
+from instruments.captures.capture import CaptureFile
 from instruments.clock import RealClock
 tap = CaptureFile(Path(sys.argv[1]), {"teatbench": "0", "command": "c", "machine": "m"}).tap("arm", RealClock())
 tap.opened("u")

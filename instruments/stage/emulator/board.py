@@ -144,7 +144,7 @@ class StageEmulator:
 
     def _wake(self) -> None:
         self._wake_planned_s = math.inf
-        self._controller.heed_switches()
+        self._controller.check_limit_switches()
         self._controller.pump()
         self._settle()
 

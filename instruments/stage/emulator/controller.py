@@ -147,7 +147,7 @@ class Controller:
         due_s = min(self.due_s, self._resume_s, self._restart_s)
         return min(due_s, self.carriage.switch_due_s(self.now)) if self._hard_limits else due_s
 
-    def heed_switches(self) -> None:
+    def check_limit_switches(self) -> None:
         """A limit switch that the carriage has run into is an alarm, where $21 says so."""
         if (
             self._hard_limits

@@ -21,7 +21,7 @@ PATIENCE_S = 60.0
 ENTER = "Enter"
 COLUMNS, ROWS = 200, 24
 OWN_TERMINAL = (
-    "import fcntl, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); from bench.cli import main;"
+    "import fcntl, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); from bench.cli.main import main;"
     " sys.exit(main())"
 )
 

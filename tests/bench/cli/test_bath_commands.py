@@ -112,7 +112,7 @@ def test_watch_prints_a_line_a_second_without_a_terminal(
     assert bath.plant.running, "watching changes nothing"
 
 
-class Shown(io.StringIO):
+class ExpectedScene(io.StringIO):
     """A terminal at which somebody presses Ctrl-C when it has been drawn anew after each of three
     readings.
     """
@@ -129,7 +129,7 @@ class Shown(io.StringIO):
 
 def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
     bath.plant.run(33.0)
-    shown = Shown()
+    shown = ExpectedScene()
     console = Console(file=shown, force_terminal=True, width=120, height=40, color_system=None)
     with (
         open_bath(bath.at[1], profile_of("julabo-presto")) as (driver, clock),

@@ -122,7 +122,7 @@ def test_what_the_run_gets_over_is_told_and_is_no_finding(tmp_path: Path) -> Non
         emulation='faults = [{ instrument = "stage", name = "disconnect", amount = 0.2 }]',
     )
     rehearsal = rehearse(load_rig(tmp_path / "rig.toml"), load_script(tmp_path / "script.toml"), ())
-    assert dict(rehearsal.got_over) == {"an instrument dropped out and came back": 1}
+    assert dict(rehearsal.recovered) == {"an instrument dropped out and came back": 1}
     assert rehearsal.findings == ()
     assert rehearsal.trials == 3
     assert rehearsal.spent["waiting for instruments"] > 0.0
@@ -160,7 +160,7 @@ def test_answers_that_are_left_over_are_met_and_one_that_skips_is_told(tmp_path:
     rig, script = loaded(tmp_path, operator="script:answers.toml")
     skipped = rehearse(rig, script, ())
     assert skipped.findings == ()
-    assert dict(skipped.got_over) == {"the operator's script skips a trial": 1}
+    assert dict(skipped.recovered) == {"the operator's script skips a trial": 1}
     assert skipped.trials == 2
     answers.write_text(
         ANSWERS.format("go").replace('answer = "go"', 'answer = "go"\nsays = "teat 9"'),

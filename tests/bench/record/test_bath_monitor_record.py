@@ -86,14 +86,14 @@ def test_an_interruption_between_any_two_lines_leaves_a_record_that_can_be_finis
 
 
 def interrupted_at(line: int, store: Store) -> bool:
-    """Write an event and interrupt it after ``line`` lines of `bench.store`, any of its modules;
+    """Write an event and interrupt it after ``line`` lines of `bench.record`, any of its modules;
     whether it was long enough for that.
     """
     count = 0
 
     def trace(frame: FrameType, event: str, _: Any) -> Any:
         nonlocal count
-        if "store" not in Path(frame.f_code.co_filename).parts:
+        if "record" not in Path(frame.f_code.co_filename).parts:
             return None
         count += event == "line"
         if event == "line" and count == line:

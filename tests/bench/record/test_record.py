@@ -29,8 +29,8 @@ WRITER = """
 import sys
 from pathlib import Path
 import numpy as np
-from bench.store import Store
-from tests.bench.test_store import facts, trial
+from bench.record.writer import Store
+from tests.bench.record.test_record import facts, trial
 store = Store.create(Path(sys.argv[1]), {"script.toml": "x = 1"})
 facts(store)
 print("ready", flush=True)

@@ -42,7 +42,7 @@ pytestmark = pytest.mark.skipif(
 NURSERY = """
 import os, sys
 from pathlib import Path
-from tests.bench.test_store_kills import write_on
+from tests.bench.record.test_record_kills import write_on
 for line in sys.stdin:
     child = os.fork()
     if not child:

@@ -135,6 +135,6 @@ def test_interlocks_end_the_wait_for_an_answer(twin: EmulatedRig) -> None:
         closing(RealClock()) as clock,
         closing(RemoteOperator(port.url, clock)) as operator,
     ):
-        operator.heed(check)
+        operator.check_interrupts(check)
         with pytest.raises(InstrumentError, match="too warm"):
             operator.confirm_homing("On the peg.")

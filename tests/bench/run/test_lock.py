@@ -25,7 +25,7 @@ from tests.conftest import ROOT
 HOLDER = """
 import sys, time
 from pathlib import Path
-from bench.running.rig_lock import locked
+from bench.run.lock import locked
 with locked(Path(sys.argv[1]), "runs/here", print):
     print("held", flush=True)
     sys.stdin.readline()

@@ -18,7 +18,7 @@ from bench.run.states import EVENT
 from bench.run.trial import TrialRun
 from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial
-from bench.truth.touching import Shown, TouchedTruth
+from bench.truth.touching import ExpectedScene, TouchedTruth
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.microscribe.errors import AnotherArmError, SilentArmError
 from instruments.stage.driver import Stage
@@ -198,7 +198,7 @@ def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
     refusing = Bringer("", EmulatedFault(instrument="bath", name="gaps refused", for_s=600.0))
     before, move, moved = TouchedTruth.before, Stage.move_to, list[bool]()
 
-    def trips(truth: TouchedTruth, shown: Shown) -> None:
+    def trips(truth: TouchedTruth, shown: ExpectedScene) -> None:
         before(truth, shown)
         moved.append(False)
         if len(moved) == 2:

@@ -13,7 +13,7 @@ from bench.cli.run import typed_lines
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, read_run
 from bench.rig.loading import load_rig
-from bench.run.requests import FILE, Wishes, leave_wish, read_wish, was_taken
+from bench.run.requests import FILE, Requests, leave_wish, read_wish, was_taken
 from bench.run.start import run_script
 from bench.run.states import EVENT
 from bench.script.model import load_script
@@ -61,7 +61,7 @@ def test_a_pause_lasts_until_somebody_says_to_go_on(tmp_path: Path) -> None:
     (at,) = [index for index, (name, _) in enumerate(states) if name == "paused"]
     assert states[at + 1][0] == "running"
     assert states[at + 1][1] - states[at][1] >= 14.0, "the bath is watched for as long as it takes"
-    assert any("teatbench tell" in text for text in person.warned)
+    assert any("teatbench control" in text for text in person.warned)
 
 
 def test_while_it_is_paused_the_line_says_so_and_a_trial_that_is_not_there_cannot_be_skipped(
@@ -117,7 +117,7 @@ def test_an_abort_goes_to_safe(tmp_path: Path) -> None:
 
 
 def test_a_wish_left_in_the_folder_is_taken_once(tmp_path: Path) -> None:
-    wishes = Wishes(tmp_path, lambda: None, lambda _: None)
+    wishes = Requests(tmp_path, lambda: None, lambda _: None)
     states = []
     for words in ("p", "go on"):
         leave_wish(tmp_path, words)
@@ -139,7 +139,7 @@ def test_a_wish_left_in_the_folder_is_taken_once(tmp_path: Path) -> None:
 def test_what_was_left_for_a_bench_that_died_counts_no_more(tmp_path: Path) -> None:
     told: list[str] = []
     leave_wish(tmp_path, "abort")
-    wishes = Wishes(tmp_path, lambda: None, told.append)
+    wishes = Requests(tmp_path, lambda: None, told.append)
     wishes.forget()
     wishes.look()
     assert told == ["Nobody took this in the last session, and it counts no more: abort"]
@@ -165,7 +165,7 @@ def test_words_that_mean_nothing_are_told_and_change_nothing(
 ) -> None:
     told: list[str] = []
     lines = ["hallo", "skip"]
-    wishes = Wishes(tmp_path, lambda: lines.pop(0), told.append)
+    wishes = Requests(tmp_path, lambda: lines.pop(0), told.append)
     wishes.look()
     wishes.look()
     assert told[0].startswith("not understood: 'hallo'. There are: pause, go on")
@@ -190,7 +190,7 @@ def test_a_run_that_waits_at_a_prompt_hears_what_another_terminal_says(
         terminal.expect("[trial 1 of 3")
         terminal.expect("abort the run): ")
         run = str(only_run(tmp_path, "runs"))
-        assert main(["tell", run, "skip", "the", "hose", "leaks"]) == 0
+        assert main(["control", run, "skip", "the", "hose", "leaks"]) == 0
         assert "taken" in capsys.readouterr().out
         terminal.expect("As told: skip the hose leaks")
         terminal.expect("[trial 2 of 3")
@@ -230,5 +230,5 @@ def test_who_tells_a_bench_that_has_died_is_told_that_nobody_took_it(tmp_path: P
     clock = VirtualClock()
     assert not was_taken(tmp_path, clock, 10.0)
     assert clock.now() == pytest.approx(10.0, abs=0.2)
-    Wishes(tmp_path, lambda: None, lambda _: None).look()
+    Requests(tmp_path, lambda: None, lambda _: None).look()
     assert was_taken(tmp_path, clock, 10.0)

@@ -15,7 +15,7 @@ from bench.record.check import check_run
 from bench.record.reader import RunRecord, read_run
 from bench.record.writer import Store
 from bench.run.engine import Ending
-from bench.run.start import HowToRun, resume_run
+from bench.run.start import RunOptions, resume_run
 from bench.truth.carrying import REFERENCE_FACT
 from tests.bench.killed_runs import (
     Silent,
@@ -172,7 +172,7 @@ def test_a_run_that_somebody_ended_goes_on_too(tmp_path: Path) -> None:
         typed=person.typed,
     )
     assert (ending, len(read_run(folder).trials)) == (Ending.ABORTED, 2)
-    assert resume_run(folder, Silent(), HowToRun())[1] is Ending.FINISHED
+    assert resume_run(folder, Silent(), RunOptions())[1] is Ending.FINISHED
     run = read_run(folder)
     assert len(run.trials) == 3
     assert "deaths" in run.facts

@@ -16,7 +16,7 @@ import pytest
 
 from bench.record.reader import read_run
 from bench.run.engine import Ending
-from bench.run.progress import EventLines, Unfailing, WatchedProgress, event_lines
+from bench.run.progress import EventLines, SafeProgress, WatchedProgress, event_lines
 from tests.bench.killed_runs import Silent, only_run, start
 from tests.bench.operated_runs import files
 from tests.conftest import ROOT
@@ -154,7 +154,7 @@ def test_screen_and_lines_may_fail_both(tmp_path: Path) -> None:
 def test_what_a_person_has_to_see_is_tried_again_all_the_same() -> None:
     told: list[str] = []
     screen = Gone(OSError("the terminal is busy"))
-    shown = Unfailing(screen, told.append)
+    shown = SafeProgress(screen, told.append)
     shown.state("moving")
     shown.state("capturing")
     shown.warn("NOT SAFE")
@@ -167,7 +167,7 @@ def test_what_a_person_has_to_see_is_tried_again_all_the_same() -> None:
 
 
 def test_what_is_asked_amid_a_question_is_not_swallowed() -> None:
-    with pytest.raises(KeyboardInterrupt), Unfailing(Silent()).aside():
+    with pytest.raises(KeyboardInterrupt), SafeProgress(Silent()).aside():
         raise KeyboardInterrupt
 
 

@@ -27,7 +27,7 @@ from hypothesis.stateful import (
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig, load_rig
 from bench.rig.opening import driver_openers
-from bench.safety.bath_monitor import Watch
+from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import Interlocks, bath_of
 from bench.safety.stability import StabilityGate
 from instruments.bath.driver import Bath
@@ -81,7 +81,7 @@ class WatchedBath(RuleBasedStateMachine):
         self.dry_since_s: float | None = None
         gate = StabilityGate(set_point_c=33.0, window_s=60.0)
         interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
-        self.watch = Watch(
+        self.watch = BathMonitor(
             self.bath,
             self.clock,
             gate,

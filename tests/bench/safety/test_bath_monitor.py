@@ -10,7 +10,7 @@ import pytest
 
 from bench.record.writer import Row
 from bench.rig.model import Limits
-from bench.safety.bath_monitor import Watch
+from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import Interlocks, InterlockTrip, bath_of
 from bench.safety.stability import StabilityGate, State
 from instruments.bath.profile import load_profile
@@ -56,7 +56,7 @@ class Watched:
             return self.clock.now() >= safe_from_s
 
         self.also: InterlockTrip | None = None
-        self.watch = Watch(
+        self.watch = BathMonitor(
             ScriptedBath(self.clock, at),
             self.clock,
             gate,
@@ -199,7 +199,7 @@ def test_with_the_real_clock_a_trip_acts_while_the_main_thread_is_blocked() -> N
             now = clock.now()
             return replace(reading if now > 0.5 else CALM, t_s=now)
 
-    watch = Watch(Bath(), clock, StabilityGate(33.0), interlocks, lambda _: None, act)
+    watch = BathMonitor(Bath(), clock, StabilityGate(33.0), interlocks, lambda _: None, act)
     watch.start()
     assert acted.wait(60.0), "the main thread never looked"
     assert threads[0] is not threading.current_thread()

@@ -24,8 +24,8 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals"
 # what it did.
 CHILD = """
 import sys, time
-from bench.safety.exits import current, installed, undisturbed
-from bench.safety.exits import Interrupted
+from bench.safety.signals import current, installed, undisturbed
+from bench.safety.signals import Interrupted
 def say(text):
     with open(sys.argv[1], "a", encoding="utf-8") as file:
         file.write(text + chr(10))
@@ -84,12 +84,12 @@ def test_nothing_is_raised_while_undisturbed_and_again_after() -> None:
 @posix
 def test_what_came_while_nothing_was_raised_can_be_heeded_afterwards() -> None:
     with installed() as exits:
-        exits.heed()
+        exits.check_interrupts()
         with undisturbed():
             os.kill(os.getpid(), signal.SIGTERM)
         with pytest.raises(Interrupted, match="SIGTERM"):
-            exits.heed()
-        exits.heed()
+            exits.check_interrupts()
+        exits.check_interrupts()
 
 
 @posix

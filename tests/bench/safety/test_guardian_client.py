@@ -19,8 +19,8 @@ from typing import Any
 import pytest
 
 from bench.safety.guardian import main as guardian
-from bench.safety.guardian_client import BEAT_S, UNANSWERED, Charge, Lifeline, guarded
-from bench.safety.heartbeat import Pulse
+from bench.safety.guardian_client import BEAT_S, UNANSWERED, GuardianClient, GuardianTarget, guarded
+from bench.safety.heartbeat import Heartbeat
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
@@ -69,7 +69,7 @@ def within(seconds: float, there: Callable[[], bool], what: str) -> None:
 
 
 def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> None:
-    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
+    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
         assert line.lost is None
         line.done()
     assert hot.plant.running
@@ -77,16 +77,16 @@ def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> No
 
 
 def test_left_without_a_word_the_guardian_takes_over(hot: HotBath) -> None:
-    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()):
+    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()):
         pass
     within(PATIENCE_S, lambda: not hot.plant.running, "standby")
     assert hot.record()["cause"] == "gave up"
 
 
 def test_a_main_thread_that_hangs_while_the_others_live_is_seen(hot: HotBath) -> None:
-    pulse = Pulse()
+    pulse = Heartbeat()
     pulse.sign("detecting", 0.5)
-    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, pulse) as line:
+    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, pulse) as line:
         pulse.sign("detecting", 0.5)
         within(PATIENCE_S, lambda: not hot.plant.running, "standby")
         within(PATIENCE_S, lambda: line.lost is not None, "the bench learned of it")
@@ -97,9 +97,9 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_seen(hot: HotBath) ->
 
 
 def test_a_long_wait_that_was_announced_is_no_hang(hot: HotBath) -> None:
-    pulse = Pulse()
+    pulse = Heartbeat()
     pulse.sign("waiting for the operator", 1e9)
-    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, pulse) as line:
+    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, pulse) as line:
         time.sleep(2.5)
         assert line.lost is None
         line.done()
@@ -108,7 +108,7 @@ def test_a_long_wait_that_was_announced_is_no_hang(hot: HotBath) -> None:
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 def test_a_guardian_that_dies_is_missed(hot: HotBath) -> None:
-    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
+    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
         os.kill(line.pid, signal.SIGKILL)
         within(PATIENCE_S, lambda: line.lost is not None, "the loss was seen")
         assert "ended by itself" in str(line.lost)
@@ -117,7 +117,7 @@ def test_a_guardian_that_dies_is_missed(hot: HotBath) -> None:
 
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system has no SIGSTOP")
 def test_a_guardian_that_is_frozen_is_missed_and_one_that_lives_is_not(hot: HotBath) -> None:
-    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
+    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
         beats = BEAT_S * (UNANSWERED + 3)
         start_s = time.monotonic()
         while time.monotonic() - start_s < beats:
@@ -136,7 +136,7 @@ def test_a_guardian_that_is_frozen_is_missed_and_one_that_lives_is_not(hot: HotB
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the process's state from /proc")
 def test_the_guardian_has_the_priority_and_the_memory_that_the_system_grants(hot: HotBath) -> None:
-    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
+    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
         status = Path(f"/proc/{line.pid}/status").read_text(encoding="utf-8")
         resident, locked = (
             next(int(row.split()[1]) for row in status.split("\n") if row.startswith(name))
@@ -185,7 +185,7 @@ def test_a_mistake_in_one_try_does_not_end_the_guardian(
 def test_the_guardian_is_small_and_hears_no_signal_that_is_meant_for_the_bench(
     hot: HotBath,
 ) -> None:
-    with Lifeline(Charge(hot.url, "julabo-presto"), hot.folder, Pulse()) as line:
+    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
         if sys.platform == "linux":
             status = Path(f"/proc/{line.pid}/status").read_text(encoding="utf-8")
             (resident,) = [
@@ -206,15 +206,17 @@ def test_the_guardian_is_small_and_hears_no_signal_that_is_meant_for_the_bench(
 
 def test_a_guardian_that_cannot_start_is_told_with_its_own_words(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match=r"did not start.*no-such-family"):
-        Lifeline(Charge("tcp://127.0.0.1:1", "no-such-family"), tmp_path, Pulse())
+        GuardianClient(GuardianTarget("tcp://127.0.0.1:1", "no-such-family"), tmp_path, Heartbeat())
 
 
 def test_under_virtual_time_there_is_nothing_to_guard(tmp_path: Path) -> None:
-    with guarded(Charge("tcp://127.0.0.1:1", "julabo-presto"), tmp_path, VirtualClock()) as (
+    with guarded(
+        GuardianTarget("tcp://127.0.0.1:1", "julabo-presto"), tmp_path, VirtualClock()
+    ) as (
         _,
-        lifeline,
+        guardian_client,
     ):
-        assert lifeline is None
+        assert guardian_client is None
 
 
 STARTED = """

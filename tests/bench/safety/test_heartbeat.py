@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import pytest
 
-from bench.safety.heartbeat import Pulse
+from bench.safety.heartbeat import Heartbeat
 from instruments.clock import RealClock
 from instruments.link import Link
 
@@ -29,7 +29,7 @@ def watch(monkeypatch: pytest.MonkeyPatch) -> Stopwatch:
 
 
 def test_a_long_move_that_shows_life_is_no_hang(watch: Stopwatch) -> None:
-    pulse = Pulse()
+    pulse = Heartbeat()
     pulse.sign("moving", 600.0, silence_s=10.0)
     for _ in range(60):
         watch.now_s += 9.0
@@ -40,7 +40,7 @@ def test_a_long_move_that_shows_life_is_no_hang(watch: Stopwatch) -> None:
 
 
 def test_life_without_an_end_hangs_too(watch: Stopwatch) -> None:
-    pulse = Pulse()
+    pulse = Heartbeat()
     pulse.sign("moving", 600.0, silence_s=10.0)
     for _ in range(101):
         watch.now_s += 6.0
@@ -49,7 +49,7 @@ def test_life_without_an_end_hangs_too(watch: Stopwatch) -> None:
 
 
 def test_a_computation_may_be_silent_for_as_long_as_it_may_take(watch: Stopwatch) -> None:
-    pulse = Pulse()
+    pulse = Heartbeat()
     pulse.sign("detecting", 60.0)
     watch.now_s += 59.0
     assert pulse.overdue() is None
@@ -58,7 +58,7 @@ def test_a_computation_may_be_silent_for_as_long_as_it_may_take(watch: Stopwatch
 
 
 def test_who_sleeps_says_for_how_long(watch: Stopwatch) -> None:
-    pulse = Pulse()
+    pulse = Heartbeat()
     pulse.sign("waiting", 600.0, silence_s=10.0)
     pulse.alive(asleep_s=30.0)
     watch.now_s += 39.0
@@ -68,7 +68,7 @@ def test_who_sleeps_says_for_how_long(watch: Stopwatch) -> None:
 
 
 def test_the_life_of_another_thread_is_not_that_of_the_main_one(watch: Stopwatch) -> None:
-    pulse = Pulse()
+    pulse = Heartbeat()
     pulse.sign("moving", 600.0, silence_s=10.0)
     watch.now_s += 9.0
     other = threading.Thread(target=pulse.alive)
@@ -80,10 +80,10 @@ def test_the_life_of_another_thread_is_not_that_of_the_main_one(watch: Stopwatch
 
 def test_a_clock_tells_who_looks_and_how_long_he_sleeps() -> None:
     clock, heard = RealClock(), list[float]()
-    clock.heard_by(heard.append)
+    clock.subscribe(heard.append)
     clock.now()
     clock.sleep(0.01)
-    clock.heard_by(None)
+    clock.subscribe(None)
     clock.now()
     assert heard == [0.0, 0.01]
 
@@ -93,7 +93,7 @@ def test_a_link_that_waits_for_an_answer_shows_life_every_second() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         link = Link(f"socket://127.0.0.1:{server.getsockname()[1]}", clock, who="nobody")
         near, _ = server.accept()
-        clock.heard_by(lambda _: heard.append(clock_s()))
+        clock.subscribe(lambda _: heard.append(clock_s()))
         assert link.receive(2.5) == b""
         link.close()
         near.close()

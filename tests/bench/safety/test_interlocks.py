@@ -271,13 +271,13 @@ def test_no_heat_while_the_pump_is_known_to_stand(pump_on: bool | None, rule: st
 
 def test_a_family_that_tells_no_output_has_rules_that_sleep_and_says_so() -> None:
     silent = Interlocks(Limits(), Bath(tells=frozenset()))
-    assert set(silent.asleep) == {
+    assert set(silent.inactive) == {
         "heat without pump or level",
         "frozen reading",
         "loop break",
         "sensor disagreement",
     }
-    assert Interlocks(Limits(), PRESTO).asleep == ()
+    assert Interlocks(Limits(), PRESTO).inactive == ()
 
 
 def test_every_row_says_what_trips_what_resets_and_what_to_do() -> None:

@@ -15,7 +15,7 @@ from bench.cli.main import main
 from bench.config import ConfigError
 from bench.rig.loading import RIGS, LoadedRig, load_rig
 from bench.rig.model import Limits
-from bench.safety.bath_monitor import Watch
+from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, bath_of, moving_of, rule_named
 from bench.safety.latch import (
     LatchedError,
@@ -155,7 +155,7 @@ def walked(walk: Walk) -> list[tuple[float, Exception]]:
         )
 
     gate = StabilityGate(33.0)
-    watch = Watch(
+    watch = BathMonitor(
         Bath(), clock, gate, interlocks, lambda _: None, act, also=also, moving=moving_of(profile)
     )
     watch.start()

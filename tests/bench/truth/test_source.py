@@ -22,7 +22,7 @@ from bench.truth.carrying import (
     resumed,
 )
 from bench.truth.registration import Registration
-from bench.truth.touching import NoTruthError, Shown, TouchedTruth, Toucher, TrialTruth
+from bench.truth.touching import ExpectedScene, NoTruthError, TouchedTruth, Toucher, TrialTruth
 from bench.truth.uncertainty import How, Triple, triple
 from tests.bench.truth.touches import ENDS_MM, Hand, registered, stage_of, table_5_1, toucher
 
@@ -81,7 +81,7 @@ class Bench:
         self.told.append((kind, text))
 
     def trial(self, number: int, x_mm: float, fixed: str = "one") -> TrialTruth:
-        shown = Shown(f"{number:03d}", table_5_1(), fixed)
+        shown = ExpectedScene(f"{number:03d}", table_5_1(), fixed)
         self.source.before(shown)
         self.at_mm = HOME + np.array([x_mm, 0.0, 0.0])
         self.hand.ends = ENDS_MM + self.at_mm - HOME + self.slip_mm
@@ -174,7 +174,7 @@ def test_a_trial_that_is_done_again_is_touched_anew() -> None:
     bench = Bench(every=0)
     bench.trial(0, 0.0)
     bench.trial(1, 10.0)
-    shown = Shown("002", table_5_1(), "one")
+    shown = ExpectedScene("002", table_5_1(), "one")
     # and then the operator wanted it again: what went wrong, nobody can tell
     bench.source.before(shown)
     assert bench.trial(2, 20.0).how is How.TOUCHED
@@ -185,7 +185,7 @@ def test_a_person_is_needed_only_where_something_was_touched() -> None:
     bench = Bench(every=2)
     asked = []
     for number in range(6):
-        shown = Shown(f"{number:03d}", table_5_1(), "one")
+        shown = ExpectedScene(f"{number:03d}", table_5_1(), "one")
         bench.source.before(shown)
         asked.append(not bench.source.unattended(shown))
         bench.source.stored(shown.trial, bench.source.of_trial(shown))
@@ -259,7 +259,7 @@ def test_touching_every_trial_needs_neither_stage_nor_checks() -> None:
     source = TouchedTruth(toucher(hand, readings=1), lambda: None)
     source.begin()
     for name in ("001", "002"):
-        shown = Shown(name, table_5_1(), "one")
+        shown = ExpectedScene(name, table_5_1(), "one")
         source.before(shown)
         truth = source.of_trial(shown)
         source.stored(name, truth)

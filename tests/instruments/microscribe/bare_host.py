@@ -13,7 +13,7 @@ from instruments.clock import VirtualClock
 from instruments.link import Link
 from instruments.listener import Listener
 from instruments.microscribe.emulator import ArmEmulator
-from instruments.microscribe.firmware import Habits
+from instruments.microscribe.firmware import UnspecifiedBehaviour
 from instruments.microscribe.kinematics import Floats
 from instruments.microscribe.protocol import Packet, PacketDecoder
 from instruments.microscribe.unit import ArmIdentity
@@ -40,7 +40,7 @@ class Host:
         self,
         *,
         unit: ArmIdentity | None = None,
-        habits: Habits | None = None,
+        habits: UnspecifiedBehaviour | None = None,
         tremor_mm: float = 0.05,
     ) -> None:
         self.clock = VirtualClock()

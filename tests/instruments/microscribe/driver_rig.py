@@ -39,7 +39,7 @@ class Hand:
         return self.point + np.array([self.drift * self.clock.now(), 0.0, 0.0]), UP
 
 
-class Ear:
+class HeartbeatReader:
     """Notes what the emulator hears; ``late_s`` holds the next bytes up for so long, once.
 
     ``spoil`` makes of what the arm sends the pieces that the host gets.
@@ -89,7 +89,7 @@ class Rig:
         self.arm = ArmEmulator(
             self.hand, self.clock, unit=unit, seed=5, echo_after=echo_after, accuracy_mm=accuracy_mm
         )
-        self.ear = Ear(self.arm)
+        self.ear = HeartbeatReader(self.arm)
         self.lock = threading.RLock()
         self.listener = Listener(self.ear, self.clock, lock=self.lock, name="arm")
         self.drivers: list[MicroScribe] = []

@@ -51,7 +51,7 @@ WITH_RULES_OF_THEIR_OWN = [Fault.LATE_ECHO, Fault.DISCONNECT, Fault.POWER_LOSS, 
 WRITES = {0xC3, 0xC7, 0xD0, 0xD1}
 
 
-class Ear:
+class HeartbeatReader:
     """Notes what the arm is told."""
 
     def __init__(self, arm: ArmEmulator) -> None:
@@ -78,7 +78,7 @@ class ArmInAnyOrder(RuleBasedStateMachine):
         self.may_have_lost_c5 = False
         self.clock = VirtualClock()
         self.arm = ArmEmulator(self, self.clock, seed=3, accuracy_mm=0.0)
-        self.ear = Ear(self.arm)
+        self.ear = HeartbeatReader(self.arm)
         self.lock = threading.RLock()
         self.listener: Listener | None = Listener(self.ear, self.clock, lock=self.lock, name="arm")
         self.port = self.listener.port

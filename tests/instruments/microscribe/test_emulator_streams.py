@@ -15,7 +15,7 @@ from instruments.link import Link
 from instruments.listener import Listener
 from instruments.microscribe.configuration import StreamRequest
 from instruments.microscribe.emulator import ArmEmulator
-from instruments.microscribe.firmware import Habits, Look, Trigger
+from instruments.microscribe.firmware import Look, Trigger, UnspecifiedBehaviour
 from instruments.microscribe.protocol import PacketDecoder, State
 from tests.instruments.microscribe.bare_host import AT_REST, POINT, Hand, Host
 
@@ -77,7 +77,7 @@ def test_differences_respect_the_delay(host: Host) -> None:
 
 @pytest.mark.parametrize(("releases", "expected"), [(True, [1, 0, 1, 0]), (False, [1, 1])])
 def test_a_pedal_of_the_mask_sends(releases: bool, expected: list[int]) -> None:
-    host = Host(habits=Habits(release_triggers=releases))
+    host = Host(habits=UnspecifiedBehaviour(release_triggers=releases))
     host.session()
     assert host.ask(stream(0, mask=0x01)) == "CF"
     seen = []
@@ -95,7 +95,7 @@ def test_a_slow_drift_and_what_differences_are_measured_from() -> None:
     request = StreamRequest(0, 3, encoder_deltas=(5, 0, 0, 0, 0, 0))
     fired = {}
     for habit in ("last packet", "last look"):
-        trigger = Trigger(request, Habits(deltas_from=habit), drift[0])
+        trigger = Trigger(request, UnspecifiedBehaviour(deltas_from=habit), drift[0])
         fired[habit] = [look.counts[0] for look in drift[1:] if trigger.fires(look)]
     assert fired == {
         "last packet": [1, 6, 11, 16, 21, 26],

@@ -9,7 +9,7 @@ import pytest
 
 from instruments.errors import LinkError
 from instruments.microscribe.faults import AMOUNTS, Fault, Faults
-from instruments.microscribe.firmware import Habits
+from instruments.microscribe.firmware import UnspecifiedBehaviour
 from instruments.microscribe.mechanics import Contacts
 from instruments.microscribe.protocol import State
 from instruments.microscribe.unit import UNIT_40937
@@ -133,7 +133,7 @@ def test_surplus_echoes(fresh: Host) -> None:
 
 
 def test_an_arm_that_does_not_echo_again() -> None:
-    host = Host(habits=Habits(echoes_again=False))
+    host = Host(habits=UnspecifiedBehaviour(echoes_again=False))
     assert host.ask("49 4D 4D 43" * 3) == "49 4D 4D 43"
     assert host.ask("C5 49 4D 4D 43") == "49 4D 4D 43", "it finds its rate anew"
     assert host.ask("42 45 47 49 4E") == "4D 53 43 52 00"

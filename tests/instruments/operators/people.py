@@ -8,7 +8,7 @@ import io
 import tomllib
 
 from bench.rig.loading import RIGS
-from bench.safety.heartbeat import AwaitedOperator, Pulse
+from bench.safety.heartbeat import AwaitedOperator, Heartbeat
 from bench.script.phantom import shipped_phantom
 from instruments.clock import VirtualClock
 from instruments.operators.console import Console
@@ -67,14 +67,14 @@ def willing_script() -> ScriptedAnswers:
     return ScriptedAnswers([], dict.fromkeys(KINDS, "go"), "answers.toml")
 
 
-def keeper(kind: str) -> Operator:
+def trip_handler(kind: str) -> Operator:
     """One that does whatever it is asked."""
     if kind == "console":
         return person("\n" * 100)
     if kind == "script":
         return PromptedOperator(willing_script())
     if kind == "awaited":
-        return AwaitedOperator(hands(world()), Pulse())
+        return AwaitedOperator(hands(world()), Heartbeat())
     return (
         hands(world()) if kind == "emulated" else PromptedOperator(willing_script(), hands(world()))
     )

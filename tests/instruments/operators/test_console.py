@@ -179,7 +179,7 @@ def test_a_trip_is_told_and_ends_the_prompt() -> None:
     def tripped() -> None:
         raise RuntimeError("interlock over-temperature: 39 degC")
 
-    who.heed(tripped)
+    who.check_interrupts(tripped)
     with pytest.raises(RuntimeError):
         who.touch(1, 4)
     assert "No answer is needed any more: interlock over-temperature: 39 degC" in out.getvalue()

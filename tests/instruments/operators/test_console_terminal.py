@@ -196,7 +196,7 @@ def test_a_trip_ends_the_prompt_before_enter() -> None:
             raise trips[0]
 
     with desk() as here:
-        here.who.heed(check)
+        here.who.check_interrupts(check)
         done = here.asked(touch)
         here.expect(KEYS)
         here.type("half a li")

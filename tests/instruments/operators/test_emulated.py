@@ -138,7 +138,7 @@ def test_a_prompt_takes_its_time_and_the_interlocks_are_looked_at_meanwhile() ->
     here = world()
     who = hands(here, prompt_s=7.5)
     looked: list[float] = []
-    who.heed(lambda: looked.append(here.clock.now()))
+    who.check_interrupts(lambda: looked.append(here.clock.now()))
     who.set_up(arrangement())
     assert here.clock.now() == pytest.approx(7.5)
     assert max(np.diff(looked)) <= 1.0
@@ -147,7 +147,7 @@ def test_a_prompt_takes_its_time_and_the_interlocks_are_looked_at_meanwhile() ->
         if here.clock.now() >= 10.0:
             raise RuntimeError("tripped")
 
-    who.heed(tripped)
+    who.check_interrupts(tripped)
     with pytest.raises(RuntimeError, match="tripped"):
         who.touch(1, 4)
     assert here.clock.now() == pytest.approx(10.5)

@@ -11,7 +11,7 @@ import pytest
 
 from instruments.operators.operator import BoardAsked, Operator
 from instruments.world.boards import Pattern
-from tests.instruments.operators.people import KEEPERS, arrangement, keeper
+from tests.instruments.operators.people import KEEPERS, arrangement, trip_handler
 
 
 class TrippedError(Exception):
@@ -44,12 +44,12 @@ ASKED: dict[str, Callable[[Operator], object]] = {
 
 @pytest.fixture(params=KEEPERS)
 def who(request: pytest.FixtureRequest) -> Operator:
-    return keeper(request.param)
+    return trip_handler(request.param)
 
 
 class TestEveryKeeper:
     def test_goes_through_a_whole_run(self, who: Operator) -> None:
-        who.heed(lambda: None)
+        who.check_interrupts(lambda: None)
         who.confirm_homing("Put the stylus on its peg.")
         for touch in range(1, 6):
             who.touch_check_point(touch, 5)
@@ -64,7 +64,7 @@ class TestEveryKeeper:
         who.finish()
 
     def test_goes_through_a_whole_calibration(self, who: Operator) -> None:
-        who.heed(lambda: None)
+        who.check_interrupts(lambda: None)
         for number in (1, 2, 3):
             who.hold_board(replace(HELD, number=number))
         who.confirm_homing("Put the stylus on its peg.")
@@ -85,12 +85,12 @@ class TestEveryKeeper:
     def test_a_prompt_ends_with_what_the_check_raises(self, who: Operator, asked: str) -> None:
         who.set_up(arrangement())
         who.hold_board(FIXED)
-        who.heed(tripped)
+        who.check_interrupts(tripped)
         with pytest.raises(TrippedError, match="over-temperature"):
             ASKED[asked](who)
 
     def test_what_is_no_prompt_checks_nothing(self, who: Operator) -> None:
-        who.heed(tripped)
+        who.check_interrupts(tripped)
         who.next_trial(1, 2, None)
         who.release()
         who.finish()
