@@ -1,3 +1,3 @@
 """The roof of teatbench: the only package that knows instruments, detectors and reports."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
