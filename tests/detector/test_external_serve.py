@@ -88,6 +88,7 @@ def test_what_a_served_detector_prints_is_no_line_of_ours(
         [sys.executable, "-m", "detector.external.serve", "loud"],
         time.perf_counter,
         folder=ROOT,
+        environment=["PYTHONPATH"],
     )
     frames = Pictures(np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8))
     try:

@@ -295,7 +295,7 @@ def test_bad_arrays_are_explained() -> None:
 
 def test_long_and_unprintable_labels_are_made_to_fit() -> None:
     assert plain("a" * 40) == "a" * 29 + "…"
-    assert plain("one\ntwo\x00\x1b[31m") == "one two [31m"
+    assert plain("one\ntwo\x00\x1b[31m") == "one two\ufffd\ufffd[31m"
 
 
 @pytest.mark.parametrize("width_in", [3.6, 4.7, 9.4])

@@ -71,6 +71,7 @@ def page_of(text: str) -> Page:
         text,
         text,
         (text,),
+        alarm=text,
     )
 
 

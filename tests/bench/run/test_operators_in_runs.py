@@ -66,7 +66,7 @@ def test_a_trial_may_be_done_again_from_its_set_up(tmp_path: Path) -> None:
     [
         (
             "homing: go\ntouch: go\n",
-            "answers.txt has no answer to this prompt (asked set up: [trial 1 of 3]",
+            "answers.txt has no answer to this prompt (asked set up: [trial 1 of 3; less than a minute left]",
         ),
         (
             WILLING + "touch (teat 5): go x3\n",
