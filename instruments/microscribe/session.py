@@ -1,19 +1,8 @@
-"""Questions and answers on the arm's link, one at a time, and the way out for every byte.
+"""One session with an arm: sign-on, questions and answers, streams, the end.
 
-All bytes leave through ``send``, which knows the session's state and what is never sent
-(../shared/instruments/microscribe.md). Where a reply ends is known to ``configuration``. It may not
-know which questions make a sign-on, nor what a packet means.
-
-Sign-on, step by step: find the arm at whatever rate, begin a session, read who it is.
-
-Order and timing are those of ../shared/instruments/microscribe.md. IMMC never goes out without C5
-before it, since in a session that somebody left alive its letters are commands; BEGIN only once,
-after the echo. It may not know what a session is for.
-
-The driver's lower half: one session with an arm, from sign-on to end, and the questions within it.
-
-Timing and order are those of ../shared/instruments/microscribe.md. It may not know what a position
-is, nor of homing.
+All bytes leave through `Conversation.send`, which refuses what is never sent. IMMC only goes out
+behind C5, since its letters are commands in a session that was left open; BEGIN goes out once,
+after the echo.
 """
 
 from __future__ import annotations
@@ -49,8 +38,8 @@ _T = TypeVar("_T")
 
 
 class Conversation:
-    """One link and the state of the session on it, as far as this end knows; ``answer_s`` is how
-    long an answer is waited for.
+    """One link and the session's state as this end knows it; ``answer_s`` is the least time for an
+    answer.
     """
 
     def __init__(self, link: Link, clock: Clock, answer_s: float = ANSWER_S) -> None:
@@ -62,9 +51,7 @@ class Conversation:
         self.untidy = False
 
     def lose(self) -> None:
-        """The session is gone, whatever the arm believes; what still comes belongs to no later
-        question.
-        """
+        """The session is gone; what still comes belongs to no later question."""
         self.state = State.FINDING_BAUD
         self.untidy = True
 
@@ -75,10 +62,8 @@ class Conversation:
             self.untidy = False
 
     def send(self, data: bytes, event: Event) -> None:
-        """Send bytes that are the event.
-
-        Raises LimitError for what is never sent, NoSessionError for what the state doesn't allow,
-        LinkError when the link is broken.
+        """Send bytes that are the event. Raises LimitError for what is never sent, NoSessionError
+        for what the state doesn't allow, LinkError when the link is broken.
         """
         try:
             wire.refuse_forbidden(data, self.state)
@@ -99,12 +84,11 @@ class Conversation:
         timeout_s: float = 0.0,
         event: Event = Event.CONFIGURE,
     ) -> _T:
-        """Send a configuration command and decode its reply, which has ``timeout_s``, and
-        ``answer_s`` at least.
+        """Send a configuration command and decode its reply, which has ``timeout_s`` or
+        ``answer_s``.
 
-        Raises SilentArmError when nothing comes, ParameterLengthError for a block of an unknown
-        length, ProtocolError for a damaged reply, NoSessionError, and LinkError when the link is
-        broken.
+        Raises SilentArmError, ParameterLengthError, ProtocolError for a damaged reply,
+        NoSessionError, and LinkError when the link is broken.
         """
         self.tidy()
         start = self.clock.now()
@@ -154,11 +138,10 @@ _KEPT = 256
 
 
 def find(talk: Conversation, rates: Sequence[int], patience_s: float) -> int:
-    """Knock until the arm echoes; gives back the rate that worked. The first of ``rates`` gets
-    ``patience_s``, the others less.
+    """Send IMMC until the arm echoes it; the rate that worked. The first rate gets ``patience_s``.
 
-    Raises SilentArmError when nothing answers, NoMicroScribeError when something else does,
-    LinkError when the link is broken. The link is at the first rate again then.
+    Raises SilentArmError, NoMicroScribeError for another device, LinkError; the link is then at the
+    first rate again.
     """
     start, seen, tried = talk.clock.now(), b"", []
     for baud in rates:
@@ -187,10 +170,8 @@ def _speak_at(talk: Conversation, baud: int) -> bool:
 
 
 def _knock(talk: Conversation, patience_s: float) -> tuple[bool, bytes]:
-    """Whether the echo came, and all else that came but the end of an old session.
-
-    The end goes out once by itself first: were it lost before the first IMMC, the letters would be
-    commands.
+    """Whether the echo came, and all else that came but the end of an old session. The end is sent
+    alone first: were it lost before the first IMMC, the letters would be commands.
     """
     deadline = talk.clock.now() + patience_s
     talk.send(bytes([Code.END]), Event.END)
@@ -232,9 +213,7 @@ def _nobody(
 
 
 def begin(talk: Conversation) -> None:
-    """Begin the session. Raises InterfaceBoxError, NoMicroScribeError, SilentArmError, or LinkError
-    when the link is broken.
-    """
+    """Begin the session. Raises InterfaceBoxError, NoMicroScribeError, or LinkError."""
     talk.send(wire.BEGIN, Event.BEGIN)
     answer = talk.link.read_until(b"\0", SIGN_ON_S)
     if answer.rstrip(b"\0").endswith(wire.PRODUCT_ID):
@@ -258,11 +237,10 @@ def begin(talk: Conversation) -> None:
 
 
 def read_portrait(talk: Conversation) -> DeviceInfo:
-    """Who the arm is, in the maker's order of asking, again and again until two readings agree:
-    replies have no checksum.
+    """The arm's data in the maker's order, read until two readings agree.
 
     Raises UnknownFormatError, ParameterLengthError, UnstableUnitError, ProtocolError for damage,
-    SilentArmError, LinkError.
+    LinkError.
     """
     seen: list[DeviceInfo] = []
     last: ProtocolError | None = None
@@ -342,11 +320,10 @@ class Session:
     def open(
         self, rates: Sequence[int], *, patience_s: float = SIGN_ON_S
     ) -> tuple[DeviceInfo, int]:
-        """Find the arm, begin, and read who it is; a session that was begun is ended again when
-        that fails.
+        """Find the arm at one of ``rates``, begin, and read who it is; also gives the rate.
 
-        ``rates`` are tried in their order; the one that worked is given back. Raises as
-        ``signon.find``, ``begin`` and ``read_portrait`` do.
+        A session that was begun is ended when that fails. Raises as ``find``, ``begin`` and
+        ``read_device_info``.
         """
         self.lose()
         baud = find(self._talk, rates, patience_s)
@@ -360,9 +337,7 @@ class Session:
             raise
 
     def end(self) -> None:
-        """End the session; nothing happens without one. Raises LinkError when the link is broken:
-        ended too, then.
-        """
+        """End the session, if any. Raises LinkError when the link is broken: ended too, then."""
         if self._talk.state is State.FINDING_BAUD:
             return
         try:
@@ -374,17 +349,13 @@ class Session:
             self.lose()
 
     def lose(self) -> None:
-        """The session is gone, whatever the arm believes; what still comes belongs to no later
-        question.
-        """
+        """The session is gone; what still comes belongs to no later question."""
         self._talk.lose()
         self._decoder.reset()
 
     def ask_packet(self, command: int = wire.POLL) -> tuple[Packet | None, bytes]:
-        """Poll once: the packet, or None where it came damaged or not at all; and the bytes that
-        came.
-
-        Raises LimitError without a session, LinkError when the link is broken.
+        """Poll once: the packet (None where damaged or missing) and the bytes. Raises LimitError
+        without a session, LinkError when the link is broken.
         """
         talk = self._talk
         self._tidy(command)
@@ -402,14 +373,12 @@ class Session:
         return None, seen
 
     def ask_home(self) -> None:
-        """Have the arm load its home counts. Raises LimitError, LinkError or ProtocolError where it
-        doesn't confirm.
-        """
+        """Make the arm load its home counts. Raises LimitError, LinkError or ProtocolError."""
         self._talk.ask(bytes([Code.HOME]), lambda reply: conf.expect_echo(Code.HOME, reply))
 
     def ask_baud(self, baud: int) -> None:
-        """Have the arm speak at another rate, and speak at it. Raises as ``ask_home``; LimitError
-        for a rate that no arm has.
+        """Change the arm's and the link's rate. Raises as ``ask_home``; LimitError for an unknown
+        rate.
         """
         try:
             asked = protocol.encode_set_baud(baud)
@@ -423,9 +392,7 @@ class Session:
     # Streams
 
     def start_stream(self, request: StreamRequest) -> bytes | None:
-        """Start a stream once: None when the arm echoed, else the bytes that came. Raises
-        LimitError or LinkError.
-        """
+        """Start a stream once: None when echoed, else what came. Raises LimitError or LinkError."""
         talk = self._talk
         self._tidy(request.command)
         talk.send(conf.encode_stream(request), Event.STREAM)
@@ -437,11 +404,7 @@ class Session:
         return seen
 
     def stream_packets(self, timeout_s: float) -> list[Packet]:
-        """What came since the last call, waiting ``timeout_s`` at most for a whole packet; none:
-        the stream fell silent.
-
-        Raises LinkError when the link is broken.
-        """
+        """The packets since the last call; none after ``timeout_s``. Raises LinkError."""
         deadline = self._clock.now() + timeout_s
         while data := self._talk.link.receive(max(0.0, deadline - self._clock.now())):
             if packets := self._decoder.feed(data):
@@ -449,11 +412,8 @@ class Session:
         return []
 
     def stop_stream(self) -> None:
-        """End a stream as the maker's host does: 00, 50 ms, flush; again while its answer is
-        missing. Nothing without a stream.
-
-        What came before the end is dropped. An arm that doesn't answer is left to the next
-        question. Raises LinkError.
+        """End a stream as the maker's host does: 00, 50 ms, flush; repeated while its answer is
+        missing. Earlier packets are dropped. Raises LinkError.
         """
         if not self.streaming:
             return
@@ -468,9 +428,7 @@ class Session:
         self._listen_for(self._decoder_of)
 
     def _tidy(self, command: int) -> None:
-        """Ready for an answer to ``command``: nothing of an earlier one is left, and only its
-        packets count.
-        """
+        """Drop what is left of an earlier answer, and accept packets of ``command`` only."""
         if self._talk.untidy:
             self._talk.tidy()
             self._decoder.reset()
