@@ -48,7 +48,7 @@ class Homing:
         self._doubt = ""
 
     def signed_on(self, doubt: str = "") -> None:
-        """A new session. After a ``doubt``, only homing or a power cycle and a new sign-on helps."""
+        """A new session. After a ``doubt``, only homing, or power cycle and sign-on, helps."""
         self.confirmed = False
         self._doubt = doubt
 
@@ -107,7 +107,7 @@ class ArmConnection:
         self.session = Session(link, clock, answer_s)
         self.homing = Homing(link.who)
         self.arm_time = ArmTime()
-        self.portrait: DeviceInfo | None = None
+        self.info: DeviceInfo | None = None
         self._clock = clock
         self._broken = False
 
@@ -117,7 +117,7 @@ class ArmConnection:
 
     def recover(self, timeout_s: float) -> DeviceInfo:
         """See ``MicroScribe.recover``."""
-        before, deadline = self.portrait, self._clock.now() + timeout_s
+        before, deadline = self.info, self._clock.now() + timeout_s
         try:
             now = self._sign_on_again(deadline)
             if before and before.identity.serial_number != now.identity.serial_number:
@@ -130,7 +130,7 @@ class ArmConnection:
                     self.who, what, hint="Plug the first arm in again, or sign on to the new one"
                 )
         except BaseException:
-            self.portrait = before  # still the arm that is waited for
+            self.info = before  # still the arm that is waited for
             raise
         return now
 
@@ -211,15 +211,15 @@ class ArmConnection:
 
     def _sign_on(self, rates: Sequence[int], patience_s: float) -> DeviceInfo:
         self.homing.lost("the session was opened anew")
-        self.portrait = None
+        self.info = None
         self.arm_time = ArmTime()
         if self._broken:
             self.link.reopen()
             self._broken = False
         with self.noticing():
-            self.portrait, baud = self.session.open(rates, patience_s=patience_s)
+            self.info, baud = self.session.open(rates, patience_s=patience_s)
         self.homing.signed_on(_DOUBT if baud != rates[0] else "")
-        return self.portrait
+        return self.info
 
     def _lose(self, why: str) -> None:
         self.homing.lost(why)

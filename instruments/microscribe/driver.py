@@ -104,9 +104,9 @@ class MicroScribe:
     @property
     def geometry(self) -> ArmGeometry:
         """The arm's shape with the fitted tip. Raises NoSessionError before sign-on."""
-        portrait = self._known()
-        if self._geometry is None or self._geometry[0] is not portrait:
-            self._geometry = portrait, portrait.geometry(self._tip_longer_mm)
+        info = self._known()
+        if self._geometry is None or self._geometry[0] is not info:
+            self._geometry = info, info.geometry(self._tip_longer_mm)
         return self._geometry[1]
 
     @property
@@ -122,8 +122,8 @@ class MicroScribe:
     def warnings(self) -> tuple[str, ...]:
         """Sentences about a slow adapter, another rate, and joints that lose count."""
         told = [latency_warning(self._link.url, self._sysfs)]
-        if self._arm.portrait:
-            told += [self._arm.rate_warning(), *self._arm.portrait.warnings()]
+        if self._arm.info:
+            told += [self._arm.rate_warning(), *self._arm.info.warnings()]
         return tuple(sentence for sentence in told if sentence)
 
     @property
@@ -168,7 +168,7 @@ class MicroScribe:
         self.poll()
 
     def safe(self) -> None:
-        """End the session; nothing happens without one. Raises LinkError when the link is broken."""
+        """End the session, if any. Raises LinkError when the link is broken."""
         self._arm.end()
 
     def close(self) -> None:
@@ -296,8 +296,8 @@ class MicroScribe:
         return reading_of(self.geometry, [sample.counts for sample in samples])
 
     def _known(self) -> DeviceInfo:
-        if self._arm.portrait is None:
+        if self._arm.info is None:
             raise NoSessionError(
                 self.who, "who the arm is has not been read yet", hint="Sign on first"
             )
-        return self._arm.portrait
+        return self._arm.info

@@ -54,7 +54,7 @@ AMOUNTS: dict[Fault, float] = {
 
 
 class Faults:
-    """The active faults, and how often each will still strike. ``told`` is called at each change."""
+    """The active faults, and how often each still strikes. ``told`` is called at each change."""
 
     def __init__(self, seed: int, told: Callable[[Fault, bool], None] | None = None) -> None:
         self._seed = seed

@@ -142,7 +142,7 @@ class Firmware:
             self.rate = None
 
     def take(self, byte: int, rate: int | None) -> bytes:
-        """The answer to one byte at ``rate`` (None: unknown); empty while a command is incomplete."""
+        """The answer to a byte at ``rate`` (None: unknown); empty while a command is cut."""
         if self.state not in wire.LIVE:
             return self._listen(byte, rate)
         self._command.append(byte)

@@ -96,7 +96,7 @@ class ArmGeometry:
         return np.where(self.active, np.mod(_rows(rows), per_turn) * (2.0 * np.pi / per_turn), 0.0)
 
     def forward(self, counts: npt.ArrayLike) -> tuple[Floats, Floats]:
-        """Tips (n, 3) mm and unit axes (n, 3) from the tip up the stylus; counts as for ``angles``."""
+        """Tips (n, 3) mm and unit axes (n, 3) up the stylus; counts as for ``angles``."""
         return self.forward_angles(self.angles(counts))
 
     def forward_angles(self, angles_rad: Floats) -> tuple[Floats, Floats]:

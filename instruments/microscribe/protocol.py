@@ -351,7 +351,7 @@ def decode_set_baud(data: bytes) -> int:
 
 
 def encode_marker(marker: Marker) -> bytes:
-    """A marker, as sent by the host and returned by the arm. Raises WireError unless it is a byte."""
+    """A marker, in both directions. Raises WireError unless it is a byte."""
     if marker.value not in range(256):
         raise WireError(f"a marker is one byte, not {marker.value}")
     return bytes([Code.MARKER, marker.value])

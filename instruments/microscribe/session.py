@@ -236,7 +236,7 @@ def begin(talk: Conversation) -> None:
     )
 
 
-def read_portrait(talk: Conversation) -> DeviceInfo:
+def read_device_info(talk: Conversation) -> DeviceInfo:
     """The arm's data in the maker's order, read until two readings agree.
 
     Raises UnknownFormatError, ParameterLengthError, UnstableUnitError, ProtocolError for damage,
@@ -246,13 +246,13 @@ def read_portrait(talk: Conversation) -> DeviceInfo:
     last: ProtocolError | None = None
     for _ in range(READINGS):
         try:
-            portrait = _read_once(talk)
+            info = _read_once(talk)
         except ProtocolError as error:
             last = error
             continue
-        if portrait in seen:
-            return portrait
-        seen.append(portrait)
+        if info in seen:
+            return info
+        seen.append(info)
     what = f"what the arm says of itself came differently each of {READINGS} times"
     raise last or UnstableUnitError(
         talk.who,
@@ -329,7 +329,7 @@ class Session:
         baud = find(self._talk, rates, patience_s)
         try:
             begin(self._talk)
-            return read_portrait(self._talk), baud
+            return read_device_info(self._talk), baud
         except InstrumentError:
             # the first error tells more than a second one about the same link
             with contextlib.suppress(LinkError):

@@ -213,7 +213,7 @@ class Streaming:
             self._arm.session.stop_stream()
 
     def samples(self) -> Iterator[Sample]:
-        """Without end. Raises as ``MicroScribe.poll``, and NoSessionError after the stream's end."""
+        """Without end. Raises as ``MicroScribe.poll``; NoSessionError after the stream's end."""
         while True:
             packets = self._packets()
             host_s = self._clock.now()

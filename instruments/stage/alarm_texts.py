@@ -152,7 +152,7 @@ def error_meaning(code: int) -> Meaning:
 
 
 def alarm_meaning(code: int, dialect: str = "Grbl") -> Meaning:
-    """The meaning of ``ALARM:code`` of "Grbl" or "grblHAL"; an unlisted number is called unknown."""
+    """The meaning of ``ALARM:code`` of "Grbl" or "grblHAL"; others are unknown."""
     known = ALARMS | HAL_ALARMS if dialect == "grblHAL" else ALARMS
     return known.get(code) or Meaning(
         "an alarm that this program does not know",

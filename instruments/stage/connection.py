@@ -39,7 +39,7 @@ LOCKED = frozenset({"Alarm", "Sleep"})
 
 
 class Dialogue:
-    """The conversation on one link. Raises LinkError, ProtocolError, DeviceError (refused, alarm)."""
+    """The conversation on one link. Raises LinkError, ProtocolError, DeviceError."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self.who = link.who

@@ -265,7 +265,7 @@ class Stage:
             self._move = None
 
     def finish_move(self) -> None:
-        """Wait for a begun or resumed move or jog. Raises DeviceError when held, slow or elsewhere."""
+        """Wait for a move or jog. Raises DeviceError when held, too slow, or it ends elsewhere."""
         move = self._under_way
         if move is None:
             raise LimitError(self._talk.who, "no move is under way", hint="Call begin_move().")
@@ -278,7 +278,7 @@ class Stage:
             raise
 
     def hold(self) -> None:
-        """Brake and wait for a stand. Keeps the move for ``resume``; ends a jog; nothing when idle."""
+        """Brake and wait for a stand. Keeps a move for ``resume``, ends a jog."""
         self.cancel_jog()
         if self._talk.status().state in MOVING:
             self._talk.realtime(HOLD)

@@ -192,7 +192,7 @@ class Leg:
 def plan(
     blocks: Sequence[Block], now_s: float, speed_mm_s: float, percent: tuple[int, int]
 ) -> tuple[Leg, ...]:
-    """Legs through ``blocks`` from ``speed_mm_s`` to rest. ``percent``: feed and rapid overrides."""
+    """Legs through ``blocks`` from ``speed_mm_s`` to rest. ``percent``: feed, rapid overrides."""
     cruise = [block.cruise_mm_s(*percent) for block in blocks]
     entry = (
         [speed_mm_s]
