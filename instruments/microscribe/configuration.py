@@ -193,7 +193,9 @@ class StreamRequest:
 
 def encode_stream(request: StreamRequest) -> bytes:
     """25 bytes, or 27 for seven encoders. Raises WireError when a field doesn't fit."""
-    return bytes([Code.STREAM]) + _packed(_stream_layout(request.command), _flat(request))
+    delay, command, mask, analogs, encoders = astuple(request)
+    fields = (delay, command, mask, *analogs, *encoders)
+    return bytes([Code.STREAM]) + _packed(_stream_layout(command), fields)
 
 
 def decode_stream(data: bytes) -> StreamRequest:
@@ -228,11 +230,6 @@ def expect_echo(code: int, reply: bytes) -> None:
 
 def _stream_layout(command: int) -> struct.Struct:
     return struct.Struct(f">HBB8B{7 if encoder_count(command) == 7 else 6}H")
-
-
-def _flat(request: StreamRequest) -> tuple[int, ...]:
-    delay, command, mask, analogs, encoders = astuple(request)
-    return (delay, command, mask, *analogs, *encoders)
 
 
 def _packed(layout: struct.Struct, values: Sequence[int]) -> bytes:

@@ -103,7 +103,10 @@ class ArmConnection:
     ) -> None:
         self.who = link.who
         self.link = link
-        self.rates = (link.baud, *_other_rates(link)) if rates is None else tuple(rates)
+        if rates is None:  # a socket's far end keeps its own rate
+            others = () if link.url.startswith("socket://") else _RATES
+            rates = (link.baud, *(rate for rate in others if rate != link.baud))
+        self.rates = tuple(rates)
         self.session = Session(link, clock, answer_s)
         self.homing = Homing(link.who)
         self.arm_time = ArmTime()
@@ -224,15 +227,6 @@ class ArmConnection:
     def _lose(self, why: str) -> None:
         self.homing.lost(why)
         self.session.lose()
-
-
-def _other_rates(link: Link) -> tuple[int, ...]:
-    """What else sign-on tries: nothing on a socket, whose far end keeps its own rate."""
-    return (
-        ()
-        if link.url.startswith("socket://")
-        else tuple(rate for rate in _RATES if rate != link.baud)
-    )
 
 
 SYSFS = Path("/sys")
