@@ -1,10 +1,7 @@
-"""Rigid motions, the camera model, homographies and triangulation: pixels to millimetres and back,
-without a file or a picture.
+"""Rigid motions, the camera model, homographies and triangulation.
 
-Strategy: vectorised closed forms where there are any, Newton where there is none. Pixel centres lie
-at whole numbers from 0, lengths are mm. What has no answer (a point behind the camera, rays that
-are parallel) is NaN in its row and never spoils the other rows. The module may not know how a
-calibration is stored or which detector asks.
+Vectorised closed forms, else Newton. Pixel centres at whole numbers from 0; mm. What has no answer
+is NaN in its row only.
 """
 
 from __future__ import annotations
@@ -34,11 +31,8 @@ def rotation_from_vector(om_rad: ArrayLike) -> Array:
 
 
 def vector_from_rotation(R: ArrayLike) -> Array:
-    """Rotation vector (3,), radians, of length 0 to pi, of a rotation matrix (3, 3): the inverse of
-    `rotation_from_vector`.
-
-    Through the unit quaternion taken from its largest component, which keeps full precision at
-    every angle, pi included.
+    """Rotation vector (3,), rad, length 0 to pi, of a rotation matrix (3, 3). By the unit
+    quaternion from its largest component: full precision at every angle, pi included.
     """
     m = np.asarray(R, dtype=np.float64)
     squares = np.array([1 + m.trace(), *(1 + 2 * np.diag(m) - m.trace())])
@@ -58,10 +52,8 @@ def vector_from_rotation(R: ArrayLike) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """A rigid motion x -> R x + T; name it `b_from_a`. R (3, 3) is a rotation, T (3,) in mm.
-
-    Raises ValueError where R is no rotation: a mirror image or a scale would pass unnoticed through
-    every later step.
+    """A rigid motion x -> R x + T; name it `b_from_a`. R (3, 3), T (3,) mm. Raises ValueError where
+    R is no rotation, such as a mirror image or a scale.
     """
 
     R: Array
@@ -85,9 +77,7 @@ class Motion:
 
     @classmethod
     def from_vectors(cls, om_rad: ArrayLike, T_mm: ArrayLike) -> Motion:
-        """The motion with rotation vector `om_rad` (3,) and translation `T_mm` (3,), as calibration
-        files give them.
-        """
+        """From rotation vector `om_rad` (3,) and translation `T_mm` (3,), as in the files."""
         return cls(rotation_from_vector(om_rad), _vector(T_mm, 3, "a translation"))
 
     @classmethod
@@ -114,11 +104,8 @@ class Motion:
 
 
 def rigid_fit(target_mm: ArrayLike, source_mm: ArrayLike) -> Motion:
-    """The motion `target_from_source` that brings points (n, 3) closest to their partners (n, 3) in
-    the least-squares sense.
-
-    Kabsch's solution with reflections ruled out. Raises ValueError for fewer than 3 pairs or points
-    on one line.
+    """`target_from_source`: least-squares motion of points (n, 3), Kabsch without reflections.
+    Raises ValueError for fewer than 3 pairs or points on one line.
     """
     target, source = _rows(target_mm, 3, "target points"), _rows(source_mm, 3, "source points")
     if len(target) != len(source) or len(source) < 3:
@@ -136,11 +123,9 @@ def rigid_fit(target_mm: ArrayLike, source_mm: ArrayLike) -> Motion:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A camera in the convention of Bouguet's toolbox and OpenCV.
+    """A camera as in Bouguet's toolbox ("Description of the calibration parameters") and OpenCV.
 
     image_size (columns, rows) px; fc, cc (x, y) px; alpha_c the skew; kc = (k1, k2, p1, p2, k3).
-    Source: Bouguet, Camera Calibration Toolbox for Matlab, "Description of the calibration
-    parameters".
     """
 
     image_size: tuple[int, int]
@@ -150,9 +135,7 @@ class Camera:
     kc: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def project(self, points_mm: ArrayLike) -> Array:
-        """Pixels (n, 2) of points (n, 3) in this camera's frame; NaN for a point that isn't in
-        front of the camera.
-        """
+        """Pixels (n, 2) of points (n, 3), camera's frame; NaN for a point not in front."""
         points = _rows(points_mm, 3, "points")
         depth = np.where(points[:, 2] > 0, points[:, 2], np.nan)
         return self.pixels(_distort(points[:, :2] / depth[:, None], self.kc))
@@ -163,11 +146,8 @@ class Camera:
         return np.column_stack([x, self.fc[1] * distorted[:, 1] + self.cc[1]])
 
     def normalize(self, pixels_px: ArrayLike) -> Array:
-        """Undistorted normalised coordinates (n, 2), the point at depth 1, of pixels (n, 2); exact
-        to 1e-10.
-
-        Newton's method on the distortion. NaN where the lens model has no inverse (pixels far
-        outside of what it was fitted on).
+        """Undistorted normalised coordinates (n, 2) of pixels (n, 2), exact to 1e-10, by Newton.
+        NaN where the lens model has no inverse.
         """
         pixels = _rows(pixels_px, 2, "pixels")
         y = (pixels[:, 1] - self.cc[1]) / self.fc[1]
@@ -185,9 +165,7 @@ class Camera:
 
 
 def apply_homography(H: ArrayLike, pixels_px: ArrayLike) -> Array:
-    """Map pixels (n, 2) through a homography (3, 3), division by the third coordinate included; NaN
-    where that isn't positive.
-    """
+    """Pixels (n, 2) through (3, 3) with division; NaN where the third coordinate isn't positive."""
     pixels = _rows(pixels_px, 2, "pixels")
     mapped = np.column_stack([pixels, np.ones(len(pixels))]) @ np.asarray(H, dtype=np.float64).T
     return np.asarray(mapped[:, :2] / np.where(mapped[:, 2:] > 0, mapped[:, 2:], np.nan))
@@ -196,11 +174,8 @@ def apply_homography(H: ArrayLike, pixels_px: ArrayLike) -> Array:
 def triangulate(
     left_px: ArrayLike, right_px: ArrayLike, left: Camera, right: Camera, right_from_left: Motion
 ) -> tuple[Array, Array]:
-    """Points (n, 3) mm in the right camera's frame midway between the rays of pixel pairs (n, 2),
-    and the gap (n,) mm between the rays.
-
-    The midpoint of the common perpendicular, as in appendix A.5 of the thesis (Bouguet's stereo
-    triangulation). Parallel rays give NaN.
+    """Points (n, 3) mm, right camera's frame, midway between rays of pixel pairs (n, 2), and gaps
+    (n,) mm. Midpoint of the common perpendicular (thesis, appendix A.5). Parallel rays give NaN.
     """
     a = _homogeneous(left.normalize(left_px)) @ right_from_left.R.T
     b = _homogeneous(right.normalize(right_px))
@@ -232,9 +207,7 @@ def _distort(x: Array, kc: tuple[float, ...]) -> Array:
 
 
 def _distortion_jacobian(x: Array, kc: tuple[float, ...]) -> tuple[Array, Array, Array]:
-    """The three different entries (du/du, du/dv = dv/du, dv/dv), each (n,), of the derivative of
-    `_distort`.
-    """
+    """du/du, du/dv = dv/du and dv/dv, each (n,), of `_distort`."""
     k1, k2, p1, p2, k3 = kc
     u, v = x[:, 0], x[:, 1]
     r2 = u * u + v * v
@@ -248,9 +221,7 @@ def _distortion_jacobian(x: Array, kc: tuple[float, ...]) -> tuple[Array, Array,
 
 
 def _undistort(distorted: Array, kc: tuple[float, ...]) -> Array:
-    """Block by block: what the steps of a block need stays in the processor's cache, which makes a
-    million points twice as fast.
-    """
+    """In blocks that fit the processor's cache: twice as fast for a million points."""
     if not any(kc):
         return distorted
     x = np.empty_like(distorted)

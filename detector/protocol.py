@@ -1,9 +1,5 @@
-"""What every detector takes and gives: the seam between the bench and any detector, the thesis's
-among them.
-
-Strategy: structural protocols and plain values, so that a frame set of any origin fits without an
-import from either side. The module may not know the bench, the instruments, nor any one detector; a
-detector never sees the scene, the truth or the script.
+"""What every detector takes and gives: structural protocols and plain values. A detector never sees
+the scene, the truth or the script.
 """
 
 from __future__ import annotations
@@ -22,11 +18,8 @@ Image = NDArray[Any]
 
 
 class Frames(Protocol):
-    """What a detector asks of a frame set.
-
-    left, right: (rows, columns) grey, uint8 or uint16, of the sizes in the calibration. thermal:
-    (rows, columns) as the camera delivers it (mirrored where the calibration says so), or None.
-    thermal_k: (rows, columns) kelvin at sensor resolution, never mirrored, or None.
+    """left, right: (rows, columns) grey, uint8 or uint16, of the calibration's sizes. thermal: as
+    delivered, or None. thermal_k: kelvin at sensor resolution, never mirrored, or None.
     """
 
     @property
@@ -41,9 +34,7 @@ class Frames(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Teat:
-    """One teat end: where it is in the world (3,) mm, how sure (3, 3) mm^2 or None, and the pixels
-    (2,) that it was seen at.
-    """
+    """One teat end: world (3,) mm, covariance (3, 3) mm^2 or None, and its pixels (2,)."""
 
     world_mm: Array
     covariance_mm2: Array | None = None
@@ -64,8 +55,8 @@ class Stage:
 class Detection:
     """A detector's answer on one frame set.
 
-    hidden: how many teats it believes are there but not seen. reason: why nothing was found, or
-    what was left out; None when all went well.
+    hidden: teats believed there but unseen. reason: why nothing was found or what was left out,
+    else None.
     """
 
     teats: tuple[Teat, ...] = ()
@@ -79,9 +70,7 @@ class Detection:
 
 
 class Detector(Protocol):
-    """Anything that finds teat ends. `parameters` holds every setting that changes an answer: it
-    goes into the configuration hash.
-    """
+    """`parameters`: every setting that changes an answer, for the configuration hash."""
 
     @property
     def name(self) -> str: ...
@@ -91,9 +80,7 @@ class Detector(Protocol):
     def parameters(self) -> Mapping[str, Any]: ...
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
-        """Teat ends in the world frame. A frame set that can't be used gives no teats and a reason,
-        never an exception.
-        """
+        """Teat ends, world frame; an unusable frame set gives a reason, never an exception."""
         ...
 
 
@@ -107,9 +94,7 @@ class Outcome(Enum):
 
 
 class DetectionFailure(Exception):  # noqa: N818 - a failure of the detector, not of the bench
-    """A detector gave no answer that can be used; the message is one sentence. Raised where the
-    outcome isn't a plain failure too.
-    """
+    """No usable answer; the message is one sentence."""
 
     def __init__(self, reason: str, outcome: Outcome = Outcome.FAILED) -> None:
         super().__init__(reason)
@@ -118,12 +103,10 @@ class DetectionFailure(Exception):  # noqa: N818 - a failure of the detector, no
 
 @runtime_checkable
 class Served(Protocol):
-    """A detector that lives outside of the bench's process: beside `Detector`, what has to happen
-    around a call.
+    """A detector in another process: `Detector`, and what happens around a call.
 
-    patience_s: how long `prepare` and `detect` may take together before they end by themselves.
-    start_up_s: how long the process took that the last `prepare` started, None where it ran
-    already.
+    patience_s: the longest `prepare` and `detect` together. start_up_s: of the last `prepare`, None
+    where it ran already.
     """
 
     @property
@@ -132,21 +115,15 @@ class Served(Protocol):
     def start_up_s(self) -> float | None: ...
 
     def prepare(self, frames: Frames, calibration: Calibration) -> None:
-        """All that isn't detection: a process started, pictures written where it can read them.
-        Raises DetectionFailure.
-        """
+        """Start the process, write its pictures. Raises DetectionFailure."""
         ...
 
     def check(self) -> None:
-        """Whether it keeps its limits between calls, after an answer and outside of its time.
-        Raises DetectionFailure.
-        """
+        """Check its limits between calls, outside of its time. Raises DetectionFailure."""
         ...
 
     def said(self) -> str:
-        """What it wrote to its standard error since this was last asked, the end of it where that
-        is long.
-        """
+        """Its standard error since the last call, the end of it where long."""
         ...
 
     def close(self) -> None:

@@ -1,10 +1,8 @@
-"""Detectors by name: those that ship, and those that other packages bring (entry points of the
-group ``teatbench.detectors``).
+"""Detectors by name: shipped, or of other packages (entry points ``teatbench.detectors``).
 
-Strategy: a table of names, loaded only when one is created, so that listing them costs nothing.
-What a package brings may be anything that gives an object with ``detect(frame_set, calibration)``:
-the object, its class, or a function that makes it. One that is broken is told by name and is in
-nobody's way. The module may not import a detector at its top: `teatbench --help` reads this table.
+Loaded only when created, so `teatbench --help` stays fast. An entry point gives an object with
+``detect(frame_set, calibration)``, its class, or a function that makes it. A broken one is reported
+by name only.
 """
 
 from __future__ import annotations
@@ -69,9 +67,7 @@ class UnknownDetectorError(ValueError):
 
 
 class BrokenDetectorError(ValueError):
-    """A package brings a detector of that name, but it can't be loaded; the message says which
-    package, and why.
-    """
+    """A package's detector can't be loaded; says which package, and why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,19 +85,15 @@ class Plugged:
 
 
 def available(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
-    """Name -> one line on what it is, of every detector that is there; whether those of other
-    packages work is not tried.
-
-    ``plugs`` are the entry points to look at, those of the group by default.
+    """Name -> one line on every detector; other packages' are not loaded. ``plugs``: the entry
+    points, by default the group's.
     """
     shipped = {name: entry.description for name, entry in _SHIPPED.items()}
     return {**{plug.name: f"from {_source(plug)}" for plug in reversed(_usable(plugs))}, **shipped}
 
 
 def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
-    """Name -> why it can't be used, of the detectors that other packages bring: each is loaded to
-    know.
-    """
+    """Name -> why it can't be used, of other packages' detectors, which are loaded for it."""
     found: dict[str, str] = {}
     seen: set[str] = set()
     for plug in _plugs(plugs):
@@ -129,9 +121,7 @@ def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
 
 
 def create(name: str, plugs: Iterable[EntryPoint] | None = None) -> Detector:
-    """A detector with its own settings.
-
-    Raises UnknownDetectorError with the nearest name where there is no such detector,
+    """A detector with its own settings. Raises UnknownDetectorError with the nearest name,
     BrokenDetectorError where it can't be loaded.
     """
     entry = _SHIPPED.get(name)

@@ -1,8 +1,7 @@
-"""Real and virtual time. Nothing else in the project reads the time of day for its work, or sleeps.
+"""Real and virtual time: the only place that reads the time of day for work, or sleeps.
 
-With the virtual clock time moves only when somebody waits for it: half an hour of soaking is a loop
-over the events that were planned for it, and two runs see the same times to the last bit. It may
-not know who waits or why. Events planned with ``call_at`` run in the thread that moves the time on.
+Virtual time moves only when somebody waits, so two runs see the same times to the last bit. Actions
+of ``call_at`` run in the thread that moves the time.
 """
 
 from __future__ import annotations
@@ -41,9 +40,7 @@ def wall_time() -> datetime:
 
 
 def stopwatch_s() -> float:
-    """Real seconds from an arbitrary start, to measure what software takes (a detector's latency),
-    never to wait.
-    """
+    """Real seconds from an arbitrary start, to measure software, never to wait."""
     return time.perf_counter()
 
 
@@ -53,9 +50,7 @@ def processor_s() -> float:
 
 
 def load_per_processor() -> float | None:
-    """How many processes want a processor, over the last minute, for each that there is; None where
-    the system doesn't count (Windows).
-    """
+    """Processes that want a processor over a minute, for each; None on Windows."""
     return os.getloadavg()[0] / (os.cpu_count() or 1) if hasattr(os, "getloadavg") else None
 
 
@@ -63,9 +58,7 @@ PATIENCE_S = 10.0  # real time that an emulator's thread gets to take bytes befo
 
 
 class RealClock:
-    """Time as it passes, from ``start_s`` on. Planned actions run on a thread of their own, which
-    ``close`` ends.
-    """
+    """Time from ``start_s`` on. Planned actions run on a thread, which ``close`` ends."""
 
     def __init__(self, start_s: float = 0.0) -> None:
         self._start = time.monotonic() - start_s
@@ -88,8 +81,8 @@ class RealClock:
             time.sleep(seconds)
 
     def subscribe(self, looked: Callable[[float], None] | None) -> None:
-        """From now on ``looked`` is called on every thread that looks at the clock, with how long
-        it is about to sleep: a sign of life.
+        """Call ``looked`` with the coming sleep, on every thread that uses the clock: a sign of
+        life.
         """
         self._looked = looked
 
@@ -145,10 +138,8 @@ class VirtualClock:
             heapq.heappush(self._planned, (when_s, next(self._order), action))
 
     def step(self, limit_s: float) -> bool:
-        """Move to the next planned action and run it, or to ``limit_s`` if none comes before; False
-        at the limit.
-
-        What is on its way to an emulator is taken first: it was sent before time moved.
+        """Run the next planned action, or move to ``limit_s``; False at the limit. Bytes to
+        emulators are taken first.
         """
         for wire in list(self._wires.values()):
             wire.wait_taken(PATIENCE_S)
@@ -162,9 +153,7 @@ class VirtualClock:
         return True
 
     def wire(self, port: int) -> Wire:
-        """The account of bytes in flight on the loopback connection whose near end is TCP port
-        ``port``.
-        """
+        """The bytes in flight on the loopback connection whose near end is TCP port ``port``."""
         with self._lock:
             return self._wires.setdefault(port, Wire())
 
@@ -175,13 +164,12 @@ class VirtualClock:
 
 
 class Wire:
-    """Counts of bytes between a link and an emulator of one process, so that time stands still
-    while any is in flight.
+    """Counts the bytes between a link and an emulator, so that time stands still while any is in
+    flight.
 
-    Without it a reader under virtual time could not tell "the emulator has nothing to say" from
-    "its thread has not run yet", and how far time moves would depend on the machine's load. Ctrl-C
-    may strike the host's thread anywhere: only locks of the interpreter's own are used, which
-    `with` never leaves taken.
+    Otherwise "nothing to say" and "its thread has not run yet" look alike, and time depends on
+    load. Ctrl-C may strike anywhere: only the interpreter's own locks are used, which `with` always
+    releases.
     """
 
     def __init__(self) -> None:
@@ -213,9 +201,7 @@ class Wire:
             self._tell()
 
     def send(self, count: int, write: Callable[[], None]) -> None:
-        """The emulator's ``write`` of ``count`` bytes, counted before: where its thread is held up
-        amid it, the host knows to wait.
-        """
+        """The emulator's ``write`` of ``count`` bytes, counted first, so the host waits for it."""
         try:
             self.sending = True
             self.add(to_host=count)
@@ -224,24 +210,18 @@ class Wire:
             self.sending = False
 
     def settle(self, patience_s: float) -> bool:
-        """Wait until bytes are there for the host (True), or nothing is in flight (False).
-
-        Raises TimeoutError when the emulator's thread does neither within ``patience_s`` of real
-        time.
+        """Wait for bytes for the host (True) or nothing in flight (False). Raises TimeoutError when
+        the emulator's thread hangs for ``patience_s`` of real time.
         """
         self._wait_for(self._settled, patience_s)
         return self._to_host > 0 or self._closed
 
     def wait_taken(self, patience_s: float) -> None:
-        """Wait until the emulator has taken all that was sent to it. Raises TimeoutError as
-        ``settle`` does.
-        """
+        """Wait until the emulator took all bytes. Raises TimeoutError as ``settle``."""
         self._wait_for(self._taken, patience_s)
 
     def nothing_came(self) -> None:
-        """The host looked and found no byte, whatever the count says: an interrupt has come between
-        reading and counting.
-        """
+        """Reset the count: an interrupt came between reading and counting."""
         with self._lock:
             self._to_host = 0
 

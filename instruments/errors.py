@@ -1,7 +1,5 @@
-"""What can go wrong with an instrument, as a tree of exceptions.
-
-Each message says who, what was asked, what came (bytes as hex), how long it took and what to try.
-Whose fault it is decides the class: raise the most exact one, catch the one you can act on.
+"""The tree of instrument errors: who, what was asked, what came (hex), how long, what to try. The
+class says whose fault it is: raise the most exact one, catch the one you can act on.
 """
 
 from __future__ import annotations
@@ -13,11 +11,10 @@ def hex_bytes(data: bytes) -> str:
 
 
 class InstrumentError(Exception):
-    """Any fault of an instrument. Not raised itself: use one of the four below.
+    """Any fault of an instrument; raise a subclass.
 
-    ``who`` names the instrument and its link, ``what`` is the sentence, ``asked`` the request,
-    ``seen`` what came instead (bytes are shown as hex), ``seconds`` how long was waited, ``hint``
-    what to try.
+    ``who``: instrument and link; ``what``: the sentence; ``asked``, ``seen``: bytes are shown as
+    hex; ``seconds`` waited; ``hint``: what to try.
     """
 
     def __init__(
@@ -57,9 +54,7 @@ def _shown(fact: str | bytes) -> str:
 
 
 class LinkError(InstrumentError):
-    """Nobody answered, or the link broke: cable, power, address. Not for an answer that makes no
-    sense.
-    """
+    """Nobody answered, or the link broke. Not for an answer that makes no sense."""
 
 
 class ProtocolError(InstrumentError):

@@ -1,9 +1,7 @@
-"""A byte link to an instrument, named by a URL as pyserial names them.
+"""A byte link to an instrument, by URL. Under virtual time it waits by moving the clock.
 
-``/dev/ttyUSB0``, ``COM5`` and ``rfc2217://host:port`` are opened by pyserial.
-``socket://host:port`` is opened here: pyserial's own handler reads one byte a call and sleeps 0.3 s
-when it closes. A link moves bytes and keeps the time; it may not know what they mean. Under virtual
-time it waits by moving the clock.
+pyserial opens ``/dev/ttyUSB0``, ``COM5`` and ``rfc2217://host:port``. ``socket://host:port`` is
+opened here, as pyserial's handler reads one byte a call and sleeps 0.3 s on closing.
 """
 
 from __future__ import annotations
@@ -36,10 +34,7 @@ class _Port(Protocol):
 
 
 class Link:
-    """One open link. One owner: not for use by two threads.
-
-    ``tap`` sees all bytes. Raises LinkError when the link can't be opened, or breaks.
-    """
+    """One open link, for one thread; ``tap`` gets all bytes. Raises LinkError."""
 
     def __init__(
         self, url: str, clock: Clock, *, who: str, baud: int = 115200, tap: Tap | None = None
@@ -52,17 +47,13 @@ class Link:
         self._open()
 
     def reopen(self) -> None:
-        """Open again, after a cable was out: nothing that came before counts. Raises LinkError
-        while the port is not back.
-        """
+        """Open again and forget what came before. Raises LinkError while the port is not back."""
         self.close()
         self._open()
 
     def set_baud(self, baud: int) -> None:
-        """Speak at another rate from now on; a link that is no serial port has none, and only notes
-        it.
-
-        Raises LinkError where the port can't do that rate; it keeps its own then.
+        """Change the rate; a link that is no serial port only notes it. Raises LinkError where the
+        port can't; it keeps its rate then.
         """
         self._refuse_closed()
         try:
@@ -106,11 +97,7 @@ class Link:
             self._virtual[1].add(to_device=len(data))
 
     def receive(self, timeout_s: float) -> bytes:
-        """Whatever has come, waiting ``timeout_s`` at most for the first byte; empty when nothing
-        came.
-
-        Raises LinkError when the link is broken or closed.
-        """
+        """What has come, after ``timeout_s`` at most; empty for nothing. Raises LinkError."""
         self._refuse_closed()
         if self._buffer:
             data, self._buffer = self._buffer, b""
@@ -122,15 +109,11 @@ class Link:
         )
 
     def read(self, count: int, timeout_s: float) -> bytes:
-        """``count`` bytes, or fewer if ``timeout_s`` ran out first. Raises LinkError when the link
-        is broken.
-        """
+        """``count`` bytes, or fewer after ``timeout_s``. Raises LinkError."""
         return self._collect(lambda data: count if len(data) >= count else None, timeout_s)
 
     def read_until(self, terminator: bytes, timeout_s: float) -> bytes:
-        """All up to and with ``terminator``, or what came until ``timeout_s`` ran out. Raises
-        LinkError when broken.
-        """
+        """All up to ``terminator``, or what came within ``timeout_s``. Raises LinkError."""
 
         def end(data: bytes) -> int | None:
             at = data.find(terminator)
@@ -139,9 +122,7 @@ class Link:
         return self._collect(end, timeout_s)
 
     def drain(self, silence_s: float, *, at_most_s: float = 5.0) -> bytes:
-        """Read and give back all that comes until ``silence_s`` without a byte, or until
-        ``at_most_s`` have passed.
-        """
+        """Read all until ``silence_s`` without a byte, or ``at_most_s`` have passed."""
         got = b""
         deadline = self.clock.now() + at_most_s
         while self.clock.now() < deadline:
@@ -152,9 +133,7 @@ class Link:
         return got
 
     def close(self) -> None:
-        """Close the link; once more is no error. Until ``reopen``
-        all other calls raise LinkError.
-        """
+        """May be repeated. Until ``reopen`` all other calls raise LinkError."""
         self._is_open = False
         self._tap.closed()
         if self._virtual:
@@ -180,9 +159,7 @@ class Link:
             data += more
 
     def _receive_by_slices(self, timeout_s: float) -> bytes:
-        """A long wait looks at the clock every second: that is its sign of life, and on Windows the
-        moment for Ctrl-C.
-        """
+        """Looks at the clock every second: a sign of life, and on Windows the moment for Ctrl-C."""
         deadline = self.clock.now() + timeout_s
         while True:
             left_s = max(0.0, deadline - self.clock.now())
@@ -216,9 +193,7 @@ class Link:
             wire.nothing_came()
 
     def _receive_late(self, wire: Wire) -> bytes:
-        """What an emulator's thread counted and then was held up with, on a machine that has much
-        else to do.
-        """
+        """What the emulator's thread counted but had no time to send."""
         return self._receive_really(PATIENCE_S if wire.sending else 0.0)
 
     def _settle(self, wire: Wire) -> bool:
@@ -294,9 +269,7 @@ else:
 
 @contextlib.contextmanager
 def _hang_up_is_os_error() -> Iterator[None]:
-    """A terminal that hangs up amid a call raises an error of its own kind, which pyserial lets
-    through.
-    """
+    """pyserial lets a terminal's own kind of error through when it hangs up."""
     try:
         yield
     except _HANG_UPS as error:

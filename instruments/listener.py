@@ -1,10 +1,9 @@
 """The emulators' end of a link: listens on loopback TCP and hands bytes to a device that never
 waits.
 
-One listener serves one device, on a port that the system chooses; ``pty_listener`` does the same on
-a pseudo-terminal. It may not know what the bytes mean. A device answers at once through its
-connection, or later through ``after``; it never sleeps, and it is never called by two threads at
-the same time: all emulators of a world share one lock.
+One listener a device, on a port that the system chooses. A device answers at once or through
+``Connection.after``. All emulators of a world share one lock, so no device is called by two threads
+at once.
 """
 
 from __future__ import annotations
@@ -72,9 +71,7 @@ class Connection:
             self._port.write(data)
 
     def after(self, seconds: float, action: Callable[[], None]) -> None:
-        """Run ``action`` once the clock has moved on by ``seconds``, unless the host has gone by
-        then.
-        """
+        """Run ``action`` in ``seconds`` by the clock, unless the host has gone."""
 
         def run() -> None:
             with self._lock:
@@ -84,9 +81,7 @@ class Connection:
         self._clock.call_at(self._clock.now() + seconds, run)
 
     def busy_s(self) -> float:
-        """How long the line will take for what was sent already, as a transmitter's empty flag
-        tells; 0 where it isn't paced.
-        """
+        """Time left on the line for what was sent; 0 without a pace."""
         return self._pacer.busy_s() if self._pacer else 0.0
 
     def baud(self) -> int | None:
@@ -94,9 +89,7 @@ class Connection:
         return self._port.baud()
 
     def hang_up(self) -> None:
-        """Break the connection from the device's side: a pulled cable, a power cut. What was sent
-        before arrives.
-        """
+        """Break the connection: a cable or power loss. What was sent before arrives."""
         self.open = False
         if self._wire:
             # at once, so that virtual time does not run on while the host waits
@@ -113,9 +106,7 @@ class Connection:
             self._pacer.abort()
 
     def serve(self, device: Device) -> None:
-        """Hand ``device`` what comes, until the host goes or somebody hangs up: the work of a
-        listener's thread.
-        """
+        """Hand ``device`` what comes until the connection ends: the listener's thread."""
         with self._lock:
             device.connect(self)
         if self._wire:
@@ -152,9 +143,8 @@ class Connection:
 class Listener:
     """Serves ``device`` until closed. ``url`` is what a driver opens.
 
-    With ``baud``, bytes come and go at 10 bits a byte of real time, as on a serial line; with
-    ``latency_s``, the host sees each byte so much later, as behind an adapter. Raises OSError when
-    the address is taken, and ValueError for a pace under virtual time.
+    ``baud``: real time of 10 bits a byte, as a serial line; ``latency_s``: of an adapter. Raises
+    OSError for a taken address, ValueError for a pace under virtual time.
     """
 
     def __init__(

@@ -1,12 +1,8 @@
-"""A serial line's speed and an adapter's latency, kept in real time for a device that knows of
-neither.
+"""A serial line's speed and an adapter's latency, kept in real time between a port and a
+connection.
 
-A pacer stands between a port and a connection. Each direction is a line that carries one byte after
-another, 10 bits each; what has to happen is scheduled by absolute times on those lines, so that a
-thread that wakes late delays one byte and never the rate. This is the one place where real time is
-waited for other than by a clock: on the thread of the listener that serves the port, whose host is
-another program. Virtual time has no use for it: listeners refuse both together. It may not know
-what the bytes mean.
+Each direction carries one byte after another, 10 bits each, by absolute times, so a thread that
+wakes late delays one byte and never the rate. Refused under virtual time.
 """
 
 from __future__ import annotations
@@ -45,9 +41,7 @@ class Port(Protocol):
         ...
 
     def read(self, count: int) -> bytes:
-        """At most ``count`` bytes, waiting for the first; empty, or OSError, when the host has gone
-        or somebody hung up.
-        """
+        """At most ``count`` bytes, waiting for the first; empty or OSError at the end."""
         ...
 
     def write(self, data: bytes) -> None:
@@ -84,26 +78,20 @@ def check_pace(clock: Clock, baud: int | None, latency_s: float) -> None:
 
 
 class Line:
-    """One direction: when bytes that follow one another are through. ``byte_s`` is 0 for a line
-    without a pace.
-    """
+    """One direction: when bytes are through. ``byte_s`` is 0 without a pace."""
 
     def __init__(self, byte_s: float) -> None:
         self.byte_s = byte_s
         self.free_s = -math.inf
 
     def carry(self, count: int, from_s: float) -> float:
-        """Put ``count`` bytes on the line at ``from_s``, behind what is on it; gives back when the
-        last one is through.
-        """
+        """Queue ``count`` bytes at ``from_s``; when the last one is through."""
         self.free_s = max(self.free_s, from_s) + count * self.byte_s
         return self.free_s
 
 
 class Pacer:
-    """Both directions of one host's cable, for as long as it is plugged in. ``run`` is the
-    listener's thread.
-    """
+    """Both directions of one host's cable. ``run`` is the listener's thread."""
 
     def __init__(self, port: Port, clock: Clock, baud: int | None, latency_s: float) -> None:
         byte_s = BITS_PER_BYTE / baud if baud else 0.0
@@ -124,9 +112,7 @@ class Pacer:
         self._wake_far.setblocking(False)
 
     def send(self, data: bytes) -> None:
-        """Put bytes for the host on the line: an answer from where its question ended, anything
-        else from now on.
-        """
+        """Queue bytes for the host: an answer from its question's end, else from now."""
         answers = self._moment_s is not None and threading.get_ident() == self._thread
         start_s = self._moment_s if answers and self._moment_s is not None else self._clock.now()
         for at in range(0, len(data), self._piece):
@@ -152,9 +138,7 @@ class Pacer:
         self._wake()
 
     def run(self, receive: Callable[[bytes], None]) -> None:
-        """Serve until the host goes or somebody hangs up; ``receive`` is told of each byte once it
-        is through.
-        """
+        """Serve until the connection ends; ``receive`` gets each byte once it is through."""
         self._thread = threading.get_ident()
         try:
             if self._port.ready() and not self._hear(self._clock.now()):
@@ -174,9 +158,7 @@ class Pacer:
             self._wake_far.close()
 
     def _turn(self, receive: Callable[[bytes], None]) -> bool:
-        """Tell the device what is through, or wait for what is due next; False when the host has
-        gone.
-        """
+        """Hand over what is through, or wait for the next; False when the host has gone."""
         if not self._heard:
             return not self._wait(listen=True) or self._hear(self._clock.now())
         if self._clock.now() < self._heard_s:
@@ -216,9 +198,7 @@ class Pacer:
         self._moment_s = None
 
     def _wait(self, *, listen: bool) -> bool:
-        """Wait for what is due next, or for a wake; True when the host has sent something, where it
-        is listened for.
-        """
+        """Wait for the next due time or a wake; True when the host has sent something."""
         due_s = min(
             self._heard_s if self._heard else math.inf,
             self._for_host[0][0] if self._for_host else math.inf,

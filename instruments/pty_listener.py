@@ -1,18 +1,8 @@
-"""Whether anybody has closed a device file since one last asked, even if it was opened again at
-once.
+"""The emulators' end of a serial port: a pseudo-terminal (Linux, macOS), in real time.
 
-Linux tells it through inotify, which Python has no module for; other systems don't, and there a
-file that is closed and opened within a moment passes for one that stayed open. It may not know what
-the file is for.
-
-The emulators' end of a serial port: a pseudo-terminal whose other end a driver opens as it opens an
-adapter's port.
-
-Linux and macOS have them. A host that opens the terminal has plugged in, one that closes it has
-pulled its cable: the system tells of the second and not of the first, so that the listener's thread
-looks for a host every few milliseconds. When the device itself hangs up, the terminal goes and
-another one comes, as an adapter may come back under another name. It keeps real time only, and may
-not know what the bytes mean.
+A host that opens it has plugged in, one that closes it has unplugged; only closing is reported, so
+the thread polls for a host. When the device hangs up, another terminal takes its place. Linux's
+inotify (by ctypes) shows a close that is followed by an open at once; other systems miss that.
 """
 
 from __future__ import annotations
@@ -64,9 +54,7 @@ class Closings:
         return self._end
 
     def any(self) -> bool:
-        """Whether there was one since this was last asked. How many is not known: equal events are
-        told once.
-        """
+        """Whether the file was closed since the last call; equal events come only once."""
         some = False
         with contextlib.suppress(BlockingIOError):
             while os.read(self._end, 4096):
@@ -83,11 +71,8 @@ RATES = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 
 
 class PtyListener:
-    """Serves ``device`` on a pseudo-terminal until closed. ``url`` is its path, which pyserial
-    opens.
-
-    ``baud`` and ``latency_s`` are as for a `Listener`. Raises OSError on a system without
-    pseudo-terminals or with none left, and ValueError under virtual time.
+    """Serves ``device`` until closed. ``url`` is the terminal's path; ``baud`` and ``latency_s`` as
+    for `Listener`. Raises OSError without pseudo-terminals, ValueError under virtual time.
     """
 
     def __init__(
@@ -138,9 +123,7 @@ class PtyListener:
             self._terminal.close()
 
     def _host_comes(self) -> bool:
-        """Wait until a host is there; seen twice, so that it has set its port up and flushed it
-        before anything is said.
-        """
+        """Wait for a host, seen twice: it has then set up and flushed its port."""
         seen = 0
         while seen < 2:
             if self._closing.wait(LOOK_S):
@@ -169,10 +152,8 @@ class PtyListener:
 
 
 class _Terminal:
-    """The near end of one pseudo-terminal, never blocking but in ``read``.
-
-    Where the system tells of it, a host that closes is noticed even if another opens at once; one
-    that has a second program open and close the terminal (``stty -F``) has replugged too.
+    """The near end of one pseudo-terminal; only ``read`` blocks. A host that closes and reopens at
+    once is noticed through `Closings`, and so is a second program (``stty -F``).
     """
 
     def __init__(self, name: str) -> None:
@@ -232,9 +213,7 @@ class _Terminal:
         return b""
 
     def write(self, data: bytes) -> None:
-        """What a host leaves unread beyond the system's buffer is lost, as on a port without flow
-        control.
-        """
+        """Bytes beyond the system's buffer are lost, as on a port without flow control."""
         with contextlib.suppress(BlockingIOError):
             while data:
                 data = data[os.write(self._master, data) :]
@@ -289,9 +268,7 @@ def _open(name: str) -> tuple[int, str]:
 
 
 def _set_raw(end: int) -> None:
-    """Bytes as they are, no echo. Looked at first: macOS forgets it whenever a host closes, and a
-    host's own choice stands.
-    """
+    """No translation, no echo. macOS forgets it when a host closes; a host's choice stays."""
     import termios
     import tty
 

@@ -1,8 +1,6 @@
-"""Calibration boards as values: what is printed, and where its points are in the board's own frame.
+"""Calibration boards as values: numbered points on a plane, mm.
 
-Strategy: every kind of board is a numbered list of points on a plane; whoever finds some of them in
-a picture gives their numbers. The board's frame: x along the columns, y along the rows, z = 0, mm,
-the first point at (0, 0). The module may not know images or files.
+The frame: x along the columns, y along the rows, z = 0, the first point at (0, 0).
 """
 
 from __future__ import annotations
@@ -25,11 +23,10 @@ DICTIONARIES: dict[str, int] = {
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """A board with ``columns`` x ``rows`` points, ``pitch_mm`` apart: inner corners of a chessboard
-    or ChArUco board, centres of circles.
+    """``columns`` x ``rows`` points, ``pitch_mm`` apart: inner corners, or centres of circles.
 
-    ``marker_mm`` and ``dictionary`` (of `DICTIONARIES`) belong to ChArUco boards, ``circle_mm``
-    (diameter) to circles.
+    ``marker_mm`` and ``dictionary`` (of `DICTIONARIES`) are for ChArUco boards, ``circle_mm``
+    (diameter) for circles.
     """
 
     kind: BoardKind
@@ -99,9 +96,7 @@ class Board:
 
     @property
     def reads_the_same_turned(self) -> bool:
-        """Whether the board turned by half a turn looks like itself, so that a picture alone can't
-        tell its first point.
-        """
+        """Whether half a turn changes nothing, so a picture can't tell its first point."""
         return self.kind == "circles" or (
             self.kind == "chessboard" and (self.columns + self.rows) % 2 == 0
         )

@@ -1,16 +1,10 @@
-"""The parameters of a bundle adjustment: which there are, which may move, and what a step of them
-does. No fitting here.
+"""Bundle adjustment: cameras, motions between them and poses of the board from all corners, with
+covariance.
 
-Bundle adjustment: all cameras, the motions between them and all poses of the board from all corners
-at once, with their covariance.
-
-Strategy: one Levenberg-Marquardt fit serves a camera alone, a stereo pair with fixed or with joint
-lenses, and a thermal camera that hangs on the pair; what is held fixed is said by a mask. The
-Jacobian is analytic (OpenCV's). A corner depends on the shared parameters and on one pose, so each
-pose leaves the normal equations by its Schur complement. Sources: Triggs, McLauchlan, Hartley,
-Fitzgibbon, "Bundle adjustment, a modern synthesis" (2000); for the covariance, Hartley and
-Zisserman, Multiple View Geometry, 2nd ed., section 5.2. The module may not know images, boards or
-files.
+One Levenberg-Marquardt fit with masks for a camera, a stereo pair, or a thermal camera on the pair;
+OpenCV's analytic derivatives; poses are eliminated by Schur complement. Sources: Triggs,
+McLauchlan, Hartley, Fitzgibbon, "Bundle adjustment, a modern synthesis" (2000); covariance: Hartley
+and Zisserman, 2nd ed., section 5.2.
 """
 
 from __future__ import annotations
@@ -29,9 +23,7 @@ POSE = ("om1", "om2", "om3", "T1", "T2", "T3")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """What camera ``camera`` saw of the board in its pose number ``pose``: points on the board (n,
-    3) mm and their pixels (n, 2).
-    """
+    """What ``camera`` saw of the board in pose number ``pose``: points (n, 3) mm, pixels (n, 2)."""
 
     camera: str
     pose: int
@@ -41,9 +33,7 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
-    """Cameras by name, and the motion of each from the frame of reference, which is the first
-    camera's.
-    """
+    """Cameras by name, and the motion of each from the first camera's frame."""
 
     cameras: Mapping[str, Camera]
     from_reference: Mapping[str, Motion]
@@ -56,10 +46,8 @@ class Rig:
 
 @dataclass(frozen=True, slots=True)
 class Freedom:
-    """What may move. ``lens`` names the free parameters of each camera (of `LENS`); ``aspect``
-    fixes fx / fy as it is at the start.
-
-    ``motions``: whether the cameras may move against each other.
+    """What may move. ``lens``: each camera's free parameters (of `LENS`); ``aspect``: fx / fy is
+    fixed; ``motions``: cameras may move against each other.
     """
 
     lens: Mapping[str, frozenset[str]]
@@ -77,9 +65,7 @@ class State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """Which column of the Jacobian is which parameter: those of cameras and motions first, then six
-    a pose.
-    """
+    """The Jacobian's columns: parameters of cameras and motions, then six a pose."""
 
     shared: tuple[tuple[str, str], ...]
     ratio: Mapping[str, float]  # fy / fx where it is held
@@ -111,9 +97,7 @@ class Layout:
         return len(self.shared) + 6 * self.poses
 
     def columns(self, camera: str, names: Sequence[str]) -> tuple[list[int], list[int]]:
-        """Of the parameters ``names`` of a camera, those that are free: their places among
-        ``names``, and their columns.
-        """
+        """Free ones of a camera's parameters: places among ``names``, and columns."""
         at = {key: column for column, key in enumerate(self.shared)}
         free = [(i, at[camera, name]) for i, name in enumerate(names) if (camera, name) in at]
         return [i for i, _ in free], [column for _, column in free]
@@ -160,19 +144,16 @@ _OPENCV_COLUMNS = slice(6, 15)
 
 
 class BundleError(ValueError):
-    """Observations from which the parameters can't be had: too few, or such that some parameter
-    moves no corner.
-    """
+    """Too few observations, or a parameter that moves no corner."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjusted:
-    """The fit: rig, reference_from_board a pose, and how well it holds.
+    """The fit: rig, reference_from_board of each pose, and quality.
 
-    ``names`` of the free parameters of cameras and motions, as ("left", "fx") and ("right", "om1");
-    ``covariance`` (k, k) of just these, in px, rad and mm, with the poses integrated out and scaled
-    by the residuals' variance ``sigma_px`` squared. ``residuals_px`` a sighting: seen minus
-    predicted (n, 2).
+    ``names`` of free parameters, as ("left", "fx") and ("right", "om1"); their ``covariance`` (k,
+    k) in px, rad and mm, poses integrated out, scaled by ``sigma_px`` squared. ``residuals_px`` of
+    a sighting: seen minus predicted (n, 2).
     """
 
     rig: Rig
@@ -184,9 +165,7 @@ class Adjusted:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square distance of corner from prediction, over all cameras: the "reprojection
-        error" of the toolboxes.
-        """
+        """The toolboxes' "reprojection error": rms distance of corners over all cameras."""
         return float(
             np.sqrt(np.mean(np.concatenate([np.sum(r**2, axis=1) for r in self.residuals_px])))
         )
@@ -202,10 +181,8 @@ class Adjusted:
 def adjust(
     start: Rig, poses: Sequence[Motion], sightings: Sequence[Sighting], freedom: Freedom
 ) -> Adjusted:
-    """The least-squares fit from ``start`` and ``poses`` (reference_from_board). Raises
-    BundleError.
-
-    All corners count alike: their noise is taken for equal and independent.
+    """The least-squares fit from ``start`` and ``poses`` (reference_from_board), with equal,
+    independent noise of all corners. Raises BundleError.
     """
     layout = Layout.of(start, len(poses), freedom)
     rows = sum(2 * len(s.board_mm) for s in sightings)
@@ -229,8 +206,8 @@ def adjust(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Normal:
-    """The normal equations about a state, by blocks: ``shared`` (k, k), ``own`` (poses, 6, 6),
-    ``coupling`` (poses, k, 6), and slopes.
+    """Normal equations by blocks: ``shared`` (k, k), ``own`` (poses, 6, 6), ``coupling`` (poses, k,
+    6), slopes.
     """
 
     shared: Array
@@ -247,9 +224,7 @@ class _Normal:
         return cost if np.isfinite(cost) else np.inf
 
     def reduced(self, damping: float) -> tuple[Array, Array, Array]:
-        """The equations without the poses: matrix (k, k) and slope (k,), and what brings the poses
-        back, (poses, 6, k + 1).
-        """
+        """Without poses: matrix (k, k), slope (k,), and their recovery (poses, 6, k + 1)."""
         damped = self.own + damping * self.own * np.eye(6)
         back = np.linalg.solve(
             damped,
@@ -313,9 +288,7 @@ def _normal(state: State, layout: Layout, sightings: Sequence[Sighting]) -> _Nor
 
 
 def _linearised(state: State, layout: Layout, seen: Sighting) -> tuple[Array, Array, Array]:
-    """The derivatives of one sighting's predictions by the shared parameters (2n, k) and its pose
-    (2n, 6); seen less predicted (2n,).
-    """
+    """A sighting's derivatives by shared parameters (2n, k) and pose (2n, 6); residuals (2n,)."""
     camera, motion, pose = (
         state.rig.cameras[seen.camera],
         state.rig.from_reference[seen.camera],
@@ -345,9 +318,7 @@ def _linearised(state: State, layout: Layout, seen: Sighting) -> tuple[Array, Ar
 
 
 def _chain(whole: Sequence[Array], first: int) -> Array:
-    """(6, 6): the derivative of the composed pose by one of its two motions, from what
-    cv2.composeRT gives.
-    """
+    """(6, 6): derivative of a composed pose by one of its motions, from cv2.composeRT."""
     dr_dr, dr_dt, dt_dr, dt_dt = (
         whole[2 + first],
         whole[3 + first],

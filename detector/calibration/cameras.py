@@ -1,7 +1,5 @@
 """Cameras from views of a board: each alone, then the pair with fixed and with joint lenses.
-
-Strategy: OpenCV's own solver gives the start, the bundle adjustment the answer and its covariance.
-The module may not know pictures: it gets points on the board and their pixels.
+OpenCV's solver gives the start, the bundle adjustment the answer and its covariance.
 """
 
 from __future__ import annotations
@@ -35,9 +33,7 @@ class TooFewViewsError(BundleError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A board's points (n, 3) mm as one camera saw them at (n, 2) px; ``name`` tells the pose: the
-    same in every camera.
-    """
+    """A board's points (n, 3) mm at (n, 2) px; ``name``: the pose, in every camera."""
 
     name: str
     board_mm: Array
@@ -46,9 +42,7 @@ class View:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibrated:
-    """One adjustment over named views: the views in the order of their poses, and which of the
-    sightings belongs to which.
-    """
+    """One adjustment: views in the order of their poses, and the sightings of each."""
 
     fit: Adjusted
     views: tuple[str, ...]
@@ -72,9 +66,7 @@ def calibrate_camera(
     model: str = "k1 k2 p1 p2",
     square_pixels: bool = False,
 ) -> Calibrated:
-    """A camera alone, from its own views. ``model`` is one of `LENS_MODELS`; ``square_pixels``
-    holds fx = fy.
-
+    """A camera from its own views. ``model``: one of `LENS_MODELS`; ``square_pixels``: fx = fy.
     Raises TooFewViewsError, BundleError.
     """
     _refuse_too_few(name, views)
@@ -99,12 +91,10 @@ def join_cameras(
     model: str = "k1 k2 p1 p2",
     square_pixels: bool = False,
 ) -> Calibrated:
-    """The cameras that ``alone`` names against each other, the first one being the frame of
-    reference.
+    """The cameras of ``alone`` against each other, in the first one's frame.
 
-    Lenses of cameras in ``joint_lenses`` are fitted anew with all else, the others are held as they
-    are. Every view that any camera saw takes part; a camera moves only by the views that it shares.
-    Raises TooFewViewsError where a camera shares too few with the first.
+    Lenses of ``joint_lenses`` are fitted again, others are held. All views take part; shared ones
+    move a camera. Raises TooFewViewsError.
     """
     names = list(alone)
     first = alone[names[0]]
@@ -182,9 +172,7 @@ def _started(
 
 
 def _between(first: Calibrated, other: Calibrated, first_name: str, other_name: str) -> Motion:
-    """other_from_first, from the views that both saw: the median of what each says, the start of
-    the adjustment.
-    """
+    """other_from_first as a start: the median over the views that both saw."""
     there = dict(zip(first.views, first.fit.poses, strict=True))
     both = [
         pose @ there[view].inverse()

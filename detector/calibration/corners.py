@@ -1,16 +1,8 @@
-"""Corners of a chessboard that were found beside their places: told by their neighbours.
+"""Finds a board's points in a picture to a fraction of a pixel, or says why the picture is no good.
 
-Strategy: along each row and column a corner lies half-way between its neighbours, or goes on from
-the two before it; lens and tilt bend that by far less than the distance between corners. The median
-over all that is told bears one neighbour astray. May not know pictures.
-
-Finds a board's points in a picture, to a fraction of a pixel, and says why a picture is no good.
-
-Strategy: OpenCV finds the board; the window of the sub-pixel step is kept from reaching the next
-corner (on OpenCV's own pictures a window too large doubles the error); the board's first point is
-told by the colours where they can tell it. A picture that is blurred, or blurred along one
-direction as by motion, is refused by the width of its edges. The module may not know cameras or
-poses.
+The sub-pixel window never reaches the next corner; colours tell the first point where they can;
+blur is refused by the width of edges. A stray corner shows against its neighbours in row and
+column.
 """
 
 from __future__ import annotations
@@ -30,9 +22,7 @@ STRAY = 0.25  # of the distance between corners
 
 
 def between_neighbours(grid_px: NDArray[Any]) -> Array:
-    """Where each corner of (rows, columns, 2), three or more each way, should lie by its
-    neighbours, same shape.
-    """
+    """Expected corners (rows, columns, 2) by the neighbours; three or more each way."""
     told: list[Array] = []
     for axis in (0, 1):
         along = np.moveaxis(np.asarray(grid_px, dtype=np.float64), axis, 0)
@@ -44,9 +34,7 @@ def between_neighbours(grid_px: NDArray[Any]) -> Array:
 
 
 def strays(grid_px: NDArray[Any]) -> NDArray[np.bool_]:
-    """Which corners of (rows, columns, 2) lie farther from where their neighbours tell than `STRAY`
-    allows, (rows, columns).
-    """
+    """Which corners of (rows, columns, 2) are off by more than `STRAY`, (rows, columns)."""
     steps = [np.linalg.norm(np.diff(grid_px, axis=axis), axis=2) for axis in (0, 1)]
     usual = float(min(np.median(step) for step in steps))
     return np.asarray(np.linalg.norm(grid_px - between_neighbours(grid_px), axis=2) > STRAY * usual)
@@ -69,8 +57,8 @@ MOST_BLOBS = 4  # times the board's circles: more is texture
 
 @dataclass(frozen=True, slots=True)
 class SubPixel:
-    """How corners are refined: half the side of the window (None: the largest that can't reach the
-    next corner), and when to stop.
+    """How corners are refined: half the window's side (None: the largest safe one), and when to
+    stop.
     """
 
     window_px: int | None = None
@@ -80,10 +68,8 @@ class SubPixel:
     def refine(
         self, image: Gray, corners: NDArray[Any], grid_px: NDArray[Any], reach: float = REACH
     ) -> tuple[NDArray[Any], int]:
-        """The corners (n, 1, 2), refined, and the window used; ``grid_px`` (rows, columns, 2), NaN
-        where a corner is hidden.
-
-        ``reach``: what of the least distance between corners the window may cover on each side.
+        """Refined corners (n, 1, 2) and the window; ``grid_px`` (rows, columns, 2), NaN if hidden.
+        ``reach``: the window's part of the least distance between corners, on each side.
         """
         window = self.window_px or _largest_window(grid_px, reach)
         until = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, self.steps, self.epsilon_px)
@@ -91,18 +77,15 @@ class SubPixel:
 
 
 class ViewRefusedError(ValueError):
-    """A picture that can't be used; the message is the reason, as a sentence without the picture's
-    name.
-    """
+    """A picture that can't be used; the reason as a sentence."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """The board in one picture: ``ids`` (n,) into the board's points, ``pixels_px`` (n, 2), and the
-    width of its edges in px.
+    """The board in one picture: ``ids`` (n,) of its points, ``pixels_px`` (n, 2).
 
-    ``edges_px``: 10 to 90 % of the rise, along rows and along columns; None where the board has no
-    edges to measure it on. ``window_px``: half the side of the sub-pixel window.
+    ``edges_px``: 10 to 90 % of the rise along rows and columns, None where not measurable.
+    ``window_px``: half the sub-pixel window's side.
     """
 
     ids: NDArray[np.intp]
@@ -123,10 +106,8 @@ class Found:
 def find_board(
     image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel(), inverted: bool | None = None
 ) -> Found:
-    """The board in an 8-bit picture. Raises ViewRefusedError.
-
-    ``inverted``: bright on dark where the print is dark on bright, as a
-    heated board may look; None tries both.
+    """The board in an 8-bit picture. ``inverted``: bright for dark, as a heated board may look;
+    None tries both. Raises ViewRefusedError.
     """
     if image.ndim != 2 or image.dtype != np.uint8:
         raise ValueError(
@@ -146,10 +127,8 @@ def find_board(
 
 
 def order_alike(first: Found, second: Found, board: Board) -> Found:
-    """``second`` counted from the end that ``first`` is counted from: for boards that read the same
-    when turned by half a turn.
-
-    Both cameras are taken to stand upright to each other by less than a right angle.
+    """``second`` counted from the same end as ``first``, for boards that read the same turned; the
+    cameras differ by less than a right angle.
     """
     if not board.reads_the_same_turned:
         return second
@@ -212,11 +191,10 @@ def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
 
 
 def _circles(image: Gray, board: Board, _: SubPixel) -> Found | None:
-    """Dark circles. OpenCV's finder is given the centres of gravity of dark blobs: its own blob
-    detector wants 8 px and more.
+    """Dark circles: OpenCV's finder with our dark blobs, as its own blob detector wants 8 px and
+    more.
 
-    Dark is what lies below one threshold for the whole picture; where that finds no board, as in
-    the shade, what is darker than around it.
+    Dark is below one threshold or, where that finds no board (shade), below its surroundings.
     """
     for dark in _darknesses(image):
         pixels = _grid_of_blobs(image, dark, board)
@@ -241,9 +219,7 @@ def _darknesses(image: Gray) -> Iterator[NDArray[Any]]:
 
 
 def _grid_of_blobs(image: Gray, dark: NDArray[Any], board: Board) -> Array | None:
-    """The board's circles (n, 2) px among blobs of ``dark``, in the print's order; None where they
-    make no grid.
-    """
+    """Circles (n, 2) px in the print's order; None where the blobs make no grid."""
     count, labels, stats, _rough = cv2.connectedComponentsWithStats(dark)
     wanted = board.columns * board.rows
     blobs = [
@@ -273,9 +249,7 @@ def _grid_of_blobs(image: Gray, dark: NDArray[Any], board: Board) -> Array | Non
 
 
 def _round(box: NDArray[Any], largest: float) -> bool:
-    """Whether a blob of this box (left, top, width, height, area) may be a circle seen from
-    somewhere.
-    """
+    """Whether a blob (left, top, width, height, area) may be a circle."""
     width, height, area = (float(v) for v in box[2:5])
     return (
         4.0 <= area <= largest
@@ -293,9 +267,7 @@ def _whole(box: NDArray[Any], image: Gray) -> bool:
 def _centre(
     image: Gray, labels: NDArray[Any], box: NDArray[Any], number: int
 ) -> tuple[float, float]:
-    """The centre of gravity of a dark blob's darkness, with the grey rim that the threshold cut
-    off.
-    """
+    """Centre of gravity of a blob's darkness, with its grey rim."""
     left, top, width, height = (int(v) for v in box[:4])
     rows, columns = slice(top - 1, top + height + 1), slice(left - 1, left + width + 1)
     part = image[rows, columns].astype(np.float64)
@@ -309,18 +281,14 @@ def _centre(
 
 
 def _largest_window(grid_px: NDArray[Any], reach: float) -> int:
-    """Half the side of the sub-pixel window that can't reach the next corner, for corners (rows,
-    columns, 2).
-    """
+    """Half the largest safe window's side for corners (rows, columns, 2)."""
     steps = [np.linalg.norm(np.diff(grid_px, axis=axis), axis=2) for axis in (0, 1)]
     least = float(min(np.nanmin(step) for step in steps if np.isfinite(step).any()))
     return int(np.clip(reach * least, SMALLEST_WINDOW_PX, LARGEST_WINDOW_PX))
 
 
 def _dark_before_first(image: Gray, grid_px: Array) -> bool:
-    """Whether the square outside of the first corner, diagonally, is darker than its neighbours:
-    the print's own first corner.
-    """
+    """Whether the square diagonally outside of the first corner is dark, as printed."""
     first, right, down = grid_px[0, 0], grid_px[0, 1] - grid_px[0, 0], grid_px[1, 0] - grid_px[0, 0]
     values = [
         _at(image, first + 0.5 * (a * right + b * down))

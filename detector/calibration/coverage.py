@@ -1,9 +1,8 @@
-"""What a set of views shows of a camera: how much of the picture, which tilts, which distances; and
-what is still missing, in words.
+"""Which parts of the picture, tilts and distances a set of views covers, and what is missing, in
+words.
 
-Strategy: counts over a few cells and bins, each with a least number; the guide names the emptiest
-first. The bins are wide on purpose: a person with a board in the hands shall be done in some 20
-views. May not know how the poses were found.
+Counts over few, wide cells and bins with a least number each, so that some 20 views do; the guide
+names the emptiest first.
 """
 
 from __future__ import annotations
@@ -43,9 +42,7 @@ _CELL_NAMES_ROWS, _CELL_NAMES_COLUMNS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
-    """``corners`` (ROWS, COLUMNS) seen in each cell of the picture; ``tilted`` views by `SIDES`;
-    distances in mm, nearest and farthest.
-    """
+    """``corners`` (ROWS, COLUMNS) by cell; ``tilted`` views by `SIDES`; nearest and farthest mm."""
 
     views: int
     corners: Array
@@ -89,9 +86,7 @@ class Coverage:
 def coverage(
     pixels_px: Sequence[Array], image_size: tuple[int, int], poses: Sequence[Motion] = ()
 ) -> Coverage:
-    """Of views with corners (n, 2) each, in a picture of (columns, rows) px; ``poses``
-    (camera_from_board) where they are known.
-    """
+    """Of views with corners (n, 2) in (columns, rows) px; ``poses``: camera_from_board if known."""
     corners = np.zeros((ROWS, COLUMNS), dtype=np.float64)
     for pixels in pixels_px:
         cell = np.clip(
@@ -109,11 +104,9 @@ def coverage(
 def rough_poses(
     board_mm: Sequence[Array], pixels_px: Sequence[Array], image_size: tuple[int, int]
 ) -> list[Motion]:
-    """camera_from_board of views, points (n, 3) mm each seen at (n, 2) px, by a lens that is only
-    guessed from them: for a guide.
+    """camera_from_board of views, points (n, 3) mm at (n, 2) px, with a guessed lens: for a guide.
 
-    The focal length is OpenCV's first guess (Zhang 2000, closed form), the principal point the
-    middle, distortion none.
+    Focal length by Zhang 2000, closed form; central principal point; no distortion.
     """
     if not board_mm:
         return []
@@ -138,9 +131,7 @@ def rough_poses(
 
 
 def _leans(pose: Motion) -> Array:
-    """Which of `SIDES` the view is tilted to, (4,) of 0 and 1: by the normal of the board, as the
-    camera sees it.
-    """
+    """Which of `SIDES` the view is tilted to, (4,) of 0 and 1, by the board's normal."""
     normal = pose.R[:, 2] * (1.0 if pose.R[2, 2] > 0 else -1.0)
     x, y = np.degrees(np.arcsin(np.clip(normal[:2], -1.0, 1.0)))
     # a normal (away from the camera) that points to the right means that the left edge is farther

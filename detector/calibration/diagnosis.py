@@ -1,10 +1,8 @@
-"""What is wrong with a calibration, by name, from a board measured again and from points that the
-arm touched.
+"""Names what is wrong with a calibration, from a board measured again and from touched points.
 
-Strategy: each fault leaves a mark of its own: a wrong baseline or square makes all lengths wrong by
-one factor, a shift of columns by a factor that grows with distance, a shift of rows an epipolar
-offset, a bent board a height in its middle, swapped cameras points behind them. A mark counts where
-it is significant and large enough to matter. May not know pages or files.
+A wrong baseline or square scales all lengths; a column shift scales them with distance; a row shift
+is an epipolar offset; a bent board has a raised middle; swapped cameras see points behind them. A
+mark counts where significant and large enough.
 """
 
 from __future__ import annotations
@@ -31,9 +29,7 @@ OUTLIER_RATIO = 2.5  # of a view's error to the median of all
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """``name`` of what was found, for programs; ``sentence`` for people: what is seen, and what it
-    probably is.
-    """
+    """``name`` for programs; ``sentence`` for people: what is seen, and its likely cause."""
 
     name: str
     sentence: str
@@ -93,9 +89,7 @@ def against_the_arm(world: WorldFit) -> list[Finding]:
 
 
 def _significant(value: float, sd: float, again: Remeasured) -> bool:
-    """Whether a mean over views is off by more than chance: as unlikely as `SIGNIFICANT`, the sd
-    itself being known from so many views.
-    """
+    """Whether a mean over views differs from 0 at `SIGNIFICANT`, its sd from as many views."""
     freedom = len(again.views) - 1
     return freedom > 0 and abs(value) > float(t.isf(norm.sf(SIGNIFICANT), freedom)) * sd
 
@@ -148,10 +142,8 @@ def _rows(again: Remeasured) -> list[Finding]:
 
 
 def bent(again: Remeasured) -> list[Finding]:
-    """Whether the board's middle stands off its rim. It may be measured with the very calibration
-    that was made with it.
-
-    A bend that the calibration took up in its lenses is missing then, so that what is left is real.
+    """Whether the board's middle stands off its rim. What the calibration's lenses took up is
+    missing, so what is left is real.
     """
     bend, sd = again.bend
     diagonal = float(np.hypot(*again.board.size_mm))

@@ -1,18 +1,7 @@
-"""The text of a calibration file: what `file.load_calibration` reads back. The module may not know
-where it will be kept.
+"""The calibration file of a recording or a rig: TOML to `Calibration` and back.
 
-What can be wrong with a calibration file, and the checks of single values.
-
-Strategy: a check takes what TOML gave and returns the value or raises `Wrong` with a sentence; it
-knows neither the key nor the file. The reader gathers every fault before it complains, keyed by
-where it is, so that whoever has the text can point at the line.
-
-The calibration file of a recording or a rig: TOML in, `Calibration` out.
-
-Strategy: one table says which keys a block has and how each is checked; the reader walks it,
-gathers every fault there is, and builds the value only from a file without any. What the file may
-leave out (a skew, a homography, a thermal lens) is decided in one place each. The module may not
-know who reads a fault to whom: it gives dotted keys, not lines.
+One table says which keys a block has and how each is checked. The reader gathers every fault by
+dotted key; a value is built only from a file without any.
 """
 
 from __future__ import annotations
@@ -51,11 +40,8 @@ MEANING = {
 
 
 def dump_calibration(calibration: Calibration | Part, heading: str = "") -> str:
-    """The file's text; `load_calibration` reads a whole one back, `load_part` a part. Each line of
-    `heading` becomes a comment at the top.
-
-    Numbers are rounded to 10 significant digits, far beyond what any calibration holds; a
-    covariance to 12, or it might lose its sign.
+    """The file's text, whole or a part; each line of `heading` becomes a comment. Numbers have 10
+    significant digits, a covariance 12, to keep its sign.
     """
     part = calibration if isinstance(calibration, Part) else calibration.part
     lines = [f"# {line}".rstrip() for line in heading.splitlines()] + [""]
@@ -136,9 +122,7 @@ def _record_lines(record: Record | None) -> list[str]:
 
 
 def _quoted(text: str) -> str:
-    """A basic string of TOML: JSON's escapes are among TOML's, all but the delete character's,
-    which JSON leaves as it is.
-    """
+    """A TOML string: JSON's, with the delete character escaped."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -175,9 +159,7 @@ class Fault:
 
 
 class CalibrationError(ValueError):
-    """A calibration file that can't be used, with every fault in it. Raised by `load_calibration`
-    and by nothing else.
-    """
+    """An unusable calibration file, with every fault in it."""
 
     def __init__(self, path: Path, faults: Sequence[Fault]) -> None:
         self.path = path
@@ -312,9 +294,7 @@ def words(value: Any) -> dict[str, str]:
 
 
 def parameters(value: Any) -> tuple[tuple[str, str], ...]:
-    """A check for names of parameters: an array of "owner name"; a thermal pose's owner has two
-    words.
-    """
+    """A check for an array of "owner name"; a thermal pose's owner has two words."""
     if not isinstance(value, list) or not all(isinstance(v, str) and " " in v for v in value):
         raise Wrong('must be an array of names such as "left fx" or "stereo T1"')
     return tuple((v.rpartition(" ")[0], v.rpartition(" ")[2]) for v in value)
@@ -385,9 +365,7 @@ _NEVER_REQUIRED = {"alpha_c", "plane_depth_mm"}
 
 
 def load_calibration(path: Path) -> Calibration:
-    """The calibration in a file of the recording format. Raises CalibrationError with every fault,
-    and for a file that can't be read.
-    """
+    """The calibration in a file. Raises CalibrationError with every fault."""
     blocks = _checked(path, whole=True)
     try:
         return _build(blocks)
@@ -404,9 +382,7 @@ def load_calibration(path: Path) -> Calibration:
 
 
 def load_part(path: Path) -> Part:
-    """What a file of the same format holds that need not be whole: one step's result. Raises
-    CalibrationError as `load_calibration`.
-    """
+    """A file of one step's result, which need not be whole. Raises CalibrationError."""
     found = _checked(path, whole=False).found
     seen, maps = found.get(("cameras", "thermal")), found.get(("homography",), {})
     return Part(
@@ -437,17 +413,13 @@ def _checked(path: Path, *, whole: bool) -> _Blocks:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of the file's bytes, hexadecimal: the calibration's identity in a report. Raises
-    OSError where it can't be read.
-    """
+    """SHA-256 of the file in hex: the calibration's identity in a report. Raises OSError."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @dataclass(slots=True)
 class _Blocks:
-    """The file's blocks while they are checked: values that passed, by block, and the faults so
-    far.
-    """
+    """Checked values by block, and the faults so far."""
 
     document: Mapping[str, Any]
     whole: bool  # or a part, which may leave out any block
@@ -504,9 +476,7 @@ class _Blocks:
             self.faults.append(Fault(key, str(wrong)))
 
     def _check_thermal(self) -> None:
-        """A thermal camera is calibrated (lens and pose), or not (neither); without it both
-        homographies must be given.
-        """
+        """Either lens and pose of the thermal camera, or both homographies."""
         camera, maps = self.document.get("cameras"), self.document.get("homography")
         camera = camera.get("thermal") if isinstance(camera, dict) else None
         if not isinstance(camera, dict):
@@ -567,9 +537,7 @@ def _symmetric(triangle: tuple[tuple[float, ...], ...]) -> Array:
 
 
 def _not_required(key: Key) -> set[str]:
-    """Keys that a block may leave out here; `_check_thermal` says when the thermal ones are needed
-    after all.
-    """
+    """Keys that a block may leave out; `_check_thermal` has the last word."""
     return _NEVER_REQUIRED | {
         ("cameras", "thermal"): set(_LENS),
         ("homography",): {"left", "right"},

@@ -1,14 +1,9 @@
-"""Homographies from thermal to optical pixels out of point pairs, as the thesis made them by hand.
+"""Homographies from thermal to optical pixels: from point pairs, or for a plane from calibrated
+cameras.
 
-Strategy: OpenCV's RANSAC, then a least-squares fit of the inliers; which pairs were left out is
-part of the answer. A homography is right on the plane of its points and nowhere else. May not know
-where the pairs come from.
-
-Homographies from a thermal camera with a pose: what one plane looks like from both cameras.
-
-Strategy: carry a grid of thermal pixels to the plane and into the optical camera through the full
-lens models, then fit the homography to the pairs. Lens distortion makes that a fit and not an
-identity; its residual is a few tenths of a pixel on the thesis's rig.
+Pairs: OpenCV's RANSAC, then least squares of the inliers. Plane: a grid of thermal pixels is
+carried to it and into the optical camera by the full lens models; the fit's residual is a few
+tenths of a pixel on the thesis's rig.
 """
 
 from __future__ import annotations
@@ -29,10 +24,8 @@ RANSAC_SEED = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MappedPairs:
-    """The homography (3, 3) from un-mirrored thermal px to optical px, which pairs (n,) it holds
-    for, and by how much it misses each.
-
-    ``missed_px`` (n,), over all pairs.
+    """The homography (3, 3) from un-mirrored thermal to optical px, its inliers (n,), and
+    ``missed_px`` (n,) of all pairs.
     """
 
     H: Array
@@ -46,9 +39,7 @@ class MappedPairs:
 
 
 def fit_homography(thermal_px: ArrayLike, optical_px: ArrayLike) -> MappedPairs:
-    """From pairs (n, 2) each. Raises ValueError for too few, or for points that determine none (all
-    on one line).
-    """
+    """From pairs (n, 2) each. Raises ValueError for too few, or points on a line."""
     thermal, optical = (np.asarray(points, dtype=np.float64) for points in (thermal_px, optical_px))
     if len(thermal) != len(optical) or len(thermal) < LEAST_PAIRS:
         raise ValueError(
@@ -85,9 +76,7 @@ _GRID = 21
 
 
 def thermal_grid(image_size: tuple[int, int]) -> Array:
-    """Pixels (441, 2) spread evenly over a picture of image_size (columns, rows), its corners among
-    them.
-    """
+    """Pixels (441, 2) evenly over a picture of image_size (columns, rows), with its corners."""
     x, y = np.meshgrid(
         np.linspace(0, image_size[0] - 1, _GRID), np.linspace(0, image_size[1] - 1, _GRID)
     )
@@ -97,10 +86,8 @@ def thermal_grid(image_size: tuple[int, int]) -> Array:
 def through_plane(
     thermal_px: Array, thermal: Camera, thermal_from_right: Motion, plane_depth_mm: float
 ) -> Array:
-    """Points (n, 3) in the right camera's frame where the rays of thermal pixels (n, 2) meet the
-    plane Z = plane_depth_mm of that frame.
-
-    NaN where the plane lies behind the thermal camera.
+    """Points (n, 3), right camera's frame, where rays of thermal pixels (n, 2) meet Z =
+    plane_depth_mm; NaN behind the thermal camera.
     """
     right_from_thermal = thermal_from_right.inverse()
     origin = right_from_thermal.T
@@ -116,11 +103,8 @@ def plane_homography(
     optical_from_right: Motion,
     plane_depth_mm: float,
 ) -> Array:
-    """The (3, 3) homography, last entry 1, from un-mirrored thermal pixels to optical pixels on the
-    plane Z = plane_depth_mm.
-
-    The plane is parallel to the right camera's image plane. Raises ValueError where the plane isn't
-    in front of both cameras.
+    """(3, 3), last entry 1, from un-mirrored thermal to optical pixels on Z = plane_depth_mm (right
+    camera's frame). Raises ValueError unless the plane is before both cameras.
     """
     grid = thermal_grid(thermal.image_size)
     seen = optical.project(

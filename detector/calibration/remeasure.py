@@ -1,9 +1,5 @@
-"""A board measured again in space with a calibrated pair: spacing, flatness, epipolar offset. What
-a calibration is really worth.
-
-Strategy: the views measured are not those that the calibration was made from. From how lengths,
-offsets and bends depend on distance and place follows what is wrong: `diagnose`. May not know how
-the calibration was made.
+"""A board measured again in space with a calibrated pair: spacing, flatness, epipolar offset. Its
+views are not those of the calibration; `diagnosis` judges how errors vary with distance and place.
 """
 
 from __future__ import annotations
@@ -23,9 +19,7 @@ Ids = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairView:
-    """A board seen by both cameras: the same points ``ids`` (n,) of the board at left and right
-    pixels (n, 2).
-    """
+    """A board seen by both cameras: points ``ids`` (n,) at left and right pixels (n, 2)."""
 
     name: str
     ids: Ids
@@ -35,12 +29,11 @@ class PairView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """One view measured again. mm and px; ``scale``: lengths measured over lengths printed.
+    """One view measured again; mm and px; ``scale``: measured over printed lengths.
 
-    ``off_plane_mm`` (n,): each point's height over the plane fitted to all, along the plane's
-    normal towards the cameras. ``epipolar_px`` (n,): signed distance in the right picture of each
-    point from the epipolar line of its partner, positive downwards. ``spacing_mm`` (m,): distances
-    of neighbours, less the pitch.
+    ``off_plane_mm`` (n,): height over the fitted plane, towards the cameras. ``epipolar_px`` (n,):
+    signed distance from the epipolar line in the right picture, positive downwards. ``spacing_mm``
+    (m,): neighbours' distances less the pitch.
     """
 
     name: str
@@ -66,9 +59,7 @@ class Remeasured:
 
     @property
     def grows_with_distance(self) -> bool:
-        """Whether the error of the scale is told better as proportional to distance than as the
-        same at every distance.
-        """
+        """Whether a scale error proportional to distance fits better than a constant one."""
         depth, off = (
             np.array(values)
             for values in zip(
@@ -80,9 +71,7 @@ class Remeasured:
 
     @property
     def epipolar(self) -> tuple[float, float]:
-        """Mean signed offset of rows in px, over the views, and the standard deviation of that
-        mean.
-        """
+        """Mean signed row offset in px over the views, and its standard deviation."""
         return _mean([float(np.mean(view.epipolar_px)) for view in self.views])
 
     @property
@@ -106,9 +95,7 @@ class Remeasured:
 
     @property
     def bend(self) -> tuple[float, float]:
-        """Height of the board's middle over its edge, mm, by a paraboloid fitted to all views, and
-        the standard deviation of it.
-        """
+        """Height of the middle over the edge, mm, by a paraboloid over all views, and its sd."""
         return _mean([_bend_mm(self.board, view) for view in self.views])
 
 
@@ -142,11 +129,10 @@ def _measured(pair: Pair, board: Board, view: PairView) -> Measured:
 
 
 def epipolar_px(pair: Pair, view: PairView) -> Array:
-    """Signed distances (n,) px of right pixels from the epipolar lines of their partners, positive
-    downwards (larger rows).
+    """Signed distances (n,) px of right pixels from their epipolar lines, positive downwards.
 
-    Lines are drawn in the undistorted picture at the right camera's focal length. Hartley and
-    Zisserman, 2nd ed., section 9.6.
+    In the undistorted picture at the right camera's focal length. Hartley and Zisserman, 2nd ed.,
+    section 9.6.
     """
     a = np.column_stack([pair.left.normalize(view.left_px), np.ones(len(view.left_px))])
     b = np.column_stack([pair.right.normalize(view.right_px), np.ones(len(view.right_px))])

@@ -1,13 +1,9 @@
-"""Fits of one set of points to another: rigid, similarity and affine side by side, what they leave
-over, and how far they miss elsewhere.
+"""Rigid, similarity and affine fits of points to points, with residuals and held-out errors.
 
-Strategy: the rigid fit is the answer; the other two only say whether the points keep their shape.
-Where affine is much better in-sample, one of the two sets is measured wrongly. Points in one plane
-are allowed: the plane's normal then maps to the other plane's, at scale 1. May not know what the
-points are, or who measured them.
-
-Sources: Kabsch 1976 (rigid), Umeyama 1991 (similarity); Fitzpatrick, West and Maurer, IEEE Trans.
-Med. Imaging 17 (1998) 694, for fiducial and target error.
+The rigid fit is the answer; a much better affine one means that a set is measured wrongly. Points
+in a plane: its normal maps to the other's, at scale 1. Kabsch 1976 (rigid), Umeyama 1991
+(similarity); Fitzpatrick, West and Maurer, IEEE Trans. Med. Imaging 17 (1998) 694 (fiducial and
+target error).
 """
 
 from __future__ import annotations
@@ -25,9 +21,7 @@ _FLAT = 1e-9  # of the largest extent: thinner than this is no extent
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """x -> A x + t of one ``model``: A (3, 3), t (3,) mm; ``residuals_mm`` (n, 3) are target less
-    fitted source.
-    """
+    """x -> A x + t: A (3, 3), t (3,) mm; ``residuals_mm`` (n, 3) are target less fitted source."""
 
     model: str
     A: Array
@@ -41,9 +35,7 @@ class Fit:
 
     @property
     def singular_values(self) -> Array:
-        """Singular values (3,) of A, largest first: 1 three times for a motion that keeps shape and
-        size.
-        """
+        """Singular values (3,) of A, largest first: all 1 for a rigid motion."""
         return np.asarray(np.linalg.svd(self.A, compute_uv=False))
 
     def apply(self, points_mm: ArrayLike) -> Array:
@@ -53,9 +45,7 @@ class Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """The three fits of the same pairs, and the held-out error of each (rms, mm; None where too few
-    pairs are left over).
-    """
+    """The three fits, and each one's held-out rms error in mm (None: too few pairs)."""
 
     rigid: Fit
     similarity: Fit
@@ -69,9 +59,7 @@ class Comparison:
 
 
 def fit_rigid(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
-    """Rotation and shift; reflections ruled out. Raises ValueError as
-    `detector.geometry.rigid_fit`.
-    """
+    """Rotation and shift, no reflection. Raises ValueError as `detector.geometry.rigid_fit`."""
     motion = rigid_fit(target_mm, source_mm)
     return _left_over("rigid", motion.R, motion.T, target_mm, source_mm)
 
@@ -92,10 +80,8 @@ def fit_similarity(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
 
 
 def fit_affine(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
-    """Any linear map and a shift. Of points in one plane the plane is fitted, and its normal goes
-    to the normal of the other.
-
-    Raises ValueError as the rigid fit.
+    """A linear map and a shift; for points in a plane, its normal goes to the other's. Raises
+    ValueError as the rigid fit.
     """
     target, source = (
         np.asarray(target_mm, dtype=np.float64),
@@ -114,9 +100,7 @@ def fit_affine(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
 
 
 def compare(target_mm: ArrayLike, source_mm: ArrayLike) -> Comparison:
-    """All three fits of pairs (n, 3), with their held-out errors. Raises ValueError as the rigid
-    fit.
-    """
+    """All three fits of pairs (n, 3) with held-out errors. Raises ValueError as the rigid fit."""
     models = {"rigid": fit_rigid, "similarity": fit_similarity, "affine": fit_affine}
     held_out = {name: rms_held_out_mm(fit, target_mm, source_mm) for name, fit in models.items()}
     rigid, similarity, affine = (fit(target_mm, source_mm) for fit in models.values())
@@ -126,9 +110,7 @@ def compare(target_mm: ArrayLike, source_mm: ArrayLike) -> Comparison:
 def held_out_mm(
     fit: Callable[[ArrayLike, ArrayLike], Fit], target_mm: ArrayLike, source_mm: ArrayLike
 ) -> Array:
-    """For each pair (n, 3) its distance (n,) from where the fit of all others puts it; NaN where
-    the others determine no fit.
-    """
+    """Distances (n,) of pairs (n, 3) from the fit of all others; NaN where those determine none."""
     target, source = (
         np.asarray(target_mm, dtype=np.float64),
         np.asarray(source_mm, dtype=np.float64),
@@ -157,16 +139,14 @@ def rms_held_out_mm(
 
 
 def expected_fre_mm(fle_mm: float, n: int) -> float:
-    """Root of <FRE^2> = (1 - 2/N) <FLE^2>; ``fle_mm`` is the rms distance of one fiducial from its
-    place. Raises ValueError below 3.
+    """Root of <FRE^2> = (1 - 2/N) <FLE^2>; ``fle_mm`` is a fiducial's rms. Raises ValueError below
+    3.
     """
     return fle_mm * float(np.sqrt(1.0 - 2.0 / _enough(n)))
 
 
 def fle_from_fre_mm(fre_mm: float, n: int) -> float:
-    """The fiducial localisation error that a fit of ``n`` points with this FRE speaks of. Raises
-    ValueError below 3.
-    """
+    """The fiducial localisation error from the FRE of ``n`` points. Raises ValueError below 3."""
     return fre_mm / float(np.sqrt(1.0 - 2.0 / _enough(n)))
 
 
@@ -174,9 +154,8 @@ def target_error_mm(fle_mm: float, fiducials_mm: ArrayLike, at_mm: ArrayLike) ->
     """Expected target error (m,) at points (m, 3): <TRE^2(r)> = <FLE^2>/N (1 + 1/3 sum d_k^2 /
     f_k^2).
 
-    d_k is the distance of the point from principal axis k of the fiducials (n, 3), f_k the rms
-    distance of the fiducials from it. Fitzpatrick, West and Maurer 1998, eq. 46. Infinite where the
-    fiducials lie on one line.
+    d_k: the point's distance from principal axis k of the fiducials (n, 3); f_k: theirs, rms
+    (Fitzpatrick, West and Maurer 1998, eq. 46). Infinite for fiducials on one line.
     """
     source, at = (
         np.asarray(fiducials_mm, dtype=np.float64),
@@ -193,11 +172,9 @@ def target_error_mm(fle_mm: float, fiducials_mm: ArrayLike, at_mm: ArrayLike) ->
 
 
 def rotation_covariance(fiducials_mm: ArrayLike, u_mm: float) -> Array:
-    """Covariance (3, 3) rad^2 of the rotation vector of a rigid fit, about the fiducials' own axes
-    (n, 3), to first order.
-
-    Each coordinate of each fiducial has the standard uncertainty ``u_mm``, uncorrelated. Raises
-    ValueError for points on one line.
+    """Covariance (3, 3) rad^2 of a fit's rotation vector about the axes of fiducials (n, 3), first
+    order. ``u_mm``: standard uncertainty of each coordinate, uncorrelated. Raises ValueError for a
+    line.
     """
     source = np.asarray(fiducials_mm, dtype=np.float64)
     _enough(len(source))
@@ -209,11 +186,8 @@ def rotation_covariance(fiducials_mm: ArrayLike, u_mm: float) -> Array:
 
 
 def target_covariance(fiducials_mm: ArrayLike, u_mm: float, at_mm: ArrayLike) -> Array:
-    """Covariance (3, 3) mm^2 of a rigidly mapped point (3,), in the fiducials' axes: shift and
-    rotation together, to first order.
-
-    Its trace is the square of `target_error_mm` with fle = sqrt(3) u. Raises ValueError for points
-    on one line.
+    """Covariance (3, 3) mm^2 of a mapped point (3,) in the fiducials' axes, first order. Its trace
+    is `target_error_mm` squared with fle = sqrt(3) u. Raises ValueError for a line.
     """
     source = np.asarray(fiducials_mm, dtype=np.float64)
     arm = cross_matrix(np.asarray(at_mm, dtype=np.float64) - source.mean(axis=0))

@@ -1,9 +1,7 @@
-"""Split-half comparison: the calibration made twice, from every other view each, and how far the
-two disagree where it matters.
+"""Split-half comparison: two calibrations, each from every other view, and how far they disagree.
 
-Strategy: what the stated standard deviations promise is held against what two independent halves
-do. Reprojection error can't show this: a fit to few views reprojects better, and is worse. Source:
-the bench's metrology sheet, "Calibration quality". May not know files.
+It tests the stated standard deviations. Reprojection error can't: few views reproject better, and
+are worse.
 """
 
 from __future__ import annotations
@@ -22,17 +20,13 @@ from detector.geometry import Array, Motion, triangulate
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Halves:
-    """Two calibrations of one pair, each from half of the views; ``differences`` of parameters in
-    combined standard deviations.
-    """
+    """Two calibrations of one pair; ``differences`` of parameters in combined sd."""
 
     pairs: tuple[Pair, Pair]
     differences: Mapping[tuple[str, str], float]
 
     def disagree_mm(self, left_px: ArrayLike, right_px: ArrayLike) -> Array:
-        """Distance (n,) mm between the points that both halves triangulate from the same pixels (n,
-        2), in the right camera's frame.
-        """
+        """Distance (n,) mm of points that both triangulate from pixels (n, 2), right's frame."""
         first, second = (
             triangulate(
                 np.asarray(left_px),
@@ -53,9 +47,7 @@ def split_half(
     model: str,
     square_pixels: bool = False,
 ) -> Halves:
-    """Both halves of the views that left and right share, alone and jointly. Raises
-    TooFewViewsError where a half is too small.
-    """
+    """Both halves of the shared views, alone and jointly. Raises TooFewViewsError."""
     shared = [
         view.name for view in views["left"] if view.name in {other.name for other in views["right"]}
     ]
@@ -81,9 +73,7 @@ def split_half(
 
 
 def pair_of(joined: Calibrated, world_from_right: Motion | None = None) -> Pair:
-    """The pair of an adjustment of the cameras left and right; the world is the right camera's
-    frame where there is none.
-    """
+    """The pair of an adjustment of left and right; without a world, the right camera's frame."""
     rig = joined.fit.rig
     right_from_left = rig.from_reference["right"] @ rig.from_reference["left"].inverse()
     return Pair(

@@ -1,13 +1,10 @@
-"""The thesis's rig as a calibration that hangs together: published figures in, rigid motions and a
-pinhole thermal camera out.
+"""The thesis's rig as a consistent calibration: published figures in, rigid motions and a pinhole
+thermal camera out.
 
-Strategy: cameras and stereo as printed. The printed world matrix isn't rigid (singular values
-1.000, 0.990, 0.920), so the rigid motion is taken that shows the four teat ends of table 5.2 where
-the printed matrix shows them, in both images. The printed homographies fix a thermal camera's focal
-lengths, its direction and the depth of their plane, but hardly its place along the baseline, so it
-stands midway between the optical cameras (section 3.2.2 has it "between" them). The homographies of
-the result are right at the depth of the teat ends. Pure: no file is read; `dump_calibration` writes
-what comes out.
+The printed world matrix isn't rigid (singular values 1.000, 0.990, 0.920): the rigid motion that
+shows the four teat ends of table 5.2 at the same pixels is taken. The printed homographies fix the
+thermal camera's focal lengths, direction and plane; it stands midway between the optical cameras
+(section 3.2.2). The result's homographies hold at the teat ends' depth.
 """
 
 from __future__ import annotations
@@ -53,11 +50,9 @@ THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE = (640, 480), (160, 120)  # sections 3.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThermalFit:
-    """A pinhole thermal camera midway between the optical ones, where the printed homographies'
-    plane lies, and what is left over.
-
-    residual_px (2, n, 2): left and right, a pixel of the thermal grid each; rms_px: of the lengths
-    of those (n, 2) differences.
+    """A pinhole thermal camera midway between the optical ones, and the depth of the printed
+    homographies' plane. residual_px (2, n, 2): left and right, each grid pixel; rms_px: of their
+    lengths.
     """
 
     lens: Camera
@@ -98,8 +93,8 @@ def stereo_pixels(in_right_mm: Array) -> Array:
 
 
 def fit_world() -> Motion:
-    """`world_from_right`: the rigid motion whose teat ends lie closest, in px over both images, to
-    where the printed matrix puts them.
+    """`world_from_right` whose teat ends lie closest to the printed matrix's, in px over both
+    images.
     """
     teats, wanted = np.array(TEAT_ENDS_MM), stereo_pixels(printed_teats_in_right_mm())
     start = rigid_fit(printed_teats_in_right_mm(), teats)
@@ -121,9 +116,7 @@ def fit_world() -> Motion:
 
 
 def fit_thermal() -> ThermalFit:
-    """The thermal camera that meets both printed homographies best, over an even grid of the
-    thermal picture.
-    """
+    """The thermal camera closest to both printed homographies over an even grid."""
     # the left camera's centre, in the right camera's frame, is T
     midway = 0.5 * right_from_left().T
     left_from_right, grid = right_from_left().inverse(), thermal_grid(THERMAL_IMAGE_SIZE)
@@ -157,9 +150,7 @@ def fit_thermal() -> ThermalFit:
 
 
 def thesis_rig() -> Calibration:
-    """The emulated rig's calibration, complete. Its homographies hold at the mean depth of the teat
-    ends of table 5.2.
-    """
+    """The emulated rig's calibration; its homographies hold at table 5.2's mean depth."""
     world_from_right, fit = fit_world(), fit_thermal()
     thermal_from_left = fit.thermal_from_right @ right_from_left()
     depth_mm = float(world_from_right.inverse().apply(TEAT_ENDS_MM)[:, 2].mean())
@@ -173,12 +164,11 @@ def thesis_rig() -> Calibration:
 
 
 def thesis_published() -> Calibration:
-    """What the thesis printed, as far as a calibration can hold it: lenses, stereo and
-    homographies, with the printed uncertainties.
+    """What the thesis printed: lenses, stereo, homographies, uncertainties (a third of the
+    toolbox's).
 
-    Bouguet's toolbox prints three standard deviations; the correlations are not printed, so none
-    are here. The world is `fit_world`, since the printed matrix is no rigid motion. The thermal
-    camera has no lens and no pose: homographies are all there is of it.
+    Correlations are not printed, so none are here. The world is `fit_world`; the thermal camera has
+    homographies only.
     """
     sds: dict[tuple[str, str], float] = {}
     for name, (fc, cc, k1, k2) in PRINTED_UNCERTAINTY.items():

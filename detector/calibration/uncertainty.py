@@ -1,9 +1,5 @@
-"""How uncertain a triangulated point is: from the covariance of all calibration parameters and from
-the pixels' noise.
-
-Strategy: first order (JCGM 100:2008, 5.1.2, and 102:2011 for several quantities). The derivatives
-are central differences of the very triangulation that detectors use, for all points at once. The
-module may not know how the covariance was found.
+"""Uncertainty of triangulated points from the calibration's covariance and the pixels' noise. First
+order (JCGM 100:2008, 5.1.2; 102:2011), with central differences of the detectors' triangulation.
 """
 
 from __future__ import annotations
@@ -27,10 +23,9 @@ MOTIONS = ("stereo", "thermal pose", "world")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterCovariance:
-    """``matrix`` (k, k) of the parameters ``names``: (of `LENSES`, of `bundle.LENS`) or (of
-    `MOTIONS`, of `bundle.POSE`); px, rad, mm.
-
-    A parameter that isn't named was held fixed. Raises ValueError where it is no covariance.
+    """``matrix`` (k, k) of ``names``: (of `LENSES`, of `bundle.LENS`) or (of `MOTIONS`, of
+    `bundle.POSE`); px, rad, mm. Other parameters were fixed. Raises ValueError where it is no
+    covariance.
     """
 
     names: tuple[tuple[str, str], ...]
@@ -104,9 +99,7 @@ class Pair:
         )
 
     def moved(self, owner: str, name: str, step: float) -> Pair:
-        """The pair with one parameter changed; parameters of the
-        thermal camera move nothing here.
-        """
+        """The pair with one parameter changed; the thermal camera's move nothing."""
         if owner == "left":
             return replace(self, left=_with(self.left, name, step))
         if owner == "right":
@@ -123,11 +116,8 @@ class Pair:
 def covariance_of_points(
     pair: Pair, covariance: ParameterCovariance | None, world_mm: ArrayLike, pixel_sd_px: float
 ) -> Array:
-    """Covariance (n, 3, 3) mm^2 of world points (n, 3) as triangulated from their pixels; NaN for a
-    point that a camera can't see.
-
-    ``pixel_sd_px``: standard deviation of each pixel coordinate, in both cameras. Without a
-    covariance, that alone.
+    """(n, 3, 3) mm^2 of triangulated world points (n, 3); NaN for one that a camera can't see.
+    ``pixel_sd_px``: of each pixel coordinate; alone where there is no covariance.
     """
     points = np.atleast_2d(np.asarray(world_mm, dtype=np.float64))
     left_px, right_px = pair.see(points)

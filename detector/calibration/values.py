@@ -1,8 +1,5 @@
-"""What a calibration is: cameras, the motions between them and the world, and the homographies from
-thermal to optical.
-
-Strategy: one frozen value, complete by the time it exists; whatever a file may leave out has been
-derived. The module may not know the file format, nor any detector.
+"""A calibration as one complete, frozen value: cameras, motions between them and the world,
+homographies.
 """
 
 from __future__ import annotations
@@ -23,10 +20,10 @@ POLARITIES: tuple[str, ...] = get_args(Polarity)
 
 @dataclass(frozen=True, slots=True)
 class ThermalCamera:
-    """The thermal camera: how its picture is delivered, and its lens where that is calibrated.
+    """The thermal picture's form, and a lens where calibrated.
 
-    image_size (columns, rows) px of the delivered picture, sensor_size of the sensor; `lens` is for
-    the un-mirrored picture at image_size.
+    image_size (columns, rows) px as delivered, sensor_size of the sensor; `lens` is for the
+    un-mirrored picture at image_size.
     """
 
     image_size: tuple[int, int]
@@ -38,10 +35,9 @@ class ThermalCamera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Homographies:
-    """Un-mirrored thermal pixel -> left and right pixel, (3, 3) each, right on one plane only.
+    """Un-mirrored thermal to left and right pixels, (3, 3) each, on one plane.
 
-    plane_depth_mm: where that plane, parallel to the right camera's image plane, lies in the right
-    camera's frame; None where nobody knows.
+    plane_depth_mm: its Z in the right camera's frame; None if unknown.
     """
 
     left: Array
@@ -58,8 +54,8 @@ class Homographies:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Who calibrated, when (an ISO date), with what, on which cameras (identity by name), from
-    which files (SHA-256 by name).
+    """Who, when (ISO date), with what, which cameras (identity by name), which files (SHA-256 by
+    name).
     """
 
     made: str
@@ -71,9 +67,7 @@ class Record:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """What one step of a calibration found: any of the parts of a
-    `Calibration`, the others None.
-    """
+    """What one step found: parts of a `Calibration`, the others None."""
 
     left: Camera | None = None
     right: Camera | None = None
@@ -88,11 +82,10 @@ class Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """A calibrated rig. Lengths mm; motions take points from the frame named last to the one named
-    first.
+    """A calibrated rig. Lengths mm; motions take points from the frame named last to the first.
 
-    `thermal.lens` and `thermal_from_left` are both there or both None: a rig may have nothing but
-    homographies. `covariance` is that of all fitted parameters; None where the file doesn't say.
+    `thermal.lens` and `thermal_from_left` are both given or both None. `covariance` is of all
+    fitted parameters; None where the file has none.
     """
 
     left: Camera
@@ -130,11 +123,8 @@ class Calibration:
         return Pair(self.left, self.right, self.right_from_left, self.world_from_right)
 
     def covariance_of(self, world_mm: ArrayLike, pixel_sd_px: float = 0.0) -> Array:
-        """Covariance (n, 3, 3) mm^2, world axes, of triangulated points (n, 3): the calibration's
-        own, and the pixels' of `pixel_sd_px`.
-
-        NaN for a point that a camera can't see. Zero where the file gives no covariance and no
-        pixel noise is asked for.
+        """(n, 3, 3) mm^2, world axes, of triangulated points (n, 3): calibration and `pixel_sd_px`.
+        NaN for a point that a camera can't see; zero without covariance and pixel noise.
         """
         return covariance_of_points(self.pair, self.covariance, world_mm, pixel_sd_px)
 
@@ -151,11 +141,8 @@ class Calibration:
         ), self.right.project(in_right)
 
     def depth_per_disparity_px_mm(self, world_mm: ArrayLike) -> Array:
-        """How far (n,) one pixel of disparity error moves world points (n, 3) along the viewing
-        axis: Z^2 / (f B).
-
-        f is the mean of both cameras' horizontal focal lengths. No stereo method on this rig does
-        better a pixel.
+        """Motion (n,) of world points (n, 3) along the viewing axis for 1 px of disparity: Z^2 / (f
+        B), f the mean horizontal focal length. No stereo method here is better per pixel.
         """
         depth = self.world_from_right.inverse().apply(
             np.atleast_2d(np.asarray(world_mm, dtype=np.float64))

@@ -1,10 +1,7 @@
-"""The table's frame from points that the arm touched and the cameras saw: camera to world, with its
-covariance.
+"""Camera to world from points that the arm touched and the cameras saw, with its covariance.
 
-Strategy: the points are triangulated with the pair as calibrated and fitted rigidly; similarity and
-affine stand beside it as a diagnosis. The pose depends on the very lenses that triangulated the
-points, so the covariance is told for lenses, stereo and world together: their errors partly cancel
-wherever the points were touched. May not know who touched them, nor with what.
+The triangulated points are fitted rigidly; similarity and affine are the diagnosis. The covariance
+is joint with lenses and stereo, as their errors partly cancel where points were touched.
 """
 
 from __future__ import annotations
@@ -25,11 +22,9 @@ POINT_STEP_MM = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorldFit:
-    """``comparison`` of touched points with triangulated ones (right camera's frame), and the
-    covariance of all parameters together.
-
-    ``in_right_mm``, ``touched_mm`` (n, 3). ``covariance`` holds the pair's parameters and the six
-    of the world.
+    """``comparison`` of touched with triangulated points (right camera's frame), and joint
+    covariance. ``in_right_mm``, ``touched_mm`` (n, 3); ``covariance``: the pair's parameters and
+    the world's six.
     """
 
     world_from_right: Motion
@@ -40,9 +35,7 @@ class WorldFit:
 
     @property
     def scale(self) -> float:
-        """Touched lengths over triangulated ones: far from 1, a board's squares or the baseline
-        were told wrongly.
-        """
+        """Touched over triangulated lengths: far from 1, squares or baseline are wrong."""
         return float(np.cbrt(np.linalg.det(self.comparison.similarity.A)))
 
     @property
@@ -54,9 +47,7 @@ class WorldFit:
         return float(np.sqrt(np.sum(left_over**2) / freedom / np.sum(spread**2)))
 
     def target_error_mm(self, world_mm: ArrayLike) -> Array:
-        """Expected distance (m,) of mapped from true place at world points (m, 3), as the residuals
-        of the fit speak of it.
-        """
+        """Expected error (m,) at world points (m, 3), by the fit's residuals."""
         fle_mm = fle_from_fre_mm(self.comparison.rigid.fre_mm, len(self.touched_mm))
         return target_error_mm(fle_mm, self.touched_mm, world_mm)
 
@@ -73,11 +64,8 @@ def fit_world(
     pixel_sd_px: float,
     touch_sd_mm: float,
 ) -> WorldFit:
-    """World from pixel pairs (n, 2) of points that the arm touched at (n, 3) mm. Raises ValueError
-    where they determine no fit.
-
-    ``touch_sd_mm`` is the standard uncertainty of a touch along each axis, ``pixel_sd_px`` that of
-    a pixel coordinate.
+    """World from pixel pairs (n, 2) of points touched at (n, 3) mm. Raises ValueError without a
+    fit. ``touch_sd_mm`` along each axis, ``pixel_sd_px`` of a coordinate.
     """
     seen = np.asarray(left_px, dtype=np.float64), np.asarray(right_px, dtype=np.float64)
     touched = np.asarray(touched_mm, dtype=np.float64)
@@ -110,9 +98,7 @@ def _joint(
     pixel_sd_px: float,
     touch_sd_mm: float,
 ) -> ParameterCovariance:
-    """The pair's parameters pass through; the world's follow from them, from the pixels and from
-    the touches.
-    """
+    """The pair's parameters pass through; the world's follow from them, pixels and touches."""
     here = pair.world_from_right
 
     def world(changed: Pair, left_px: Array, right_px: Array, touched_mm: Array) -> Array:
@@ -155,9 +141,7 @@ def _sum_over_entries(
 
 
 def _near(om_rad: Array, reference_rad: Array) -> Array:
-    """The same rotation, its vector on the reference's side of half a turn: a rotation vector jumps
-    there.
-    """
+    """The same rotation with its vector on the reference's side of half a turn."""
     angle = float(np.linalg.norm(om_rad))
     other = om_rad * (1.0 - 2.0 * np.pi / angle) if angle > 0 else om_rad
     return min((om_rad, other), key=lambda om: float(np.linalg.norm(om - reference_rad)))

@@ -1,8 +1,7 @@
 """Any program as a detector: a child process that gets and gives JSON lines (docs/detectors.md).
 
-`lines` is the codec and does no I/O, `leash` holds a process and whatever it starts, `process`
-talks to it under limits, `detector` makes a detector of it, and `serve` is the other end for
-detectors in Python.
+`lines`: codec; `process`: the child under limits, held by `process_supervisor`; `detector`: a
+detector of it; `serve`: the other end in Python.
 """
 
 from detector.external.detector import ExternalDetector, Limits

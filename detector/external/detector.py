@@ -1,10 +1,8 @@
-"""A child process as a detector: started when first needed, asked frame by frame, started again
-after a fault, given up in the end.
+"""A child process as a detector: started on demand, asked frame by frame, restarted after a fault,
+given up in the end.
 
-Pictures and calibration are handed over as files in `prepare`, outside of the time that is
-measured; what is measured is from question to answer, with the child's own reading of the files. A
-fault of the line (silence, an end, nonsense, too much memory) costs the process; a whole answer
-with wrong values doesn't. May not know who measures, scores or keeps the record.
+`prepare` writes pictures and calibration to files, outside of the measured time. A fault of the
+line (silence, end, nonsense, memory) costs the process; a whole answer with wrong values doesn't.
 """
 
 from __future__ import annotations
@@ -30,11 +28,9 @@ _PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a child may take: seconds to say that it is ready, seconds an answer, MiB of memory with
-    all that it starts (None: any).
+    """Seconds to be ready, seconds an answer, MiB of memory with all children (None: any).
 
-    restarts: how often it is started again, in a run. in_a_row: after so many faults without an
-    answer between it is given up.
+    restarts: at most, in a run; in_a_row: consecutive faults after which it is given up.
     """
 
     start_s: float = 30.0
@@ -45,10 +41,8 @@ class Limits:
 
 
 class ExternalDetector:
-    """``command`` run in ``folder`` (None: the bench's own). ``stopwatch`` gives real seconds from
-    an arbitrary start.
-
-    ``environment`` names variables that it sees beside those that every program needs.
+    """``command`` run in ``folder`` (None: the bench's). ``stopwatch``: real seconds.
+    ``environment``: variables that it sees beside the ones every program needs.
     """
 
     def __init__(
@@ -89,9 +83,7 @@ class ExternalDetector:
 
     @property
     def parameters(self) -> Mapping[str, Any]:
-        """The command, the limits, the SHA-256 of each file that the command names, and which
-        variables it was given (no values).
-        """
+        """Command, limits, SHA-256 of files in the command, names of passed variables."""
         passed = {"environment": list(self._environment)} if self._environment else {}
         return {
             "command": list(self._command),
@@ -107,9 +99,7 @@ class ExternalDetector:
 
     @property
     def start_up_s(self) -> float | None:
-        """Seconds that the process took which the last `prepare` started; None where it ran
-        already.
-        """
+        """Start-up seconds in the last `prepare`; None where it ran already."""
         return self._start_up_s
 
     def prepare(self, frames: Frames, calibration: Calibration) -> None:
@@ -150,9 +140,7 @@ class ExternalDetector:
         return detection
 
     def check(self) -> None:
-        """Look at its memory between calls. Raises DetectionFailure where it takes too much; it is
-        started again then.
-        """
+        """Check memory between calls. Raises DetectionFailure for too much; then restarted."""
         try:
             if self._child is not None:
                 self._child.check_limits()
@@ -166,9 +154,7 @@ class ExternalDetector:
         return "\n".join(word for word in words if word)
 
     def close(self) -> None:
-        """End the process with all that it started, its input closed first, and remove the
-        pictures.
-        """
+        """Close its input, end it with all that it started, and remove the pictures."""
         self._end(_GRACE_S)
         if self._desk:
             self._desk.clear()
@@ -223,9 +209,7 @@ class ExternalDetector:
 
 
 class _Desk:
-    """A folder of its own with the pictures of one frame set and the calibration, under names that
-    tell nothing.
-    """
+    """A folder with one frame set's pictures and the calibration, under neutral names."""
 
     def __init__(self) -> None:
         self._held = tempfile.TemporaryDirectory(prefix="teatbench-")
@@ -241,9 +225,7 @@ class _Desk:
         return str(self._count)
 
     def lay_out(self, frames: Frames, calibration: Calibration) -> None:
-        """Write a frame set in place of the one before. Raises DetectionFailure for pictures that
-        PNG can't hold, or no disk takes.
-        """
+        """Replace the frame set. Raises DetectionFailure where PNG or disk can't hold it."""
         self._count += 1
         try:
             for path in self.pictures.values():

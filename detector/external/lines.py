@@ -1,9 +1,7 @@
-"""JSON lines between the bench and a detector in a process of its own: values to bytes, bytes to
-values, no I/O.
+"""JSON lines between the bench and an external detector.
 
-A line that isn't one of ours (`Garbled`) means that nothing after it can be trusted; an answer of
-the right form with wrong values (`BadAnswer`) means no more than that. Whether figures are finite
-and within reach is judged where all detectors' answers are.
+After a `Garbled` line nothing can be trusted; `BadAnswer` is only that answer. Figures are checked
+where all detectors' answers are.
 """
 
 from __future__ import annotations
@@ -33,9 +31,7 @@ class BadAnswer(ValueError):  # noqa: N818 - the answer is bad
 
 
 def request_line(frame: str, pictures: Mapping[str, Path], calibration: Path) -> bytes:
-    """What is asked of the child: the frame's name, where its pictures lie (those that there are),
-    and the calibration.
-    """
+    """The request: the frame's name, paths of its pictures, and the calibration."""
     paths = {name: str(pictures[name]) for name in PICTURES if name in pictures}
     return _line({"frame": frame, **paths, "calibration": str(calibration)})
 
@@ -63,11 +59,11 @@ def check_ready(line: bytes) -> None:
 
 
 def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection:
-    """The answer on ``frame``. A teat is "world_mm" [x, y, z], or "left_px" and "right_px" [column,
-    row], which are triangulated.
+    """The answer on ``frame``: teats "world_mm" [x, y, z], or "left_px" and "right_px" [column,
+    row].
 
-    Raises Garbled for a line that is no answer on this frame, BadAnswer for one with values that
-    can't be right. Unknown keys are let pass.
+    Pixels are triangulated, unknown keys ignored. Raises Garbled for no answer on this frame,
+    BadAnswer for bad values.
     """
     answer = _object(line)
     if answer.get("frame") != frame:

@@ -1,9 +1,5 @@
-"""A running child process under limits: lines out and in, memory watched, and its end whatever it
-does.
-
-A thread each reads standard output and standard error as they come, within bounds, so that no child
-can block the bench or fill its memory. Waiting is on the queue between that thread and the caller.
-What the lines mean is not known here.
+"""A running child process under limits: lines out and in, memory watched, and its end. Threads read
+its standard output and error within bounds, so no child can block the bench or fill its memory.
 """
 
 from __future__ import annotations
@@ -75,11 +71,8 @@ class ChildSilent(ChildFault):
 
 
 class Child:
-    """A command, started. Raises OSError where that can't be done. ``stopwatch`` gives seconds from
-    an arbitrary start.
-
-    ``passed`` names variables of the bench's environment that it sees beside those of
-    `ENVIRONMENT`.
+    """A started command. ``stopwatch``: seconds. ``passed``: variables beside those of
+    `ENVIRONMENT`. Raises OSError.
     """
 
     def __init__(
@@ -123,8 +116,8 @@ class Child:
             raise ChildFault(self._ending()) from None
 
     def line(self, limit_s: float) -> bytes:
-        """Its next line. Raises ChildSilent after ``limit_s``, ChildFault where it ends, floods, or
-        takes more memory than it may.
+        """Its next line. Raises ChildSilent after ``limit_s``, ChildFault for an end, flood or
+        memory.
         """
         deadline_s = self._stopwatch() + limit_s
         while True:
@@ -141,9 +134,7 @@ class Child:
             return line
 
     def check_limits(self) -> None:
-        """Raises ChildFault where the child and what it started hold more memory than they may, or
-        nobody supervises it any more.
-        """
+        """Raises ChildFault for too much memory, or where its supervisor is gone."""
         code = self._process.poll()
         # it ends as its command does, and that is no signal's number
         if code is not None and code < 0:
@@ -159,10 +150,8 @@ class Child:
         return self._complaints.given_out()
 
     def end(self, grace_s: float = 0.0) -> None:
-        """End it and all that it started, by closing its input where it gets time to go, else at
-        once. Once more is no error.
-
-        Its last words on standard error can be asked for afterwards.
+        """End it with all that it started, at once or after its input was closed; may be repeated.
+        Its last words on standard error stay available.
         """
         if grace_s > 0:
             with contextlib.suppress(OSError):  # what was never sent can't be sent now
@@ -214,9 +203,7 @@ class Child:
 
 
 def resident_mib(process: int) -> float | None:
-    """Memory (resident set) of all processes below one, MiB; pages that they share count for each.
-    None where there is no /proc.
-    """
+    """Resident memory of all processes below, MiB, shared pages each time; None without /proc."""
     if not Path("/proc/self/statm").is_file():
         return None
     pages = 0
@@ -227,9 +214,7 @@ def resident_mib(process: int) -> float | None:
 
 
 class _Heard:
-    """Whole lines out of bytes; None stands for the end. Stops listening to a child that doesn't
-    stop talking.
-    """
+    """Whole lines out of bytes; None is the end. Stops reading a child that floods."""
 
     def __init__(self) -> None:
         self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
@@ -289,19 +274,15 @@ def _read(pipe: IO[bytes], take: Callable[[bytes], bool]) -> None:
 
 
 def environment(passed: Sequence[str] = ()) -> dict[str, str]:
-    """What a child sees of the bench's environment: what programs need to start at all, and what
-    ``passed`` names.
-
-    Tokens and passwords of whoever runs the bench are none of its business.
-    """
+    """The child's variables: what programs need to start, and ``passed``; no passwords."""
     return {name: os.environ[name] for name in (*ENVIRONMENT, *passed) if name in os.environ}
 
 
 def _spawn(
     command: Sequence[str], folder: Path | None, env: Mapping[str, str], hard_mib: int
 ) -> tuple[subprocess.Popen[bytes], int | None]:
-    """The process, and the end of the leash to hold where the system has one. In a session of its
-    own: Ctrl-C is the bench's.
+    """The process, and the supervisor's pipe where there is one. A session of its own: Ctrl-C is
+    the bench's.
     """
     pipe = subprocess.PIPE
     if os.name != "posix":

@@ -1,12 +1,10 @@
-"""Holds a program on a leash (Linux, macOS): when whoever holds the other end lets go, or dies, the
-program and all that it started end.
+"""Runs a command and ends it, with all that it started, when the other end of a pipe closes (Linux,
+macOS).
 
-Run by its path with the number of an open pipe, a limit in MiB (0: none) and a command. It lets the
-command have its own standard streams, waits, and ends as the command ended (128 + the number of the
-signal that killed it). The command gets a process group of its own, which is ended as a whole; on
-Linux every orphan below is adopted too, so that a process in a session of its own is found, and
-what a process may allocate is limited (RLIMIT_DATA). Standard library only, and nothing imported
-that is slow: it stands between the bench and each start of a detector.
+Run by path with the pipe's number, a limit in MiB (0: none) and the command; ends as the command
+did (128 + signal). The command has its own process group; on Linux orphans are adopted and
+allocation is limited (RLIMIT_DATA). Standard library and fast imports only: it runs at each start
+of a detector.
 """
 
 from __future__ import annotations
@@ -21,9 +19,7 @@ _PR_SET_CHILD_SUBREAPER = 36  # prctl(2)
 
 
 def main(arguments: list[str]) -> int:
-    """Run ``arguments[2:]`` until it ends, or until the pipe ``arguments[0]`` is closed at its
-    other end.
-    """
+    """Run ``arguments[2:]`` until its end, or until the pipe ``arguments[0]`` closes."""
     pipe, limit_mib, command = int(arguments[0]), int(arguments[1]), arguments[2:]
     os.set_inheritable(pipe, False)
     _adopt_orphans()
@@ -42,10 +38,8 @@ def main(arguments: list[str]) -> int:
 
 
 def descendants(process: int, mark: bytes = b"") -> list[int]:
-    """All processes below this one, as /proc tells; none where there is no /proc.
-
-    With ``mark`` also those of its session, and those with that mark in their environment, though
-    it may have died before them.
+    """All processes below this one by /proc; with ``mark`` also those of its session or with that
+    mark in their environment, whose parent may be gone.
     """
     living = _living()
     found: list[int] = []
@@ -95,9 +89,7 @@ def _adopt_orphans() -> None:
 
 
 def _limit_memory(mib: int) -> None:
-    """What one process may allocate. Not of addresses: numpy's threads, and languages with a
-    collector, reserve far more than they use.
-    """
+    """Limit allocation, not addresses: numpy's threads and garbage collectors reserve far more."""
     if mib and sys.platform == "linux":
         import resource
 

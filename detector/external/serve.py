@@ -1,9 +1,5 @@
-"""The other end of `detector.external`, for any detector that the registry has: ``python -m
-detector.external.serve thesis``.
-
-A detector in Python so runs in a process of its own, under limits; and this is the protocol's
-answering side, to compare with. What the detector prints goes to standard error, for standard
-output is the bench's.
+"""The other end of `detector.external` for any registered detector: ``python -m
+detector.external.serve thesis``. Its prints go to standard error; standard output is the bench's.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
-"""Which fitted teats are teats: every one is accepted, or rejected with its reason.
+"""Accepts or rejects each fitted teat, with the reason.
 
-Strategy: what makes a teat is asked one thing at a time: an end and a side seen in each picture,
-edges where the model says, a size that teats have, a place that is sure enough, warmth in the
-thermal picture wherever the model says, and no better teat that it would pass through. Nothing
-false is the first rule, so a doubt rejects. The module may not know how the fit was reached.
+Asked in turn: end and sides seen in each picture, edges where predicted, a teat's size, a certain
+place, warmth, no overlap with a better teat. A doubt rejects.
 """
 
 from __future__ import annotations
@@ -41,10 +39,8 @@ _AXIS_MM = np.linspace(0.0, 60.0, 7)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What speaks for m fitted teats: shares of the outline seen, (m, 3 views) each; misfit px
-    (m,); warmth (m, 3 lines) or NaN; standard deviation mm (m,) where it is largest.
-
-    The views are left, right and thermal.
+    """For m fitted teats: seen shares of the outline (m, 3 views: left, right, thermal); misfit px
+    (m,); warmth (m, 3 lines) or NaN; largest standard deviation mm (m,).
     """
 
     end: Array
@@ -69,9 +65,7 @@ class Evidence:
 
 
 def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
-    """Evidence from the edges about m teats, their covariances
-    (m, 3, 3) and their warmth (m, 3).
-    """
+    """Evidence from edges about m teats, covariances (m, 3, 3), and warmth (m, 3)."""
     seen, part = fitted.seen, FINE_OUTLINE.part
     m, n = len(fitted.weight), len(part)
     offset, weight, sd = (
@@ -103,8 +97,8 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
 
 
 def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
-    """The share (m, views) of the points (m, views, k) not hidden that are good; hidden ones count
-    as missing where they are most.
+    """Share (m, views) of good points among those of (m, views, k) not hidden; mostly hidden counts
+    as missing.
     """
     return np.asarray(
         (good & open_).sum(axis=2) / np.maximum(open_.sum(axis=2), 0.4 * good.shape[2])
@@ -112,9 +106,7 @@ def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
 
 
 def _thermal_offsets(fitted: Fitted) -> Array:
-    """Medians (m, 3 parts) of how far off the thermal edges are, sensor pixels, where most of a
-    part shows clear ones; else NaN.
-    """
+    """Median offsets (m, 3 parts) of thermal edges, sensor px; NaN where few edges are clear."""
     part = FINE_OUTLINE.part
     thermal = slice(2 * len(part), 3 * len(part))
     open_ = ~fitted.hidden[:, thermal]
@@ -136,9 +128,7 @@ def _thermal_offsets(fitted: Fitted) -> Array:
 def warmth_inside(
     teats: Array, warm: Field, lens: Camera, thermal_from_right: Motion, px_a_sensor_px: float
 ) -> Array:
-    """Medians (m, 3) of the thermal picture along three lines down teats (m, 8), the axis in the
-    middle; NaN where it doesn't reach.
-    """
+    """Medians (m, 3) of the thermal picture along three lines down teats (m, 8); NaN outside."""
     axis = axes(teats)
     line = teats[:, None, None, :3] + _ALONG_MM[:, None] * axis[:, None, None]
     aside = (
@@ -163,8 +153,8 @@ def warmth_inside(
 def objections(
     teats: Array, evidence: Evidence, surroundings: float, p: Parameters
 ) -> list[str | None]:
-    """Why each of the teats (m, 8) is none, or None. ``surroundings``: what the thermal picture
-    shows where nothing is warm.
+    """Why each of the teats (m, 8) is rejected, or None. ``surroundings``: the picture's level
+    without warmth.
     """
     reasons: list[str | None] = [_objection(teats[i], evidence, i, p) for i in range(len(teats))]
     clean = [i for i, reason in enumerate(reasons) if reason is None]
@@ -186,11 +176,10 @@ def objections(
 def doubts(
     teats: Array, evidence: Evidence, reasons: list[str | None], p: Parameters
 ) -> tuple[list[int], list[int]]:
-    """Of the teats (m, 8), those that may bridge two teats, and those that may be too high or too
-    low on one; at most a few of each.
+    """Of teats (m, 8), those that may bridge two, and those that may be too high or low; a few
+    each.
 
-    Both have their sides where they should be, but not all of their end. A teat that has both sides
-    hardly bridges two.
+    Both have their sides, but not all of their end. A teat with both sides hardly bridges two.
     """
     both = evidence.both[:, :2].min(axis=1) > p.least_side
     partial = (evidence.end[:, :2].min(axis=1) < np.where(both, p.whole_end_both, p.whole_end)) & (
@@ -213,9 +202,7 @@ def doubts(
 
 
 def maybe_hidden(reason: str | None) -> bool:
-    """Whether what speaks against a teat, if anything, may be that
-    a nearer one hides a part of it.
-    """
+    """Whether a nearer teat may explain what speaks against this one, if anything."""
     return reason is None or "seen" in reason or reason in (_OUTLINE, _UNSURE, _WORSE)
 
 
@@ -241,9 +228,7 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
 
 
 def _one_sees_a_side(evidence: Evidence, i: int) -> bool:
-    """Whether the pictures disagree on how many sides there are, and the thermal picture hardly
-    shows an end: two things taken for one.
-    """
+    """Whether the pictures disagree on sides and warmth hardly shows an end: two things as one."""
     return bool(np.ptp(evidence.both[i, :2]) > 0.5 and evidence.end[i, 2] < 0.7)
 
 
@@ -278,8 +263,8 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
 
 
 def _held_by_thermal(evidence: Evidence, i: int) -> bool:
-    """Whether a teat may lack its sides in a picture: its end is well seen in both, and the thermal
-    picture shows its end and a side, the less clearly where the other optical picture shows a side.
+    """Whether a teat may lack its sides in a picture: end well seen in both, end and a side in the
+    thermal one, less clearly where the other optical picture shows a side.
     """
     end, side, thermal = (
         evidence.end[i, :2].min(),
@@ -290,9 +275,7 @@ def _held_by_thermal(evidence: Evidence, i: int) -> bool:
 
 
 def _elsewhere(offset_px: Array, most_px: float) -> bool:
-    """Whether the thermal outline contradicts. Warmth beyond one side may be a neighbour's; beyond
-    the end or both sides it can't.
-    """
+    """Whether warmth contradicts: beyond the end or both sides. Beyond one may be a neighbour."""
     side_a, end, side_b = np.nan_to_num(offset_px)
     return bool(
         abs(end) > most_px

@@ -1,12 +1,8 @@
-"""From a thermal nomination to places in space: which depths along its line of sight do both
-optical pictures bear out?
+"""From thermal nominations to places in space: the depths along a line of sight that both optical
+pictures support.
 
-Strategy: the nomination's ball and axis are put at every depth of the working volume, a step of
-disparity apart, and carried through the calibrated cameras into both pictures, where the outline is
-laid over the squeezed gradients. That is a mapping for each depth, not one homography for all. The
-few depths at which both pictures agree best become starts for the fit. A bar without a visible end
-gets its depth from its sides, and then its end is sought upwards along its axis. The module may not
-know what is warm.
+The nomination's ball and axis are tried at every depth, a step of disparity apart, against squeezed
+gradients. A bar without an end gets its depth from its sides; its end is then searched up its axis.
 """
 
 from __future__ import annotations
@@ -43,9 +39,7 @@ _SLIDE_MM = np.arange(0.0, 111.0, 3.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Starts:
-    """Teats (m, 8) to begin the fit with, in the right camera's frame, their scores (m,), and those
-    of their nominations (m,).
-    """
+    """Teats (m, 8) for the fit, right camera's frame, their scores (m,), and their nominations'."""
 
     teats: Array
     score: Array
@@ -62,9 +56,7 @@ class Starts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Map:
-    """Squeezed gradients of one view, blurred as much as a start may be off, with one pixel of
-    nothing about them.
-    """
+    """Squeezed gradients of one view, blurred by a start's error, with a border of zeros."""
 
     gx: Field
     gy: Field
@@ -91,9 +83,7 @@ def hypotheses(
     right_from_thermal: Motion,
     depth_mm: Array,
 ) -> Array:
-    """Teats (n, d, 8) in the right camera's frame: each nomination at each depth, as wide as the
-    thermal picture says.
-    """
+    """Teats (n, d, 8), right camera's frame: each nomination at each depth, with its width."""
     centre = (found.centre_px + 0.5) * px_a_sensor_px - 0.5
     normal = lens.normalize(centre)
     rays = np.column_stack([normal, np.ones(len(normal))])
@@ -112,9 +102,7 @@ def hypotheses(
 
 
 def sweep_ends(teats: Array, nominated: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
-    """The best starts among teats (n, d, 8) whose ends the thermal picture shows with scores
-    ``nominated`` (n,).
-    """
+    """Best starts among teats (n, d, 8) with thermal end scores ``nominated`` (n,)."""
     score = (
         _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0).max(axis=0).reshape(teats.shape[:2])
     )
@@ -126,9 +114,7 @@ def sweep_ends(teats: Array, nominated: Array, maps: tuple[Map, ...], p: Paramet
 def sweep_bars(
     teats: Array, nominated: Array, maps: tuple[Map, ...], thermal: Map, p: Parameters
 ) -> Starts:
-    """The best starts among teats (n, d, 8) of which only the sides are known: the depth first,
-    then how far up the end is.
-    """
+    """Best starts among teats (n, d, 8) known by their sides: depth first, then the end."""
     score = (
         _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0, end=False)
         .max(axis=0)
@@ -146,8 +132,8 @@ def sweep_bars(
 
 
 def _ended(teats: Array, maps: tuple[Map, ...], thermal: Map) -> Array:
-    """Scores (m,) of teats (m, 8) by both optical pictures and the thermal one: one kind may not
-    tell an end from an arm.
+    """Scores (m,) of teats (m, 8) by optical and thermal pictures; one kind may take an arm for an
+    end.
     """
     return np.asarray(
         _joint(teats, maps, _CROSS_PX, 1.0).max(axis=0)
@@ -164,9 +150,7 @@ def _possible(teats: Array, p: Parameters) -> NDArray[np.bool_]:
 
 
 def best_starts(starts: Starts, maps: tuple[Map, ...], p: Parameters) -> Array:
-    """The teats (m, 8) of the most promising starts, with the shift and swell that fit both
-    pictures best.
-    """
+    """The most promising teats (m, 8), with the best shift and swell."""
     teats = starts.teats[
         np.argsort(-starts.score * starts.nominated, kind="stable")[: p.most_starts]
     ]
@@ -186,9 +170,7 @@ def best_starts(starts: Starts, maps: tuple[Map, ...], p: Parameters) -> Array:
 def _joint(
     teats: Array, maps: tuple[Map, ...], shifts: Field, swell: float, *, end: bool = True
 ) -> Array:
-    """Scores (shifts, m) of teats (m, 8) in both pictures together; ``end``: whether the round end
-    counts.
-    """
+    """Scores (shifts, m) of teats (m, 8) in both pictures; ``end``: include the round end."""
     left, right = (_scores(teats, each, shifts, swell, end=end) for each in maps)
     return np.asarray(np.sqrt(left * right))
 
@@ -222,8 +204,8 @@ def _scores(teats: Array, each: Map, shifts: Field, swell: float, *, end: bool) 
 
 
 def _across(each: Map, shifts: Field, at: Array, normals: Array) -> Array:
-    """Mean strength (shifts, m) across an outline at ``at`` (k, m, 2) along ``normals`` (k or 1, m,
-    2); none outside of the picture.
+    """Mean strength (shifts, m) across an outline ``at`` (k, m, 2) along ``normals`` (k or 1, m,
+    2); 0 outside.
     """
     rows, columns = each.gx.shape
     place = at.astype(np.float32)[:, None] + (shifts[None, :, None] + np.float32(1.5))

@@ -1,9 +1,5 @@
-"""The bench's own detector, from frame set to teat ends: thermal nominates, optics localise, stereo
-decides.
-
-Strategy: the stages are next door; here they are joined, and what each gave is kept for the report.
-A frame set that can't be used gives no teats and a sentence. The module may not know the scene, the
-truth, nor what the answer is for.
+"""The bench's own detector: thermal nominates, optics localise, stereo decides. Every stage's
+result is kept; an unusable frame set gives no teats and a sentence.
 """
 
 from __future__ import annotations
@@ -57,9 +53,7 @@ _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
 
 @dataclass(frozen=True, slots=True)
 class FusedDetector:
-    """Classical vision, no learning: everything it knows is in `Parameters` and in the
-    calibration.
-    """
+    """Classical vision, no learning; all it knows is in `Parameters` and the calibration."""
 
     settings: Parameters = field(default_factory=Parameters)
 
@@ -79,9 +73,7 @@ class FusedDetector:
         return asdict(self.settings)
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
-        """Teat ends in the world frame with their covariances, and the trace of every stage that
-        was reached.
-        """
+        """Teat ends in the world frame with covariances, and the trace of every stage reached."""
         trace: list[Stage] = []
         try:
             return _detect(frames, calibration, self.settings, trace)
@@ -91,9 +83,7 @@ class FusedDetector:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Thermal:
-    """The thermal picture, what it shows where nothing is warm, and the way to it from the right
-    camera.
-    """
+    """The thermal picture, its cold level, and the way to it from the right camera."""
 
     warm: NDArray[np.float32]
     lens: Camera
@@ -123,9 +113,7 @@ def _detect(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judged:
-    """Fitted teats, covariances (m, 3, 3) of their ends in the right camera's frame, what speaks
-    for each, and the reasons against.
-    """
+    """Fitted teats, end covariances (m, 3, 3) in the right camera's frame, evidence, objections."""
 
     fitted: Fitted
     covariances: Array
@@ -138,9 +126,7 @@ class _Judged:
 
 
 def _fit(teats: Array, maps: tuple[Map, ...], thermal: _Thermal, p: Parameters) -> _Judged:
-    """Fit and judge; then again without what a neighbour may have bridged or hidden, where there is
-    cause to.
-    """
+    """Fit and judge; again without what a neighbour may have bridged or hidden."""
     views = tuple(each.view for each in maps)
     judged = _judge(refine(teats, views, p), thermal, p)
     bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.reasons, p)
@@ -269,9 +255,7 @@ def _views(
 
 
 def _thermal_view(thermal: _Thermal) -> View:
-    """The thermal picture as one more view, in sensor pixels: coarse, but it can't take a shadow
-    for a teat.
-    """
+    """The thermal picture as a coarse view in sensor pixels; it can't take a shadow for a teat."""
     lens, size = thermal.lens, thermal.px_a_sensor_px
     rows, columns = thermal.warm.shape
     sensor = Camera(
@@ -294,9 +278,7 @@ def _thermal_view(thermal: _Thermal) -> View:
 
 
 def _decisions(judged: _Judged) -> Stage:
-    """Every fitted teat with what speaks for it and the reason against it, empty for those
-    accepted.
-    """
+    """Every fitted teat with evidence and objection, empty if accepted."""
     shown = {name: getattr(judged.evidence, name) for name in Evidence.__slots__}
     reasons = np.array([reason or "" for reason in judged.reasons], dtype=np.str_)
     return Stage(
@@ -317,9 +299,7 @@ def _bars_of(judged: _Judged, thermal: _Thermal) -> tuple[Array, Array]:
 
 
 def _answers(judged: _Judged, thermal: _Thermal, calibration: Calibration) -> tuple[Teat, ...]:
-    """The accepted teats' ends with their covariances, the calibration's share included, and their
-    pixels.
-    """
+    """Accepted ends with covariances, the calibration's included, and their pixels."""
     accepted = judged.accepted
     if not accepted:
         return ()

@@ -1,23 +1,13 @@
-"""Where a picture's brightness steps along short lines across an outline, to a small part of a
-pixel, and how sure that is.
+"""Sub-pixel edges along short lines across an outline, their uncertainty, and the shift by limb
+darkening.
 
-Strategy: linear intensities are sampled along each normal with cubic interpolation. For each place
-on a fine grid the best step there is fitted in closed form: an inner and an outer level, a slope
-outside, and inside the fall of brightness that a round matt body has near its limb, which goes with
-the square root of the depth. The place with the least left over wins, refined by a parabola. The
-strongest gradient alone would follow that fall instead of the outline. The module may not know
-teats or cameras.
+At each place on a fine grid a step is fitted in closed form: two levels, a slope outside, and
+inside a fall of brightness with the square root of depth, as near a round matt body's limb. The
+least residual wins.
 
-By how much the fall of brightness towards a body's limb moves its edges, told from both optical
-pictures together.
-
-Strategy: a step alone is found precisely, but where brightness falls towards the limb it is found
-too far inside. A step with such a fall is found where it is, but far less precisely, since the fall
-can stand in for a part of the shift. The difference between the two is the body's and the light's
-doing, so that it is much the same in both pictures and for neighbours along the outline: averaged
-over these it corrects the precise edges, and hardly moves the disparity between the pictures, on
-which depth hangs. Where it is large, it isn't quite the same everywhere, and each line's own goes
-in with a growing share. The module may not know teats or cameras.
+A step alone is precise but too far inside where brightness falls; with the fall it is right but
+imprecise. Their difference is shared by neighbours and pictures, so its mean corrects the precise
+edges and hardly moves disparity; where it is large, each line's own gets a growing share.
 """
 
 from __future__ import annotations
@@ -44,11 +34,9 @@ _FINE = 0.05  # px, the grid on which the bases are blurred
 
 @dataclass(frozen=True)
 class Profile:
-    """Samples at ``reach_px`` to either side, ``step_px`` apart; edges are looked for up to
-    ``search_px`` away, ``grid_px`` apart.
-
-    ``blur_px``: the width (standard deviation) of an edge; ``limb``: whether brightness may rise
-    with the square root inside, and lean outside.
+    """Samples ``reach_px`` to either side, ``step_px`` apart; edges up to ``search_px`` away on
+    ``grid_px``. ``blur_px``: an edge's standard deviation; ``limb``: with a fall inside and a slope
+    outside.
     """
 
     reach_px: float
@@ -80,15 +68,13 @@ class Profile:
 
     @cached_property
     def flat(self) -> Array:
-        """Orthonormal basis (s, c) of what lines without an edge may look like: a level and a
-        slope.
-        """
+        """Orthonormal basis (s, c) of lines without an edge: a level and a slope."""
         columns = [np.ones_like(self.offsets), self.offsets]
         return np.asarray(np.linalg.qr(np.column_stack(columns))[0])
 
     def _shapes(self, place: float) -> Array:
-        """Columns: a level, a step (its height the second coefficient), and where ``limb``, the
-        fall inside and the slope outside.
+        """Columns: level, step (second coefficient), and with ``limb`` the fall and the outer
+        slope.
         """
         x = self.offsets - place
         step = ndtr(x / self.blur_px)
@@ -107,14 +93,12 @@ def _blurred_root(depth: Array, blur: float) -> Array:
 
 @dataclass(frozen=True)
 class Edges:
-    """One edge a line: ``offset_px`` outward of the middle, its standard deviation, and how clear
-    it is; arrays of one shape.
+    """One edge a line, arrays of one shape: ``offset_px`` outward (NaN: none), its standard
+    deviation.
 
-    ``clarity``: by how much the step explains more than a straight line does, in variances of what
-    it leaves over (a chi-square). An offset is NaN where there is none to be had. ``limb_px``: how
-    much farther out the edge is than without a fall of brightness towards the limb; NaN where that
-    edge is another one. ``limb_sd_px``: the noise of that (standard deviation), which is a part of
-    the edge's.
+    ``clarity``: gain over a straight line, in residual variances (a chi-square). ``limb_px``: how
+    much farther out the edge with a fall is, NaN where that is another edge; ``limb_sd_px``: its
+    noise, a part of the edge's.
     """
 
     offset_px: Array
@@ -126,7 +110,7 @@ class Edges:
 
 def sample(field: Field, middles_px: Array, normals: Array, offsets_px: Array) -> Field:
     """Intensities (n, s) at ``offsets_px`` (s,) along ``normals`` (n, 2) from ``middles_px`` (n,
-    2); NaN beyond the picture's edge.
+    2); NaN outside.
     """
     rows, columns = field.shape
     middles, directions = (
@@ -143,12 +127,11 @@ def sample(field: Field, middles_px: Array, normals: Array, offsets_px: Array) -
 
 
 def find_edges(lines: Field, profile: Profile, noise: float) -> Edges:
-    """The likeliest edge of each line (m, n, s) of m outlines of n neighbouring lines. ``noise``:
-    standard deviation of an intensity.
+    """The likeliest edge of each line (m, n, s): m outlines of n neighbouring lines. ``noise``: an
+    intensity's sd.
 
-    Where a line alone shows no clear edge, what its neighbours leave over is added to what it
-    leaves over: along an outline the edge goes on. Such an edge is worth as much less as it shares
-    with its neighbours.
+    A line without a clear edge is joined with its neighbours' residuals, and its edge counts less
+    for what they share.
     """
     plain, shaded, straight = _left_over(lines.reshape(-1, lines.shape[2]), profile)
     usable = np.isfinite(lines[..., 0])
@@ -177,10 +160,8 @@ def _alone_or_together(
     noise: float,
     faint: NDArray[np.bool_] | None = None,
 ) -> tuple[Edges, NDArray[np.bool_]]:
-    """The edge of each line from what steps (m * n, g) and a straight line (m * n,) leave over of
-    it, or of it and its neighbours.
-
-    Also which lines (m, n) are ``faint`` alone, unless that is known.
+    """Edges from residuals of steps (m * n, g) and straight lines (m * n,), alone or with
+    neighbours; and which lines (m, n) are ``faint`` alone, unless given.
     """
     outlines = shape[:2]
     floor = np.float32(shape[2] * noise**2)
@@ -209,8 +190,8 @@ def _summed(values: Field) -> Field:
 
 
 def _left_over(lines: Field, profile: Profile) -> tuple[Field, Field, Field]:
-    """What is left over (sums of squares) of lines (n, s) by the best step at each place (n, g),
-    without and with a limb, and by a straight line (n,).
+    """Residual sums of squares of lines (n, s): best step at each place (n, g) without and with a
+    limb; straight line (n,).
     """
     y = np.where(np.isnan(lines), np.float32(0), lines)
     y -= y.mean(axis=1, keepdims=True)
@@ -227,8 +208,8 @@ def _left_over(lines: Field, profile: Profile) -> tuple[Field, Field, Field]:
 def _likeliest(
     left: Field, straight: Field, floor: np.float32, profile: Profile, lines: int = 1
 ) -> Edges:
-    """The place with the least left over (n, g), by a parabola; ``floor``: what noise alone leaves
-    over of so many ``lines``.
+    """Place of least residual (n, g), by a parabola; ``floor``: by noise alone, of so many
+    ``lines``.
     """
     g, s, _ = profile.bases.shape
     scale = np.maximum(left.min(axis=1), floor) / (s * lines)
@@ -256,9 +237,7 @@ _PLAIN_PX, _SHADED_PX = 0.02, 0.06
 
 
 def shared_limb(own_px: Array) -> Array:
-    """What the outlines (m, n) have in common of each line's ``own_px`` (views, m, n), which is NaN
-    where it isn't known.
-    """
+    """What outlines (m, n) share of ``own_px`` (views, m, n), NaN where unknown."""
     known = np.isfinite(own_px).sum(axis=0).astype(np.float64)
     total = np.nan_to_num(own_px).sum(axis=0)
     count = uniform_filter1d(known, _LIMB_NEIGHBOURS, axis=1, mode="nearest")
@@ -269,10 +248,8 @@ def shared_limb(own_px: Array) -> Array:
 
 
 def own_share(shared_px: Array, own_sd_px: Array) -> Array:
-    """What each line's own is worth in the best mean with the shared one, by how sure each is: 0 to
-    1.
-
-    ``own_sd_px``: by how much an edge's noise is the more for the fall of brightness.
+    """Share 0 to 1 of each line's own in its weighted mean with the shared one. ``own_sd_px``: the
+    extra noise of an edge by the fall of brightness.
     """
     unlike, noise = (_UNLIKE * shared_px) ** 2 + _PLAIN_PX**2, own_sd_px**2 + _SHADED_PX**2
     return np.asarray(unlike / (unlike + noise))

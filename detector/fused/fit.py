@@ -1,10 +1,7 @@
-"""The teat that the outlines in all pictures show: a joint robust fit of the model, for many starts
-at once, and how sure it is.
+"""Joint robust fit of teats to the outlines in all pictures, for many starts at once.
 
-Strategy: damped Gauss-Newton on the distance of found edges from the predicted outlines along their
-normals, edges looked for anew at each step. Weak priors on size, lean, taper and height only keep
-what the pictures don't show from running away. Derivatives are closed forms, for all teats in one
-call. The module may not know temperatures nor how the starts were found.
+Damped Gauss-Newton on edge distances along the outlines' normals, edges found anew at each step;
+weak priors on size, lean, taper and height. Derivatives are closed forms.
 """
 
 from __future__ import annotations
@@ -44,11 +41,8 @@ _STEP_MM = 0.1  # outward, to see how far the outline moves
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One picture: linear intensities of a region, where its first pixel lies in the whole picture,
-    and who took it.
-
-    ``rough``, ``fine``: how edges look in it; ``floor_px``: how far off an edge may be for other
-    reasons than noise (standard deviation).
+    """A picture's region as linear intensities, its first pixel's place, and its camera. ``rough``,
+    ``fine``: profiles of edges; ``floor_px``: sd of edges beyond noise.
     """
 
     field: Field
@@ -63,9 +57,7 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is known of teats before looking: mean and standard deviation of radius (mm), and how
-    far lean (slope) and taper are from 0, and height from 1.
-    """
+    """Mean and sd of radius (mm); sd of lean (slope) and taper about 0, of height about 1."""
 
     radius_mm: float = 11.0
     radius_sd_mm: float = 1.7
@@ -76,9 +68,7 @@ class Prior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """Edges about the outlines of m teats in all views, ``n``
-    points a view: (m, views * n) each.
-    """
+    """Edges about the outlines of m teats, ``n`` points a view: (m, views * n) each."""
 
     offset_px: Array
     sd_px: Array
@@ -104,9 +94,7 @@ def look(
     *,
     fine: bool,
 ) -> Seen:
-    """Find edges about the outlines of teats (m, 8). ``jacobian``: that of teats nearby, to save
-    finding it anew.
-    """
+    """Edges about teats (m, 8). ``jacobian``: of teats nearby, instead of a new one."""
     parts = [
         _look_at(
             teats, view, outline, view.fine if fine else view.rough, slopes_too=jacobian is None
@@ -124,9 +112,7 @@ def look(
 
 
 def _lit_alike(part: Seen, shared_px: Array) -> Seen:
-    """Edges by the fall of brightness that outlines (m, n) have in common, ``shared_px``, as far as
-    each line's own is less sure.
-    """
+    """Edges corrected by the outlines' common fall of brightness, ``shared_px``."""
     own = own_share(shared_px, part.limb_sd_px)
     known = np.isfinite(part.limb_px)
     offset = part.offset_px + np.where(known, (1 - own) * (shared_px - part.limb_px), 0.0)
@@ -169,9 +155,7 @@ def _look_at(
 
 
 def weights(seen: Seen, scale: float) -> Array:
-    """Weights (m, k) of the edges: by their own uncertainty, Cauchy beyond ``scale`` floors off,
-    none where there is hardly an edge.
-    """
+    """Weights (m, k): by uncertainty, Cauchy beyond ``scale`` floors, zero with hardly an edge."""
     usable = np.isfinite(seen.offset_px + seen.jacobian.sum(axis=2)) & (seen.clarity > LEAST_CLEAR)
     variance = seen.sd_px**2 + seen.floor_px**2
     off = np.where(usable, seen.offset_px, 0.0) / np.sqrt(variance + (scale * seen.floor_px) ** 2)

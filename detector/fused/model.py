@@ -1,13 +1,9 @@
-"""A round-ended teat as eight numbers, and its outline in any camera: closed forms, for many teats
-at once.
+"""A round-ended teat as eight numbers, and its outline in any camera, in closed form.
 
-Strategy: a teat is a cylinder of free radius and axis, perhaps a little wider towards its base,
-that ends in a ball to which its sides are tangents, or in half an ellipsoid, which is a ball
-squeezed along the axis: what is said of the ball holds when all, the camera included, is stretched
-back. A surface point with unit normal n lies on the outline where the line of sight is at right
-angles to n. On the ball that is a circle, on the sides two straight lines, and the three join
-without a gap, so that one list of points goes up one side, over the end and down the other. The
-module may not know pictures.
+A cylinder or slight cone ends in a tangent ball, or half an ellipsoid, treated as a ball after
+stretching along the axis. A surface point is on the outline where its normal is at right angles to
+the line of sight: a circle on the ball, two lines on the sides, as one list up one side and down
+the other.
 """
 
 from __future__ import annotations
@@ -29,18 +25,14 @@ SIDE_A, END, SIDE_B = range(3)
 
 @dataclass(frozen=True)
 class Outline:
-    """Where along an outline points are taken: ``along_mm`` (k,) down each side, and shares (m,) in
-    (0, 1) of the way over the end.
-    """
+    """Points' places: ``along_mm`` (k,) down each side, and shares (m,) in (0, 1) over the end."""
 
     along_mm: Array
     over_end: Array
 
     @classmethod
     def of(cls, length_mm: float, side_points: int, end_points: int) -> Outline:
-        """Evenly spaced points: ``side_points`` on each side down to ``length_mm`` below the ball's
-        rim, ``end_points`` over the end.
-        """
+        """``side_points`` each side to ``length_mm`` below the rim, ``end_points`` over the end."""
         along = (np.arange(side_points) + 0.5) * length_mm / side_points
         return cls(along, (np.arange(end_points) + 0.5) / end_points)
 
@@ -52,24 +44,20 @@ class Outline:
 
 
 def axes(teats: Array) -> Array:
-    """Unit vectors (m, 3) from the end towards the base of teats (m, 8); the base is below, in the
-    direction of +y.
-    """
+    """Unit vectors (m, 3) from end to base of teats (m, 8), towards +y."""
     down = np.column_stack([teats[:, LEAN_X], np.ones(len(teats)), teats[:, LEAN_Z]])
     return np.asarray(down / np.linalg.norm(down, axis=1, keepdims=True))
 
 
 def apexes(teats: Array) -> Array:
-    """The teat ends (m, 3) mm: the point of the rounded end on the axis, in the frame of the teats
-    (m, 8).
-    """
+    """Teat ends (m, 3) mm: the rounded end's point on the axis, in the teats' frame."""
     return np.asarray(teats[:, :3] - (teats[:, RADIUS] * teats[:, HEIGHT])[:, None] * axes(teats))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contour:
-    """Outlines of m teats in a camera's frame: points (m, n, 3), unit surface normals there, and
-    the points from the end's middle.
+    """Outlines of m teats, camera's frame: points (m, n, 3), unit normals, points from the end's
+    middle.
     """
 
     points: Array
@@ -78,9 +66,7 @@ class Contour:
 
 
 def contours(teats: Array, camera_from_teats: Motion, outline: Outline) -> Contour:
-    """The outlines of teats (m, 8), from the foot of side A over the end to that of side B; NaN for
-    a teat that the camera is inside of.
-    """
+    """Outlines of teats (m, 8), side A over the end to side B; NaN with the camera inside."""
     centre, axis = camera_from_teats.apply(teats[:, :3]), axes(teats) @ camera_from_teats.R.T
     height = teats[:, HEIGHT]
     round_centre = centre + ((1 / height - 1) * _dot(centre, axis))[:, None] * axis
@@ -99,11 +85,8 @@ def pixels_of(points: Array, camera: Camera) -> Array:
 
 
 def slopes(teats: Array, contour: Contour, px_a_mm: Array, camera_from_teats: Motion) -> Array:
-    """How far outlines move outward (m, n, 8), px a unit of each of the teats' numbers; ``px_a_mm``
-    (m, n) along the surface normal.
-
-    An outline moves with the surface along its normal; what slides along the surface doesn't move
-    it.
+    """Outward motion of outlines (m, n, 8), px a unit of each number; ``px_a_mm`` (m, n) along the
+    normal. Sliding along the surface moves no outline.
     """
     R = camera_from_teats.R
     n, q = contour.normals @ R, contour.from_centre @ R  # in the teats' own frame
@@ -132,9 +115,7 @@ def _along(vectors: Array, axis: Array, factor: Array) -> Array:
 
 
 def normals_of(pixels_px: Array) -> Array:
-    """Outward unit normals (m, n, 2) of outlines (m, n, 2): at right angles to the way from the
-    point before to the point after.
-    """
+    """Outward unit normals (m, n, 2) of outlines (m, n, 2), from each point's neighbours."""
     along = np.empty_like(pixels_px)
     along[:, 1:-1] = pixels_px[:, 2:] - pixels_px[:, :-2]
     along[:, 0], along[:, -1] = (
@@ -148,11 +129,9 @@ def normals_of(pixels_px: Array) -> Array:
 def _surface(
     centre: Array, axis: Array, radius: Array, taper: Array, outline: Outline
 ) -> tuple[Array, Array]:
-    """Points (m, n, 3) of the outline about the ball's centre, in the camera's frame, and the
-    normals there.
+    """Outline points (m, n, 3) about the ball's centre, camera's frame, and their normals.
 
-    Every normal n has n . centre = -radius; on the sides n . axis = -taper besides, which leaves
-    two, one a side.
+    Every normal n has n . centre = -radius; on the sides also n . axis = -taper: two, one a side.
     """
     depth_along = _dot(centre, axis)
     across = centre - depth_along[:, None] * axis
@@ -182,9 +161,7 @@ def _surface(
 
 
 def _over_end(centre: Array, radius: Array, start: Array, stop: Array, shares: Array) -> Array:
-    """Normals (m, k, 3) on the ball from one rim to the other by the way over the end: the circle n
-    . centre = -radius.
-    """
+    """Normals (m, k, 3) from rim to rim over the end: the circle n . centre = -radius."""
     far = np.linalg.norm(centre, axis=1)
     middle = -(radius / far**2)[:, None] * centre
     first, last = start - middle, stop - middle

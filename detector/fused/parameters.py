@@ -1,6 +1,4 @@
-"""Every setting of the detector that changes an answer, with its unit and where it comes from. The
-module may not know pictures.
-"""
+"""Every setting that changes an answer, with unit and origin."""
 
 from __future__ import annotations
 
@@ -11,11 +9,10 @@ from detector.fused.fit import Prior
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """What is known of teats and rigs before looking, and how much must speak for a teat.
+    """Prior knowledge of teats and rigs, and how much must speak for a teat.
 
-    Sizes are those of teats. How much must be seen, and what moves an edge, was set by hand on the
-    path-traced frames of another program and on situations of seeds below 400; seeds from 400 on
-    were kept apart to measure with (but for one false teat: docs/detectors.md).
+    Edge settings were tuned by hand on path-traced frames and situations of seeds below 400; seeds
+    from 400 on measure (but for one false teat: docs/detectors.md).
     """
 
     nearest_mm: float = 850.0  # working volume, along the right camera's axis

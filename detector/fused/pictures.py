@@ -1,8 +1,7 @@
-"""The pictures as the detector needs them, or one sentence on why they can't be used.
+"""The pictures as the detector needs them, or a sentence on why they can't be used.
 
-Strategy: optical intensities stay linear, as the camera gives them; only a region about the
-nominations is ever touched. The thermal picture is brought to the sensor's own pixels, un-mirrored,
-warm high. The module may not know teats.
+Optical intensities stay linear, in a region about the nominations. The thermal picture has the
+sensor's pixels, un-mirrored, warm high.
 """
 
 from __future__ import annotations
@@ -25,18 +24,14 @@ class UnusableError(ValueError):
 
 
 def optical(picture: NDArray[Any], size: tuple[int, int], camera: str) -> NDArray[Any]:
-    """The grey picture (rows, columns) of a camera, checked against the calibration's size
-    (columns, rows). Raises UnusableError.
-    """
+    """The grey picture (rows, columns), of the calibration's size. Raises UnusableError."""
     grey = _grey(picture, camera)
     _check_size(grey, size, camera)
     return grey
 
 
 def thermal(frames: Frames, camera: ThermalCamera) -> Field:
-    """Warmth (rows, columns) at sensor resolution, un-mirrored: kelvin where there are any, else
-    grey levels. Raises UnusableError.
-    """
+    """Warmth (rows, columns), sensor's grid, un-mirrored; K, else grey. Raises UnusableError."""
     columns, rows = camera.sensor_size
     if frames.thermal_k is not None:
         kelvin = np.asarray(frames.thermal_k)
@@ -62,10 +57,8 @@ def thermal(frames: Frames, camera: ThermalCamera) -> Field:
 def region(
     picture: NDArray[Any], points_px: NDArray[np.float64], margin_px: int
 ) -> tuple[Field, NDArray[np.float64]]:
-    """The part of a picture about points (n, 2) as linear intensities, and the pixel (2,) where it
-    begins.
-
-    Raises UnusableError where it is empty.
+    """Linear intensities about points (n, 2), and the first pixel (2,). Raises UnusableError where
+    it is empty.
     """
     rows, columns = picture.shape
     seen = points_px[np.isfinite(points_px).all(axis=1)]
@@ -79,9 +72,7 @@ def region(
 
 
 def noise_of(field: Field) -> float:
-    """Standard deviation of the noise of intensities: robust, from what is left after differences
-    of second order (Immerkaer 1996).
-    """
+    """Robust noise sd of intensities, from second differences (Immerkaer 1996)."""
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
     return max(
         float(np.median(np.abs(cv2.filter2D(field, cv2.CV_32F, mask)[::3, ::3]))) / (0.6745 * 6.0),

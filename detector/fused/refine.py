@@ -1,16 +1,9 @@
-"""From starts to fitted teats: first roughly and for many, then finely for those that are left,
-each place only once.
+"""From starts to fitted teats: a rough pass for many, a fine one for the rest, and further fits
+where needed.
 
-Strategy: the rough pass looks far, for plain steps, at few points; what then has hardly an edge
-where its outline is, or is where a better one is, goes. The fine pass looks close, with the full
-model of an edge. The module may not know temperatures.
-
-What a first fit can't know, tried in further fits: that a neighbour bridges or hides a part of it,
-or that its end isn't the teat's.
-
-Strategy: a fit that may bridge two teats is begun again on one side alone; one whose end is seen in
-part is slid along its own sides to the last place that shows an end; and what an accepted teat
-hides of one behind it is left out. The module may not know temperatures.
+The rough pass looks far for plain steps; the fine pass looks close with the full edge model. Then:
+a fit that may bridge two teats is begun again on one side; an end seen in part is slid up its
+sides; and points hidden by an accepted teat are left out.
 """
 
 from __future__ import annotations
@@ -60,9 +53,7 @@ _SAME_MM = np.array([2.5, 2.5, 8.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """Teats (m, 8) in the right camera's frame, the edges about them, and the weights (m, k) of
-    these.
-    """
+    """Teats (m, 8), right camera's frame, the edges about them, and weights (m, k)."""
 
     teats: Array
     seen: Seen
@@ -97,9 +88,7 @@ class Fitted:
 
 
 def refine(teats: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
-    """What the starts ``teats`` (m, 8) lead to, none in the same place as a better one. Raises
-    UnusableError where it is nothing.
-    """
+    """What starts ``teats`` (m, 8) lead to, each place once. Raises UnusableError for nothing."""
     teats = _rough(teats, views, p)
     if len(teats) == 0:
         raise UnusableError("the optical pictures show no outline where the thermal one is warm")
@@ -118,9 +107,7 @@ def refine(teats: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
 
 
 def _apart(fitted: Fitted) -> NDArray[np.intp]:
-    """Which of the teats to go on with: of those in one place, the one with the most of its outline
-    seen.
-    """
+    """Which teats to go on with: in each place, the one with most of its outline seen."""
     ends = apexes(fitted.teats)
     kept: list[int] = []
     for i in np.argsort(-(fitted.weight > 0).sum(axis=1), kind="stable"):
@@ -138,9 +125,7 @@ def fine(
     steps: int = FINE_STEPS,
     first: int = 0,
 ) -> Fitted:
-    """Teats (m, 8) after ``steps`` fine steps, ``first`` of which are behind them; ``seen``: what
-    is seen about them, if known.
-    """
+    """Teats (m, 8) after ``steps`` fine steps, ``first`` of them done; ``seen``: if known."""
     seen = look(teats, views, FINE_OUTLINE, fine=True) if seen is None else seen
     for number in range(first, first + steps):
         moved = step(teats, seen, _trusted(seen, hidden, number), p.prior)
@@ -154,10 +139,8 @@ def fine(
 def _look_again(
     seen: Seen, teats: Array, change: Array, views: tuple[View, ...], *, fine: bool
 ) -> Seen:
-    """What is seen after a small ``change`` (m, 8): where outlines moved, the optical pictures are
-    looked at anew.
-
-    Coarse thermal edges stay where they are, and so do the edges of outlines that hardly move.
+    """Edges after a small ``change`` (m, 8): optical ones anew where outlines moved; coarse thermal
+    ones stay.
     """
     outline = FINE_OUTLINE if fine else ROUGH_OUTLINE
     k = 2 * len(outline.part)
@@ -174,11 +157,8 @@ def _look_again(
 
 
 def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
-    """Weights (m, k) in the fine pass; after its first step only sides that both optical pictures
-    show, where nothing hides them, count.
-
-    What is a teat's side is so in both pictures. What only one shows is likely the outline of
-    something behind or before it.
+    """Weights (m, k) in the fine pass; after its first step only sides that both pictures show,
+    where nothing hides them. What only one shows is likely another thing's outline.
     """
     weight = np.where(hidden, 0.0, weights(seen, _FINE_SCALE))
     if number == 0:
@@ -233,9 +213,7 @@ def _rough(teats: Array, views: tuple[View, ...], p: Parameters) -> Array:
 
 
 def _distinct(teats: Array, seen: Seen, least: float, same_mm: Array, most: int) -> list[int]:
-    """At most ``most`` of the teats (m, 8), by the share of their outlines near an edge, none
-    within ``same_mm`` of a better one.
-    """
+    """At most ``most`` of teats (m, 8) by seen outline, none within ``same_mm`` of a better one."""
     near = (weights(seen, _ROUGH_SCALE) > 0) & (
         np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _NEAR_PX
     )
@@ -258,8 +236,8 @@ def _distinct(teats: Array, seen: Seen, least: float, same_mm: Array, most: int)
 
 
 def on_one_bar(teats: Array) -> NDArray[np.bool_]:
-    """Whether the one (rows) and the other (columns) of the fits (m, 8) are of one teat, wherever
-    they say its end is: the one's middle is near the other's axis.
+    """Whether fits (m, 8) in rows and columns are of one teat: the one's middle is near the other's
+    axis.
     """
     way, axis = teats[:, None, :3] - teats[:, :3], axes(teats)
     along = np.einsum("ikd,kd->ik", way, axis)
@@ -284,9 +262,7 @@ _ROOM_PX = (3.0, 3.0, 1.0)
 def refine_again(
     fitted: Fitted, hidden: NDArray[np.bool_], views: tuple[View, ...], p: Parameters
 ) -> Fitted:
-    """The fitted teats, once more, now that it is known which points (m, k) of their outlines are
-    behind another teat.
-    """
+    """The teats fitted again without outline points (m, k) that another teat hides."""
     at, rest = np.flatnonzero(hidden.any(axis=1)), np.flatnonzero(~hidden.any(axis=1))
     upright = replace(p, prior=replace(p.prior, lean_sd=_UPRIGHT * p.prior.lean_sd))
     again = fine(
@@ -296,11 +272,8 @@ def refine_again(
 
 
 def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Two starts for each of the teats (m, 8), each on one side and the half of the end next to it
-    alone; and what is left out.
-
-    Where teats touch, the other side of the outline that is seen belongs to the neighbour, and a
-    fit bridges both.
+    """Two starts for each teat (m, 8), each with one side and half the end; and what is left out.
+    Where teats touch, the other side is the neighbour's.
     """
     starts, masks = [], []
     for lost, sign in ((SIDE_B, -1.0), (SIDE_A, 1.0)):
@@ -320,16 +293,12 @@ def refine_more(
     views: tuple[View, ...],
     p: Parameters,
 ) -> Fitted:
-    """The fitted teats, and besides them fits from ``starts`` (n, 8) without the points
-    ``left_out`` (n, k).
-    """
+    """The fitted teats, and fits from ``starts`` (n, 8) without points ``left_out`` (n, k)."""
     return fitted + fine(starts, left_out, views, p) if len(starts) else fitted
 
 
 def refine_slid(fitted: Fitted, slid: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
-    """The fitted teats, and besides them fits from ``slid`` (n, 8), which were followed up their
-    sides.
-    """
+    """The fitted teats, and fits from ``slid`` (n, 8), followed up their sides."""
     if len(slid) == 0:
         return fitted
     tight = replace(p, prior=replace(p.prior, height_sd=_SHAPE * p.prior.height_sd))
@@ -338,12 +307,11 @@ def refine_slid(fitted: Fitted, slid: Array, views: tuple[View, ...], p: Paramet
 
 
 def slide_ends(teats: Array, views: tuple[View, ...]) -> Array:
-    """The teats (m, 8) with their ends moved along their axes to where both optical pictures show
-    the outline of a round end.
+    """Teats (m, 8) with ends moved along their axes to where both optical pictures show a round
+    end.
 
-    Light paints rims on a teat that look like its end, but beyond the end itself there is no
-    outline of its width: of places that show nearly as much of an end as the best does, the
-    farthest out is taken.
+    Light paints rims on a teat, but nothing as wide beyond its end: of places nearly as good as the
+    best, the farthest out.
     """
     m, count = len(teats), len(_SLIDE_MM)
     if m == 0:
@@ -382,10 +350,8 @@ def _half(side: int) -> NDArray[np.intp]:
 
 
 def hidden_points(fitted: Fitted, accepted: list[int], again: list[int]) -> NDArray[np.bool_]:
-    """Which points (m, k) of the outlines lie on an accepted teat that is nearer, or just beside
-    it, where its edge would be found.
-
-    Only the teats ``again`` are asked for.
+    """Which outline points (m, k) lie on or just beside a nearer accepted teat; only for teats
+    ``again``.
     """
     m, n = len(fitted.teats), len(FINE_OUTLINE.part)
     pixels = fitted.seen.pixels_px.reshape(m, -1, n, 2)
@@ -401,9 +367,7 @@ def hidden_points(fitted: Fitted, accepted: list[int], again: list[int]) -> NDAr
 
 
 def _inside(points: Array, outline: Array, room_px: float) -> NDArray[np.bool_]:
-    """Whether points (b, n, 2) lie within an ``outline`` (n, 2), closed from its last point to its
-    first, or ``room_px`` of it.
-    """
+    """Whether points (b, n, 2) lie within a closed ``outline`` (n, 2), or ``room_px`` of it."""
     result = np.zeros(points.shape[:2], dtype=bool)
     near = np.all(
         (points > outline.min(axis=0) - room_px) & (points < outline.max(axis=0) + room_px), axis=2

@@ -1,11 +1,8 @@
-"""Where the thermal picture shows something like the end of an upright bar: candidates for teats,
-many rather than few.
+"""Candidates for ends of upright warm bars in the thermal picture, many rather than few.
 
-Strategy: a bar's outline (two sides and a round top) is laid over the direction and strength of the
-picture's gradient, for several widths and leans at once, at every pixel. Gradients saturate at a
-few times their noise, so that a bar a little cooler than an arm behind it scores as one that is far
-warmer than a wall, and no threshold on temperature is needed. A bar may lack a side: that is where
-teats touch. The module may not know the optical cameras.
+A bar's outline (two sides, round top) is laid over the gradient at every pixel, for several widths
+and leans. Gradients saturate at a few times their noise, so no temperature threshold is needed. A
+bar may lack a side, where teats touch.
 """
 
 from __future__ import annotations
@@ -33,9 +30,7 @@ _STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END, _SURE_END = 0.35, 0.25, 0.45, 0.8, 0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nominations:
-    """Bars' ends in sensor pixels: the middle (n, 2) of the round end, its radius (n,), lean (n,)
-    (columns a row downwards), score (n,).
-    """
+    """Ends, sensor px: middle (n, 2), radius, lean (columns a row downwards), score, (n,) each."""
 
     centre_px: Array
     radius_px: Array
@@ -85,11 +80,8 @@ def nominate(temperature: Field, most: int) -> Nominations:
 
 
 def bars(temperature: Field, ends: Nominations, most: int) -> Nominations:
-    """At most ``most`` upright warm bars whose ends aren't among the clear ones of ``ends``:
-    `centre_px` lies somewhere on the bar.
-
-    Where something as warm as a teat is behind its end, the thermal picture shows nothing but the
-    sides below it.
+    """At most ``most`` upright warm bars without a clear end of ``ends``; `centre_px` is on the
+    bar. For ends before something as warm, where only sides show.
     """
     gx, gy = strengths(temperature)
     low, high = np.percentile(temperature, [20, 99])
@@ -134,9 +126,7 @@ def bars(temperature: Field, ends: Nominations, most: int) -> Nominations:
 
 
 def unexplained(temperature: Field, ends: Nominations, feet_px: Array, tips_px: Array) -> int:
-    """How many of the ends beyond doubt are on none of the bars from ``tips_px`` (k, 2) to
-    ``feet_px`` (k, 2): teats not located.
-    """
+    """How many clear ends lie on no bar from ``tips_px`` (k, 2) to ``feet_px`` (k, 2)."""
     way = tips_px - feet_px
     bars_seen = list(zip(0.5 * (tips_px + feet_px), (way[:, 0] / way[:, 1]).tolist(), strict=True))
     low, high = np.percentile(temperature, [20, 99])
@@ -156,9 +146,7 @@ def unexplained(temperature: Field, ends: Nominations, feet_px: Array, tips_px: 
 
 
 def _beside(a: Array, lean_a: float, b: Array, lean_b: float) -> Array:
-    """How far apart across two bars are, half way between their middles, px; ``a`` may be many, (2,
-    n).
-    """
+    """Distance across two bars half way between their middles, px; ``a`` may be many, (2, n)."""
     half = 0.5 * (b[1] - a[1])
     return np.asarray(np.abs((a[0] + lean_a * half) - (b[0] - lean_b * half)))
 
@@ -175,9 +163,7 @@ def _best(
 
 
 def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0) -> tuple[Field, Field]:
-    """Gradient (x, y) of a picture, each pixel's length squeezed below 1: one half at ``noises``
-    times what noise alone gives.
-    """
+    """Gradient (x, y), each length squeezed below 1; one half at ``noises`` times the noise's."""
     smooth = cv2.GaussianBlur(picture, (0, 0), blur_px)
     gx, gy = (
         cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125) for order in ((1, 0), (0, 1))
@@ -190,9 +176,7 @@ def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0) -> tupl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Padded:
-    """Squeezed gradients, flat, with room about them, so that an outline may reach beyond the
-    picture: there is nothing there.
-    """
+    """Squeezed gradients, flat, with a border of zeros for outlines beyond the picture."""
 
     gx: Field
     gy: Field
@@ -211,9 +195,7 @@ class _Padded:
 
 
 def _end_score(maps: _Padded, tips: NDArray[np.intp], width: float, lean: float) -> Array:
-    """How well (n,) a bar of half width ``width`` px and lean
-    fits with its tip at ``tips`` (n,).
-    """
+    """Fit (n,) of a bar of half width ``width`` px and lean with tips ``tips`` (n,)."""
     length = np.hypot(1.0, lean)
     down, right = np.array([lean, 1.0]) / length, np.array([1.0, -lean]) / length
     arc = -np.cos(_ARC)[:, None] * down + np.sin(_ARC)[:, None] * right
@@ -233,9 +215,7 @@ def _end_score(maps: _Padded, tips: NDArray[np.intp], width: float, lean: float)
 
 
 def _bar_score(maps: _Padded, at: NDArray[np.intp], width: float, lean: float) -> Array:
-    """How well (n,) the sides of a warm bar of half width ``width`` px and lean fit below ``at``
-    (n,).
-    """
+    """Fit (n,) of a warm bar's sides, half width ``width`` px and lean, below ``at`` (n,)."""
     length = np.hypot(1.0, lean)
     down, right = np.array([lean, 1.0]) / length, np.array([1.0, -lean]) / length
     sides = [
@@ -252,9 +232,7 @@ def _bar_score(maps: _Padded, at: NDArray[np.intp], width: float, lean: float) -
 
 
 def _along(maps: _Padded, at: NDArray[np.intp], points: Array, normals: Array) -> Field:
-    """Strength (k, n) outward across the outline at ``points`` (k, 2) px from the places ``at``
-    (n,), along ``normals`` (k, 2).
-    """
+    """Outward strength (k, n) at ``points`` (k, 2) px from ``at`` (n,), by ``normals`` (k, 2)."""
     whole = np.rint(points).astype(np.intp)
     index = at + (whole[:, 1] * maps.columns + whole[:, 0])[:, None]
     n = normals.astype(np.float32)

@@ -1,13 +1,8 @@
-"""How sure a fitted teat end is: covariances from the edges that were found, and from what edges
-can't say of themselves.
+"""Covariances of fitted teat ends, first order (JCGM 102:2011), through the fit's gain.
 
-Strategy: first order (JCGM 102:2011), every edge's way to the end through the fit's gain. Six
-things move an end: the noise of each edge, by how its line fits a step; what neighbouring edges
-have in common (paint, a shadow, sampling), as one unknown shift for each short stretch of outline,
-as large as the stretches' own means scatter about the fitted outline, and the larger the less of
-the outline is seen; the correction for brightness that falls towards the limb, which may be wrong
-by a share of itself; how far an end's shape is from half an ellipsoid's; how much of the end isn't
-seen; and the calibration. The module may not know temperatures.
+Six sources: each edge's noise; what neighbouring edges share (paint, shadow, sampling), by the
+scatter of stretches about the outline; the limb correction; the end's deviation from half an
+ellipsoid; the unseen part of the end; the calibration.
 """
 
 from __future__ import annotations
@@ -27,9 +22,7 @@ _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
 def end_covariances(fitted: Fitted, p: Parameters) -> Array:
-    """Covariances (m, 3, 3) mm^2 of the ends in the right camera's frame, without the calibration's
-    share.
-    """
+    """(m, 3, 3) mm^2 of the ends, right camera's frame, without the calibration's share."""
     m, k = fitted.weight.shape
     optical = 2 * len(FINE_OUTLINE.part)
     gain = _gain(fitted, p)
@@ -60,18 +53,13 @@ def _gain(fitted: Fitted, p: Parameters) -> Array:
 
 
 def _by_part(limb: Array) -> Array:
-    """Moves (m, 3, views * n) of all edges of one part of the outline together, (m, 3, 3 parts):
-    both pictures show the same light.
-    """
+    """Moves (m, 3, views * n) summed by part (m, 3, 3 parts): both pictures show the same light."""
     part = np.tile(FINE_OUTLINE.part, limb.shape[2] // len(FINE_OUTLINE.part))
     return np.stack([limb[..., part == p].sum(axis=2) for p in (SIDE_A, END, SIDE_B)], axis=2)
 
 
 def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
-    """Standard deviation (m,) px of what a stretch of the optical outlines has in common.
-
-    Where a part of the outline doesn't show, the rest is the more doubtful.
-    """
+    """Common sd (m,) px of a stretch of the optical outlines; larger where a part is unseen."""
     k = 2 * len(FINE_OUTLINE.part)
     used = fitted.weight[:, :k] > 0
     offset = np.where(used, np.clip(np.nan_to_num(fitted.seen.offset_px[:, :k]), -1, 1), 0.0)
@@ -99,8 +87,8 @@ def _unseen_end(fitted: Fitted) -> Array:
 
 
 def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> Array:
-    """Covariances (m, 3, 3) mm^2 in the world: the ends' ``own`` in the right camera's frame, and
-    the calibration's share at ``ends_mm`` (m, 3).
+    """(m, 3, 3) mm^2, world: ``own`` (right camera's frame) and the calibration's at ``ends_mm``
+    (m, 3).
     """
     R = calibration.world_from_right.R
     total = R @ own @ R.T

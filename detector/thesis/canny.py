@@ -1,11 +1,7 @@
-"""The edge detector that `edge(picture, 'canny', [], sigma)` of Matlab's image toolbox was when the
-thesis was written (2009).
+"""Matlab's `edge(picture, 'canny', [], sigma)` of 2009, when the thesis was written.
 
-Strategy: smooth with a Gaussian, then take derivative-of-Gaussian filters of the same sigma (that
-toolbox blurred twice; releases from 2011 on do so once and keep this as 'canny_old'), choose the
-thresholds from a histogram of gradient lengths, keep ridges, follow them by hysteresis and thin
-once. Everything is separable or works on the few candidate pixels, so it stays fast at sigma 12.
-The module may not know what the edges are for.
+A Gaussian, then derivative-of-Gaussian filters of the same sigma (2011's blurs once and keeps this
+as 'canny_old'), thresholds from a histogram of gradient lengths, ridges, hysteresis, one thinning.
 """
 
 from __future__ import annotations
@@ -26,9 +22,7 @@ _DIE_OFF = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edges:
-    """The edge mask (rows, columns) and the thresholds used, as parts of the greatest gradient
-    length.
-    """
+    """The edge mask (rows, columns) and thresholds as parts of the greatest gradient."""
 
     mask: Mask
     low: float
@@ -43,9 +37,7 @@ def canny(
     bins: int,
     ratio: float,
 ) -> Edges:
-    """Edges of a grey picture (rows, columns) with automatic thresholds. A picture of one grey
-    everywhere has none.
-    """
+    """Edges of a grey picture (rows, columns), automatic thresholds; none in a uniform one."""
     if picture.min() == picture.max():
         return Edges(np.zeros(picture.shape, dtype=np.bool_), 0.0, 0.0)
     gx, gy = gradient(picture, sigma_px, reach_px)
@@ -58,11 +50,8 @@ def canny(
 
 
 def kernels(sigma_px: float, reach_px: int) -> tuple[Single, Single]:
-    """A Gaussian of sum one and the slope kernel that goes with it, (2 w + 1,) each, w at most
-    reach_px.
-
-    The slope kernel is in OpenCV's sense (correlation): a picture that grows brighter along the
-    axis gives positive values.
+    """A Gaussian of sum one and its slope kernel, (2 w + 1,) each, w at most reach_px. Correlation:
+    brighter along the axis is positive.
     """
     t = np.arange(-reach_px, reach_px + 1, dtype=np.float64)
     t = t[(np.exp(-(t * t) / (2 * sigma_px**2)) > _DIE_OFF) | (np.abs(t) <= 1)]
@@ -73,9 +62,7 @@ def kernels(sigma_px: float, reach_px: int) -> tuple[Single, Single]:
 
 
 def gradient(picture: NDArray[np.uint8], sigma_px: float, reach_px: int) -> tuple[Single, Single]:
-    """Slopes along columns and along rows, grey levels a pixel, of the picture smoothed twice;
-    outside is as the nearest pixel.
-    """
+    """Slopes along columns and rows, grey levels a px, smoothed twice; borders replicate."""
     gauss, slope = kernels(sigma_px, reach_px)
     border = cv2.BORDER_REPLICATE
     smooth = cv2.sepFilter2D(
@@ -87,11 +74,9 @@ def gradient(picture: NDArray[np.uint8], sigma_px: float, reach_px: int) -> tupl
 
 
 def automatic_threshold(length: NDArray[np.floating], not_edges: float, bins: int) -> float:
-    """The high threshold for gradient lengths in 0..1: the first bin's upper end below which more
-    than `not_edges` of all pixels lie.
-
-    As imhist does, bin k of n is centred on k / (n - 1), so the outermost bins are half as wide as
-    the others.
+    """Of lengths in 0..1: the upper end of the first bin below which more than `not_edges` of all
+    pixels lie. As imhist, bin k of n is centred on k / (n - 1): the outermost bins are half as
+    wide.
     """
     counts = np.bincount((length.ravel() * (bins - 1) + 0.5).astype(np.intp), minlength=bins)
     above = np.cumsum(counts) > not_edges * length.size
@@ -99,11 +84,8 @@ def automatic_threshold(length: NDArray[np.floating], not_edges: float, bins: in
 
 
 def ridges(gx: Single, gy: Single, length: Single, low: float) -> Mask:
-    """Pixels above `low` whose gradient is no shorter than on either side across the edge; the
-    picture's outermost pixels never are.
-
-    Both neighbours are interpolated between the two pixels that the gradient's direction passes
-    between.
+    """Pixels above `low` with no longer gradient on either side across the edge; never the
+    outermost. Neighbours are interpolated between the two pixels on the gradient's way.
     """
     keep = np.zeros(length.shape, dtype=np.bool_)
     rows, columns = np.nonzero(length[1:-1, 1:-1] > low)
@@ -133,16 +115,14 @@ def hysteresis(weak: Mask, strong: Mask) -> Mask:
 
 
 def thin_once(mask: Mask) -> Mask:
-    """One pass of parallel thinning in two half-steps (Guo and Hall 1989; Lam, Lee and Suen 1992),
-    as bwmorph(…, 'thin', 1).
+    """One pass of parallel thinning, as bwmorph(…, 'thin', 1) (Guo and Hall 1989; Lam, Lee and Suen
+    1992).
     """
     return _half_step(_half_step(mask, first=True), first=False)
 
 
 def _half_step(mask: Mask, *, first: bool) -> Mask:
-    """Take off pixels that end no line and join nothing, on the south-east (first) or north-west
-    side.
-    """
+    """Remove pixels that end and join nothing, south-east (first) or north-west."""
     padded = np.pad(mask, 1)
     rows, columns = np.nonzero(mask)
     # counter-clockwise from the east, as the papers number them: x1 = E, x2 = NE, ... x8 = SE

@@ -1,16 +1,8 @@
-"""The thesis's detector from frame set to teat ends: the stages in their published order, each
-one's result kept.
+"""The thesis's detector: its stages in published order, and variants with one thing changed.
 
-Strategy: the stages are pure functions next door; here they are only joined, and whatever would
-have stopped the original with an error becomes an answer without teats and a reason. The world is
-reached by the calibration's rigid motion; the thesis's own matrix wasn't rigid. The module may not
-know the scene, the truth, nor what the answer is for.
-
-The published algorithm with one thing changed, each under a name of its own, so that what that
-thing is worth can be measured.
-
-Published homographies (section 3.2.2) or the calibration's at the teats' plane; with and without
-optical refinement (sections 4.2, 4.3).
+What would have stopped the original gives no teats and a reason. The world is reached by the
+calibration's rigid motion. Variants: homographies (section 3.2.2) or the calibration's; with or
+without optical refinement (4.2, 4.3).
 """
 
 from __future__ import annotations
@@ -78,9 +70,7 @@ class ThesisDetector:
         return asdict(self.settings)
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
-        """Teat ends in the world frame, no covariances, and the trace of every stage that was
-        reached.
-        """
+        """Teat ends in the world frame, no covariances, and the trace of every stage reached."""
         trace: list[Stage] = []
         try:
             left = _optical(frames.left, calibration.left.image_size, "left")
@@ -104,9 +94,7 @@ def _optical(image: NDArray[Any], size: tuple[int, int], camera: str) -> Grey:
 
 
 def _thermal(frames: Frames, calibration: Calibration) -> Grey:
-    """The un-mirrored 8-bit thermal picture at the calibration's size, from whichever form there
-    is.
-    """
+    """The un-mirrored 8-bit thermal picture at the calibration's size."""
     camera = calibration.thermal
     try:
         if frames.thermal is not None:
@@ -130,9 +118,7 @@ def _check_size(picture: NDArray[Any], size: tuple[int, int], camera: str) -> No
 
 
 def _find_in_thermal(picture: Grey, p: Parameters, trace: list[Stage]) -> tuple[Array, int]:
-    """Teat ends (n, 2) px in the un-mirrored thermal picture, at least one, and how many are hidden
-    (sections 4.1.1 to 4.1.7).
-    """
+    """Thermal teat ends (n, 2) px, at least one, and how many are hidden (4.1.1 to 4.1.7)."""
     trace.append(Stage("thermal", {"picture": picture}))
     edges = find_edges(picture, p)
     trace.append(
@@ -187,9 +173,7 @@ def _locate(
     p: Parameters,
     trace: list[Stage],
 ) -> tuple[tuple[Teat, ...], str | None]:
-    """Thermal teat ends (n, 2) to teats in the world, and what was left out on the way (sections
-    4.2, 4.3, 3.2.1.2, 3.3.2).
-    """
+    """Thermal teat ends (n, 2) to world teats, and what was left out (4.2, 4.3, 3.2.1.2, 3.3.2)."""
     maps = _homographies(calibration, p)
     nominated = nominate(maps.left, thermal_px), nominate(maps.right, thermal_px)
     trace.append(Stage("nominations", {"left_px": nominated[0], "right_px": nominated[1]}))
@@ -248,9 +232,7 @@ def _homographies(calibration: Calibration, p: Parameters) -> Homographies:
 
 
 def _inside(points_px: Array, picture: Grey) -> NDArray[np.bool_]:
-    """Which points (n, 2) lie on the picture: nothing can be said of a teat that the camera doesn't
-    see.
-    """
+    """Which points (n, 2) lie on the picture."""
     with np.errstate(invalid="ignore"):
         return np.asarray(
             np.all((points_px >= -0.5) & (points_px < np.array(picture.shape[::-1]) - 0.5), axis=1)
@@ -265,16 +247,12 @@ def _seen(camera: str, refined: list[Refined]) -> dict[str, NDArray[Any]]:
 
 
 def published_homography() -> ThesisDetector:
-    """With the printed homographies: right at 1168 mm from the
-    cameras, some 6 px off at the teats.
-    """
+    """The printed homographies: right at 1168 mm, some 6 px off at the teats."""
     return ThesisDetector(Parameters(homographies="published"), "thesis-published-homography")
 
 
 def no_refinement() -> ThesisDetector:
-    """Without looking into the optical pictures: what the thermal picture and a homography give
-    alone.
-    """
+    """Thermal picture and homography alone, without the optical pictures."""
     return ThesisDetector(Parameters(refinement=False), "thesis-no-refinement")
 
 

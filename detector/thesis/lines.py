@@ -1,13 +1,8 @@
-"""Ends of vertical lines (section 4.1.5, appendix A.2.2): segments of the vertical order filter
-become at most eight lines.
+"""Ends of vertical lines, middles of horizontal ones, and the teat ends chosen from them (sections
+4.1.5 to 4.1.7, appendices A.2.2 to A.2.4).
 
-Strategy: the original merges columns pair by pair, in place, in an order that matters. The same
-steps are taken here on runs of equal columns instead of single pixels, which gives the same outcome
-in a hundredth of the time. Pixels are counted from 0; every step is unchanged by that shift. The
-module may not know what comes of the lines.
-
-Middles of horizontal lines (section 4.1.6, appendix A.2.3) and the ends of teats chosen from them
-(section 4.1.7, appendix A.2.4).
+The original merges columns pair by pair, in place; the same steps on runs of equal columns take a
+hundredth of the time. Pixels are counted from 0.
 
 Where text and listing differ the listing stands, for it is what ran. The text's condition C (a
 middle lies near two vertical ends) is in no listing and its distances are printed nowhere, so it
@@ -45,12 +40,11 @@ def half_up(value: float) -> int:
 
 
 def vertical_ends(mask: Mask, p: Parameters) -> Array:
-    """Upper ends (n, 2) px (column, row) of the vertical lines in the order-filtered mask, by
-    column; the highest eight at most.
+    """Upper ends (n, 2) px (column, row) of vertical lines in the mask, by column; the highest
+    eight.
 
-    A line is a merged column with at least 35 points; its end is its highest point. None gives (0,
-    2), where the original stopped with an error. The original's `countelement` is lost: it is taken
-    to count each value, in rising order.
+    A line is a merged column of at least 35 points; none gives (0, 2). The lost `countelement` is
+    taken to count each value in rising order.
     """
     columns, rows = np.nonzero(mask.T)  # by column, then by row, as Matlab's find()
     merged = np.array(merge_columns(columns.tolist(), p.vertical_merge_px), dtype=np.int64)
@@ -64,19 +58,15 @@ def vertical_ends(mask: Mask, p: Parameters) -> Array:
 
 
 def window_centre(ends: Array) -> tuple[int, int]:
-    """The rounded mean (column, row) of the vertical ends (n, 2): where the teat ends are looked
-    for (appendix A.1).
-    """
+    """Rounded mean (column, row) of vertical ends (n, 2): the window's centre (A.1)."""
     x, y = ends.mean(axis=0)
     return half_up(float(x)), half_up(float(y))
 
 
 def merge_columns(columns: Sequence[int], reach: int) -> list[int]:
-    """The columns once each point in turn has drawn those within `reach` of it to the rounded mean
-    of both, and moved there itself.
+    """Columns after each point has drawn those within `reach`, and itself, to the rounded mean.
 
-    The listing's double loop: for each i, for each j: if |x_i - x_j| <= reach, both become
-    round((x_i + x_j) / 2).
+    The listing, for each i, j: if |x_i - x_j| <= reach, both become round((x_i + x_j) / 2).
     """
     runs = list(_runs(columns))
     done = 0
@@ -109,8 +99,8 @@ def _draw(runs: list[Run], at: int, offset: int, reach: int) -> list[Run]:
 
 
 def _meet(result: list[Run], mine: int, column: int, many: int, reach: int) -> int:
-    """Let `many` points of one column pass the point at `mine`; appends where they end up, returns
-    where the point does.
+    """Let `many` points of one column pass the one at `mine`; appends their places, returns its
+    own.
     """
     while many and column != mine and abs(column - mine) <= reach:
         middle = (mine + column + 1) // 2
@@ -151,9 +141,7 @@ _WINDOW_SLIP_PX = 1  # see above
 
 
 def window_fits(shape: tuple[int, ...], centre: tuple[int, int], p: Parameters) -> bool:
-    """Whether the window around centre (column, row) lies inside of a picture of that shape (rows,
-    columns).
-    """
+    """Whether the window at (column, row) lies within a picture (rows, columns)."""
     x, y = centre
     return (
         y >= p.window_rows[0]
@@ -164,8 +152,8 @@ def window_fits(shape: tuple[int, ...], centre: tuple[int, int], p: Parameters) 
 
 
 def horizontal_middles(mask: Mask, centre: tuple[int, int], p: Parameters) -> Array:
-    """Middles (n, 2) px (column, row) of the short horizontal lines within the window around centre
-    (column, row), by row, then column.
+    """Middles (n, 2) px of short horizontal lines in the window at (column, row), by row, then
+    column.
     """
     rows, columns = _points_in_window(mask, centre, p)
     rows = merge_rows(rows, columns, p.horizontal_merge_rows, p.horizontal_merge_columns)
@@ -180,11 +168,10 @@ def horizontal_middles(mask: Mask, centre: tuple[int, int], p: Parameters) -> Ar
 
 
 def merge_rows(rows: Whole, columns: Whole, row_reach: int, column_reach: int) -> Whole:
-    """The rows (n,) once each point in turn has pulled the points after it, if near enough, up to
-    its own row.
+    """Rows (n,) after each point has pulled later ones nearby up to its row.
 
-    The listing's double loop: for each i, for each j > i: if |y_i - y_j| <= row_reach and |x_i -
-    x_j| <= column_reach, y_j = min(y_i, y_j). The points come sorted by row.
+    For each i, j > i: if |y_i - y_j| <= row_reach and |x_i - x_j| <= column_reach, y_j = min(y_i,
+    y_j). Points are sorted by row.
     """
     merged = rows.copy()
     for i in range(len(merged) - 1):
@@ -198,9 +185,7 @@ def merge_rows(rows: Whole, columns: Whole, row_reach: int, column_reach: int) -
 
 
 def segment_middles(columns: Whole, p: Parameters) -> list[int]:
-    """Middles, shifted as published by 2 px, of the stretches of one line's points (n,) that hold
-    six of them within 12 px.
-    """
+    """Middles, shifted by the published 2 px, of stretches with six of a line's points in 12 px."""
     x = np.sort(columns)
     span = p.segment_points - 1
     middles, k = [], 0
@@ -212,10 +197,9 @@ def segment_middles(columns: Whole, p: Parameters) -> list[int]:
 
 
 def teat_ends(middles: Array, p: Parameters) -> tuple[Array, int]:
-    """Teat ends (n, 2) px out of the middles (m, 2), by column, and how many of four are hidden.
+    """Teat ends (n, 2) px out of middles (m, 2), by column, and how many of four are hidden.
 
-    Those within 30 rows of the mean row, from the left, each more than 30 columns from the one
-    before, four at most.
+    Within 30 rows of the mean row, from the left, more than 30 columns apart, four at most.
     """
     if len(middles) == 0:
         return np.empty((0, 2)), p.teat_count
@@ -229,9 +213,7 @@ def teat_ends(middles: Array, p: Parameters) -> tuple[Array, int]:
 
 
 def _points_in_window(mask: Mask, centre: tuple[int, int], p: Parameters) -> tuple[Whole, Whole]:
-    """Rows and columns (n,) each, of the true pixels in the window, sorted by row, then column,
-    counted in the picture.
-    """
+    """Rows and columns (n,) of true pixels in the window, by row, then column."""
     top, left = max(centre[1] - p.window_rows[0], 0), max(centre[0] - p.window_columns[0], 0)
     rows, columns = np.nonzero(
         mask[

@@ -36,11 +36,8 @@ _REGION_SLIP_PX = 1  # see above
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
-    """One teat in one optical picture: its end (2,) px, whether the picture moved it there, and
-    what was seen on the way.
-
-    region, bright (41, 41): the cut-out, and where it is bright after both dilations; zeros where
-    the region left the picture.
+    """One teat's end (2,) px in an optical picture, and whether the picture moved it. region,
+    bright (41, 41): the cut-out and its bright part after both dilations; zeros beyond the picture.
     """
 
     end_px: Array
@@ -50,16 +47,12 @@ class Refined:
 
 
 def nominate(homography: Array, teats_px: Array) -> Array:
-    """Optical pixels (n, 2), rounded, where the homography puts thermal pixels (n, 2); NaN where it
-    puts them nowhere.
-    """
+    """Optical pixels (n, 2), rounded, of thermal pixels (n, 2); NaN where there are none."""
     return np.asarray(np.floor(apply_homography(homography, teats_px) + 0.5))
 
 
 def refine(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
-    """Look for the teat's end in the region around a nomination (2,); what can't be refined stays
-    where it was nominated.
-    """
+    """Look for the end around a nomination (2,), which stays where there is none."""
     region = cut_region(picture, nomination_px, p.region_reach_px)
     if region is None:
         return keep(picture, nomination_px, p)
@@ -71,9 +64,7 @@ def refine(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
 
 
 def keep(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
-    """The teat's end where it was nominated, the region as it is (zeros where it leaves the
-    picture), nothing looked for in it.
-    """
+    """The end as nominated; nothing is looked for in the region (zeros beyond the picture)."""
     side = 2 * p.region_reach_px + 1
     region = cut_region(picture, nomination_px, p.region_reach_px)
     blank = np.zeros((side, side), dtype=np.uint8)
@@ -86,9 +77,7 @@ def keep(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
 
 
 def cut_region(picture: Grey, centre_px: Array, reach_px: int) -> Grey | None:
-    """The square (2 reach + 1, 2 reach + 1) around a whole pixel (2,), or None where it leaves the
-    picture.
-    """
+    """The square (2 reach + 1, 2 reach + 1) around a whole pixel (2,); None beyond the picture."""
     x, y = (int(v) for v in np.nan_to_num(centre_px, nan=-1.0))
     if not (
         reach_px <= x < picture.shape[1] - reach_px and reach_px <= y < picture.shape[0] - reach_px
@@ -115,9 +104,7 @@ def binary_dilation(bright: Mask, p: Parameters) -> Mask:
 
 
 def locate_end(dark: Mask, p: Parameters) -> Array | None:
-    """The teat's end (column, row) in a region: above the middle of the topmost dark line of at
-    least 10 px, by half the line's length.
-    """
+    """The end (column, row): half its length above the middle of the topmost dark line of 10 px."""
     width = dark.shape[1]
     for row in np.flatnonzero(dark.any(axis=1))[:-1]:
         line = dark[row]
@@ -130,9 +117,7 @@ def locate_end(dark: Mask, p: Parameters) -> Array | None:
 
 
 def _line_start(line: Mask, least_px: int) -> int | None:
-    """First column of the first dark run of least_px; None where there is none, or where the
-    listing's search gives up before it.
-    """
+    """First column of the first dark run of least_px; None where the listing finds none."""
     if np.count_nonzero(line) < least_px:
         return None
     width, start = len(line), int(np.argmax(line))
@@ -147,9 +132,7 @@ def _line_start(line: Mask, least_px: int) -> int | None:
 
 
 def _dilate(image: NDArray[np.uint8], element: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Matlab's imdilate: the element is turned by 180 degrees and, where a side is even, its origin
-    is the one before the middle.
-    """
+    """Matlab's imdilate: element turned by 180 degrees, an even side's origin before the middle."""
     rows, columns = element.shape
     anchor = (columns // 2, rows // 2)  # of the turned element, (column, row) as OpenCV wants it
     turned = np.ascontiguousarray(element[::-1, ::-1])

@@ -1,8 +1,5 @@
-"""Every figure of the published algorithm, named, with where it stands. They are facts: nothing
-here is tuned to any scene.
-
-Indices are counted from 0 as everywhere in this project; the thesis's Matlab counts from 1, so its
-column 631 is 630 here.
+"""Every figure of the published algorithm, with its place in the thesis; none is tuned. Indices
+count from 0: Matlab's column 631 is 630 here.
 """
 
 from __future__ import annotations
@@ -15,9 +12,7 @@ Domain = tuple[tuple[int, ...], ...]
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """The published settings as defaults. Lengths in px of the picture they apply to; windows are
-    (before, after) the centre, inclusive.
-    """
+    """The published settings; px of their picture, windows (before, after) inclusive."""
 
     # Edges of the thermal picture: appendix A.1 and Matlab's own defaults of the time
     canny_sigma_px: float = 12.0

@@ -1,7 +1,5 @@
-"""The thermal picture as the thesis's chain takes it: 8-bit, un-mirrored, its edges, and the order
-filters (sections 4.1.1 to 4.1.4).
-
-The module may not know what the segments that it finds will be taken for.
+"""The thermal picture in the thesis's chain: 8-bit, un-mirrored, edges, order filters (4.1.1 to
+4.1.4).
 """
 
 from __future__ import annotations
@@ -19,9 +17,7 @@ Grey = NDArray[np.uint8]
 
 
 def eight_bit(image: NDArray[Any]) -> Grey:
-    """A grey picture as uint8: 16-bit ones keep their upper byte. Raises ValueError for other kinds
-    of pixels and for colour.
-    """
+    """Grey as uint8: the upper byte of 16 bits. Raises ValueError for other pixels."""
     if image.ndim != 2:
         raise ValueError(
             f"must be a grey picture of rows and columns, its array has the shape {image.shape}"
@@ -34,18 +30,13 @@ def eight_bit(image: NDArray[Any]) -> Grey:
 
 
 def unmirror(picture: Grey) -> Grey:
-    """The picture reflected about its vertical centre line, to undo the beam splitter (section
-    4.1.1, appendix A.2.1).
-    """
+    """Reflected about the vertical centre line, against the beam splitter (4.1.1, A.2.1)."""
     return np.ascontiguousarray(picture[:, ::-1])
 
 
 def picture_from_kelvin(thermal_k: NDArray[Any], image_size: tuple[int, int]) -> Grey:
-    """An 8-bit picture of image_size (columns, rows) from kelvin: hottest 0, coldest 255, linear
-    between, as section 4.1.1 describes.
-
-    For recordings that hold only radiometric frames. Raises ValueError where the frame isn't a
-    plane of finite numbers.
+    """An 8-bit picture of image_size (columns, rows): hottest 0, coldest 255, linear (4.1.1). For
+    radiometric frames only. Raises ValueError unless a plane of finite numbers.
     """
     kelvin = np.asarray(thermal_k, dtype=np.float32)
     if kelvin.ndim != 2 or kelvin.size == 0 or not np.all(np.isfinite(kelvin)):
@@ -63,9 +54,7 @@ def picture_from_kelvin(thermal_k: NDArray[Any], image_size: tuple[int, int]) ->
 
 
 def find_edges(picture: Grey, p: Parameters) -> Edges:
-    """Canny edges with the published column taken out (appendix A.1: BW(:,631)=0; a narrower
-    picture has no such column).
-    """
+    """Canny edges without the published column (A.1: BW(:,631)=0), where there is one."""
     edges = canny(
         picture,
         p.canny_sigma_px,
@@ -80,10 +69,8 @@ def find_edges(picture: Grey, p: Parameters) -> Edges:
 
 
 def order_filter(mask: Mask, domain: Domain) -> Mask:
-    """Matlab's ordfilt2(mask, 1, domain): true where the mask is true at every 1 of the domain laid
-    on the pixel; outside is false.
-
-    The domain's sides are odd, its middle is its origin (sections 4.1.3, 4.1.4).
+    """ordfilt2(mask, 1, domain): true where the mask is at every 1 of the domain; outside is false.
+    Odd sides, the middle is the origin (4.1.3, 4.1.4).
     """
     kernel = np.array(domain, dtype=np.uint8)
     eroded = cv2.erode(

@@ -1,8 +1,4 @@
-"""Left, right and perhaps thermal camera as one thing that captures frame sets: all begin, then
-each is taken and converted.
-
-May not know what kind of camera any of them is.
-"""
+"""Left, right and perhaps thermal camera as one: all begin, then each is taken and converted."""
 
 from __future__ import annotations
 
@@ -30,8 +26,8 @@ class Camera(Protocol):
         ...
 
     def take(self) -> RawFrame:
-        """The frame that ``begin`` asked for. Raises FrameError where it didn't come whole,
-        LinkError where the camera is gone.
+        """The frame that ``begin`` asked for. Raises FrameError for a bad frame, LinkError when
+        gone.
         """
         ...
 
@@ -41,9 +37,7 @@ class Camera(Protocol):
 
 
 class CameraSet:
-    """The cameras of a rig. Each opener is called in turn; where one fails, those that are open are
-    closed again.
-    """
+    """The cameras of a rig. Where one opener fails, the cameras that are open are closed again."""
 
     def __init__(
         self, openers: Mapping[str, Callable[[], Camera]], conversions: Mapping[str, Conversion]
@@ -66,14 +60,12 @@ class CameraSet:
         return {name: camera.identity for name, camera in self._cameras.items()}
 
     def reopen(self) -> None:
-        """Let all cameras go and open them anew, with their settings. Raises as their openers do;
-        all are closed then.
-        """
+        """Close all cameras and open them again with their settings. Raises as their openers."""
         self.close()
         self._open()
 
     def capture(self) -> FrameSet:
-        """Expose all cameras as nearly together as they can. Raises FrameError, LinkError,
+        """Expose all cameras as nearly together as possible. Raises FrameError, LinkError,
         ProtocolError.
         """
         for camera in self._cameras.values():

@@ -1,10 +1,7 @@
-"""The one place where a camera's raw frame becomes what a frame set holds: grey, upright, the right
-way round, or temperatures.
+"""Raw frames to what a frame set holds, as declared for each camera: grey pictures or temperatures.
 
-Strategy: what is to be done is declared, one value a camera, and done in this order: colour to
-grey, mirrored back, turned, flipped, then scaled: 16 bits to 8 by the declared white and perhaps
-inverted, or counts to centi-kelvin. May not know which camera gave the frame, nor what a
-calibration says.
+In this order: colour to grey, mirrored back, turned, flipped, then 16 bits to 8 and perhaps
+inverted, or counts to centi-kelvin.
 """
 
 from __future__ import annotations
@@ -25,9 +22,7 @@ _BGR = {"blue": 0, "green": 1, "red": 2}
 
 @dataclass(frozen=True, slots=True)
 class Radiometry:
-    """Apparent temperature in kelvin = ``kelvin_at_zero`` + ``kelvin_per_count`` x count, as the
-    camera's data sheet says.
-    """
+    """Apparent temperature: ``kelvin_at_zero`` + ``kelvin_per_count`` x count (data sheet)."""
 
     kelvin_per_count: float
     kelvin_at_zero: float = 0.0
@@ -37,10 +32,10 @@ class Radiometry:
 class Conversion:
     """What is done to each raw frame of one camera.
 
-    ``grey`` which channel of a colour frame, or its luma (BT.601); ``mirrored`` the raw frame is a
-    mirror image, left and right are exchanged back; ``turn_deg`` clockwise; ``white`` the count
-    that becomes 255, by the format's bits where None; ``inverted`` black becomes white; with
-    ``radiometry`` the frame is temperatures, and neither ``white`` nor ``inverted`` matters.
+    ``grey``: a colour frame's channel, or its luma (BT.601); ``mirrored``: exchange left and right;
+    ``turn_deg``: clockwise; ``white``: the count that becomes 255 (None: the format's);
+    ``inverted``: black becomes white; with ``radiometry`` the frame is temperatures, without
+    ``white`` or ``inverted``.
     """
 
     grey: Channel = "luma"
@@ -57,8 +52,8 @@ class Conversion:
         return np.ascontiguousarray(255 - image if self.inverted else image)
 
     def temperatures(self, raw: RawFrame) -> CentiKelvin:
-        """The frame in hundredths of a kelvin (h, w). Raises ValueError for one without radiometry,
-        in colour, or outside 0 to 655 K.
+        """Hundredths of a kelvin (h, w). Raises ValueError without radiometry, in colour, or
+        outside 0 to 655 K.
         """
         if self.radiometry is None:
             raise ValueError("no radiometry is declared, so counts can't become temperatures")

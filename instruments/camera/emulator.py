@@ -1,13 +1,7 @@
-"""What goes wrong with the emulated cameras, by the names that `faults` gives: which is on, for how
-many sets, and what it does.
+"""Emulated cameras that look at the simulated world in this process, and their faults.
 
-May not know the world, nor how a fault will be noticed.
-
-Emulated cameras: they look at the simulated world and hand frame sets over in this process.
-
-The world is whatever has a scene, a renderer, a generator for each frame and a clock. Frames differ
-only by the generator, so the same run gives the same bytes. What is to go wrong is said in
-`faults`. May not import the drivers of real cameras.
+The world is whatever has a scene, a renderer, a clock and a generator for each frame, so the same
+run gives the same bytes.
 """
 
 from __future__ import annotations
@@ -53,9 +47,7 @@ SHUTTER_CK, SHUTTER_NOISE_CK = 29900.0, 8.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """What the cameras have on their sensors: three pictures and
-    the temperatures behind the third.
-    """
+    """Three pictures, and the temperatures behind the third."""
 
     left: Grey
     right: Grey
@@ -105,9 +97,7 @@ class CameraFaults:
         camera: str | None = None,
         amount: float | None = None,
     ) -> None:
-        """Have a fault from the next frame set on. Raises ValueError for a name or an amount that
-        isn't known.
-        """
+        """Start a fault at the next frame set. Raises ValueError for an unknown name or amount."""
         fault = named(name)
         check_amount(fault, amount)
         given = AMOUNTS.get(fault, (0.0, ""))[0] if amount is None else amount
@@ -155,9 +145,7 @@ def check_camera(fault: FrameFault, camera: str | None) -> None:
 
 
 def spoiled(sight: Sight, last: Sight | None, active: Active, rng: np.random.Generator) -> Sight:
-    """``sight`` with each fault done to it, in the order of `FAULTS`; ``last`` is what the cameras
-    showed before.
-    """
+    """``sight`` with each fault in the order of `FAULTS`; ``last`` is the one before."""
     for fault in FAULTS:
         if fault in active.spoiling and fault in _DO:
             camera, amount = active.spoiling[fault]
@@ -214,9 +202,7 @@ def _cut(picture: NDArray[Any]) -> NDArray[Any]:
 def _flat_field(
     sight: Sight, _last: Sight | None, _camera: str, _amount: float, rng: np.random.Generator
 ) -> Sight:
-    """The shutter before the sensor: one temperature, seen through the same noise; the automatic
-    gain makes mid-grey of it.
-    """
+    """The shutter: one temperature with the same noise, mid-grey by the automatic gain."""
     shutter = SHUTTER_CK + SHUTTER_NOISE_CK * rng.standard_normal(sight.thermal_ck.shape)
     grey = 128.0 + 3.0 * rng.standard_normal(sight.thermal.shape)
     return replace(sight, thermal=_bytes(grey), thermal_ck=np.rint(shutter).astype(np.uint16))
@@ -307,9 +293,7 @@ class SeenWorld(Protocol):
         ...
 
     def frame_rng(self, kind: str, index: int) -> np.random.Generator:
-        """The generator for the noise of frame ``index`` of ``kind``: the same for the same run,
-        frame and kind.
-        """
+        """The noise generator for frame ``index`` of ``kind``."""
         ...
 
 
@@ -331,10 +315,8 @@ class EmulatedCameras:
         }
 
     def capture(self) -> FrameSet:
-        """A frame set of the world as it is now, all cameras exposed at the same moment unless one
-        is late.
-
-        Raises FrameError where a fault keeps a camera's frame back.
+        """A frame set of the present world, all cameras at one moment unless one is late. Raises
+        FrameError where a fault keeps a frame back.
         """
         active = self.faults.next()
         now_s = self._world.clock.now()

@@ -1,8 +1,4 @@
-"""What can be wrong with a frame, by name, and the error of a frame that never came whole.
-
-The words are those of rig files, events and reports: drivers, the emulated cameras and the bench's
-checks share them. May not know how a fault is noticed.
-"""
+"""Faults of a frame by name, as in rig files and reports, and the error that carries one."""
 
 from __future__ import annotations
 
@@ -28,9 +24,7 @@ class FrameFault(StrEnum):
 
 
 class FrameError(ProtocolError):
-    """A frame did not come, or not whole. Worth another try, unlike a link that is gone
-    (`LinkError`).
-    """
+    """A frame did not come whole. Worth another try, unlike a lost link (`LinkError`)."""
 
     def __init__(
         self,

@@ -1,10 +1,4 @@
-"""A frame set: what the cameras saw at one moment, and the one place where raw images become 8-bit
-grey.
-
-May not know where the images came from: camera, folder or scene.
-
-A frame as one camera gave it, before anything was turned, scaled or called a temperature.
-"""
+"""Frames: raw as a camera gave them, and a frame set of 8-bit grey pictures and temperatures."""
 
 from __future__ import annotations
 
@@ -24,10 +18,9 @@ CentiKelvin = NDArray[np.uint16]
 class FrameSet:
     """Images of the left, right and thermal camera.
 
-    ``left``, ``right`` uint8 (h, w); ``thermal`` uint8 (h, w) as delivered, mirrored or not, or
-    None; ``thermal_ck`` uint16 centi-kelvin at sensor resolution, un-mirrored, or None.
-    ``exposed_s`` gives each camera's time of exposure on the bench's clock, ``identity`` who each
-    camera is; both may lack cameras that don't say. Raises ValueError for another shape or type.
+    ``left``, ``right``, ``thermal`` (as delivered, or None) uint8 (h, w); ``thermal_ck`` uint16 (h,
+    w) centi-kelvin, sensor's grid, un-mirrored, or None. ``exposed_s``: time on the bench's clock
+    by camera, ``identity`` by camera; both may lack some. Raises ValueError.
     """
 
     left: Grey
@@ -47,9 +40,7 @@ class FrameSet:
 
     @property
     def thermal_k(self) -> NDArray[np.float64] | None:
-        """Apparent temperature in kelvin at sensor resolution, un-mirrored; None where the camera
-        isn't radiometric.
-        """
+        """Apparent temperature in kelvin, sensor's grid, un-mirrored; None if not radiometric."""
         return None if self.thermal_ck is None else self.thermal_ck / 100.0
 
 
@@ -64,11 +55,10 @@ def _check(name: str, image: Any, dtype: type[np.generic]) -> None:
 
 
 def grey8(image: NDArray[Any], full_scale: int = 65535) -> Grey:
-    """An 8-bit grey image of a raw one: colour (blue, green, red, perhaps alpha) to grey, 16 bits
-    to 8.
+    """An 8-bit grey image of a raw one of 8 or 16 bits, grey or blue, green, red, perhaps alpha.
 
-    ``full_scale`` is the value of white in a 16-bit image: 65535, or 4095 for 12 bits kept in 16;
-    values above it are white. Raises ValueError for anything that isn't an image of 8 or 16 bits.
+    ``full_scale`` is white in a 16-bit image, 4095 for 12 bits in 16; higher values are white too.
+    Raises ValueError.
     """
     if (
         image.ndim not in (2, 3)
@@ -97,8 +87,8 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawFrame:
-    """``pixels`` uint8 or uint16, (h, w) or (h, w, 3) blue-green-red; ``bits`` of a pixel that
-    carry signal, in the low end of its word; ``exposed_s`` on the bench's clock.
+    """``pixels`` uint8 or uint16, (h, w) or (h, w, 3) blue-green-red; ``bits`` of signal in the low
+    end of a word; ``exposed_s`` on the bench's clock.
     """
 
     pixels: Pixels

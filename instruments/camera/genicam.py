@@ -1,16 +1,8 @@
-"""Aravis, the library that speaks GigE Vision and USB3 Vision, loaded when a camera asks for it and
-explained where it is missing.
+"""A GigE Vision or USB3 Vision camera, optical or radiometric, through Aravis, which is loaded on
+demand.
 
-A GenICam camera's features by name: asked for, read back, and explained where a camera has no such
-feature.
-
-May not know frames.
-
-A GigE Vision or USB3 Vision camera, optical or radiometric, through Aravis.
-
-Every buffer's status is looked at: one with missing packets or of another size is a fault with a
-name, never a picture. Times are the camera's own stamps, brought to the bench's clock. May not know
-what the pictures show.
+Features are set by name and read back. A buffer with missing packets or of another size is a named
+fault, never a picture. The camera's own time stamps are brought to the bench's clock.
 """
 
 from __future__ import annotations
@@ -54,10 +46,8 @@ def found_cameras(aravis: Any) -> list[str]:
 
 
 def set_all(who: str, camera: Any, settings: Settings, failure: type[Exception]) -> tuple[str, ...]:
-    """Ask for each setting, then read each back; gives notes about tries. ``failure`` is what the
-    library raises.
-
-    Raises DeviceError for what did not take.
+    """Write each setting and read it back; notes about tries. ``failure`` is the library's
+    exception. Raises DeviceError for what did not take.
     """
     back = ReadBack(who, settings.tries)
     asked: list[
@@ -142,9 +132,7 @@ def _size(camera: Any) -> tuple[int, int]:
 def _by_name(
     who: str, device: Any, name: str, value: Value
 ) -> tuple[Callable[[], object], Callable[[], object]]:
-    """How a feature is written and read, whatever its kind; both raise DeviceError where the camera
-    has none of that name.
-    """
+    """How to write and read a feature of any kind; both raise DeviceError where it is missing."""
 
     def node() -> Any:
         found = device.get_feature(name)
@@ -200,11 +188,9 @@ class Timed(Protocol):
 
 
 class GenicamCamera:
-    """``device`` is the camera's name as Aravis lists it, its serial number or its IP address; ""
-    the only one there is.
-
-    Raises LinkError where it doesn't answer, DeviceError where the library is missing or settings
-    did not take.
+    """``device``: name as Aravis lists it, serial number or IP address; "" for the only one. Raises
+    LinkError where it doesn't answer, DeviceError without the library or for settings that did not
+    take.
     """
 
     def __init__(
@@ -247,16 +233,12 @@ class GenicamCamera:
 
     @property
     def identity(self) -> str:
-        """Vendor, model, serial number, size and pixel format, and settings that were tried in
-        vain.
-        """
+        """Vendor, model, serial number, size, pixel format, and settings tried in vain."""
         return self._identity
 
     def begin(self) -> None:
-        """Give back what came unasked, and trigger where the bench is the trigger. Raises
-        LinkError.
-
-        Raises FrameError for a camera that this program no longer controls, and opens it next time.
+        """Return old buffers, and trigger by software where set. Raises LinkError; FrameError when
+        this program lost control of the camera, which is opened again next time.
         """
         if self._lost_control:
             self._open()
@@ -349,11 +331,11 @@ class GenicamCamera:
         raise FrameError(FrameFault.DROPPED, self._name, self._who, what, hint=hint)
 
     def _by_loopback(self, camera: Any) -> Any:
-        """The same camera; one of this machine that was found through a network's interface is
-        opened by its address instead.
+        """The same camera; one on this machine, found through a network interface, is opened by its
+        address.
 
-        The library takes the interface whose answer came first; frames sent from 127.0.0.1 would
-        never reach another one.
+        The library takes the interface that answers first, and frames from 127.0.0.1 never reach
+        another one.
         """
         if not camera.is_gv_device():
             return camera

@@ -1,14 +1,7 @@
-"""A camera's own time stamps on the bench's clock.
+"""Fresh frames from a live source, and a camera's own time stamps on the bench's clock.
 
-Strategy: a frame arrives some while after its stamp, never before; so the least difference seen
-between arrival and stamp is the best offset, and it may age no faster than two crystals drift
-apart. Pure: times are arguments.
-
-Reads a live source without pause, so that no stale frame waits in a buffer for whoever asks next.
-
-OpenCV keeps frames that nobody took: after a minute of touching, the next one read would be a
-minute old. A thread grabs all the time and decodes only what was asked for. May not know what kind
-of source it is.
+A thread grabs all the time and decodes on request, since OpenCV keeps frames that nobody took: the
+next one would be stale.
 """
 
 from __future__ import annotations
@@ -26,8 +19,9 @@ KEPT_S = 600.0  # frames older than this say no more than their drift
 
 
 class DeviceTime:
-    """Of one camera. A stamp that goes back means that the camera was started anew: all is
-    forgotten.
+    """One camera's stamps on the bench's clock. A frame arrives after its stamp, so the least
+    difference is the best offset; it may age by the drift of two crystals. A stamp that goes back
+    starts anew.
     """
 
     def __init__(self) -> None:
@@ -36,8 +30,8 @@ class DeviceTime:
         self._last_s = float("-inf")
 
     def bench_s(self, device_s: float, arrived_s: float) -> float:
-        """When a frame stamped ``device_s`` and seen at ``arrived_s`` was exposed; its arrival
-        where the camera stamps nothing (0).
+        """Time of exposure of a frame stamped ``device_s`` (0: no stamp) that came at
+        ``arrived_s``.
         """
         if device_s <= 0.0:
             return arrived_s
@@ -85,8 +79,8 @@ class LiveReader:
             self._got, self._wanted_s = None, self._clock.now()
 
     def answer(self, patience_s: float) -> tuple[NDArray[np.uint8] | None, float] | None:
-        """The frame asked for (None where it can't be decoded) and when it arrived; None where none
-        came within ``patience_s``.
+        """The frame (None: undecodable) and its arrival; None where none came within
+        ``patience_s``.
         """
         end_s = self._clock.now() + patience_s
         while self._clock.now() < end_s:

@@ -1,8 +1,7 @@
-"""A real camera through OpenCV: a device's number, a device's path, a video file, or a stream
-(`http://` MJPEG, `rtsp://`).
+"""A camera through OpenCV: a device's number or path, a video file, or a stream (`http://` MJPEG,
+`rtsp://`).
 
-Live sources are read without pause (`live`), files frame by frame. What is set is read back. May
-not know what the pictures show, nor the scene that emulated cameras look at.
+Live sources are read without pause (`live`), files frame by frame. Settings are read back.
 """
 
 from __future__ import annotations
@@ -42,8 +41,8 @@ def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
 
 
 class OpenCvCamera:
-    """``name`` is its place in the rig. Raises LinkError where it doesn't open, DeviceError for
-    settings that did not take.
+    """``name``: its place in the rig. Raises LinkError, or DeviceError for settings that did not
+    take.
     """
 
     def __init__(
@@ -71,9 +70,7 @@ class OpenCvCamera:
         return self._identity
 
     def begin(self) -> None:
-        """Ask for the next fresh frame; of a file, read on. A stream that has broken off is opened
-        once more. Raises LinkError.
-        """
+        """Ask for a fresh frame, a file's next. Reopens a broken stream once. Raises LinkError."""
         if self._live is not None:
             if self._live.broken:
                 self._live.close()
@@ -176,9 +173,7 @@ def _opened(who: str, source: Source) -> cv2.VideoCapture:
 
 
 def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> tuple[str, ...]:
-    """Ask for each setting, read each back; gives notes about tries. Raises DeviceError for what
-    did not take.
-    """
+    """Write and read back; notes about tries. Raises DeviceError for what did not take."""
     back = ReadBack(who, settings.tries)
     if settings.pixel_format is not None:
         capture.set(cv2.CAP_PROP_FOURCC, _fourcc(settings.pixel_format))

@@ -1,11 +1,9 @@
-"""Pixels as cameras of the GenICam family send them, to arrays. Pure: bytes in, arrays out; no
-camera, no library.
+"""Pixels as GenICam cameras send them, to arrays.
 
-Codes and layouts: EMVA, Pixel Format Naming Convention 2.4 ("p" formats: one little-endian bit
-stream, pixel i at bit i x bits), and AIA, GigE Vision 2.0, table of pixel formats ("Packed": two
-pixels in three bytes, the outer bytes with their upper eight bits, the middle byte with what is
-left, the first pixel's in its low half). Lines follow each other without a gap but for the leader's
-x padding.
+EMVA, Pixel Format Naming Convention 2.4 ("p": one little-endian bit stream, pixel i at bit i x
+bits); AIA, GigE Vision 2.0 ("Packed": two pixels in three bytes, upper eight bits in the outer
+bytes, the rest in the middle one, the first pixel's in its low half). Lines have no gap but the
+leader's x padding.
 """
 
 from __future__ import annotations
@@ -26,8 +24,8 @@ Decoder = Callable[[Bytes, int], NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """``stored_bits`` a pixel takes on the wire, ``bits`` of it carry signal; ``channels`` as sent;
-    ``decode`` gives n values of a line.
+    """``stored_bits`` on the wire, ``bits`` of signal; ``channels`` as sent; ``decode`` gives n
+    values of a line.
     """
 
     name: str
@@ -65,9 +63,7 @@ def _bit_stream(bits: int) -> Decoder:
 
 
 def _packed(bits: int) -> Decoder:
-    """The "Packed" formats of GigE Vision: upper 8 bits of each pixel outside, the ``bits - 8``
-    lower ones in the middle byte.
-    """
+    """ "Packed": upper 8 bits of each pixel outside, ``bits - 8`` lower ones in the middle byte."""
     low = (1 << (bits - 8)) - 1
 
     def decode(data: Bytes, count: int) -> NDArray[np.uint16]:
@@ -117,11 +113,11 @@ def format_of(code: int) -> PixelFormat:
 def unpack(
     data: bytes, code: int, width: int, height: int, x_padding: int = 0
 ) -> tuple[Pixels, int]:
-    """Pixels (height, width), or with 3 channels as blue-green-red, of a frame's payload, and how
-    many bits of each carry signal.
+    """Pixels (height, width), or (height, width, 3) blue-green-red, of a payload, and their bits of
+    signal.
 
-    ``x_padding`` bytes follow each line. Raises ValueError for an unknown format and for a payload
-    that is too short.
+    ``x_padding`` bytes follow each line. Raises ValueError for an unknown format or a short
+    payload.
     """
     layout = format_of(code)
     values = width * layout.channels

@@ -1,8 +1,5 @@
-"""Measures of one picture: how sharp its edges are, how black, how full, how flat, and where its
-rows stop.
-
-Strategy: figures that don't depend on what stands before the camera as long as something does, so
-that one limit serves a bright and a dim scene. Pure. May not know which limits a rig sets.
+"""Measures of one picture, largely independent of its subject: sharpness, black, saturation,
+flatness, missing rows.
 """
 
 from __future__ import annotations
@@ -24,14 +21,13 @@ LEAST_GRADIENT_DN = 1.0  # per px, after the fine blur; below there is no edge b
 
 
 def edge_blur_px(picture: NDArray[np.uint8]) -> float | None:
-    """Standard deviation in px of the blur that the strongest edges of a grey picture (h, w) show;
-    None where it has no edge.
+    """Standard deviation in px of the blur of the strongest edges of a grey picture (h, w); None
+    without edges.
 
-    An edge of sigma s has, after a blur of sigma a, a gradient proportional to 1 / sqrt(s^2 + a^2)
-    whatever its contrast; the ratio of two such gradients gives s (Zhuo and Sim, Defocus map
-    estimation from a single image, Pattern Recognition 44, 2011, eq. 6). The median over the
-    strongest 0.2 % of pixels, so noise and contrast cancel. It is 0 for an edge as sharp as pixels
-    allow; where the ratio is beyond any edge's, the strongest gradients are noise.
+    After a further blur a, an edge of sigma s has a gradient proportional to 1 / sqrt(s^2 + a^2);
+    two such gradients give s (Zhuo and Sim, Pattern Recognition 44, 2011, eq. 6). Median over the
+    strongest 0.2 % of pixels. 0 for the sharpest edge; beyond any edge's ratio the gradients are
+    noise.
     """
     fine, coarse = (_gradient(picture, sigma) for sigma in (FINE_PX, COARSE_PX))
     # without the blur's own border
@@ -85,11 +81,10 @@ def spread(image: NDArray[Any]) -> float:
 
 
 def missing_rows(picture: NDArray[Any], last: NDArray[Any] | None = None) -> float:
-    """Share of rows, counted from the bottom or the top edge, that hold one value only or are those
-    of the ``last`` picture.
+    """Share of rows from the top or bottom edge that hold one value, or are those of ``last``.
 
-    Noise makes neither happen in a row that was read out; rows of plain white are the exposure's
-    fault and don't count.
+    Noise prevents both in a row that was read out; white rows are the exposure's fault and don't
+    count.
     """
     whole = picture.max(axis=1)
     missing = (whole == picture.min(axis=1)) & (whole < np.iinfo(picture.dtype).max)

@@ -1,9 +1,7 @@
-"""Recordings: folders of frames with calibration and truth, read and written (docs:
-recording-format.md).
+"""Recordings: folders of frames with calibration and truth, read and written (recording-format.md).
 
-Files appear whole or not at all: each is written beside its place and then moved there. Every fault
-of a folder is a `RecordingError` that names the file and, in a table, the line. May not know what
-the frames show.
+Files are written beside their place and then moved there. A `RecordingError` names the file and, in
+a table, the line.
 """
 
 from __future__ import annotations
@@ -33,16 +31,12 @@ UNSAFE = set('<>:"/\\|?*')
 
 
 class RecordingError(ValueError):
-    """A recording's folder is incomplete or damaged; the message says which file, which line, and
-    what was expected.
-    """
+    """An incomplete or damaged folder; the message has the file, line and what was expected."""
 
 
 @dataclass(frozen=True, slots=True)
 class TruthRow:
-    """One teat of one frame: its end in world mm, whether every camera sees it, standard
-    uncertainty in mm where known.
-    """
+    """A teat of a frame: end in world mm, whether all cameras see it, standard uncertainty mm."""
 
     situation: str
     teat: str
@@ -52,9 +46,7 @@ class TruthRow:
 
 
 class Recording:
-    """A recording on disk. Truth and names are read at once, images when asked for. Raises
-    RecordingError.
-    """
+    """A recording on disk; images are read on demand. Raises RecordingError."""
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
@@ -201,9 +193,7 @@ def _image(path: Path) -> NDArray[Any]:
 
 
 def _damaged_chunk(data: bytes) -> str:
-    """What is wrong with the chunks of a PNG, by their lengths and checksums; nothing where they
-    are whole, or it is no PNG.
-    """
+    """The damage of a PNG's chunks by length and checksum; empty where whole, or no PNG."""
     at = len(PNG)
     while data.startswith(PNG):
         end = at + 8 + int.from_bytes(data[at : at + 4])
@@ -239,10 +229,8 @@ def _centikelvin(path: Path) -> NDArray[np.uint16]:
 
 
 class RecordingWriter:
-    """Writes a recording, frame by frame; after every call the folder is a whole recording. Raises
-    RecordingError, OSError.
-
-    A folder that exists is added to: its truth is kept, a frame it has already is refused.
+    """Writes frame by frame, each time a whole recording; adds to a folder that exists. Raises
+    RecordingError, as for a frame that is there already, and OSError.
     """
 
     def __init__(self, path: Path | str) -> None:

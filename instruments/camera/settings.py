@@ -1,7 +1,5 @@
-"""What is asked of a camera, and whether it took: each setting is read back, and one that did not
-take is an error unless it was a try.
-
-May not know how a setting is sent: a driver asks, reads back, and says here what it saw.
+"""A camera's settings and whether they took: each is read back; a failure is an error unless it was
+a try.
 """
 
 from __future__ import annotations
@@ -20,12 +18,10 @@ TOLERANCE = 0.02  # of a number's size: cameras round exposure and gain to steps
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """None leaves the camera as it is. ``exposure`` in us for GenICam, in the backend's own unit
-    for OpenCV; ``gain`` in the camera's.
+    """None leaves the camera as it is. ``exposure`` in us (GenICam) or the backend's unit (OpenCV).
 
-    ``features`` more of them by their GenICam name, set in that order after the others.
-    ``trigger_source`` names the line of a hardware trigger. ``tries`` holds names whose setting may
-    fail, "all" for every one.
+    ``features``: further GenICam features, set last in that order. ``trigger_source``: line of a
+    hardware trigger. ``tries``: names that may fail, "all" for every one.
     """
 
     resolution: tuple[int, int] | None = None
@@ -69,9 +65,7 @@ class ReadBack:
 
 
 def same(asked: object, seen: object) -> bool:
-    """Whether a camera does what was asked: numbers within 2 %, true and 1 alike, words but for
-    their case.
-    """
+    """Whether a setting took: numbers within 2 %, true and 1 alike, words without case."""
     if isinstance(asked, tuple) and isinstance(seen, tuple):
         return asked == seen
     if isinstance(asked, bool):

@@ -1,11 +1,8 @@
-"""Cameras served as MJPEG streams over HTTP, one path a camera, so that a driver for streams meets
-them over a wire.
+"""Cameras served as MJPEG streams over HTTP, one path a camera.
 
-Strategy: one frame set a tick, shared by whoever looks, so that all streams show the same moment; a
-tick that a slow reader misses is left out, and one whose frame never came is not sent. Each reader
-has a thread of its own: a stalled one holds up nobody else, and no lock is held while bytes are
-sent. Layout: multipart/x-mixed-replace, each part with its length and its time of exposure. May not
-know who reads.
+One frame set a tick for all readers; ticks that a slow reader misses, or whose frame never came,
+are left out. A thread for each reader, and no lock while sending. multipart/x-mixed-replace, each
+part with its length and time of exposure.
 """
 
 from __future__ import annotations
@@ -55,9 +52,7 @@ class Ticks:
         return max(tick, int(self._clock.now() / self.period_s)) + 1
 
     def frames(self, tick: int) -> FrameSet | None:
-        """The set of ``tick``, or of a later one that another reader has seen; None where a camera
-        gave no frame.
-        """
+        """The set of ``tick``, or a later one already taken; None where a camera gave none."""
         with self._lock:
             if tick > self._tick:
                 self._tick = tick
@@ -69,8 +64,8 @@ class Ticks:
 
 
 class StreamServer:
-    """Serves until closed; ``urls`` says where, by camera. Raises OSError for an address that can't
-    be had, ValueError in virtual time.
+    """Serves until closed; ``urls`` by camera. Raises OSError for an address, ValueError in virtual
+    time.
     """
 
     def __init__(
@@ -112,9 +107,7 @@ class _Server(ThreadingHTTPServer):
     owner: StreamServer
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A reader that has gone is no error of ours; anything else is printed, as the base class
-        does.
-        """
+        """A reader that has gone is no error; anything else is printed as in the base class."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)
 

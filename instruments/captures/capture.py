@@ -1,10 +1,7 @@
-"""A capture: the bytes of every link with time and direction, as JSON lines in one file that a lab
-can send.
+"""A capture: the bytes of every link with time and direction, as JSON lines in one file.
 
-The first line says what the file is, each further line is one event. Every line is written through
-at once, so that whatever kills the bench leaves all but perhaps the last one, and nothing is kept
-in memory. Listening in may not change what is listened to: a disk that fills up ends the capture
-and not the run. It may not know what the bytes mean.
+The first line is the header, each further line an event, written through at once. A disk that fills
+up ends the capture, not the run.
 """
 
 from __future__ import annotations
@@ -30,9 +27,7 @@ SHOWN = 20  # faults that are listed of one file
 
 
 class CaptureError(ValueError):
-    """A capture that can't be written or read. Lists the faults of a file, each as ``file:line:
-    what is wrong``.
-    """
+    """A capture that can't be written or read, with its faults as ``file:line: what``."""
 
     def __init__(self, path: Path, faults: Sequence[tuple[int, str]]) -> None:
         self.path = path
@@ -50,9 +45,7 @@ class Captures(Protocol):
     """Where whoever opens a link asks for somebody to listen in on it."""
 
     def tap(self, link: str, clock: Clock) -> Tap:
-        """A tap for the link of this name (``arm``, ``bath``,
-        ``stage``), with times by ``clock``.
-        """
+        """A tap for the link ``arm``, ``bath`` or ``stage``, with times by ``clock``."""
         ...
 
 
@@ -67,12 +60,10 @@ NO_CAPTURE = NoCapture()
 
 
 class CaptureFile:
-    """A capture being written to a new file at ``path``; may be shared by threads. To be closed, or
-    used with ``with``.
+    """A capture being written to a new file, for any thread; to be closed, or used with ``with``.
 
-    ``facts`` go into the header: a text for each of FACTS but the time of day, which is noted here.
-    Raises CaptureError when the file is there already or can't be made. ``fault`` says why the
-    capture ended early, if it did.
+    ``facts``: the header's, but for the time of day. ``fault``: why the capture ended early. Raises
+    CaptureError when the file exists or can't be made.
     """
 
     def __init__(self, path: Path, facts: dict[str, str]) -> None:
@@ -109,9 +100,7 @@ class CaptureFile:
         return _LinkTap(self, link, clock)
 
     def note(self, link: str, clock: Clock, event: str, **fact: str) -> None:
-        """Write one event with the time by ``clock``. What comes after the end, or after a fault,
-        is dropped.
-        """
+        """Write one event with the time by ``clock``; nothing after the end or a fault."""
         with self._lock:
             if not self._file.closed and not self.fault:
                 self.events += 1

@@ -1,8 +1,6 @@
-"""Reads a capture back: each link's connections, and in each what the host asked and what came of
-it.
+"""Reads a capture back: each link's connections, and in each what the host asked and what came.
 
-Every fault of a file is told with its line. A last line that is cut is none: that is how a killed
-bench leaves its capture. It may not know what the bytes mean.
+Faults name their line. A last line that is cut is none, since a killed bench leaves one.
 """
 
 from __future__ import annotations
@@ -39,8 +37,8 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """What the host sent, the last of it at ``asked_s``, and all that came until it sent again;
-    ``line`` is the first one's.
+    """Bytes of the host, the last at ``asked_s``, and all that came until the next; ``line`` is the
+    first's.
     """
 
     asked: bytes
@@ -51,10 +49,8 @@ class Exchange:
 
 @dataclass(frozen=True, slots=True)
 class Conversation:
-    """One connection. The first exchange has nothing asked: what came unasked.
-
-    ``closed_s`` is None where the capture ends before the connection did; ``broke`` says what broke
-    it, and is empty where the host closed it.
+    """One connection; its first exchange is what came unasked. ``closed_s``: None where the capture
+    ended first; ``broke``: why, empty where the host closed it.
     """
 
     url: str
@@ -66,8 +62,8 @@ class Conversation:
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """A file as read. ``facts`` are the header's, ``links`` each link's connections in order,
-    ``cut`` whether the last line was cut.
+    """A file as read: header's ``facts``, connections by link, and whether the last line was
+    ``cut``.
     """
 
     path: Path
@@ -77,9 +73,7 @@ class Capture:
 
 
 def read_capture(path: Path) -> Capture:
-    """The capture at ``path``. Raises CaptureError with all its faults, or the one that keeps it
-    from being read.
-    """
+    """The capture at ``path``. Raises CaptureError with all its faults."""
     try:
         with path.open("rb") as file:
             lines = iter(lambda: file.readline(LONGEST_LINE + 1), b"")
@@ -168,9 +162,7 @@ class _Reader:
         return Capture(self._path, facts, links, self._cut)
 
     def _header(self, line: bytes) -> dict[str, str]:
-        """The first line's facts. Raises CaptureError at once: what follows another kind of header
-        makes no sense.
-        """
+        """The first line's facts. Raises CaptureError at once for another kind of file."""
         hint = "is this a file that teatbench wrote with --capture?"
         if not line:
             raise CaptureError(self._path, [(0, f"is empty; {hint}")])

@@ -1,26 +1,9 @@
-"""The one thing in which a replayed Modbus TCP host may differ: each request's transaction id,
-which its answer repeats.
+"""Plays the far ends of a capture back: to a driver they are the instruments that were recorded.
 
-A host counts them as it likes. So the recorded id stands in for the host's own while bytes are
-compared, and the host's own for the recorded one in the answer. All other bytes are left alone, and
-so is what is no Modbus TCP.
-
-Source: Modbus messaging on TCP/IP, implementation guide 1.0b, section 3.1.3 (the header).
-
-Plays one recorded connection to the host that has made it: compares what it sends, and says what
-came of that.
-
-What came of a request comes again once the whole request has been seen, however TCP cuts it, and
-after the recorded while. The order of bytes is always the recorded one: when the host is faster
-than it was, what it had read before a request leaves before that request's answer. A host that asks
-otherwise is told on and hears nothing more. It may not know what bytes mean, but for the ids in
-`transaction_ids`.
-
-Plays the far ends of a capture back: to a driver they are the instruments that were recorded.
-
-A listener for each link, at which each connection plays the next that was recorded
-(`replay_player`). What the hosts do otherwise than recorded is kept, as `Mismatch`. It may not know
-what bytes mean.
+Each link's listener plays its connections in order. What came of a request is sent once the whole
+request was received, after the recorded time and in the recorded order; a host that asks otherwise
+gets a `Mismatch` and no further answer. Modbus TCP transaction ids (implementation guide 1.0b,
+3.1.3) may differ: they are exchanged both ways.
 """
 
 from __future__ import annotations
@@ -45,9 +28,7 @@ LONGEST = 254
 
 
 def is_modbus_tcp(url: str) -> bool:
-    """Whether the link of this URL carries Modbus TCP: of all links, the bath's alone is
-    ``tcp://``.
-    """
+    """Whether this URL's link carries Modbus TCP: ``tcp://``."""
     return url.startswith("tcp://")
 
 
@@ -89,9 +70,7 @@ class _Stream:
         self._at = 0
 
     def ids_in_next(self, count: int) -> Iterator[tuple[int, int, bytes]]:
-        """For each byte of an id within the next ``count``: where it is, which of the id's bytes,
-        and the recorded id.
-        """
+        """Transaction id bytes within the next ``count``: place, which byte, recorded id."""
         begin, end = self._at, self._at + count
         self._at = end
         number = bisect_left(self._starts, begin - ID_BYTES + 1)
@@ -129,9 +108,7 @@ class Tell(Protocol):
 
 
 class Player:
-    """The far end of connection ``number`` (from 0), to be told of the host's bytes; answers at
-    once when ``fast``.
-    """
+    """The far end of connection ``number`` (from 0); answers at once when ``fast``."""
 
     def __init__(
         self,
@@ -269,9 +246,7 @@ class Player:
 
 @dataclass(frozen=True, slots=True)
 class Mismatch:
-    """The host sent ``got`` where ``expected`` was recorded, at ``line`` of the capture; ``what``
-    is the sentence.
-    """
+    """The host sent ``got`` for ``expected`` at ``line`` of the capture; ``what`` says it."""
 
     link: str
     line: int
@@ -294,13 +269,10 @@ class Mismatch:
 
 
 class Replay:
-    """A listener for each link of ``capture`` (or of ``links``), at ``urls``. To be closed, or used
-    with ``with``.
+    """A listener for each of ``links`` of ``capture``; to be closed, or used with ``with``.
 
-    ``mismatches`` are what the hosts did otherwise than recorded, in the order in which they did
-    it. ``fast`` answers at once. ``again`` starts from the first connection once the last has been
-    played; without it a connection more than recorded is a mismatch. Raises OSError when ``host``
-    can't be listened on.
+    ``fast`` answers at once. ``again`` starts over after the last connection; without it one more
+    is a mismatch. Raises OSError when ``host`` can't be listened on.
     """
 
     def __init__(
@@ -360,9 +332,7 @@ class Replay:
 
 
 class FarEnd:
-    """The far end of one link, as a device behind a listener: each connection plays the next that
-    was recorded.
-    """
+    """The far end of one link: each connection plays the next that was recorded."""
 
     def __init__(
         self,
@@ -450,9 +420,7 @@ def _shown(data: bytes) -> str:
 
 
 def _like(link: str, talk: Conversation, url: str) -> str:
-    """``url`` in the form that the driver takes which was recorded: a bath's says how Modbus is
-    framed, and which unit if not 1.
-    """
+    """``url`` in the recorded driver's form: a bath's has the framing, and the unit if not 1."""
     if is_modbus_tcp(talk.url):
         scheme, place = "tcp", 6
     # on a serial port it is RTU

@@ -1,12 +1,8 @@
-"""What an arm says of itself, as values and as bytes: names, maxima, parameters; and the longer
-commands.
+"""What an arm says of itself: names, maxima and parameters, as values and as bytes.
 
-Facts: ../shared/instruments/microscribe.md, from the maker's SDK manual, chapter 4. Every reply is
-the command's code, then 8-bit data, most significant byte first. Values are kept as the arm gives
-them, so that a value turns back into the same bytes. Pure: it may not know of time, links or
-threads, nor who speaks.
-
-What is known of one arm once it has signed on, as values, as a shape and for the record. Pure.
+Source: the maker's SDK manual, chapter 4. A reply is the command's code, then 8-bit data, most
+significant byte first. Values are kept as the arm gives them, so that they encode to the same
+bytes.
 """
 
 from __future__ import annotations
@@ -42,9 +38,7 @@ _INCH_MM = 25.4
 
 
 class BlockLengthError(WireError):
-    """A block of parameters says that it has another length than the one whose meaning is known.
-    Not for missing bytes.
-    """
+    """A block of parameters states an unknown length. Not for missing bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +61,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Maxima:
-    """Full scales: buttons' mask, timer, eight analogs, their lowest bits, six encoders (0:
-    absent).
-    """
+    """Full scales; an encoder's is 0 where it is absent."""
 
     button_mask: int
     timer: int
@@ -118,9 +110,7 @@ def length_mm(value: int) -> float:
 
 
 def encode_name(code: int, name: str) -> bytes:
-    """The reply to a question for a name. Raises WireError when
-    the name isn't ASCII or too long.
-    """
+    """The reply with a name. Raises WireError for a name that isn't ASCII or is too long."""
     if not name.isascii() or "\0" in name or len(name) >= NAME_MAX_BYTES:
         raise WireError(
             f"{name!r} is no name for an arm: ASCII without NUL, {NAME_MAX_BYTES - 1} characters at"
@@ -170,17 +160,13 @@ def encode_parameters(parameters: Parameters) -> bytes:
 
 
 def decode_parameters(reply: bytes) -> Parameters:
-    """The parameters in a reply. Raises WireError where the stated or the real length isn't 36, or
-    for another code.
-    """
+    """The parameters in a reply. Raises WireError for another length or code."""
     v = _PARAMETERS.unpack(_block(Code.PARAMETERS, reply, PARAMETER_BYTES))
     return Parameters(v[:6], v[6:12], v[12:])
 
 
 def encode_extended(beta: int) -> bytes:
-    """The reply with the extended parameters: beta, signed 16-bit. Raises WireError when it doesn't
-    fit.
-    """
+    """The reply with beta, signed 16-bit. Raises WireError when it doesn't fit."""
     return bytes([Code.EXTENDED, 2]) + _packed(struct.Struct(">h"), (beta,))
 
 
@@ -191,9 +177,7 @@ def decode_extended(reply: bytes) -> int:
 
 @dataclass(frozen=True, slots=True)
 class StreamRequest:
-    """What starts a stream. All zero after ``command`` means a fixed rate with the delay as its
-    period.
-    """
+    """What starts a stream. With all masks and deltas zero, ``delay_ms`` is a fixed period."""
 
     delay_ms: int
     command: int
@@ -208,10 +192,10 @@ class StreamRequest:
 
 
 def encode_stream(request: StreamRequest) -> bytes:
-    """The stream command: 25 bytes, or 27 for seven encoders. Raises WireError when a field doesn't
-    fit.
-    """
-    return bytes([Code.STREAM]) + _packed(_stream_layout(request.command), _flat(request))
+    """25 bytes, or 27 for seven encoders. Raises WireError when a field doesn't fit."""
+    delay, command, mask, analogs, encoders = astuple(request)
+    fields = (delay, command, mask, *analogs, *encoders)
+    return bytes([Code.STREAM]) + _packed(_stream_layout(command), fields)
 
 
 def decode_stream(data: bytes) -> StreamRequest:
@@ -225,11 +209,7 @@ def decode_stream(data: bytes) -> StreamRequest:
 
 
 def reply_length(code: int, data: bytes) -> int | None:
-    """How long the reply to ``code`` is that ``data`` begins with; None while too little has come
-    to say, or to be whole.
-
-    Replies have 8-bit data, so that nothing but their place tells where they end.
-    """
+    """Length of the reply to ``code`` that ``data`` begins with; None while it is incomplete."""
     if code in NAMES:
         end = data.find(b"\0") + 1 or (NAME_MAX_BYTES + 1 if len(data) > NAME_MAX_BYTES else 0)
     elif code in (Code.PARAMETERS, Code.EXTENDED):
@@ -250,11 +230,6 @@ def expect_echo(code: int, reply: bytes) -> None:
 
 def _stream_layout(command: int) -> struct.Struct:
     return struct.Struct(f">HBB8B{7 if encoder_count(command) == 7 else 6}H")
-
-
-def _flat(request: StreamRequest) -> tuple[int, ...]:
-    delay, command, mask, analogs, encoders = astuple(request)
-    return (delay, command, mask, *analogs, *encoders)
 
 
 def _packed(layout: struct.Struct, values: Sequence[int]) -> bytes:
@@ -300,9 +275,7 @@ class DeviceInfo:
         ).with_tip(tip_longer_mm)
 
     def record(self) -> dict[str, object]:
-        """The names, and all numbers as the arm gave them: enough to compute every position anew
-        from its counts.
-        """
+        """Names and raw numbers: enough to compute every position again from its counts."""
         return {
             **asdict(self.identity),
             "maxima": asdict(self.maxima),

@@ -1,21 +1,9 @@
-"""Whether an arm's counts mean positions: only after the operator has said so, in this power cycle.
+"""An arm on its link: sign-on, loss and return of the link, homing, and the adapter's latency
+timer.
 
-An arm that was not homed gives plausible, wrong positions with no sign of it
-(../shared/instruments/microscribe.md, What the maker states), so the answer is no whenever there is
-a doubt. It may not know the wire.
-
-An arm on its link, in session or lost: how it is signed on, how a loss is noticed, and how it comes
-back.
-
-A loss is told once, by the question that notices it; the session and the homing are gone then. A
-link that broke is closed at once, so that its port's name is free when it comes back, and is opened
-again before the next sign-on. It may not know what a position is.
-
-The USB adapter's latency timer: how long it holds bytes back, and how to make it stop.
-
-An FTDI chip waits 16 ms by default for more bytes, which is longer than the pause of a sign-on and
-costs as much a poll (../shared/instruments/microscribe.md, Link). Linux shows and sets the time
-under /sys; elsewhere there is nothing to see. It may not know the link.
+An arm that was not homed gives plausible, wrong positions, so any doubt needs the operator's word.
+A broken link is closed at once, which frees its port's name, and opened again before the next
+sign-on.
 """
 
 from __future__ import annotations
@@ -60,24 +48,18 @@ class Homing:
         self._doubt = ""
 
     def signed_on(self, doubt: str = "") -> None:
-        """A new session. With a ``doubt`` no word of the operator helps: only homing, or a power
-        cycle and a new sign-on.
-        """
+        """A new session. After a ``doubt``, only homing, or power cycle and sign-on, helps."""
         self.confirmed = False
         self._doubt = doubt
 
     def lost(self, why: str) -> None:
-        """Something happened after which nobody knows; the reason is told until homing is confirmed
-        again.
-        """
+        """The homing is unknown for this reason until it is confirmed again."""
         if self.confirmed:
             self._why = why
         self.confirmed = False
 
     def confirm(self) -> None:
-        """The operator says that the arm was homed. Raises NotHomedError while there is a doubt
-        that only homing removes.
-        """
+        """The operator confirms homing. Raises NotHomedError where only homing helps."""
         if self._doubt:
             raise NotHomedError(self._who, self._doubt, asked="to confirm homing", hint=_HOME_HINT)
         self.homed()
@@ -121,11 +103,14 @@ class ArmConnection:
     ) -> None:
         self.who = link.who
         self.link = link
-        self.rates = (link.baud, *_other_rates(link)) if rates is None else tuple(rates)
+        if rates is None:  # a socket's far end keeps its own rate
+            others = () if link.url.startswith("socket://") else _RATES
+            rates = (link.baud, *(rate for rate in others if rate != link.baud))
+        self.rates = tuple(rates)
         self.session = Session(link, clock, answer_s)
         self.homing = Homing(link.who)
         self.arm_time = ArmTime()
-        self.portrait: DeviceInfo | None = None
+        self.info: DeviceInfo | None = None
         self._clock = clock
         self._broken = False
 
@@ -135,7 +120,7 @@ class ArmConnection:
 
     def recover(self, timeout_s: float) -> DeviceInfo:
         """See ``MicroScribe.recover``."""
-        before, deadline = self.portrait, self._clock.now() + timeout_s
+        before, deadline = self.info, self._clock.now() + timeout_s
         try:
             now = self._sign_on_again(deadline)
             if before and before.identity.serial_number != now.identity.serial_number:
@@ -148,7 +133,7 @@ class ArmConnection:
                     self.who, what, hint="Plug the first arm in again, or sign on to the new one"
                 )
         except BaseException:
-            self.portrait = before  # still the arm that is waited for
+            self.info = before  # still the arm that is waited for
             raise
         return now
 
@@ -213,9 +198,7 @@ class ArmConnection:
         return f"the arm answers at {self.link.baud} baud, not at {self.rates[0]}"
 
     def _sign_on_again(self, deadline: float) -> DeviceInfo:
-        """Until it works, or the deadline has passed. What is
-        refused for good is raised at once.
-        """
+        """Try until the deadline; what is refused for good is raised at once."""
         while True:
             try:
                 return self._sign_on(
@@ -231,28 +214,19 @@ class ArmConnection:
 
     def _sign_on(self, rates: Sequence[int], patience_s: float) -> DeviceInfo:
         self.homing.lost("the session was opened anew")
-        self.portrait = None
+        self.info = None
         self.arm_time = ArmTime()
         if self._broken:
             self.link.reopen()
             self._broken = False
         with self.noticing():
-            self.portrait, baud = self.session.open(rates, patience_s=patience_s)
+            self.info, baud = self.session.open(rates, patience_s=patience_s)
         self.homing.signed_on(_DOUBT if baud != rates[0] else "")
-        return self.portrait
+        return self.info
 
     def _lose(self, why: str) -> None:
         self.homing.lost(why)
         self.session.lose()
-
-
-def _other_rates(link: Link) -> tuple[int, ...]:
-    """What else sign-on tries: nothing on a socket, whose far end keeps its own rate."""
-    return (
-        ()
-        if link.url.startswith("socket://")
-        else tuple(rate for rate in _RATES if rate != link.baud)
-    )
 
 
 SYSFS = Path("/sys")
@@ -260,9 +234,7 @@ WANTED_MS = 1
 
 
 def latency_warning(port: str, sysfs: Path = SYSFS) -> str | None:
-    """What to do about a slow adapter behind ``port``, as "/dev/ttyUSB0" or a link to it; None when
-    all is well or not known.
-    """
+    """Advice about a slow adapter behind a port's path or link; None when fine or unknown."""
     if "://" in port or not port.startswith("/"):
         return None
     name = Path(port).resolve().name

@@ -1,11 +1,8 @@
-"""The host's end of a MicroScribe arm: who it is, packets, and readings that can be trusted.
+"""The host's end of a MicroScribe arm: identity, packets, and positions.
 
-The protocol has no checksum and no error codes, so what keeps a position honest is on this side:
-damaged packets are asked for again, several packets make a reading, a silent arm or a broken link
-has lost its session and with it its homing, and no position leaves before the operator has
-confirmed homing (../shared/instruments/microscribe.md). A loss is told once, by the call that
-notices it; ``recover`` or ``sign_on`` brings the arm back. It may not know what the other end is,
-nor any frame of reference but the arm's own.
+The protocol has no checksum and no error codes. So damaged packets are asked for again, several
+packets make a reading, and no position is given before the operator has confirmed homing; a lost
+session loses the homing.
 """
 
 from __future__ import annotations
@@ -53,12 +50,12 @@ RECOVER_S = 30.0
 
 
 class MicroScribe:
-    """One arm on one link, which it owns. It has no motor: only a hand moves it.
+    """One arm on one link, which it owns. Only a hand moves it.
 
-    ``rates``: what sign-on tries, by default the link's own rate and then, on a serial port, all
-    others. ``tip_longer_mm``: how much longer than the standard tip the fitted one is.
-    ``answer_s``: how long an answer is waited for, three times, before the arm is lost. ``sysfs``:
-    where Linux shows its adapters.
+    ``rates``: tried by sign-on; default the link's own, then on a serial port all others.
+    ``tip_longer_mm``: length of the fitted tip over the standard one. ``answer_s``: how long an
+    answer is waited for, three times, before the arm counts as lost. ``sysfs``: where Linux shows
+    its adapters.
     """
 
     moves: ClassVar[bool] = False
@@ -101,19 +98,15 @@ class MicroScribe:
 
     @property
     def beta_rad(self) -> float:
-        """The extended parameter, 0 where the arm has none. Raises
-        NoSessionError before sign-on.
-        """
+        """The extended parameter, 0 where there is none. Raises NoSessionError before sign-on."""
         return angle_rad(self._known().beta)
 
     @property
     def geometry(self) -> ArmGeometry:
-        """The arm's shape with the fitted tip, from maxima and parameters. Raises NoSessionError
-        before sign-on.
-        """
-        portrait = self._known()
-        if self._geometry is None or self._geometry[0] is not portrait:
-            self._geometry = portrait, portrait.geometry(self._tip_longer_mm)
+        """The arm's shape with the fitted tip. Raises NoSessionError before sign-on."""
+        info = self._known()
+        if self._geometry is None or self._geometry[0] is not info:
+            self._geometry = info, info.geometry(self._tip_longer_mm)
         return self._geometry[1]
 
     @property
@@ -122,19 +115,15 @@ class MicroScribe:
         return self._link.baud
 
     def record(self) -> dict[str, object]:
-        """All that the arm says of itself and how it was read, for a run's record. Raises
-        NoSessionError before sign-on.
-        """
+        """The arm's own data and how it was read. Raises NoSessionError before sign-on."""
         return {**self._known().record(), "baud": self.baud, "tip_longer_mm": self._tip_longer_mm}
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a person should know, a sentence each: a slow adapter; and after sign-on, another
-        rate, joints that lose count.
-        """
+        """Sentences about a slow adapter, another rate, and joints that lose count."""
         told = [latency_warning(self._link.url, self._sysfs)]
-        if self._arm.portrait:
-            told += [self._arm.rate_warning(), *self._arm.portrait.warnings()]
+        if self._arm.info:
+            told += [self._arm.rate_warning(), *self._arm.info.warnings()]
         return tuple(sentence for sentence in told if sentence)
 
     @property
@@ -157,39 +146,29 @@ class MicroScribe:
     def sign_on(self) -> Identity:
         """Find the arm, open a session, and read who it is; homing has to be confirmed afterwards.
 
-        A link that broke is opened again first. Raises LinkError while the port is not back;
-        SilentArmError when nothing answers, NoMicroScribeError when something else does;
-        InterfaceBoxError, UnknownFormatError, ParameterLengthError for an arm that we don't
-        understand; UnstableUnitError or ProtocolError for answers that come damaged.
+        Opens a broken link again. Raises LinkError (SilentArmError: no answer), NoMicroScribeError,
+        UnusableArmError, UnstableUnitError, or ProtocolError for damaged answers.
         """
         return self._arm.sign_on().identity
 
     def recover(self, timeout_s: float = RECOVER_S) -> Identity:
-        """After a loss: wait for port and arm to come back, and sign on again, at the rate that
-        worked.
+        """After a loss: wait for port and arm, and sign on again at the rate that worked.
 
-        Homing has to be confirmed afterwards even if the arm kept its session: nobody can tell
-        whether it kept its power. Raises what ``sign_on`` raised last when ``timeout_s`` have
-        passed, at once what is refused for good, and AnotherArmError for an arm with another serial
-        number.
+        Homing has to be confirmed afterwards. Raises what ``sign_on`` raised last once
+        ``timeout_s`` have passed; at once what is refused for good, and AnotherArmError for another
+        serial number.
         """
         return self._arm.recover(timeout_s).identity
 
     def set_baud(self, baud: int) -> None:
-        """Go on at another rate, and see that the arm does. Raises LimitError for a rate that no
-        arm has, else as ``poll``.
-        """
+        """Change the rate and check it. Raises LimitError for an unknown rate, else as ``poll``."""
         self._arm.need_session("another rate")
         with self._arm.noticing():
             self._arm.session.ask_baud(baud)
         self.poll()
 
     def safe(self) -> None:
-        """End the session. The arm has no motion to stop. Nothing to do, and no error, without a
-        session.
-
-        Raises LinkError when the link is broken; the session counts as ended then too.
-        """
+        """End the session, if any. Raises LinkError when the link is broken."""
         self._arm.end()
 
     def close(self) -> None:
@@ -203,21 +182,15 @@ class MicroScribe:
     # Homing
 
     def confirm_homed(self) -> None:
-        """The operator says: the stylus sat on its peg when the arm was switched on, or was homed
-        since.
-
-        Raises NoSessionError without a session; NotHomedError where a word doesn't do: after a
-        search for the rate.
+        """The operator confirms that the stylus was on its peg at power-up, or was homed since.
+        Raises NoSessionError; NotHomedError after a search for the rate, when only homing helps.
         """
         self._arm.need_session("to confirm homing")
         self._arm.homing.confirm()
 
     def home(self) -> None:
         """Make the arm load its home counts. Only with the stylus on its peg: anywhere else ruins
-        every position.
-
-        Raises NoSessionError without a session, LinkError or ProtocolError when the arm doesn't
-        confirm.
+        every position. Raises NoSessionError, LinkError, or ProtocolError without confirmation.
         """
         self._arm.need_session("to home")
         self._arm.homing.lost("the arm was asked to home, and did not confirm it")
@@ -230,9 +203,8 @@ class MicroScribe:
     def poll(self, *, encoders: int = 6, stamped: bool = False) -> Packet:
         """One packet of six counts, or five; asked for again when damaged.
 
-        Raises NoSessionError without a session, StreamingError within a stream; ProtocolError when
-        every attempt came damaged; SilentArmError when the arm stays silent, LinkError when the
-        link breaks: the session is lost then, and with it the homing.
+        Raises NoSessionError, StreamingError within a stream, ProtocolError when every attempt came
+        damaged; LinkError (SilentArmError: no answer), which loses session and homing.
         """
         self._arm.need_session("a packet")
         return self._arm.packet(poll_command(encoders, stamped))
@@ -242,9 +214,8 @@ class MicroScribe:
     ) -> Reading:
         """One position from ``n`` packets, ``interval_s`` apart.
 
-        Raises NotHomedError before homing is confirmed, ArmMovesError while the arm moves: a tip
-        further than ``max_spread_mm`` from the median. Raises as ``poll`` does, and ValueError for
-        n below 1.
+        Raises NotHomedError, ArmMovesError for a tip further than ``max_spread_mm`` from the
+        median, ValueError for n below 1, else as ``poll``.
         """
         if n < 1:
             raise ValueError(f"a reading needs one packet at least, not {n}")
@@ -275,10 +246,8 @@ class MicroScribe:
         debounce_s: float = DEBOUNCE_S,
         interval_s: float = PEDAL_INTERVAL_S,
     ) -> PedalEvent | None:
-        """The next press of a pedal, on the host's clock; None when ``timeout_s`` pass without one.
-
-        A pedal that is down already has to come up first. Raises as ``poll`` does, and ValueError
-        for a negative time.
+        """The next press, by the host's clock; None after ``timeout_s``. A pedal that is down has
+        to come up first. Raises ValueError for a negative time, else as ``poll``.
         """
         sampler = Sampler(self._arm.arm_time, debounce_s)
         deadline = self._clock.now() + timeout_s
@@ -299,12 +268,12 @@ class MicroScribe:
         stamped: bool = True,
         debounce_s: float = DEBOUNCE_S,
     ) -> Iterator[Iterator[Sample]]:
-        """Samples without end, at ``rate_hz`` at least (None: as fast as it goes): ``with
-        arm.stream(50) as samples:``.
+        """Samples without end, at ``rate_hz`` at least (None: the fastest): ``with arm.stream(50)
+        as samples:``.
 
-        The stream is ended on the way out, and what it left on the link is dropped. A stream that
-        falls silent is started again if the arm still answers. Raises NoSessionError,
-        StreamingError, ValueError for a rate that can't be had; while it runs, as ``poll`` does.
+        Ends the stream on the way out and drops what is left. A silent stream is started again if
+        the arm still answers. Raises NoSessionError, StreamingError, ValueError for an impossible
+        rate; while it runs, as ``poll``.
         """
         self._arm.need_session("a stream")
         request = stream_request(rate_hz, poll_command(encoders, stamped))
@@ -318,10 +287,8 @@ class MicroScribe:
             streaming.stop()
 
     def position(self, samples: Sequence[Sample]) -> Reading:
-        """The reading that samples make, whatever their spread: to show while the arm moves, not to
-        measure with.
-
-        Raises NotHomedError, NoSessionError, and ValueError for no samples.
+        """The reading of samples, whatever their spread: to show while the arm moves, not to
+        measure with. Raises NotHomedError, NoSessionError, and ValueError for no samples.
         """
         if not samples:
             raise ValueError("a reading needs one sample at least")
@@ -329,8 +296,8 @@ class MicroScribe:
         return reading_of(self.geometry, [sample.counts for sample in samples])
 
     def _known(self) -> DeviceInfo:
-        if self._arm.portrait is None:
+        if self._arm.info is None:
             raise NoSessionError(
                 self.who, "who the arm is has not been read yet", hint="Sign on first"
             )
-        return self._arm.portrait
+        return self._arm.info

@@ -1,9 +1,8 @@
-"""The other end of a MicroScribe's wire: firmware, encoders, pedals, cable and adapter, with the
-hazards of the real ones.
+"""The other end of a MicroScribe's wire: firmware, encoders, pedals, cable and adapter, with their
+faults.
 
-It never waits: it answers at once, or has the connection do so later. What changes it from outside
-(``power_cycle``, ``faults``, ``buttons``) is to be called under the world's lock. It may not know
-its driver.
+It never waits. Changes from outside (``power_cycle``, ``faults``, ``buttons``) need the world's
+lock.
 """
 
 from __future__ import annotations
@@ -27,12 +26,10 @@ CATCH_UP_S = 0.1
 
 
 class ArmEmulator:
-    """An arm in a hand, switched on with its stylus on the peg; ``unit`` is the one that ships
-    unless told.
+    """An arm in a hand, switched on with its stylus on the peg.
 
-    ``echo_after`` is how many IMMC it wants to hear. ``unreachable`` tells why the connection was
-    broken when the hand asked for what no arm can do. Raises ValueError for a ``unit`` whose tip
-    never comes above the table.
+    ``echo_after``: how many IMMC it needs. ``unreachable``: why it hung up on an impossible pose.
+    Raises ValueError for a ``unit`` whose tip never comes above the table.
     """
 
     def __init__(
@@ -100,9 +97,7 @@ class ArmEmulator:
         self._contacts.move(pressed, self._clock.now(), bounce_s)
 
     def check_reach(self, point_mm: Floats, direction: Floats | None) -> None:
-        """Raise OutOfReachError unless the arm can hold its tip there: for the hand to ask before
-        it tries.
-        """
+        """Raise OutOfReachError unless the arm can hold its tip there."""
         self._mechanics.solve(point_mm, direction)
 
     def power_off(self) -> None:
@@ -111,9 +106,7 @@ class ArmEmulator:
         self._firmware.enter(wire.next_state(self.state, Event.POWER_LOST))
 
     def power_on(self) -> None:
-        """Wake with the home counts loaded, wherever the stylus is. Raises OutOfReachError for an
-        impossible hand.
-        """
+        """Start with the home counts, wherever the stylus is. Raises OutOfReachError."""
         self._powered = True
         self.load_home()
         self._displace()
@@ -144,9 +137,7 @@ class ArmEmulator:
         return Look(self._contacts.at(self._clock.now(), self._looks), shown)
 
     def load_home(self) -> None:
-        """Show the home counts, wherever the stylus is. Raises OutOfReachError for an impossible
-        hand.
-        """
+        """Show the home counts, wherever the stylus is. Raises OutOfReachError."""
         counts = self._mechanics.whole(self._looks)
         self._offset = [home - count for home, count in zip(self.unit.home, counts, strict=True)]
 
@@ -202,16 +193,14 @@ class ArmEmulator:
             self._run(stream, connection)
 
     def _garbled(self, rate: int | None) -> bool:
-        """Whether host and arm speak at different rates: where the host's can't be known, a fault
-        says so.
-        """
+        """Whether rates differ; where the host's is unknown, a fault says so."""
         if rate is None:
             return self.faults.strikes(Fault.WRONG_BAUD)
         return self._firmware.rate not in (None, rate)
 
     def _run(self, stream: Stream, connection: Connection) -> None:
-        """Send in time with the stream: by absolute times, no faster than the line takes it, until
-        another command or host.
+        """Send the stream by absolute times, no faster than the line, until another command or
+        host.
         """
         self._runs += 1
         run, due_s = self._runs, self._clock.now() + stream.period_s

@@ -1,12 +1,7 @@
-"""Why an arm was not signed on, or gives no position: an error class for each, under the tree in
-``instruments.errors``.
+"""Errors of the arm's driver under ``instruments.errors``, and a guess at which other device
+answered.
 
-Raise the most exact one, catch the one that you can act on. It may not know the session, nor the
-wire.
-
-What answers when it isn't a MicroScribe: a guess from its bytes, and what to try.
-
-Pure: a table of what the neighbours on a lab's ports are known to say. It may not know the link.
+Raise the most exact one, catch the one that you can act on.
 """
 
 from __future__ import annotations
@@ -20,17 +15,13 @@ from instruments.microscribe.protocol import BEGIN, SYNC
 
 
 class NoMicroScribeError(ProtocolError):
-    """Something answers the sign-on, but not with the arm's words: another device, or a plug that
-    loops back.
-
-    Not for an arm whose later answers come damaged: that is a plain ProtocolError.
+    """Another device, or a loop-back plug, answers the sign-on. Damaged answers of an arm are a
+    ProtocolError.
     """
 
 
 class UnusableArmError(ProtocolError):
-    """An arm, or its maker's, whose positions can't be computed; asking again doesn't help. Not
-    raised itself: use one of three.
-    """
+    """An arm whose positions can't be computed; asking again doesn't help. Raise a subclass."""
 
 
 class InterfaceBoxError(UnusableArmError):
@@ -42,15 +33,11 @@ class UnknownFormatError(UnusableArmError):
 
 
 class ParameterLengthError(UnusableArmError):
-    """The arm states another length for a block of parameters. Not for a block that came short:
-    that is damage.
-    """
+    """A block of parameters states another length. A short block is damage instead."""
 
 
 class UnstableUnitError(ProtocolError):
-    """What the arm says of itself came differently each time. Replies have no checksum, so two have
-    to agree.
-    """
+    """No two readings of the arm's data agree. Replies have no checksum, so two have to."""
 
 
 class AnotherArmError(DeviceError):
@@ -61,9 +48,7 @@ class AnotherArmError(DeviceError):
 
 
 class SilentArmError(LinkError):
-    """The arm doesn't answer, though the port is there. Not for a link that broke: that is a plain
-    LinkError.
-    """
+    """The arm doesn't answer, though the port is there. A broken link is a plain LinkError."""
 
 
 class NoSessionError(LimitError):
@@ -87,8 +72,8 @@ _FRAME_BYTES = range(5, 17)
 
 
 def _modbus(seen: bytes) -> bool:
-    """Whether it ends in a Modbus RTU frame, which ends in a CRC-16 of what is before it (Modbus
-    over serial line, 6.2.2).
+    """Whether it ends in a Modbus RTU frame: its last two bytes are a CRC-16 (serial line guide,
+    6.2.2).
     """
     frames = (seen[-length:] for length in _FRAME_BYTES if length <= len(seen))
     return any(_crc16(frame[:-2]) == int.from_bytes(frame[-2:], "little") for frame in frames)
@@ -131,9 +116,7 @@ _NOISE = (
 
 
 def known(seen: bytes) -> bool:
-    """Whether the bytes look like one of the neighbours: then no other baud rate makes an arm of
-    it.
-    """
+    """Whether the bytes look like a known other device: then no other baud rate is tried."""
     return any(fits(seen) for fits, _ in _NEIGHBOURS)
 
 

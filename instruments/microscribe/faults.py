@@ -1,8 +1,7 @@
-"""What can be wrong with an emulated arm, its cable and its adapter, each by name. It may not know
-the session.
+"""Faults of an emulated arm, its cable and its adapter, by name.
 
-Where a packet is hit follows from the seed and from how many answers were hit before, so that a run
-can be repeated.
+Where a packet is hit follows from the seed and the number of answers hit before, so a run can be
+repeated.
 """
 
 from __future__ import annotations
@@ -55,9 +54,7 @@ AMOUNTS: dict[Fault, float] = {
 
 
 class Faults:
-    """The faults that are on, and how often each will still strike. ``told`` hears of each that
-    comes or goes.
-    """
+    """The active faults, and how often each still strikes. ``told`` is called at each change."""
 
     def __init__(self, seed: int, told: Callable[[Fault, bool], None] | None = None) -> None:
         self._seed = seed
@@ -75,12 +72,11 @@ class Faults:
         amount: float | None = None,
         after: int = 0,
     ) -> None:
-        """Let a fault strike the next ``times`` it can, or until it is cleared; ``amount`` is as
-        `AMOUNTS` explains.
+        """Let a fault strike ``times`` times (None: until cleared), after sparing the first
+        ``after`` chances.
 
-        The first ``after`` times that it could strike it spares, to hit the seventh answer, say.
-
-        Raises ValueError for a name that isn't a fault's, and for an amount of what has none.
+        ``amount`` is as `AMOUNTS` explains. Raises ValueError for an unknown name or a useless
+        amount.
         """
         known = named(fault)
         check_amount(known, amount)
@@ -114,8 +110,8 @@ class Faults:
         return self._amounts[fault]
 
     def damage(self, answer: bytes) -> bytes:
-        """One answer as it comes over the wire: where it is hit is chance; its first byte gets
-        lost, but never changes.
+        """One answer as the host gets it; the place is chance, and the first byte is only ever
+        lost.
         """
         if not self._left or not answer:
             return answer
@@ -158,9 +154,7 @@ class Faults:
         return data[: int(passes)], True
 
     def displacement(self, joints: int) -> list[int]:
-        """How many counts each joint stands off its peg at a power-up that nobody homed: none of
-        them near 0.
-        """
+        """Counts that each joint is off its peg at a power-up without homing: none near 0."""
         most = int(self._amounts[Fault.NEVER_HOMED])
         sizes = self._chance().integers(most // 2, most + 1, joints)
         return [int(size) if joint % 2 else -int(size) for joint, size in enumerate(sizes)]

@@ -1,14 +1,7 @@
-"""What is not known of a real arm, and how an emulated one does it: each U of
-../shared/instruments/microscribe.md is a choice.
+"""The emulated arm's side of the conversation: each byte received, and the answer to it.
 
-Here too is the rule by which a stream by differences sends. It may not know time, nor the wire.
-
-The emulated arm's side of the conversation: each byte that it hears, and what it answers.
-
-What is stated or recorded in ../shared/instruments/microscribe.md is done as stated; what is not
-known there is a habit. In a live session bit 7 of a command is ignored, so that letters are
-commands; what is not supported gets silence. Pure but for its own state: it may not know a clock, a
-connection or a hand.
+What no document states is a choice in `UnspecifiedBehaviour`. In a live session bit 7 of a command
+is ignored, so letters are commands; unsupported commands get no answer.
 """
 
 from __future__ import annotations
@@ -29,8 +22,7 @@ from instruments.microscribe.unit import ArmIdentity
 @dataclass(frozen=True, slots=True)
 class UnspecifiedBehaviour:
     """``echoes_again``: an IMMC behind the echoed one is echoed too. ``release_triggers``: so does
-    a pedal that comes up, in a stream by differences. ``deltas_from``: what an encoder's difference
-    is measured from there.
+    a pedal that comes up. ``deltas_from``: what an encoder's difference is measured from.
     """
 
     echoes_again: bool = True
@@ -47,10 +39,8 @@ class Look:
 
 
 class Trigger:
-    """Says at each look whether a stream by differences sends. A delta of 0 leaves its encoder out,
-    a mask bit of 0 its pedal.
-
-    Nothing is plugged into the emulated arm's analog channels, so that they never differ.
+    """Whether a stream by differences sends. A delta or mask bit of 0 leaves its encoder or pedal
+    out; the analog channels are not connected and never differ.
     """
 
     def __init__(self, request: StreamRequest, habits: UnspecifiedBehaviour, first: Look) -> None:
@@ -104,9 +94,7 @@ class Body(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """A stream that runs: packets for ``command`` every ``period_s``, or looks that often where
-    there is a ``trigger``.
-    """
+    """A running stream of ``command``: packets, or with ``trigger`` looks, every ``period_s``."""
 
     command: int
     period_s: float
@@ -114,11 +102,10 @@ class Stream:
 
 
 class Firmware:
-    """One arm's conversation. ``rate`` is the session's, as far as known; ``stream`` what runs,
-    None without one.
+    """One arm's conversation at ``rate``, where known; ``stream`` is None without one.
 
-    ``echo_after`` is how many IMMC it wants to hear. Raises WireError for a unit that doesn't fit
-    its own replies.
+    ``echo_after``: how many IMMC it needs. Raises WireError for a unit that doesn't fit its own
+    replies.
     """
 
     def __init__(
@@ -155,9 +142,7 @@ class Firmware:
             self.rate = None
 
     def take(self, byte: int, rate: int | None) -> bytes:
-        """The answer to one byte, which came at ``rate`` (None: nobody knows); nothing while a
-        command isn't whole.
-        """
+        """The answer to a byte at ``rate`` (None: unknown); empty while a command is cut."""
         if self.state not in wire.LIVE:
             return self._listen(byte, rate)
         self._command.append(byte)
@@ -248,9 +233,7 @@ class Firmware:
 
 
 def _arguments(command: bytearray) -> int:
-    """How many bytes follow the first one; known for a stream once
-    the command within it has come.
-    """
+    """How many bytes follow the first; a stream's depends on the command within it."""
     if not command[0] & wire.CONFIGURE:
         return 0
     code = command[0] | wire.MARK

@@ -1,8 +1,6 @@
-"""Where an arm's tip stands for given encoder counts, and back again for the emulator.
+"""Forward and inverse kinematics of the arm, vectorised over poses.
 
-Modified (Craig) Denavit-Hartenberg as the maker's SDK manual, chapter 4, gives it; all of it
-vectorised over poses. Pure: no wire and no clock. It may not know the bytes that the parameters
-came in.
+Modified (Craig) Denavit-Hartenberg, as in the maker's SDK manual, chapter 4.
 """
 
 from __future__ import annotations
@@ -52,9 +50,7 @@ class ParameterBlock(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmGeometry:
-    """One arm's shape: alpha (6,) rad, a and d (6,) mm, beta rad, counts per turn (6,), 0 where no
-    encoder is.
-    """
+    """alpha (6,) rad, a and d (6,) mm, beta rad, counts per turn (6,), 0 without an encoder."""
 
     alpha_rad: Floats
     a_mm: Floats
@@ -81,9 +77,7 @@ class ArmGeometry:
         )
 
     def with_tip(self, longer_mm: float) -> ArmGeometry:
-        """The same arm with a tip that is ``longer_mm`` longer than the one its parameters are for:
-        D_5 is more negative by it.
-        """
+        """The same arm with a tip that is ``longer_mm`` longer: D_5 decreases by it."""
         return replace(self, d_mm=self.d_mm - np.array([0.0] * (JOINTS - 1) + [longer_mm]))
 
     @property
@@ -92,10 +86,8 @@ class ArmGeometry:
         return self.turns > 0
 
     def angles(self, counts: npt.ArrayLike) -> Floats:
-        """Joint angles (n, 6) rad in [0, 2 pi) of counts (n, 6); 0 where a joint has no encoder.
-        Manual, chapter 4.
-
-        (n, 5) will do where the sixth has none. Raises ValueError for another shape.
+        """Joint angles (n, 6) rad in [0, 2 pi) of counts (n, 6), or (n, 5) where the sixth has no
+        encoder; such a joint is 0. Raises ValueError for another shape.
         """
         rows = np.atleast_2d(np.asarray(counts, dtype=np.float64))
         if rows.ndim == 2 and rows.shape[1] == JOINTS - 1 and not self.active[-1]:
@@ -104,17 +96,14 @@ class ArmGeometry:
         return np.where(self.active, np.mod(_rows(rows), per_turn) * (2.0 * np.pi / per_turn), 0.0)
 
     def forward(self, counts: npt.ArrayLike) -> tuple[Floats, Floats]:
-        """Tips (n, 3) mm and stylus axes (n, 3), unit, from the tip up the stylus, for counts as
-        ``angles`` takes them.
-        """
+        """Tips (n, 3) mm and unit axes (n, 3) up the stylus; counts as for ``angles``."""
         return self.forward_angles(self.angles(counts))
 
     def forward_angles(self, angles_rad: Floats) -> tuple[Floats, Floats]:
         """As ``forward``, for joint angles (n, 6) rad.
 
-        Each joint is RotX(alpha) TransX(a) RotY(beta) RotZ(theta) TransZ(d), beta on one joint
-        only. The chain is walked from the tip inwards, so that a point and a direction move and no
-        matrix is multiplied.
+        A joint is RotX(alpha) TransX(a) RotY(beta) RotZ(theta) TransZ(d), beta on one joint only.
+        From the tip inwards, a point and a direction are moved; no matrix is multiplied.
         """
         n = len(angles_rad)
         tip: _Triple = (np.zeros(n), np.zeros(n), np.zeros(n))
@@ -139,9 +128,7 @@ class ArmGeometry:
         return x + shift_mm, cos * y - sin * z, sin * y + cos * z
 
     def frames(self, angles_rad: Floats) -> tuple[Floats, Floats]:
-        """Where each joint's frame stands: rotations (n, 6, 3, 3) and origins (n, 6, 3) mm, for
-        angles (n, 6) rad.
-        """
+        """Rotations (n, 6, 3, 3) and origins (n, 6, 3) mm of the joints, for angles (n, 6) rad."""
         n = len(angles_rad)
         rotation, origin = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
         rotations, origins = np.empty((n, JOINTS, 3, 3)), np.empty((n, JOINTS, 3))
@@ -153,9 +140,7 @@ class ArmGeometry:
         return rotations, origins
 
     def orientations(self, counts: npt.ArrayLike) -> Floats:
-        """Rotations (n, 3, 3) arm_from_stylus for counts (n, 6); the third column is the stylus
-        axis of ``forward``.
-        """
+        """Rotations (n, 3, 3) arm_from_stylus for counts (n, 6); the third column is the axis."""
         return self.frames(self.angles(counts))[0][:, -1]
 
     def _turned(self, joint: int, theta: Floats) -> Floats:
@@ -165,10 +150,8 @@ class ArmGeometry:
         return np.stack([np.stack(column, axis=1) for column in columns], axis=2)
 
     def jacobian_angles(self, angles_rad: Floats) -> Floats:
-        """(n, 6, 6) for angles (n, 6) rad: rows tip x y z (mm/rad) then axis x y z (1/rad), columns
-        joints.
-
-        The column of a joint without an encoder is zero.
+        """(n, 6, 6) for angles (n, 6) rad: rows tip (mm/rad) then axis (1/rad), columns joints;
+        zero for a joint without an encoder.
         """
         rotations, origins = self.frames(angles_rad)
         # RotZ leaves a joint's own axis alone, so its frame's third column is that axis
@@ -199,15 +182,13 @@ def inverse(
     start: npt.ArrayLike,
     ranges_rad: Floats = RANGES_RAD,
 ) -> Floats:
-    """The counts (6,), not rounded, that hold the tip at ``point_mm`` (3,) with the stylus along
-    ``direction`` (3,).
+    """The counts (6,), not rounded, that hold the tip at ``point_mm`` (3,).
 
-    ``direction`` points from the tip up the stylus; None leaves it to the arm. It is met exactly
-    but where the stylus is in line with the forearm: the wrist's axes aren't quite square, which
-    leaves a blind cone of about a degree, and the nearest direction outside it is taken, at most
-    0.02 rad away. ``start`` (6,) counts is the home pose: joints stay within ``ranges_rad`` (6, 2)
-    of it, and of several poses the nearest to it is taken. Damped least squares from many starts at
-    once. Raises OutOfReachError where no pose fits.
+    ``direction`` (3,) points from the tip up the stylus; None leaves it free. Where it is in line
+    with the forearm (a blind cone of about a degree), the nearest direction outside is taken, at
+    most 0.02 rad away. Joints stay within ``ranges_rad`` (6, 2) of the home pose ``start`` (6,),
+    and the pose nearest to it is taken. Damped least squares from many starts. Raises
+    OutOfReachError.
     """
     goal = np.asarray(point_mm, dtype=np.float64)
     stylus = None if direction is None else _unit(direction)
@@ -245,9 +226,7 @@ def _why_not(goal: Floats, stylus: Floats | None, miss_mm: float) -> str:
 def _starts(
     geometry: ArmGeometry, goal: Floats, stylus: Floats | None, home: Floats, ranges_rad: Floats
 ) -> Floats:
-    """Home and the best poses of a lattice over the joint ranges, each with its base turned to face
-    the goal.
-    """
+    """Home and the best poses of a lattice over the joint ranges, each base turned to the goal."""
     steps = [np.zeros(1)] + [
         np.linspace(low, high, 9)[1:-1] * geometry.active[j]
         for j, (low, high) in enumerate(ranges_rad[1:-1], 1)
@@ -265,9 +244,7 @@ def _starts(
 
 
 def _misses(geometry: ArmGeometry, angles: Floats, goal: Floats, stylus: Floats | None) -> Floats:
-    """(n, 3) or (n, 6) mm from the goal: the tip's, then the stylus direction's at the weight it
-    has.
-    """
+    """(n, 3) or (n, 6) mm from the goal: the tip's, then the weighted direction's."""
     tips, axes = geometry.forward_angles(angles)
     misses: Floats = goal - tips
     return (
@@ -280,9 +257,7 @@ def _misses(geometry: ArmGeometry, angles: Floats, goal: Floats, stylus: Floats 
 def _settle(
     geometry: ArmGeometry, angles: Floats, goal: Floats, stylus: Floats | None
 ) -> tuple[Floats, Floats]:
-    """Levenberg and Marquardt's iteration on all rows (n, 6) at once, each with its own damping;
-    angles and misses (n,).
-    """
+    """Levenberg-Marquardt on all rows (n, 6), each with its own damping; angles, misses (n,)."""
     rows = 3 if stylus is None else 6
     weights = np.array([1.0] * 3 + [_DIRECTION_MM] * 3)[:rows, None]
     misses = _misses(geometry, angles, goal, stylus)

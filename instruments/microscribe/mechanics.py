@@ -1,13 +1,9 @@
-"""The contacts of the emulated pedals: open, closed, or bouncing for a while after they were moved.
-It may not know a wire.
+"""The body of the emulated arm: encoder counts for a hand that holds the tip somewhere; bouncing
+pedals.
 
-The body of the emulated arm: which counts its encoders stand at when a hand holds the tip
-somewhere.
-
-A target goes through inverse kinematics, is moved by the arm's own inaccuracy (the same error for
-the same pose, as of a real arm whose stored parameters are a little off) and by the tremor of the
-hand (new for each packet), and comes out as counts, rounded last as encoders round. All chance
-comes from the seed and the packet's number. It may not know the wire, nor the driver.
+A target goes through inverse kinematics, plus the arm's own inaccuracy (fixed for a pose) and the
+hand's tremor (new for each packet), and is rounded last. Chance comes from the seed and the
+packet's number.
 """
 
 from __future__ import annotations
@@ -58,18 +54,18 @@ class Hand(Protocol):
     """Whoever holds the stylus."""
 
     def arm_target(self) -> tuple[Floats, Floats | None] | None:
-        """Where the tip is held: point (3,) mm in the arm's frame, and the direction (3,) from the
-        tip up the stylus (None: as the arm likes). None altogether: the stylus is on its peg.
+        """Tip (3,) mm in the arm's frame, and direction (3,) from it up the stylus or None for any.
+        None altogether: the stylus is on its peg.
         """
         ...
 
 
 class KinematicError:
-    """How far the tip is from where the counts say, as a smooth function of the pose.
+    """The tip's distance from where the counts say, as a smooth function of the pose.
 
-    An arm whose lengths, twists and encoder zeros differ a little from its stored parameters. Joint
-    0 stays true and the mean is taken off: both would only be another frame. Scaled so that over
-    the workspace the mean distance is ``accuracy_mm``.
+    Lengths, twists and encoder zeros differ a little from the stored ones. Joint 0 stays true and
+    the mean is removed, since both would be another frame. The mean distance over the workspace is
+    ``accuracy_mm``.
     """
 
     def __init__(
@@ -107,9 +103,7 @@ class KinematicError:
 
 
 def workspace(geometry: ArmGeometry, home_rad: Floats, chance: np.random.Generator) -> Floats:
-    """Poses (n, 6) rad spread over the joint ranges whose tip is above the table that the arm
-    stands on.
-    """
+    """Poses (n, 6) rad spread over the joint ranges whose tip is above the table."""
     poses = (
         home_rad
         + chance.uniform(RANGES_RAD[:, 0], RANGES_RAD[:, 1], (_POSES, JOINTS)) * geometry.active
@@ -125,10 +119,8 @@ class _Pose:
 
 
 class Mechanics:
-    """The joints of one arm in one hand.
-
-    ``home`` (6,) are the counts on the peg; ``accuracy_mm`` the mean error over the workspace;
-    ``tremor_mm`` the root mean square distance of the tip from where the hand means to hold it.
+    """The joints of one arm in one hand. ``home`` (6,) are the counts on the peg, ``accuracy_mm``
+    the mean error over the workspace, ``tremor_mm`` the tip's rms distance from its target.
     """
 
     def __init__(
@@ -154,9 +146,7 @@ class Mechanics:
         self._block: tuple[_Pose, int, list[list[int]]] | None = None
 
     def counts(self, packet: int) -> Floats:
-        """Counts (6,), not rounded, at the ``packet``-th question. Raises OutOfReachError where no
-        arm gets there.
-        """
+        """Counts (6,), not rounded, of the ``packet``-th packet. Raises OutOfReachError."""
         target = self._hand.arm_target()
         if target is None:
             return self._home
@@ -166,9 +156,7 @@ class Mechanics:
         return counts
 
     def whole(self, packet: int) -> list[int]:
-        """As ``counts``, rounded; a thousand at a time are made and kept, since a host that polls
-        asks for thousands a second.
-        """
+        """As ``counts``, rounded; made a thousand at a time, for hosts that poll fast."""
         target = self._hand.arm_target()
         if target is None:
             return list(self._on_peg)
@@ -188,9 +176,7 @@ class Mechanics:
         return self._held[1]
 
     def solve(self, point_mm: Floats, direction: Floats | None) -> _Pose:
-        """The pose that the hand brings the arm to, its inaccuracy included. Raises
-        OutOfReachError.
-        """
+        """The pose for this target, the arm's inaccuracy included. Raises OutOfReachError."""
         counts = inverse(self._geometry, point_mm, direction, start=self._home)
         goal = (
             np.asarray(point_mm, dtype=np.float64)

@@ -1,20 +1,8 @@
-"""The MicroScribe's bytes as values and values as bytes, for both ends of the wire.
+"""The MicroScribe's bytes as values and values as bytes, and the session's states.
 
-Facts: ../shared/instruments/microscribe.md, from the maker's SDK manual, chapter 4. Two alphabets
-never mix: data packets (a header with bit 7 set, then 7-bit bytes, no length, no checksum), which
-are here, and configuration replies (the code, then 8-bit bytes), in ``configuration``. Pure: it may
-not know of time, links or threads, nor who speaks.
-
-The commands that carry a byte or two: another rate, a marker; and which stream delays do no harm.
-
-Facts: ../shared/instruments/microscribe.md, from the maker's SDK manual, chapter 4. Pure: it may
-not know of time, links or threads, nor who speaks.
-
-The arm's own clock: 14-bit ticks of 1.111 ms that wrap after some 18 s, as seconds that go on.
-
-The host's clock is the coarse hand: it only says how many wraps went by between two packets, so
-that a pause of minutes loses nothing and the host's delays don't show. Pure: it may not know where
-packets come from.
+Source: the maker's SDK manual, chapter 4. Data packets have a header with bit 7 set, then 7-bit
+bytes, no length and no checksum. Configuration replies (``configuration``) are the code, then 8-bit
+bytes.
 """
 
 from __future__ import annotations
@@ -38,9 +26,7 @@ TICK_MODULUS = 1 << 14
 
 
 class WireError(Exception):
-    """Bytes or an event that the protocol does not allow. Pure code doesn't know who spoke: the
-    driver says it.
-    """
+    """Bytes or an event that the protocol does not allow. The driver adds who spoke."""
 
 
 class Code(IntEnum):
@@ -140,13 +126,11 @@ def event_of(command: int) -> Event:
 
 
 def refuse_forbidden(data: bytes, state: State) -> None:
-    """Raise WireError where ``data`` would start an EEPROM write, or could where a byte of it is
-    lost.
+    """Raise WireError where ``data`` starts an EEPROM write, or could where a byte of it is lost.
 
-    In a live session bit 7 is ignored, so that the letters C, G, P, Q count too; in sign-on they
-    are words' letters. What follows a command there is taken for commands when the command itself
-    is lost on its way: so none of it may configure. A stream every 66 ms (42) would re-home the
-    arm.
+    In a live session bit 7 is ignored, so the letters C, G, P, Q count too. If a command is lost,
+    its arguments are taken for commands, so none may configure: a stream every 66 ms (42) would
+    re-home the arm.
     """
     live = state in LIVE
     for byte in data:
@@ -167,9 +151,7 @@ def refuse_forbidden(data: bytes, state: State) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One data packet: counts as they came (0 to 16383), ticks of 1.111 ms where a stamp was asked
-    for.
-    """
+    """One data packet: raw counts 0 to 16383; ticks of 1.111 ms where a stamp was asked for."""
 
     command: int
     buttons: int
@@ -212,7 +194,6 @@ _LENGTHS = tuple(payload_length(command) for command in range(64))
 
 def encode_packet(packet: Packet) -> bytes:
     """Header and payload. With eight analogs the last one's lowest bit has no room and is dropped.
-
     Raises WireError when the packet doesn't fit its command.
     """
     command = packet.command
@@ -242,13 +223,12 @@ def _fourteen(value: int) -> bytes:
 
 
 class PacketDecoder:
-    """Finds packets in a stream cut anywhere; ``damaged`` counts those it had to drop.
+    """Finds packets in a stream cut anywhere; ``damaged`` counts those dropped.
 
-    A byte with bit 7 inside a packet is damage, and is where the search for a header goes on. So is
-    a byte without it behind a packet: one came twice. Where it comes in a later piece, the packet
-    before it is given out already, and ``withdrawn`` counts it. ``command`` names the only packet
-    that is waited for; without it, any data header is one. Markers are looked for only with
-    ``markers``: their value is 8-bit, and could be taken for a header.
+    Bit 7 inside a packet, or a byte without it behind one, is damage; the search goes on there.
+    ``withdrawn`` counts packets whose damage showed after they were given out. ``command`` names
+    the only packet accepted (None: any). Markers need ``markers``, since their 8-bit value could be
+    taken for a header.
     """
 
     def __init__(self, command: int | None = None, *, markers: bool = False) -> None:
@@ -342,11 +322,10 @@ LONGEST_DELAY_MS = 0x3FBF  # the longest that is harmless
 
 
 def harmless_delay_ms(period_s: float) -> int:
-    """The longest delay up to ``period_s`` whose bytes would configure nothing if the stream's
-    first byte were lost.
+    """The longest delay up to ``period_s``, at least 1 ms, neither byte of which has bit 6.
 
-    Bit 6 of either byte makes a command of it: 66 ms (42) would re-home the arm. So 64 to 127 ms
-    become 63. At least 1.
+    If the stream's first byte is lost, such a byte is a command: 66 ms (42) re-homes the arm. So 64
+    to 127 ms become 63.
     """
     delay = min(max(1, int(period_s * 1000 + 1e-6)), LONGEST_DELAY_MS)
     while delay & (CONFIGURE << 8 | CONFIGURE):
@@ -355,9 +334,7 @@ def harmless_delay_ms(period_s: float) -> int:
 
 
 def encode_set_baud(baud: int) -> bytes:
-    """The command that changes the rate; its echo comes at the old one. Raises WireError for a rate
-    that no arm has.
-    """
+    """The command; its echo comes at the old rate. Raises WireError for a rate that no arm has."""
     if baud not in BAUD_CODES:
         raise WireError(
             f"an arm has no rate {baud}; it has {', '.join(map(str, sorted(BAUD_CODES)))}"
@@ -366,9 +343,7 @@ def encode_set_baud(baud: int) -> bytes:
 
 
 def decode_set_baud(data: bytes) -> int:
-    """The rate that a whole command asks for. Raises WireError for
-    another length, command or rate.
-    """
+    """The rate that a whole command asks for. Raises WireError for anything else."""
     rates = [baud for baud, code in BAUD_CODES.items() if data == bytes([Code.SET_BAUD, code])]
     if not rates:
         raise WireError(f"a rate is C4 and one of {bytes(BAUD_CODES.values()).hex(' ').upper()}")
@@ -376,9 +351,7 @@ def decode_set_baud(data: bytes) -> int:
 
 
 def encode_marker(marker: Marker) -> bytes:
-    """A marker, as the host sends it and as the arm sends it back. Raises WireError when it is no
-    byte.
-    """
+    """A marker, in both directions. Raises WireError unless it is a byte."""
     if marker.value not in range(256):
         raise WireError(f"a marker is one byte, not {marker.value}")
     return bytes([Code.MARKER, marker.value])
@@ -392,10 +365,10 @@ def decode_marker(reply: bytes) -> Marker:
 
 
 class ArmTime:
-    """Seconds since the first stamp, by the arm's clock.
+    """Seconds since the first stamp by the arm's clock: 14-bit ticks that wrap after 18 s.
 
-    Right as long as the host sees two stamps in a row with delays that differ by less than half a
-    wrap, 9 s.
+    The host's clock only counts the wraps: right while delays of two stamps in a row differ by less
+    than 9 s.
     """
 
     def __init__(self) -> None:
@@ -403,9 +376,7 @@ class ArmTime:
         self._last: tuple[int, float] | None = None
 
     def seconds(self, ticks: int, host_s: float) -> float:
-        """When a packet was made whose stamp is ``ticks`` (0 to 16383) and that the host got at
-        ``host_s``.
-        """
+        """Time of a packet stamped ``ticks`` (0 to 16383) that the host got at ``host_s``."""
         if self._last is not None:
             step = (ticks - self._last[0]) % TICK_MODULUS
             wraps = max(0, round(((host_s - self._last[1]) / TICK_S - step) / TICK_MODULUS))

@@ -1,21 +1,8 @@
-"""Foot pedals: presses and releases out of the buttons of packets, with the bounce of their
-contacts taken off.
+"""Streams: samples by the arm's own time, pedal events without bounce, and a position out of
+several packets.
 
-The protocol has no debounce (../shared/instruments/microscribe.md, Pedals). Pure: it may not know
-the wire, and time is told to it with each packet.
-
-A position out of several packets: what the arm says when it is held still, and that it was.
-
-Pure: it may not know the wire, nor any frame of reference but the arm's own.
-
-Packets as a stream gives them: with the arm's own time, and with what the pedals did.
-
-It may not know the session that they come from, nor what position they mean.
-
-A stream from its start to its end: samples that go on, and a silence that is looked into.
-
-A stream that falls silent is no proof of a lost arm: the command for it may have been lost. So the
-arm is polled, and started again where it answers. It may not know what a position is.
+A silent stream is no proof of a lost arm, as its command may have been lost. So the arm is polled,
+and the stream started again where it answers.
 """
 
 from __future__ import annotations
@@ -56,9 +43,7 @@ class Pedal(Enum):
 
 @dataclass(frozen=True, slots=True)
 class PedalEvent:
-    """A pedal was pressed, or released, at ``t_s``: when its contact changed for good, on the clock
-    that was told.
-    """
+    """A press or release at ``t_s``, when its contact changed for good."""
 
     pedal: Pedal
     pressed: bool
@@ -66,10 +51,8 @@ class PedalEvent:
 
 
 class Debouncer:
-    """A change counts once every packet for ``debounce_s`` has shown it.
-
-    How the pedals stand in the first packet is no event: a foot that was there before presses
-    nothing.
+    """A change counts once every packet for ``debounce_s`` has shown it. A pedal that is down in
+    the first packet is no event.
     """
 
     def __init__(self, debounce_s: float = DEBOUNCE_S) -> None:
@@ -105,11 +88,9 @@ class Debouncer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """One position in the arm's frame.
-
-    ``tip_mm`` (3,) is the median tip, ``spread_mm`` the largest distance of one packet's tip from
-    it, ``axis`` (3,) the unit median direction from the tip up the stylus, ``n`` the packets,
-    ``counts`` the last packet's.
+    """One position in the arm's frame. ``tip_mm`` (3,) is the median tip, ``spread_mm`` the largest
+    distance of a packet's tip from it, ``axis`` (3,) the unit median direction from the tip up the
+    stylus, ``n`` the packets, ``counts`` the last packet's.
     """
 
     tip_mm: npt.NDArray[np.float64]
@@ -120,9 +101,7 @@ class Reading:
 
 
 def reading_of(geometry: ArmGeometry, counts: Sequence[tuple[int, ...]]) -> Reading:
-    """The reading of packets with ``counts`` (n, 6), n at least 1. One wrong packet moves no
-    median.
-    """
+    """The reading of counts (n, 6), n at least 1. One wrong packet moves no median."""
     tips, axes = geometry.forward(np.array(counts))
     tip, axis = np.median(tips, axis=0), np.median(axes, axis=0)
     spread_mm = float(np.linalg.norm(tips - tip, axis=1).max())
@@ -134,11 +113,8 @@ _ENCODER_BITS = {5: 0x01, 6: 0x03}
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One packet: ``counts`` as they came, ``buttons`` as they came, ``events`` with the bounce
-    taken off.
-
-    ``t_s`` is by the arm's own clock, from the first stamped packet of the session; by the host's
-    clock where the packet has no stamp.
+    """One packet: raw ``counts`` and ``buttons``, ``events`` without bounce. ``t_s`` is by the
+    arm's clock from the session's first stamp; by the host's clock without a stamp.
     """
 
     t_s: float
@@ -165,19 +141,15 @@ class Sampler:
 
 
 def poll_command(encoders: int, stamped: bool) -> int:
-    """The command for five or six encoders, with a time stamp or without. Raises ValueError for
-    another number.
-    """
+    """The command for five or six encoders, time stamp or not. Raises ValueError for others."""
     if encoders not in _ENCODER_BITS:
         raise ValueError(f"an arm has 5 or 6 encoders to ask for, not {encoders}")
     return _ENCODER_BITS[encoders] | (wire.TIME_STAMP if stamped else 0)
 
 
 def stream_request(rate_hz: float | None, command: int) -> StreamRequest:
-    """A stream at a fixed rate, ``rate_hz`` at least; None: as fast as it goes.
-
-    The arm counts whole milliseconds, and some of them are never asked for (``harmless_delay_ms``),
-    so the rate is the next higher one that can be had. Raises ValueError where there is none.
+    """A stream at a fixed rate, ``rate_hz`` at least; None: the fastest. Periods are whole harmless
+    milliseconds, so the next higher rate is taken. Raises ValueError where there is none.
     """
     if rate_hz is None:
         return StreamRequest(0, command)
@@ -206,9 +178,7 @@ class Streaming:
         self._patience_s = 2 * request.delay_ms / 1000 + arm.session.answer_s
 
     def start(self) -> None:
-        """Raises ProtocolError or SilentArmError when the arm doesn't stream, LinkError when the
-        link is broken.
-        """
+        """Raises ProtocolError or SilentArmError when nothing streams, LinkError."""
         start, seen = self._clock.now(), b""
         for _ in range(ATTEMPTS):
             with self._arm.noticing():
@@ -243,9 +213,7 @@ class Streaming:
             self._arm.session.stop_stream()
 
     def samples(self) -> Iterator[Sample]:
-        """Without end. Raises as ``MicroScribe.poll`` does, and NoSessionError once the stream has
-        ended.
-        """
+        """Without end. Raises as ``MicroScribe.poll``; NoSessionError after the stream's end."""
         while True:
             packets = self._packets()
             host_s = self._clock.now()

@@ -1,8 +1,6 @@
-"""Which arm an emulator is: all that the arm says of itself, and its counts on the peg. It may not
-know the wire's state.
+"""Which arm an emulator is: all that the arm says of itself, and its counts on the peg.
 
-One arm is one TOML file, in the arm's own numbers; ``units`` has those that ship, and any other may
-be given by path.
+One arm is one TOML file in the arm's own numbers; ``units`` has those that ship.
 """
 
 from __future__ import annotations
@@ -27,9 +25,7 @@ SHIPPED = Path(__file__).with_name("units")
 
 
 class UnitError(ValueError):
-    """A file that describes no arm: ``path`` of the file, ``located`` the faults as (keys,
-    message), all at once.
-    """
+    """A file that describes no arm: its ``path``, and all faults ``located`` as (keys, message)."""
 
     def __init__(self, path: Path, located: Sequence[tuple[tuple[str | int, ...], str]]) -> None:
         self.path = path
@@ -52,16 +48,12 @@ class ArmIdentity:
     home: tuple[int, ...]
 
     def geometry(self) -> ArmGeometry:
-        """The shape that a host computes from what the arm says. Raises ValueError unless there are
-        six joints.
-        """
+        """The shape by the arm's own data. Raises ValueError unless there are six joints."""
         beta_rad = conf.angle_rad(self.beta) if self.names.has_beta else 0.0
         return ArmGeometry.from_block(self.parameters, beta_rad, self.maxima.turns)
 
     def replies(self) -> dict[int, bytes]:
-        """Reply by code. The extended parameters only with "Beta" in the comment. Raises WireError
-        for what doesn't fit.
-        """
+        """Reply by code. Extended parameters need "Beta" in the comment. Raises WireError."""
         replies = {
             int(code): conf.encode_name(code, name)
             for code, name in zip(conf.NAMES, astuple(self.names), strict=True)
@@ -74,9 +66,7 @@ class ArmIdentity:
 
 
 def load_unit(path: Path) -> ArmIdentity:
-    """The arm that the file at ``path`` describes. Raises UnitError with all its faults, OSError
-    when it can't be read.
-    """
+    """The arm in the file at ``path``. Raises UnitError with all its faults, or OSError."""
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
         return _File.model_validate_json(json.dumps(table, default=str), strict=True).arm()
@@ -90,9 +80,7 @@ def load_unit(path: Path) -> ArmIdentity:
 
 @cache
 def shipped_unit(serial_number: str) -> ArmIdentity:
-    """The arm that ships under ``serial_number``. Raises FileNotFoundError that lists those that
-    do.
-    """
+    """The arm that ships with that number. Raises FileNotFoundError that lists those that do."""
     path = SHIPPED / f"{serial_number}.toml"
     if not path.is_file():
         shipped = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.toml")))
@@ -103,9 +91,7 @@ def shipped_unit(serial_number: str) -> ArmIdentity:
 
 
 def __getattr__(name: str) -> ArmIdentity:
-    """``UNIT_40937``, the arm that is emulated where no other is named: read when it is first asked
-    for.
-    """
+    """``UNIT_40937``, the default arm, read when it is first used."""
     if name == "UNIT_40937":
         return shipped_unit("40937")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

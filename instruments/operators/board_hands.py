@@ -1,8 +1,4 @@
-"""Where emulated hands hold a calibration board, and where the tip goes to touch it.
-
-They see what a person sees: the cameras' views, and where the phantom usually stands. May not know
-what the pictures are for.
-"""
+"""Where emulated hands hold a calibration board, and where the tip goes to touch it."""
 
 from __future__ import annotations
 
@@ -24,9 +20,7 @@ HEATED_C = 40.0
 
 
 class BoardHands:
-    """Holds boards before the cameras of ``world``, another way each time, and knows where the last
-    one is.
-    """
+    """Holds boards before the cameras of ``world``, each time differently; keeps the last one."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -40,8 +34,8 @@ class BoardHands:
         return self._board
 
     def tip(self, corner: int, tip_radius_mm: float) -> tuple[Floats, Floats]:
-        """The centre (3,) of the arm's ball tip that rests on a point of the board, the stylus's
-        axis. Raises ValueError without one.
+        """Centre (3,) of the ball tip on a point of the board, and the stylus's axis. Raises
+        ValueError without a board.
         """
         if self._board is None:
             raise ValueError("the emulated operator holds no board that could be touched")
@@ -61,9 +55,7 @@ class BoardHands:
         return self._drawn[key][asked.number - 1]
 
     def _fixed(self, asked: BoardAsked) -> Board:
-        """About where the teat ends are, which the arm reaches, towards the middle of the cameras
-        and tilted.
-        """
+        """Near the teat ends, within the arm's reach, tilted towards the middle of the cameras."""
         cameras, turn = self._cameras(asked), (asked.number - 1) % len(FIXED_TURNS_RAD)
         middle = self._world.ends_mm().mean(axis=0) + np.array(FIXED_SHIFTS_MM[turn])
         away = middle - np.mean([camera.centre_mm for camera in cameras], axis=0)

@@ -1,15 +1,8 @@
-"""Whole lines as a person types them, without waiting for them: so that something else may end a
-prompt before Enter does.
+"""A person at a terminal: reads instructions, answers with Enter, a word or a pedal.
 
-It may not know what the lines mean.
-
-A person at a terminal: is told what to do, goes on with Enter or a pedal, and may abort, skip or
-repeat at any prompt.
-
-Who holds the arm has no hand free: where a touch is asked for, a pedal is as good as Enter. A
-prompt never waits blindly: what its ``check`` raises, as a tripped interlock does, ends it before
-Enter; who takes long is reminded, and nothing fails of it. The streams and the clock are arguments,
-so that a test can be the person.
+Where a touch is asked for, a pedal is as good as Enter. What a prompt's ``check`` raises, as an
+interlock's trip, ends the prompt at once. Lines are read without blocking; streams and clock are
+arguments.
 """
 
 from __future__ import annotations
@@ -48,9 +41,7 @@ class Keyboard(Protocol):
         ...
 
     def typed_ahead(self) -> list[str]:
-        """Takes and gives back the lines that a person typed before he was asked; none from a pipe,
-        which can't know.
-        """
+        """Take the lines typed before the prompt; none from a pipe."""
         ...
 
 
@@ -68,9 +59,7 @@ class Reader:
 
 
 class Descriptor:
-    """A terminal or pipe of a POSIX system. What a terminal gives is whole lines: the system lets a
-    person edit the present one.
-    """
+    """A POSIX terminal or pipe. A terminal gives whole lines, editable until Enter."""
 
     def __init__(self, stream: TextIO) -> None:
         self._number = stream.fileno()
@@ -100,11 +89,8 @@ class Descriptor:
 
 
 class Keys:
-    """A Windows console, key by key: there is no other way to look at its input without waiting for
-    Enter.
-
-    ``pressed`` says whether a key waits, ``key`` takes it, ``echo`` shows it (kbhit and getwch of
-    msvcrt).
+    """A Windows console, key by key: the only way to read it without blocking until Enter.
+    ``pressed``, ``key`` and ``echo`` are kbhit, getwch and putwch of msvcrt.
     """
 
     def __init__(
@@ -176,11 +162,10 @@ def _no_check() -> None:
 
 
 class Console:
-    """Prompts on ``out`` and reads answers from ``answers``. The end of the answers is an abort.
+    """Prompts on ``out``, answers from ``answers``, whose end is an abort.
 
-    ``watch`` is called for each touch that is asked for, and gives back what waits some seconds and
-    says whether a pedal was pressed; only where ``answers`` is a terminal. ``screen`` is entered
-    around each prompt: it clears away what else moves there.
+    ``watch`` is called for each touch and gives a function that waits for a pedal; only for a
+    terminal. ``screen`` is entered around each prompt and clears what else moves there.
     """
 
     def __init__(
@@ -216,11 +201,8 @@ class Console:
         """A person's answers are never left over."""
 
     def ask(self, prompt: Prompt | str, check: Callable[[], None] = _no_check) -> frozenset[int]:
-        """The numbers of hidden teat ends that the person gives with his "go on"; none where he
-        isn't asked for any.
-
-        Raises OperatorAbort, OperatorSkip, OperatorRepeat, and what ``check`` and reading the
-        pedals raise.
+        """The numbers of hidden teat ends in the answer; none where not asked for. Raises
+        OperatorAbort, OperatorSkip, OperatorRepeat, and what ``check`` and the pedals raise.
         """
         asked = Prompt("task", prompt) if isinstance(prompt, str) else prompt
         with self._screen():
@@ -291,9 +273,7 @@ class Console:
         return line
 
     def _withdraw(self, why: BaseException) -> None:
-        """The prompt has come to an end without an answer: say why, unless that is what was
-        answered.
-        """
+        """The prompt ended without an answer: say why, unless that is what was answered."""
         with contextlib.suppress(OperatorAbort):
             if not isinstance(why, WISHES):
                 self._write(f"\nNo answer is needed any more: {str(why) or 'interrupted'}\n")

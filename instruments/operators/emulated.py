@@ -1,9 +1,7 @@
-"""The emulated operator: puts the emulated phantom where it is asked for, nearly, and touches its
-teat ends with a hand's error.
+"""The emulated operator: places the emulated phantom and touches its teat ends with a hand's error.
 
-It sees the world as a person does (where the ends are, which of them the cameras see), and nothing
-of the bench. It may be told to make a mistake, once each, so that a test can see whether somebody
-notices.
+It sees where the ends are and which of them the cameras see. It can make each mistake once, on
+request.
 """
 
 from __future__ import annotations
@@ -30,13 +28,11 @@ Mistake = Literal["wrong teat", "forgotten teat", "forgotten move"]
 class EmulatedOperator:
     """A pair of hands in ``world``.
 
-    ``hand_error_mm`` is the standard deviation, along each axis, of where the hand puts the tip;
-    ``placement_error_mm`` (x and y) and ``placement_error_rad`` (the turn) are those of where the
-    plate comes to stand. The divot at ``check_point_mm`` leads the tip, so that the hand has no
-    error there. A ball tip of ``tip_radius_mm`` rests on an end. Each prompt takes ``prompt_s``.
-    The ``mistakes`` are made at the first occasion: "wrong teat" touches the one after a second or
-    later teat, "forgotten teat" leaves the tip on the one before, "forgotten move" leaves the plate
-    where it was.
+    ``hand_error_mm``: standard deviation along each axis of where the tip is put;
+    ``placement_error_mm`` (x, y) and ``placement_error_rad`` (turn): of the plate. The divot at
+    ``check_point_mm`` takes the tip without error. ``tip_radius_mm``: of a ball tip. Each prompt
+    takes ``prompt_s``. ``mistakes``, at the first occasion: "wrong teat" touches the next teat,
+    "forgotten teat" stays on the one before, "forgotten move" leaves the plate.
     """
 
     def __init__(
@@ -131,9 +127,7 @@ class EmulatedOperator:
         """It has said nothing that could be left over."""
 
     def _placed(self, wanted: Arrangement) -> tuple[Arrangement, PlatePose]:
-        """What was carried out, and where the plate stands then: what stands as asked isn't
-        touched, else it is put there, nearly.
-        """
+        """What was done, and the plate's pose: kept where it stands as asked, else nearly it."""
         if self._stands is not None:
             before, stands = self._stands
             if _same(before, wanted):
@@ -166,7 +160,5 @@ class EmulatedOperator:
 
 
 def _same(one: Arrangement, other: Arrangement) -> bool:
-    """Whether the phantom has to be touched to get from one to the other; what else stands around
-    has no say.
-    """
+    """Whether the phantom stays untouched from one to the other; other things don't matter."""
     return (one.phantom, one.pose) == (other.phantom, other.pose)

@@ -1,12 +1,8 @@
-"""Who moves what no motor moves, and who touches the teat ends with the arm: what the bench asks of
-them.
+"""What the bench asks of whoever places the phantom and touches the teat ends, and what answers
+mean.
 
-A person at a terminal, a script of answers and the emulated operator keep this one protocol; the
-bench never asks which it is. Each method that asks returns once it is done, or raises what the
-operator wants instead.
-
-What an operator is asked, and what his words mean: values and pure functions, the same for a
-terminal and a script of answers.
+A person at a terminal, a script of answers and the emulated operator share this protocol. Each
+method returns once it is done, or raises what the operator wants instead.
 """
 
 from __future__ import annotations
@@ -25,9 +21,7 @@ class OperatorAbort(Exception):  # noqa: N818 - a wish, not a fault
 
 
 class OperatorSkip(Exception):  # noqa: N818 - a wish, not a fault
-    """This trial can't be done, for the ``reason``; the run goes on with the next. Raised by
-    ``set_up`` and ``touch`` only.
-    """
+    """This trial can't be done, for the ``reason``. Raised by ``set_up`` and ``touch`` only."""
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
@@ -35,10 +29,8 @@ class OperatorSkip(Exception):  # noqa: N818 - a wish, not a fault
 
 
 class OperatorRepeat(Exception):  # noqa: N818 - a wish, not a fault
-    """Something went wrong in this trial: it is to be done again from its set-up. Raised by
-    ``set_up`` and ``touch`` only.
-
-    ``reason`` is empty where none was given.
+    """Repeat this trial from its set-up; ``reason`` may be empty. Raised by ``set_up`` and
+    ``touch`` only.
     """
 
     def __init__(self, reason: str = "") -> None:
@@ -47,19 +39,16 @@ class OperatorRepeat(Exception):  # noqa: N818 - a wish, not a fault
 
 
 class OperatorEnough(Exception):  # noqa: N818 - a wish, not a fault
-    """No more boards: what has been shown shall do. Raised by ``hold_board`` only, and only where
-    the board need not be ``fixed``.
-    """
+    """No more boards. Raised by ``hold_board`` only, where the board need not be ``fixed``."""
 
 
 @dataclass(frozen=True, slots=True)
 class BoardAsked:
-    """A calibration board for the ``number``-th time (from 1): ``instruction`` says to a person
-    where and how it shall be.
+    """A calibration board for the ``number``-th time (from 1); ``instruction`` is for a person.
 
-    ``pattern`` is what is printed on it, ``cameras`` are those that shall see all of it.
-    ``heated``: its dark parts are to be warmer than its light ones. ``fixed``: it is to stay where
-    it is, for the arm to touch it; the phantom is out of the way either way.
+    ``pattern``: what is printed; ``cameras``: those that shall see all of it; ``heated``: its dark
+    parts are to be warmer; ``fixed``: it stays, for the arm to touch. The phantom is out of the
+    way.
     """
 
     pattern: Pattern
@@ -72,13 +61,12 @@ class BoardAsked:
 
 @dataclass(frozen=True, slots=True)
 class Arrangement:
-    """How the phantom shall stand and what else shall be in the scene.
+    """How the phantom stands and what else is in the scene; ``instruction`` says it to a person.
 
-    ``phantom`` has the teats on their plate, ``objects`` are keyword tables of the scene's other
-    things, and ``instruction`` says the same to a person. ``pose`` is where the operator puts the
-    plate, relative to its reference place; where a stage moves it, that stays zero. ``unattended``:
-    nobody has touched anything since it was last set up, so where it is the same as then, a person
-    isn't asked. ``scene`` has light, background and further things where they are a situation's.
+    ``phantom``: teats on their plate; ``objects``: keyword tables of other things; ``pose``: of the
+    plate relative to its reference, zero where a stage moves it; ``unattended``: nothing was
+    touched since the last set-up, so an unchanged arrangement isn't asked for; ``scene``: a
+    situation's light, background and things.
     """
 
     situation: str
@@ -103,20 +91,14 @@ class Placed:
 
 
 class Operator(Protocol):
-    """Asked in this order: homing once, the check point, then for each trial set-up and touches;
-    the check point once more.
-    """
+    """Asked in this order: homing, check point, set-up and touches of each trial, check point."""
 
     def check_interrupts(self, check: Callable[[], None]) -> None:
-        """From now on ``check`` is called again and again while a prompt waits; what it raises ends
-        the prompt at once.
-        """
+        """Call ``check`` repeatedly while a prompt waits; what it raises ends the prompt."""
         ...
 
     def next_trial(self, number: int, of: int, left_s: float | None) -> None:
-        """Trial ``number`` (from 1) of ``of`` is next; the run takes ``left_s`` more, None where
-        nothing is known of that yet.
-        """
+        """Trial ``number`` (from 1) of ``of`` is next; ``left_s`` of the run (None: unknown)."""
         ...
 
     def confirm_homing(self, instruction: str) -> None:
@@ -124,43 +106,34 @@ class Operator(Protocol):
         ...
 
     def touch_check_point(self, touch: int, of: int) -> None:
-        """Return once the arm's tip rests in the divot of the check point and is held still, for
-        the ``touch``-th time (from 1).
-
-        The stylus leans another way each time, so that wrist and elbow swing. Raises OperatorAbort.
+        """Return once the tip is still in the check point's divot, for the ``touch``-th time (from
+        1). The stylus leans differently each time, so that wrist and elbow swing. Raises
+        OperatorAbort.
         """
         ...
 
     def set_up(self, arrangement: Arrangement) -> Placed:
-        """Return once the scene stands as asked. Raises OperatorAbort, OperatorSkip,
-        OperatorRepeat.
-        """
+        """Return once the scene is set up. Raises OperatorAbort, OperatorSkip, OperatorRepeat."""
         ...
 
     def touch(
         self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
     ) -> None:
-        """Return once the arm's tip rests on the end of teat ``teat`` (from 1) of ``of`` and is
-        held still.
+        """Return once the tip is still on the end of teat ``teat`` (from 1) of ``of``.
 
-        It is touch ``number`` of ``numbers`` of that end. ``again`` is a sentence that says why a
-        touch is asked for once more ("That was nearer to teat 2."), shown before the question.
-        Raises OperatorAbort, OperatorSkip, OperatorRepeat.
+        Touch ``number`` of ``numbers`` of that end; ``again`` says why it is repeated. Raises
+        OperatorAbort, OperatorSkip, OperatorRepeat.
         """
         ...
 
     def hold_board(self, asked: BoardAsked) -> None:
-        """Return once a calibration board is held still as asked. Raises OperatorAbort,
-        OperatorEnough.
-        """
+        """Return once a board is held still as asked. Raises OperatorAbort, OperatorEnough."""
         ...
 
     def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None:
-        """Return once the arm's tip rests on point ``corner`` (from 0, of the pattern's
-        `corners_mm`) of the board that was fixed last.
-
-        ``instruction`` says to a person which one that is, ``again`` why it is asked for once more.
-        Raises OperatorAbort.
+        """Return once the tip is on point ``corner`` (from 0, of the pattern's `corners_mm`) of the
+        fixed board. ``instruction`` names it, ``again`` says why it is repeated. Raises
+        OperatorAbort.
         """
         ...
 
@@ -169,9 +142,7 @@ class Operator(Protocol):
         ...
 
     def finish(self) -> None:
-        """The run has come to its end: nothing more will be asked. Raises ProtocolError where
-        answers are left over.
-        """
+        """The run is over. Raises ProtocolError where answers are left over."""
         ...
 
 
@@ -216,11 +187,10 @@ class NotUnderstoodError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
-    """``text`` says what to do and ``progress`` how far the run is; ``pedal``: a pedal is as good
-    as Enter.
+    """``text``: what to do; ``progress``: how far the run is; ``pedal``: as good as Enter.
 
-    ``hidden_to`` above 0 lets the answer be numbers of hidden teat ends, 1 to that many.
-    ``enough``: it may be answered by that word.
+    ``hidden_to``: numbers of hidden teat ends, 1 to that many, may be answered; ``enough``: that
+    word may be.
     """
 
     kind: Kind
@@ -236,9 +206,7 @@ class Prompt:
         return self.kind in IN_TRIALS
 
     def keys(self, *, pedal: bool = False) -> str:
-        """What may be answered, the abort always among it. ``pedal``: there is one, and it is
-        watched.
-        """
+        """The possible answers, always with abort. ``pedal``: a pedal is watched."""
         go = "Enter or a pedal to go on" if pedal and self.pedal else "Enter to go on"
         if self.hidden_to:
             go = (
@@ -269,10 +237,8 @@ class Prompt:
 
 
 def understood(answer: str, prompt: Prompt) -> frozenset[int]:
-    """The numbers of hidden teat ends in ``answer``: none for a plain "go on", as Enter is.
-
-    Raises OperatorAbort, OperatorRepeat, OperatorEnough, OperatorSkip (with an empty reason where
-    none was given), or NotUnderstoodError.
+    """The numbers of hidden teat ends in ``answer``; none for Enter. Raises OperatorAbort,
+    OperatorRepeat, OperatorEnough, OperatorSkip (reason may be empty), NotUnderstoodError.
     """
     words = answer.replace(",", " ").lower().split()
     first = words[0] if words else ""

@@ -1,9 +1,7 @@
-"""An operator who is asked in words: says what to do and how far the run is, and does what the
-answer wants.
+"""An operator who is asked in words, with the run's progress.
 
-Who answers (a person at a terminal, a script) is an argument; so is who carries it out, where that
-is not the one who answers: on an emulated rig emulated hands follow each "go on", and the run is a
-rehearsal.
+Who answers (terminal or script) is an argument; so are the emulated hands that follow each "go on"
+on an emulated rig.
 """
 
 from __future__ import annotations
@@ -36,11 +34,8 @@ class Answerer(Protocol):
     """Who answers prompts."""
 
     def ask(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
-        """The numbers of hidden teat ends that the answer gives, once it says to go on; ``check``
-        is called while it waits.
-
-        Raises OperatorAbort, OperatorSkip, OperatorRepeat, what ``check`` raises, and ProtocolError
-        for an answer out of place.
+        """The numbers of hidden teat ends in the answer; ``check`` is called while it waits. Raises
+        OperatorAbort, OperatorSkip, OperatorRepeat, what ``check`` raises, and ProtocolError.
         """
         ...
 
@@ -54,9 +49,7 @@ class Answerer(Protocol):
 
 
 class PromptedOperator:
-    """Keeps the protocol `Operator` by asking ``answerer``; ``hands``, where given, do what was
-    agreed.
-    """
+    """An `Operator` that asks ``answerer``; ``hands``, if given, do what was agreed."""
 
     def __init__(self, answerer: Answerer, hands: Operator | None = None) -> None:
         self._answerer = answerer

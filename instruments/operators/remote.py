@@ -1,8 +1,7 @@
-"""The emulated operator of another process, for a rig whose emulators run there ('teatbench
-emulate').
+"""The emulated operator of another process ('teatbench emulate').
 
-A line of JSON asks, a line answers: ``{"do": "touch", "with": {"teat": 2, "of": 4}}``, then
-``{"done": null}``, ``{"enough": "..."}`` for `OperatorEnough`, or ``{"refused": "..."}``.
+A line of JSON asks, ``{"do": "touch", "with": {"teat": 2, "of": 4}}``; a line answers: ``{"done":
+null}``, ``{"enough": "..."}`` or ``{"refused": "..."}``.
 """
 
 from __future__ import annotations
@@ -64,9 +63,7 @@ class OperatorPort:
 
 
 class RemoteOperator:
-    """Keeps the protocol `Operator` over a link. Raises LinkError where nobody answers, DeviceError
-    for a refusal.
-    """
+    """An `Operator` over a link. Raises LinkError without an answer, DeviceError for a refusal."""
 
     def __init__(self, url: str, clock: Clock) -> None:
         self.identity = {"operator": "emulated"}

@@ -1,9 +1,7 @@
-"""A script of answers in the place of a person: for CI, and for rehearsing a run at one's desk.
+"""A script of answers in the place of a person, for CI and rehearsals.
 
-Answers come in their order, each to the first prompt that it fits; what no answer is next for is
-answered by ``otherwise``, kind by kind. A prompt that neither is for, and answers that no prompt
-came for, are errors: the script and the run were not made for each other. May not know files, nor
-who carries the answers out.
+Answers go in order, each to the first prompt that it fits; other prompts get ``otherwise`` by kind.
+A prompt without either and answers left over are errors.
 """
 
 from __future__ import annotations
@@ -31,10 +29,8 @@ KINDS: tuple[Kind, ...] = tuple(kind for kind in get_args(Kind) if kind != "task
 
 @dataclass(frozen=True, slots=True)
 class ScriptedAnswer:
-    """``answer``, as it would be typed, ``times`` times to prompts of the kind ``to`` that contain
-    ``says``.
-
-    ``where`` is its place in the file. Raises ValueError for an answer that no such prompt
+    """``answer`` as typed, ``times`` times to prompts of kind ``to`` that contain ``says``.
+    ``where``: its place in the file. Raises ValueError for an answer that no such prompt
     understands.
     """
 
@@ -78,9 +74,7 @@ def check_answer(to: Kind, answer: str) -> None:
 
 
 class ScriptedAnswers:
-    """Answers prompts, to be asked by a `PromptedOperator`. ``source`` names it in errors, ``show``
-    gets each prompt with its answer.
-    """
+    """Answers a `PromptedOperator`. ``source`` is for errors, ``show`` gets prompts and answers."""
 
     def __init__(
         self,

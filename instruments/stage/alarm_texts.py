@@ -1,7 +1,5 @@
-"""What GRBL's numbers mean, and what to do about them. Tables only; it knows no byte and no wire.
-
-Source: the firmware's own lists of error and alarm codes, version 1.1. grblHAL gives numbers from
-10 on meanings of its own; those are from its source.
+"""What GRBL's error and alarm numbers mean, and what to do. Source: the firmware's lists, version
+1.1; numbers from 10 on as in grblHAL's source.
 """
 
 from __future__ import annotations
@@ -154,9 +152,7 @@ def error_meaning(code: int) -> Meaning:
 
 
 def alarm_meaning(code: int, dialect: str = "Grbl") -> Meaning:
-    """The meaning of ``ALARM:code`` of "Grbl" or "grblHAL"; a number that is not in the tables is
-    said to be unknown.
-    """
+    """The meaning of ``ALARM:code`` of "Grbl" or "grblHAL"; others are unknown."""
     known = ALARMS | HAL_ALARMS if dialect == "grblHAL" else ALARMS
     return known.get(code) or Meaning(
         "an alarm that this program does not know",

@@ -1,14 +1,8 @@
-"""One line out, one answer back: the conversation with a GRBL controller, and what it pushes in
+"""The conversation with a GRBL controller: one line out, one answer back, and what it pushes in
 between.
 
-Strictly send-response: nothing is sent while an answer is owed, so a late answer can't be taken for
-that of another line. An alarm is kept until a restart; each alarm, locked report, restart or broken
-link counts as an upset, and who holds on to something an upset destroys (homing) compares counts.
-It may not know axes or moves.
-
-Meeting a controller: who it is, and what its settings say.
-
-It may not know moves.
+Nothing is sent while an answer is owed. An alarm is kept until a restart; each alarm, locked
+report, restart or broken link counts as an upset, by which the driver knows that homing is lost.
 """
 
 from __future__ import annotations
@@ -45,9 +39,7 @@ LOCKED = frozenset({"Alarm", "Sleep"})
 
 
 class Dialogue:
-    """The conversation over one link. Raises LinkError (silence, broken), ProtocolError (nonsense),
-    DeviceError (refused, alarm).
-    """
+    """The conversation on one link. Raises LinkError, ProtocolError, DeviceError."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self.who = link.who
@@ -86,10 +78,8 @@ class Dialogue:
             pushed.append(answer)
 
     def status(self, timeout_s: float = 1.0) -> Status:
-        """A fresh status report. Answers owed may come in meanwhile.
-
-        After an alarm it is asked for again: a board that restarts, as after a failed homing, loses
-        it.
+        """A fresh status report. After an alarm it is asked for again, since a restarting board
+        loses it.
         """
         self._read_pending()
         end_s = self._clock.now() + timeout_s
@@ -108,9 +98,7 @@ class Dialogue:
         )
 
     def machine_mm(self, status: Status) -> Position:
-        """The machine position of a report, whichever position the controller is set to send.
-        Raises ProtocolError.
-        """
+        """The machine position of a report of either kind. Raises ProtocolError."""
         if status.mpos_mm is not None:
             return status.mpos_mm
         if (
@@ -139,15 +127,13 @@ class Dialogue:
             pass
 
     def start(self) -> Welcome:
-        """Wait for the welcome of a board that the opening of its port has reset, or reset it. For
-        a new link.
-        """
+        """On a new link: wait for the welcome after the port's reset, or reset the board."""
         self.upsets += 1
         return self._welcome(START_S) or self.restart()
 
     def restart(self) -> Welcome:
-        """Soft reset: forget what was owed, the alarm, and all that has come so far. Raises
-        LinkError or ProtocolError.
+        """Soft reset: drop what was owed, the alarm and all input. Raises LinkError or
+        ProtocolError.
         """
         self.upsets += 1
         self._link.drain(0.0)
@@ -161,9 +147,7 @@ class Dialogue:
         return welcome
 
     def _welcome(self, timeout_s: float) -> Welcome | None:
-        """The welcome, once all that comes with it is in; None if nothing came. Raises
-        ProtocolError for another device's talk.
-        """
+        """The welcome and what comes with it; None if nothing came. Raises ProtocolError."""
         self._decoder, self.alarm, self.owed, self._offset = Decoder(), None, None, None
         self._inbox.clear()
         welcome, seen = None, b""
@@ -203,9 +187,7 @@ class Dialogue:
             pass
 
     def _next(self, until_s: float) -> Response | None:
-        """The next answer or push that is good; None once the time
-        is over. Raises for the others.
-        """
+        """The next good answer or push; None after the deadline. Raises for bad ones."""
         while not self._inbox:
             data = self._receive(until_s)  # at least once, even when the time is over
             if not data:
@@ -272,9 +254,7 @@ class Dialogue:
 
 
 def _last_welcome(decoder: Decoder, data: bytes) -> Welcome | None:
-    """The last welcome in what has come; boards print other things around it, from the boot loader
-    or a cut line.
-    """
+    """The last welcome; boards print other text around it, as from the boot loader."""
     return next(
         (answer for answer in reversed(list(decoder.feed(data))) if isinstance(answer, Welcome)),
         None,
@@ -282,9 +262,8 @@ def _last_welcome(decoder: Decoder, data: bytes) -> Welcome | None:
 
 
 def meet(talk: Dialogue, axes: str) -> tuple[StageIdentity, StageSettings]:
-    """Wait for the controller's welcome, or reset it, and ask who it is and for its settings.
-
-    Raises DeviceError for firmware or settings that a stage of ``axes`` can't be driven with.
+    """Wait for the welcome, or reset, and read identity and settings. Raises DeviceError where a
+    stage of ``axes`` can't be driven with them.
     """
     welcome = talk.start()
     if not welcome.version.startswith("1.1"):

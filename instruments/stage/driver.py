@@ -1,22 +1,12 @@
-"""Waiting for the stage: until it has arrived, until it stands, and what is left when it doesn't
-stop.
+"""The motion stage: homing, moves in machine coordinates, jogs, hold and stop. The host's end.
 
-Asks for a report five times a second, as the firmware's documents want it. It may not know targets
-or homing; what it finds wrong it raises.
+Targets are checked before sending. A move is finished when a dwell behind it was answered, the
+stage is idle, and the position read back is the target. An alarm, a restart or a broken link asks
+for homing again, and only ``recover`` leaves an alarm. Lost steps don't show here: only a touch
+finds them.
 
-The motion stage: homing, moves in machine coordinates, jogs, hold, stop. The host's end.
-
-The controller's word is never taken alone: a target is checked against the travel before it is
-sent, and a move counts as finished when a dwell behind it has been answered, the stage is idle, and
-the position that is read back is the target. No move before homing; whatever could have cost the
-position (alarm, restart, broken link) asks for homing again, and only an explicit ``recover``
-leaves an alarm. A carriage that has lost steps without the controller's knowing stands elsewhere
-than is read back: only a touch finds that. It may not know the phantom, the world, or other frames
-than the stage's own machine frame: mm, 0 at the switches, negative everywhere else.
-
-A stage moves the ``axes`` it is declared with: X and Y, with Z or without, and with a rotation A or
-without. All that is said to a controller about A is inferred from grblHAL's source
-(`instruments.stage.settings`); try it with nothing on the turntable.
+Machine frame: mm, 0 at the switches, negative elsewhere. What is sent about a rotation A is from
+grblHAL's source: try it with an empty turntable.
 """
 
 from __future__ import annotations
@@ -48,9 +38,8 @@ def is_still(status: Status) -> bool:
 
 
 def until_over(talk: Dialogue, clock: Clock, deadline_s: float, allowed_s: float) -> Status:
-    """The report of an idle stage, once all that was planned has been done. Raises DeviceError for
-    a stage that is held or locked instead, or when the deadline comes first (``allowed_s`` is for
-    its message).
+    """The report of an idle stage after all that was planned. Raises DeviceError for a hold, a
+    lock, or the deadline (``allowed_s`` is for its message).
     """
     while (status := talk.status()).state in MOVING:
         if clock.now() > deadline_s:
@@ -81,9 +70,7 @@ def until_over(talk: Dialogue, clock: Clock, deadline_s: float, allowed_s: float
 
 
 def until_still(talk: Dialogue, clock: Clock) -> Status:
-    """The first report of a stage that brakes and stands. Raises
-    DeviceError when it doesn't obey.
-    """
+    """The first report of a stage that brakes and stands. Raises DeviceError if it doesn't."""
     deadline = clock.now() + STOP_S
     while not is_still(status := talk.status()):
         if clock.now() > deadline:
@@ -99,8 +86,8 @@ def until_still(talk: Dialogue, clock: Clock) -> Status:
 
 
 def stop_hard(talk: Dialogue, error: InstrumentError) -> None:
-    """What is left when braking gave ``error``: nothing where the steps are cut already, else a
-    reset. Raises LinkError.
+    """After braking gave ``error``: nothing where the steps are cut already, else a reset. Raises
+    LinkError.
     """
     if talk.alarm is not None:
         return
@@ -117,12 +104,10 @@ RESUME_PAUSES_S = (0.0, 0.1, 0.1, 0.1)
 
 
 class Stage:
-    """The stage at the end of ``link``, of ``axes`` "XY", "XYZ", "XYA" or "XYZA". One owner: not
-    for use by two threads.
+    """The stage of ``axes`` "XY", "XYZ", "XYA" or "XYZA" at the end of ``link``; for one thread.
 
-    Every call may raise LinkError (silence, broken link), ProtocolError (nonsense), DeviceError
-    (the controller refused, gave an alarm, or restarted by itself) and LimitError (we refused
-    before sending).
+    Every call may raise LinkError, ProtocolError, DeviceError (refused, alarm, restart) and
+    LimitError (refused before sending).
     """
 
     safe_state: ClassVar[str] = (
@@ -144,9 +129,7 @@ class Stage:
         self._move: Move | None = None
 
     def connect(self) -> StageIdentity:
-        """Meet the controller and read its settings. Raises DeviceError for firmware or settings
-        that we can't work with.
-        """
+        """Meet the controller and read its settings. Raises DeviceError for unusable ones."""
         self._identity, self._settings = meet(self._talk, self.axes)
         return self._identity
 
@@ -166,16 +149,12 @@ class Stage:
 
     @property
     def limits(self) -> dict[str, AxisLimits]:
-        """The travel by letter of the declared axes, mm (degrees for A) in machine coordinates.
-        Raises LimitError before ``connect``.
-        """
+        """Travel by axis letter: mm, or degrees for A. Raises LimitError before ``connect``."""
         return {axis: limits for axis, limits in self.settings.limits.items() if axis in self.axes}
 
     @property
     def homed(self) -> bool:
-        """Whether the position can be trusted: homed, and no alarm,
-        restart or broken link since.
-        """
+        """Whether it was homed, without an alarm, restart or broken link since."""
         return self._homed_at == self._talk.upsets
 
     def status(self) -> Status:
@@ -183,17 +162,13 @@ class Stage:
         return self._talk.status()
 
     def position(self) -> NDArray[np.float64]:
-        """Where the controller believes the stage is, machine coordinates: (3,) mm, or (4,) with
-        degrees of a declared A.
-
-        Means nothing unless ``homed``.
+        """The controller's machine position, (3,) mm or (4,) with degrees of A. Meaningless unless
+        ``homed``.
         """
         return np.array(list(self._here(self._talk.status()).values()), dtype=np.float64)
 
     def home(self) -> None:
-        """Run to the switches and set the position. Takes up to a minute or more. Raises
-        DeviceError when it fails.
-        """
+        """Run to the switches and set the position: a minute or more. Raises DeviceError."""
         settings = self.settings
         if not settings.homing:
             raise LimitError(
@@ -230,12 +205,11 @@ class Stage:
         a_deg: float | None = None,
         feed_mm_min: float | None = None,
     ) -> None:
-        """Move in a straight line and come back once the stage stands at the target, as read back
-        from the controller.
+        """Move in a straight line; return once the stage stands at the target, as read back.
 
-        Machine coordinates. Without a feed, as fast as the slower of the axes allows. Raises
-        LimitError before homing, outside the travel, for an axis that isn't declared, or unless the
-        stage is idle; DeviceError when it ends elsewhere.
+        Machine coordinates; without a feed, the slowest axis's maximum. Raises LimitError before
+        homing, outside the travel, for an undeclared axis, or unless idle; DeviceError when it ends
+        elsewhere.
         """
         self.begin_move(x_mm, y_mm, z_mm=z_mm, a_deg=a_deg, feed_mm_min=feed_mm_min)
         self.finish_move()
@@ -268,8 +242,8 @@ class Stage:
         a_deg: float = 0.0,
         feed_mm_min: float | None = None,
     ) -> None:
-        """Start to move by so much from where the stage is; ``finish_move`` waits for it,
-        ``cancel_jog`` ends it. Raises as ``move_to``.
+        """Start a relative move; ``finish_move`` waits, ``cancel_jog`` ends it. Raises as
+        ``move_to``.
         """
         wanted = {"X": x_mm or None, "Y": y_mm or None, "Z": z_mm or None, "A": a_deg or None}
         way = targets.declared(wanted, self.axes, who=self._talk.who)
@@ -284,18 +258,14 @@ class Stage:
         self._send(line, target, way, feed, jog=True)
 
     def cancel_jog(self) -> None:
-        """End a jog early and come back when the stage stands, its position kept. Does nothing
-        where no jog is under way.
-        """
+        """End a jog early and wait for a stand; the position is kept. Nothing without a jog."""
         if (move := self._under_way) and move.jog:
             self._talk.realtime(JOG_CANCEL)
             until_still(self._talk, self._clock)
             self._move = None
 
     def finish_move(self) -> None:
-        """Wait for the move that was begun, or resumed, or the jog. Raises DeviceError when it is
-        held, too slow, or ends elsewhere.
-        """
+        """Wait for a move or jog. Raises DeviceError when held, too slow, or it ends elsewhere."""
         move = self._under_way
         if move is None:
             raise LimitError(self._talk.who, "no move is under way", hint="Call begin_move().")
@@ -308,27 +278,21 @@ class Stage:
             raise
 
     def hold(self) -> None:
-        """Brake and come back when the stage stands. Leaves the move to ``resume``; ends a jog; an
-        idle stage is left alone.
-        """
+        """Brake and wait for a stand. Keeps a move for ``resume``, ends a jog."""
         self.cancel_jog()
         if self._talk.status().state in MOVING:
             self._talk.realtime(HOLD)
         until_still(self._talk, self._clock)
 
     def brake(self) -> None:
-        """Send the byte that brakes and don't wait: the one call that another thread than the
-        owner's may make.
-
-        The owner's move then ends in a DeviceError. While homing, classic firmware ignores it.
-        Raises LinkError.
+        """Send the braking byte without waiting: the one call for other threads than the owner's.
+        The owner's move ends in a DeviceError. Classic firmware ignores it while homing. Raises
+        LinkError.
         """
         self._talk.realtime(HOLD)
 
     def resume(self) -> None:
-        """Go on after a hold, once the stage stands: sooner, the controller would lose the command.
-        Raises LimitError unless held.
-        """
+        """Go on after a hold, once the stage stands. Raises LimitError unless held."""
         status = until_still(self._talk, self._clock)
         if status.name != "Hold:0":
             raise LimitError(
@@ -348,12 +312,11 @@ class Stage:
         )
 
     def stop(self) -> None:
-        """Bring the stage to a stand from any state, and come back when it stands. Call it as often
-        as you like.
+        """Bring the stage to a stand from any state and wait for it; may be repeated.
 
-        Brakes without losing the position; only a controller that homes or doesn't answer is reset.
-        An alarm has already cut the steps: it stays for the next call to report. Raises LinkError
-        when the stage can't be reached.
+        Brakes without losing the position; resets only a controller that homes or doesn't answer.
+        An alarm has cut the steps already and stays for the next call to report. Raises LinkError
+        when out of reach.
         """
         if self._talk.alarm is not None:
             return
@@ -370,19 +333,15 @@ class Stage:
     safe = stop
 
     def reconnect(self) -> StageIdentity:
-        """After a cable was out or the power gone: open the link again and meet the controller. The
-        stage must be homed again after it.
-
-        Raises LinkError while it is not back, else as ``connect``.
+        """After a cable or power loss: open the link and meet the controller. Homing is needed
+        then. Raises LinkError while it is not back, else as ``connect``.
         """
         self._move = None
         self._link.reopen()
         return self.connect()
 
     def recover(self) -> None:
-        """Leave an alarm, a hold, or a conversation out of step: restart the controller. The stage
-        must be homed again after it.
-        """
+        """Leave an alarm, a hold or a broken conversation by a restart. Homing is needed then."""
         self._move = None
         self._talk.restart()
         status = self._talk.status()

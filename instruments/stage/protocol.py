@@ -1,10 +1,7 @@
-"""GRBL 1.1 on the wire: lines to send, and bytes back to values. Classic GRBL and grblHAL.
+"""GRBL 1.1 on the wire, classic and grblHAL: lines to send, and bytes back to values.
 
-Total functions: any bytes give values, and what makes no sense gives ``Nonsense`` with the reason,
-so that one bad line never hides the next. Fields of a status report are found by name and unknown
-ones kept as text. It may not know a wire, a clock, or what follows from an answer.
-
-Source: the firmware's interface and command documents, version 1.1.
+Total: what makes no sense gives ``Nonsense`` with the reason. Report fields are found by name,
+unknown ones kept as text. Source: the firmware's interface and command documents, version 1.1.
 """
 
 from __future__ import annotations
@@ -62,9 +59,7 @@ class Alarm:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """A status report. Positions in mm (unless the controller is set to inches), three axes or
-    more; None: not in this report.
-    """
+    """A status report; three axes or more in mm (inches if so set); None: not in this report."""
 
     state: str
     substate: int | None
@@ -192,8 +187,8 @@ class Decoder:
 
 
 def encode(text: str, *, who: str = "stage") -> bytes:
-    """The line as it goes out. Raises LimitError where the controller would mangle it: too long, or
-    a character that is not printable ASCII or that it would take for a real-time command.
+    """The line's bytes. Raises LimitError where it is too long, or not printable ASCII without
+    real-time commands.
     """
     bad = next((sign for sign in text if not " " <= sign <= "~" or sign in "?!~"), None)
     if bad is not None:
@@ -206,20 +201,15 @@ def encode(text: str, *, who: str = "stage") -> bytes:
 
 
 def move_line(target_mm: Mapping[str, float], feed_mm_min: float, *, who: str = "stage") -> str:
-    """A straight move at ``feed_mm_min`` to ``target_mm`` (axis letter to mm) in the machine's own
-    coordinates.
-
-    States everything that an earlier line could have changed: plane units, absolute, feed per
-    minute. Raises LimitError for an axis or number that can't be written.
+    """A straight move at ``feed_mm_min`` to machine coordinates by axis letter, with every mode
+    stated. Raises LimitError for an axis or number that can't be written.
     """
     return f"G21G90G94G53G1{_words(target_mm, feed_mm_min, who)}"
 
 
 def jog_line(way_mm: Mapping[str, float], feed_mm_min: float, *, who: str = "stage") -> str:
-    """A jog by ``way_mm`` (axis letter to mm) from where the stage is: it can be cancelled, and
-    leaves no mode behind.
-
-    Raises LimitError for an axis or number that can't be written.
+    """A relative jog by axis letter, mm: it can be cancelled, and leaves no mode behind. Raises
+    LimitError for an axis or number that can't be written.
     """
     return f"$J=G21G91{_words(way_mm, feed_mm_min, who)}"
 

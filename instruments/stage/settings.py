@@ -1,13 +1,8 @@
-"""What a controller says of itself: who it is, and its stored settings as the answers to ``$$``
-give them.
+"""A controller's identity and its stored settings from the answers to ``$$``.
 
-Pure. It may not know a wire, or what the settings are used for.
-
-The sheet covers X, Y and Z ($100 to $132). What is said of a rotation A is inferred from grblHAL's
-source and not recorded on a board: that a build with four axes has $103, $113, $123 and $133 (steps
-per degree, degrees/min, degrees/s², degrees), prints a fourth number in positions, names the axes
-of each homing pass in $44 to $49 as a bit mask (A is 8), and puts the origin at the switch where
-$22 has bit 8 set.
+X, Y and Z ($100 to $132) are documented. A is from grblHAL's source: $103, $113, $123, $133 (steps
+per degree, degrees/min, degrees/s², degrees), a fourth number in positions, bit 8 of $44 to $49 for
+its homing pass, and bit 8 of $22 for an origin at the switch.
 """
 
 from __future__ import annotations
@@ -26,9 +21,7 @@ _ORIGIN_AT_SWITCH = 8
 
 @dataclass(frozen=True, slots=True)
 class StageIdentity:
-    """Who answers: the firmware's dialect and version, its build and its build options as ``$I``
-    prints them.
-    """
+    """Dialect, version, build and build options as ``$I`` prints them."""
 
     dialect: str
     version: str
@@ -56,9 +49,7 @@ class AxisLimits:
 
 @dataclass(frozen=True, slots=True)
 class StageSettings:
-    """Settings in the controller's units, X Y Z and A where it is used: mm, mm/min, mm/s²; degrees
-    for A.
-    """
+    """Settings of X Y Z, and A where used: mm, mm/min, mm/s²; degrees for A."""
 
     travel_mm: Axes
     rate_mm_min: Axes
@@ -81,20 +72,17 @@ class StageSettings:
 
     @property
     def homing_bound_s(self) -> float:
-        """No homing cycle takes longer: every axis searches 1.5 times its travel, one after the
-        other, then creeps.
-        """
+        """The longest homing: each axis in turn searches 1.5 times its travel, then creeps."""
         seek_s = 60 * 1.5 * sum(self.travel_mm) / self.homing_seek_mm_min
         creep_s = 60 * len(self.travel_mm) * 5 * self.pull_off_mm / self.homing_feed_mm_min
         return seek_s + creep_s + 15.0
 
 
 def read_settings(values: Mapping[int, str], *, who: str, axes: str = "XYZ") -> StageSettings:
-    """The settings from ``$n=value`` pairs, for a stage that uses ``axes`` (one of `DECLARABLE`).
+    """The settings of a stage with ``axes`` (one of `DECLARABLE`) from ``$n=value`` pairs.
 
-    Raises ProtocolError when one is missing or not a number above its least value, and DeviceError
-    for settings that we can't work with: no such axis, an axis that isn't homed, an origin at the
-    switch.
+    Raises ProtocolError for a missing or impossible number, DeviceError for an absent axis, an axis
+    that isn't homed, or an origin at the switch.
     """
 
     def number(key: int, least: float = 0.0) -> float:

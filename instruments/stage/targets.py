@@ -1,9 +1,7 @@
-"""Where a move may go, how long it may take, and whether it got there: what is decided before
-sending and after stopping.
+"""Where a move may go, how long it may take, and whether it got there.
 
-Pure. It may not know a wire or a clock. Axes by letter; mm in machine coordinates, and degrees for
-A. The length of a move over linear axes and A together is taken as the firmware takes it: the root
-of the sum of all squares, whatever the units.
+Machine coordinates by axis letter: mm, degrees for A. A length with A is the firmware's: the root
+of the sum of all squares.
 """
 
 from __future__ import annotations
@@ -37,9 +35,7 @@ class Move:
 
 
 def declared(values: Mapping[str, float | None], axes: str, *, who: str) -> Target:
-    """``values`` without those that are None. Raises LimitError for an axis that the stage isn't
-    said to have.
-    """
+    """``values`` without None. Raises LimitError for an undeclared axis."""
     target = {axis: value for axis, value in values.items() if value is not None}
     if missing := [axis for axis in target if axis not in axes]:
         hint = f"It is declared with {axes}: if it has more, say so in the rig file's [stage] axes."
@@ -89,9 +85,7 @@ def check_arrived(move: Move, here: Target, settings: StageSettings, *, who: str
 
 
 def by_letter(numbers: Position, axes: str, *, who: str) -> Target:
-    """X, Y, Z, and A where it is declared, of a position that may have more numbers. Raises
-    ProtocolError for one with fewer.
-    """
+    """X, Y, Z, and A where declared, of a position. Raises ProtocolError for one with fewer."""
     letters = AXES if "A" in axes else AXES[:3]
     if len(numbers) < len(letters):
         hint = "A rotation A needs a controller with four axes."

@@ -1,14 +1,8 @@
-"""What never moves: the table, its front, the board behind with what hangs on it, the dark room.
-Drawn once a camera and kept.
+"""What never moves: table, its front, the board behind with posters, the dark room; and shadows on
+the table.
 
-Each is a flat patch with a texture that is fixed to it, so both cameras see the same texture where
-they should. May not know of the phantom, or of anything that stands on the table.
-
-Soft shadows on the table: where things stand between it and the lamps, or hide the room's light
-from it.
-
-Worked out on a coarse grid on the table, as lamps are large and shadows soft, then looked up by
-each pixel. Only the table receives shadows; hoses lie on it and cast none worth drawing.
+Flat patches with textures fixed to them, drawn once a camera. Soft shadows are computed on a coarse
+grid on the table and looked up by each pixel; only the table receives them, and hoses cast none.
 """
 
 from __future__ import annotations
@@ -35,9 +29,7 @@ FAR_MM = 2400.0  # the room's walls
 
 @dataclass(frozen=True, slots=True)
 class Poster:
-    """A rectangle on the board: ``x_mm``, ``z_mm`` of its lower left corner, its size, and its
-    albedo.
-    """
+    """A rectangle on the board: ``x_mm``, ``z_mm`` of its lower left corner, size, albedo."""
 
     x_mm: float
     z_mm: float
@@ -56,9 +48,8 @@ class Poster:
 class Backdrop:
     """Table at z = 0 with its front edge, and an upright board behind; world frame, mm.
 
-    ``…_texture`` is the share that an albedo varies by, ``…_weave`` how. ``posters`` hang on the
-    board, later ones over earlier ones. ``board_k``, ``table_k``: how much warmer than the room
-    they are.
+    ``…_texture``: the share that an albedo varies by; ``…_weave``: how. Later ``posters`` lie over
+    earlier ones. ``board_k``, ``table_k``: kelvin above the room.
     """
 
     board_albedo: float = 0.55
@@ -103,9 +94,7 @@ class Backdrop:
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """A rectangle: one corner and the two edges from it, mm; across x along gives the side that is
-    seen.
-    """
+    """A rectangle: a corner and two edges, mm; across x along points to the visible side."""
 
     corner_mm: Point
     across_mm: Point
@@ -175,10 +164,8 @@ def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
 def draw(
     backdrop: Backdrop, lighting: Lighting, camera: CameraModel, rays: tuple[Floats, Floats]
 ) -> tuple[Image, Image]:
-    """Light from the backdrop at each pixel before the lens and the sensor, and its depth in mm:
-    two arrays (height, width).
-
-    Edges by exact coverage.
+    """Light of the backdrop at each pixel before lens and sensor, and depth in mm, (height, width)
+    each. Edges by exact coverage.
     """
     image = np.full(
         camera.height_px * camera.width_px,
@@ -274,9 +261,7 @@ LEAST_CASTER_MM = 6.0  # thinner things (hoses) cast no shadow
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShadowMap:
-    """Share of the table's light that is left, on a grid: ``share[i, j]`` at x = x_mm + j TEXEL_MM,
-    y = y_mm + i TEXEL_MM.
-    """
+    """The table's remaining light: ``share[i, j]`` at x_mm + j TEXEL_MM, y_mm + i TEXEL_MM."""
 
     x_mm: float
     y_mm: float
@@ -290,9 +275,7 @@ class ShadowMap:
 
 
 def shadow_map(lighting: Lighting, solids: Solids) -> ShadowMap | None:
-    """The shadows of all ``solids`` (world frame) on the table; None where nothing casts one, or
-    there is no light.
-    """
+    """The shadows of ``solids`` (world frame) on the table; None without shadows or light."""
     casters = np.flatnonzero(np.maximum(solids.radius_a, solids.radius_b) >= LEAST_CASTER_MM)
     if len(casters) == 0 or lighting.brightness <= 0.0:
         return None
@@ -316,8 +299,8 @@ def shadow_map(lighting: Lighting, solids: Solids) -> ShadowMap | None:
 
 
 def _lamp_left(solids: Solids, casters: Ints, points: Rows, lamp: Lamp) -> Rows:
-    """Share of a round lamp that each table point (3, n) sees: the gap between its ray and each
-    solid, against the penumbra there.
+    """Share of a round lamp seen from table points (3, n): a ray's gap to each solid, against the
+    penumbra.
     """
     way = np.asarray(lamp.at_mm, dtype=np.float32)[:, None] - points
     far = np.sqrt(dot(way, way))
@@ -335,9 +318,7 @@ def _lamp_left(solids: Solids, casters: Ints, points: Rows, lamp: Lamp) -> Rows:
 
 
 def _nearest(points: Rows, way: Rows, a: Rows, b: Rows) -> tuple[Rows, Rows, Rows]:
-    """Of rays (points, unit way; 3, n) and the segment a b: least distance, how far along the ray,
-    which part of the segment.
-    """
+    """Rays (points, unit way; 3, n) and segment a b: least distance, place on ray and segment."""
     span = b - a
     off = points - a[:, None]
     cross, d_way, d_span = dot(way, span), dot(off, way), dot(off, span)
@@ -350,9 +331,9 @@ def _nearest(points: Rows, way: Rows, a: Rows, b: Rows) -> tuple[Rows, Rows, Row
 
 
 def _sky_left(solids: Solids, casters: Ints, points: Rows) -> Rows:
-    """Share of the room's light that each table point keeps beside standing things: a post of
-    height h and radius r at distance d hides asin(r / d) / pi of the horizon, up to a
-    cosine-weighted h^2 / (h^2 + d^2).
+    """Share of the room's light left at table points beside standing things. A post of height h and
+    radius r at distance d hides asin(r / d) / pi of the horizon, up to a cosine-weighted h^2 / (h^2
+    + d^2).
     """
     left = np.ones_like(points[0])
     lowest = solids.nearest_depth()
@@ -369,9 +350,7 @@ def _sky_left(solids: Solids, casters: Ints, points: Rows) -> Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shade:
-    """What shadows leave of the light in a part of a camera's image: (rows, columns), ``share`` of
-    that shape.
-    """
+    """Light left by shadows in a part of a camera's image: (rows, columns), ``share``."""
 
     rows: slice
     columns: slice

@@ -1,15 +1,9 @@
-"""Flat things with a pattern: calibration boards (chessboard, ChArUco, circles) and plain panels.
+"""Flat things with a pattern: calibration boards (chessboard, ChArUco, circles), panels, and
+weaves.
 
-A board is a rectangle; what is dark on it is a list of polygons, so that each pixel's share of dark
-is an exact area, like every other edge of the scene. May be warm: dark and light squares each have
-a temperature, as on a board under a lamp. May not know of lights, lenses' blur or sensors.
-
-Where somebody holds a calibration board before cameras: places all over the pictures, tilted to
+What is dark on a board is a list of polygons, so each pixel's share of dark is an exact area. Dark
+and light squares have a temperature each. `poses` holds a board all over the pictures, tilted to
 every side.
-
-May not know what is printed on a board, nor who calibrates.
-
-Weaves: grey textures of boards and tables, each from a seed. May not know where they are used.
 """
 
 from __future__ import annotations
@@ -35,13 +29,12 @@ SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 @dataclass(frozen=True, slots=True)
 class Pattern:
     """``columns`` x ``rows`` squares of ``square_mm`` within a light rim of ``margin_mm``; the
-    first square is dark.
+    first is dark.
 
-    A "charuco" board has markers of ``feature_mm`` and OpenCV's predefined ``dictionary`` (its
-    number) in its light squares, a "plain" one no dark squares. On a board of "circles" columns and
-    rows count circles of ``feature_mm`` across, ``square_mm`` from one to the next. A
-    ``feature_mm`` of 0 is three quarters of a square for markers, half of it for circles. Raises
-    ValueError.
+    "charuco": markers of ``feature_mm`` of OpenCV's ``dictionary`` (its number) in light squares;
+    "plain": no dark squares; "circles": columns and rows of circles ``feature_mm`` across,
+    ``square_mm`` apart. ``feature_mm`` 0: three quarters of a square for markers, half for circles.
+    Raises ValueError.
     """
 
     kind: Kind = "chessboard"
@@ -80,9 +73,7 @@ class Pattern:
 
     @property
     def corners_mm(self) -> Floats:
-        """Inner corners of squares, or middles of circles, on the board, row by row, (n, 2) mm from
-        the board's first corner.
-        """
+        """Inner corners or circles' middles, row by row, (n, 2) mm from the first corner."""
         first, off = (0, 0.5) if self.kind == "circles" else (1, 0.0)
         u, v = np.meshgrid(np.arange(first, self.columns) + off, np.arange(first, self.rows) + off)
         return np.asarray(np.column_stack([u.ravel(), v.ravel()]) * self.square_mm + self.margin_mm)
@@ -90,11 +81,9 @@ class Pattern:
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """A board in the world: its first corner, and the unit vectors along its width and its height;
-    across x along looks away from who sees the pattern, as x right and y down do.
-
-    ``light_albedo``, ``dark_albedo``; temperatures as those of objects: degC, "teat" or "ambient".
-    ``velocity_mm_s`` is its own.
+    """A board in the world: first corner, and unit vectors along width and height; across x along
+    points away from the pattern's viewer. ``light_albedo``, ``dark_albedo``; temperatures in degC,
+    "teat" or "ambient"; ``velocity_mm_s`` its own.
     """
 
     corner_mm: Point
@@ -139,9 +128,7 @@ class Board:
         return self.placed(SQUARE * self.pattern.size_mm)
 
     def placed(self, flat_mm: Floats) -> Floats:
-        """Points on the board, (..., 2) mm from its first corner,
-        in the world frame, (..., 3) mm.
-        """
+        """Points on the board (..., 2) mm from its first corner, to world (..., 3) mm."""
         return np.asarray(
             np.asarray(self.corner_mm)
             + flat_mm[..., :1] * np.asarray(self.across)
@@ -156,9 +143,7 @@ class Board:
 
 @lru_cache(maxsize=16)
 def dark_parts_mm(pattern: Pattern) -> tuple[Floats, ...]:
-    """What is dark on a board: polygons, each (m, 2) mm from the board's first corner, none over
-    another.
-    """
+    """A board's dark polygons, each (m, 2) mm from its first corner, without overlaps."""
     if pattern.kind == "plain":
         return ()
     columns, rows = (
@@ -220,12 +205,11 @@ def poses(
     *,
     seen: float = 1.0,
 ) -> tuple[Board, ...]:
-    """Boards in ``count`` poses, drawn anew for each ``seed``: all over the narrowest view,
-    ``depths_mm`` (least, most) away.
+    """Boards in ``count`` random poses by ``seed``, over the narrowest view, ``depths_mm`` (least,
+    most) away.
 
-    Every camera sees at least the share ``seen`` of the points. Tilted up to 40 degrees about the
-    board's own axes, turned up to 15. Raises ValueError where no such pose is found, as for a board
-    too large for the narrowest view.
+    Every camera sees the share ``seen`` of the points. Tilted up to 40 degrees, turned up to 15.
+    Raises ValueError where no pose is found.
     """
     rng = np.random.Generator(np.random.PCG64(seed))
     cameras = sorted(cameras, key=lambda camera: camera.width_px / float(camera.fc[0]))
@@ -278,9 +262,7 @@ def _free(board: Board) -> bool:
 
 
 def _seen(board: Board, camera: CameraModel) -> float:
-    """Share of a board's points, with the squares around them, in a camera's picture; 0 where it is
-    edge-on or turned away.
-    """
+    """Share of a board's points, with their squares, in a picture; 0 where edge-on or averted."""
     towards = camera.centre_mm - board.outline_mm.mean(axis=0)
     if board.normal @ towards < 0.45 * np.linalg.norm(towards):
         return 0.0

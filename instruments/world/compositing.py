@@ -1,17 +1,9 @@
-"""Lay partly covering surfaces over a background, each pixel in its own order of depth.
+"""Exact coverage of pixels by solids, and partly covering surfaces laid over a background by depth.
 
-Two pieces of one object that meet in a pixel cover the larger of their shares; surfaces of
-different objects cover independently. Objects whose depths don't mix are laid one after the other,
-far to near, which is the same and quicker. May not know what the values mean: light and heat go the
-same way.
-
-How much of each pixel a solid covers, exactly: the area of its projected outline within the pixel.
-
-The outline of a solid seen from a point is the convex hull of the outlines of its two ends, in the
-plane of an ideal camera. It is cut short enough to follow the lens, distorted, and then its area is
-added up pixel by pixel: each piece of the outline inside one pixel adds its height to the pixels on
-its right. No samples, so no sampling error at any phase of an edge. All solids of the scene run at
-once, each in a window of its own. May not know of depth, paint or lights.
+A solid's outline is the convex hull of the outlines of its two ends in an ideal camera's plane, cut
+short to follow the lens, distorted, and its area added up pixel by pixel: no samples, no sampling
+error. Two pieces of one object in a pixel cover the larger share; different objects cover
+independently.
 """
 
 from __future__ import annotations
@@ -31,11 +23,10 @@ from instruments.world.solids import Bools, Ints, Solids
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """How one object looks to one camera, hidden or not: each pixel (n,) that it covers, once.
+    """One object in one camera, hidden or not: each pixel (n,) that it covers, once.
 
-    ``share`` of the pixel's area, ``depth_mm``, ``value``: light, or emissivity. For heat,
-    ``along`` says how far from one of the object's two temperatures to the other: from a teat's
-    base to its end, from a board's light squares to its dark ones.
+    ``share`` of the pixel, ``depth_mm``, ``value``: light or emissivity. ``along``, for heat: from
+    0 to 1 between the object's two temperatures.
     """
 
     row: Ints
@@ -55,8 +46,8 @@ def lay_over(
     values: Sequence[NDArray[Any]],
     corner: tuple[int, int] = (0, 0),
 ) -> None:
-    """Lay objects with these ``values`` over ``image`` (h, w; contiguous floats) in place; its
-    first pixel is at ``corner``.
+    """Lay objects of these ``values`` over ``image`` (h, w) floats in place; first pixel at
+    ``corner``.
     """
     flat, width = image.reshape(-1), image.shape[1]
     for together in _far_to_near(layers):
@@ -115,9 +106,7 @@ def _lay_mixed(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stack:
-    """Surfaces over one another in pixels (m,): their light, the share of the pixel seen past them,
-    the nearest of each.
-    """
+    """Surfaces in pixels (m,): light, share seen past them, the nearest of each."""
 
     pixel: Ints
     light: Floats
@@ -200,9 +189,7 @@ NOTHING = 1e-4  # less cover than this is no cover
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cover:
-    """Pairs of a solid and a pixel that it covers, n of them, sorted by solid: which solid, which
-    pixel, how much of it.
-    """
+    """n pairs of a solid and a pixel that it covers, sorted by solid: solid, pixel, share."""
 
     solid: Ints
     row: Ints
@@ -211,10 +198,8 @@ class Cover:
 
 
 def cover(solids: Solids, camera: CameraModel) -> Cover:
-    """Every pixel that every solid covers, hidden or not, with the share of its area.
-
-    ``solids`` are in the camera's frame. Raises ValueError for one that comes nearer than 50 mm to
-    the camera's plane.
+    """Every pixel and share of it that every solid (camera's frame) covers, hidden or not. Raises
+    ValueError for one nearer than 50 mm to the camera's plane.
     """
     if len(solids) == 0:
         nothing = np.zeros(0, dtype=np.intp)
@@ -225,9 +210,7 @@ def cover(solids: Solids, camera: CameraModel) -> Cover:
 
 
 def cover_outlines(outlines: Sequence[Floats], camera: CameraModel) -> Cover:
-    """The same for flat polygons, each (m, 3) mm in the camera's frame, in front of the camera, one
-    "solid" each.
-    """
+    """The same for flat polygons, each (m, 3) mm in the camera's frame, before the camera."""
     for outline in outlines:
         _refuse_near(float(outline[:, 2].min()), camera)
     return _of_corners(
@@ -273,9 +256,7 @@ def _outlines(solids: Solids, camera: CameraModel) -> tuple[list[Floats], list[i
 
 
 def _ring(solids: Solids, which: Ints, points: int, at_a: bool) -> Floats:
-    """Outline of one end of each solid, (k, points, 3): a disc's rim, or the circle where rays
-    touch a ball.
-    """
+    """Outline of one end of each solid, (k, points, 3): a disc's rim, or a ball's limb."""
     centre = (solids.a if at_a else solids.b)[which]
     radius = (solids.radius_a if at_a else solids.radius_b)[which]
     flat = (solids.flat_a if at_a else solids.flat_b)[which]
@@ -300,9 +281,7 @@ def _ring(solids: Solids, which: Ints, points: int, at_a: bool) -> Floats:
 def _cut(
     owner: Ints, start: Floats, end: Floats, camera: CameraModel
 ) -> tuple[Ints, Floats, Floats]:
-    """Cut edges in the ideal plane to STEP_PX, keep them near the image, and bend them as the lens
-    does.
-    """
+    """Cut edges in the ideal plane to STEP_PX, keep those near the image, and distort them."""
     length_px = np.linalg.norm((end - start) * camera.fc, axis=1)
     pieces = np.maximum(np.ceil(length_px / STEP_PX), 1.0).astype(np.intp)
     edge = np.repeat(np.arange(len(owner)), pieces)
@@ -316,9 +295,7 @@ def _cut(
 
 @lru_cache(maxsize=16)  # cameras are few and never change
 def _plane_window(camera: CameraModel) -> tuple[Floats, Floats]:
-    """A rectangle of the ideal plane that holds the image and its margin: beyond it a lens model
-    may fold over.
-    """
+    """A part of the ideal plane with the image and its margin: a lens model may fold beyond it."""
     w, h = camera.width_px + MARGIN_PX, camera.height_px + MARGIN_PX
     u, v = np.meshgrid(np.linspace(-MARGIN_PX, w, 9), np.linspace(-MARGIN_PX, h, 9))
     plane = camera.plane_from_pixels(np.column_stack([u.ravel(), v.ravel()]))
@@ -333,8 +310,8 @@ def _bent(plane: Floats, camera: CameraModel, low: Floats, high: Floats) -> Floa
 
 
 def _areas(count: int, owner: Ints, start: Floats, end: Floats, camera: CameraModel) -> Cover:
-    """Add up signed areas in one flat buffer of windows; every row of a closed outline sums to
-    zero, so one running sum does.
+    """Signed areas in one flat buffer of windows; a closed outline's rows sum to zero, so one
+    running sum does.
     """
     left, top = np.full(count, np.inf), np.full(count, np.inf)
     right, bottom = np.full(count, -np.inf), np.full(count, -np.inf)

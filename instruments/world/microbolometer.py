@@ -1,10 +1,8 @@
-"""From heat to numbers: an uncooled thermal array, with noise along every direction of the
-three-dimensional noise model.
+"""An uncooled thermal array with the seven components of the three-dimensional noise model.
 
-The seven components (Driggers, Cox and Edwards; NVESD's 3-D noise): of each pixel, row, column and
-of the whole frame, fresh or fixed. Between flat-field events level and pattern drift away linearly,
-each time another way; at an event the shutter may show. What is fixed comes from the camera's seed,
-what is fresh from the generator passed in, drift from the time. May not know of scenes.
+Of each pixel, row, column and the frame, fresh or fixed (Driggers, Cox and Edwards; NVESD's 3-D
+noise). Level and pattern drift between flat-field events, when the shutter may show. Fixed noise is
+from the camera's seed, fresh noise from the generator, drift from the time.
 """
 
 from __future__ import annotations
@@ -26,11 +24,9 @@ KELVIN_AT_0_C = 273.15
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """What goes astray between flat-field events: ``level_k_per_min`` of all pixels,
-    ``pattern_k_per_min`` of each, one sigma.
-
-    An event comes every ``every_s`` and shows the shutter, which is at ``shutter_c``, for
-    ``lasts_s`` (0: it is over at once).
+    """Drift between flat-field events, one sigma: ``level_k_per_min`` of all pixels,
+    ``pattern_k_per_min`` of each. An event comes every ``every_s`` and shows the shutter at
+    ``shutter_c`` for ``lasts_s``.
     """
 
     level_k_per_min: float = 0.03
@@ -48,16 +44,14 @@ class Drift:
 
 @dataclass(frozen=True, slots=True)
 class ThermalSensor:
-    """An uncooled array. ``width_px`` x ``height_px`` pixels; temperatures and noises in kelvin,
-    one sigma.
+    """An uncooled array of ``width_px`` x ``height_px``; temperatures and noises in kelvin, one
+    sigma.
 
-    Fresh in each frame: ``netd_k`` of a pixel, ``row_flicker_k``, ``column_flicker_k``,
-    ``level_flicker_k`` of the frame. Fixed: ``fixed_k`` of a pixel, ``row_k``, ``column_k``.
-    ``blur_px`` sigma of the lens's blur in sensor pixels, before the pixel's own area;
-    ``time_constant_s`` of a pixel: what moves trails behind itself. The 8-bit picture is automatic:
-    from the 1st to the 99.5th percentile of the frame, opened to at least ``least_span_k`` upwards
-    and by ``headroom`` of that at both ends, so a room without anything warm shows noise, not a
-    stretched picture. ``mirrored`` and ``hot_is_black`` say how it is delivered.
+    Fresh: ``netd_k`` of a pixel, ``row_flicker_k``, ``column_flicker_k``, ``level_flicker_k``.
+    Fixed: ``fixed_k`` of a pixel, ``row_k``, ``column_k``. ``blur_px``: the lens's sigma in sensor
+    pixels; ``time_constant_s``: of a pixel. The 8-bit picture spans the 1st to the 99.5th
+    percentile, at least ``least_span_k`` upwards, plus ``headroom`` of that at both ends.
+    ``mirrored``, ``hot_is_black``: as delivered.
     """
 
     width_px: int = 160
@@ -87,8 +81,8 @@ class ThermalSensor:
 
     @classmethod
     def from_calibration(cls, table: Mapping[str, Any]) -> ThermalSensor:
-        """A parsed calibration's thermal camera: sensor_size, mirrored and polarity from it where
-        they stand there. Raises ValueError.
+        """A parsed calibration's thermal camera, with its size, mirroring and polarity. Raises
+        ValueError.
         """
         entry = table.get("cameras", {}).get("thermal", {})
         width, height = entry.get("sensor_size", (cls().width_px, cls().height_px))
@@ -164,9 +158,7 @@ class ThermalReadout:
     def delivered(
         self, centikelvin: NDArray[np.uint16], width_px: int, height_px: int
     ) -> NDArray[np.uint8]:
-        """The 8-bit picture as the camera hands it over: automatic gain, blown up smoothly,
-        mirrored, hot is black.
-        """
+        """The 8-bit picture: automatic gain, enlarged smoothly, mirrored, hot is black."""
         low, high = np.percentile(centikelvin, [1.0, 99.5]) / 100.0
         span = max(float(high - low), self.sensor.least_span_k)
         grey = (centikelvin / 100.0 - low + self.sensor.headroom * span) / (

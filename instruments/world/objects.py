@@ -1,9 +1,6 @@
-"""What stands in the scene beside the phantom, as data: solids, paint and a temperature, made by
-name.
+"""What stands in the scene beside the phantom, made by name: solids, paint and a temperature.
 
-A trial script names a kind and its parameters; `make_object` checks both and explains what is
-wrong. A temperature is in degC, or "teat" (the mean of the phantom's teats) or "ambient", plus an
-offset in kelvin. May not know of cameras, or how anything is drawn.
+A temperature is in degC, "teat" (the teats' mean) or "ambient", plus an offset in kelvin.
 """
 
 from __future__ import annotations
@@ -95,9 +92,7 @@ def _hot_cup(
     gloss: float = 0.1,
     emissivity: float = 0.94,
 ) -> SceneObject:
-    """Section 5.2.4: a cup amid the teats that stands for the udder; wider at its rim than at its
-    foot.
-    """
+    """Section 5.2.4: a cup amid the teats in place of the udder, wider at its rim."""
     foot = 0.8 * radius_mm if foot_radius_mm is None else foot_radius_mm
     hull = cylinder((x_mm, y_mm, 0.0), (x_mm, y_mm, height_mm), foot, radius_mm)
     return SceneObject("hot_cup", (hull,), Paint(albedo, gloss, emissivity), temperature, offset_k)
@@ -119,9 +114,7 @@ def _warm_arm(
     gloss: float = 0.02,
     emissivity: float = 0.98,
 ) -> SceneObject:
-    """Section 5.2.5: a person's forearm and hand, lying behind the teat ends from left (elbow) to
-    right.
-    """
+    """Section 5.2.5: a forearm and hand behind the teat ends, from left (elbow) to right."""
     rise, turn = math.radians(rise_deg), math.radians(turn_deg)
     way = (math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise))
 
@@ -161,8 +154,8 @@ def _cooler_body(
     gloss: float = 0.02,
     emissivity: float = 0.97,
 ) -> SceneObject:
-    """Section 5.2.6: a leg or a flank behind the teats, between room and teat temperature: stands
-    upright, tapers, round on top.
+    """Section 5.2.6: a leg or flank behind the teats, cooler than them: upright, tapered, round on
+    top.
     """
     top = 0.85 * radius_mm if top_radius_mm is None else top_radius_mm
     if not height_mm > top:
@@ -233,9 +226,7 @@ def parameters(kind: str) -> tuple[str, ...]:
 
 
 def make_object(kind: str, **params: Any) -> SceneObject:
-    """An object of the scene by name. Raises ValueError that names the unknown or wrong parameter
-    and the likely one.
-    """
+    """An object by name. Raises ValueError with the wrong parameter and the likely one."""
     names = parameters(kind)
     for name, value in params.items():
         _known(f"parameter of {kind}", name, names)

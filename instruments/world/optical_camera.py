@@ -1,14 +1,7 @@
-"""What a camera sees of each thing, kept from one picture to the next: most of a scene stands
-still.
+"""The optical cameras: the still background drawn once, things laid over it, lens and sensor.
 
-A `View` is a camera with the ray of each of its pixels. What it works out about a thing depends on
-that thing alone, not on what stands before it, so it can be kept and put together with others anew.
-May not know of light, heat or noise.
-
-The optical cameras at work: what never moves drawn once and kept, what stands before it laid over,
-lens and sensor.
-
-May not know where a state comes from, nor what is made of a frame.
+A `View` is a camera with the ray of each pixel; what it computes for a thing depends on that thing
+alone and is kept.
 """
 
 from __future__ import annotations
@@ -46,9 +39,7 @@ KEPT_PIXELS = 400_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
-    """What each solid shows in each pixel that it covers, n pairs sorted by thing, hidden or not;
-    camera's frame.
-    """
+    """What solids show in the pixels they cover, n pairs sorted by thing; camera's frame."""
 
     cover: Cover
     owner: Ints  # which thing of the stage
@@ -77,9 +68,7 @@ class Surfaces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardSurface:
-    """A board in a camera: the pixels (n,) that it covers, what share of its part of each is dark,
-    and the points seen (3, n), world.
-    """
+    """A board in a camera: covered pixels (n,), their dark share, and points (3, n), world."""
 
     cover: Cover
     dark: Floats
@@ -106,9 +95,7 @@ class View:
         )
 
     def heights(self, stage: Stage, seen: Surfaces) -> Floats:
-        """How far along its solid each surface lies, from 0 at the first end to 1 at the far side
-        of the second, (n,).
-        """
+        """Place of each surface along its solid, 0 to 1, (n,)."""
         solids = stage.solids.in_camera(self.camera)
         reach = np.linalg.norm(solids.b - solids.a, axis=1) + np.where(
             solids.flat_b, 0.0, solids.radius_b
@@ -163,9 +150,7 @@ class KeptLayers:
     def of(
         self, keys: Sequence[Hashable], make: Callable[[list[int]], Sequence[Layer]]
     ) -> list[Layer]:
-        """The layer of each key; those that aren't there are made, all at once, by ``make`` from
-        their places in ``keys``.
-        """
+        """The layer of each key; ``make`` makes all missing ones from their places in ``keys``."""
         missing = [i for i, key in enumerate(keys) if key not in self._layers]
         fresh = dict(zip(missing, make(missing), strict=True)) if missing else {}
         for i, key in enumerate(keys):
@@ -217,9 +202,7 @@ class OpticalCamera:
         return mean
 
     def _parts(self, state: SceneState, shadows: ShadowMap | None) -> list[Expected]:
-        """The empty scene, and over it the part of the image where anything stands or throws its
-        shadow.
-        """
+        """The empty scene, and over it the part where things stand or throw shadows."""
         looks = tuple((thing.hulls, thing.paint) for thing in state.everything())
         key = (
             looks,
@@ -258,9 +241,7 @@ class OpticalCamera:
         ]
 
     def _moments(self, state: SceneState) -> list[SceneState]:
-        """The state at even moments of the exposure, close enough that nothing moves half a pixel
-        from one to the next.
-        """
+        """Even moments of the exposure, less than half a pixel of motion apart."""
         if not state.moves:
             return [state]
         speed = max(
@@ -278,9 +259,7 @@ class OpticalCamera:
     def _lens(
         self, around: Slices, empty: Image, soft: Image, dark: Shade | None, layers: Sequence[Layer]
     ) -> Image:
-        """Light on that part of the sensor: what is out of focus in
-        layers of its own, far to near.
-        """
+        """Light on that part of the sensor; out-of-focus things in layers, far to near."""
         sharp = self.readout.sensor.blur_px
         extra = [self._defocus(layer) for layer in layers]
         hazy = bool(extra and max(extra) > 0.0) or soft is not empty
@@ -312,9 +291,7 @@ class OpticalCamera:
         return reach_px(float(np.hypot(extra, self.readout.sensor.blur_px)))
 
     def _backdrop(self, state: SceneState) -> tuple[Image, Image, Expected]:
-        """Light from the empty scene before the lens, the same out of focus, and what the sensor
-        makes of it.
-        """
+        """The empty scene's light before the lens, out of focus, and on the sensor."""
         key = (state.backdrop, state.lighting, state.exposure)
         if key not in self._backdrops:
             while len(self._backdrops) >= BACKDROPS_KEPT:
@@ -401,9 +378,7 @@ def _depth(layer: Layer) -> float:
 def _bounds(
     layers: Sequence[Layer], dark: Shade | None, shape: tuple[int, ...], reach: int
 ) -> Slices | None:
-    """The part of an image that surfaces and shadows change, with the reach of the lens's blur
-    around it.
-    """
+    """The part of an image that surfaces and shadows change, with the lens's blur around it."""
     seen = [layer for layer in layers if len(layer)]
     rows = [(int(layer.row.min()), int(layer.row.max()) + 1) for layer in seen]
     columns = [(int(layer.column.min()), int(layer.column.max()) + 1) for layer in seen]

@@ -1,9 +1,7 @@
-"""The cameras of the simulated scene: a lens model of the scene's own, exact both ways.
+"""The simulated scene's camera model, exact both ways; `cv2.projectPoints` is its referee.
 
-It shares no code with the detector, so that the two can't be wrong together; `cv2.projectPoints` is
-the referee of both. The model is Bouguet's (and OpenCV's): two or three radial terms, two
-tangential, a skew. Undoing the distortion is a Newton iteration to convergence, so a ray and its
-pixel agree to rounding error. May not know what is in the scene, nor anything of sensors and light.
+Bouguet's model: two or three radial terms, two tangential, a skew. A converged Newton iteration
+undoes distortion.
 """
 
 from __future__ import annotations
@@ -37,11 +35,10 @@ def _cross_matrix(v: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraModel:
-    """One camera: lens and pose. Pixel centres are at whole numbers, the first one at (0, 0).
+    """One camera: lens and pose. Pixel centres are at whole numbers, the first at (0, 0).
 
-    ``width_px``, ``height_px`` the image; ``fc``, ``cc`` (2,) focal length and principal point in
-    px; ``alpha_c`` skew; ``kc`` (5,) k1 k2 p1 p2 k3; ``R`` (3, 3), ``t_mm`` (3,) the motion
-    camera_from_world: X_camera = R X_world + t.
+    ``fc``, ``cc`` (2,) focal length and principal point, px; ``alpha_c`` skew; ``kc`` (5,) k1 k2 p1
+    p2 k3; ``R`` (3, 3), ``t_mm`` (3,): X_camera = R X_world + t.
     """
 
     name: str
@@ -64,9 +61,7 @@ class CameraModel:
         return np.asarray(points_mm @ self.R.T + self.t_mm)
 
     def project(self, points_mm: Floats) -> Floats:
-        """World points (n, 3) mm to pixels (n, 2). A point behind the camera has no picture: its
-        row is nan.
-        """
+        """World points (n, 3) mm to pixels (n, 2); nan for a point behind the camera."""
         seen = self.camera_from_world(np.asarray(points_mm, dtype=np.float64).reshape(-1, 3))
         depth = np.where(seen[:, 2] > 0.0, seen[:, 2], np.nan)
         return self.pixels_from_plane(seen[:, :2] / depth[:, None])
@@ -79,18 +74,14 @@ class CameraModel:
         )
 
     def plane_from_pixels(self, pixels: Floats) -> Floats:
-        """Pixels (n, 2) to the normalised image plane (n, 2): the inverse of
-        `pixels_from_plane`.
-        """
+        """Pixels (n, 2) to the normalised image plane (n, 2)."""
         y = (pixels[:, 1] - self.cc[1]) / self.fc[1]
         x = (pixels[:, 0] - self.cc[0]) / self.fc[0] - self.alpha_c * y
         return np.column_stack(_undistort(x, y, self.kc, self.name))
 
     def rays(self) -> tuple[Floats, Floats]:
-        """The ray (x, y, 1) of every pixel centre, in the camera's frame: two arrays (height,
-        width).
-
-        Exact, and dear (about 0.2 s for 1.4 million pixels): keep the answer.
+        """The ray (x, y, 1) of every pixel centre, camera's frame, as two arrays (height, width).
+        About 0.2 s for 1.4 million pixels: keep the answer.
         """
         x, y = np.empty((2, self.height_px, self.width_px))
         u = np.arange(self.width_px, dtype=np.float64)
@@ -123,9 +114,7 @@ def _distort(x: Floats, y: Floats, kc: Floats) -> tuple[Floats, Floats]:
 
 
 def _undistort(x_d: Floats, y_d: Floats, kc: Floats, name: str) -> tuple[Floats, Floats]:
-    """Newton's iteration on both coordinates at once; raises ValueError where the lens model folds
-    over.
-    """
+    """Newton's iteration on both coordinates; raises ValueError where the lens model folds."""
     k1, k2, p1, p2, k3 = kc
     x, y = x_d, y_d
     if not np.any(kc):
@@ -159,9 +148,8 @@ def cameras_from_calibration(
 ) -> tuple[CameraModel, CameraModel, CameraModel]:
     """(left, right, thermal) from a parsed calibration file (recording-format.md).
 
-    X_right = R X_left + T, X_thermal = R X_left + T, X_world = R X_right + T; the thermal camera is
-    the un-mirrored one. Raises ValueError that names the key which is missing or has the wrong
-    form.
+    X_right = R X_left + T, X_thermal = R X_left + T (un-mirrored), X_world = R X_right + T. Raises
+    ValueError with the key at fault.
     """
     right_from_left = _motion(table, "stereo")
     thermal_from_left = _motion(table, "thermal")

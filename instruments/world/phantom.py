@@ -1,10 +1,8 @@
-"""The phantom udder as values: teats on a plate.
+"""The phantom udder: teats on a plate.
 
-A teat is a cylinder with a hemispherical end, standing end up; what its end is says
-`instruments.teat_end`. Base flanges and the warm hoses between them belong to the phantom too;
-their places follow from the teats'. The plate's frame is the world's when the pose is zero; the
-pose turns the plate about `PIVOT_MM` and then shifts it. May not know of cameras, temperatures or
-instruments.
+A teat is a cylinder with a hemispherical end (`instruments.teat_end`), end up. Flanges and hoses
+follow from the teats' places. The plate's frame is the world's at pose zero; a pose turns the plate
+about `PIVOT_MM`, then shifts it.
 """
 
 from __future__ import annotations
@@ -33,9 +31,7 @@ TABLE_5_1_MM = (
 
 @dataclass(frozen=True, slots=True)
 class TeatShape:
-    """``length_mm`` from the plate to the apex along the axis, ``radius_mm`` of the cylinder and of
-    its rounded end.
-    """
+    """``length_mm`` from plate to apex along the axis, ``radius_mm`` of cylinder and end."""
 
     length_mm: float = 135.0
     radius_mm: float = 11.0
@@ -52,11 +48,8 @@ class TeatShape:
 
 @dataclass(frozen=True, slots=True)
 class Teat:
-    """One teat: where its axis leaves the plate (x, y, plate frame), its shape, and its lean
-    towards +x and +y, radians.
-
-    ``name`` says which of the udder's teats it is: LF, RF, LR, RR, or nothing where that was not
-    said.
+    """One teat: where its axis leaves the plate (x, y, plate frame), shape, and lean towards +x and
+    +y in rad. ``name``: LF, RF, LR, RR or empty.
     """
 
     base_mm: tuple[float, float]
@@ -98,9 +91,7 @@ class PlatePose:
 
 @dataclass(frozen=True, slots=True)
 class Phantom:
-    """Teats on a plate. Teats are numbered from 0 in the order of ``teats``. ``name`` is the
-    layout's, ``emissivity`` the paint's.
-    """
+    """Teats on a plate, numbered from 0. ``name``: the layout's; ``emissivity``: the paint's."""
 
     teats: tuple[Teat, ...]
     pose: PlatePose = field(default_factory=PlatePose)
@@ -149,9 +140,7 @@ class Phantom:
         return tuple(hulls)
 
     def flange_hulls(self) -> tuple[Hull, ...]:
-        """The discs that the teats stand in; they reach down to the table where the plate is
-        lifted.
-        """
+        """The discs that the teats stand in, down to the table where the plate is lifted."""
         tops = self.bases_mm + np.array([0.0, 0.0, FLANGE_HEIGHT_MM])
         radii = [max(FLANGE_RADIUS_MM, teat.shape.radius_mm + 4.0) for teat in self.teats]
         return tuple(
@@ -160,9 +149,7 @@ class Phantom:
         )
 
     def hose_hulls(self) -> tuple[tuple[Hull, ...], ...]:
-        """Hoses from flange to flange in the order of the teats, a supply before the first and a
-        return after the last.
-        """
+        """Hoses between flanges in the order of the teats, supply first, return last."""
         bases = np.array(
             [(*teat.base_mm, HOSE_RADIUS_MM) for teat in self.teats], dtype=np.float64
         ).reshape(-1, 3)

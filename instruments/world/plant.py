@@ -1,17 +1,10 @@
-"""What the heated circuit is made of: volumes, heats, losses and how its controller is tuned.
-Values only.
+"""The heated circuit: heater, bath, hoses, four teats, sensor and controller, lumped, in fixed time
+steps.
 
-Water-bath fact sheet, section 5; a figure that is inferred there is inferred here.
-
-The heated circuit: heater, bath, hoses, four teats, sensor and controller, as one lumped model in
-fixed steps.
-
-Every exchange of heat is booked on both sides, so the energy balance closes. Time comes in from
-outside and is made up in whole steps, and each step has its own draw of noise: how often somebody
-looks changes nothing. The plant may not know a clock, a register or a thread; who shares it holds
-the lock. Equations and constants: water-bath fact sheet, section 5. Float switch and cut-out stand
-in the heater's own circuit and work whatever the controller does; a circulator knows of them and
-latches its alarm, a controller of its own (``fit``) does not.
+Exchanges of heat are booked on both sides, so the balance closes. Each step has its own noise: how
+often somebody looks changes nothing. Float switch and cut-out act in the heater's circuit; a
+circulator latches an alarm for them, a controller of its own (``fit``) does not. Users hold the
+world's lock.
 """
 
 from __future__ import annotations
@@ -29,9 +22,7 @@ HEAT_CAPACITY_J_PER_L_K = 0.994 * 4179.0  # water at 33 degC; 12 L give 49.8 kJ/
 
 @dataclass(frozen=True, slots=True)
 class PlantConstants:
-    """What the circuit is made of and how its controller is tuned.
-    Defaults: fact sheet, section 5.
-    """
+    """Volumes, heats, losses and the controller's tuning."""
 
     volume_l: float = 12.0
     volume_min_l: float = 9.0  # the float switch; below it heater and pump are cut
@@ -76,13 +67,11 @@ Pump = Literal["with run", "on", "off"]
 
 
 class Plant:
-    """The circuit at one moment. All temperatures in degC, starting at ``start_c``, in a room at
-    ``ambient_c``.
+    """The circuit at one moment: degC, starting at ``start_c``, in a room at ``ambient_c``.
 
-    ``stuck_heater``, ``dead_heater``, ``stopped_pump``, ``broken_sensor`` and ``frozen_sensor`` are
-    faults to set from outside; ``output_max``, ``manual_output`` (None: the controller decides) and
-    ``ramp_k_per_min`` are settings. ``loop_broken`` is what the controller concludes from an output
-    that does nothing.
+    Faults to set: ``stuck_heater``, ``dead_heater``, ``stopped_pump``, ``broken_sensor``,
+    ``frozen_sensor``. Settings: ``output_max``, ``manual_output`` (None: automatic),
+    ``ramp_k_per_min``. ``loop_broken``: the controller's conclusion about an output without effect.
     """
 
     def __init__(
@@ -165,10 +154,8 @@ class Plant:
         return self._working_c
 
     def fit(self, *, circulator: bool) -> None:
-        """What controls the bath: a circulator, or a controller that knows only its sensor and
-        turns no pump.
-
-        Then the pump stands until something else switches it: a relay, or whoever sets ``pump``.
+        """What controls the bath: a circulator, or a controller without a pump. Then the pump
+        stands until a relay, or whoever sets ``pump``, switches it.
         """
         self.pump = "with run" if circulator else "off"
         self._latching = circulator
@@ -179,9 +166,7 @@ class Plant:
         return self._slope * 60.0
 
     def run(self, set_point_c: float) -> None:
-        """Controller on, and the pump where it turns with it. The integral starts from nothing, a
-        ramp from the present temperature.
-        """
+        """Controller on, and its pump; integral from zero, ramp from the present temperature."""
         self.set_point_c = set_point_c
         if not self.running:
             self.running = True
@@ -194,9 +179,7 @@ class Plant:
         self.output = 0.0
 
     def acknowledge(self) -> None:
-        """Clear the alarm, and the cut-out by hand; both come back with the next step when their
-        cause is still there.
-        """
+        """Clear alarm and cut-out; both return with the next step if their cause remains."""
         self.alarm = ""
         self._cut_out = False
 
@@ -283,9 +266,7 @@ class Plant:
         )
 
     def _circulate(self) -> float:
-        """One step of water round the hoses and through the four teats side by side; what comes
-        back, degC.
-        """
+        """One step of water through hoses and four teats side by side; the return, degC."""
         k, dt, room = self.constants, self.constants.step_s, self.ambient_c
         supply_c = self._supply[0]
         self._supply.append(room + (self.bath_c - room) * self._hose_keeps)

@@ -1,19 +1,9 @@
-"""The simulated scene and its renderer: one `SceneState` in, one frame set of the three cameras
-out.
+"""The renderer: one `SceneState` in, one frame set of three cameras out; and contact sheets
+(docs/scene.md).
 
-Analytic: every solid's share of every pixel is an area computed exactly (coverage), its depth and
-normal a root of a quadratic (raycast), so nothing is sampled and no edge depends on its sub-pixel
-phase. What never moves is drawn once a camera and kept. Visibility of the teat ends comes from the
-same solids by rays of its own. Same state, same generator: same bytes. May not know of any
-detector, of instruments or of the bench.
-
-What is modelled and what isn't stands in docs/scene.md.
-
-A contact sheet: several states of the scene side by side, for a person to look at.
-
-Each row is one state: left and right image whole, the left one's middle at full size, the thermal
-picture as delivered. A small cross in the close-up stands on each teat end, a ring where that
-camera can't see it.
+Analytic: coverage is an exact area, depth and normal roots of a quadratic, so nothing is sampled.
+Same state and generator, same bytes. A contact sheet has a row a state: left, right, close-up,
+thermal; a cross on each teat end, a ring where that camera can't see it.
 """
 
 from __future__ import annotations
@@ -41,8 +31,8 @@ LEAST_SEEN = 0.5  # of a rounded end's near side
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedSet:
-    """``left``, ``right`` uint8; ``thermal_8bit`` uint8 as delivered; ``thermal_ck`` uint16
-    centi-kelvin, sensor's grid, un-mirrored.
+    """``left``, ``right``, ``thermal_8bit`` (as delivered) uint8; ``thermal_ck`` uint16, sensor's
+    grid, un-mirrored.
     """
 
     left: NDArray[np.uint8]
@@ -52,10 +42,8 @@ class RenderedSet:
 
 
 class Renderer:
-    """Three cameras before one scene.
-
-    ``cameras`` left, right, thermal; ``camera_seed`` fixes what is peculiar to these very cameras
-    (their fixed patterns).
+    """Three cameras before one scene. ``cameras``: left, right, thermal; ``camera_seed``: their
+    fixed patterns.
     """
 
     def __init__(
@@ -82,9 +70,7 @@ class Renderer:
         optical: OpticalSensor | None = None,
         thermal: ThermalSensor | None = None,
     ) -> Renderer:
-        """From a parsed calibration file; without a ``thermal`` sensor its size and form are taken
-        from there. Raises ValueError.
-        """
+        """From a parsed calibration; so is a missing ``thermal`` sensor. Raises ValueError."""
         return cls(
             cameras_from_calibration(table),
             camera_seed,
@@ -93,9 +79,7 @@ class Renderer:
         )
 
     def render(self, view: SceneState, rng: np.random.Generator) -> RenderedSet:
-        """A frame set with fresh noise from ``rng``. Raises ValueError where something stands too
-        near a camera.
-        """
+        """A frame set with noise from ``rng``. Raises ValueError for a thing too near a camera."""
         shadows = self.shadows(view)
         left = self.left.expose(view, shadows, rng).astype(np.uint8, copy=False)
         right = self.right.expose(view, shadows, rng).astype(np.uint8, copy=False)
@@ -114,9 +98,9 @@ class Renderer:
     def visible_ends(self, state: SceneState) -> Bools:
         """Whether each teat end shows in left, right, thermal: (n_teats, 3).
 
-        It does where the apex is in the image, no other solid and no board stands before it, and at
-        least half of the rounded end's near side is free. The teat's own surface doesn't count:
-        cameras a little below the ends never see an apex that points up.
+        The apex is in the image with no other solid or board before it, and half of the rounded
+        end's near side is free. The teat's own surface doesn't count: a camera below never sees an
+        apex that points up.
         """
         stage = Stage.of(state)
         columns = [

@@ -1,18 +1,9 @@
-"""Fast unit normal noise for whole frames. Chance comes in as a generator.
+"""The optical sensor by EMVA 1288, fast normal noise, and the lens's blur and focus.
 
-The lens's blur, with a transfer function that can be written down, and the depth that a lens has
-sharp.
-
-Pixels gather light over their area (coverage is exact), so what is left for the lens is a kernel on
-the grid of pixels. The kernel is the discrete Gaussian (Lindeberg 1990): its variance is exactly
-sigma^2 however narrow it is, and its transfer function is exp(sigma^2 (cos 2 pi f - 1)); a Gaussian
-cut to pixels has neither. May not know what is in an image.
-
-From light to grey levels: an optical sensor by the model of EMVA 1288.
-
-What is fixed about one camera (pixels that are a little brighter, an offset of their own) comes
-from the camera's seed; what is fresh in each frame comes from the generator passed in. Shot noise
-is taken as normal, which it is to a few electrons. May not know of scenes or lenses' geometry.
+Pixels gather light over their area, so the lens is a kernel on their grid: the discrete Gaussian
+(Lindeberg 1990), with variance sigma^2 exactly and transfer function exp(sigma^2 (cos 2 pi f - 1)).
+Fixed patterns come from the camera's seed, fresh noise from the generator; shot noise is taken as
+normal.
 """
 
 from __future__ import annotations
@@ -44,8 +35,8 @@ def _normal_levels() -> Image:
 
 
 def normal_noise(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
-    """Unit normal noise, float32, by looking 16 random bits up in a table of quantiles: reaches 4.3
-    sigma, seven times as fast.
+    """Unit normal noise, float32, from a table of quantiles by 16 random bits: to 4.3 sigma, seven
+    times as fast.
     """
     count = shape[0] * shape[1]
     bits = rng.integers(0, 2**64, size=-(-count // 4), dtype=np.uint64, endpoint=False)
@@ -59,9 +50,7 @@ LEVELS_PX = 0.25  # blurs between which pictures are interpolated
 
 
 def transfer(sigma_px: float, cycles_per_px: Floats) -> Floats:
-    """Modulation of lens and square pixel together along rows or columns, at spatial frequencies
-    (n,): the declared MTF.
-    """
+    """Modulation of lens and square pixel at spatial frequencies (n,): the declared MTF."""
     return np.asarray(
         np.abs(np.sinc(cycles_per_px))
         * np.exp(sigma_px**2 * (np.cos(2.0 * np.pi * cycles_per_px) - 1.0))
@@ -96,9 +85,7 @@ def blurred(image: Image, sigma_px: float) -> Image:
 
 
 def blurred_by_depth(image: Image, sigma_px: Image) -> Image:
-    """An image through a blur that differs from pixel to pixel, (h, w): interpolated between even
-    blurs.
-    """
+    """An image with a blur (h, w) that varies: interpolated between even blurs."""
     low, high = float(sigma_px.min()), float(sigma_px.max())
     count = max(int(np.ceil((high - low) / LEVELS_PX)) + 1, 2)
     levels = np.linspace(low, high, count)
@@ -117,11 +104,8 @@ def blurred_by_depth(image: Image, sigma_px: Image) -> Image:
 
 @dataclass(frozen=True, slots=True)
 class Focus:
-    """A thin lens: ``aperture_mm`` of its pupil, ``distance_mm`` that it has sharp. Raises
-    ValueError for one without sense.
-
-    A 6 mm lens at f/4, focused on the teats, is the default; what is a little off still falls on
-    one pixel.
+    """A thin lens: pupil ``aperture_mm``, sharp at ``distance_mm``; default 6 mm at f/4 on the
+    teats. Raises ValueError.
     """
 
     aperture_mm: float = 1.5
@@ -138,8 +122,8 @@ class Focus:
             )
 
     def sigma_px(self, depth_mm: NDArray[np.floating] | float, focal_px: float) -> Floats:
-        """Blur at a depth: the circle of confusion is aperture f |1/z - 1/z_focus| across; a disc's
-        sigma is a quarter of that.
+        """Blur at a depth: circle of confusion aperture f |1/z - 1/z_focus|; a disc's sigma is a
+        quarter of it.
         """
         across = (
             self.aperture_mm
@@ -155,9 +139,7 @@ Grey = NDArray[np.unsignedinteger]
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """How a camera is set: ``time_s`` its shutter is open, ``gain`` on top of the sensor's own.
-    Raises ValueError.
-    """
+    """``time_s`` the shutter is open, ``gain`` over the sensor's own. Raises ValueError."""
 
     time_s: float = NORMAL_EXPOSURE_S
     gain: float = 1.0
@@ -171,12 +153,12 @@ class Exposure:
 
 @dataclass(frozen=True, slots=True)
 class OpticalSensor:
-    """A CCD of the ICX205's class. At `NORMAL_EXPOSURE_S` light 1.0 fills a pixel to
-    ``full_well_e`` electrons, which is ``white_dn`` grey levels over the offset at gain 1.
+    """A CCD of the ICX205's class. At `NORMAL_EXPOSURE_S` light 1.0 gives ``full_well_e``
+    electrons, ``white_dn`` grey levels over the offset at gain 1.
 
-    ``read_noise_e`` electrons rms, ``dark_e_per_s`` dark current; ``prnu`` spread of the pixels'
-    gain, ``dsnu_e`` of their offset; ``bits`` of the converter; ``blur_px`` sigma of the sharp lens
-    (`instruments.world.blur`); ``vignetting`` is the share of the cos^4 law that the lens shows.
+    ``read_noise_e`` rms, ``dark_e_per_s``; ``prnu``, ``dsnu_e``: spread of gain and offset;
+    ``bits`` of the converter; ``blur_px``: sigma of the sharp lens; ``vignetting``: share of the
+    cos^4 law.
     """
 
     full_well_e: float = 13000.0
@@ -203,9 +185,7 @@ class OpticalSensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Expected:
-    """A frame before noise, or a part of one: mean grey level, unrounded, and its standard
-    deviation, at those rows and columns.
-    """
+    """A frame or part before noise: mean grey level, its standard deviation, rows and columns."""
 
     rows: slice
     columns: slice
@@ -231,9 +211,8 @@ class OpticalReadout:
     def expected(
         self, light: Image, rows: slice, columns: slice, exposure: Exposure | None = None
     ) -> Expected:
-        """What light (h, w) on that part of the sensor gives.
-
-        Variance: K^2 (electrons + read noise^2), EMVA 1288. A full well holds no more.
+        """What light (h, w) on that part of the sensor gives. Variance: K^2 (electrons + read
+        noise^2), EMVA 1288; a full well holds no more.
         """
         shutter = exposure or Exposure()
         sensor, gain = self.sensor, self.sensor.gain_dn_per_e * shutter.gain
@@ -249,10 +228,8 @@ class OpticalReadout:
         return Expected(rows, columns, mean, np.asarray(spread, dtype=np.float32))
 
     def expose(self, parts: Sequence[Expected], rng: np.random.Generator) -> Grey:
-        """One exposure of the whole sensor: fresh noise, then grey levels, uint8 (uint16 for more
-        than 8 bits).
-
-        The first part is the whole image, later ones lie over it.
+        """One exposure with fresh noise, uint8 (uint16 above 8 bits). The first part is the whole
+        image, later ones lie over it.
         """
         shape = (parts[0].mean.shape[0], parts[0].mean.shape[1])
         noise = normal_noise(rng, shape)

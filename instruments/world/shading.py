@@ -1,11 +1,8 @@
-"""Light on paint: what leaves a surface towards a camera, and how warm it looks to a thermal one.
+"""Light and heat that leave a surface towards a camera.
 
-Visible light: two lamps and the light of the room, Lambert's law, falling off with distance, and a
-weak gloss (Blinn and Phong) that puts the highlight on a rounded end. Heat: in a band of 8 to 13 um
-near 300 K radiance goes with T^4.8 (Planck's law: d ln L / d ln T = c2 / (lambda T) at the band's
-middle wavelength, 10 um), which is within 0.1 K of the band integral from 10 to 45 degC; a surface
-sends its own share (emissivity) and reflects the room with the rest. May not know of pixels,
-sensors or which object a surface belongs to.
+Light: two lamps and the room, Lambert's law with distance, a weak gloss (Blinn and Phong). Heat:
+radiance in 8 to 13 um goes with T^4.8 (Planck: d ln L / d ln T = c2 / (lambda T) at 10 um), within
+0.1 K of the band integral from 10 to 45 degC; emissivity of its own, the rest reflects the room.
 """
 
 from __future__ import annotations
@@ -29,9 +26,7 @@ Rows = NDArray[Any]  # float32 or float64; vectors as (3, n)
 
 @dataclass(frozen=True, slots=True)
 class Paint:
-    """A surface: ``albedo`` (share of light scattered back), ``gloss`` (strength of the highlight),
-    ``emissivity``.
-    """
+    """``albedo`` (share scattered back), ``gloss`` (strength of the highlight), ``emissivity``."""
 
     albedo: float
     gloss: float = 0.0
@@ -45,9 +40,7 @@ class Paint:
 
 @dataclass(frozen=True, slots=True)
 class Lamp:
-    """A lamp in the world frame; ``power`` is the irradiance that it gives a surface square to it
-    at 1 m.
-    """
+    """In the world frame; ``power`` is the irradiance of a facing surface at 1 m."""
 
     at_mm: Point
     power: float
@@ -55,9 +48,7 @@ class Lamp:
 
 @dataclass(frozen=True, slots=True)
 class Lighting:
-    """The light of the room. ``brightness`` scales all of it; 1 exposes a light board well, 0.3 is
-    a dim room.
-    """
+    """``brightness`` scales all light; 1 exposes a light board well, 0.3 is a dim room."""
 
     brightness: float = 1.0
     lamps: tuple[Lamp, ...] = (
@@ -72,9 +63,7 @@ class Lighting:
 
 
 def irradiance(lighting: Lighting, points_mm: Rows, normals: Rows) -> Rows:
-    """Light that falls on surface points (3, n) mm with unit normals (3, n) or (3, 1), world frame:
-    (n,).
-    """
+    """Light on surface points (3, n) mm with unit normals (3, n) or (3, 1), world frame: (n,)."""
     # The sky of a room is its ceiling and walls: what faces up sees more of it.
     light = lighting.ambient * (0.65 + 0.35 * normals[2]) + np.zeros_like(points_mm[0])
     for lamp in lighting.lamps:
@@ -86,9 +75,7 @@ def irradiance(lighting: Lighting, points_mm: Rows, normals: Rows) -> Rows:
 def seen_light(
     lighting: Lighting, points_mm: Rows, normals: Rows, eye_mm: Rows, albedo: Rows, gloss: Rows
 ) -> Rows:
-    """Light that leaves surface points (3, n) towards ``eye_mm`` (3, 1): Lambert's law, and a
-    highlight of each lamp. (n,).
-
+    """Light (n,) from points (3, n) towards ``eye_mm`` (3, 1): Lambert's law and highlights.
     ``albedo`` and ``gloss`` (n,) are those of `Paint`.
     """
     view = eye_mm - points_mm
@@ -129,10 +116,9 @@ def kelvin_from_radiance(radiance: ArrayLike) -> Floats:
 
 
 def directional_emissivity(emissivity: Floats, facing: Floats) -> Floats:
-    """Emissivity (n,) at an angle whose cosine is ``facing`` (n,): a dielectric mirrors more and
-    more towards grazing.
+    """Emissivity (n,) at an angle of cosine ``facing`` (n,): falls towards grazing.
 
-    Schlick's approximation of Fresnel's reflectance (Computer Graphics Forum 13, 1994), with the
-    normal reflectance 1 - emissivity; by Kirchhoff's law what isn't mirrored is emitted.
+    Schlick's Fresnel approximation (Computer Graphics Forum 13, 1994), normal reflectance 1 -
+    emissivity; Kirchhoff's law.
     """
     return np.asarray(emissivity * (1.0 - (1.0 - np.clip(facing, 0.0, 1.0)) ** 5))

@@ -1,24 +1,11 @@
-"""The one solid of which everything in the scene is made: the convex hull of two round ends.
+"""The solid of which the whole scene is made: the convex hull of two round ends; rays and
+distances.
 
-A ball or a disc at each end of an axis gives spheres, capsules, tapered capsules (arms), cylinders,
-cups, and teats (disc below, ball above). One kind of solid means one intersection and one outline,
-which then run over all the scene's solids at once. `Solids` is the same data as columns, in a frame
-of reference. May not know what a solid stands for, nor its colour or temperature, nor how it is
-seen.
-
-Where a ray meets a solid: depth, normal and whether it meets it at all, over any number of pairs at
-once.
-
-Rays start at the camera and pass through (x, y, 1), so the parameter along a ray is the depth. A
-ray that just misses still gets the depth and normal of the limb: a pixel that is half covered has
-its centre off the solid. Vectors are rows, (3, n): sums over three rows are several times as fast
-as sums along three columns. May not know of pixels, paint or lights.
-
-How near two solids come to each other: between round ones, the distance of their axes less their
-radii.
-
-Exact for capsules and balls; flat ends and cones err to the near side, so that what is called free
-is free. May not know what the solids are.
+A ball or disc at each end of an axis gives spheres, capsules, cylinders, cups and teats, with one
+intersection and one outline for all. Rays pass from the camera through (x, y, 1), so their
+parameter is the depth; a near miss gets the limb's depth and normal, for half-covered pixels.
+Vectors are rows, (3, n), for speed. Distances are exact for balls and capsules, else a little
+small.
 """
 
 from __future__ import annotations
@@ -39,11 +26,11 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Hull:
-    """Convex hull of two round ends, world frame, mm. An end is a ball, or a disc across the axis
-    where ``flat_…``.
+    """Convex hull of two round ends, world frame, mm: balls, or discs across the axis where
+    ``flat_…``.
 
-    A disc and a ball together must have equal radii. Two balls at one place are a sphere. Raises
-    ValueError for a radius that isn't above zero, and where one end would swallow the other.
+    A disc and a ball need equal radii; two balls at one place are a sphere. Raises ValueError for a
+    radius not above zero, or an end inside the other.
     """
 
     a_mm: Point
@@ -94,11 +81,11 @@ def cylinder(a_mm: Point, b_mm: Point, radius_mm: float, radius_b_mm: float | No
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solids:
-    """Solids as columns: k of them, in one frame of reference; lengths in mm.
+    """k solids as columns in one frame of reference; mm.
 
-    ``a``, ``b``, ``axis`` (k, 3); ``radius_a``, ``radius_b``; ``flat_a``, ``flat_b`` (k,). The body
-    between the ends is a cone around the axis: it runs from height ``low`` to ``high`` (measured
-    from a), its radius at height h is ``radius_0 + slope h``.
+    ``a``, ``b``, ``axis`` (k, 3); ``radius_a``, ``radius_b``, ``flat_a``, ``flat_b`` (k,). The body
+    is a cone around the axis from height ``low`` to ``high`` (from a), its radius at h ``radius_0 +
+    slope h``.
     """
 
     a: Floats
@@ -159,9 +146,7 @@ class Solids:
         )  # fmt: skip
 
     def nearest_depth(self) -> Floats:
-        """The least z of each solid, (k,): in a camera's frame, its depth; in the world, its height
-        over the table.
-        """
+        """The least z of each solid, (k,): depth from a camera, or height over the table."""
         across = np.sqrt(np.clip(1.0 - self.axis[:, 2] ** 2, 0.0, 1.0))
         low_a = self.a[:, 2] - self.radius_a * np.where(self.flat_a, across, 1.0)
         low_b = self.b[:, 2] - self.radius_b * np.where(self.flat_b, across, 1.0)
@@ -172,17 +157,13 @@ BLOCK = 8192  # pairs at a time: what is worked out on the way stays in the proc
 
 
 def dot(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
-    """Scalar products of the columns of (3, n) with those of (3, n), (3, 1) or (3,), float32 or
-    float64.
-    """
+    """Scalar products of columns: (3, n) with (3, n), (3, 1) or (3,); float32 or float64."""
     return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
 
 
 def meet(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats, Bools]:
-    """Ray (x, y, 1) with solid ``which``, each (n,): depth (n,) mm, outward unit normal (3, n),
-    truly hit (n,).
-
-    ``solids`` are in the camera's frame; the camera must be outside of them.
+    """Ray (x, y, 1) with solid ``which``, each (n,): depth (n,) mm, outward normal (3, n), truly
+    hit (n,). ``solids`` are in the frame of the camera, which is outside of them.
     """
     depth, hit, normal = np.empty(len(x)), np.empty(len(x), dtype=np.bool_), np.empty((3, len(x)))
     for start in range(0, len(x), BLOCK):
@@ -219,8 +200,8 @@ def _meet_block(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floa
 
 
 def _meet_cone(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats, Bools]:
-    """The endless cone of the body: |p|^2 - h^2 = (r0 + k h)^2, a quadratic in the depth, with the
-    camera as origin.
+    """The body's endless cone: |p|^2 - h^2 = (r0 + k h)^2, quadratic in depth, camera at the
+    origin.
     """
     a, axis, r0, k = solids.a.T, solids.axis.T, solids.radius_0, solids.slope
     h0 = -dot(a, axis)
@@ -285,8 +266,8 @@ def _meet_disc(
 
 
 def clearance_mm(one: Hull, other: Hull) -> float:
-    """Least distance between the surfaces, mm; negative where they share room. Of two tapered
-    solids one counts with its wider end.
+    """Least distance of two surfaces, mm; negative: overlap. Of two tapered solids one counts at
+    its widest.
     """
     (a, b), (c, d) = _axis(one), _axis(other)
     wide, other_wide = (
@@ -304,9 +285,7 @@ def clearance_mm(one: Hull, other: Hull) -> float:
 
 
 def _tapered_mm(cone: Hull, start: Floats, end: Floats) -> float:
-    """Least distance from a tapered solid's surface to a segment: a convex function of the place
-    along its axis, searched by thirds.
-    """
+    """Least distance of a tapered solid and a segment: convex along its axis, ternary search."""
     a, b = _axis(cone)
 
     def gap_mm(part: float) -> float:
@@ -332,10 +311,8 @@ def _axis(hull: Hull) -> tuple[Floats, Floats]:
 
 
 def segments_apart_mm(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
-    """Least distance between the segments a b and c d, each end (3,).
-
-    The lines' own nearest points where they lie within both segments, else the nearest of the four
-    ends to the other segment.
+    """Least distance of segments a b and c d: the lines' nearest points if within both, else the
+    nearest of four ends.
     """
     u, v, w = b - a, d - c, a - c
     uu, uv, vv, uw, vw = (float(np.dot(*pair)) for pair in ((u, u), (u, v), (v, v), (u, w), (v, w)))

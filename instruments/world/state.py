@@ -1,8 +1,4 @@
-"""What the cameras can see at one moment, as a value: `SceneState`; and all its solids as columns:
-`Stage`.
-
-Checks that a scene makes sense. May not know of cameras, or how anything is drawn.
-"""
+"""What the cameras can see at one moment (`SceneState`), and its solids as columns (`Stage`)."""
 
 from __future__ import annotations
 
@@ -28,15 +24,14 @@ STILL: Point = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class SceneState:
-    """Everything that the cameras can see at one moment. Temperatures in degC, one for each teat,
-    in the phantom's order.
+    """Everything visible at one moment. Temperatures in degC, one for each teat in the phantom's
+    order.
 
-    A teat's temperature is its mean: from base to end it falls by ``teat_fall`` of what it is above
-    the room. ``teat_paint`` is the phantom's paint; the room (board, table, what is mirrored in
-    paint) is at ``ambient_c``. ``exposure`` is how the optical cameras are set, ``velocity_mm_s``
-    how the phantom moves while their shutters are open, ``time_s`` what the thermal camera's drift
-    goes by. Raises ValueError where the number of temperatures is wrong, or an object reaches below
-    the table or behind the board.
+    A teat's is its mean: from base to end it falls by ``teat_fall`` of its excess over the room.
+    ``teat_paint``: the phantom's; ``ambient_c``: board, table and reflections; ``exposure``: of the
+    optical cameras; ``velocity_mm_s``: of the phantom during it; ``time_s``: for the thermal
+    camera's drift. Raises ValueError for the number of temperatures, or an object below the table
+    or behind the board.
     """
 
     phantom: Phantom
@@ -91,9 +86,7 @@ class SceneState:
         )
 
     def temperature_c(self, warmth: Warmth) -> float:
-        """degC of "teat" (the mean of the teats, or the room where there are none), "ambient", or a
-        number.
-        """
+        """degC of "teat" (mean of the teats, else the room), "ambient", or a number."""
         if isinstance(warmth, str):
             return (
                 float(np.mean(self.teat_temps_c))
@@ -112,9 +105,7 @@ class SceneState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stage:
-    """All solids of a state as columns in the world frame, and which thing of ``things`` each
-    belongs to, (k,).
-    """
+    """All solids of a state as columns, world frame, and each one's place in ``things``, (k,)."""
 
     things: tuple[SceneObject, ...]
     solids: Solids

@@ -1,8 +1,5 @@
-"""The thermal camera at work: radiance of everything on a grid finer than its sensor, lens and
-pixels, and the sensor.
-
-What moves trails behind itself, for a pixel's temperature follows the scene's with a time constant.
-May not know where a state comes from.
+"""The thermal camera: radiance on a grid finer than its sensor, lens, pixels and their time
+constant.
 """
 
 from __future__ import annotations
@@ -45,9 +42,7 @@ class ThermalCamera:
         self._warmer = lru_cache(maxsize=3)(partial(_drawn_warmer, self.view.camera))
 
     def expected_k(self, state: SceneState) -> Floats:
-        """Apparent temperature of each sensor pixel before noise, kelvin, un-mirrored, (height,
-        width).
-        """
+        """Apparent temperature before noise, kelvin, un-mirrored, (height, width)."""
         moments = self._moments(state)
         radiance = np.mean([self._radiance(moment) for moment in moments], axis=0)
         return kelvin_from_radiance(self.readout.gathered(radiance))
@@ -120,9 +115,7 @@ def _drawn_warmer(camera: CameraModel, backdrop: Backdrop) -> Floats:
 
 
 def _own(state: SceneState, number: int, thing: SceneObject, layer: Layer) -> Floats:
-    """Radiance of a black body as warm as each pixel of a thing, (n,) or (); the teats come first,
-    each warmer at its base.
-    """
+    """Black-body radiance of each pixel of a thing, (n,) or (); teats first, warmer at the base."""
     if number < len(state.teat_temps_c) and layer.along is not None:
         mean_c = state.teat_temps_c[number]
         return radiance_from_c(

@@ -1,7 +1,5 @@
-"""Which teat ends a camera can see: rays to points of each rounded end, against every other solid
-and board.
-
-Exact solids, no picture, no depth buffer: the truth doesn't depend on the resolution of a camera.
+"""Which teat ends a camera can see: rays to points of each end, against every other solid and
+board. No picture is used, so the truth doesn't depend on a camera's resolution.
 """
 
 from __future__ import annotations
@@ -22,11 +20,8 @@ ROUND = 16
 def seen_share(
     phantom: Phantom, solids: Solids, camera: CameraModel, boards: Sequence[Board] = ()
 ) -> Floats:
-    """Share of each rounded end's near side that nothing else hides, (n,); 0 where the apex is
-    hidden or outside the image.
-
-    ``solids`` (world frame) hold the phantom's teats first, in its order; the teat itself is no
-    obstacle to its own end.
+    """Visible share of each rounded end's near side, (n,); 0 where the apex is hidden or outside.
+    ``solids`` (world frame) begin with the teats; a teat doesn't hide its own end.
     """
     ends = phantom.ends_mm
     shares = np.zeros(len(ends))
@@ -60,9 +55,7 @@ def _near_side(end_mm: Floats, axis: Floats, radius_mm: float, camera: CameraMod
 
 
 def _free(points_mm: Floats, solids: Solids, itself: int, camera: CameraModel) -> Bools:
-    """Whether nothing but solid number ``itself`` stands between
-    the camera and each point (n, 3).
-    """
+    """Whether only solid ``itself`` stands between the camera and each point (n, 3)."""
     seen = camera.camera_from_world(points_mm)
     count = len(solids)
     which = np.tile(np.arange(count), len(seen))

@@ -1,9 +1,5 @@
-"""The one simulated world that all emulators share: plant, phantom, what stands around it, and the
-hand that holds the arm.
-
-What the bath heats, the thermal camera sees; where the stage stands, the phantom stands; where the
-hand holds the tip, the arm reads. It may not know how any of them speaks on its wire. One lock
-guards it; time comes from the clock.
+"""The world that all emulators share: plant, phantom, what stands around it, and the hand that
+holds the arm. One lock guards it; time comes from the clock.
 """
 
 from __future__ import annotations
@@ -31,8 +27,8 @@ HOSE_DROP_K = 0.02
 
 
 class World:
-    """``renderer`` draws it; ``stage_pose`` is asked how the stage's plate stands, zero at the
-    stage's reference, ``stage_velocity`` how it moves in mm/s: what moves is smeared in pictures.
+    """``renderer`` draws it; ``stage_pose`` gives the plate's pose, zero at the stage's reference;
+    ``stage_velocity`` mm/s, for motion blur.
     """
 
     def __init__(
@@ -59,9 +55,7 @@ class World:
         self._board: Board | None = None
 
     def close(self) -> None:
-        """Let go of the renderer, some 100 MB of pictures: a closed rig lies in reference cycles
-        until the next full collection.
-        """
+        """Drop the renderer's 100 MB: a closed rig stays in reference cycles for a while."""
         self.__dict__.pop("renderer", None)
 
     def arrange(
@@ -70,10 +64,8 @@ class World:
         objects: Sequence[Mapping[str, Any]],
         situation: Situation | None = None,
     ) -> None:
-        """Put a phantom on the plate, and other things around it; light, background, paint and
-        further things are a ``situation``'s.
-
-        Raises ValueError for a kind of object that isn't known.
+        """Put a phantom on the plate, other things around it, and a ``situation``'s light,
+        background, paint and things. Raises ValueError for an unknown object.
         """
         with self.lock:
             self._phantom = phantom
@@ -81,18 +73,14 @@ class World:
             self._situation = situation
 
     def show(self, board: Board | None) -> None:
-        """Hold a calibration board before the cameras, the phantom out of the way meanwhile; None
-        puts the phantom back.
-        """
+        """Hold a board before the cameras and remove the phantom; None puts it back."""
         with self.lock:
             self._board = board
 
     def hold(
         self, point_mm: NDArray[np.float64] | None, axis: NDArray[np.float64] | None = None
     ) -> None:
-        """The hand holds the arm's tip at ``point_mm`` (3,), the stylus along ``axis`` (3,) from
-        the tip up; None lets go.
-        """
+        """Hold the tip at ``point_mm`` (3,), the stylus along ``axis`` (3,); None lets go."""
         with self.lock:
             self._held = None if point_mm is None or axis is None else (point_mm, axis)
 
@@ -101,16 +89,12 @@ class World:
         return self._held
 
     def phantom(self) -> Phantom:
-        """The phantom where the stage has it now, with the pose at
-        which it was put on the stage.
-        """
+        """The phantom where the stage has it now, with its pose on the stage."""
         with self.lock:
             return self._phantom.moved(self._phantom.pose.carried(self.stage_pose()))
 
     def ends_mm(self) -> NDArray[np.float64]:
-        """The exact teat ends (n, 3), world frame: kept aside by the bench, never shown to a
-        detector.
-        """
+        """The exact teat ends (n, 3), world frame; never shown to a detector."""
         return self.phantom().ends_mm
 
     def scene(self) -> SceneState:
@@ -141,7 +125,5 @@ class World:
             )
 
     def frame_rng(self, kind: str, index: int) -> np.random.Generator:
-        """Chance for the ``index``-th frame set: the same for the same seed, whatever else was
-        drawn.
-        """
+        """The generator for frame set ``index``, from the seed alone."""
         return np.random.default_rng([self.seed, *kind.encode(), index])

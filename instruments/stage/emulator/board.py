@@ -1,8 +1,4 @@
-"""The board on its cable: the device that a listener serves, and where its faults come from.
-
-It may not know the driver, or who watches the carriage: the world asks ``position_mm`` whenever it
-likes.
-"""
+"""The board on its cable: the device that a listener serves, with its faults."""
 
 from __future__ import annotations
 
@@ -33,11 +29,12 @@ GLANCE_S = 1e-3  # over which a velocity is told
 
 
 class StageEmulator:
-    """The board and its mechanics, of 3 ``axes`` or 4. ``settings`` differ from the defaults by
-    number ($130 is 130); ``start_mm`` is where the carriage stands at first, in machine coordinates
-    (0 at the switches), in the middle if not given; ``play_mm`` is the backlash by axis (degrees
-    for A); with a ``fresh_eeprom`` the first words are an error and a dump of settings. Raises
-    ValueError for settings or axes that the board doesn't have.
+    """The board and its mechanics, of 3 ``axes`` or 4.
+
+    ``settings`` by number ($130 is 130) replace defaults; ``start_mm`` is the carriage's first
+    place in machine coordinates, by default the middle; ``play_mm`` the backlash by axis (degrees
+    for A); with ``fresh_eeprom`` it starts with an error and a dump of settings. Raises ValueError
+    for unknown settings or axes.
     """
 
     def __init__(
@@ -66,15 +63,11 @@ class StageEmulator:
         self._wake_planned_s = math.inf
 
     def position_mm(self) -> NDArray[np.float64]:
-        """Where the carriage stands now, (3,) or (4,): mm in machine coordinates, and degrees for
-        A.
-        """
+        """The carriage's place (3,) or (4,): mm in machine coordinates, degrees for A."""
         return np.array(self._carriage.place_mm(self._clock.now()), dtype=np.float64)
 
     def velocity(self) -> NDArray[np.float64]:
-        """How the carriage moves now, each axis a second, as the
-        controller steps it, (3,) or (4,).
-        """
+        """The commanded speed of each axis per second, (3,) or (4,)."""
         now = self._clock.now()
         if not self._carriage.moving(now):
             return np.zeros_like(self.position_mm())
@@ -85,9 +78,7 @@ class StageEmulator:
 
     def inject(self, fault: Fault, after_s: float = 0.0, *, lost_mm: float = LOST_MM) -> None:
         """Make ``fault`` happen: one of a motion ``after_s`` into it, a late answer ``after_s``
-        late, others from now on.
-
-        A lost step loses ``lost_mm`` on the linear axis that goes furthest.
+        late, others from now on. Lost steps are ``lost_mm`` on the linear axis that goes furthest.
         """
         self._faults[fault] = after_s
         self._lost_mm = lost_mm if fault is Fault.LOST_STEP else self._lost_mm
@@ -101,9 +92,7 @@ class StageEmulator:
         self._tell_switches()
 
     def lose_steps(self, lost_mm: Vector) -> None:
-        """Shift the carriage against the count at once, as a knock does that makes the motors lose
-        steps.
-        """
+        """Shift the carriage against the count at once, as a knock does."""
         self._carriage.knock(lost_mm, self._clock.now())
 
     def connect(self, connection: Connection) -> None:
@@ -128,9 +117,7 @@ class StageEmulator:
             self._connection = None
 
     def _settle(self) -> None:
-        """After anything has happened: send what was said, plan when to look again, and plan faults
-        of a new motion.
-        """
+        """After an event: send the output, plan the next look, plan faults of a new motion."""
         out, self._controller.out = bytes(self._controller.out), bytearray()
         if Fault.SILENT not in self._faults:
             self._send(out)

@@ -1,24 +1,9 @@
-"""From the counted position to the carriage's place, axis by axis: lost steps, a stall, play in the
-screws, the rails' ends.
+"""The mechanics: from the counted position to the carriage and the plate on it.
 
-The motor turns as the steps do, less those that it has lost. The carriage follows within the play:
-nothing moves after a reversal until the play is taken up. At the rails' ends the carriage stands,
-and the motor loses the steps that push further. Fed with the ends of straight lines, in order, this
-is exact. It may not know time, plans or the protocol.
-
-The mechanics: the counted position over time, and the carriage that follows it.
-
-The controller counts steps; whether the carriage follows it can't know. A stall, lost steps, play
-or a power cut make them differ, homing brings them together. It may not know the protocol, or a
-clock: the moment is an argument, and never goes back.
-
-Where the phantom's plate stands on the table when the carriage is somewhere: how the stage is
-mounted, and its errors of geometry.
-
-The carriage's place is in the controller's own millimetres; scale, squareness and the stage's yaw
-on the table decide what they are worth there. What the motors and screws do wrong (lost steps,
-play) is in the carriage's place already. It may not know time, the protocol, or what stands on the
-plate.
+The motor turns with the steps, less the lost ones. The carriage follows after the play is taken up,
+and stands at the rails' ends, where further steps are lost. Exact when fed with the ends of
+straight lines in order. Scale, squareness and yaw of the mounting give the plate's pose. The moment
+is an argument and never goes back.
 """
 
 from __future__ import annotations
@@ -37,9 +22,9 @@ PRESSED_MM = 0.005  # how far past its edge a limit switch is closed
 
 @dataclass
 class AxisDrive:
-    """One axis. ``low``, ``high``: the rails' ends, mm; ``play``: how far the motor turns after a
-    reversal before the carriage moves; ``at_far_end``: its switch is at ``low``, and homing leaves
-    it by moving up. ``count`` is what the controller counts.
+    """One axis. ``low``, ``high``: rails' ends, mm; ``play``: the motor's travel after a reversal
+    before the carriage moves; ``at_far_end``: its switch is at ``low``; ``count``: the controller's
+    position.
     """
 
     place: float
@@ -69,9 +54,7 @@ class AxisDrive:
         self._carry(min(max(self.place, self.motor - below), self.motor + above))
 
     def _carry(self, wanted: float) -> None:
-        """Bring the carriage to ``wanted``, or to the rail's end; what is missing, the motor has
-        lost.
-        """
+        """Move the carriage to ``wanted`` or the rail's end; the motor loses the rest."""
         self.place = min(max(wanted, self.low), self.high)
         over = wanted - self.place
         if over:
@@ -105,9 +88,7 @@ class AxisDrive:
 
 
 class Drive:
-    """All axes, as a carriage at ``place_mm`` on rails of ``travel_mm``; ``play_mm`` and
-    ``at_far_end`` by axis.
-    """
+    """All axes: a carriage at ``place_mm`` on rails of ``travel_mm``."""
 
     def __init__(
         self, place_mm: Vector, travel_mm: Vector, play_mm: Vector, at_far_end: frozenset[int]
@@ -170,9 +151,7 @@ class Drive:
 
 
 class Carriage:
-    """Motors, screws, carriage. All places in mm (degrees for A) in machine coordinates: 0 at the
-    switches.
-    """
+    """Motors, screws, carriage; mm (degrees for A) in machine coordinates, 0 at the switches."""
 
     def __init__(self, drive: Drive) -> None:
         self._zero = tuple(0.0 for _ in drive.axes)
@@ -302,9 +281,7 @@ class Carriage:
             self._drive.stall(True)
 
     def lose_steps(self, amount_mm: float, now_s: float) -> None:
-        """From now on lose steps until this much is lost, on the linear axis that the running move
-        takes furthest.
-        """
+        """Lose that much on the linear axis that the running move takes furthest."""
         self._follow(now_s)
         blocks = self.blocks(now_s)
         unit = blocks[0].unit[:3] if blocks else (1.0,)
@@ -366,13 +343,11 @@ def _closing_s(drive: Drive, leg: Leg, start_s: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """A stage of ``axes`` (as "XYZA") that carries the plate; at ``reference`` (X Y Z in mm, A in
-    degrees) the pose is zero.
+    """A stage of ``axes`` (as "XYZA") that carries the plate; the pose is zero at ``reference``.
 
-    ``scale_errors`` by axis X Y Z A: 0.001 moves a thousandth too far. ``squareness_rad``: by how
-    much the angle from the X axis to the Y axis exceeds a right one. ``yaw_rad``: by how much the X
-    axis is turned from the world's, x towards y. A turns the plate from x towards y; the turntable
-    stands on X and Y.
+    ``scale_errors`` by axis: 0.001 moves a thousandth too far. ``squareness_rad``: angle from X to
+    Y, less a right angle. ``yaw_rad``: from the world's x to the X axis, x towards y. A turns the
+    plate x towards y on top of X and Y.
     """
 
     axes: str
@@ -382,10 +357,8 @@ class Mounting:
     yaw_rad: float = 0.0
 
     def pose(self, place: Sequence[float]) -> PlatePose:
-        """The plate's pose for a place of the carriage, X Y Z in mm and A in degrees where there is
-        one.
-
-        Driven below its reference, the plate rests on the table.
+        """The plate's pose for X Y Z in mm and A in degrees; below its reference it rests on the
+        table.
         """
         x, y, z, a = (
             self._way(axis, at)
@@ -400,9 +373,7 @@ class Mounting:
         )
 
     def _way(self, axis: str, at: float) -> float:
-        """How far the plate has gone along ``axis`` from the reference; 0 on an axis that carries
-        nothing.
-        """
+        """The plate's way along ``axis`` from the reference; 0 where nothing is carried."""
         index = "XYZA".index(axis)
         return (
             (1.0 + self.scale_errors[index]) * (at - self.reference[index])

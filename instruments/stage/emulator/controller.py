@@ -1,12 +1,8 @@
-"""The firmware: states, resets, alarms, real-time bytes, and the main loop that takes one line
-after the other.
+"""The firmware: states, resets, alarms, real-time bytes, and the main loop over lines.
 
-A line runs as a generator (``lines.execute``): it yields when it has to wait for a full planner, a
-dwell or homing, and is asked again when that may be over; while it waits, further bytes stay in the
-receive buffer. Real-time bytes act at once. What is said gathers in ``out``. It may not know a
-connection, or faults.
-
-Sources: the firmware's interface and command documents, and its behaviour as recorded in a
+A line runs as a generator (``lines.execute``) that yields while it waits for planner, dwell or
+homing; further bytes then stay in the receive buffer. Real-time bytes act at once. Output gathers
+in ``out``. Sources: the firmware's interface and command documents, and its behaviour recorded in a
 simulator.
 """
 
@@ -32,9 +28,7 @@ RESTART_S = 0.02
 
 
 class Controller:
-    """One board's firmware with a carriage on its motors. ``answer`` gets the one answer of each
-    line.
-    """
+    """One board's firmware and carriage. ``answer`` gets the one answer of each line."""
 
     def __init__(
         self,

@@ -1,10 +1,8 @@
-"""How the two firmwares differ, as far as a driver meets it. Facts only.
+"""Differences between the two firmwares, and the names of their states. Tables only.
 
-The classic firmware's are recorded. Of grblHAL, welcome, buffer size, more fields and the answer to
-``?`` in alarm 2 are recorded; the number of planner blocks, the fourth axis, the homing passes and
-the alarm of two motors out of square are from that firmware's source.
-
-What the firmware is in, beside moving or not, and what it calls that. Tables only.
+Classic GRBL's are recorded. Of grblHAL, welcome, buffer size, report fields and the answer to ``?``
+in alarm 2 are recorded; planner blocks, fourth axis, homing passes and the out-of-square alarm are
+from its source.
 """
 
 from __future__ import annotations
@@ -16,11 +14,8 @@ from enum import Enum
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """A firmware: what it says after a reset, its buffers, its additions to a report, what it can
-    have.
-
-    ``options``: as `$I` prints them. grblHAL's receive buffer holds a byte less than it tells
-    there.
+    """A firmware's welcome, buffers, report fields and options (as `$I` prints them). grblHAL's
+    receive buffer holds a byte less than it states.
     """
 
     name: str

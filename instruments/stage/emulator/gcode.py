@@ -1,9 +1,7 @@
-"""The G-code that the emulated controller understands: one line to one command, with the modes it
-leaves behind.
+"""G-code of the emulated controller: one line to one command, and the modes that stay.
 
-Straight moves, dwell, units, distance mode, machine coordinates, the G92 offset, jogs and probing;
-spindle, coolant and program words are taken and do nothing. Arcs, tool offsets and further work
-coordinates are refused with error 20. It may not know positions over time, or a clock.
+Straight moves, dwell, units, distance mode, machine coordinates, G92, jogs and probing; spindle,
+coolant and program words do nothing. Arcs, tool offsets and more work coordinates are error 20.
 """
 
 from __future__ import annotations
@@ -46,9 +44,7 @@ class GcodeError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """What lines leave behind for later lines. ``offset_mm``: work coordinates' zero in machine
-    coordinates.
-    """
+    """What stays for later lines. ``offset_mm``: work zero in machine coordinates."""
 
     offset_mm: Vector
     motion: float = 0.0
@@ -74,9 +70,7 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """Move until the probe closes (opens, where it goes ``away``); if it ``must`` and doesn't, that
-    is an alarm.
-    """
+    """Move until the probe closes (``away``: opens); if it ``must`` and doesn't, an alarm."""
 
     move: Move
     away: bool
@@ -141,9 +135,7 @@ def _place(
 def command(
     text: str, modes: Modes, at_mm: Vector, most_line_number: float
 ) -> tuple[Modes, Move | Probe | Dwell | None]:
-    """What ``text`` asks for, where the last planned move ends at ``at_mm``. Raises GcodeError;
-    then nothing changes.
-    """
+    """What ``text`` asks for after a move to ``at_mm``. Raises GcodeError; then nothing changes."""
     line = words(text, len(at_mm), most_line_number)
     after = _new_modes(line, modes)
     axes = _axes(line, after.inches)

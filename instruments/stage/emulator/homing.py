@@ -1,9 +1,7 @@
-"""The homing cycle as a function of time: pass by pass, the axes of a pass together.
+"""The homing cycle as a function of time from 0: pass by pass, the axes of a pass together.
 
-Each axis runs to its switch fast, backs off, finds it again slowly and backs off for good; between
-two runs the controller waits for the switch to calm down. A run to a switch stops dead, for the
-steps are cut when it closes. Axes move on their own here, so each has its own track. It may not
-know a clock: time starts at 0.
+Each axis seeks its switch fast, backs off, finds it again slowly and backs off, with a pause
+between runs. A run to a switch stops dead, as the steps are cut when it closes.
 """
 
 from __future__ import annotations
@@ -29,9 +27,8 @@ class Switch(Enum):
 
 @dataclass(frozen=True, slots=True)
 class HomingRates:
-    """What the settings say: mm, mm/s, mm/s², s. ``passes`` holds the axes of each pass;
-    ``at_far_end`` those whose switch is at minus the travel; ``crooked_alarm`` is the firmware's
-    alarm for two motors out of square.
+    """Settings in mm, mm/s, mm/s², s. ``passes``: axes of each pass; ``at_far_end``: axes with the
+    switch at minus the travel; ``crooked_alarm``: for two motors out of square.
     """
 
     travel_mm: Vector
@@ -101,9 +98,7 @@ class HomingRun:
 
 
 def homing(start_mm: Vector, rates: HomingRates, broken: Mapping[int, Switch]) -> HomingRun:
-    """The whole cycle from where the carriage stands. ``broken``
-    names axes with a broken switch.
-    """
+    """The whole cycle from the carriage's place. ``broken``: axes with a broken switch."""
     run = HomingRun(start_mm)
     for axes in rates.passes:
         _cycle(run, axes, rates, broken)

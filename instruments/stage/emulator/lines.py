@@ -1,9 +1,7 @@
-"""What one line does to the board: G-code, ``$`` commands, jogs and homing, each as a generator
-that yields when it must wait.
+"""What one line does to the board: G-code, ``$`` commands, jogs and homing, each as a generator.
 
-It yields the moment at which to ask again (``inf``: only after a reset) and returns the line's
-error code, 0 for ``ok``, or None where the board has to restart. What it may touch of the board is
-the protocol ``Board``.
+Yields the moment at which to resume (``inf``: only after a reset); returns the error code, 0 for
+``ok``, or None for a restart.
 """
 
 from __future__ import annotations

@@ -1,20 +1,10 @@
-"""Motion along one line in phases of constant acceleration, as a function of time. Nothing steps.
+"""Straight moves with limited acceleration as a function of time, joined without a stop where
+corners allow it.
 
-It may not know in which direction the line lies, or whose it is.
-
-Straight moves with limited acceleration, one after the other without stopping where the corner
-allows it.
-
-A plan is a row of legs, each a line in space and its phases. It may not know G-code or a clock: the
-moment is an argument.
-
-Source: S.-K. Jeon's description of GRBL's planner (look-ahead in two passes; the speed at a corner
-is that on a circle which leaves the corner by at most the junction deviation, setting $11).
-
-The counted position as a function of time: one plan, looked into at any moment.
-
-What is left of the plan is planned anew, from the speed of that moment, when a block is added, an
-override changes, or a hold begins. It may not know what the carriage does with the count.
+A plan is a row of legs, each a line and its phases; what is left is planned anew when a block is
+added, an override changes, or a hold begins. Source: S.-K. Jeon's GRBL planner (two-pass
+look-ahead; the corner speed is that on a circle which leaves the corner by at most the junction
+deviation, $11).
 """
 
 from __future__ import annotations
@@ -30,9 +20,7 @@ SOON_S = 1e-9  # two moments nearer than this are one: sums of times differ in t
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """Constant acceleration along a line; times in s from any
-    origin, places in mm along the line.
-    """
+    """Constant acceleration along a line; s from any origin, mm along the line."""
 
     start_s: float
     seconds: float
@@ -57,12 +45,10 @@ class Phase:
 def profile(
     length_mm: float, entry: float, cruise: float, leave: float, accel: float
 ) -> list[tuple[float, float, float]]:
-    """The fastest way along ``length_mm`` from speed ``entry`` to ``leave`` at no more than
-    ``cruise``.
+    """The fastest way along ``length_mm`` from speed ``entry`` to ``leave`` at most ``cruise``.
 
-    Phases as (seconds, speed at its start, acceleration); speeds in mm/s, ``accel`` in mm/s² and
-    positive. An ``entry`` above ``cruise`` is braked first; where the length is too short to brake,
-    the braking is harder.
+    Phases (seconds, first speed, acceleration) in mm/s and mm/s²; ``accel`` is positive. A higher
+    ``entry`` is braked first, harder where the length is too short.
     """
     if length_mm <= 0:
         return []
@@ -146,10 +132,8 @@ class Block:
 def block_to(
     start: Vector, target: Vector, feed_mm_s: float | None, rates: AxisRates, before: Block | None
 ) -> Block | None:
-    """The block from ``start`` to ``target``; None where there is nothing to go. ``feed_mm_s`` None
-    is a rapid move.
-
-    ``before`` is the block that it follows without a stop.
+    """The block from ``start`` to ``target`` after ``before``; None for no way. Without
+    ``feed_mm_s``, rapid.
     """
     length = math.dist(start, target)
     if length == 0:
@@ -170,9 +154,7 @@ def block_to(
 
 
 def junction_speed(before: Vector, after: Vector, rates: AxisRates) -> float:
-    """The speed at a corner: that on a circle which touches both lines and passes the corner at the
-    deviation.
-    """
+    """The speed on a circle that touches both lines and passes the corner at the deviation."""
     cosine = -sum(b * a for b, a in zip(before, after, strict=True))
     if cosine > 0.999999:
         return 0.0
@@ -210,9 +192,7 @@ class Leg:
 def plan(
     blocks: Sequence[Block], now_s: float, speed_mm_s: float, percent: tuple[int, int]
 ) -> tuple[Leg, ...]:
-    """Legs through all ``blocks``, from ``speed_mm_s`` to rest. ``percent``: the feed and rapid
-    overrides.
-    """
+    """Legs through ``blocks`` from ``speed_mm_s`` to rest. ``percent``: feed, rapid overrides."""
     cruise = [block.cruise_mm_s(*percent) for block in blocks]
     entry = (
         [speed_mm_s]
@@ -317,9 +297,7 @@ class Motion:
         return self._legs[-1].block.place(self._legs[-1].end_mm) if self._legs else self._rest
 
     def go(self, target: Vector, feed_mm_s: float | None, rates: AxisRates, now_s: float) -> bool:
-        """Plan a move to ``target`` after all that is planned;
-        False where there is nothing to go.
-        """
+        """Plan a move to ``target`` behind all others; False where there is nothing to go."""
         waiting = self.blocks(now_s)
         block = block_to(self.target, target, feed_mm_s, rates, waiting[-1] if waiting else None)
         if block:

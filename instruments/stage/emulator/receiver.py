@@ -1,8 +1,5 @@
-"""The controller's receive buffer and line assembly. Bytes beyond the buffer are lost, as on the
-real board.
-
-It may not know what a line means. Source: the firmware's interface document (128 byte buffer, 80
-character line).
+"""The controller's 128 byte receive buffer and its lines of 80 characters; excess bytes are lost.
+Source: the firmware's interface document.
 """
 
 from __future__ import annotations
@@ -23,9 +20,7 @@ def split(data: bytes) -> Iterator[tuple[bool, bytes]]:
 
 
 class Receiver:
-    """Bytes in, lines out, as the main loop asks for them. A line that was too long comes out as
-    ``OVERFLOW``.
-    """
+    """Bytes in, lines out on demand; ``OVERFLOW`` for a line that was too long."""
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
@@ -49,9 +44,7 @@ class Receiver:
         self._waiting += data[: self.room]
 
     def lines(self) -> Iterator[str]:
-        """Complete lines: capitals, without blanks and comments. Each is taken from the buffer only
-        when asked for.
-        """
+        """Complete lines on demand: capitals, without blanks and comments."""
         while self._waiting:
             sign = chr(self._waiting.pop(0))
             if sign in "\r\n":

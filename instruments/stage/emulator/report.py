@@ -1,8 +1,7 @@
-"""How the emulated controller writes a status report, and which fields are due in it.
+"""The emulated status report and which fields are due in it.
 
-The two slow fields come with the first report after a reset, then every 10 to 30 reports, never
-together. It may not know why anything is so. Source: the firmware's interface document, section on
-status reports.
+The two slow fields come first after a reset, then every 10 to 30 reports, never together. Source:
+the firmware's interface document.
 """
 
 from __future__ import annotations

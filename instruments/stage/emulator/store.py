@@ -1,9 +1,8 @@
-"""The emulated controller's stored settings: defaults, how they print, what may be written, and
-what they mean in mm and s.
+"""The emulated controller's stored settings: defaults, text, allowed values, and meaning in mm and
+s.
 
-It may not know the state of the board; whether writing is allowed now is the board's business.
-Numbers up to $132 are those of the sheet; that a fourth axis has $103 to $133, and $44 to $46 name
-the axes of each homing pass, is from grblHAL's source and not recorded.
+Numbers to $132 are the firmware's documents'; $103 to $133 of a fourth axis and $44 to $46 are from
+grblHAL's source.
 """
 
 from __future__ import annotations
@@ -32,9 +31,7 @@ _CLASSIC_PASSES = ((2,), (0, 1))
 
 
 class Store:
-    """Settings by number; ``axes`` is 3, or 4 with a rotation A. Raises ValueError for a number
-    that the controller doesn't have.
-    """
+    """Settings by number for 3 ``axes``, or 4 with A. Raises ValueError for unknown numbers."""
 
     def __init__(
         self,

@@ -1,9 +1,7 @@
-"""Eleven families of scenes: from a name and a seed to everything that a scene needs, the same for
-the same two.
+"""Eleven families of scenes: from a name and a seed to everything that a scene needs.
 
-The thesis's six situations (section 5.2), and five more: ideal, low contrast, dim light, a teat
-missing or hidden, and anything anywhere. Whether a camera sees an end is no part of a situation:
-`Renderer.visible_ends` says so of its state.
+The thesis's six (section 5.2), and ideal, low contrast, dim light, a teat missing or hidden, and
+anything anywhere.
 """
 
 from instruments.world.situations.families import SITUATIONS, situation

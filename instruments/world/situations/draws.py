@@ -1,8 +1,4 @@
-"""What families have in common: udders, paints, light and backgrounds, each drawn at random within
-what is usual.
-
-May not know which family asks.
-"""
+"""What families share: udders, paints, light and backgrounds, drawn at random."""
 
 from __future__ import annotations
 
@@ -50,8 +46,8 @@ class Draw:
 def udder(
     draw: Draw, *, lean_deg: tuple[float, float] = (0.0, 2.0), spread: float = 1.0
 ) -> Phantom:
-    """Four teats, the two near ones closer together, as an udder's are seen from behind;
-    ``lean_deg`` from least to most, any way.
+    """Four teats, the two near ones closer together, as seen from behind; ``lean_deg`` (least,
+    most).
     """
     middle = draw.between(-165.0, -95.0), draw.between(215.0, 265.0)
     wide, deep = (draw.between(26.0, 42.0), draw.between(52.0, 78.0)), draw.between(30.0, 50.0)
@@ -191,9 +187,7 @@ def cooler_bodies(draw: Draw, count: int) -> tuple[SceneObject, ...]:
 
 
 def apart(phantom: Phantom, eyes_mm: Sequence[tuple[float, float, float]]) -> float:
-    """Least room between two teats as any eye sees them side by side, in mm at the nearer one;
-    below zero where one covers the other.
-    """
+    """Least gap between two teats in any view, in mm at the nearer one; negative where covered."""
     least = np.inf
     hulls = phantom.teat_hulls()
     for eye in eyes_mm:

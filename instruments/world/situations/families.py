@@ -1,8 +1,5 @@
-"""The eleven families. Each draws until what it drew can be set up and is what its name says; the
-draws come from name and seed alone.
-
-May not know of cameras beyond the bearings in `validity`, nor of temperatures other than offsets
-from the teats'.
+"""The eleven families: each draws, from name and seed alone, until a scene can be set up and fits
+its name.
 """
 
 from __future__ import annotations
@@ -36,9 +33,7 @@ CLEAR_MM = 4.0  # between teats that don't overlap, as seen
 
 
 def situation(name: str, seed: int) -> Situation:
-    """Member ``seed`` of the family ``name``, the same each time. Raises ValueError for a name that
-    isn't known or a seed below zero.
-    """
+    """Member ``seed`` of the family. Raises ValueError for an unknown name or negative seed."""
     if name not in SITUATIONS:
         close = difflib.get_close_matches(name, SITUATIONS, n=1)
         hint = f"; did you mean {close[0]!r}?" if close else "."
@@ -59,9 +54,7 @@ def situation(name: str, seed: int) -> Situation:
 
 
 def _plain(draw: Draw, phantom: Phantom, *objects: SceneObject) -> Situation:
-    """Before a neutral background: dark teats before a light board, or one time in three light ones
-    before a dark one.
-    """
+    """A neutral background: dark teats on light, or one time in three light on dark."""
     light = draw.chance(1 / 3)
     return Situation(
         "", 0, "", phantom, objects,
@@ -135,9 +128,7 @@ def _spurious_teat(draw: Draw) -> Situation | None:
 
 
 def _hot_body_at_base(draw: Draw) -> Situation | None:
-    """A cup amid the teats that stands for the udder: it hides some of the bases and none of the
-    ends.
-    """
+    """A cup amid the teats, as the udder: it hides some bases and no end."""
     phantom = udder(draw, spread=draw.between(1.0, 1.2))
     x, y = phantom.bases_mm[:, :2].mean(axis=0)
     lowest = float(phantom.ends_mm[:, 2].min())

@@ -1,11 +1,7 @@
-"""A situation as a value. May not know how situations are drawn.
-
-Whether a situation can be set up: nothing within anything else, ends within reach of arm and
+"""A situation as a value, and whether it can be set up: no overlaps, ends within reach of arm and
 cameras.
 
-The cameras are those of the thesis's rig, as a box of bearings that all three see; a rig whose
-cameras stand elsewhere gets its truth from `Renderer.visible_ends` all the same. Hoses give way to
-what stands among them. May not know how situations are drawn.
+The cameras are a box of the thesis rig's bearings. Hoses give way to what stands among them.
 """
 
 from __future__ import annotations
@@ -30,11 +26,8 @@ from instruments.world.state import SceneState
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """One member of a family: what stands where, how it is lit and painted, how the optical cameras
-    are set.
-
-    ``about`` tells a person in one sentence what to set up. Temperatures of the teats are the
-    bath's affair, and no part of it.
+    """One member of a family: what stands where, light, paint, exposure; no temperatures of teats.
+    ``about`` tells a person in one sentence what to set up.
     """
 
     name: str
@@ -51,9 +44,7 @@ class Situation:
     def state(
         self, teat_temps_c: tuple[float, ...], hose_temp_c: float, ambient_c: float, **more: Any
     ) -> SceneState:
-        """What the cameras see of it where the plant has these temperatures; ``more`` are further
-        fields of `SceneState`.
-        """
+        """The scene at these temperatures of the plant; ``more`` are fields of `SceneState`."""
         fields: dict[str, Any] = {
             "phantom": self.phantom,
             "objects": self.objects,
@@ -132,9 +123,7 @@ def collisions(situation: Situation) -> Iterator[str]:
 
 
 def hidden_ways(situation: Situation) -> Bools:
-    """Whether each end (n,) is hidden from each of the three eyes (n, 3) by an object or a board;
-    the teats themselves don't count.
-    """
+    """Whether objects or boards hide each end (n,) from three eyes (n, 3); teats don't count."""
     ends = situation.phantom.ends_mm
     hidden = np.zeros((len(ends), len(EYES_MM)), dtype=np.bool_)
     for e, eye in enumerate(EYES_MM):
@@ -157,9 +146,7 @@ def _crosses(start: Floats, end: Floats, outline: Floats) -> bool:
 
 
 def _gap(one: Hull, other: Hull) -> float:
-    """Room between two solids, taken as round at both ends; below zero where they overlap. A little
-    too small where ends are flat.
-    """
+    """Gap between two solids taken as round, so a little small for flat ends; negative: overlap."""
     a, b, c, d = (np.asarray(point) for point in (one.a_mm, one.b_mm, other.a_mm, other.b_mm))
     t = np.linspace(0.0, 1.0, 33)[:, None]
     points = a + t * (b - a)

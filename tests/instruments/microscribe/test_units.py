@@ -66,6 +66,7 @@ def test_what_ships_is_the_arm_of_the_sheet() -> None:
     assert replies[0xC0] == bytes.fromhex("C0 24" + blocks)
     assert replies[0xD3] == bytes.fromhex("D3 02 0003")
     assert UNIT_40937.home == (13903, 6238, 6868, 4098, 3193, 8416)
+    assert shipped_unit("40937") is shipped_unit("40937")
     assert shipped_unit("40937") == UNIT_40937
 
 
