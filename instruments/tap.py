@@ -1,8 +1,4 @@
-"""Somebody who listens in on a link: sees every byte as it is sent or received, and changes none.
-
-A driver that has its own transport (Modbus) tells its tap the same way as `link` does. What a tap
-does with the bytes, a capture file for one, is not known here.
-"""
+"""Somebody who listens in on a link: sees all bytes as they are sent or received, changes none."""
 
 from __future__ import annotations
 
@@ -25,9 +21,7 @@ class Tap(Protocol):
         ...
 
     def closed(self, why: str = "") -> None:
-        """The host closed the link, or it broke: ``why`` says then what broke it. May be told once
-        more.
-        """
+        """The host closed the link, or it broke: ``why`` says then what broke it. Once a link."""
         ...
 
 
