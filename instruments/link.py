@@ -1,7 +1,8 @@
 """A byte link to an instrument, by URL. Under virtual time it waits by moving the clock.
 
-pyserial opens ``/dev/ttyUSB0``, ``COM5`` and ``rfc2217://host:port``. ``socket://host:port`` is
-opened here, as pyserial's handler reads one byte a call and sleeps 0.3 s on closing.
+``/dev/ttyUSB0``, ``COM5`` and ``rfc2217://host:port`` are opened by pyserial. socket://,
+tcp:// and rtu+tcp:// with host:port are opened here: pyserial's own handler reads one
+byte a call and sleeps 0.3 s when it closes.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from instruments.errors import LinkError
 from instruments.tap import NoTap, Tap
 
 SLICE_S = 1.0
+SOCKETS = ("socket://", "tcp://", "rtu+tcp://")
 COUNTED_S = 2.0  # real time until bytes that an emulator has counted must have come over loopback
 
 
@@ -37,12 +39,24 @@ class Link:
     """One open link, for one thread; ``tap`` gets all bytes. Raises LinkError."""
 
     def __init__(
-        self, url: str, clock: Clock, *, who: str, baud: int = 115200, tap: Tap | None = None
+        self,
+        url: str,
+        clock: Clock,
+        *,
+        who: str,
+        baud: int = 115200,
+        parity: str = "N",
+        stopbits: int = 1,
+        connect_timeout_s: float = 5.0,
+        tap: Tap | None = None,
     ) -> None:
         self.url = url
         self.who = f"{who} at {url}"
         self.clock = clock
         self.baud = baud
+        self.connected = False  # until a break is noticed, or ``close``
+        self._parity, self._stopbits = parity, stopbits
+        self._connect_timeout_s = connect_timeout_s
         self._tap: Tap = tap or NoTap()
         self._open()
 
@@ -68,8 +82,14 @@ class Link:
 
     def _open(self) -> None:
         self._buffer = b""
-        self._port, near_end = _open(self.url, self.baud, self.who)
-        self._is_open = True
+        near_end: int | None = None
+        self._port: _Port
+        if self.url.startswith(SOCKETS):
+            self._port = tcp = _TcpPort(self.url, self.who, self._connect_timeout_s)
+            near_end = tcp.near_end
+        else:
+            self._port = _SerialPort(self.url, self.who, self.baud, self._parity, self._stopbits)
+        self._is_open = self.connected = True
         self._near_end = near_end or 0
         self._virtual: tuple[VirtualClock, Wire] | None = None
         self._tap.opened(self.url)
@@ -84,7 +104,7 @@ class Link:
         try:
             self._port.write(data)
         except OSError as error:
-            self._tap.closed(str(error))
+            self._disconnected(str(error))
             raise LinkError(
                 self.who,
                 f"the link broke while sending: {error}",
@@ -135,10 +155,15 @@ class Link:
     def close(self) -> None:
         """May be repeated. Until ``reopen`` all other calls raise LinkError."""
         self._is_open = False
-        self._tap.closed()
+        self._disconnected()
         if self._virtual:
             self._virtual[0].forget_wire(self._near_end)
         self._port.close()
+
+    def _disconnected(self, why: str = "") -> None:
+        if self.connected:
+            self.connected = False
+            self._tap.closed(why)
 
     def _refuse_closed(self) -> None:
         if not self._is_open:
@@ -171,7 +196,7 @@ class Link:
         try:
             data = self._port.read_some(timeout_s)
         except OSError as error:
-            self._tap.closed(str(error))
+            self._disconnected(str(error))
             raise LinkError(
                 self.who, f"the link broke while reading: {error}", hint="Check cable and power."
             ) from error
@@ -207,16 +232,8 @@ class _End(Protocol):
     def __call__(self, data: bytes, /) -> int | None: ...
 
 
-def _open(url: str, baud: int, who: str) -> tuple[_Port, int | None]:
-    """The open port, and the near end's TCP port number where there is one."""
-    if url.startswith("socket://"):
-        tcp = _TcpPort(url, who)
-        return tcp, tcp.near_end
-    return _SerialPort(url, baud, who), None
-
-
 class _TcpPort:
-    def __init__(self, url: str, who: str) -> None:
+    def __init__(self, url: str, who: str, connect_timeout_s: float) -> None:
         try:
             parts = urlsplit(url)
             address = (parts.hostname or "", parts.port or 0)
@@ -229,7 +246,7 @@ class _TcpPort:
                 who, "not a link: host or port is missing", hint="Write socket://host:port."
             )
         try:
-            self._socket = socket.create_connection(address, timeout=5.0)
+            self._socket = socket.create_connection(address, timeout=connect_timeout_s)
         except OSError as error:
             raise LinkError(
                 who,
@@ -277,24 +294,32 @@ def _hang_up_is_os_error() -> Iterator[None]:
 
 
 class _SerialPort:
-    def __init__(self, url: str, baud: int, who: str) -> None:
+    def __init__(self, url: str, who: str, baud: int, parity: str, stopbits: int) -> None:
         try:
             with _hang_up_is_os_error():
                 self._serial = serial.serial_for_url(
-                    url, baudrate=baud, timeout=0, write_timeout=2.0, exclusive=True
+                    url,
+                    baudrate=baud,
+                    parity=parity,
+                    stopbits=stopbits,
+                    timeout=0,
+                    write_timeout=2.0,
+                    exclusive=True,
                 )
+                self._serial.timeout = 0.0  # sets all again: what a port lacks fails only then
         except (serial.SerialException, ValueError, OSError) as error:
             raise LinkError(
                 who, f"the port can't be opened: {error}", hint=_port_hint(url, error)
             ) from error
 
     def read_some(self, timeout_s: float) -> bytes:
-        self._serial.timeout = timeout_s
-        first: bytes = self._serial.read(1)
-        if not first:
-            return b""
-        rest: bytes = self._serial.read(self._serial.in_waiting)
-        return first + rest
+        with _hang_up_is_os_error():
+            self._serial.timeout = timeout_s
+            first: bytes = self._serial.read(1)
+            if not first:
+                return b""
+            rest: bytes = self._serial.read(self._serial.in_waiting)
+            return first + rest
 
     def write(self, data: bytes) -> None:
         with _hang_up_is_os_error():

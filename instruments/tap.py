@@ -21,7 +21,7 @@ class Tap(Protocol):
         ...
 
     def closed(self, why: str = "") -> None:
-        """The link was closed, or broke because of ``why``. May be called again."""
+        """The host closed the link, or it broke because of ``why``. Called once a link."""
         ...
 
 

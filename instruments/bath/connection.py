@@ -70,7 +70,8 @@ class Line:
     @property
     def url(self) -> str:
         """The line without its settings."""
-        return self.device or f"{self.kind}://{self.host}:{self.port}"
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return self.device or f"{self.kind}://{host}:{self.port}"
 
 
 def parse_line(url: str) -> Line:

@@ -1,27 +1,23 @@
-"""Questions and answers over Modbus, as plain calls that block: TCP, RTU over TCP, RTU on a serial
-port.
+"""Modbus transactions as calls that block: over TCP, RTU over TCP, and RTU on a serial port.
 
-What clients of this kind get wrong is done here (fact sheet, 2.3). Over RTU nothing tells whose an
-answer is, so after a question without one nothing else is asked until the late answer has come or
-can't come any more, and until a question that can't be confused with it was answered. Length,
-function and echo of every answer are checked, garbage ahead of one is passed over, a first connect
-that fails is tried again. It may not know what registers mean.
+Over RTU nothing tells whose an answer is (fact sheet, 2.3). So after a request without a response
+nothing else is asked until the late response has come or can't come any more, and until a request
+whose response can't be confused with it was answered.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
-import socket
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 
-from instruments.bath.connection import Line
+from instruments.bath.connection import BAUD, Line
 from instruments.bath.errors import BrokenError, cut, nonsense, owing, refused, silence, unreachable
 from instruments.bath.requests import EXCEPTION, Question, read_question, values_in, write_question
 from instruments.bath.response_matching import Answers
-from instruments.bath.session import Session
-from instruments.clock import Clock
+from instruments.clock import Clock, VirtualClock
 from instruments.errors import LinkError, ProtocolError
+from instruments.link import SLICE_S, Link
 from instruments.tap import NoTap, Tap
 
 TIMEOUT_S, QUIET_S = 1.0, 0.5
@@ -33,6 +29,8 @@ SOON_S = 0.001
 CONNECT_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts; then we give up
 # of silence between frames (Modbus over serial line 1.02, section 2.5.1.1)
 GAP_CHARACTERS, LEAST_GAP_S = 3.5, 0.00175
+MOST_SEEN = 300  # bytes kept for messages: more than the longest response
+MOST_UNUSED = 2048  # bytes without a whole response, then they are dropped
 
 Marker = tuple[int, int, int]
 
@@ -64,7 +62,8 @@ class Transactions:
         self._timeout_s = timeout_s
         self._quiet_s = quiet_s
         self._markers = markers
-        self._session: Session | None = None
+        self._link: Link | None = None
+        self._unused = self._seen = b""  # since the last request: not yet matched; all
         self._answers = Answers(rtu=line.is_rtu)
         self._strange_until_s = self._heard_s = 0.0
         # or its complaints, which our errors carry, go to stderr
@@ -74,7 +73,7 @@ class Transactions:
     @property
     def connected(self) -> bool:
         """Whether the link is up, as far as anybody has noticed."""
-        return self._session is not None and self._session.connected
+        return self._link is not None and self._link.connected
 
     def connect(self) -> None:
         """Open the link, trying again with growing pauses. Raises LinkError when nobody takes it in
@@ -138,41 +137,79 @@ class Transactions:
         lead to the same line.
         """
         self._answers.open = None
-        if self._session is not None:
-            self._session.close()
-            self._session = None
+        if self._link is not None:
+            self._link.close()
+            self._link = None
 
     def _connect_once(self) -> str:
         """Why nobody took the connection; empty when somebody has."""
         self.close()
         try:
-            hosts = dict.fromkeys(_addresses(self._line))
-        # no such name yet: a controller's name may turn up after it has started
-        except OSError as error:
-            return str(error)
-        why = "no such host"
-        for host in hosts:
-            session = Session(
-                replace(self._line, host=host),
+            self._link = Link(
+                self._line.url,
                 self._clock,
-                self._hear,
-                timeout_s=CONNECT_TIMEOUT_S,
+                who=self.who,
+                baud=self._line.baud or BAUD,
+                parity=self._line.parity or "N",
+                stopbits=self._line.stopbits or 1,
+                connect_timeout_s=CONNECT_TIMEOUT_S,
                 tap=self._tap,
             )
-            if session.connect():
-                self.close()  # an event of virtual time may have connected meanwhile
-                self._session = session
-                # somebody else's answer may still be under way
-                self._strange_until_s = self._clock.now() + self._quiet_s
-                return ""
-            why = session.refusal or "no answer"
-            session.close()
-        return why
+        except LinkError as error:
+            cause = error.__cause__
+            if isinstance(cause, ConnectionError) and cause.strerror:
+                return cause.strerror
+            return "no answer" if isinstance(cause, TimeoutError) else str(cause or error.what)
+        self._unused = self._seen = b""
+        # a response to somebody else may still be under way
+        self._strange_until_s = self._clock.now() + self._quiet_s
+        return ""
 
-    def _up(self) -> Session:
-        if self._session is None or not self._session.connected:
+    def _up(self) -> Link:
+        if self._link is None or not self._link.connected:
             raise BrokenError(self.who, "the link is down", hint="Check cable and power.")
-        return self._session
+        return self._link
+
+    # ---- bytes
+
+    def _receive_until(self, until_s: float, done: Callable[[], bool]) -> None:
+        """Take in what comes until ``done``, the clock shows ``until_s``, or the link breaks.
+
+        Under virtual time an event may use this link, or close it, while time moves. An exception
+        closes the link. Raises TimeoutError when an emulator's thread hangs.
+        """
+        link, clock = self._up(), self._clock
+        virtual = clock if isinstance(clock, VirtualClock) else None
+        moves_time = virtual is not None and not self._line.device
+        try:
+            while not done() and link.connected:
+                left_s = max(0.0, until_s - clock.now())
+                if self._receive(link, 0.0 if moves_time else min(left_s, SLICE_S)):
+                    continue
+                if clock.now() >= until_s or not link.connected:
+                    return
+                if virtual:
+                    virtual.step(until_s)
+        except BaseException:
+            link.close()
+            raise
+
+    def _receive(self, link: Link, timeout_s: float) -> bool:
+        """Match what has come; whether anything has."""
+        try:
+            data = link.receive(timeout_s)
+        except LinkError as error:
+            if link.connected:
+                raise TimeoutError(error.what) from error
+            return False
+        if data:
+            self._heard_s = self._clock.now()
+            self._seen = (self._seen + data)[-MOST_SEEN:]
+            self._unused += data
+            if len(self._unused) > MOST_UNUSED:
+                self._unused = b""
+            self._unused = self._unused[self._answers.hear(self._unused) :]
+        return bool(data)
 
     # ---- one question
 
@@ -187,7 +224,7 @@ class Transactions:
             if question.answer is not None or self._put(question):  # the late one is as good
                 break
             if self._answers.left and not self._line.is_rtu:
-                error = cut(self.who, question, self._up().seen, self._line)
+                error = cut(self.who, question, self._seen, self._line)
                 self.close()  # or what follows would be taken for the rest
                 raise error
         answer = question.answer
@@ -204,20 +241,24 @@ class Transactions:
     def _put(self, question: Question) -> bool:
         """Send ``question`` and wait for its answer; whether one came."""
         self._keep_gap()
-        session = self._up()
+        link = self._up()
         if self._line.is_rtu:
-            session.drain()  # what lies there unasked is nobody's answer
-        session.send(self._answers.put(question, self._clock.now()))
-        self._wait(question)
+            while self._receive(link, 0.0):  # what lies there unasked is nobody's response
+                pass
+        request = self._answers.put(question, self._clock.now())
+        self._unused = self._seen = b""
+        with contextlib.suppress(LinkError):  # a break is told below
+            link.write(request)
+        self._wait(question, link)
         return question.answer is not None
 
-    def _wait(self, question: Question) -> None:
-        session = self._up()
+    def _wait(self, question: Question, link: Link) -> None:
         try:
-            session.wait(self._deadline_s(question), lambda: question.answer is not None)
+            if link.connected:
+                self._receive_until(self._deadline_s(question), lambda: question.answer is not None)
         except TimeoutError as error:
             raise LinkError(self.who, "the emulator hangs", asked=question.asked) from error
-        if question.answer is None and not session.connected:
+        if question.answer is None and not link.connected:
             raise BrokenError(
                 self.who, "the link broke", asked=question.asked, hint="Check cable and power."
             )
@@ -238,27 +279,25 @@ class Transactions:
             and question.answer is None
             and self._clock.now() < self._deadline_s(question)
         ):
-            self._wait(question)
+            self._wait(question, self._up())
 
     def _keep_gap(self) -> None:
         if self._line.character_s:
             gap_s = max(GAP_CHARACTERS * self._line.character_s, LEAST_GAP_S)
             self._clock.sleep(self._heard_s + gap_s - self._clock.now())
 
-    def _hear(self, data: bytes) -> int:
-        self._heard_s = self._clock.now()
-        return self._answers.hear(data)
-
     # ---- what is owed
 
     def _come_clean(self, start_s: float) -> None:
         """See that no answer to an earlier question can be taken for the next one's."""
-        session, answers = self._up(), self._answers
+        answers = self._answers
         if self._clock.now() < self._strange_until_s:
-            session.wait(self._strange_until_s, lambda: False)
+            self._receive_until(self._strange_until_s, lambda: False)
         if not answers.owed:
             return
-        session.wait(self._deadline_s(answers.owed[-1]) + self._quiet_s, lambda: not answers.owed)
+        self._receive_until(
+            self._deadline_s(answers.owed[-1]) + self._quiet_s, lambda: not answers.owed
+        )
         if answers.owed and self._markers:
             self._prove(start_s)
         answers.owed.clear()
@@ -276,27 +315,15 @@ class Transactions:
                 left_s = answers.owed[-1].sent_s + FORGET_S - now_s
                 raise owing(self.who, len(answers.owed), now_s - start_s, left_s)
             freed_s = min(until_s, answers.owed[0].sent_s + FORGET_S) + SOON_S
-            self._up().wait(freed_s, lambda: answers.unmistakable(questions) is not None)
+            self._receive_until(freed_s, lambda: answers.unmistakable(questions) is not None)
             answers.forget(self._clock.now() - FORGET_S)
         if not self._put(marker):
             raise self._silence(marker, start_s)
 
     def _silence(self, question: Question, start_s: float) -> LinkError | ProtocolError:
-        if self._session and self._session.seen:
+        if self._link and self._seen:
             return self._nonsense("what came is no answer to this", question)
         return silence(self.who, question, self._clock.now() - start_s)
 
     def _nonsense(self, what: str, question: Question) -> ProtocolError:
-        return nonsense(
-            self.who, what, question, self._session.seen if self._session else b"", self._line
-        )
-
-
-def _addresses(line: Line) -> list[str]:
-    """Where the line's host is; asyncio would look a name up on a thread of its own."""
-    if line.kind == "serial":
-        return [""]
-    return [
-        str(found[4][0])
-        for found in socket.getaddrinfo(line.host, line.port, type=socket.SOCK_STREAM)
-    ]
+        return nonsense(self.who, what, question, self._seen, self._line)
