@@ -1,8 +1,7 @@
 """The parts that a page is made of: requirement rows, tables, figures, lists, text.
 
-Strategy: frozen values that check themselves when made. All text is plain text; numbers arrive as
-text with their units, already rounded by whoever knows their meaning. May not know: bench,
-instruments, detectors.
+Frozen values that check themselves when made. All text is plain text; numbers arrive as text,
+rounded by whoever knows their meaning.
 """
 
 from dataclasses import dataclass, field
@@ -83,6 +82,24 @@ class Column:
     align: Align = "left"
     unit: str = ""
     hint: str = ""
+
+
+def columns(*heads: str | Column) -> tuple[Column, ...]:
+    """Columns out of texts ``title | >title [unit] # hint``: ``>`` sets figures to the right.
+
+    A title that anybody gave, as a detector's name, comes as a `Column`: it may hold such signs.
+    """
+    found: list[Column] = []
+    for head in heads:
+        found += [head] if isinstance(head, Column) else map(_column, head.split(" | "))
+    return tuple(found)
+
+
+def _column(text: str) -> Column:
+    rest, _, hint = text.partition(" # ")
+    title, _, unit = rest.partition(" [")
+    align: Align = "right" if title.startswith(">") else "left"
+    return Column(title.removeprefix(">"), align, unit.removesuffix("]"), hint)
 
 
 @dataclass(frozen=True, slots=True)

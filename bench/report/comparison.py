@@ -28,7 +28,18 @@ from bench.scoring.decisions import Verdict, overall
 from bench.scoring.scene import SceneScore
 from reports.figures import change_scatter
 from reports.page import Banner, Kind, Page, Section
-from reports.parts import Cell, Column, Figure, KeyValues, Notes, Paragraph, Part, Table, Tone
+from reports.parts import (
+    Cell,
+    Column,
+    Figure,
+    KeyValues,
+    Notes,
+    Paragraph,
+    Part,
+    Table,
+    Tone,
+    columns,
+)
 from reports.parts import Verdict as PageVerdict
 from reports.render import write_report
 
@@ -335,20 +346,13 @@ def comparison_parts(comparison: Comparison) -> Iterator[Part]:
 
 def _columns(titles: Sequence[tuple[str, str]]) -> tuple[Column, ...]:
     return tuple(
-        Column(title, "right" if number else "left", unit)
-        for number, (title, unit) in enumerate(titles)
+        Column(title, "right" if n else "left", unit) for n, (title, unit) in enumerate(titles)
     )
 
 
 def _changed(comparison: Comparison) -> Table:
     """Scenes whose outcome changed, and those whose error changed most."""
-    columns = (
-        Column("scene"),
-        Column("situation"),
-        Column("old"),
-        Column("new"),
-        Column("change of the largest error", "right", "mm"),
-    )
+    heads = columns("scene | situation | old | new | >change of the largest error [mm]")
     by_change = sorted(
         comparison.pairs,
         key=lambda pair: (pair.old.success == pair.new.success, -abs(_growth(pair) or 0.0)),
@@ -363,7 +367,7 @@ def _changed(comparison: Comparison) -> Table:
     note = "" if cells else "No scene's outcome changed, and no error."
     return Table(
         "Scenes that changed (at most 50, changed outcomes first)",
-        columns,
+        heads,
         cells,
         note,
         searchable=len(cells) > 10,

@@ -41,7 +41,7 @@ from reports.figures import (
 )
 from reports.mail import write_single_file
 from reports.page import Banner, Page, Section
-from reports.parts import Column, Figure, Paragraph, Part, Table
+from reports.parts import Figure, Paragraph, Part, Table, columns
 from reports.render import write_report
 
 REPORT, SINGLE_FILE, PDF = "report", "single-file.html", "report.pdf"
@@ -335,14 +335,10 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
                 failures_told(times),
             )
         )
-    titles = ("median", "p95", "p99", "max", "first call (cold)", "start-up")
-    columns = (
-        Column("detector"),
-        Column("n", "right"),
-        *(Column(t, "right", "s") for t in titles),
-        Column("above 1 s"),
-        Column("above 2 s"),
-        Column("no answer"),
+    heads = columns(
+        "detector | >n",
+        ">median [s] | >p95 [s] | >p99 [s] | >max [s] | >first call (cold) [s] | >start-up [s]",
+        "above 1 s | above 2 s | no answer",
     )
     note = f"Real time of the detector alone, on the machine named under Provenance. {LATENCY_RULE}"
-    yield Table("Detection time", columns, tuple(rows), note)
+    yield Table("Detection time", heads, tuple(rows), note)

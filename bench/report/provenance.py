@@ -12,7 +12,7 @@ from typing import Any
 from bench.record.reader import RunRecord
 from bench.record.schema import RULES, SCRIPT
 from bench.report import tables
-from reports.parts import Cell, Code, Column, KeyValues, Notes, Part, Table
+from reports.parts import Cell, Code, KeyValues, Notes, Part, Table, columns
 
 CAMERA_FAULTS, RETRIES = "camera faults", "retries"
 MOST_EVENTS = 60  # at either end
@@ -103,9 +103,7 @@ def _files(run: RunRecord) -> Table:
         f"The calibration's at the start was {at_start}. {frames} pictures of frames and stages:"
         " each one's SHA-256 is in the record."
     )
-    return Table(
-        "Files as used", (Column("file"), Column("what"), Column("SHA-256")), tuple(rows), note
-    )
+    return Table("Files as used", columns("file | what | SHA-256"), tuple(rows), note)
 
 
 def _beside(run: RunRecord) -> KeyValues:

@@ -57,7 +57,7 @@ from reports.figures import (
     slope_intervals,
     teat_boxes,
 )
-from reports.parts import Cell, Column, Figure, Notes, Paragraph, Part, Table
+from reports.parts import Cell, Figure, Notes, Paragraph, Part, Table, columns
 
 
 def claimed_mm2(answer: Row, truth: Row) -> Floats | None:
@@ -206,22 +206,15 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
         slope_intervals(slopes, name=f"trends-{id_of(detector)}"), caption, told, wide=True
     )
     measured = (_row(line) for line in lines if line.slope is not None)
-    columns = (
-        Column("error"),
-        Column("against"),
-        Column("n", "right"),
-        Column("poses", "right", hint="independent units; within poses: trials"),
-        Column("range", "right", "of the unit"),
-        Column("slope", "right", "mm per unit"),
-        Column("95 % interval", "right", "mm per unit"),
-        Column("over the range", "right", "mm"),
-        Column("could be up to", "right", "mm", hint="over the range, either way, 95 %"),
-        Column("p (Holm)", "right"),
-        Column("trend"),
+    heads = columns(
+        "error | against | >n",
+        ">poses # independent units; within poses: trials",
+        ">range [of the unit] | >slope [mm per unit] | >95 % interval [mm per unit]",
+        ">over the range [mm]",
+        ">could be up to [mm] # over the range, either way, 95 %",
+        ">p (Holm) | trend",
     )
-    yield Table(
-        f"Trends of the error, {detector}", columns, (*measured, *_not_measured(lines)), NOTE
-    )
+    yield Table(f"Trends of the error, {detector}", heads, (*measured, *_not_measured(lines)), NOTE)
 
 
 def _slope(line: Trend) -> Slope:
@@ -460,18 +453,10 @@ def _ellipsoids(
             ("bias, 95 % confidence", bias.bias),
         )
     ]
-    columns = (
-        Column("of"),
-        Column("holds"),
-        Column("poses", "right"),
-        Column("centre x, y, z", "right", "mm"),
-        Column("half axes", "right", "mm"),
-        Column("longest axis along", "right", hint="unit vector in the world frame"),
-        Column(
-            "is there a bias?",
-            "right",
-            hint="p of Hotelling's T²: below 0.05 the mean error isn't zero",
-        ),
+    heads = columns(
+        "of | holds | >poses | >centre x, y, z [mm] | >half axes [mm]",
+        ">longest axis along # unit vector in the world frame",
+        ">is there a bias? # p of Hotelling's T²: below 0.05 the mean error isn't zero",
     )
     test = whole.test
     told = (
@@ -481,7 +466,7 @@ def _ellipsoids(
     )
     yield Table(
         f"Ellipsoids of the error, {detector}",
-        columns,
+        heads,
         tuple(lines),
         told + _consistent(run, detector),
     )

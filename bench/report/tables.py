@@ -22,7 +22,7 @@ from bench.scoring.rates import Rate, percent, pose_successes
 from bench.script.model import Rules
 from detector.calibration import Calibration
 from detector.protocol import Outcome
-from reports.parts import Cell, Column, KeyValues, Notes, Part, Requirement, Requirements, Table
+from reports.parts import Cell, KeyValues, Notes, Part, Requirement, Requirements, Table, columns
 
 CONFIDENCE = 0.95
 NARROW = "k of n with its exact 95 % interval, which for few poses is wide: so little do they show."
@@ -77,27 +77,17 @@ def found_by_situation(
                 f"{theirs[0]} of {theirs[1]}" if theirs else "no figure",
             )
         )
-    columns = (
-        Column("situation"),
-        Column("frame sets", "right"),
-        Column("found of visible", "right"),
-        Column("missed", "right"),
-        Column("false", "right"),
-        Column(
-            "hidden ends", "right", hint="ends that a camera can't see: neither missed nor false"
-        ),
-        Column(
-            "scene success",
-            "right",
-            hint="every visible end found within the limit, nothing false, in time",
-        ),
-        Column("thesis found", "right"),
+    heads = columns(
+        "situation | >frame sets | >found of visible | >missed | >false",
+        ">hidden ends # ends that a camera can't see: neither missed nor false",
+        ">scene success # every visible end found within the limit, nothing false, in time",
+        ">thesis found",
     )
     note = (
         "A teat is found when an answer lies within the gate of its end (25 mm, or half the least"
         " spacing). The thesis judged by eye, one picture a situation."
     )
-    return Table(f"Teats found, detector {detector}", columns, tuple(rows), note)
+    return Table(f"Teats found, detector {detector}", heads, tuple(rows), note)
 
 
 def rates(run: RunRecord, detector: str) -> Table:
@@ -106,18 +96,12 @@ def rates(run: RunRecord, detector: str) -> Table:
         (name, str(rate.successes), str(rate.trials), _rate(rate), _interval(rate))
         for name, rate in _rates(run, detector).items()
     )
-    columns = (
-        Column("rate"),
-        Column("of", "right"),
-        Column("n", "right"),
-        Column("value", "right"),
-        Column("95 % interval", "right"),
-    )
+    heads = columns("rate | >of | >n | >value | >95 % interval")
     note = (
         "Exact (Clopper-Pearson) intervals. A pose succeeds when all its repeats do; teats of one"
         " scene are not independent, so the intervals of recall and precision are optimistic."
     )
-    return Table(f"Rates, detector {detector}", columns, rows, note)
+    return Table(f"Rates, detector {detector}", heads, rows, note)
 
 
 def rates_by_situation(run: RunRecord, detector: str) -> Table:
@@ -126,11 +110,8 @@ def rates_by_situation(run: RunRecord, detector: str) -> Table:
         (situation, *(_cell(rate) for rate in _rates(run, detector, situation).values()))
         for situation in situations(run)
     ]
-    columns = (
-        Column("situation"),
-        *(Column(name, "right", "k of n, interval") for name in _rates(run, detector)),
-    )
-    return Table(f"Rates by situation, detector {detector}", columns, tuple(rows), NARROW)
+    heads = columns("situation", *(f">{name} [k of n, interval]" for name in _rates(run, detector)))
+    return Table(f"Rates by situation, detector {detector}", heads, tuple(rows), NARROW)
 
 
 def _rates(run: RunRecord, detector: str, situation: str | None = None) -> dict[str, Rate]:
@@ -301,8 +282,8 @@ def attribution_parts(run: RunRecord) -> Iterator[Part]:
         found = attributed(run, detector)
         counts = counted(found)
         rows = tuple((what.value, *(str(counts[what, cause]) for cause in Cause)) for what in What)
-        columns = (Column("what"), *(Column(cause.value, "right") for cause in Cause))
-        yield Table(f"Whose it is, detector {detector}", columns, rows, NOTE)
+        heads = columns("what", *(f">{cause.value}" for cause in Cause))
+        yield Table(f"Whose it is, detector {detector}", heads, rows, NOTE)
         others = tuple(
             _told(one) for one in found if one.cause not in (Cause.DETECTOR, Cause.NOT_VISIBLE)
         )

@@ -54,7 +54,7 @@ from detector.calibration import Calibration
 from detector.calibration.thesis_rig import LEFT, RIGHT
 from detector.geometry import apply_homography
 from reports.page import Section
-from reports.parts import Column, Part, Table
+from reports.parts import Column, Part, Table, columns
 
 LAYOUT = "table-5-1"  # whose ends those of the test are
 ROWS = (
@@ -106,14 +106,10 @@ def components_table(figures: Thesis) -> Table:
     printed in table 5.4.
     """
     first, second = errors_of_test_mm(figures, 1), errors_of_test_mm(figures, 2)
-    columns = (
-        Column("teat", "right"),
-        *(
-            Column(title, "right", "mm")
-            for title in ("5.2 less 5.1: x, y, z", "distance", "5.3 less 5.1: x, y, z", "distance")
-        ),
-        Column("table 5.4: x, y, z", "right", "mm, amounts as printed"),
-        Column("differs from its tables in"),
+    heads = columns(
+        ">teat | >5.2 less 5.1: x, y, z [mm] | >distance [mm]",
+        ">5.3 less 5.1: x, y, z [mm] | >distance [mm]",
+        ">table 5.4: x, y, z [mm, amounts as printed] | differs from its tables in",
     )
     rows = []
     for teat, (plain, off, printed) in enumerate(
@@ -133,7 +129,7 @@ def components_table(figures: Thesis) -> Table:
                 ", ".join(wrong) or "nothing",
             )
         )
-    return Table("Tables 5.1 to 5.4, teat by teat", columns, tuple(rows))
+    return Table("Tables 5.1 to 5.4, teat by teat", heads, tuple(rows))
 
 
 def _vector(error_mm: Floats) -> tuple[str, str]:
@@ -153,10 +149,9 @@ def _table(
 ) -> Table:
     theirs = statistics(errors_of_test_mm(figures, 1 if number_of == 1 else 2))
     stats = {name: statistics(errors) for name, errors in ours.items()}
-    columns = (
-        Column("figure"),
-        Column("printed", "right", "mm"),
-        Column("by its tables", "right", f"mm, n = {theirs.n}"),
+    heads = columns(
+        "figure | >printed [mm]",
+        f">by its tables [mm, n = {theirs.n}]",
         *(Column(f"this run, {name}", "right", f"mm, n = {one.n}") for name, one in stats.items()),
     )
     rows = tuple(
@@ -168,7 +163,7 @@ def _table(
         )
         for what, key in ROWS
     )
-    return Table(caption, columns, rows, note)
+    return Table(caption, heads, rows, note)
 
 
 def _figure(of: Statistics, key: str) -> str:
@@ -280,20 +275,21 @@ def plane_table(run: RunRecord, figures: Thesis) -> Table:
             [_region(p, theirs.within_mm) for p in ours],
         ),
     ]
-    columns = (
-        Column("figure"), Column(f"earlier system, section {theirs.section}", "right"),
-        *(Column(f"this run, {detector}", "right") for detector in run.detectors),
-    )  # fmt: skip
+    heads = columns(f"figure | >earlier system, section {theirs.section}", *_this_run(run))
     note = (
         "The thesis quotes these of the optical-only system that it set out to beat."
         f" {theirs.wrong}"
     )
     return Table(
         "Error over the plane of section 1.4.3.2",
-        columns,
+        heads,
         tuple((what, printed, *told) for what, printed, told in lines),
         note,
     )
+
+
+def _this_run(run: RunRecord) -> Iterator[Column]:
+    return (Column(f"this run, {detector}", "right") for detector in run.detectors)
 
 
 def _largest(places: Places) -> float | None:
@@ -319,19 +315,13 @@ Row = tuple[str, str, str, str, str]
 
 def rig_table(run: RunRecord, figures: Thesis, calibration: Calibration) -> Table:
     """A row a figure: what, section, printed, this run, what is wrong or to be known."""
-    columns = (
-        Column("figure"),
-        Column("section"),
-        Column("thesis"),
-        Column("this run"),
-        Column("what is wrong in it"),
-    )
+    heads = columns("figure | section | thesis | this run | what is wrong in it")
     rows = (
         *_asked(run, figures),
         *_geometry(run, figures, calibration),
         *_reference(run, figures, calibration),
     )
-    return Table("Other figures of the thesis beside this run", columns, rows)
+    return Table("Other figures of the thesis beside this run", heads, rows)
 
 
 def _asked(run: RunRecord, figures: Thesis) -> Iterator[Row]:
@@ -491,11 +481,7 @@ def known_situations(run: RunRecord, figures: Thesis) -> list[Situation]:
 def situation_table(run: RunRecord, figures: Thesis) -> Table:
     """A row a situation, and one for all of them."""
     known = known_situations(run, figures)
-    columns = (
-        Column("situation"), Column("section"), Column("thesis found", "right"),
-        *(Column(f"this run, {detector}", "right") for detector in run.detectors),
-        Column("what the thesis saw"),
-    )  # fmt: skip
+    heads = columns("situation | section | >thesis found", *_this_run(run), "what the thesis saw")
     rows = [
         (
             one.name,
@@ -514,7 +500,7 @@ def situation_table(run: RunRecord, figures: Thesis) -> Table:
         *(_ours(run, detector, known) for detector in run.detectors),
         "",
     )
-    return Table("Teats found in the situations of section 5.2", columns, (*rows, all_of), NOTE)
+    return Table("Teats found in the situations of section 5.2", heads, (*rows, all_of), NOTE)
 
 
 def _ours(run: RunRecord, detector: str, of: Sequence[Situation]) -> str:
@@ -559,10 +545,10 @@ def elsewhere_table(figures: Thesis, *shown: Kind) -> Table:
     """Printed figures that the page with tests of these kinds doesn't have, and where their
     counterpart is.
     """
-    columns = (Column("section"), Column("figure"), Column("printed"), Column("counterpart"))
+    heads = columns("section | figure | printed | counterpart")
     rest = [one for one in figures.elsewhere if not set(one.shown) & set(shown)]
     rows = tuple((one.section, one.what, one.printed, one.where) for one in rest)
-    return Table("Printed figures without a counterpart on this page", columns, rows)
+    return Table("Printed figures without a counterpart on this page", heads, rows)
 
 
 def _parts(
