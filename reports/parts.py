@@ -21,9 +21,7 @@ NARROW_BELOW = 500.0  # units of a drawing's viewBox: points
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """One row of the verdict: `rule` says how it is decided, `n` on how many values or poses,
-    `margin` what is left to the limit.
-    """
+    """A row of the verdict: how it is decided, on `n` values or poses, `margin` to the limit."""
 
     name: str
     rule: str
@@ -55,9 +53,7 @@ class Requirements:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A text with more to it: a tone, a link (`#id` or a relative path), a value to sort by,
-    fixed-width letters for hashes.
-    """
+    """A text with a tone, a link (`#id` or relative path), a value to sort by, or monospace."""
 
     text: str
     tone: Tone = "plain"
@@ -142,9 +138,7 @@ class Figure:
 
     @property
     def narrow(self) -> bool:
-        """Drawn for half a page: over the whole of it its letters
-        would be larger than the text's.
-        """
+        """Drawn for half a page: over the whole of it its letters would be too large."""
         return self.facts.width < NARROW_BELOW
 
 

@@ -1,13 +1,5 @@
-"""The report's tables of accuracy: errors along axes, distances, and what the next pose stays
-below; pooled, by situation and by teat.
-
-May not judge: the verdict is on the distance, and stands with the requirements. What was never
-measured is "not measured".
-
-The report's parts on repeats: ISO 9283 of poses and distances, ISO 5725's components, and the gage
-study of the truth itself.
-
-What a run can't tell is "not measured", with what it would take. May not judge.
+"""The report's tables of accuracy (axes, distances, tolerance limits) and of repeats: ISO 9283 for
+poses and distances, ISO 5725's components, and the gage study of the truth.
 """
 
 from __future__ import annotations
@@ -124,9 +116,7 @@ def _against(largest: float | None, accept: float | None, refuse: float) -> Cell
 def _distances(
     run: RunRecord, rows: ErrorRows, pool: Pool, detector: str, u_mm: float | None
 ) -> Table:
-    """Of the found teats, with GOSPA where whole scenes are meant, which charges for the others
-    too.
-    """
+    """Of the found teats; GOSPA of whole scenes charges for the others too."""
     heads = columns(
         "of | >n",
         DISTANCES,
@@ -258,9 +248,7 @@ def precision_parts(run: RunRecord, detector: str) -> Iterator[Part]:
 
 
 def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
-    """Repeatability and reproducibility of the ground truth, where ends were touched in several
-    set-ups; nothing without an arm.
-    """
+    """Gage R&R of a truth that was touched in several set-ups; nothing without an arm."""
     if "arm" not in run.facts.get("identities", {}):
         return
     found = truth_gage([run])
@@ -422,9 +410,7 @@ def _distance_parts(ends: Errors, detector: str) -> Iterator[Part]:
 def _distance_errors(
     a: Mapping[str, Floats], b: Mapping[str, Floats], *, same_trial: bool
 ) -> Floats:
-    """Distance found less true distance (n,), of the same trials, or of the k-th of one and the
-    k-th of the other.
-    """
+    """Distance found less true distance (n,), of the same trials or of the k-th of each."""
     both = (
         [(a[trial], b[trial]) for trial in a if trial in b]
         if same_trial

@@ -1,6 +1,4 @@
-"""What the report says of the bath: its curve, the temperatures at every capture, the teats'
-surface, interlocks, and who watched.
-"""
+"""The report's parts on the bath: curve, captures, the teats' surface, interlocks, guardian."""
 
 from __future__ import annotations
 
@@ -62,9 +60,7 @@ def surface_at(run: RunRecord, trial: TrialRecord) -> Surface | None:
 
 
 def capture_told(run: RunRecord, trial: TrialRecord) -> str:
-    """The bath at a trial's capture: what the gate saw, the range of the readings about then, and
-    its state.
-    """
+    """The bath at a trial's capture: value, range of the readings about then, and state."""
     told = number(trial.head["bath_c"], "°C")
     readings = _readings(run, trial)[0] if trial.head["captured_s"] is not None else []
     if readings:
@@ -114,9 +110,7 @@ def _capture_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def _farthest(run: RunRecord, taken: Sequence[TrialRecord]) -> tuple[Sequence[TrialRecord], str]:
-    """The captures that a table shows, in their order: of many those farthest from the set point;
-    and a sentence that says so.
-    """
+    """The captures that a table shows, of many those farthest from the set point, with a note."""
     if len(taken) <= MOST_ROWS:
         return taken, ""
     off = [abs((trial.head["bath_c"] or 0.0) - run.facts["set_point_c"]) for trial in taken]
@@ -131,9 +125,7 @@ def _farthest(run: RunRecord, taken: Sequence[TrialRecord]) -> tuple[Sequence[Tr
 
 
 def _stability_table(run: RunRecord, set_point_c: float, window_s: float) -> Table:
-    """Stability and uniformity, which are two things (ASTM E2488): over time at one place, and
-    between places at one time.
-    """
+    """Stability over time at one place, uniformity between places (ASTM E2488)."""
     heads = columns(
         "trial | >readings | >mean from set point [K] | >half the range [K] | >slope [K/min]",
         ">teats' sensor, slope [K/min] | >bath to teats' sensor [K]",

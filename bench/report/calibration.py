@@ -1,12 +1,4 @@
-"""The quality page of a calibration step: what was found with its uncertainty, how it was shown,
-what is wrong with it by name.
-
-May not know how any of it was computed; it gets results and says them.
-
-The page of a check: an existing calibration against a board seen, or points touched, today.
-
-May not know how any of it was computed; it gets results and says them.
-"""
+"""The quality page of a calibration step, and the page of a check of an existing calibration."""
 
 from __future__ import annotations
 
@@ -301,9 +293,7 @@ def check_page(
 def check_points_page(
     again: PointsAgain, findings: Sequence[Finding], record: Record, command: str
 ) -> Page:
-    """Of `calibrate check --points`: an existing calibration against points that the arm touched
-    today.
-    """
+    """Of `calibrate check --points`: an existing calibration against points touched today."""
     rms = float(np.sqrt(np.mean(np.sum(again.missed_mm**2, axis=1))))
     x, y, z = again.missed_mm.mean(axis=0)
     heads = columns(">point | >dx [mm] | >dy [mm] | >dz [mm] | >expected [mm]")

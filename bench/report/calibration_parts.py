@@ -1,10 +1,5 @@
-"""What a run's report says of the calibration that it used: its record with its age, and the limit
-that it sets at each distance.
-
-May not know how a calibration is made.
-
-The parts of a calibration's quality page: tables, figures and notes, each from one result. Which
-page has which is `calibration`'s.
+"""Parts on calibration: what a run's report says of the one that it used, with the limit that it
+sets at each distance; and the tables, figures and notes of a calibration's quality page.
 """
 
 from __future__ import annotations
@@ -35,9 +30,7 @@ MOST_ROWS = 6
 
 
 def record_parts(run: RunRecord) -> Iterator[Part]:
-    """Who calibrated the cameras, when and with what; nothing for
-    a run that didn't write it down.
-    """
+    """Who calibrated the cameras, when and with what; nothing where the run has no record."""
     fact = run.facts.get(CALIBRATION_FACT)
     if fact is None:
         return
@@ -66,9 +59,7 @@ def record_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def limit_parts(run: RunRecord, calibration: Calibration) -> Iterator[Part]:
-    """What no detector on this rig and calibration can do better, by the distance of this run's
-    teat ends.
-    """
+    """The best that any detector can reach on this calibration, by distance."""
     ends = np.array(
         [[row["x_mm"], row["y_mm"], row["z_mm"]] for trial in run.trials for row in trial.truth]
     ).reshape(-1, 3)
@@ -121,9 +112,7 @@ def limit_table(ends_mm: Array, calibration: Calibration) -> Table:
 
 
 def _worst_mm(calibration: Calibration, ends_mm: Array, pixel_sd_px: float) -> Array:
-    """Expanded uncertainty (n,) along each point's worst direction; 0 for a point that a camera
-    can't see.
-    """
+    """Expanded uncertainty (n,) along the worst direction; 0 where a camera can't see it."""
     found = np.nan_to_num(calibration.covariance_of(ends_mm, pixel_sd_px))
     return np.asarray(2.0 * np.sqrt(np.clip(np.linalg.eigvalsh(found)[:, -1], 0.0, None)))
 
@@ -398,18 +387,14 @@ def picture_parts(views: BoardViews, fit: Calibrated) -> Iterator[Part]:
 
 
 def working_volume_mm(touched_mm: Array) -> Array:
-    """Points (27, 3) over the box of the touched places, `MARGIN_MM` larger on every side: where
-    teats may stand.
-    """
+    """Points (27, 3) over the box of the touched places, `MARGIN_MM` larger on every side."""
     low, high = touched_mm.min(axis=0) - MARGIN_MM, touched_mm.max(axis=0) + MARGIN_MM
     grid = np.meshgrid(*np.linspace(low, high, 3).T, indexing="ij")
     return np.column_stack([axis.reshape(-1) for axis in grid])
 
 
 def target_table(volume_mm: Array, errors_mm: Array) -> Table:
-    """Expected target errors (27,) at the points of `working_volume_mm`: a row for each y and z, a
-    column for each x.
-    """
+    """Expected target errors (27,) at `working_volume_mm`: rows y and z, columns x."""
     x = [volume_mm[9 * at, 0] for at in range(3)]
     heads = columns(">y [mm] | >z [mm]", *(f">x = {value:.0f} mm [mm]" for value in x))
     rows = tuple(

@@ -1,10 +1,5 @@
-"""A comparison in words and plain numbers: one place, so that terminal, page and JSON say the same.
-
-A comparison as a page of its own: the gate's verdict, the differences by situation, and each scene
-that changed.
-
-The report's chapters that compare: a run against an older one of the same scenes, and the detectors
-of one run against its first.
+"""A comparison as words and numbers, as a page of its own, and as chapters of a report: a run
+against an older one, and the detectors of one run against its first.
 """
 
 from __future__ import annotations
@@ -138,9 +133,7 @@ def _unlike(comparison: Comparison) -> Iterator[str]:
 
 
 def _truth(comparison: Comparison) -> Iterator[str]:
-    """How well the truth of the two runs agrees, where their ends were touched: each run is a
-    set-up.
-    """
+    """How well the truth of two touched runs agrees: each run is a set-up."""
     old, new = comparison.old.run, comparison.new.run
     found = truth_gage((old, new)) if old.folder.resolve() != new.folder.resolve() else None
     if found is None or found.studies is None:
@@ -185,9 +178,7 @@ def success_rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
 
 
 def distance_rows(comparison: Comparison, *, wide: bool = False) -> Iterator[tuple[str, ...]]:
-    """The rows under DISTANCE: all, then each situation. ``wide`` gives the axes their intervals
-    too.
-    """
+    """The rows under DISTANCE: all, then each situation. ``wide`` adds the axes' intervals."""
     for row in _rows(comparison):
         p = row.radial.p_value if row.radial_holm is None else row.radial_holm
         axes = (
@@ -274,9 +265,7 @@ TONES: dict[Verdict, Tone] = {
 
 
 def write_comparison(found: Sequence[Comparison], folder: Path) -> Path:
-    """Write ``index.html`` and ``comparison.json`` into ``folder``; gives back the page's path.
-    Raises ConfigError where it can't.
-    """
+    """Write ``index.html`` and ``comparison.json``; return the page's path. Raises ConfigError."""
     try:
         path = write_report(comparison_page(found), folder)
         write_synced(
@@ -402,9 +391,7 @@ def _listed(reasons: Sequence[str], most: int = 5) -> str:
 
 
 def baseline_section(baseline: Path, folder: Path, damage: tuple[str, ...] = ()) -> Section:
-    """The run in ``folder`` (new) against that in ``baseline`` (old). Raises ConfigError where they
-    have nothing in common.
-    """
+    """The run in ``folder`` (new) against ``baseline`` (old). Raises ConfigError."""
     found = compare_folders([baseline, folder], damage=damage)
     parts = tuple(
         part
@@ -415,9 +402,7 @@ def baseline_section(baseline: Path, folder: Path, damage: tuple[str, ...] = ())
 
 
 def detectors_section(run: RunRecord) -> tuple[Section, ...]:
-    """Each later detector against the first, on the same frames; none where there are no two that
-    were scored.
-    """
+    """Each later scored detector against the first, on the same frames."""
     first, *others = (Side(run, name) for name in run.detectors)
     compared = [
         compare_sides(first, other)

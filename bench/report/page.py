@@ -1,6 +1,4 @@
-"""The whole report of a run as a page: banner, requirements, results, accuracy, latency, bath,
-provenance, trials.
-"""
+"""The whole report of a run as a page, from the banner to the trials."""
 
 from __future__ import annotations
 
@@ -61,9 +59,7 @@ PLAIN = Extras()
 def write_run_report(
     folder: Path, extras: Extras = PLAIN, damage: tuple[str, ...] = ()
 ) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
-    """(Re)write the report and the exports of the run in ``folder``; gives back the page's path.
-    Raises ConfigError for no run.
-    """
+    """(Re)write a run's report and exports; return the page's path. Raises ConfigError."""
     run = read_run(folder, damage)
     rules = stored_rules(folder)
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
@@ -97,9 +93,7 @@ def build_page(
     folder: Path,
     chapters: tuple[Section, ...] = (),
 ) -> Page:
-    """The page; the trials' pictures are written into ``folder``/images on the way. ``chapters``
-    stand after the results.
-    """
+    """The page; writes the trials' pictures into ``folder``/images. ``chapters`` come later."""
     # late: what compares is itself made of this package's tables
     from bench.report.comparison import detectors_section
 
@@ -294,9 +288,7 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
 
 
 def _accepted_mm(run: RunRecord, rules: Rules, detector: str) -> float | None:
-    """The acceptance limit of the error's requirement, where it has the limit that the figures
-    show.
-    """
+    """The acceptance limit of the error's requirement, where the figures show the same limit."""
     u_mm = truth_u_mm([run], scored(run, detector), detector)
     limits = [rule.limit_mm for rule in rules.requirements if isinstance(rule, ErrorRequirement)]
     if u_mm is None or rules.visible_within_mm not in limits:

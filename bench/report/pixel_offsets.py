@@ -1,8 +1,5 @@
-"""The report of the sensitivity test: what each known pixel offset does to a known point, beside
-what the thesis printed.
-
-The job behind ``teatbench run`` for a sensitivity script: a run folder with what was used, and the
-report. Opens no instrument.
+"""The sensitivity test: its run folder and its report, what each known pixel offset does to a known
+point, beside what the thesis printed.
 """
 
 from __future__ import annotations
@@ -188,9 +185,7 @@ def _published(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Part
 
 
 def _of_thesis(loaded: LoadedOffsets, figures: Thesis) -> bool:
-    """Whether the script puts off what the thesis put off, as far as it: its own printed ends, all
-    of them.
-    """
+    """Whether the script's offsets are of the thesis's own printed ends, all of them."""
     return (
         tuple(one.published_mm for one in loaded.script.offsets) == figures.test_2.triangulated_mm
     )
@@ -255,9 +250,7 @@ def _method(loaded: LoadedOffsets, calibration_sha256: str) -> Iterator[Part]:
 
 
 def published_move_mm(offset: Offset) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None:
-    """What the printed offset moved the printed point by, (3,) mm; None where the script doesn't
-    say.
-    """
+    """What the printed offset moved the printed point by, (3,) mm; None where not stated."""
     if offset.published_mm is None or offset.published_plain_mm is None:
         return None
     return np.subtract(offset.published_mm, offset.published_plain_mm)
@@ -294,9 +287,7 @@ def is_offset_run(folder: Path) -> bool:
 
 
 def run_offsets(rig: LoadedRig, path: Path, out: Path) -> Path:
-    """Run the script at ``path`` on the rig's calibration; gives back the run's folder. Raises
-    ConfigError.
-    """
+    """Run the script on the rig's calibration; return the run's folder. Raises ConfigError."""
     loaded = load_offsets(path)
     outcomes(loaded, rig.calibration)  # what can't be computed is told before there is a folder
     files = {
@@ -320,9 +311,7 @@ def run_offsets(rig: LoadedRig, path: Path, out: Path) -> Path:
 
 
 def report_offsets(folder: Path) -> tuple[Path, LoadedOffsets, tuple[Outcome, ...], Verdict]:
-    """(Re)compute and (re)write the report of such a run; gives back the page's path. Raises
-    ConfigError.
-    """
+    """(Re)write the report of such a run; return its path and results. Raises ConfigError."""
     loaded = load_offsets(folder / SCRIPT)
     found = outcomes(loaded, read_calibration(folder / CALIBRATION))
     digest = hashlib.sha256((folder / CALIBRATION).read_bytes()).hexdigest()

@@ -1,10 +1,5 @@
-"""The report's tables: requirements, results per situation, errors, rates, provenance.
-
-Situations by detectors as one table for a terminal and for a README: found, false, errors, time.
-Pure: a run's record in, text out.
-
-The report's table of whose it is that a teat was missed, off, or not judged. It says nothing that
-`results.attribution` doesn't.
+"""The report's tables: requirements, rates, results by situation and detector (also in Markdown),
+and what each missed or wrong teat is attributed to.
 """
 
 from __future__ import annotations
@@ -58,9 +53,7 @@ def situations(run: RunRecord) -> list[str]:
 def found_by_situation(
     run: RunRecord, detector: str, published: Mapping[str, tuple[int, int]]
 ) -> Table:
-    """Found of visible in each situation, over all repeats, beside the thesis's own: found and
-    present by situation.
-    """
+    """Found of visible in each situation, beside the thesis's (found, present)."""
     rows: list[tuple[str | Cell, ...]] = []
     for situation in situations(run):
         pool = scored(run, detector, situation)

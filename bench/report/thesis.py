@@ -1,26 +1,5 @@
-"""Tests 1 and 2 of section 5.1: known ends triangulated from points picked by hand, as picked and
-put off on purpose, beside ours.
-
-The thesis averages the signed errors of all components; the same is worked out of our errors,
-beside what it hides.
-
-The plane of section 1.4.3.2, in which the system before the thesis's was tested: its error there
-beside ours.
-
-A region is centred on the plane, as the thesis has it. What was missed has no error: each figure
-says of how many places it is.
-
-What the thesis printed of its rig and asked of its detector, beside this run: homography,
-stand-off, a pixel, arm, bath, time.
-
-The six situations of section 5.2: what the thesis's detector found of four teats, beside what each
-detector found here.
-
-The chapter "Beside the thesis": which of the thesis's tests a run is, and the published figures
-beside its own.
-
-A run is one of them by its situations, or by the ends of its layout; any other has no such chapter.
-What is printed but has its counterpart elsewhere, or nowhere, is listed.
+"""The chapter "Beside the thesis": figures that the thesis printed, worked out of its tables, and
+measured in this run. A run has it by its situations or by the ends of its layout.
 """
 
 from __future__ import annotations
@@ -102,9 +81,7 @@ def second_test_table(figures: Thesis, found: Sequence[Outcome]) -> Table:
 
 
 def components_table(figures: Thesis) -> Table:
-    """Both tests teat by teat: errors against table 5.1 as the tables give them, beside those
-    printed in table 5.4.
-    """
+    """Both tests by teat: errors against table 5.1 from the tables, and as printed in 5.4."""
     first, second = errors_of_test_mm(figures, 1), errors_of_test_mm(figures, 2)
     heads = columns(
         ">teat | >5.2 less 5.1: x, y, z [mm] | >distance [mm]",
@@ -178,9 +155,7 @@ SLACK_MM = 3.0  # a touched place lies this near to the one that was meant
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """Places (n, 2) mm from the middle of the plane; teats and found (n,) there, and their mean and
-    largest distances, 0 where none.
-    """
+    """Places (n, 2) mm from the plane's middle; teats, found, mean and largest error there."""
 
     at_mm: Floats
     span_mm: Floats
@@ -526,9 +501,7 @@ def _ours(run: RunRecord, detector: str, of: Sequence[Situation]) -> str:
 
 
 def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tuple[Section, ...]:
-    """The chapter of a run that is one of the thesis's tests; none of any other, or where nothing
-    was scored.
-    """
+    """The chapter of a scored run that is one of the thesis's tests; else none."""
     figures = thesis()
     kinds: list[Kind] = ["situations"] if known_situations(run, figures) else []
     kinds += ["plane"] if PLANE in situations(run) else []
@@ -542,9 +515,7 @@ def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tu
 
 
 def elsewhere_table(figures: Thesis, *shown: Kind) -> Table:
-    """Printed figures that the page with tests of these kinds doesn't have, and where their
-    counterpart is.
-    """
+    """Printed figures that a page with these tests doesn't have, and their counterparts."""
     heads = columns("section | figure | printed | counterpart")
     rest = [one for one in figures.elsewhere if not set(one.shown) & set(shown)]
     rows = tuple((one.section, one.what, one.printed, one.where) for one in rest)
@@ -570,9 +541,7 @@ def _parts(
 
 
 def _with_ends_of_table_5_1(rules: Rules) -> list[str]:
-    """Situations whose every trial shows the ends of table 5.1
-    where they were measured, upright.
-    """
+    """Situations whose every trial shows the ends of table 5.1 upright, in place."""
     if not isinstance(rules, Script):
         return []
     layouts = {
@@ -583,8 +552,6 @@ def _with_ends_of_table_5_1(rules: Rules) -> list[str]:
 
 
 def published_counts(rules: Rules) -> dict[str, tuple[int, int]]:
-    """Teats that the thesis found, of those present, by situation: what the script names, and else
-    what is known of the situation.
-    """
+    """(found, present) of the thesis by situation; what the script names comes first."""
     known = {one.name: (one.found, one.present) for one in thesis().situations}
     return known | {name: (one.found, one.present) for name, one in rules.published.items()}

@@ -1,6 +1,4 @@
-"""The report's part for each trial: its frames with what is drawn over them, its teats, its
-readings; and which trials are the worst.
-"""
+"""The report's part for each trial: frames, teats, readings; and which trials are the worst."""
 
 from __future__ import annotations
 
@@ -39,9 +37,7 @@ def trial_parts(run: RunRecord, calibration: Calibration, folder: Path) -> tuple
 
 
 def worst_trials(run: RunRecord) -> tuple[str, ...]:
-    """The anchors of the trials to look at first: those that failed, by what they missed and made
-    up, then by their largest error.
-    """
+    """The anchors of failed trials, worst first: by missed and false, then by largest error."""
 
     def fault(trial: TrialRecord) -> tuple[int, float]:
         scores = list(trial.scores.values())

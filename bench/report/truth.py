@@ -1,8 +1,5 @@
-"""The report's part on the arm: its table frame, its dated verification, and the checks before and
-after the trials.
-
-The report's parts on the truth: what is measured, each kind of truth with its worst budget, the
-stage's registration, the check touches; and what is in no count, with the reason.
+"""The report's parts on the truth: the arm with its frame and checks, the measurand, uncertainty
+budgets, the stage's registration, check touches, and what is in no count and why.
 """
 
 from __future__ import annotations
@@ -160,9 +157,7 @@ def truth_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def deviation_parts(run: RunRecord) -> Iterator[Part]:
-    """What was not done as the script says, and what left the counts; a sentence where there is
-    nothing.
-    """
+    """What was not done as the script says, and what left the counts."""
     left_out = [_skipped(row) for row in run.skipped]
     if left_out:
         yield Notes("Deviations from the script; what was skipped is in no count", tuple(left_out))
