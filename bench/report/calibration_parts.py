@@ -12,7 +12,7 @@ from bench.calibrate.stereo import PAIR, CamerasResult
 from bench.calibrate.thermal import ThermalResult
 from bench.calibrate.views import BoardViews
 from bench.record.reader import RunRecord
-from bench.report.tables import key_values
+from bench.report.tables import ends_mm, key_values
 from bench.report.wording import NOT_MEASURED
 from bench.script.calibration_age import CALIBRATION_FACT
 from detector.calibration import Calibration, Record
@@ -60,9 +60,7 @@ def record_parts(run: RunRecord) -> Iterator[Part]:
 
 def limit_parts(run: RunRecord, calibration: Calibration) -> Iterator[Part]:
     """The best that any detector can reach on this calibration, by distance."""
-    ends = np.array(
-        [[row["x_mm"], row["y_mm"], row["z_mm"]] for trial in run.trials for row in trial.truth]
-    ).reshape(-1, 3)
+    ends = ends_mm(run.trials)
     if not len(ends):
         yield Paragraph(f"What the geometry allows: {NOT_MEASURED}.")
         return

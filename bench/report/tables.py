@@ -4,15 +4,16 @@ and what each missed or wrong teat is attributed to.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from bench.record.reader import RunRecord
+from bench.record.reader import RunRecord, TrialRecord
 from bench.report.wording import NOT_MEASURED, limit, margin, measured
 from bench.results.attribution import Attributed, Cause, What, attributed, counted
 from bench.results.latency import LATENCY_RULE, failures_told, latency_of
 from bench.results.verdicts import Judgement, scored
+from bench.scoring.errors import Floats
 from bench.scoring.rates import Rate, percent, pose_successes
 from bench.script.model import Rules
 from detector.calibration import Calibration
@@ -133,11 +134,15 @@ def _answered(run: RunRecord, detector: str, situation: str | None) -> Rate:
     )
 
 
+def ends_mm(trials: Iterable[TrialRecord]) -> Floats:
+    """The true teat ends (n, 3) of these trials."""
+    rows = [row for trial in trials for row in trial.truth]
+    return np.array([[row[f"{axis}_mm"] for axis in "xyz"] for row in rows]).reshape(-1, 3)
+
+
 def depth_limit(run: RunRecord, calibration: Calibration) -> str:
     """What no stereo method on this rig can beat a pixel, at this run's teats."""
-    ends = np.array(
-        [[row["x_mm"], row["y_mm"], row["z_mm"]] for trial in run.trials for row in trial.truth]
-    ).reshape(-1, 3)
+    ends = ends_mm(run.trials)
     if not len(ends):
         return NOT_MEASURED
     per_px = calibration.depth_per_disparity_px_mm(ends)
@@ -215,12 +220,12 @@ def _row(run: RunRecord, situation: str | None, detector: str) -> tuple[str, ...
     pool, times = scored(run, detector, situation), latency_of(run, detector, situation)
     counts, radial = pool.counts, pool.summary().radial
     errors = (
-        "not measured"
+        NOT_MEASURED
         if radial.n == 0
         else f"{radial.mean_mm:.2f}, {radial.p95_mm:.2f}, {radial.max_mm:.2f}"
     )
     time = (
-        "not measured"
+        NOT_MEASURED
         if times.median_s is None or times.p99_s is None
         else f"{1e3 * times.median_s:.0f}, {1e3 * times.p99_s:.0f}"
     )
@@ -251,7 +256,7 @@ def _unmarked(text: str) -> str:
 def _notes(run: RunRecord) -> Iterator[str]:
     for detector in run.detectors:
         times = latency_of(run, detector)
-        cold = ", ".join(f"{1e3 * seconds:.0f}" for seconds in times.cold_s) or "not measured"
+        cold = ", ".join(f"{1e3 * seconds:.0f}" for seconds in times.cold_s) or NOT_MEASURED
         start = (
             f", start-up {1e3 * times.start_up_s:.0f} ms at most"
             if times.start_up_s is not None

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.record.reader import RunRecord
 from bench.report.overlays import project_all
-from bench.report.tables import situations
+from bench.report.tables import ends_mm, situations
 from bench.report.wording import NOT_MEASURED, number
 from bench.results.error_rows import error_rows, plane_cells
 from bench.results.latency import latency_of
@@ -338,9 +338,7 @@ def _asked(run: RunRecord, figures: Thesis) -> Iterator[Row]:
 
 
 def _geometry(run: RunRecord, figures: Thesis, calibration: Calibration) -> Iterator[Row]:
-    ends = np.array(
-        [[row["x_mm"], row["y_mm"], row["z_mm"]] for trial in run.counted for row in trial.truth]
-    ).reshape(-1, 3)
+    ends = ends_mm(run.counted)
     maps, off = figures.homography, figures.stand_off
     promised = f"at most {maps.largest_px:g} px, {maps.largest_mm:g} mm at {maps.at_mm:g} mm"
     yield (
@@ -456,26 +454,22 @@ def known_situations(run: RunRecord, figures: Thesis) -> list[Situation]:
 def situation_table(run: RunRecord, figures: Thesis) -> Table:
     """A row a situation, and one for all of them."""
     known = known_situations(run, figures)
+    found, present = sum(one.found for one in known), sum(one.present for one in known)
+    all_of = Situation(
+        name=f"all {len(known)}", section="5.2", found=found, present=present, seen=""
+    )
     heads = columns("situation | section | >thesis found", *_this_run(run), "what the thesis saw")
     rows = [
         (
             one.name,
             one.section,
             f"{one.found} of {one.present}",
-            *(_ours(run, detector, [one]) for detector in run.detectors),
+            *(_ours(run, detector, of) for detector in run.detectors),
             one.seen,
         )
-        for one in known
+        for one, of in [*((one, [one]) for one in known), (all_of, known)]
     ]
-    found, present = sum(one.found for one in known), sum(one.present for one in known)
-    all_of = (
-        f"all {len(known)}",
-        "5.2",
-        f"{found} of {present}",
-        *(_ours(run, detector, known) for detector in run.detectors),
-        "",
-    )
-    return Table("Teats found in the situations of section 5.2", heads, (*rows, all_of), NOTE)
+    return Table("Teats found in the situations of section 5.2", heads, tuple(rows), NOTE)
 
 
 def _ours(run: RunRecord, detector: str, of: Sequence[Situation]) -> str:
@@ -496,7 +490,7 @@ def _ours(run: RunRecord, detector: str, of: Sequence[Situation]) -> str:
     return (
         f"{matched} of {visible}, {false} false; as many in {as_many} of {sets}"
         if sets
-        else "not measured"
+        else NOT_MEASURED
     )
 
 
@@ -527,8 +521,7 @@ def _parts(
 ) -> Iterator[Part]:
     if "situations" in kinds:
         yield situation_table(run, figures)
-        same_ends = _with_ends_of_table_5_1(rules)
-        if same_ends:
+        if same_ends := _with_ends_of_table_5_1(rules):
             errors = {
                 d: np.concatenate([scored(run, d, name).errors_mm for name in same_ends])
                 for d in run.detectors

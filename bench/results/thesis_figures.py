@@ -130,11 +130,6 @@ class Thesis(Section):
     situations: tuple[Situation, ...]
     elsewhere: tuple[Elsewhere, ...]
 
-    @property
-    def by_situation(self) -> dict[str, Situation]:
-        """The situations by name."""
-        return {one.name: one for one in self.situations}
-
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
