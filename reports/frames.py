@@ -1,9 +1,7 @@
-"""Frames of a trial and what is drawn over them, as data: shapes at pixel coordinates, grouped in
-layers that can be switched off.
+"""Frames of a trial and what is drawn over them, as data: shapes in layers that can be switched
+off.
 
-Coordinates are those of the image file named by `src`: x to the right, y down, the first pixel's
-centre at (0, 0). May not know: what a teat, a truth or a detector is; a layer's tone only picks its
-colour and its switch.
+Coordinates are pixels of the image file `src`: x right, y down, the first pixel's centre (0, 0).
 """
 
 import math
@@ -38,9 +36,7 @@ class Circle:
 
 @dataclass(frozen=True, slots=True)
 class Ellipse:
-    """Half axes `major_px` and `minor_px`; the first is turned by `turn_deg` from the x axis
-    towards y.
-    """
+    """Half axes `major_px` and `minor_px`; the first is `turn_deg` from x towards y."""
 
     kind: ClassVar[str] = "ellipse"
     x_px: float
@@ -65,9 +61,7 @@ class Cross:
 
 @dataclass(frozen=True, slots=True)
 class Rect:
-    """A rectangle by its top left corner and its size. A region of pixels x to x + n - 1 starts at
-    x - 0.5 and is n wide.
-    """
+    """Top left corner and size; pixels x to x + n - 1 start at x - 0.5 and are n wide."""
 
     kind: ClassVar[str] = "rect"
     x_px: float
@@ -102,9 +96,7 @@ Shape = Circle | Ellipse | Cross | Rect | Polyline | Label
 
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """One layer: `tone` picks colour and switch, `name` stands in the legend and is the same in
-    every frame of the page.
-    """
+    """One layer: `tone` picks colour and switch, `name` is in the legend of every frame."""
 
     tone: LayerTone
     name: str
@@ -169,9 +161,7 @@ class ImageView:
 
 
 def layers(images: Iterable[ImageView]) -> dict[LayerTone, str]:
-    """Tone and name of every layer, in the order of LAYER_TONES. Raises PageError where one tone
-    goes by two names.
-    """
+    """Tone and name of every layer, in LAYER_TONES order. Raises PageError for two names a tone."""
     names: dict[LayerTone, str] = {}
     for image in images:
         for overlay in image.overlays:

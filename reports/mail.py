@@ -1,9 +1,5 @@
-"""A report as one file that travels alone, for mail: its pictures in it, and of many trials those
-to look at first.
-
-Strategy: trials are taken in the order of `Page.worst`, then of the page, as long as they fit; what
-is left out is told at the top of the trials. Originals can't be linked from a file that travels
-alone.
+"""A report as one file for mail, with its pictures: trials in the order of `Page.worst`, then of
+the page, as long as they fit. What is left out is said at the top of the trials.
 """
 
 import base64

@@ -1,9 +1,5 @@
-"""A page described as data: what it says. How it looks is in `templates/`, how the two meet in
-`render.py`.
-
-Strategy: frozen values that check themselves when made, so that a page that exists can be rendered.
-All text is plain text; numbers arrive as text with their units, already rounded by whoever knows
-their meaning. May not know: bench, instruments, detectors.
+"""A page described as data: what it says, as frozen values that check themselves when made. How it
+looks is in `templates/`; `render.py` joins the two.
 """
 
 from collections import Counter
@@ -105,9 +101,7 @@ RESERVED_IDS = (  # what the template itself uses
 
 @dataclass(frozen=True, slots=True)
 class Banner:
-    """The first screen: what was tested, whether it passed, why, how sure that is, and what to do
-    next. Each a sentence or two.
-    """
+    """The first screen: what was tested, the verdict, why, how sure it is, what to do next."""
 
     kind: Kind
     verdict: Verdict
@@ -140,9 +134,7 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class TrialPart:
-    """One trial's part of the page, at the anchor `id` (`trial-007`): data, not a verdict.
-    Neighbours are linked in the page's order.
-    """
+    """One trial's part of the page, at the anchor `id` (`trial-007`): data, not a verdict."""
 
     id: str
     heading: str
@@ -206,9 +198,7 @@ class Page:
             )
 
     def first_looks(self) -> tuple[TrialPart, ...]:
-        """The trials that the first screen sends the reader to: the worst three, unless the run has
-        to be gone on with first.
-        """
+        """The worst three trials for the first screen, unless the run has to be resumed first."""
         if self.banner.verdict == "aborted":
             return ()
         by_id = {trial.id: trial for trial in self.trials}

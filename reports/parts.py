@@ -1,8 +1,7 @@
 """The parts that a page is made of: requirement rows, tables, figures, lists, text.
 
-Strategy: frozen values that check themselves when made. All text is plain text; numbers arrive as
-text with their units, already rounded by whoever knows their meaning. May not know: bench,
-instruments, detectors.
+Frozen values that check themselves when made. All text is plain text; numbers arrive as text,
+rounded by whoever knows their meaning.
 """
 
 from dataclasses import dataclass, field
@@ -22,9 +21,7 @@ NARROW_BELOW = 500.0  # units of a drawing's viewBox: points
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """One row of the verdict: `rule` says how it is decided, `n` on how many values or poses,
-    `margin` what is left to the limit.
-    """
+    """A row of the verdict: how it is decided, on `n` values or poses, `margin` to the limit."""
 
     name: str
     rule: str
@@ -56,9 +53,7 @@ class Requirements:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A text with more to it: a tone, a link (`#id` or a relative path), a value to sort by,
-    fixed-width letters for hashes.
-    """
+    """A text with a tone, a link (`#id` or relative path), a value to sort by, or monospace."""
 
     text: str
     tone: Tone = "plain"
@@ -83,6 +78,24 @@ class Column:
     align: Align = "left"
     unit: str = ""
     hint: str = ""
+
+
+def columns(*heads: str | Column) -> tuple[Column, ...]:
+    """Columns out of texts ``title | >title [unit] # hint``: ``>`` sets figures to the right.
+
+    A title that anybody gave, as a detector's name, comes as a `Column`: it may hold such signs.
+    """
+    found: list[Column] = []
+    for head in heads:
+        found += [head] if isinstance(head, Column) else map(_column, head.split(" | "))
+    return tuple(found)
+
+
+def _column(text: str) -> Column:
+    rest, _, hint = text.partition(" # ")
+    title, _, unit = rest.partition(" [")
+    align: Align = "right" if title.startswith(">") else "left"
+    return Column(title.removeprefix(">"), align, unit.removesuffix("]"), hint)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,9 +138,7 @@ class Figure:
 
     @property
     def narrow(self) -> bool:
-        """Drawn for half a page: over the whole of it its letters
-        would be larger than the text's.
-        """
+        """Drawn for half a page: over the whole of it its letters would be too large."""
         return self.facts.width < NARROW_BELOW
 
 

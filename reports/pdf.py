@@ -1,11 +1,8 @@
-"""A page printed to PDF by a browser of this machine, where one is installed. The page's own print
-style sheet says how it looks.
+"""A page printed to PDF by an installed browser, by the page's print style sheet.
 
-Strategy: the browser runs once, without a window, with a profile of its own that is thrown away,
-and is given a time to end in; what it says goes to a file, so that a process it leaves behind can't
-hold us up. Of its PDF only what tells of this machine is changed, in place and without a byte more
-or less: the browser's name for itself gives way to our name, and paths in links to paths from the
-PDF's folder.
+The browser runs once, headless, with a throw-away profile and a time limit; its output goes to a
+file, so that a process it leaves behind can't block. The PDF's producer and its links' paths are
+replaced in place, byte for byte as long.
 """
 
 import os
@@ -59,9 +56,7 @@ _OURS = b"/Author (teatbench)/Creator (teatbench)"
 def find_browser(
     names: Sequence[str] = NAMES, environment: Mapping[str, str] = os.environ
 ) -> str | None:
-    """The path of a Chromium, Chrome or Edge, or what TEATBENCH_BROWSER names; None where there is
-    none.
-    """
+    """The path of a Chromium, Chrome or Edge, or what TEATBENCH_BROWSER names; else None."""
     if BROWSER in environment:
         return shutil.which(environment[BROWSER]) if environment[BROWSER] else None
     on_path = next((path for path in map(shutil.which, names) if path), None)
@@ -74,9 +69,7 @@ def find_browser(
 
 
 def print_pdf(page: Path, target: Path, browser: str, time_limit_s: float = TIME_LIMIT_S) -> Path:
-    """Prints the HTML file `page` to `target`. Raises PageError with the browser's own words where
-    it made none.
-    """
+    """Print the HTML file `page` to `target`. Raises PageError with the browser's own words."""
     draft = target.with_name(target.name + ".part")
     draft.unlink(missing_ok=True)
     try:

@@ -1,10 +1,9 @@
-"""From a `Page` to HTML files that open from disk with no network.
+"""From a `Page` to HTML files that open from disk with no network: the same bytes for the same
+page.
 
-Strategy: Jinja2 escapes every text; the only texts let through are our own style sheet and script,
-the drawings that `page.Figure` has checked, and numbers. Each file carries a content security
-policy that allows exactly its style sheet and its script, by their hash, and images. Few trials
-stand in the page itself; many get a file each, so that the page stays small, and the list of trials
-leads to them without a script too. Same page, same bytes: no time, no chance, no machine in it.
+Jinja2 escapes every text but our own style sheet and script, checked drawings, and numbers. A
+content security policy allows only that style sheet and script, by hash, and images. Few trials are
+in the page; many get a file each.
 """
 
 import base64
@@ -101,9 +100,7 @@ class Press:
         return self._fill("page.html.j2", place, away=away)
 
     def trial(self, number: int) -> str:
-        """The file of the trial at `number`, from 0, in the page's order; it stands in the folder
-        `trials`.
-        """
+        """The file of the trial at `number`, from 0 in the page's order, in the folder `trials`."""
         trials = self._page.trials
         before, after = (
             trials[number - 1] if number else None,
@@ -152,9 +149,7 @@ class Press:
 
     @staticmethod
     def _row_id(row: _Row, away: set[str]) -> str:
-        """The id of a trial that stands in a file of its own, where this is its row in the list:
-        points of figures lead here.
-        """
+        """The id of a trial's row in the list, where the trial has its own file."""
         first = row[0] if row else ""
         return first.href[1:] if isinstance(first, Cell) and first.href[1:] in away else ""
 
@@ -239,9 +234,7 @@ def _own(page: Page) -> Place:
 
 
 def _lone(parts: Sequence[Part]) -> set[int]:
-    """Figures of half a page that have no neighbour in their row, by their places in `parts`: they
-    get the row.
-    """
+    """Places in `parts` of half-page figures without a neighbour in their row; they get the row."""
     found: set[int] = set()
     left: int | None = None  # a figure in the left half, whose right half is free
     for at, part in enumerate(parts):
@@ -301,9 +294,7 @@ def _view(image: ImageView) -> View:
 
 
 def _view_rule(name: str, view: View) -> str:
-    """The style rule that shows one part of an image: `style` attributes are closed to us by the
-    page's policy.
-    """
+    """The style rule that shows one part of an image; the policy forbids `style` attributes."""
     full_width, full_height, x, y, width, height = view
     left, top, wide = -100 * x / width, -100 * y / height, 100 * full_width / width
     place = f"left:{left:.4f}%;top:{top:.4f}%;width:{wide:.4f}%"

@@ -1,9 +1,7 @@
-"""The one filter for text that others wrote (files, detectors, the wire), at each place where it
-leaves: terminal, HTML, SVG, XML, CSV.
+"""The one filter for text that others wrote, wherever it leaves: terminal, HTML, SVG, XML, CSV.
 
-Neither an escape sequence nor a bidirectional override gets through, so that nothing but the
-program itself moves the cursor, changes colours or turns the order of a line. What is replaced
-leaves U+FFFD. The record keeps what was written.
+Control characters (escape sequences, bidirectional overrides) become U+FFFD; the record keeps what
+was written.
 """
 
 from __future__ import annotations
@@ -34,9 +32,7 @@ def sanitized(text: str) -> str:
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:
-    """Rows as CSV. A text that a spreadsheet would take for a formula gets an apostrophe before it;
-    numbers stay as they are.
-    """
+    """Rows as CSV; text that a spreadsheet would take for a formula gets an apostrophe."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([_cell(value) for value in row] for row in rows)
     return text.getvalue()

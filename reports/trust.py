@@ -1,9 +1,5 @@
-"""What may enter a page as an id, as an address, or as ready-made SVG; everything else is text and
-is escaped.
-
-Strategy: allow-lists. An address is a fragment of the page or a relative path; no scheme can be
-written in either. SVG passes only when every element and attribute is one that a plot needs. Knows
-nothing of pages.
+"""What may enter a page as an id, an address or ready-made SVG, by allow-lists; other text is
+escaped. An address is a fragment or a relative path, never a scheme.
 """
 
 import re
@@ -83,16 +79,12 @@ _SVG_ATTRIBUTES = frozenset(
 
 
 class PageError(ValueError):
-    """A page can't be written as described: the message names the part, the value, and what is
-    allowed.
-    """
+    """A page can't be written as described: which part, the value, and what is allowed."""
 
 
 @dataclass(frozen=True, slots=True)
 class SvgFacts:
-    """What a page needs to know of a drawing: the ids it defines, the fragments it links to, how
-    wide it was drawn (0: it doesn't say).
-    """
+    """A drawing's ids, the fragments that it links to, and its width (0: not stated)."""
 
     ids: tuple[str, ...]
     links: tuple[str, ...]
@@ -100,9 +92,7 @@ class SvgFacts:
 
 
 def checked_slug(value: str, what: str) -> str:
-    """`value`, when it can be an id and an anchor: lower case letters, digits and hyphens, a letter
-    first. Raises PageError.
-    """
+    """`value` where it can be an id: a-z, 0-9, hyphens, a letter first. Raises PageError."""
     if not _SLUG.fullmatch(value):
         raise PageError(
             f"{what}: {value!r} can't be an id; use lower case letters, digits and hyphens, a"
@@ -137,9 +127,7 @@ def one_of(value: str, allowed: Iterable[str], what: str) -> str:
 
 
 def svg_facts(svg: str, what: str) -> SvgFacts:
-    """The ids and links of one `<svg>` element. Raises PageError for anything that a plot has no
-    use for.
-    """
+    """The ids and links of one `<svg>`. Raises PageError for anything that a plot never has."""
     if not svg.startswith("<svg"):
         raise PageError(
             f"{what}: the drawing must start with '<svg', not {svg[:30]!r}; take it from"
@@ -154,9 +142,7 @@ def svg_facts(svg: str, what: str) -> SvgFacts:
 
 
 class _SvgReader(HTMLParser):
-    """Walks one drawing with the rules of HTML, as the browser will, and refuses what is not on the
-    lists.
-    """
+    """Walks one drawing with the rules of HTML and refuses what is not on the lists."""
 
     def __init__(self, what: str) -> None:
         super().__init__(convert_charrefs=True)

@@ -1,13 +1,5 @@
-"""The report's tables of accuracy: errors along axes, distances, and what the next pose stays
-below; pooled, by situation and by teat.
-
-May not judge: the verdict is on the distance, and stands with the requirements. What was never
-measured is "not measured".
-
-The report's parts on repeats: ISO 9283 of poses and distances, ISO 5725's components, and the gage
-study of the truth itself.
-
-What a run can't tell is "not measured", with what it would take. May not judge.
+"""The report's tables of accuracy (axes, distances, tolerance limits) and of repeats: ISO 9283 for
+poses and distances, ISO 5725's components, and the gage study of the truth.
 """
 
 from __future__ import annotations
@@ -35,10 +27,10 @@ from bench.scoring.errors import (
 from bench.scoring.guard_band import acceptance_limit_mm, error_without_noise_mm, refusal_limit_mm
 from bench.scoring.pool import Pool
 from bench.scoring.precision import GageStudy, Precision, distance_accuracy, drift_mm, pose_accuracy
-from reports.parts import Cell, Column, Paragraph, Part, Table
+from reports.parts import Cell, Paragraph, Part, Table, columns
 
-MM = ("bias", "sd", "rms", "mean |e|", "max |e|")
-DISTANCES = ("mean", "median", "rms", "p95", "p99", "max")
+MM = ">bias [mm] | >sd [mm] | >rms [mm] | >mean |e| [mm] | >max |e| [mm]"
+DISTANCES = ">mean [mm] | >median [mm] | >rms [mm] | >p95 [mm] | >p99 [mm] | >max [mm]"
 SHARES = (0.95, 0.99)  # of poses, that a tolerance limit covers
 CONFIDENCE = 0.95
 
@@ -62,10 +54,8 @@ def _axes(
 ) -> Table:
     accept = None if u_mm is None else acceptance_limit_mm(limit_mm, u_mm, "axis")
     refuse = refusal_limit_mm(limit_mm, u_mm or 0.0)
-    columns = (
-        Column("axis"), Column("n", "right"), *(Column(name, "right", "mm") for name in MM),
-        Column("max |e| is", hint="against the limit along this axis alone"),
-    )  # fmt: skip
+    last = "max |e| is # against the limit along this axis alone"
+    heads = columns("axis | >n", MM, last)
     summaries = _six(pool.summary(), pool.summary(camera_from_world))
     rows: list[tuple[str | Cell, ...]] = []
     for name, a in summaries:
@@ -77,24 +67,18 @@ def _axes(
         f" accepted and {refuse:.3f} mm or more refused (T = {limit_mm:g} mm, {known}); the verdict"
         " is on the distance."
     )
-    return Table(f"Errors along each axis, detector {detector}", columns, tuple(rows), note)
+    return Table(f"Errors along each axis, detector {detector}", heads, tuple(rows), note)
 
 
 def _axes_by_teat(rows: ErrorRows, detector: str, camera_from_world: Floats) -> Table:
-    columns = (
-        Column("teat"),
-        Column("axis"),
-        Column("poses", "right"),
-        Column("n", "right"),
-        *(Column(name, "right", "mm") for name in MM),
-    )
+    heads = columns("teat | axis | >poses | >n", MM)
     lines: list[tuple[str, ...]] = []
     for teat in rows.teat_names:
         own = rows.of_teat(teat)
         poses = str(len(set(own.of_found(own.poses))))
         six = _six(summarise(own.errors_mm), summarise(own.errors_mm, camera_from_world))
         lines += [(teat, name, poses, str(axis.n), *_figures(axis)) for name, axis in six]
-    return Table(f"Errors along each axis by teat, detector {detector}", columns, tuple(lines))
+    return Table(f"Errors along each axis by teat, detector {detector}", heads, tuple(lines))
 
 
 def _six(world: ErrorSummary, camera: ErrorSummary) -> list[tuple[str, AxisSummary]]:
@@ -132,19 +116,11 @@ def _against(largest: float | None, accept: float | None, refuse: float) -> Cell
 def _distances(
     run: RunRecord, rows: ErrorRows, pool: Pool, detector: str, u_mm: float | None
 ) -> Table:
-    """Of the found teats, with GOSPA where whole scenes are meant, which charges for the others
-    too.
-    """
-    columns = (
-        Column("of"),
-        Column("n", "right"),
-        *(Column(title, "right", "mm") for title in DISTANCES),
-        Column(
-            "GOSPA",
-            "right",
-            "mm a scene",
-            hint="charges missed and false teats too; p = 2, c = the scene's gate",
-        ),
+    """Of the found teats; GOSPA of whole scenes charges for the others too."""
+    heads = columns(
+        "of | >n",
+        DISTANCES,
+        ">GOSPA [mm a scene] # charges missed and false teats too; p = 2, c = the scene's gate",
     )
     scenes = [("all", pool), *((name, scored(run, detector, name)) for name in situations(run))]
     lines = [(name, *_radial(part.summary()), _mm(_gospa(part))) for name, part in scenes]
@@ -158,7 +134,7 @@ def _distances(
         f" mean {number(_gospa(pool), 'mm')} a scene. Percentiles are observed"
         f" values.{_without_noise(pool, u_mm)}"
     )
-    return Table(f"Distance to the teat end, detector {detector}", columns, tuple(lines), note)
+    return Table(f"Distance to the teat end, detector {detector}", heads, tuple(lines), note)
 
 
 def _without_noise(pool: Pool, u_mm: float | None) -> str:
@@ -206,20 +182,11 @@ def _tolerance(pool: Pool, detector: str) -> Part:
             f"Tolerance limits, {detector}: {NOT_MEASURED}; teats were found in {n} poses, and 2"
             " are the least."
         )
-    columns = (
-        Column("covers"),
-        Column("with"),
-        Column("poses", "right"),
-        Column(
-            "any distribution",
-            "right",
-            "mm",
-            hint="an order statistic of the poses' worst distances (ISO 16269-6)",
-        ),
-        Column("k", "right"),
-        Column(
-            "if they were normal", "right", "mm", hint="mean + k sd of the poses' worst distances"
-        ),
+    heads = columns(
+        "covers | with | >poses",
+        ">any distribution [mm] # an order statistic of the poses' worst distances (ISO 16269-6)",
+        ">k",
+        ">if they were normal [mm] # mean + k sd of the poses' worst distances",
     )
     lines = []
     for share in SHARES:
@@ -246,7 +213,7 @@ def _tolerance(pool: Pool, detector: str) -> Part:
         " normal; that column is to compare with."
     )
     return Table(
-        f"Tolerance limits of the distance, detector {detector}", columns, tuple(lines), note
+        f"Tolerance limits of the distance, detector {detector}", heads, tuple(lines), note
     )
 
 
@@ -281,36 +248,23 @@ def precision_parts(run: RunRecord, detector: str) -> Iterator[Part]:
 
 
 def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
-    """Repeatability and reproducibility of the ground truth, where ends were touched in several
-    set-ups; nothing without an arm.
-    """
+    """Gage R&R of a truth that was touched in several set-ups; nothing without an arm."""
     if "arm" not in run.facts.get("identities", {}):
         return
     found = truth_gage([run])
     if found.studies is None:
         yield Paragraph(f"Gage R&R of the ground truth: {NOT_MEASURED}; {found.why}.")
         return
-    columns = (
-        Column("axis"),
-        Column("ends", "right"),
-        Column("set-ups", "right"),
-        Column("touches", "right"),
-        Column("repeatability", "right", "mm", hint="touch after touch"),
-        Column(
-            "reproducibility",
-            "right",
-            "mm",
-            hint="set-up after set-up, the interaction with the end included",
+    heads = columns(
+        "axis | >ends | >set-ups | >touches",
+        ">repeatability [mm] # touch after touch",
+        ">reproducibility [mm] # set-up after set-up, the interaction with the end included",
+        ">gage R&R [mm] | >between ends [mm]",
+        (
+            ">of the tolerance [%] # 6 gage over the whole width: below 10 % is good, above 30 %"
+            " not acceptable"
         ),
-        Column("gage R&R", "right", "mm"),
-        Column("between ends", "right", "mm"),
-        Column(
-            "of the tolerance",
-            "right",
-            "%",
-            hint="6 gage over the whole width: below 10 % is good, above 30 % not acceptable",
-        ),
-        Column("ndc", "right", hint="how many sizes of part it can tell apart"),
+        ">ndc # how many sizes of part it can tell apart",
     )
     lines = tuple(
         _gage_row(axis, study, limit_mm) for axis, study in zip("xyz", found.studies, strict=True)
@@ -325,7 +279,7 @@ def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
         " an end at a pose is a part, a repeat of the pose a set-up. The tolerance is ±"
         f" {limit_mm:g} mm.{left}"
     )
-    yield Table("Gage R&R of the ground truth", columns, lines, note)
+    yield Table("Gage R&R of the ground truth", heads, lines, note)
 
 
 def _gage_row(axis: str, study: GageStudy, limit_mm: float) -> tuple[str, ...]:
@@ -349,13 +303,11 @@ def _components(rows: ErrorRows, detector: str) -> Part:
             f"Repeatability and reproducibility (ISO 5725), {detector}: {NOT_MEASURED}; no teat was"
             " found twice at one pose."
         )
-    columns = (
-        Column("axis"),
-        Column("n", "right"),
-        Column("teats at poses", "right"),
-        Column("s_r", "right", "mm", hint="repeatability: within a pose"),
-        Column("s_L", "right", "mm", hint="between teats and poses"),
-        Column("s_R", "right", "mm", hint="reproducibility: the root of s_r² + s_L²"),
+    heads = columns(
+        "axis | >n | >teats at poses",
+        ">s_r [mm] # repeatability: within a pose",
+        ">s_L [mm] # between teats and poses",
+        ">s_R [mm] # reproducibility: the root of s_r² + s_L²",
     )
     note = (
         "Standard deviations of the error (ISO 5725-2, 7.4.5). A set-up is a teat at a pose; its"
@@ -365,7 +317,7 @@ def _components(rows: ErrorRows, detector: str) -> Part:
         _component_row(axis, found)
         for axis, found in zip(("world x", "world y", "world z"), along, strict=True)
     )
-    return Table(f"Repeatability and reproducibility, {detector} (ISO 5725)", columns, lines, note)
+    return Table(f"Repeatability and reproducibility, {detector} (ISO 5725)", heads, lines, note)
 
 
 def _component_row(axis: str, found: Precision) -> tuple[str, ...]:
@@ -389,16 +341,9 @@ def _ends(rows: ErrorRows) -> Errors:
 
 
 def _poses(ends: Errors, detector: str) -> Table:
-    columns = (
-        Column("pose"),
-        Column("teat"),
-        Column("n", "right"),
-        Column("AP", "right", "mm"),
-        Column("AP along x", "right", "mm"),
-        Column("along y", "right", "mm"),
-        Column("along z", "right", "mm"),
-        Column("RP", "right", "mm"),
-        Column("drift of AP", "right", "mm"),
+    heads = columns(
+        "pose | teat | >n | >AP [mm] | >AP along x [mm] | >along y [mm] | >along z [mm]",
+        ">RP [mm] | >drift of AP [mm]",
     )
     rows = []
     for (pose, teat), of in list(ends.items())[:MOST_ROWS]:
@@ -423,7 +368,7 @@ def _poses(ends: Errors, detector: str) -> Table:
     )
     return Table(
         f"Pose accuracy and repeatability, {detector} (ISO 9283)",
-        columns,
+        heads,
         tuple(rows),
         note + _left_out(len(ends)),
     )
@@ -449,19 +394,14 @@ def _distance_parts(ends: Errors, detector: str) -> Iterator[Part]:
             " times."
         )
         return
-    columns = (
-        Column("distance"),
-        Column("n", "right"),
-        Column("AD", "right", "mm"),
-        Column("RD", "right", "mm"),
-    )
+    heads = columns("distance | >n | >AD [mm] | >RD [mm]")
     note = (
         "The distance found less the true one of the same trials; AD is the amount of its mean, RD"
         " three standard deviations."
     )
     yield Table(
         f"Distance accuracy and repeatability, {detector} (ISO 9283)",
-        columns,
+        heads,
         tuple(lines),
         note + _left_out(len(pairs)),
     )
@@ -470,9 +410,7 @@ def _distance_parts(ends: Errors, detector: str) -> Iterator[Part]:
 def _distance_errors(
     a: Mapping[str, Floats], b: Mapping[str, Floats], *, same_trial: bool
 ) -> Floats:
-    """Distance found less true distance (n,), of the same trials, or of the k-th of one and the
-    k-th of the other.
-    """
+    """Distance found less true distance (n,), of the same trials or of the k-th of each."""
     both = (
         [(a[trial], b[trial]) for trial in a if trial in b]
         if same_trial

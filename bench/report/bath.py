@@ -1,6 +1,4 @@
-"""What the report says of the bath: its curve, the temperatures at every capture, the teats'
-surface, interlocks, and who watched.
-"""
+"""The report's parts on the bath: curve, captures, the teats' surface, interlocks, guardian."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from bench.results.teat_temperature import Figures, Surface, surface
 from bench.safety.interlocks import RULES
 from bench.script.model import Rules, Script
 from reports.figures import bath_curve
-from reports.parts import Column, Figure, Paragraph, Part, Table
+from reports.parts import Figure, Paragraph, Part, Table, columns
 
 MOST_ROWS = 40  # of a table that has a row a capture
 AROUND_S = 5.0  # readings so near to a capture are those of the capture
@@ -62,9 +60,7 @@ def surface_at(run: RunRecord, trial: TrialRecord) -> Surface | None:
 
 
 def capture_told(run: RunRecord, trial: TrialRecord) -> str:
-    """The bath at a trial's capture: what the gate saw, the range of the readings about then, and
-    its state.
-    """
+    """The bath at a trial's capture: value, range of the readings about then, and state."""
     told = number(trial.head["bath_c"], "°C")
     readings = _readings(run, trial)[0] if trial.head["captured_s"] is not None else []
     if readings:
@@ -95,35 +91,26 @@ def _capture_parts(run: RunRecord) -> Iterator[Part]:
     rows = [_capture_row(run, trial, found[trial.id]) for trial in shown]
     if not rows:
         return
-    columns = (
-        Column("trial"),
-        Column("bath, mean", "right", "°C"),
-        Column("least", "right", "°C"),
-        Column("most", "right", "°C"),
-        Column("external", "right", "°C"),
-        Column("state"),
-        Column("teats' surface", "right", "°C"),
-        Column("±", "right", "K", hint="twice the standard uncertainty"),
+    heads = columns(
+        "trial | >bath, mean [°C] | >least [°C] | >most [°C] | >external [°C] | state",
+        ">teats' surface [°C]",
+        ">± [K] # twice the standard uncertainty",
     )
     note = (
         f"Readings within {AROUND_S:g} s of each capture. The bath is not the stimulus: the teats'"
         f" surface is.{left_out}"
     )
-    yield Table("Temperatures at the captures", columns, tuple(rows), note)
+    yield Table("Temperatures at the captures", heads, tuple(rows), note)
     last = next((surface for surface in reversed(found.values()) if surface), None)
     if last:
         budget = [(c.name, f"{c.u_k:.3f}", c.source) for c in last.components]
         budget.append(("combined", f"{last.u_k:.3f}", "root of the sum of squares"))
         title = f"Uncertainty budget of the teats' surface, by {last.how} (last capture)"
-        yield Table(
-            title, (Column("component"), Column("u", "right", "K"), Column("source")), tuple(budget)
-        )
+        yield Table(title, columns("component | >u [K] | source"), tuple(budget))
 
 
 def _farthest(run: RunRecord, taken: Sequence[TrialRecord]) -> tuple[Sequence[TrialRecord], str]:
-    """The captures that a table shows, in their order: of many those farthest from the set point;
-    and a sentence that says so.
-    """
+    """The captures that a table shows, of many those farthest from the set point, with a note."""
     if len(taken) <= MOST_ROWS:
         return taken, ""
     off = [abs((trial.head["bath_c"] or 0.0) - run.facts["set_point_c"]) for trial in taken]
@@ -138,17 +125,10 @@ def _farthest(run: RunRecord, taken: Sequence[TrialRecord]) -> tuple[Sequence[Tr
 
 
 def _stability_table(run: RunRecord, set_point_c: float, window_s: float) -> Table:
-    """Stability and uniformity, which are two things (ASTM E2488): over time at one place, and
-    between places at one time.
-    """
-    columns = (
-        Column("trial"),
-        Column("readings", "right"),
-        Column("mean from set point", "right", "K"),
-        Column("half the range", "right", "K"),
-        Column("slope", "right", "K/min"),
-        Column("teats' sensor, slope", "right", "K/min"),
-        Column("bath to teats' sensor", "right", "K"),
+    """Stability over time at one place, uniformity between places (ASTM E2488)."""
+    heads = columns(
+        "trial | >readings | >mean from set point [K] | >half the range [K] | >slope [K/min]",
+        ">teats' sensor, slope [K/min] | >bath to teats' sensor [K]",
     )
     shown, left_out = _farthest(
         run, [trial for trial in run.trials if trial.head["captured_s"] is not None]
@@ -159,7 +139,7 @@ def _stability_table(run: RunRecord, set_point_c: float, window_s: float) -> Tab
         " and from root to tip, is not measured: there is one sensor at the teats at most; what it"
         f" may be is in the uncertainty of the teats' surface.{left_out}"
     )
-    return Table(f"The {window_s:g} s before each capture", columns, rows, note)
+    return Table(f"The {window_s:g} s before each capture", heads, rows, note)
 
 
 def _stability_row(
@@ -224,15 +204,10 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
     inactive = set(facts["interlocks asleep"])
     trip = facts.get("trip", {})
     rows = [(r.name, r.trips, r.resets, _state(r.name, inactive, trip.get("rule"))) for r in RULES]
-    columns = (
-        Column("interlock"),
-        Column("trips"),
-        Column("resets, once acknowledged"),
-        Column("in this run"),
-    )
+    heads = columns("interlock | trips | resets, once acknowledged | in this run")
     yield Table(
         "Interlocks",
-        columns,
+        heads,
         tuple(rows),
         "None of this is a safety function; the bath's independent cut-out is.",
     )
@@ -261,7 +236,7 @@ def _state(name: str, inactive: set[str], tripped: str | None) -> str:
 
 def _trip_table(trip: dict[str, Any]) -> Table:
     values: Sequence[dict[str, Any]] = trip["values"]
-    names = (
+    names = [
         "t_s",
         "temp_c",
         "external_c",
@@ -270,14 +245,15 @@ def _trip_table(trip: dict[str, Any]) -> Table:
         "power_percent",
         "running",
         "alarm",
+    ]
+    heads = columns(
+        ">time [s] | >bath [°C] | >external [°C] | >safety [°C] | >set point [°C]",
+        ">output [%] | >runs | >alarm",
     )
-    titles = ("time", "bath", "external", "safety", "set point", "output", "runs", "alarm")
-    units = ("s", "°C", "°C", "°C", "°C", "%", "", "")
-    columns = tuple(Column(title, "right", unit) for title, unit in zip(titles, units, strict=True))
     rows = tuple(tuple(_cell(row.get(name)) for name in names) for row in values)
     return Table(
         f"Readings that led to the trip: {trip['rule']}",
-        columns,
+        heads,
         rows,
         f"{trip['why']}. {'; '.join(trip['done'])}. {trip['then']}",
     )

@@ -1,12 +1,4 @@
-"""The quality page of a calibration step: what was found with its uncertainty, how it was shown,
-what is wrong with it by name.
-
-May not know how any of it was computed; it gets results and says them.
-
-The page of a check: an existing calibration against a board seen, or points touched, today.
-
-May not know how any of it was computed; it gets results and says them.
-"""
+"""The quality page of a calibration step, and the page of a check of an existing calibration."""
 
 from __future__ import annotations
 
@@ -42,7 +34,7 @@ from detector.calibration.bundle import POSE
 from detector.calibration.diagnosis import Finding
 from detector.calibration.remeasure import Remeasured
 from reports.page import Banner, Page, Section
-from reports.parts import Cell, Column, Table, Verdict
+from reports.parts import Cell, Table, Verdict, columns
 
 NAMED_MM = 1200.0  # about where the thesis's teats stand
 
@@ -139,7 +131,7 @@ def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
     tables = tuple(
         Table(
             f"Pairs, thermal to {side}",
-            (Column("pair", "right"), Column("misses by", "right", "px"), Column("counts")),
+            columns(">pair | >misses by [px] | counts"),
             tuple(
                 (str(n), f"{missed:.2f}", "yes" if kept else Cell("no: outlier", "warn"))
                 for n, (missed, kept) in enumerate(rows, 1)
@@ -180,12 +172,7 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
     held_out = comparison.held_out_mm["rigid"]
     models = Table(
         "Fits of triangulated to touched points; rigid is used, the others are a diagnosis",
-        (
-            Column("fit"),
-            Column("residual", "right", "mm rms"),
-            Column("held out", "right", "mm rms"),
-            Column("singular values", "right"),
-        ),
+        columns("fit | >residual [mm rms] | >held out [mm rms] | >singular values"),
         tuple(
             (
                 f.model,
@@ -197,14 +184,10 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
         ),
         note="Where affine is much better, the stereo calibration is off.",
     )
-    columns = (
-        Column("point", "right"),
-        *(Column(f"d{axis}", "right", "mm") for axis in "xyz"),
-        Column("distance", "right", "mm"),
-    )
+    heads = columns(">point | >dx [mm] | >dy [mm] | >dz [mm] | >distance [mm]")
     residuals = Table(
         "Touched less mapped",
-        columns,
+        heads,
         tuple(
             (str(n), *(f"{v:+.3f}" for v in row), f"{np.linalg.norm(row):.3f}")
             for n, row in enumerate(comparison.rigid.residuals_mm, 1)
@@ -310,23 +293,17 @@ def check_page(
 def check_points_page(
     again: PointsAgain, findings: Sequence[Finding], record: Record, command: str
 ) -> Page:
-    """Of `calibrate check --points`: an existing calibration against points that the arm touched
-    today.
-    """
+    """Of `calibrate check --points`: an existing calibration against points touched today."""
     rms = float(np.sqrt(np.mean(np.sum(again.missed_mm**2, axis=1))))
     x, y, z = again.missed_mm.mean(axis=0)
-    columns = (
-        Column("point", "right"),
-        *(Column(f"d{axis}", "right", "mm") for axis in "xyz"),
-        Column("expected", "right", "mm"),
-    )
+    heads = columns(">point | >dx [mm] | >dy [mm] | >dz [mm] | >expected [mm]")
     rows = tuple(
         (str(n), *(f"{v:+.2f}" for v in row), f"{expected:.2f}")
         for n, (row, expected) in enumerate(zip(again.missed_mm, again.expected_mm, strict=True), 1)
     )
     table = Table(
         "Measured less touched",
-        columns,
+        heads,
         rows,
         note="Expected: root of the summed variances of calibration, pixels and touch.",
     )

@@ -1,10 +1,5 @@
-"""What a run's report says of the calibration that it used: its record with its age, and the limit
-that it sets at each distance.
-
-May not know how a calibration is made.
-
-The parts of a calibration's quality page: tables, figures and notes, each from one result. Which
-page has which is `calibration`'s.
+"""Parts on calibration: what a run's report says of the one that it used, with the limit that it
+sets at each distance; and the tables, figures and notes of a calibration's quality page.
 """
 
 from __future__ import annotations
@@ -17,7 +12,7 @@ from bench.calibrate.stereo import PAIR, CamerasResult
 from bench.calibrate.thermal import ThermalResult
 from bench.calibrate.views import BoardViews
 from bench.record.reader import RunRecord
-from bench.report.tables import key_values
+from bench.report.tables import ends_mm, key_values
 from bench.report.wording import NOT_MEASURED
 from bench.script.calibration_age import CALIBRATION_FACT
 from detector.calibration import Calibration, Record
@@ -28,16 +23,14 @@ from detector.calibration.diagnosis import Finding
 from detector.calibration.remeasure import Remeasured
 from detector.geometry import Array
 from reports.figures import precision_by_distance, residual_field
-from reports.parts import Cell, Code, Column, Figure, KeyValues, Notes, Paragraph, Part, Table
+from reports.parts import Cell, Code, Figure, KeyValues, Notes, Paragraph, Part, Table, columns
 
 PIXEL_SD_PX = 0.1  # of a point placed well in a picture, in each coordinate
 MOST_ROWS = 6
 
 
 def record_parts(run: RunRecord) -> Iterator[Part]:
-    """Who calibrated the cameras, when and with what; nothing for
-    a run that didn't write it down.
-    """
+    """Who calibrated the cameras, when and with what; nothing where the run has no record."""
     fact = run.facts.get(CALIBRATION_FACT)
     if fact is None:
         return
@@ -66,12 +59,8 @@ def record_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def limit_parts(run: RunRecord, calibration: Calibration) -> Iterator[Part]:
-    """What no detector on this rig and calibration can do better, by the distance of this run's
-    teat ends.
-    """
-    ends = np.array(
-        [[row["x_mm"], row["y_mm"], row["z_mm"]] for trial in run.trials for row in trial.truth]
-    ).reshape(-1, 3)
+    """The best that any detector can reach on this calibration, by distance."""
+    ends = ends_mm(run.trials)
     if not len(ends):
         yield Paragraph(f"What the geometry allows: {NOT_MEASURED}.")
         return
@@ -97,22 +86,14 @@ def limit_table(ends_mm: Array, calibration: Calibration) -> Table:
         rows.append(
             (*texts, f"{own[at].max():.2f}" if known else NOT_MEASURED, f"{seen[at].max():.2f}")
         )
-    columns = (
-        Column("distance", "right", "mm"),
-        Column("teat ends", "right"),
-        Column("one pixel of disparity", "right", "mm", hint="of depth: Z² / (f B)"),
-        Column(
-            "calibration alone",
-            "right",
-            "mm",
-            hint="expanded uncertainty (k = 2) of a point, along its worst direction",
+    heads = columns(
+        ">distance [mm] | >teat ends",
+        ">one pixel of disparity [mm] # of depth: Z² / (f B)",
+        (
+            ">calibration alone [mm] # expanded uncertainty (k = 2) of a point, along its worst"
+            " direction"
         ),
-        Column(
-            f"with {PIXEL_SD_PX:g} px noise",
-            "right",
-            "mm",
-            hint="the same with noise of the pixels besides",
-        ),
+        f">with {PIXEL_SD_PX:g} px noise [mm] # the same with noise of the pixels besides",
     )
     told = (
         ""
@@ -124,14 +105,12 @@ def limit_table(ends_mm: Array, calibration: Calibration) -> Table:
         f" row.{told}"
     )
     return Table(
-        "Limit of what can be reached, by distance from the cameras", columns, tuple(rows), note
+        "Limit of what can be reached, by distance from the cameras", heads, tuple(rows), note
     )
 
 
 def _worst_mm(calibration: Calibration, ends_mm: Array, pixel_sd_px: float) -> Array:
-    """Expanded uncertainty (n,) along each point's worst direction; 0 for a point that a camera
-    can't see.
-    """
+    """Expanded uncertainty (n,) along the worst direction; 0 where a camera can't see it."""
     found = np.nan_to_num(calibration.covariance_of(ends_mm, pixel_sd_px))
     return np.asarray(2.0 * np.sqrt(np.clip(np.linalg.eigvalsh(found)[:, -1], 0.0, None)))
 
@@ -194,20 +173,14 @@ def parameter_parts(result: CamerasResult) -> Iterator[Part]:
                 f"{other:.{digits}f}",
             )
         )
-    columns = (
-        Column("parameter"),
-        Column("unit"),
-        Column("joint", "right"),
-        Column("sd", "right"),
-        Column("with lenses fixed", "right"),
-    )
+    heads = columns("parameter | unit | >joint | >sd | >with lenses fixed")
     joint_px, fixed_px = result.joint.fit.rms_px, result.fixed.fit.rms_px
     note = (
         f"Corners miss by {joint_px:.3f} px rms jointly, by {fixed_px:.3f} px with the lenses as"
         " each camera alone has them."
     )
     yield Table(
-        "Right camera against left: X_right = R(om) X_left + T", columns, tuple(rows), note=note
+        "Right camera against left: X_right = R(om) X_left + T", heads, tuple(rows), note=note
     )
 
 
@@ -231,18 +204,8 @@ def parameters(
             single = dict(zip(LENS, (*other.fc, *other.cc, *other.kc), strict=True))[name]
             row = (*row, f"{single:.{digits}f}")
         rows.append(row)
-    more = (Column("alone", "right"),) if alone is not None else ()
-    return Table(
-        f"Lens of the {camera} camera",
-        (
-            Column("parameter"),
-            Column("unit"),
-            Column("value", "right"),
-            Column("sd", "right"),
-            *more,
-        ),
-        tuple(rows),
-    )
+    heads = columns("parameter | unit | >value | >sd", *([] if alone is None else [">alone"]))
+    return Table(f"Lens of the {camera} camera", heads, tuple(rows))
 
 
 def sd_text(value: float | None, digits: int) -> str:
@@ -322,13 +285,8 @@ def held_out_parts(result: CamerasResult) -> Iterator[Part]:
 
 def measured_table(again: Remeasured) -> Table:
     """A board measured again, view by view."""
-    columns = (
-        Column("view"),
-        Column("distance", "right", "mm"),
-        Column("scale", "right"),
-        Column("spacing", "right", "mm rms"),
-        Column("flatness", "right", "mm rms"),
-        Column("rows", "right", "px rms"),
+    heads = columns(
+        "view | >distance [mm] | >scale | >spacing [mm rms] | >flatness [mm rms]", ">rows [px rms]"
     )
 
     def rms(values: Array) -> str:
@@ -345,7 +303,7 @@ def measured_table(again: Remeasured) -> Table:
         )
         for v in again.views
     )
-    return Table("View by view", columns, rows, searchable=True)
+    return Table("View by view", heads, rows, searchable=True)
 
 
 def worth_parts(result: CamerasResult, seen_m: tuple[float, float]) -> Iterator[Part]:
@@ -379,9 +337,7 @@ def coverage_parts(shown: Mapping[str, Coverage]) -> Iterator[Part]:
     """Corners by part of the picture, tilts and distances."""
     for camera, coverage in shown.items():
         rows = tuple(tuple(str(int(count)) for count in row) for row in coverage.corners)
-        columns = tuple(
-            Column(name, "right") for name in ("far left", "left", "right", "far right")
-        )
+        heads = columns(">far left | >left | >right | >far right")
         tilts = ", ".join(
             f"{count} {side.split(' edge')[0].removeprefix('its ')}"
             for side, count in _sides(coverage)
@@ -395,7 +351,7 @@ def coverage_parts(shown: Mapping[str, Coverage]) -> Iterator[Part]:
             f"{coverage.views} views; distances {span}; tilted towards the cameras by an edge:"
             f" {tilts}."
         )
-        yield Table(f"Corners by part of the {camera} picture", columns, rows, note=note)
+        yield Table(f"Corners by part of the {camera} picture", heads, rows, note=note)
 
 
 def _sides(coverage: Coverage) -> list[tuple[str, int]]:
@@ -418,14 +374,8 @@ def picture_parts(views: BoardViews, fit: Calibrated) -> Iterator[Part]:
                     f"{errors[name]:.3f}" if name in errors else NOT_MEASURED,
                 )
             )
-    columns = (
-        Column("camera"),
-        Column("view"),
-        Column("points", "right"),
-        Column("edges", "right", "px"),
-        Column("misses by", "right", "px rms"),
-    )
-    yield Table("Views used", columns, tuple(rows), searchable=True)
+    heads = columns("camera | view | >points | >edges [px] | >misses by [px rms]")
+    yield Table("Views used", heads, tuple(rows), searchable=True)
     left_out = tuple(f"{r.camera} {r.view}: {r.reason}" for r in views.refused)
     yield (
         Notes("Left out", left_out)
@@ -435,24 +385,16 @@ def picture_parts(views: BoardViews, fit: Calibrated) -> Iterator[Part]:
 
 
 def working_volume_mm(touched_mm: Array) -> Array:
-    """Points (27, 3) over the box of the touched places, `MARGIN_MM` larger on every side: where
-    teats may stand.
-    """
+    """Points (27, 3) over the box of the touched places, `MARGIN_MM` larger on every side."""
     low, high = touched_mm.min(axis=0) - MARGIN_MM, touched_mm.max(axis=0) + MARGIN_MM
     grid = np.meshgrid(*np.linspace(low, high, 3).T, indexing="ij")
     return np.column_stack([axis.reshape(-1) for axis in grid])
 
 
 def target_table(volume_mm: Array, errors_mm: Array) -> Table:
-    """Expected target errors (27,) at the points of `working_volume_mm`: a row for each y and z, a
-    column for each x.
-    """
+    """Expected target errors (27,) at `working_volume_mm`: rows y and z, columns x."""
     x = [volume_mm[9 * at, 0] for at in range(3)]
-    columns = (
-        Column("y", "right", "mm"),
-        Column("z", "right", "mm"),
-        *(Column(f"x = {value:.0f} mm", "right", "mm") for value in x),
-    )
+    heads = columns(">y [mm] | >z [mm]", *(f">x = {value:.0f} mm [mm]" for value in x))
     rows = tuple(
         (
             f"{volume_mm[at, 1]:.0f}",
@@ -465,7 +407,7 @@ def target_table(volume_mm: Array, errors_mm: Array) -> Table:
         f"The box of the touched places, {MARGIN_MM:.0f} mm larger on every side. Fitzpatrick, West"
         " and Maurer 1998, eq. 46."
     )
-    return Table("Expected target error, rms", columns, rows, note=note)
+    return Table("Expected target error, rms", heads, rows, note=note)
 
 
 def homography_parts(result: ThermalResult) -> Iterator[Part]:
@@ -494,5 +436,5 @@ def provenance_parts(record: Record, command: str) -> Iterator[Part]:
         ),
     )
     rows = tuple((name, Cell(digest, mono=True)) for name, digest in record.inputs.items())
-    yield Table("Inputs", (Column("file"), Column("SHA-256")), rows)
+    yield Table("Inputs", columns("file | SHA-256"), rows)
     yield Code("The command that repeats it", command)

@@ -1,10 +1,5 @@
-"""A comparison in words and plain numbers: one place, so that terminal, page and JSON say the same.
-
-A comparison as a page of its own: the gate's verdict, the differences by situation, and each scene
-that changed.
-
-The report's chapters that compare: a run against an older one of the same scenes, and the detectors
-of one run against its first.
+"""A comparison as words and numbers, as a page of its own, and as chapters of a report: a run
+against an older one, and the detectors of one run against its first.
 """
 
 from __future__ import annotations
@@ -28,7 +23,18 @@ from bench.scoring.decisions import Verdict, overall
 from bench.scoring.scene import SceneScore
 from reports.figures import change_scatter
 from reports.page import Banner, Kind, Page, Section
-from reports.parts import Cell, Column, Figure, KeyValues, Notes, Paragraph, Part, Table, Tone
+from reports.parts import (
+    Cell,
+    Column,
+    Figure,
+    KeyValues,
+    Notes,
+    Paragraph,
+    Part,
+    Table,
+    Tone,
+    columns,
+)
 from reports.parts import Verdict as PageVerdict
 from reports.render import write_report
 
@@ -127,9 +133,7 @@ def _unlike(comparison: Comparison) -> Iterator[str]:
 
 
 def _truth(comparison: Comparison) -> Iterator[str]:
-    """How well the truth of the two runs agrees, where their ends were touched: each run is a
-    set-up.
-    """
+    """How well the truth of two touched runs agrees: each run is a set-up."""
     old, new = comparison.old.run, comparison.new.run
     found = truth_gage((old, new)) if old.folder.resolve() != new.folder.resolve() else None
     if found is None or found.studies is None:
@@ -174,9 +178,7 @@ def success_rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
 
 
 def distance_rows(comparison: Comparison, *, wide: bool = False) -> Iterator[tuple[str, ...]]:
-    """The rows under DISTANCE: all, then each situation. ``wide`` gives the axes their intervals
-    too.
-    """
+    """The rows under DISTANCE: all, then each situation. ``wide`` adds the axes' intervals."""
     for row in _rows(comparison):
         p = row.radial.p_value if row.radial_holm is None else row.radial_holm
         axes = (
@@ -263,9 +265,7 @@ TONES: dict[Verdict, Tone] = {
 
 
 def write_comparison(found: Sequence[Comparison], folder: Path) -> Path:
-    """Write ``index.html`` and ``comparison.json`` into ``folder``; gives back the page's path.
-    Raises ConfigError where it can't.
-    """
+    """Write ``index.html`` and ``comparison.json``; return the page's path. Raises ConfigError."""
     try:
         path = write_report(comparison_page(found), folder)
         write_synced(
@@ -335,20 +335,13 @@ def comparison_parts(comparison: Comparison) -> Iterator[Part]:
 
 def _columns(titles: Sequence[tuple[str, str]]) -> tuple[Column, ...]:
     return tuple(
-        Column(title, "right" if number else "left", unit)
-        for number, (title, unit) in enumerate(titles)
+        Column(title, "right" if n else "left", unit) for n, (title, unit) in enumerate(titles)
     )
 
 
 def _changed(comparison: Comparison) -> Table:
     """Scenes whose outcome changed, and those whose error changed most."""
-    columns = (
-        Column("scene"),
-        Column("situation"),
-        Column("old"),
-        Column("new"),
-        Column("change of the largest error", "right", "mm"),
-    )
+    heads = columns("scene | situation | old | new | >change of the largest error [mm]")
     by_change = sorted(
         comparison.pairs,
         key=lambda pair: (pair.old.success == pair.new.success, -abs(_growth(pair) or 0.0)),
@@ -363,7 +356,7 @@ def _changed(comparison: Comparison) -> Table:
     note = "" if cells else "No scene's outcome changed, and no error."
     return Table(
         "Scenes that changed (at most 50, changed outcomes first)",
-        columns,
+        heads,
         cells,
         note,
         searchable=len(cells) > 10,
@@ -398,9 +391,7 @@ def _listed(reasons: Sequence[str], most: int = 5) -> str:
 
 
 def baseline_section(baseline: Path, folder: Path, damage: tuple[str, ...] = ()) -> Section:
-    """The run in ``folder`` (new) against that in ``baseline`` (old). Raises ConfigError where they
-    have nothing in common.
-    """
+    """The run in ``folder`` (new) against ``baseline`` (old). Raises ConfigError."""
     found = compare_folders([baseline, folder], damage=damage)
     parts = tuple(
         part
@@ -411,9 +402,7 @@ def baseline_section(baseline: Path, folder: Path, damage: tuple[str, ...] = ())
 
 
 def detectors_section(run: RunRecord) -> tuple[Section, ...]:
-    """Each later detector against the first, on the same frames; none where there are no two that
-    were scored.
-    """
+    """Each later scored detector against the first, on the same frames."""
     first, *others = (Side(run, name) for name in run.detectors)
     compared = [
         compare_sides(first, other)

@@ -1,8 +1,5 @@
 """The pictures of a trial for the report: JPEG of the frames, cut to the teats at first sight, with
-what is drawn over them.
-
-The originals stay where they are and are linked. Pictures can be made again at any time, so nothing
-is synced to the disk here.
+overlays. They can be made again at any time, so nothing is synced to the disk.
 """
 
 from __future__ import annotations
@@ -86,9 +83,7 @@ def _edges(run: RunRecord, trial: TrialRecord, detector: str, folder: Path) -> I
 
 
 def round_teats(points: Points | None, width: int, height: int) -> tuple[int, int, int, int] | None:
-    """A 4:3 part of the frame with the teat ends and what hangs on them; the whole frame where none
-    is in it.
-    """
+    """A 4:3 part of the frame around the teat ends; the whole frame where it has none."""
     if (
         points is None
         or not np.isfinite(points).all()
@@ -107,9 +102,7 @@ def round_teats(points: Points | None, width: int, height: int) -> tuple[int, in
 
 
 def grey(path: Path) -> NDArray[np.uint8] | None:
-    """A frame as 8-bit grey; None where it is gone, or is none. Read through memory: OpenCV opens
-    only ASCII paths on Windows.
-    """
+    """A frame as 8-bit grey or None; read through memory: OpenCV wants ASCII paths on Windows."""
     if not path.is_file():
         return None
     data = np.frombuffer(path.read_bytes(), np.uint8)

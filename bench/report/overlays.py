@@ -1,9 +1,9 @@
-"""What is drawn over the frames of a trial: truth, nominations, regions, models, final points with
-their regions of confidence.
+"""What is drawn over the frames of a trial: truth, stages of the detector, found points with their
+confidence regions.
 
-Strategy: a stage of a detector's trace that has `left_px`, `right_px` or `thermal_px` (n, 2) is
-drawn by its name, so any detector can show its stages; what two detectors of the bench keep besides
-is read by the names of their stages. Coordinates are the image's pixels.
+Any stage of a trace with `left_px`, `right_px` or `thermal_px` (n, 2) is drawn by its name; the
+stages that only the bench's own detectors have are read by their names. Coordinates are the image's
+pixels.
 """
 
 from __future__ import annotations
@@ -42,9 +42,7 @@ FINAL = {"ends"}  # stages that repeat the answer
 
 
 def project_all(calibration: Calibration, world_mm: Points) -> dict[str, Points | None]:
-    """Pixels (n, 2) of world points (n, 3) in each camera; None for a thermal camera without a
-    pose. Thermal ones are un-mirrored.
-    """
+    """Pixels (n, 2) of world points (n, 3) by camera, thermal un-mirrored; None without a pose."""
     left, right = calibration.project(world_mm)
     in_right = calibration.world_from_right.inverse().apply(world_mm)
     lens, pose = calibration.thermal.lens, calibration.thermal_from_right
@@ -58,9 +56,7 @@ def project_all(calibration: Calibration, world_mm: Points) -> dict[str, Points 
 def overlays(
     trial: TrialRecord, camera: str, truth_px: Points | None, calibration: Calibration
 ) -> tuple[Overlay, ...]:
-    """All layers over one camera's frame; ``truth_px`` (n, 2) is where the trial's truth lies in
-    it.
-    """
+    """All layers over one camera's frame; ``truth_px`` (n, 2) is the truth in its pixels."""
     shapes: dict[LayerTone, list[Shape]] = {tone: [] for tone in NAMES}
     shapes["truth"] += _truth(trial, truth_px)
     for detection in trial.detections:
@@ -80,9 +76,7 @@ def overlays(
 
 
 def stage_overlays(detection: Row) -> tuple[Overlay, ...]:
-    """Over the thesis's picture of edges: the points that were
-    taken from it, and those nominated.
-    """
+    """Over the thesis's picture of edges: the points taken from it, and those nominated."""
     trace = json.loads(detection["trace"])
     taken = [
         (stage, p)
@@ -106,9 +100,7 @@ def points_of(trace: Mapping[str, Any], stage: str, key: str) -> Points:
 
 
 def _rows(value: Any, width: int) -> Points:
-    """A stage's numbers as rows (n, width); none where they aren't such, for any detector names its
-    stages as it likes.
-    """
+    """A stage's numbers as rows (n, width); none where they have another shape."""
     try:
         array = np.array(value if isinstance(value, list) else [], dtype=np.float64)
     except (TypeError, ValueError):  # text, or rows of different lengths
@@ -128,9 +120,7 @@ def _truth(trial: TrialRecord, at: Points | None) -> Iterator[Shape]:
 def _stages(
     trace: Mapping[str, Any], camera: str, detector: str
 ) -> Iterator[tuple[LayerTone, Shape]]:
-    """Points that stages put into this camera's picture; the thesis's thermal ones and regions by
-    their own names.
-    """
+    """Points of stages in this camera's picture; the thesis's own stages by their names."""
     for stage in trace:
         tone: LayerTone = "nomination" if stage == "nominations" else "other"
         if stage not in FINAL:
@@ -159,9 +149,7 @@ def _stages(
 def _models(
     trace: Mapping[str, Any], camera: str, calibration: Calibration, detector: str
 ) -> Iterator[tuple[LayerTone, Shape]]:
-    """The outlines of fused's fitted teats, in the right camera's frame, with the reason of those
-    that it rejected; its thermal ends.
-    """
+    """The outlines of fused's fitted teats (right camera), reasons of rejection, thermal ends."""
     if camera == "thermal":
         yield from _warm_ends(trace, calibration, detector)
     decided = trace.get("decisions", {})
@@ -217,9 +205,7 @@ def _final(row: Row, camera: str) -> Iterator[Shape]:
 
 
 def _spread(row: Row, camera: str, calibration: Calibration) -> Iterator[Shape]:
-    """The stated covariance, seen by the camera: an ellipse that holds the end in 95 % of cases, if
-    it is as stated.
-    """
+    """The stated covariance in this camera: an ellipse for 95 % of cases."""
     if row["covariance_mm2"] is None:
         return
     end = np.array([row["x_mm"], row["y_mm"], row["z_mm"]])

@@ -1,6 +1,4 @@
-"""The whole report of a run as a page: banner, requirements, results, accuracy, latency, bath,
-provenance, trials.
-"""
+"""The whole report of a run as a page, from the banner to the trials."""
 
 from __future__ import annotations
 
@@ -41,7 +39,7 @@ from reports.figures import (
 )
 from reports.mail import write_single_file
 from reports.page import Banner, Page, Section
-from reports.parts import Column, Figure, Paragraph, Part, Table
+from reports.parts import Figure, Paragraph, Part, Table, columns
 from reports.render import write_report
 
 REPORT, SINGLE_FILE, PDF = "report", "single-file.html", "report.pdf"
@@ -61,9 +59,7 @@ PLAIN = Extras()
 def write_run_report(
     folder: Path, extras: Extras = PLAIN, damage: tuple[str, ...] = ()
 ) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
-    """(Re)write the report and the exports of the run in ``folder``; gives back the page's path.
-    Raises ConfigError for no run.
-    """
+    """(Re)write a run's report and exports; return the page's path. Raises ConfigError."""
     run = read_run(folder, damage)
     rules = stored_rules(folder)
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
@@ -97,9 +93,7 @@ def build_page(
     folder: Path,
     chapters: tuple[Section, ...] = (),
 ) -> Page:
-    """The page; the trials' pictures are written into ``folder``/images on the way. ``chapters``
-    stand after the results.
-    """
+    """The page; writes the trials' pictures into ``folder``/images. ``chapters`` come later."""
     # late: what compares is itself made of this package's tables
     from bench.report.comparison import detectors_section
 
@@ -294,9 +288,7 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
 
 
 def _accepted_mm(run: RunRecord, rules: Rules, detector: str) -> float | None:
-    """The acceptance limit of the error's requirement, where it has the limit that the figures
-    show.
-    """
+    """The acceptance limit of the error's requirement, where the figures show the same limit."""
     u_mm = truth_u_mm([run], scored(run, detector), detector)
     limits = [rule.limit_mm for rule in rules.requirements if isinstance(rule, ErrorRequirement)]
     if u_mm is None or rules.visible_within_mm not in limits:
@@ -335,14 +327,10 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
                 failures_told(times),
             )
         )
-    titles = ("median", "p95", "p99", "max", "first call (cold)", "start-up")
-    columns = (
-        Column("detector"),
-        Column("n", "right"),
-        *(Column(t, "right", "s") for t in titles),
-        Column("above 1 s"),
-        Column("above 2 s"),
-        Column("no answer"),
+    heads = columns(
+        "detector | >n",
+        ">median [s] | >p95 [s] | >p99 [s] | >max [s] | >first call (cold) [s] | >start-up [s]",
+        "above 1 s | above 2 s | no answer",
     )
     note = f"Real time of the detector alone, on the machine named under Provenance. {LATENCY_RULE}"
-    yield Table("Detection time", columns, tuple(rows), note)
+    yield Table("Detection time", heads, tuple(rows), note)

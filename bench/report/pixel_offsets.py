@@ -1,8 +1,5 @@
-"""The report of the sensitivity test: what each known pixel offset does to a known point, beside
-what the thesis printed.
-
-The job behind ``teatbench run`` for a sensitivity script: a run folder with what was used, and the
-report. Opens no instrument.
+"""The sensitivity test: its run folder and its report, what each known pixel offset does to a known
+point, beside what the thesis printed.
 """
 
 from __future__ import annotations
@@ -38,7 +35,16 @@ from bench.script.pixel_offsets import (
 from instruments.clock import wall_time
 from reports.figures import error_histogram
 from reports.page import Banner, Page, Section
-from reports.parts import Column, Figure, Paragraph, Part, Requirement, Requirements, Table, Verdict
+from reports.parts import (
+    Figure,
+    Paragraph,
+    Part,
+    Requirement,
+    Requirements,
+    Table,
+    Verdict,
+    columns,
+)
 from reports.render import write_report
 
 NOT_SAID = "not printed"
@@ -113,17 +119,9 @@ def _requirements(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Requiremen
 
 def _table(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Table:
     limit = loaded.script.limit_mm
-    columns = (
-        Column("teat", "right"),
-        Column("offset"),
-        Column("directions", "right"),
-        Column("least", "right", "mm"),
-        Column("median", "right", "mm"),
-        Column("most", "right", "mm"),
-        Column("most along x", "right", "mm"),
-        Column("along y", "right", "mm"),
-        Column("along z", "right", "mm"),
-        Column(f"above {limit:g} mm", "right"),
+    heads = columns(
+        ">teat | offset | >directions | >least [mm] | >median [mm] | >most [mm]",
+        f">most along x [mm] | >along y [mm] | >along z [mm] | >above {limit:g} mm",
     )
     rows = []
     for one in found:
@@ -141,7 +139,7 @@ def _table(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Table:
         )
     return Table(
         "Errors over all directions, world frame",
-        columns,
+        heads,
         tuple(rows),
         "Each axis in its own worst direction.",
     )
@@ -160,20 +158,16 @@ def _figures(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Figure
 
 def _published(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Part]:
     figures = thesis()
-    columns = (
-        Column("teat", "right"),
-        Column("offset"),
-        Column("published: x, y, z", "right", "mm"),
-        Column("most possible: x, y, z", "right", "mm"),
-        Column("published against the truth", "right", "mm"),
-        Column("beyond every direction"),
+    heads = columns(
+        ">teat | offset | >published: x, y, z [mm] | >most possible: x, y, z [mm]",
+        ">published against the truth [mm] | beyond every direction",
     )
     rows = [_published_row(loaded, one) for one in found]
     note = (
         "Published: the point with the offset less the point without, both as printed. Most"
         " possible: each axis in its worst direction."
     )
-    yield Table("The thesis's figures", columns, tuple(rows), note)
+    yield Table("The thesis's figures", heads, tuple(rows), note)
     beyond = [one.offset.teat for one in found if beyond_axes(one)]
     if beyond:
         teats = ", ".join(str(teat) for teat in beyond)
@@ -191,9 +185,7 @@ def _published(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Part
 
 
 def _of_thesis(loaded: LoadedOffsets, figures: Thesis) -> bool:
-    """Whether the script puts off what the thesis put off, as far as it: its own printed ends, all
-    of them.
-    """
+    """Whether the script's offsets are of the thesis's own printed ends, all of them."""
     return (
         tuple(one.published_mm for one in loaded.script.offsets) == figures.test_2.triangulated_mm
     )
@@ -206,13 +198,7 @@ def _one_pixel(figures: Thesis, found: Sequence[Outcome]) -> Table:
         for outcome in found
         if {outcome.offset.left_px, outcome.offset.right_px} == {0.0, 1.0}
     ]
-    columns = (
-        Column("figure"),
-        Column("section"),
-        Column("thesis", "right", "mm"),
-        Column("median", "right", "mm"),
-        Column("most", "right", "mm"),
-    )
+    heads = columns("figure | section | >thesis [mm] | >median [mm] | >most [mm]")
     rows = tuple(
         (
             f"teat {outcome.offset.teat}, {offset_told(outcome.offset)}",
@@ -224,7 +210,7 @@ def _one_pixel(figures: Thesis, found: Sequence[Outcome]) -> Table:
         for outcome in one
     )
     return Table(
-        "What one pixel is worth, over all directions", columns, rows, figures.one_pixel.wrong
+        "What one pixel is worth, over all directions", heads, rows, figures.one_pixel.wrong
     )
 
 
@@ -253,20 +239,18 @@ def _method(loaded: LoadedOffsets, calibration_sha256: str) -> Iterator[Part]:
         " triangulated with the same calibration: what differs is the offset's doing alone. All"
         " directions are tried, since the thesis doesn't state its own."
     )
-    columns = (Column("what"), Column("value"))
+    heads = columns("what | value")
     rows = (
         ("layout", loaded.layout.name),
         ("directions a picture", str(loaded.script.directions)),
         ("calibration SHA-256", calibration_sha256),
         ("script", loaded.path.name),
     )
-    yield Table("Inputs", columns, rows)
+    yield Table("Inputs", heads, rows)
 
 
 def published_move_mm(offset: Offset) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None:
-    """What the printed offset moved the printed point by, (3,) mm; None where the script doesn't
-    say.
-    """
+    """What the printed offset moved the printed point by, (3,) mm; None where not stated."""
     if offset.published_mm is None or offset.published_plain_mm is None:
         return None
     return np.subtract(offset.published_mm, offset.published_plain_mm)
@@ -303,9 +287,7 @@ def is_offset_run(folder: Path) -> bool:
 
 
 def run_offsets(rig: LoadedRig, path: Path, out: Path) -> Path:
-    """Run the script at ``path`` on the rig's calibration; gives back the run's folder. Raises
-    ConfigError.
-    """
+    """Run the script on the rig's calibration; return the run's folder. Raises ConfigError."""
     loaded = load_offsets(path)
     outcomes(loaded, rig.calibration)  # what can't be computed is told before there is a folder
     files = {
@@ -329,9 +311,7 @@ def run_offsets(rig: LoadedRig, path: Path, out: Path) -> Path:
 
 
 def report_offsets(folder: Path) -> tuple[Path, LoadedOffsets, tuple[Outcome, ...], Verdict]:
-    """(Re)compute and (re)write the report of such a run; gives back the page's path. Raises
-    ConfigError.
-    """
+    """(Re)write the report of such a run; return its path and results. Raises ConfigError."""
     loaded = load_offsets(folder / SCRIPT)
     found = outcomes(loaded, read_calibration(folder / CALIBRATION))
     digest = hashlib.sha256((folder / CALIBRATION).read_bytes()).hexdigest()

@@ -1,6 +1,4 @@
-"""What a report has to hold so that others can check and repeat it: item, bench, run, raw data with
-checksums, faults, the command.
-"""
+"""What others need to check and repeat a report: item, bench, run, checksums, faults, command."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ from typing import Any
 from bench.record.reader import RunRecord
 from bench.record.schema import RULES, SCRIPT
 from bench.report import tables
-from reports.parts import Cell, Code, Column, KeyValues, Notes, Part, Table
+from reports.parts import Cell, Code, KeyValues, Notes, Part, Table, columns
 
 CAMERA_FAULTS, RETRIES = "camera faults", "retries"
 MOST_EVENTS = 60  # at either end
@@ -59,9 +57,7 @@ def provenance_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def fault_parts(run: RunRecord) -> Iterator[Part]:
-    """Frames that had to be taken again, and asks that had to be repeated; nothing where there were
-    none.
-    """
+    """Frames taken again and requests repeated; nothing where there were none."""
     faults, retries = run.facts.get(CAMERA_FAULTS), run.facts.get(RETRIES)
     if faults:
         yield Notes(
@@ -76,9 +72,7 @@ def fault_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def _chain_rows(run: RunRecord) -> list[tuple[str, str]]:
-    """By these `teatbench store check` tells whether the record is still the one that this page was
-    made of.
-    """
+    """The record's chain, by which `teatbench store check` tells whether it was changed."""
     if run.head is None or not run.head.number:
         return [("record's digest", "none: the bench that wrote the record made no chain")]
     return [
@@ -89,9 +83,7 @@ def _chain_rows(run: RunRecord) -> list[tuple[str, str]]:
 
 
 def _files(run: RunRecord) -> Table:
-    """Each file that the run used, with its checksum as it stands now; the frames' are in the
-    record and in its chain.
-    """
+    """Each file that the run used, with its checksum now; frames are in the record's chain."""
     rows = [
         (Cell(name, href=f"../{name}"), what, Cell(_sha256(run.folder / name), mono=True))
         for name, what in FILES
@@ -103,9 +95,7 @@ def _files(run: RunRecord) -> Table:
         f"The calibration's at the start was {at_start}. {frames} pictures of frames and stages:"
         " each one's SHA-256 is in the record."
     )
-    return Table(
-        "Files as used", (Column("file"), Column("what"), Column("SHA-256")), tuple(rows), note
-    )
+    return Table("Files as used", columns("file | what | SHA-256"), tuple(rows), note)
 
 
 def _beside(run: RunRecord) -> KeyValues:

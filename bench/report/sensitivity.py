@@ -1,6 +1,4 @@
-"""What was measured as files: a figure for each quantity, the numbers as CSV, and a table in
-Markdown. May not know how it was measured.
-"""
+"""Measured sensitivity as files: a figure a quantity, the numbers as CSV, a table in Markdown."""
 
 from __future__ import annotations
 
@@ -37,9 +35,7 @@ NOT_MEASURED = "not measured"
 
 
 def check_curves(names: Sequence[str]) -> None:
-    """Raises ConfigError where a figure can't show so many detectors: before hours are spent on
-    them.
-    """
+    """Raises ConfigError where a figure can't show so many detectors."""
     if len(names) > MOST_CURVES:
         raise ConfigError.plain(
             f"a figure shows {MOST_CURVES} detectors at most, {len(names)} are asked for:"
@@ -66,9 +62,7 @@ def write_figure(folder: Path, quantity: Quantity, points: Sequence[Measured]) -
 def write_numbers(
     folder: Path, quantities: Sequence[Quantity], results: Results, made_with: str
 ) -> None:
-    """All numbers as CSV and as a page; ``made_with`` says in a sentence what they were measured
-    with. Raises ConfigError.
-    """
+    """All numbers as CSV and Markdown; ``made_with`` is a sentence. Raises ConfigError."""
     rows = [
         dict(zip(COLUMNS, row, strict=True))
         for quantity in quantities

@@ -1,18 +1,6 @@
-"""Covariances as they stand in a run's rows: what a detector claims of an answer, and what is known
-of the truth.
-
-The report's part on the poses: which they were and how they were chosen, the error over the plane,
-and what repeats of a pose tell.
-
-The report's part on trends: does the error depend on place, time, bath temperature or the teat's
-tilt, and how much could be hidden.
-
-May not judge: a trend is no requirement. It says where to look, and what the data leave open.
-
-The report's part on how errors spread: teat by teat, over time, and as ellipsoids, drawn and as
-figures.
-
-May not judge: none of this is a requirement. It says where to look.
+"""The report's parts on how errors spread: over poses and places, as trends, teat by teat, over
+time, and as ellipsoids. Stated covariances are compared with the errors. None of it is a
+requirement.
 """
 
 from __future__ import annotations
@@ -57,13 +45,11 @@ from reports.figures import (
     slope_intervals,
     teat_boxes,
 )
-from reports.parts import Cell, Column, Figure, Notes, Paragraph, Part, Table
+from reports.parts import Cell, Figure, Notes, Paragraph, Part, Table, columns
 
 
 def claimed_mm2(answer: Row, truth: Row) -> Floats | None:
-    """What the difference of an answer and its truth should scatter by (3, 3), mm^2; None where the
-    detector claims nothing usable.
-    """
+    """Covariance (3, 3) mm^2 of answer less truth; None where the detector states none."""
     stated = covariance_of(answer)
     if stated is None:
         return None
@@ -75,9 +61,7 @@ def claimed_mm2(answer: Row, truth: Row) -> Floats | None:
 
 
 def covariance_of(row: Row) -> Floats | None:
-    """The covariance (3, 3) of a row, mm^2; None where there is none, or what stands there is no
-    such thing.
-    """
+    """The covariance (3, 3) of a row, mm^2; None where there is none or it is malformed."""
     text = row["covariance_mm2"]
     matrix = np.array(json.loads(text) if text else [], dtype=np.float64)
     return matrix if matrix.shape == (3, 3) and np.isfinite(matrix).all() else None
@@ -88,9 +72,7 @@ MAP_FROM = 9  # places: fewer make no map
 
 
 def pose_parts(run: RunRecord, limit_mm: float, anchors: Mapping[str, str]) -> Iterator[Part]:
-    """How the poses were chosen; then for each detector what depends on the place; ``anchors`` is
-    each trial's link by its id.
-    """
+    """How the poses were chosen, and what depends on the place. ``anchors``: links by trial."""
     chosen = run.facts.get(POSE_SET)
     if chosen:
         yield Notes(
@@ -108,9 +90,7 @@ def pose_parts(run: RunRecord, limit_mm: float, anchors: Mapping[str, str]) -> I
 def _map(
     rows: ErrorRows, detector: str, limit_mm: float, anchors: Mapping[str, str]
 ) -> Iterator[Part]:
-    """Each pose once, with the worst of its repeats: beside each other they would look like places
-    of their own.
-    """
+    """Each pose once, with the worst of its repeats."""
     places = pose_places(rows)
     if len(places) < MAP_FROM:
         yield Paragraph(
@@ -206,22 +186,15 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
         slope_intervals(slopes, name=f"trends-{id_of(detector)}"), caption, told, wide=True
     )
     measured = (_row(line) for line in lines if line.slope is not None)
-    columns = (
-        Column("error"),
-        Column("against"),
-        Column("n", "right"),
-        Column("poses", "right", hint="independent units; within poses: trials"),
-        Column("range", "right", "of the unit"),
-        Column("slope", "right", "mm per unit"),
-        Column("95 % interval", "right", "mm per unit"),
-        Column("over the range", "right", "mm"),
-        Column("could be up to", "right", "mm", hint="over the range, either way, 95 %"),
-        Column("p (Holm)", "right"),
-        Column("trend"),
+    heads = columns(
+        "error | against | >n",
+        ">poses # independent units; within poses: trials",
+        ">range [of the unit] | >slope [mm per unit] | >95 % interval [mm per unit]",
+        ">over the range [mm]",
+        ">could be up to [mm] # over the range, either way, 95 %",
+        ">p (Holm) | trend",
     )
-    yield Table(
-        f"Trends of the error, {detector}", columns, (*measured, *_not_measured(lines)), NOTE
-    )
+    yield Table(f"Trends of the error, {detector}", heads, (*measured, *_not_measured(lines)), NOTE)
 
 
 def _slope(line: Trend) -> Slope:
@@ -283,9 +256,7 @@ def _not_measured(lines: Sequence[Trend]) -> Iterator[tuple[str | Cell, ...]]:
 
 
 def _figures(line: Trend) -> tuple[float, float, float]:
-    """Slope, low and high of a line that was measured: where there
-    is a slope there are the others.
-    """
+    """Slope, low and high of a line that was measured."""
     slope, low, high = line.slope, line.low, line.high
     if slope is None or low is None or high is None:
         raise ValueError(f"the trend of {line.response} with {line.quantity} has no slope")
@@ -317,9 +288,7 @@ def spread_parts(
     anchors: Mapping[str, str],
     camera_from_world: Floats,
 ) -> Iterator[Part]:
-    """Everything of one detector; ``anchors`` is each trial's link by its id, the rotation (3, 3)
-    that into the right camera's axes.
-    """
+    """All of one detector. ``anchors``: links by trial; ``camera_from_world``: rotation."""
     rows = error_rows(run, detector)
     distances = np.linalg.norm(rows.errors_mm, axis=1)
     yield _boxes(run, rows, distances, limit_mm, detector)
@@ -373,9 +342,7 @@ def _drawn(
     camera_from_world: Floats,
     detector: str,
 ) -> Figure:
-    """Each teat's pose means with its 95 % ellipsoid; more teats than can be told apart are one
-    group.
-    """
+    """Each teat's pose means with its 95 % ellipsoid; too many teats are one group."""
     apart = len(teats) <= MOST_GROUPS
     clouds = (
         [(f"teat {one.teat}", one.means_mm, one.worst_trials) for one in teats]
@@ -437,9 +404,7 @@ def _outlines(means_mm: Floats, camera_from_world: Floats) -> tuple[Floats, ...]
 def _ellipsoids(
     run: RunRecord, rows: ErrorRows, teats: Sequence[TeatErrors], detector: str
 ) -> Iterator[Part]:
-    """Of the mean error of each pose, since repeats of a pose
-    share its error; then teat by teat.
-    """
+    """Of each pose's mean error, since repeats of a pose share its error; then by teat."""
     whole = run_bias(rows)
     if whole.test.n < LEAST_POSES:
         yield Paragraph(
@@ -460,18 +425,10 @@ def _ellipsoids(
             ("bias, 95 % confidence", bias.bias),
         )
     ]
-    columns = (
-        Column("of"),
-        Column("holds"),
-        Column("poses", "right"),
-        Column("centre x, y, z", "right", "mm"),
-        Column("half axes", "right", "mm"),
-        Column("longest axis along", "right", hint="unit vector in the world frame"),
-        Column(
-            "is there a bias?",
-            "right",
-            hint="p of Hotelling's T²: below 0.05 the mean error isn't zero",
-        ),
+    heads = columns(
+        "of | holds | >poses | >centre x, y, z [mm] | >half axes [mm]",
+        ">longest axis along # unit vector in the world frame",
+        ">is there a bias? # p of Hotelling's T²: below 0.05 the mean error isn't zero",
     )
     test = whole.test
     told = (
@@ -481,7 +438,7 @@ def _ellipsoids(
     )
     yield Table(
         f"Ellipsoids of the error, {detector}",
-        columns,
+        heads,
         tuple(lines),
         told + _consistent(run, detector),
     )
@@ -530,9 +487,7 @@ def _consistent(run: RunRecord, detector: str) -> str:
 
 
 def _stated(run: RunRecord, detector: str) -> Iterator[tuple[Floats, Floats]]:
-    """Error (3,) and the covariance (3, 3) that it should scatter by, of each found teat that the
-    detector states one for.
-    """
+    """Error (3,) and stated covariance (3, 3) of each found teat that has one."""
     for trial in run.counted:
         score = trial.scores.get(detector)
         answers = [row for row in trial.found if row["detector"] == detector]

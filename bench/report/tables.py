@@ -1,28 +1,24 @@
-"""The report's tables: requirements, results per situation, errors, rates, provenance.
-
-Situations by detectors as one table for a terminal and for a README: found, false, errors, time.
-Pure: a run's record in, text out.
-
-The report's table of whose it is that a teat was missed, off, or not judged. It says nothing that
-`results.attribution` doesn't.
+"""The report's tables: requirements, rates, results by situation and detector (also in Markdown),
+and what each missed or wrong teat is attributed to.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from bench.record.reader import RunRecord
+from bench.record.reader import RunRecord, TrialRecord
 from bench.report.wording import NOT_MEASURED, limit, margin, measured
 from bench.results.attribution import Attributed, Cause, What, attributed, counted
 from bench.results.latency import LATENCY_RULE, failures_told, latency_of
 from bench.results.verdicts import Judgement, scored
+from bench.scoring.errors import Floats
 from bench.scoring.rates import Rate, percent, pose_successes
 from bench.script.model import Rules
 from detector.calibration import Calibration
 from detector.protocol import Outcome
-from reports.parts import Cell, Column, KeyValues, Notes, Part, Requirement, Requirements, Table
+from reports.parts import Cell, KeyValues, Notes, Part, Requirement, Requirements, Table, columns
 
 CONFIDENCE = 0.95
 NARROW = "k of n with its exact 95 % interval, which for few poses is wide: so little do they show."
@@ -58,9 +54,7 @@ def situations(run: RunRecord) -> list[str]:
 def found_by_situation(
     run: RunRecord, detector: str, published: Mapping[str, tuple[int, int]]
 ) -> Table:
-    """Found of visible in each situation, over all repeats, beside the thesis's own: found and
-    present by situation.
-    """
+    """Found of visible in each situation, beside the thesis's (found, present)."""
     rows: list[tuple[str | Cell, ...]] = []
     for situation in situations(run):
         pool = scored(run, detector, situation)
@@ -77,27 +71,17 @@ def found_by_situation(
                 f"{theirs[0]} of {theirs[1]}" if theirs else "no figure",
             )
         )
-    columns = (
-        Column("situation"),
-        Column("frame sets", "right"),
-        Column("found of visible", "right"),
-        Column("missed", "right"),
-        Column("false", "right"),
-        Column(
-            "hidden ends", "right", hint="ends that a camera can't see: neither missed nor false"
-        ),
-        Column(
-            "scene success",
-            "right",
-            hint="every visible end found within the limit, nothing false, in time",
-        ),
-        Column("thesis found", "right"),
+    heads = columns(
+        "situation | >frame sets | >found of visible | >missed | >false",
+        ">hidden ends # ends that a camera can't see: neither missed nor false",
+        ">scene success # every visible end found within the limit, nothing false, in time",
+        ">thesis found",
     )
     note = (
         "A teat is found when an answer lies within the gate of its end (25 mm, or half the least"
         " spacing). The thesis judged by eye, one picture a situation."
     )
-    return Table(f"Teats found, detector {detector}", columns, tuple(rows), note)
+    return Table(f"Teats found, detector {detector}", heads, tuple(rows), note)
 
 
 def rates(run: RunRecord, detector: str) -> Table:
@@ -106,18 +90,12 @@ def rates(run: RunRecord, detector: str) -> Table:
         (name, str(rate.successes), str(rate.trials), _rate(rate), _interval(rate))
         for name, rate in _rates(run, detector).items()
     )
-    columns = (
-        Column("rate"),
-        Column("of", "right"),
-        Column("n", "right"),
-        Column("value", "right"),
-        Column("95 % interval", "right"),
-    )
+    heads = columns("rate | >of | >n | >value | >95 % interval")
     note = (
         "Exact (Clopper-Pearson) intervals. A pose succeeds when all its repeats do; teats of one"
         " scene are not independent, so the intervals of recall and precision are optimistic."
     )
-    return Table(f"Rates, detector {detector}", columns, rows, note)
+    return Table(f"Rates, detector {detector}", heads, rows, note)
 
 
 def rates_by_situation(run: RunRecord, detector: str) -> Table:
@@ -126,11 +104,8 @@ def rates_by_situation(run: RunRecord, detector: str) -> Table:
         (situation, *(_cell(rate) for rate in _rates(run, detector, situation).values()))
         for situation in situations(run)
     ]
-    columns = (
-        Column("situation"),
-        *(Column(name, "right", "k of n, interval") for name in _rates(run, detector)),
-    )
-    return Table(f"Rates by situation, detector {detector}", columns, tuple(rows), NARROW)
+    heads = columns("situation", *(f">{name} [k of n, interval]" for name in _rates(run, detector)))
+    return Table(f"Rates by situation, detector {detector}", heads, tuple(rows), NARROW)
 
 
 def _rates(run: RunRecord, detector: str, situation: str | None = None) -> dict[str, Rate]:
@@ -159,11 +134,15 @@ def _answered(run: RunRecord, detector: str, situation: str | None) -> Rate:
     )
 
 
+def ends_mm(trials: Iterable[TrialRecord]) -> Floats:
+    """The true teat ends (n, 3) of these trials."""
+    rows = [row for trial in trials for row in trial.truth]
+    return np.array([[row[f"{axis}_mm"] for axis in "xyz"] for row in rows]).reshape(-1, 3)
+
+
 def depth_limit(run: RunRecord, calibration: Calibration) -> str:
     """What no stereo method on this rig can beat a pixel, at this run's teats."""
-    ends = np.array(
-        [[row["x_mm"], row["y_mm"], row["z_mm"]] for trial in run.trials for row in trial.truth]
-    ).reshape(-1, 3)
+    ends = ends_mm(run.trials)
     if not len(ends):
         return NOT_MEASURED
     per_px = calibration.depth_per_disparity_px_mm(ends)
@@ -241,12 +220,12 @@ def _row(run: RunRecord, situation: str | None, detector: str) -> tuple[str, ...
     pool, times = scored(run, detector, situation), latency_of(run, detector, situation)
     counts, radial = pool.counts, pool.summary().radial
     errors = (
-        "not measured"
+        NOT_MEASURED
         if radial.n == 0
         else f"{radial.mean_mm:.2f}, {radial.p95_mm:.2f}, {radial.max_mm:.2f}"
     )
     time = (
-        "not measured"
+        NOT_MEASURED
         if times.median_s is None or times.p99_s is None
         else f"{1e3 * times.median_s:.0f}, {1e3 * times.p99_s:.0f}"
     )
@@ -277,7 +256,7 @@ def _unmarked(text: str) -> str:
 def _notes(run: RunRecord) -> Iterator[str]:
     for detector in run.detectors:
         times = latency_of(run, detector)
-        cold = ", ".join(f"{1e3 * seconds:.0f}" for seconds in times.cold_s) or "not measured"
+        cold = ", ".join(f"{1e3 * seconds:.0f}" for seconds in times.cold_s) or NOT_MEASURED
         start = (
             f", start-up {1e3 * times.start_up_s:.0f} ms at most"
             if times.start_up_s is not None
@@ -301,8 +280,8 @@ def attribution_parts(run: RunRecord) -> Iterator[Part]:
         found = attributed(run, detector)
         counts = counted(found)
         rows = tuple((what.value, *(str(counts[what, cause]) for cause in Cause)) for what in What)
-        columns = (Column("what"), *(Column(cause.value, "right") for cause in Cause))
-        yield Table(f"Whose it is, detector {detector}", columns, rows, NOTE)
+        heads = columns("what", *(f">{cause.value}" for cause in Cause))
+        yield Table(f"Whose it is, detector {detector}", heads, rows, NOTE)
         others = tuple(
             _told(one) for one in found if one.cause not in (Cause.DETECTOR, Cause.NOT_VISIBLE)
         )

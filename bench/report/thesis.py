@@ -1,26 +1,5 @@
-"""Tests 1 and 2 of section 5.1: known ends triangulated from points picked by hand, as picked and
-put off on purpose, beside ours.
-
-The thesis averages the signed errors of all components; the same is worked out of our errors,
-beside what it hides.
-
-The plane of section 1.4.3.2, in which the system before the thesis's was tested: its error there
-beside ours.
-
-A region is centred on the plane, as the thesis has it. What was missed has no error: each figure
-says of how many places it is.
-
-What the thesis printed of its rig and asked of its detector, beside this run: homography,
-stand-off, a pixel, arm, bath, time.
-
-The six situations of section 5.2: what the thesis's detector found of four teats, beside what each
-detector found here.
-
-The chapter "Beside the thesis": which of the thesis's tests a run is, and the published figures
-beside its own.
-
-A run is one of them by its situations, or by the ends of its layout; any other has no such chapter.
-What is printed but has its counterpart elsewhere, or nowhere, is listed.
+"""The chapter "Beside the thesis": figures that the thesis printed, worked out of its tables, and
+measured in this run. A run has it by its situations or by the ends of its layout.
 """
 
 from __future__ import annotations
@@ -32,7 +11,7 @@ import numpy as np
 
 from bench.record.reader import RunRecord
 from bench.report.overlays import project_all
-from bench.report.tables import situations
+from bench.report.tables import ends_mm, situations
 from bench.report.wording import NOT_MEASURED, number
 from bench.results.error_rows import error_rows, plane_cells
 from bench.results.latency import latency_of
@@ -54,7 +33,7 @@ from detector.calibration import Calibration
 from detector.calibration.thesis_rig import LEFT, RIGHT
 from detector.geometry import apply_homography
 from reports.page import Section
-from reports.parts import Column, Part, Table
+from reports.parts import Column, Part, Table, columns
 
 LAYOUT = "table-5-1"  # whose ends those of the test are
 ROWS = (
@@ -102,18 +81,12 @@ def second_test_table(figures: Thesis, found: Sequence[Outcome]) -> Table:
 
 
 def components_table(figures: Thesis) -> Table:
-    """Both tests teat by teat: errors against table 5.1 as the tables give them, beside those
-    printed in table 5.4.
-    """
+    """Both tests by teat: errors against table 5.1 from the tables, and as printed in 5.4."""
     first, second = errors_of_test_mm(figures, 1), errors_of_test_mm(figures, 2)
-    columns = (
-        Column("teat", "right"),
-        *(
-            Column(title, "right", "mm")
-            for title in ("5.2 less 5.1: x, y, z", "distance", "5.3 less 5.1: x, y, z", "distance")
-        ),
-        Column("table 5.4: x, y, z", "right", "mm, amounts as printed"),
-        Column("differs from its tables in"),
+    heads = columns(
+        ">teat | >5.2 less 5.1: x, y, z [mm] | >distance [mm]",
+        ">5.3 less 5.1: x, y, z [mm] | >distance [mm]",
+        ">table 5.4: x, y, z [mm, amounts as printed] | differs from its tables in",
     )
     rows = []
     for teat, (plain, off, printed) in enumerate(
@@ -133,7 +106,7 @@ def components_table(figures: Thesis) -> Table:
                 ", ".join(wrong) or "nothing",
             )
         )
-    return Table("Tables 5.1 to 5.4, teat by teat", columns, tuple(rows))
+    return Table("Tables 5.1 to 5.4, teat by teat", heads, tuple(rows))
 
 
 def _vector(error_mm: Floats) -> tuple[str, str]:
@@ -153,10 +126,9 @@ def _table(
 ) -> Table:
     theirs = statistics(errors_of_test_mm(figures, 1 if number_of == 1 else 2))
     stats = {name: statistics(errors) for name, errors in ours.items()}
-    columns = (
-        Column("figure"),
-        Column("printed", "right", "mm"),
-        Column("by its tables", "right", f"mm, n = {theirs.n}"),
+    heads = columns(
+        "figure | >printed [mm]",
+        f">by its tables [mm, n = {theirs.n}]",
         *(Column(f"this run, {name}", "right", f"mm, n = {one.n}") for name, one in stats.items()),
     )
     rows = tuple(
@@ -168,7 +140,7 @@ def _table(
         )
         for what, key in ROWS
     )
-    return Table(caption, columns, rows, note)
+    return Table(caption, heads, rows, note)
 
 
 def _figure(of: Statistics, key: str) -> str:
@@ -183,9 +155,7 @@ SLACK_MM = 3.0  # a touched place lies this near to the one that was meant
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """Places (n, 2) mm from the middle of the plane; teats and found (n,) there, and their mean and
-    largest distances, 0 where none.
-    """
+    """Places (n, 2) mm from the plane's middle; teats, found, mean and largest error there."""
 
     at_mm: Floats
     span_mm: Floats
@@ -280,20 +250,21 @@ def plane_table(run: RunRecord, figures: Thesis) -> Table:
             [_region(p, theirs.within_mm) for p in ours],
         ),
     ]
-    columns = (
-        Column("figure"), Column(f"earlier system, section {theirs.section}", "right"),
-        *(Column(f"this run, {detector}", "right") for detector in run.detectors),
-    )  # fmt: skip
+    heads = columns(f"figure | >earlier system, section {theirs.section}", *_this_run(run))
     note = (
         "The thesis quotes these of the optical-only system that it set out to beat."
         f" {theirs.wrong}"
     )
     return Table(
         "Error over the plane of section 1.4.3.2",
-        columns,
+        heads,
         tuple((what, printed, *told) for what, printed, told in lines),
         note,
     )
+
+
+def _this_run(run: RunRecord) -> Iterator[Column]:
+    return (Column(f"this run, {detector}", "right") for detector in run.detectors)
 
 
 def _largest(places: Places) -> float | None:
@@ -319,19 +290,13 @@ Row = tuple[str, str, str, str, str]
 
 def rig_table(run: RunRecord, figures: Thesis, calibration: Calibration) -> Table:
     """A row a figure: what, section, printed, this run, what is wrong or to be known."""
-    columns = (
-        Column("figure"),
-        Column("section"),
-        Column("thesis"),
-        Column("this run"),
-        Column("what is wrong in it"),
-    )
+    heads = columns("figure | section | thesis | this run | what is wrong in it")
     rows = (
         *_asked(run, figures),
         *_geometry(run, figures, calibration),
         *_reference(run, figures, calibration),
     )
-    return Table("Other figures of the thesis beside this run", columns, rows)
+    return Table("Other figures of the thesis beside this run", heads, rows)
 
 
 def _asked(run: RunRecord, figures: Thesis) -> Iterator[Row]:
@@ -373,9 +338,7 @@ def _asked(run: RunRecord, figures: Thesis) -> Iterator[Row]:
 
 
 def _geometry(run: RunRecord, figures: Thesis, calibration: Calibration) -> Iterator[Row]:
-    ends = np.array(
-        [[row["x_mm"], row["y_mm"], row["z_mm"]] for trial in run.counted for row in trial.truth]
-    ).reshape(-1, 3)
+    ends = ends_mm(run.counted)
     maps, off = figures.homography, figures.stand_off
     promised = f"at most {maps.largest_px:g} px, {maps.largest_mm:g} mm at {maps.at_mm:g} mm"
     yield (
@@ -491,30 +454,22 @@ def known_situations(run: RunRecord, figures: Thesis) -> list[Situation]:
 def situation_table(run: RunRecord, figures: Thesis) -> Table:
     """A row a situation, and one for all of them."""
     known = known_situations(run, figures)
-    columns = (
-        Column("situation"), Column("section"), Column("thesis found", "right"),
-        *(Column(f"this run, {detector}", "right") for detector in run.detectors),
-        Column("what the thesis saw"),
-    )  # fmt: skip
+    found, present = sum(one.found for one in known), sum(one.present for one in known)
+    all_of = Situation(
+        name=f"all {len(known)}", section="5.2", found=found, present=present, seen=""
+    )
+    heads = columns("situation | section | >thesis found", *_this_run(run), "what the thesis saw")
     rows = [
         (
             one.name,
             one.section,
             f"{one.found} of {one.present}",
-            *(_ours(run, detector, [one]) for detector in run.detectors),
+            *(_ours(run, detector, of) for detector in run.detectors),
             one.seen,
         )
-        for one in known
+        for one, of in [*((one, [one]) for one in known), (all_of, known)]
     ]
-    found, present = sum(one.found for one in known), sum(one.present for one in known)
-    all_of = (
-        f"all {len(known)}",
-        "5.2",
-        f"{found} of {present}",
-        *(_ours(run, detector, known) for detector in run.detectors),
-        "",
-    )
-    return Table("Teats found in the situations of section 5.2", columns, (*rows, all_of), NOTE)
+    return Table("Teats found in the situations of section 5.2", heads, tuple(rows), NOTE)
 
 
 def _ours(run: RunRecord, detector: str, of: Sequence[Situation]) -> str:
@@ -535,14 +490,12 @@ def _ours(run: RunRecord, detector: str, of: Sequence[Situation]) -> str:
     return (
         f"{matched} of {visible}, {false} false; as many in {as_many} of {sets}"
         if sets
-        else "not measured"
+        else NOT_MEASURED
     )
 
 
 def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tuple[Section, ...]:
-    """The chapter of a run that is one of the thesis's tests; none of any other, or where nothing
-    was scored.
-    """
+    """The chapter of a scored run that is one of the thesis's tests; else none."""
     figures = thesis()
     kinds: list[Kind] = ["situations"] if known_situations(run, figures) else []
     kinds += ["plane"] if PLANE in situations(run) else []
@@ -556,13 +509,11 @@ def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tu
 
 
 def elsewhere_table(figures: Thesis, *shown: Kind) -> Table:
-    """Printed figures that the page with tests of these kinds doesn't have, and where their
-    counterpart is.
-    """
-    columns = (Column("section"), Column("figure"), Column("printed"), Column("counterpart"))
+    """Printed figures that a page with these tests doesn't have, and their counterparts."""
+    heads = columns("section | figure | printed | counterpart")
     rest = [one for one in figures.elsewhere if not set(one.shown) & set(shown)]
     rows = tuple((one.section, one.what, one.printed, one.where) for one in rest)
-    return Table("Printed figures without a counterpart on this page", columns, rows)
+    return Table("Printed figures without a counterpart on this page", heads, rows)
 
 
 def _parts(
@@ -570,8 +521,7 @@ def _parts(
 ) -> Iterator[Part]:
     if "situations" in kinds:
         yield situation_table(run, figures)
-        same_ends = _with_ends_of_table_5_1(rules)
-        if same_ends:
+        if same_ends := _with_ends_of_table_5_1(rules):
             errors = {
                 d: np.concatenate([scored(run, d, name).errors_mm for name in same_ends])
                 for d in run.detectors
@@ -584,9 +534,7 @@ def _parts(
 
 
 def _with_ends_of_table_5_1(rules: Rules) -> list[str]:
-    """Situations whose every trial shows the ends of table 5.1
-    where they were measured, upright.
-    """
+    """Situations whose every trial shows the ends of table 5.1 upright, in place."""
     if not isinstance(rules, Script):
         return []
     layouts = {
@@ -597,8 +545,6 @@ def _with_ends_of_table_5_1(rules: Rules) -> list[str]:
 
 
 def published_counts(rules: Rules) -> dict[str, tuple[int, int]]:
-    """Teats that the thesis found, of those present, by situation: what the script names, and else
-    what is known of the situation.
-    """
+    """(found, present) of the thesis by situation; what the script names comes first."""
     known = {one.name: (one.found, one.present) for one in thesis().situations}
     return known | {name: (one.found, one.present) for name, one in rules.published.items()}

@@ -1,6 +1,4 @@
-"""The report's part for each trial: its frames with what is drawn over them, its teats, its
-readings; and which trials are the worst.
-"""
+"""The report's part for each trial: frames, teats, readings; and which trials are the worst."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ from bench.scoring.scene import SceneScore
 from detector.calibration import Calibration
 from detector.protocol import Outcome
 from reports.page import TrialPart
-from reports.parts import Cell, Column, KeyValues, Table, Tone
+from reports.parts import Cell, KeyValues, Table, Tone, columns
 
 AT_ONCE = 4  # trials: decoding and encoding pictures lets others work
 MOST_WORST = 60
@@ -39,9 +37,7 @@ def trial_parts(run: RunRecord, calibration: Calibration, folder: Path) -> tuple
 
 
 def worst_trials(run: RunRecord) -> tuple[str, ...]:
-    """The anchors of the trials to look at first: those that failed, by what they missed and made
-    up, then by their largest error.
-    """
+    """The anchors of failed trials, worst first: by missed and false, then by largest error."""
 
     def fault(trial: TrialRecord) -> tuple[int, float]:
         scores = list(trial.scores.values())
@@ -58,11 +54,10 @@ def worst_trials(run: RunRecord) -> tuple[str, ...]:
 
 def trial_table(run: RunRecord) -> Table:
     """All trials with links to their parts."""
-    columns = (
-        Column("trial"), Column("situation"), Column("detector"),
-        Column("found", "right"), Column("missed", "right"), Column("false", "right"),
-        Column("max error", "right", "mm"), Column("time", "right", "s"), Column("scene"),
-    )  # fmt: skip
+    heads = columns(
+        "trial | situation | detector | >found | >missed | >false | >max error [mm]",
+        ">time [s] | scene",
+    )
     rows = []
     for trial in run.trials:
         for detection in trial.detections:
@@ -85,7 +80,7 @@ def trial_table(run: RunRecord) -> Table:
                     Cell(*_told(trial, score)),
                 )
             )
-    return Table("All trials", columns, tuple(rows), searchable=True)
+    return Table("All trials", heads, tuple(rows), searchable=True)
 
 
 def first_looks(run: RunRecord) -> KeyValues | None:
@@ -184,16 +179,9 @@ def _teats(trial: TrialRecord, detector: str) -> Table:
     """Truth and answer side by side; false answers below."""
     score = trial.scores.get(detector)
     found = [row for row in trial.found if row["detector"] == detector]
-    columns = (
-        Column("teat"),
-        Column("truth x, y, z", "right", "mm"),
-        Column("u", "right", "mm"),
-        Column("found x, y, z", "right", "mm"),
-        Column("dx", "right", "mm"),
-        Column("dy", "right", "mm"),
-        Column("dz", "right", "mm"),
-        Column("distance", "right", "mm"),
-        Column("is"),
+    heads = columns(
+        "teat | >truth x, y, z [mm] | >u [mm] | >found x, y, z [mm] | >dx [mm] | >dy [mm]",
+        ">dz [mm] | >distance [mm] | is",
     )
     pairs = (
         {truth: (answer, k) for k, (answer, truth) in enumerate(score.match.pairs)} if score else {}
@@ -248,7 +236,7 @@ def _teats(trial: TrialRecord, detector: str) -> Table:
                 Cell("false", "bad") if score else Cell("not scored", "muted"),
             )
         )
-    return Table(f"Teat ends, detector {detector}", columns, tuple(rows))
+    return Table(f"Teat ends, detector {detector}", heads, tuple(rows))
 
 
 def _xyz(row: Mapping[str, Any]) -> str:

@@ -1,8 +1,5 @@
-"""The report's part on the arm: its table frame, its dated verification, and the checks before and
-after the trials.
-
-The report's parts on the truth: what is measured, each kind of truth with its worst budget, the
-stage's registration, the check touches; and what is in no count, with the reason.
+"""The report's parts on the truth: the arm with its frame and checks, the measurand, uncertainty
+budgets, the stage's registration, check touches, and what is in no count and why.
 """
 
 from __future__ import annotations
@@ -25,21 +22,18 @@ from bench.truth.registration import Registration
 from bench.truth.registration_file import registration_from_facts
 from bench.truth.uncertainty import CHI2_95, How
 from instruments.teat_end import DEFINITION
-from reports.parts import Cell, Column, Notes, Paragraph, Part, Table
+from reports.parts import Cell, Column, Notes, Paragraph, Part, Table, columns
 
-COLUMNS = (
-    Column("divot"),
-    Column("touches", "right"),
-    Column(
-        "largest deviation",
-        "right",
-        "mm",
-        hint="from the mean of the touches: articulated location error, ASME B89.4.22",
+COLUMNS = columns(
+    "divot | >touches",
+    (
+        ">largest deviation [mm] # from the mean of the touches: articulated location error,"
+        " ASME B89.4.22"
     ),
-    Column("2 sd", "right", "mm"),
-    Column("least sphere", "right", "mm", hint="its diameter, the form of ISO 10360-12"),
-    Column("swing", "right", "°", hint="largest angle between two stylus directions"),
-    Column("shift", "right", "mm", hint="of the mean from the known place"),
+    ">2 sd [mm]",
+    ">least sphere [mm] # its diameter, the form of ISO 10360-12",
+    ">swing [°] # largest angle between two stylus directions",
+    ">shift [mm] # of the mean from the known place",
 )
 
 
@@ -92,12 +86,7 @@ def _verification(run: RunRecord, dated: Verification) -> Iterator[Part]:
     if not dated.lengths:
         yield Paragraph("No calibrated length was measured in it.", tone="warn")
         return
-    columns = (
-        Column("direction"),
-        Column("calibrated", "right", "mm"),
-        Column("measured", "right", "mm"),
-        Column("error", "right", "mm"),
-    )
+    heads = columns("direction | >calibrated [mm] | >measured [mm] | >error [mm]")
     lengths = tuple(
         (t.where, f"{t.calibrated_mm:.3f}", f"{t.measured_mm:.2f}", f"{t.error_mm:+.2f}")
         for t in dated.lengths
@@ -106,7 +95,7 @@ def _verification(run: RunRecord, dated: Verification) -> Iterator[Part]:
         f"Largest error {number(dated.length_mm, 'mm')}; 2 rms"
         f" {number(dated.length_two_rms_mm, 'mm')}."
     )
-    yield Table("A calibrated length, measured in several directions", columns, lengths, note)
+    yield Table("A calibrated length, measured in several directions", heads, lengths, note)
 
 
 def _arm_checks(run: RunRecord) -> Iterator[Part]:
@@ -168,9 +157,7 @@ def truth_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def deviation_parts(run: RunRecord) -> Iterator[Part]:
-    """What was not done as the script says, and what left the counts; a sentence where there is
-    nothing.
-    """
+    """What was not done as the script says, and what left the counts."""
     left_out = [_skipped(row) for row in run.skipped]
     if left_out:
         yield Notes("Deviations from the script; what was skipped is in no count", tuple(left_out))
@@ -209,11 +196,8 @@ def trial_truth(trial: TrialRecord) -> Table | None:
     if not rows:
         return None
     names = [line["name"] for line in rows[0][1]["components"]]
-    columns = (
-        Column("teat"),
-        Column("truth"),
-        *(Column(name, "right", "mm") for name in names),
-        Column("combined", "right", "mm"),
+    heads = columns(
+        "teat | truth", *(Column(name, "right", "mm") for name in names), ">combined [mm]"
     )
     table = [
         (
@@ -226,7 +210,7 @@ def trial_truth(trial: TrialRecord) -> Table | None:
     ]
     return Table(
         "Uncertainty of the truth",
-        columns,
+        heads,
         tuple(table),
         f"Sources stand under Measurand and reference; {U_NOTE}.",
     )
@@ -252,9 +236,9 @@ def _budgets(run: RunRecord) -> Iterator[Part]:
         lines.append(
             ("combined, along one axis", f"{worst['u_mm']:.3f}", "root of the sum of squares")
         )
-        columns = (Column("component"), Column("u", "right", "mm"), Column("source"))
+        heads = columns("component | >u [mm] | source")
         caption = f"Uncertainty budget of the {how} truth: the worst of {len(budgets)} ends"
-        yield Table(caption, columns, tuple(lines), f"Each trial has its own, per teat; {U_NOTE}.")
+        yield Table(caption, heads, tuple(lines), f"Each trial has its own, per teat; {U_NOTE}.")
     known = [row["u_mm"] for row in counted_rows if row["u_mm"] is not None]
     if known:
         yield Paragraph(
@@ -284,12 +268,7 @@ def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
         ("chance of these axes, if as stated", f"{found.p_value:.2g}"),
     ]
     yield key_values("Registration of the stage, X_world = R(om) X_stage + T", entries)
-    columns = (
-        Column("fit"),
-        Column("residual", "right", "mm"),
-        Column("held out", "right", "mm"),
-        Column("singular values", "right"),
-    )
+    heads = columns("fit | >residual [mm] | >held out [mm] | >singular values")
     rows = [
         (
             f.model,
@@ -303,7 +282,7 @@ def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
         "The rigid fit carries. Where affine is much better, held out too, the stage's axes or the"
         " arm are off."
     )
-    yield Table("Fits of the touched positions", columns, tuple(rows), note)
+    yield Table("Fits of the touched positions", heads, tuple(rows), note)
     yield _diagnostics(found)
 
 
@@ -318,12 +297,9 @@ def _diagnostics(found: Registration) -> Table:
         )
         for d in found.diagnostics
     ]
-    columns = (
-        Column("axes"),
-        Column("off by", "right", "mm/m"),
-        Column("u", "right", "mm/m"),
-        Column("off by / u", "right"),
-        Column("significant", hint="beyond 2.58 u: touch noise explains it in one of 100 cases"),
+    heads = columns(
+        "axes | >off by [mm/m] | >u [mm/m] | >off by / u",
+        "significant # beyond 2.58 u: touch noise explains it in one of 100 cases",
     )
     stated = found.stated
     note = (
@@ -336,7 +312,7 @@ def _diagnostics(found: Registration) -> Table:
         if found.doubted
         else ", which the carry's uncertainty is made of."
     )
-    return Table("The stage's axes", columns, tuple(rows), note + more)
+    return Table("The stage's axes", heads, tuple(rows), note + more)
 
 
 def _target_errors(run: RunRecord, found: Registration) -> str | None:
@@ -350,15 +326,9 @@ def _target_errors(run: RunRecord, found: Registration) -> str | None:
 def _check_touches(run: RunRecord) -> Iterator[Part]:
     if not run.checks:
         return
-    columns = (
-        Column("check", "right"),
-        Column("after trial"),
-        Column("teat"),
-        Column("touched x, y, z", "right", "mm"),
-        Column("carried x, y, z", "right", "mm"),
-        Column("apart", "right", "mm"),
-        Column("limit", "right", "mm"),
-        Column("carry"),
+    heads = columns(
+        ">check | after trial | teat | >touched x, y, z [mm] | >carried x, y, z [mm]",
+        ">apart [mm] | >limit [mm] | carry",
     )
     rows = [
         (
@@ -373,7 +343,7 @@ def _check_touches(run: RunRecord) -> Iterator[Part]:
         )
         for row in run.checks
     ]
-    yield Table("Check touches of the carried truth", columns, tuple(rows))
+    yield Table("Check touches of the carried truth", heads, tuple(rows))
 
 
 def _xyz(row: Mapping[str, Any], prefix: str) -> str:

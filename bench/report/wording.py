@@ -1,8 +1,4 @@
-"""Ids on a page out of names that anybody gave: what a detector may be called is more than what an
-id may be.
-
-How figures and verdicts become words: one place, so that terminal, page and exports say the same.
-"""
+"""How figures, verdicts and names become words and ids: the same for terminal, page and exports."""
 
 from __future__ import annotations
 
@@ -23,9 +19,7 @@ LONGEST = 60  # with what stands before it an id has room
 
 
 def id_of(name: str) -> str:
-    """A name as a part of an id: itself where it may be one, else its letters and digits, told from
-    others by a few of its hash.
-    """
+    """A name as a part of an id; where it can't be one, its letters with a few of its hash."""
     plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
     if plain == name and len(name) <= LONGEST:
         return name
@@ -45,9 +39,7 @@ def number(value: float | None, unit: str = "", digits: int = 2) -> str:
 
 
 def measured(decision: Decision) -> str:
-    """The decided figure with its unit and the one-sided bound that was decided on: ``100.0 % (at
-    least 60.7 %)``.
-    """
+    """The decided figure and the one-sided bound decided on: ``100.0 % (at least 60.7 %)``."""
     value, digits = decision.measured, _digits(decision)
     text = number(value, decision.unit, digits)
     if value is None or not decision.uncertainty:
@@ -83,9 +75,7 @@ def _digits(decision: Decision) -> int:
 
 
 def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdict, str, str]:
-    """The verdict on the run, why, and what to do next. A detector that did not answer is told
-    before all else.
-    """
+    """The run's verdict, why, and what to do next; a detector without answers comes first."""
     if run.damage:
         why = f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {shortened(run.damage)}"
         return (
@@ -113,9 +103,7 @@ def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdi
 
 
 def _silence(run: RunRecord, detector: str) -> Iterator[str]:
-    """That it gave no answer, how often, the last reason, and the last words that it wrote; nothing
-    where it always answered.
-    """
+    """How often it gave no answer, with the last reason and the last line that it wrote."""
     rows = [row for trial in run.counted for row in trial.detections if row["detector"] == detector]
     silent = [row for row in rows if row["outcome"] != Outcome.ANSWERED.value]
     if silent:
@@ -171,9 +159,7 @@ def _why_ended(run: RunRecord) -> str:
 
 
 def guardian_told(record: Mapping[str, Any]) -> str:
-    """What befell the bench and when, and when the guardian had the bath in standby, or that it had
-    not.
-    """
+    """What happened to the bench and when, and whether the guardian reached standby."""
     when, why = record["wall_noticed"], record["why"]
     befell = {
         "died": f"The bench died at {when}",

@@ -1,14 +1,8 @@
-"""What an answer must be before it is scored: an answer is taken whole or not at all. May not know
-which detector gave it.
+"""Asks a detector for its answer on a frame set, checks the answer, and scores it.
 
-A detector may be anyone's: nothing of its answer is believed before it was looked at, for it goes
-into record, scores and report.
-
-Runs a detector on a frame set and scores its answer, for runs and recordings alike.
-
-A detector that fails, gives nonsense or is too slow is scored as what it did; it never stops a run.
-The same stopwatch stands around the same call for every detector, in the bench's process or in one
-of its own: `detect`, and nothing else.
+An answer is checked as a whole and refused as a whole. A detector that fails, answers nonsense or
+is too slow is scored as what it did and never stops a run. Every detector is timed around the same
+`detect` call.
 """
 
 from __future__ import annotations
@@ -145,9 +139,7 @@ def _numbers(given: Any, shape: tuple[int, ...], what: str, wanted: str) -> Any:
 
 
 def _trace(trace: Any) -> tuple[tuple[Stage, ...], str | None]:
-    """The stages that the record can hold; a trace is only for the reader, so what is wrong with it
-    costs nobody an answer.
-    """
+    """The stages that the record can hold; a fault in the trace never costs an answer."""
     stages = trace if isinstance(trace, tuple | list) else (trace,)
     kept = {
         stage.name.casefold().replace(" ", "-"): stage
@@ -178,9 +170,7 @@ def _holds(stage: Any) -> bool:
 
 
 def _keeps(value: Any) -> bool:
-    """Whether record and report can show an array: a mask becomes a
-    picture, text stands on a page.
-    """
+    """Whether record and report can show an array: a mask as a picture, or text."""
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "biufU":
         return False
     if value.dtype.kind == "U":
@@ -233,9 +223,7 @@ class TruthRow:
 
 
 class Examiner:
-    """Asks detectors, and knows which of them has been asked before. An answer slower than
-    ``timeout_s`` counts as none.
-    """
+    """Asks detectors, and knows which were asked before. Slower than ``timeout_s`` is no answer."""
 
     def __init__(self, calibration: Calibration, timeout_s: float = TIMEOUT_S) -> None:
         self._calibration, self._timeout_s = calibration, timeout_s
@@ -256,9 +244,7 @@ def examine(
     first: bool = False,
     timeout_s: float = TIMEOUT_S,
 ) -> Answer:
-    """Detect, timed. Whatever the detector does but answer well becomes an answer without teats
-    that gives it as the reason.
-    """
+    """Detect, timed. Any failure becomes an answer without teats that gives the reason."""
     served = detector if isinstance(detector, Served) else None
     shown = _Shown(frames)
     seconds, used_s, outcome = 0.0, 0.0, Outcome.ANSWERED
@@ -310,9 +296,7 @@ def close_detectors(detectors: Iterable[Detector]) -> None:
 def score_answer(
     answer: Answer, truth: Sequence[TruthRow], *, limit_mm: float, time_limit_s: float
 ) -> SceneScore:
-    """The score of one answer against the teats of its scene. No answer is no success, also where
-    there was nothing to be found.
-    """
+    """The score of one answer; no answer is no success, also where nothing was to be found."""
     known = [row.u_mm for row in truth if row.u_mm is not None]
     score = score_scene(
         points_of(answer.detection),
@@ -349,9 +333,7 @@ def _named(error: BaseException) -> str:
 
 
 class _Shown:
-    """A frame set as a detector sees it: it can't change the pictures under those that are asked
-    after it, nor what is stored.
-    """
+    """A frame set for one detector: copies, so that it can't change what others see."""
 
     def __init__(self, frames: Frames) -> None:
         self.left, self.right = _fixed(frames.left), _fixed(frames.right)

@@ -1,9 +1,5 @@
-"""Whose it is that a teat was missed, was off, or was never judged: detector, truth, bench,
-operator, or nobody's since it can't be seen.
-
-Pure, from the record alone. A fault of the bench is never a failure of the detector: what lies in
-the truth's guard band is the truth's, what was captured while the bath was out of its band is the
-bench's, what was left out is whoever's it was that it was left out.
+"""What each missed, wrong or unjudged teat is attributed to: detector, truth, bench, operator, or
+not visible. A fault of the bench is never a failure of the detector.
 """
 
 from __future__ import annotations
@@ -41,9 +37,7 @@ class What(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Attributed:
-    """One thing that is not as it should be; ``teat`` is its name, empty for a false finding or a
-    whole trial.
-    """
+    """One thing that is not as it should be; ``teat`` is empty for a false one or a trial."""
 
     trial: str
     detector: str
@@ -54,9 +48,7 @@ class Attributed:
 
 
 def attributed(run: RunRecord, detector: str) -> tuple[Attributed, ...]:
-    """Everything of ``detector`` in ``run``, in the order of the trials; then the trials that
-    nobody judged.
-    """
+    """Everything of ``detector`` in the order of the trials; then trials that nobody judged."""
     return (
         *(one for trial in run.trials for one in _of_trial(trial, detector)),
         *_not_judged(run, detector),

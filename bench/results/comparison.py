@@ -1,17 +1,9 @@
-"""Runs side by side: which detector of which run is held against which, and which of their trials
-show the same scene.
+"""Runs compared: which detector of which run with which, on which pairs of trials; and several runs
+judged as one.
 
-Two trials are a pair where their frames are the same files, byte by byte; else where they have the
-same pose and repeat, as two runs of one script have, and the truth has the same teats at the same
-places: names alone would pair poses that were drawn by two seeds. What was scored by two sets of
-limits isn't compared at all. The first run is the old one. May not judge: that is
-`bench.scoring.comparison`.
-
-Several runs judged as one: their counts, errors and times side by side, held against the same
-requirements. No average is averaged.
-
-A pose that several runs share is one pose, with all of them for repeats. What the bench itself has
-to meet (bath, arm, calibration) holds for a run, and stands in that run's report.
+Trials are a pair where their frames are the same bytes, else where pose, repeat and true teat ends
+agree. Runs with different limits aren't compared. The first run is the old one. Judged as one,
+counts, errors and times are added, never averaged; a pose that several runs share is one pose.
 """
 
 from __future__ import annotations
@@ -120,9 +112,7 @@ def compare_folders(
 def compare_sides(
     old: Side, new: Side, *, margin_mm: float | None = None, confidence: float = 0.95, seed: int = 0
 ) -> Comparison:
-    """Compare two detectors on the trials that both have. Raises ConfigError where they have none
-    in common, or other limits.
-    """
+    """Compare two detectors on their common trials. Raises ConfigError."""
     check_limits(old, new)
     matched, elsewhere = _paired(old.trials, new.trials)
     if not matched:
@@ -158,9 +148,7 @@ def compare_sides(
 
 
 def sides(runs: Sequence[RunRecord], detectors: Sequence[str] = ()) -> Iterator[tuple[Side, Side]]:
-    """Who is held against whom; `detectors` restricts to these names. Raises ConfigError where it
-    isn't clear.
-    """
+    """Which is compared with which, of ``detectors`` if given. Raises ConfigError."""
     for run in runs:
         for name in detectors:
             if len(runs) == 1 and name not in run.detectors:
@@ -204,9 +192,7 @@ def _between(
 def _paired(
     old: Sequence[TrialRecord], new: Sequence[TrialRecord]
 ) -> tuple[list[tuple[TrialRecord, TrialRecord, bool]], int]:
-    """Trials of one scene, in the old one's order, and whether their frames are identical; and how
-    many had only the name in common.
-    """
+    """Pairs in the old order with whether frames are identical; how many shared only a name."""
     by_frames, by_name = _unique(new, _frames), _unique(new, _name)
     ours = Counter(_frames(trial) for trial in old)
     taken: set[str] = set()
@@ -236,9 +222,7 @@ def _same_place(one: TrialRecord, other: TrialRecord) -> bool:
 
 
 def check_limits(old: Side, new: Side) -> None:
-    """Raises ConfigError where success means two things: another limit of the error, or of the
-    time.
-    """
+    """Raises ConfigError where the limit of the error, or of the time, differs."""
     for what, limits_of in (("mm", _error_limits_mm), ("s", _time_limits_s)):
         a, b = limits_of(old), limits_of(new)
         if a and b and a != b:
@@ -257,9 +241,7 @@ def _error_limits_mm(side: Side) -> set[float]:
 
 
 def _time_limits_s(side: Side) -> set[float]:
-    """The limit that the run's scenes were held against; none where the run's rules aren't in its
-    folder.
-    """
+    """The limit of the run's scenes; none where its rules aren't in its folder."""
     for name, kind in ((SCRIPT, Script), (RULES, Rules)):
         if (side.run.folder / name).is_file():
             return {read_config(side.run.folder / name, kind, stored=True).time_limit_s}
@@ -267,9 +249,7 @@ def _time_limits_s(side: Side) -> set[float]:
 
 
 def poses_of(run: RunRecord) -> str:
-    """What its poses belong to: a script as it was written, or a recording by its path; else the
-    run alone.
-    """
+    """What its poses belong to: a script's text, a recording's path; else the run alone."""
     script = run.folder / SCRIPT
     text = hashlib.sha256(script.read_bytes()).hexdigest() if script.is_file() else ""
     return f"{run.facts.get('script') or run.facts.get('about') or run.folder} {text}"

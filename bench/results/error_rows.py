@@ -1,16 +1,10 @@
-"""What the error of a run depends on: each found teat with its place, time, bath temperature and
-tilt, for `bench.scoring` to look through.
+"""Errors with what they may depend on (place, time, bath temperature, tilt), pooled by pose and
+teat, and the gage R&R study of the truth.
 
-Time and temperature are asked within each teat at each pose where the script repeats its poses, for
-then the pose's own error falls out; without repeats they are asked over the poses, where they can't
-be told from place. May not judge, and may not word.
-
-Gage R&R of the ground truth from the record: each teat end touched several times, and set up again,
-in one run or in several.
-
-A part is a teat at a pose. With several runs of one script each run is an appraiser, with one run
-each repeat of the pose. The analysis wants every cell full, so what was touched less often than the
-rest is left out, and told. May not judge, and may not word.
+Time and temperature are asked within a teat's pose where poses are repeated; else over the poses,
+where they can't be separated from place. In the gage study a part is a teat at a pose; an appraiser
+is a run, or, of one run, a repeat. Cells must be full: what was touched less often is left out and
+counted.
 """
 
 from __future__ import annotations
@@ -104,9 +98,7 @@ class ErrorRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TeatErrors:
-    """One teat over its poses (p of them), each counted once: the mean error (p, 3) of the repeats
-    that found it, the trial with the worst of them, and the ellipsoids of those means.
-    """
+    """One teat over its p poses: mean errors (p, 3), trials with the worst repeat, ellipsoids."""
 
     teat: str
     means_mm: Floats
@@ -135,9 +127,7 @@ class PosePlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bias:
-    """Over the means of poses: where the next error will be, where the bias is (95 % both), and
-    whether it is one.
-    """
+    """Over pose means: region of the next error, region of the bias (95 % both), and its test."""
 
     next_error: Ellipsoid | None
     bias: Ellipsoid | None
@@ -212,9 +202,7 @@ def _bias(means_mm: Floats) -> Bias:
 
 
 def teat_errors(rows: ErrorRows) -> tuple[TeatErrors, ...]:
-    """Each teat's errors pose by pose, in the order of its poses; a teat that was never found has
-    none.
-    """
+    """Each teat's errors in the order of its poses; without teats that were never found."""
     return tuple(_teat_errors(teat, rows.of_teat(teat)) for teat in rows.teat_names)
 
 
@@ -266,9 +254,7 @@ def _pose_place(
 
 
 def run_precision(rows: ErrorRows) -> tuple[Precision, Precision, Precision]:
-    """ISO 5725 along x, y and z: s_r of the repeats of a teat at a pose, s_R over all teats and
-    poses.
-    """
+    """ISO 5725 along x, y and z: s_r of repeats at a pose, s_R over all teats and poses."""
     groups: dict[tuple[str, str], list[Floats]] = {}
     for pose, teat, error in zip(
         rows.of_found(rows.poses), rows.of_found(rows.teats), rows.errors_mm, strict=True
@@ -282,9 +268,7 @@ def run_precision(rows: ErrorRows) -> tuple[Precision, Precision, Precision]:
 
 
 def teat_tilts_deg(run: RunRecord) -> dict[tuple[str, str], float]:
-    """How far each teat leans from the vertical, by trial and teat (its number or its name);
-    nothing for a recording: it has no phantom.
-    """
+    """Lean of each teat from the vertical, by trial and teat; nothing for a recording."""
     path = run.folder / SCRIPT
     if not path.is_file():
         return {}

@@ -1,6 +1,4 @@
-"""A run for other programs: ``trials.csv``, ``run.json`` and ``junit.xml`` (a test case is a
-requirement).
-"""
+"""A run for other programs: ``trials.csv``, ``run.json``, ``junit.xml`` (a case a requirement)."""
 
 from __future__ import annotations
 
@@ -131,9 +129,7 @@ def run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
 
 
 def _chain(run: RunRecord) -> Any:
-    """Its last link. That of a damaged record isn't named: what the last report named stays, so
-    that its damage is found again.
-    """
+    """The record's last link; "" for a damaged record, so that its damage is found again."""
     if run.damage:
         with suppress(OSError, ValueError, AttributeError, RecursionError):
             return printed_chain(run.folder)
@@ -146,9 +142,7 @@ def _chain(run: RunRecord) -> Any:
 
 
 def junit_xml(run: RunRecord, judgements: Sequence[Judgement]) -> str:
-    """A test case a requirement: not met is a failure, what could not be decided is skipped with
-    its reason.
-    """
+    """A test case a requirement: not met is a failure, undecided is skipped with its reason."""
     root = ET.Element("testsuites", name=str(run.facts.get("title", run.folder.name)))
     for judgement in judgements:
         decisions = judgement.decisions

@@ -1,6 +1,4 @@
-"""How long a detector took, out of a run's record: one rule of what counts, for verdicts, report
-and table.
-"""
+"""How long a detector took, out of a run's record: one rule of what counts."""
 
 from __future__ import annotations
 
@@ -46,9 +44,7 @@ class Latency:
 
     @property
     def failed(self) -> int:
-        """Calls that have no time either: crashes, answers that can't be used, and what followed
-        when it was switched off.
-        """
+        """Calls without a time: crashes, unusable answers, and calls after it was switched off."""
         return self.silent - self.unanswered.get(Outcome.TIMEOUT.value, 0)
 
     @property
@@ -68,11 +64,10 @@ class Latency:
 
     @property
     def starved(self) -> str:
-        """A sentence where the machine gave the detector less than `STARVED_BELOW` of a processor;
-        empty where it didn't, or none can tell.
+        """A warning where the machine gave the detector less than `STARVED_BELOW` of a processor.
 
-        In the bench's process that is seconds of processors over seconds passed; of another process
-        only the machine's load tells.
+        In the bench's process by processor seconds over elapsed; of another process by the
+        machine's load.
         """
         used = [
             (cpu_s, seconds)

@@ -1,6 +1,4 @@
-"""What a number of poses can show, as a plan in values and in words. Knows no script: only counts,
-rates and lengths.
-"""
+"""What a number of poses can show, as a plan in values and in words."""
 
 from __future__ import annotations
 
@@ -44,9 +42,7 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Claims, and what a comparison of two detectors on the same poses can show. Lengths in mm, the
-    rest from 0 to 1.
-    """
+    """Claims, and what a comparison of two detectors can show. Lengths in mm, shares 0 to 1."""
 
     confidence: float
     claims: tuple[Claim, ...]

@@ -1,18 +1,8 @@
-"""What is varied, and what was measured at one of its values. Values only; may not know how scenes
-are made or detectors asked.
+"""The sensitivity study: eight quantities and their values as a table, the scenes of each (a member
+of the family `ideal` with one thing changed), and what detectors find in them.
 
-Detectors asked in scenes in which one quantity is varied. Draws, asks, counts; may not know how it
-is shown.
-
-The same members, the same noise and the same errors of calibration at every value of a quantity, so
-that what differs is the quantity.
-
-The scenes of each quantity: a member of the family `ideal`, in which one thing is set to a value
-and all else stays as it was drawn.
-
-May not know a detector, nor what a calibration says beyond where the cameras stand (`EYES_MM`).
-
-The eight quantities and the values that each takes: a table. May not know how anything is measured.
+Members, noise and calibration errors are the same at every value, so that only the quantity
+differs.
 """
 
 from __future__ import annotations
@@ -105,9 +95,8 @@ class Tally:
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What physics allows at one value: 3-D error by the pictures' noise with the calibration that
-    was told, the depth error of a disparity that is good to a fixed share of a pixel (median), and
-    the share of ends that a thermal picture can show (None where that isn't asked).
+    """What physics allows at one value: error by pixel noise, depth error of a fixed disparity
+    share (median), and share of ends that a thermal picture can show (None where not asked).
     """
 
     median_mm: float
@@ -118,9 +107,7 @@ class Limit:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One value: how many ends every camera could see, what each detector found of them, and the
-    limit (None where none was visible).
-    """
+    """One value: ends that every camera sees, what each detector found, the limit."""
 
     value: float
     visible: int
@@ -136,9 +123,7 @@ MEDIAN_OF_NORMAL = 0.6745  # of |e|, in standard deviations
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
-    """What stays the same: the rig whose cameras are emulated, the detectors, the members' seeds,
-    the seed of noise and cameras.
-    """
+    """What stays the same: rig, detectors, the members' seeds, the seed of noise and cameras."""
 
     rig: LoadedRig
     detectors: Sequence[Detector]
@@ -168,9 +153,7 @@ def measure(bench: Bench, quantity: Quantity) -> Iterator[Measured]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    """One member at one value: what stands there, which ends every camera sees, what the cameras
-    took, what detectors are told.
-    """
+    """One member at one value: scene, visible ends, frames, calibration given to detectors."""
 
     state: SceneState
     teats: list[int]
@@ -229,9 +212,7 @@ def _asked(detector: Detector, scene: _Scene) -> Tally:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bounds:
-    """For each visible end of a scene: least covariance (n, 3, 3), shift (n, 3), depth a pixel of
-    disparity (n,), share nominated.
-    """
+    """By visible end: covariance (n, 3, 3), shift (n, 3), depth a px (n,), share nominated."""
 
     covariances_mm2: Array
     shifts_mm: Array
@@ -254,9 +235,7 @@ def _bounds(scene: _Scene, renderer: Renderer, truth: Calibration, *, thermal: b
 
 
 def shifts_mm(calibration: Calibration, told: Calibration, ends_mm: Array) -> Array:
-    """How far (n, 3) the ends' own pixels, free of any error, are triangulated from where the ends
-    are, by the calibration told.
-    """
+    """How far (n, 3) exact pixels of the ends are triangulated off with the given calibration."""
     return told.pair.place(*calibration.pair.see(ends_mm)) - ends_mm
 
 
@@ -292,9 +271,7 @@ def plain(_value: float, seed: int, _renderer: Renderer) -> Situation:
 
 
 def at_range(range_m: float, seed: int, renderer: Renderer) -> Situation:
-    """The phantom moved away until its ends are so far along the
-    right camera's axis, in the mean.
-    """
+    """The phantom moved until its ends' mean is so far along the right camera's axis."""
     found = situation(FAMILY, seed)
     depth = renderer.cameras[1].camera_from_world(found.phantom.ends_mm)[:, 2]
     away = PlatePose(y_mm=float(1e3 * range_m - depth.mean()))
@@ -306,9 +283,7 @@ def at_range(range_m: float, seed: int, renderer: Renderer) -> Situation:
 
 
 def of_contrast(contrast: float, seed: int, _renderer: Renderer) -> Situation:
-    """Teats darker than the board by this share of its grey. In light from everywhere, what stands
-    upright is as bright as its paint.
-    """
+    """Teats darker than the board by this share of its grey, in light from everywhere."""
     found = situation(FAMILY, seed)
     board = replace(found.backdrop, board_albedo=BOARD_ALBEDO, board_texture=0.0)
     even = Lighting(lamps=(), ambient=EVEN_LIGHT)
@@ -332,9 +307,7 @@ def leaning(lean_deg: float, seed: int, _renderer: Renderer) -> Situation:
 
 
 def overlapping(share: float, seed: int, _renderer: Renderer) -> Situation:
-    """Each far teat is moved behind a near one, which covers this share of its width as seen from
-    midway; below zero is a gap.
-    """
+    """Each far teat covered by a near one by this share of its width; below zero is a gap."""
     found = situation(FAMILY, seed)
     teats = found.phantom.teats
     outwards = (-1.0, 1.0)  # the two pairs move apart, not into each other
@@ -344,9 +317,7 @@ def overlapping(share: float, seed: int, _renderer: Renderer) -> Situation:
 
 
 def _behind(near: Teat, far: Teat, share: float, way: float) -> Teat:
-    """The far teat upright behind the near one: bearings x / y from midway, radii as seen at their
-    distances.
-    """
+    """The far teat upright behind the near one: bearings x / y from midway, radii as seen."""
     eye_x, eye_y, _ = EYES_MM[2]
     near_y = near.base_mm[1] - eye_y
     far_y = near_y + BEHIND_MM
@@ -360,9 +331,7 @@ def _behind(near: Teat, far: Teat, share: float, way: float) -> Teat:
 
 
 def before_arm(gap_mm: float, seed: int, _renderer: Renderer) -> Situation:
-    """A bare forearm level behind the ends, its nearest skin this far behind the farthest teat;
-    elbow left or right by turns.
-    """
+    """A bare forearm level behind the ends, this far behind the farthest; side by turns."""
     found = situation(FAMILY, seed)
     ends = found.phantom.ends_mm
     farthest = max(

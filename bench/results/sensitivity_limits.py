@@ -1,25 +1,13 @@
-"""A teat's outline as a camera sees it: where its edge runs in the picture, which way it faces, and
-the grey levels on both sides.
+"""What no method could beat: the Fisher information of a teat's outline on its end, and the share
+that a thermal picture can show; and calibrations with small errors.
 
-From the scene's own solids and its noise-free picture; no detector's code. May not know what is
-made of it.
+Cramer and Rao's bound (Kay, Fundamentals of Statistical Signal Processing I, 3.9): an edge of
+contrast C, blurred by sigma_b under white noise sigma_n, tells its place along the normal with C^2
+/ (2 sqrt(pi) sigma_b sigma_n^2) a pixel of length; summed along the outline in both pictures and
+carried to the world. For an upright teat it comes to Z^2 / (f B) times the noise of the disparity.
 
-What no method could beat: the information that edges hold about an end's place, and the heat that a
-thermal picture holds of a teat.
-
-Strategy: Cramer and Rao's bound (Kay, Fundamentals of Statistical Signal Processing I, 3.9). An
-edge of contrast C, blurred by a Gaussian of sigma_b and seen under white noise sigma_n, tells of
-its place along its normal with C^2 / (2 sqrt(pi) sigma_b sigma_n^2) for each pixel of its length:
-the integral of the squared slope over the noise. Summed along the outline in both pictures, and
-carried to the world by the derivatives of the projection, that is the information on where the end
-is, for one who knows the teat's shape, lean and grey. For an upright teat it comes to Z^2 / (f B)
-times the noise of the disparity. May not know any detector.
-
-Calibrations that are a little wrong: what detectors are told is changed, the scene is not.
-
-Strategy: one size for all errors, in pixels of the principal point, and every other parameter wrong
-by what moves a picture about as far. Errors are drawn once a member and scaled, so that a curve
-shows the size of the errors and not another draw.
+Calibration errors have one size, in pixels of the principal point; every other parameter is wrong
+by what moves a picture about as far. They are drawn once a member and scaled.
 """
 
 from __future__ import annotations
@@ -46,9 +34,8 @@ CAP_STEPS = 32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
-    """Pieces of an outline: ``normal`` (n, 2) outwards, unit, ``length_px`` (n,), grey levels
-    ``inside`` and ``outside`` (n,) in DN, and how far below the rounded end's middle each piece
-    lies, ``below_mm`` (n,), 0 on the end.
+    """Pieces of an outline: ``normal`` (n, 2) unit, outwards; ``length_px``, grey ``inside`` and
+    ``outside`` in DN, ``below_mm`` the rounded end's middle (0 on the end), all (n,).
     """
 
     normal: Floats
@@ -59,9 +46,7 @@ class Outline:
 
 
 def outline_of(phantom: Phantom, teat: int, camera: CameraModel, picture: Image) -> Outline:
-    """The outline of teat number ``teat``: both sides down to the flange and the round of the end.
-    ``picture`` is free of noise.
-    """
+    """The outline of teat number ``teat``, sides and end, from a ``picture`` without noise."""
     points, outward, below = _pieces(phantom, teat, camera)
     at = camera.project(points)
     normal = camera.project(points + 0.01 * outward) - at
@@ -74,9 +59,7 @@ def outline_of(phantom: Phantom, teat: int, camera: CameraModel, picture: Image)
 
 
 def _pieces(phantom: Phantom, teat: int, camera: CameraModel) -> tuple[Floats, Floats, Floats]:
-    """Points (n, 3) mm up one side, over the end and down the other, the way (n, 3) each faces, and
-    how far below the end's middle.
-    """
+    """Points (n, 3) mm along the outline, normals (n, 3), how far below the end's middle."""
     end, axis = phantom.ends_mm[teat], phantom.axes[teat]
     shape = phantom.teats[teat].shape
     middle = end - shape.radius_mm * axis
@@ -117,18 +100,14 @@ GRADIENT_STEP_MM = 0.01
 
 
 def edge_information(outline: Outline, sigma_px: float, noise_dn: Floats) -> Floats:
-    """Fisher information (2, 2), 1/px^2, on a shift of an outline; ``noise_dn`` (n,) is the noise
-    of the pixels along it.
-    """
+    """Fisher information (2, 2), 1/px^2, on a shift; ``noise_dn`` (n,) along the outline."""
     contrast = outline.outside - outline.inside
     weight = contrast**2 / (2.0 * np.sqrt(np.pi) * sigma_px * noise_dn**2) * outline.length_px
     return np.asarray(np.einsum("n,ni,nj->ij", weight, outline.normal, outline.normal))
 
 
 def noise_dn(sensor: OpticalSensor, grey_dn: Floats, gain: float) -> Floats:
-    """Standard deviation (n,) of pixels of that grey level, DN: EMVA 1288's model, and the fixed
-    pattern, which is noise to one frame.
-    """
+    """Standard deviation (n,) of pixels of that grey, DN (EMVA 1288), with the fixed pattern."""
     k = sensor.gain_dn_per_e * gain
     signal_e = np.maximum(grey_dn - sensor.offset_dn, 0.0) / k
     electrons = signal_e + sensor.read_noise_e**2 + sensor.dsnu_e**2 + (sensor.prnu * signal_e) ** 2
@@ -142,9 +121,7 @@ def edge_sigma_px(sensor: OpticalSensor, depth_mm: float, focal_px: float) -> fl
 
 
 def end_covariances(renderer: Renderer, state: SceneState, teats: Sequence[int]) -> Floats:
-    """Least covariances (n, 3, 3) mm^2 of the ends of these teats, world axes, from both optical
-    pictures as drawn without noise.
-    """
+    """Least covariances (n, 3, 3) mm^2 of the ends, world axes, from both noise-free pictures."""
     shadows = renderer.shadows(state)
     information = np.zeros((len(teats), 3, 3))
     for eye, camera in (
@@ -177,9 +154,7 @@ def _pixels_per_mm(camera: CameraModel, point_mm: Floats) -> Floats:
 def error_quantiles_mm(
     covariances: Floats, shifts_mm: Floats, shares: Sequence[float]
 ) -> tuple[float, ...]:
-    """Quantiles of the distance |e| of normal errors with these covariances (n, 3, 3) and means (n,
-    3), all alike often; always the same draws.
-    """
+    """Quantiles of |e| for normal errors of covariances (n, 3, 3), means (n, 3); fixed draws."""
     units = np.random.Generator(np.random.PCG64(1288)).standard_normal((DRAWS, 3))
     errors = (
         np.einsum("nij,dj->ndi", np.linalg.cholesky(covariances), units) + shifts_mm[:, None, :]
@@ -228,9 +203,7 @@ SPREAD_PER_PX = {
 
 
 def told(size_px: float, seed: int, calibration: Calibration) -> Calibration:
-    """The calibration with errors of that size, in the same directions for one seed. The thermal
-    camera keeps its place to the left.
-    """
+    """The calibration with errors of that size; the thermal camera keeps its place to the left."""
     drawn = np.random.Generator(np.random.PCG64([seed, *b"miscalibration"])).standard_normal(
         len(SPREAD_PER_PX)
     )

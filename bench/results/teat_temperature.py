@@ -1,9 +1,8 @@
-"""How warm the teats' surface is, which is the stimulus: the bath isn't. From a sensor at the
-phantom, or from the plant model.
+"""The teats' surface temperature, from a sensor at the phantom or from the plant model at rest.
 
-Pure. The model is the plant's own at rest (water-bath fact sheet, sections 4.3 and 5): the water
-cools a little in the hose, and a teat sits between water and room as its inner film and its outer
-surface divide the way. What is not known of a real phantom is in the uncertainty, the film first.
+The model (water-bath fact sheet, 4.3 and 5): water cools a little in the hose; a teat lies between
+water and room as its inner film and outer surface divide the difference. What is unknown of a real
+phantom, the film first, is in the uncertainty.
 """
 
 from __future__ import annotations
@@ -32,9 +31,7 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """The teats' mean surface temperature, ``how`` it was found, and what its uncertainty is made
-    of.
-    """
+    """The teats' mean surface temperature, how it was found, and its uncertainty's components."""
 
     temp_c: float
     how: str
@@ -58,9 +55,7 @@ class Figures:
 def surface(
     bath_c: Sequence[float], external_c: Sequence[float], figures: Figures
 ) -> Surface | None:
-    """From readings about one moment: of the sensor at the phantom where there is one, else from
-    the bath's. None without either.
-    """
+    """From a sensor at the phantom if there is one, else from the bath's; None without either."""
     if external_c:
         return _from_sensor(external_c, figures)
     return _from_model(bath_c, figures) if bath_c else None

@@ -1,8 +1,4 @@
-"""The thesis's published figures as values: read from the file beside this one, with what can be
-worked out from them.
-
-Facts of somebody else's, defects included, each with its section. May not know any run.
-"""
+"""The thesis's published figures, defects included, each with its section; and their statistics."""
 
 from __future__ import annotations
 
@@ -134,17 +130,10 @@ class Thesis(Section):
     situations: tuple[Situation, ...]
     elsewhere: tuple[Elsewhere, ...]
 
-    @property
-    def by_situation(self) -> dict[str, Situation]:
-        """The situations by name."""
-        return {one.name: one for one in self.situations}
-
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Of the same errors what the thesis calls an average error, and what it hides. Lengths in mm;
-    None where nothing was measured.
-    """
+    """Over the same errors: component and distance figures, mm; None where nothing was measured."""
 
     n: int
     signed_mean: float | None
@@ -160,9 +149,7 @@ def thesis() -> Thesis:
 
 
 def statistics(errors_mm: Floats) -> Statistics:
-    """Of errors (n, 3): over the 3 n components as the thesis averages them, and over the n
-    distances.
-    """
+    """Of errors (n, 3): over the 3 n components as the thesis averages, and the n distances."""
     found: ErrorSummary = summarise(errors_mm)
     pooled, radial = found.components, found.radial
     return Statistics(

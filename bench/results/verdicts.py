@@ -1,9 +1,5 @@
-"""Was the arm verified? The requirement of a script held against what the run knows of its arm: the
-checks before and after the trials, and the dated verification that the rig names. Pure: facts in, a
-`Decision` out.
-
-From a run's record to its decisions: each requirement of the script or rules held against the
-scores of one detector.
+"""From a run's record to its decisions: each requirement held against the scores of one detector,
+and the arm's against its checks and its dated verification.
 """
 
 from __future__ import annotations
@@ -194,11 +190,7 @@ DetectorRequirement = ErrorRequirement | TimeRequirement | SuccessRequirement | 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """One detector's decisions, in the order of the script's requirements, and the verdict that
-    they add up to.
-
-    ``of_bench`` names the requirements that the bench has to meet, not the detector.
-    """
+    """One detector's decisions in order; ``of_bench`` names those that the bench has to meet."""
 
     detector: str
     decisions: tuple[Decision, ...]
@@ -332,9 +324,7 @@ def _decided(
 
 
 def truth_u_mm(runs: Sequence[RunRecord], scores: Pool, detector: str) -> float | None:
-    """The largest uncertainty of a truth that the detector was scored against; None where one of
-    them states none.
-    """
+    """The largest uncertainty of a truth scored against; None where one of them states none."""
     trials = [trial for run in runs for trial in run.counted if detector in trial.scores]
     stated = all(
         row["u_mm"] is not None for trial in trials for row in trial.truth if row["visible"]

@@ -1,9 +1,7 @@
 """The plots of a report: arrays in, SVG text out, the same bytes for the same arrays.
 
-Strategy: each function checks its arrays, then draws. Without data the figure says "not measured".
-Numbers that are not finite are refused, since a plot that drops them in silence shows something
-that was not measured. Importing this package loads matplotlib (some tenths of a second), so
-importers do it late. May not know: what a run, a detector or a trial is.
+Without data a figure says "not measured"; numbers that are not finite are refused. Importing this
+loads matplotlib (some tenths of a second), so importers do it late.
 """
 
 from reports.figures.calibration import precision_by_distance, residual_field

@@ -1,6 +1,4 @@
-"""How good a camera calibration is, drawn: where its corners lie and which way they miss, and what
-a point is worth by distance.
-"""
+"""How good a camera calibration is: corners with their residuals, and precision by distance."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -29,9 +27,7 @@ def residual_field(
     *,
     name: str,
 ) -> str:
-    """Corners (n,) where they lie in the picture, each with the way it misses its prediction,
-    enlarged; the picture's frame around.
-    """
+    """Corners (n,) in the picture's frame, each with its residual, enlarged."""
     x, y, dx, dy = together("residual_field", x_px=x_px, y_px=y_px, dx_px=dx_px, dy_px=dy_px)
     inches = (HALF_INCHES, HALF_INCHES * image_size[1] / image_size[0] + 0.5)
     if not x.size:
@@ -72,9 +68,7 @@ def precision_by_distance(
     *,
     name: str = "precision",
 ) -> str:
-    """What a point's place is good to (n,), mm, over its distance (n,), m; the distances at which
-    the board was seen are shaded.
-    """
+    """Precision (n,) mm over distance (n,) m; the board's distances are shaded."""
     depth, good = together("precision_by_distance", depth_m=depth_m, good_to_mm=good_to_mm)
     inches = (WIDE_INCHES, 2.8)
     if not depth.size:

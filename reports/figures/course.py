@@ -1,6 +1,4 @@
-"""What went on over time: the bath's temperature and the detection times. Knows seconds and degrees
-only.
-"""
+"""What went on over time: the bath's temperature and the detection times."""
 
 from collections.abc import Sequence
 
@@ -95,9 +93,7 @@ def bath_curve(
 def latency_strip(
     times_s: ArrayLike, limits_s: Sequence[float], *, name: str = "latency-strip"
 ) -> str:
-    """Every detection time (n,) in order, with the limits as lines and p50, p95 and the longest
-    written out.
-    """
+    """Every detection time (n,) in order, with limits; p50, p95 and the longest written out."""
     times = finite("latency_strip", "times_s", times_s)
     if not times.size:
         return not_measured(name, (HALF_INCHES, 3.6), "no detection was timed")

@@ -1,15 +1,9 @@
-"""What every plot asks of its arrays: finite numbers, lengths that agree. Draws nothing.
+"""What every plot needs: checks of arrays, matplotlib to SVG, and a choice of what to draw of many
+points.
 
-From a matplotlib figure to SVG that stands inside a page: the same bytes for the same input, the
-page's own colours and letters.
-
-Strategy: matplotlib lays out and writes; then every tag is rewritten. Styles become attributes and
-classes, so that a style sheet can recolour them (dark, print) under a strict content security
-policy; ids nobody refers to go, the others get the figure's name in front; what a run of marks
-shares is said once. Knows nothing of what is plotted.
-
-Which of many points a plot draws, so that a page stays light: the most telling ones, and an even
-choice of the rest. Draws nothing.
+The SVG has the same bytes for the same input. Styles become attributes and classes, so that a style
+sheet can recolour them (dark, print) under a strict content security policy; ids without a
+reference go, the others get the figure's name as prefix.
 """
 
 from __future__ import annotations
@@ -48,9 +42,7 @@ def finite(function: str, argument: str, values: ArrayLike) -> Floats:
 
 
 def together(function: str, **named: ArrayLike) -> list[Floats]:
-    """The named arrays, each (n,), flat and of one length. Raises ValueError where they differ or
-    are not finite.
-    """
+    """The named arrays (n,), flat, of one length. Raises ValueError if not, or if not finite."""
     arrays = {key: finite(function, key, values).ravel() for key, values in named.items()}
     if len({array.size for array in arrays.values()}) > 1:
         raise ValueError(
@@ -160,9 +152,7 @@ def not_measured(name: str, inches: tuple[float, float], why: str) -> str:
 
 
 def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
-    """Above the plot, in as many rows as it takes: for each (text, role, form) a line ("-", "--"),
-    a marker or a "patch" in the role's colour.
-    """
+    """Above the plot: for each (text, role, form) a line ("-", "--"), a marker or a "patch"."""
 
     def handle(text: str, role: str, form: LegendForm) -> Artist:
         if form == "patch":
@@ -297,9 +287,7 @@ MOST_STEPS = 400  # of a curve
 
 
 def telling(weight: Floats, most: int = MOST_POINTS) -> NDArray[np.intp]:
-    """Indices, in order, of at most `most` of n points: the half with the greatest `weight` (n,),
-    and every so-manieth of the others.
-    """
+    """Indices of at most `most` of n points: of greatest `weight` (n,), and some of the rest."""
     if weight.size <= most:
         return np.arange(weight.size)
     order = np.argsort(-weight, kind="stable")
@@ -314,9 +302,7 @@ def told(drawn: int, of: int) -> str:
 
 
 def envelope(values: Floats, most: int = MOST_STEPS) -> NDArray[np.intp]:
-    """Indices, in order, of the least and the greatest of each stretch of a curve (n,), its ends
-    among them: no peak is lost.
-    """
+    """Indices of the least and greatest of each stretch of a curve (n,), its ends included."""
     if values.size <= 2 * most:
         return np.arange(values.size)
     edges = np.linspace(0, values.size, most + 1).round().astype(np.intp)

@@ -1,9 +1,5 @@
-"""Two runs of the same scenes, drawn against each other. Knows only millimetres.
-
-Errors as plots: the cloud with its limit circle, the histogram, the strips of each axis. Knows
-nothing but millimetres.
-
-Errors teat by teat, as boxes, and in the order of time. Knows only millimetres, minutes and names.
+"""Errors as plots: two runs against each other, the cloud with its limit circle, the histogram,
+strips of each axis, boxes by teat, and drift. In millimetres and minutes.
 """
 
 from __future__ import annotations
@@ -42,9 +38,7 @@ _CHANGE_SQUARE = (HALF_INCHES, 4.2)
 def change_scatter(
     old_mm: ArrayLike, new_mm: ArrayLike, limit_mm: float, *, name: str = "change-scatter"
 ) -> str:
-    """Errors of the same scenes before (n,) and now (n,): above the diagonal it grew worse; the
-    limit on both axes.
-    """
+    """Errors of the same scenes before and now (n,); above the diagonal it grew worse."""
     old, new = together("change_scatter", old_mm=old_mm, new_mm=new_mm)
     if not old.size:
         return not_measured(name, _CHANGE_SQUARE, "no scene was found in both")
@@ -145,9 +139,7 @@ def error_histogram(
     accept_mm: float | None = None,
     name: str = "error-histogram",
 ) -> str:
-    """Counts of the radial errors (n,) in bins of at most a tenth of the limit's range, their
-    cumulative share, and the limit.
-    """
+    """Radial errors (n,) in bins of at most a tenth of the limit, cumulative share, limit."""
     errors = finite("error_histogram", "errors_mm", errors_mm)
     if not errors.size:
         return not_measured(name, _SQUARE, "no teat end was paired with a truth")
@@ -192,9 +184,7 @@ def per_axis_errors(
     axes_names: tuple[str, str, str] = ("x", "y", "z"),
     name: str = "per-axis-errors",
 ) -> str:
-    """Signed errors of each situation, (n_k, 3) in mm: every point, the mean as a bar, the limit on
-    both sides; one panel an axis.
-    """
+    """Signed errors of each situation (n_k, 3) mm: points, mean, limits; a panel an axis."""
     if len(situations) != len(errors_mm):
         raise ValueError(
             f"per_axis_errors: {len(situations)} situations for {len(errors_mm)} arrays; give one"
@@ -255,9 +245,7 @@ def _limits(limit_mm: float, accept_mm: float | None) -> list[LegendEntry]:
 
 
 def _strip(axes: Axes, row: int, values: Floats, most: int) -> None:
-    """Points of one situation, spread in a fixed zigzag so that equal values stay apart, and their
-    mean.
-    """
+    """Points of one situation in a fixed zigzag, so equal values stay apart, and their mean."""
     if not values.size:
         axes.text(
             0, row, "not measured", ha="center", va="center", color=COLOURS["muted"], fontsize=7.5
@@ -289,9 +277,7 @@ def teat_boxes(
     *,
     name: str = "teat-boxes",
 ) -> str:
-    """Radial errors of each teat, (n_k,): quartiles and median as a box, whiskers to 1.5 quartile
-    ranges, points beyond; counts below.
-    """
+    """Radial errors of each teat (n_k,) as box plots (whiskers 1.5 quartile ranges)."""
     if len(teats) != len(errors_mm):
         raise ValueError(
             f"teat_boxes: {len(teats)} teats for {len(errors_mm)} arrays; give one array a teat"
@@ -356,9 +342,7 @@ def error_drift(
     links: Sequence[str] | None = None,
     name: str = "error-drift",
 ) -> str:
-    """Radial errors (n,) over the time of their capture (n,), with the line of least squares;
-    `links` as of the scatter.
-    """
+    """Radial errors (n,) over capture times (n,), with their line; `links` by point."""
     time, errors = together("error_drift", time_min=time_min, error_mm=error_mm)
     if links is not None and len(links) != time.size:
         raise ValueError(

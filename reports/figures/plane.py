@@ -1,8 +1,5 @@
-"""The error over places, seen from above and from the front: a disc at each place, its area the
-error; what was missed stands out.
-
-Several teats are small multiples, a column a teat, each about its own places and all on one scale:
-overlaid they would hide each other. Knows only millimetres and names.
+"""The error over places, from above and from the front: a disc's area is the error, a triangle a
+miss. Several teats are small multiples on one scale.
 """
 
 from __future__ import annotations
@@ -121,9 +118,7 @@ def error_map(teat: TeatPlaces, limit_mm: float, *, name: str = "error-map") -> 
 
 
 def error_maps(teats: Sequence[TeatPlaces], limit_mm: float, *, name: str = "error-maps") -> str:
-    """The same for each teat beside the others, all on one scale; a view from the front besides
-    where the places differ in height.
-    """
+    """The same for each teat, on one scale; a front view too where the places differ in height."""
     columns = [teat.checked() for teat in teats]
     if not sum(len(marks.everywhere) for marks in columns):
         return not_measured(name, _INCHES, "no place had a truth")
@@ -168,9 +163,7 @@ def error_maps(teats: Sequence[TeatPlaces], limit_mm: float, *, name: str = "err
 
 
 def _view(axes: Axes, view: str, marks: _Marks, limit_mm: float, step: float) -> None:
-    """Discs in steps of size, one size at a time: the discs of a size share their outline in the
-    file.
-    """
+    """Discs in steps of size: the discs of one size share their outline in the file."""
     flat = [0, _VIEWS[view][0]]
     across = np.sqrt(np.clip(_MARK * marks.errors / limit_mm, _LEAST, _MOST))
     area = (np.maximum(np.round(across / step), 1.0) * step) ** 2

@@ -1,7 +1,5 @@
-"""Shares as plots, with the counts that they come from. A share of nothing is "not measured".
-
-What each of many straight lines makes of its quantity's whole range, with intervals: a row a
-question. Knows only numbers and names.
+"""Shares as bars with their counts, and slopes with intervals. A share of nothing is "not
+measured".
 """
 
 from __future__ import annotations
@@ -35,9 +33,7 @@ def found_bars(
     thesis_present: int = 4,
     name: str = "found-bars",
 ) -> str:
-    """Share of the teats found in each situation, ours over the thesis's, with the counts written
-    out. None: the thesis gives no figure.
-    """
+    """Share found in each situation, ours over the thesis's (None: no figure), with counts."""
     if not len(situations) == len(found) == len(present) == len(thesis_found):
         lengths = (
             f"{len(situations)} situations, {len(found)} found, {len(present)} present,"
@@ -78,9 +74,7 @@ def _share_bar(axes: Axes, y: float, found: int, of: int, role: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Slope:
-    """One line: its question, the response that it asks of, and what it makes over the range with
-    its interval; ``shown`` is whether it is told from nothing.
-    """
+    """A line: quantity, response, effect over the range, interval; ``shown``: significant."""
 
     against: str
     response: str
@@ -93,9 +87,7 @@ class Slope:
 def slope_intervals(
     slopes: Sequence[Slope], unit: str = "mm", *, name: str = "slope-intervals"
 ) -> str:
-    """A panel a response, a row a question: the value with its interval and a line at nothing.
-    Raises ValueError for what isn't finite.
-    """
+    """A panel a response, a row a question, with intervals. Raises ValueError if not finite."""
     bad = [
         slope.against
         for slope in slopes

@@ -1,8 +1,5 @@
-"""Errors as clouds with their 95 % ellipsoids, seen along two axes: a colour and a marker a teat,
-so that neither alone has to tell.
-
-An ellipsoid is given as its outline in each view; whoever computed it knows what it holds. Knows
-only millimetres and names.
+"""Errors as clouds with their 95 % ellipsoids, along two axes: a colour and a marker a teat. An
+ellipsoid is given as its outline in each view.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,4 @@
-"""How errors grow with one quantity: a curve a method, what physics allows, and below it the share
-that was found. Knows only numbers.
-"""
+"""How errors grow with one quantity: a curve a method, the physical bound, and the share found."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,9 +29,7 @@ _TICKS_MM = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
-    """One method: median and p95 errors (n,) mm where anything was found, at ``x`` (n,), and the
-    share found (m,) at ``share_x`` (m,).
-    """
+    """One method: median and p95 errors (n,) mm at ``x`` (n,); share found (m,) at ``share_x``."""
 
     name: str
     x: ArrayLike
