@@ -1,10 +1,8 @@
 """Files that are on the disk whole or not at all: written beside their place, synced, renamed, and
 their folder synced.
 
-Pictures are PNG. 8 bits a pixel compress to a third or less and are worth the time; 16 bits of a
-sensor are noise in their lower half, so they are stored as they are, several times as fast
-(docs/record.md has the figures). Many files at once take turns on threads: hashing, encoding and
-syncing all let others work.
+Pictures are PNG: 8 bits a pixel compressed, 16 bits of a sensor stored, since their lower half is
+noise (docs/record.md has the figures).
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""Values to TOML text, as far as the bench writes it: the standard library only reads. It may not
-know what the values mean.
-"""
+"""Values to TOML text, as far as the bench writes it: the standard library only reads."""
 
 from __future__ import annotations
 

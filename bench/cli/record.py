@@ -95,10 +95,12 @@ def _export(given: argparse.Namespace) -> int:
     from bench.config import ConfigError
     from bench.files import write_synced
     from bench.record.check import NOT_AS_WRITTEN
-    from bench.record.mcap import export_mcap
-    from bench.record.tables import export_csv, export_parquet
+    from bench.record.tables import export_csv, export_parquet, needed
 
-    write = {"csv": export_csv, "parquet": export_parquet, "mcap": export_mcap}[given.format]
+    if given.format == "mcap":
+        write = needed("bench.record.mcap", "MCAP").export_mcap
+    else:
+        write = {"csv": export_csv, "parquet": export_parquet}[given.format]
     try:
         with undamaged([given.run], given) as damage:
             (given.out / DAMAGED).unlink(missing_ok=True)

@@ -2,11 +2,9 @@
 before it.
 
 A link covers the rows that one transaction added, table by table, with the SHA-256 of what SQLite
-holds of them. There are two digests: ``digest`` leaves out real time, so that it repeats with the
-seed; ``wall_digest`` covers every column. A row that is changed, added or removed later, by a hand
-or by a rotting disk, breaks its link; whoever writes the whole chain anew gets another last digest
-than the one that the report names. Knows rows and digests only: no files, no threads, no
-transactions.
+holds of them. ``digest`` leaves out real time, so that it repeats with the seed; ``wall_digest``
+covers every column. A row that is changed, added or removed later breaks its link; a chain that is
+written anew as a whole gets another last digest than the one that the report names.
 """
 
 from __future__ import annotations

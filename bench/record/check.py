@@ -1,8 +1,6 @@
-"""Looks whether a run is as it was written: database, foreign keys, chain, files. Reads only; says
-all that is wrong, in sentences.
+"""Checks whether a run is as it was written: database, foreign keys, chain, files. Reads only.
 
-What a run that died leaves behind, the frames of a trial that never finished, is told but is no
-damage.
+Frames of an unfinished trial, which a run that died leaves behind, are a note, no damage.
 """
 
 from __future__ import annotations

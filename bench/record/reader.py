@@ -1,12 +1,5 @@
-"""Opens a run's database for reading only, whatever bench wrote it, and never changes it.
-
-A run of an older bench is copied into memory and brought to today's tables there: what lies on the
-disk stays as it was written.
-
-A run folder read back: everything that the verdicts, the report and the exports are made of.
-
-Opens a run of any state, also one whose bench was killed. It may not judge: scores are as they were
-stored.
+"""A run folder read back, of any state and of any bench: a killed run, and one of an older bench,
+whose tables are brought to today's in memory. The disk stays as it is; scores are as stored.
 """
 
 from __future__ import annotations

@@ -1,11 +1,7 @@
-"""Libraries that only an export needs: imported when asked for, and missed with a sentence that
-says what to do.
+"""Every table of a run as a file of its own: CSV, or Parquet with types and the record's digest in
+its metadata.
 
-Every table of a run as a file of its own: CSV for whoever has nothing else, Parquet with types, and
-the record's digest in its metadata.
-
-An empty field of a CSV, and a null of Parquet, is what was not measured. Figures keep all their
-digits.
+An empty field of a CSV, and a null of Parquet, is what was not measured. Figures keep all digits.
 """
 
 from __future__ import annotations
@@ -27,11 +23,13 @@ from reports.sanitize import csv_text
 
 
 def needed(module: str, what: str) -> Any:
-    """The library ``module``. Raises ConfigError where it isn't installed."""
+    """``module``, which imports a library that only an export needs. Raises ConfigError where that
+    isn't installed.
+    """
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        package = module.partition(".")[0]
+        package = (error.name or module).partition(".")[0]
         why = f"{what} needs {package}, which can't be imported: {error}"
         raise ConfigError.plain(f'{why}. Get it with: pip install "teatbench[export]"') from error
 

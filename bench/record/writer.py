@@ -1,19 +1,11 @@
-"""Rows into the database: what waits and what comes, in one synced transaction with the link of the
-chain that covers it.
+"""The one writer of a run folder. Each write is one synced transaction and one link of the chain.
 
-A wrong row never holds up others, for the end of a run has to be written whatever came before; a
-disk at fault loses nothing that waits. Ctrl-C may come between any two lines. Not for several
-threads at once: the store sees to that.
-
-The one writer of a run folder.
-
-What is durable when: a finished, skipped or checked trial, and whatever was said before it, when
-the call returns. An event or a fact when its call returns; within ``step`` when the step ends, or
-at `flush`, which has to come before a physical action counts as done. Events of `URGENT` kinds wait
-for nobody. Bath readings wait for any of these, at most `FLUSH_EVERY` of them. Durable means that
-SQLite has synced its log (``synchronous = FULL``), and for a frame that file and folder are synced
-before its row is written. Each such write is one transaction and one link of the chain. May not
-know what a trial consists of, nor how a run goes.
+A finished, skipped or checked trial is durable when its call returns, with all that was said
+before. So are events and facts, but for those within ``step``: they are durable when the step or
+`flush` ends, which has to come before a physical action counts as done. Events of `URGENT` kinds
+never wait.
+Bath readings wait for the next write, at most `FLUSH_EVERY` of them. A frame's file and folder are
+synced before its row is written.
 """
 
 from __future__ import annotations

@@ -1,16 +1,9 @@
-"""Room on the disk that a run keeps for its last words: given back when the disk is full, so that
-the record can say how it ended.
+"""Keeps two benches off one rig or run: a file that a running bench holds, with its name in it; and
+the room on the disk that a run keeps for its last words.
 
-May not know what the last words are.
-
-Keeps two benches off one rig: a file beside the rig file that a running bench holds, and that tells
-who it is.
-
-The system's own lock on the open file is what counts: it goes with the process, however that died,
-so a lock is never stale on its own machine. What is written in it is for people, and for a folder
-shared with another machine, where the system's lock may not reach. An emulated rig has none: each
-bench has emulators of its own. Two rig files for one rig have two locks. May not know what is
-locked.
+What counts is the system's lock on the open file, which goes with the process, however it died.
+The text in the file is for people, and for a folder shared with another machine, which the system's
+lock may not reach. An emulated rig has no lock. Two rig files for one rig have two.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Writes a recording while a run goes on: frames, calibration and touched truth that `teatbench
 score` reads to the same scores.
 
-A recording only watches: where it can't be written that is told once, and the run goes on without.
-What it lacks of a run that goes on after a death is in the run's folder, and is put in first; so it
-ends as if nothing had been.
+Where it can't be written, that is warned of once, and the run goes on without. A resumed run
+first puts in what its folder has and the recording lacks.
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
-"""Values to rows: what a trial gave, as the store's tables hold it. The one place that knows both
-sides.
-
-What depends on real time goes into columns that begin with ``wall``, so that all others repeat with
-the seed.
+"""What a trial gave as rows of the store's tables. What depends on real time goes into columns that
+begin with ``wall``, so that all others repeat with the seed.
 """
 
 from __future__ import annotations

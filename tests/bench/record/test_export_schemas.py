@@ -10,9 +10,14 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from mcap_protobuf.schema import build_file_descriptor_set
 
-from bench.record.mcap import LEVEL, SCHEMAS, described, encoded
+from bench.record.mcap import MESSAGES
 from tests.bench import mcap_reading
+
+SCHEMAS = {kind.DESCRIPTOR.full_name: kind for kind in MESSAGES}
 
 KINDS = {"double": 1, "int64": 3, "int32": 5, "fixed32": 7, "string": 9, "bytes": 12, "uint32": 13}
 PUBLISHED = {
@@ -51,6 +56,11 @@ PUBLISHED = {
 }
 
 
+def described(name: str) -> bytes:
+    """The schema as it stands in the file."""
+    return build_file_descriptor_set(SCHEMAS[name]).SerializeToString()
+
+
 def fields(text: str) -> dict[int, tuple[str, int, bool, str]]:
     """Lines of a .proto file as `mcap_reading` gives them."""
     found = {}
@@ -68,13 +78,13 @@ FOXGLOVES = sorted(name for name in SCHEMAS if name.startswith("foxglove."))
 
 @pytest.mark.parametrize("name", FOXGLOVES)
 def test_a_schema_is_field_by_field_what_foxglove_publishes(name: str) -> None:
-    ours = mcap_reading.described(described(SCHEMAS[name]))
+    ours = mcap_reading.described(described(name))
     assert name in ours
     assert ours == {one: fields(PUBLISHED[one]) for one in ours}
 
 
 def test_levels_of_a_log_are_the_published_ones() -> None:
-    assert LEVEL.numbers == {
+    assert dict(Log.Level.items()) == {
         "UNKNOWN": 0,
         "DEBUG": 1,
         "INFO": 2,
@@ -89,7 +99,7 @@ def test_our_own_hold_only_what_every_viewer_takes(name: str) -> None:
     """Lichtblick refuses JSON schemas with two types for a field, and gives an int64 as something
     that can't be plotted.
     """
-    ours = mcap_reading.described(described(SCHEMAS[name]))[name]
+    ours = mcap_reading.described(described(name))[name]
     assert ours.pop(1) == ("timestamp", mcap_reading.MESSAGE, False, "google.protobuf.Timestamp")
     assert {kind for _, kind, _, _ in ours.values()} <= {
         mcap_reading.DOUBLE,
@@ -148,27 +158,24 @@ AS_FOXGLOVE_WRITES: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize("name", AS_FOXGLOVE_WRITES)
 def test_bytes_are_those_of_foxgloves_own_library(name: str) -> None:
     values, wanted = AS_FOXGLOVE_WRITES[name]
-    assert encoded(SCHEMAS[name], values).hex() == wanted
+    assert SCHEMAS[name](**values).SerializeToString().hex() == wanted
 
 
 @pytest.mark.parametrize("name", FOXGLOVES)
 def test_descriptions_are_those_of_foxgloves_own_library(name: str) -> None:
-    """Options for other languages' generators, which Google's timestamp has, say nothing of the
-    bytes.
+    """Options for other languages' generators and names for JSON, which follow from the fields'
+    names, say nothing of the bytes.
     """
     theirs = pytest.importorskip(
         "foxglove.messages", reason="foxglove-sdk is not installed: nobody to compare with"
     )
-    descriptors: Any = pytest.importorskip(
-        "google.protobuf.descriptor_pb2", reason="protobuf is not installed"
-    )
     kind = getattr(theirs, name.removeprefix("foxglove."))
     sets = [
-        descriptors.FileDescriptorSet.FromString(data)
-        for data in (kind.get_schema().data, described(SCHEMAS[name]))
+        FileDescriptorSet.FromString(data) for data in (kind.get_schema().data, described(name))
     ]
-    for files in sets:
-        for file in files.file:
-            file.ClearField("options")
+    for file in [file for files in sets for file in files.file]:
+        file.ClearField("options")
+        for field in [field for message in file.message_type for field in message.field]:
+            field.ClearField("json_name")
     files_of = [{file.name: file for file in files.file} for files in sets]
     assert files_of[0] == files_of[1]

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from bench.cli.main import main
 from bench.config import read_calibration
-from bench.record.mcap import SCHEMAS
+from bench.record.mcap import MESSAGES
 from bench.record.reader import RunRecord, read_run
 from bench.record.writer import FinishedTrial, Store
 from bench.rig.loading import RIGS
@@ -161,7 +161,9 @@ def log(
 
 
 def test_mcap_has_every_schema(log: dict[str, list[tuple[str, int, Any]]]) -> None:
-    assert {name for rows in log.values() for name, _, _ in rows} == set(SCHEMAS)
+    assert {name for rows in log.values() for name, _, _ in rows} == {
+        kind.DESCRIPTOR.full_name for kind in MESSAGES
+    }
 
 
 def test_mcap_has_everything_on_the_benchs_time_line(
@@ -341,7 +343,9 @@ def test_a_run_without_a_calibration_has_neither_ties_nor_lenses_and_pixels_have
     )
 
 
-@pytest.mark.parametrize(("kind", "library"), [("parquet", "pyarrow"), ("mcap", "mcap")])
+@pytest.mark.parametrize(
+    ("kind", "library"), [("parquet", "pyarrow"), ("mcap", "mcap"), ("mcap", "mcap_protobuf")]
+)
 def test_a_missing_library_is_told_with_what_to_do(
     run: RunRecord,
     tmp_path: Path,
@@ -350,8 +354,11 @@ def test_a_missing_library_is_told_with_what_to_do(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    for name in [name for name in sys.modules if name.partition(".")[0] == library]:
+    for name in [
+        name for name in sys.modules if name.partition(".")[0] in (library, "mcap_protobuf")
+    ]:
         monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delitem(sys.modules, "bench.record.mcap", raising=False)  # it is imported anew
     monkeypatch.setitem(sys.modules, library, None)
     assert main(["store", "export", str(run.folder), "--format", kind, "--out", str(tmp_path)]) == 2
     assert f"needs {library}, which can't be imported: " in capsys.readouterr().err
