@@ -50,7 +50,7 @@ MAY_JUDGE = {"run", "resume", "score", "compare"}  # their exit code may be a ve
 AT_A_TERMINAL = {"arm home", "arm frame", "arm read", "arm verify"}
 # what a page names and its reader has, and what stands in for it here; whatever fits, in this order
 STAND_INS = {
-    r"/dev/tty\w+": "emulator:",
+    r"/dev/ttyUSB0": "emulator:",
     r"opencv:http://\S+": "my-rig.toml --seconds 0.1",
     r"resume runs/\S+": "resume runs/stopped",
     r"runs/20261120-\S+": "runs/kept",
@@ -116,13 +116,20 @@ def test_the_program_knows_the_command(
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A reader's folder: a rig, a script, a recording, pictures of boards, runs."""
     folder = tmp_path_factory.mktemp("desk")
-    arguments = operated_runs.files(
+    operated_runs.files(
         folder,
         script=small_run.SCRIPT,
         stage=operated_runs.STAGE,
         check_point=operated_runs.CHECK_POINT,
         emulation="faults = []",
     )
+    # calibration.toml is what the reader makes
+    (folder / "calibration.toml").rename(folder / "as-delivered.toml")
+    rig = (folder / "rig.toml").read_text(encoding="utf-8")
+    (folder / "my-rig.toml").write_text(
+        rig.replace("calibration.toml", "as-delivered.toml"), encoding="utf-8"
+    )
+    (folder / "script.toml").rename(folder / "short.toml")
     stopped = TrialRun.run
 
     def ctrl_c(trial_run: TrialRun, trial: Any) -> None:
@@ -132,11 +139,10 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(TrialRun, "run", ctrl_c)
-        assert main(arguments) == 3
+        given = [str(folder / name) for name in ("short.toml", "my-rig.toml", "runs")]
+        assert main(["run", given[0], "--rig", given[1], "--out", given[2]]) == 3
     (run,) = (folder / "runs").iterdir()
     run.rename(folder / "runs" / "stopped")
-    (folder / "rig.toml").rename(folder / "my-rig.toml")
-    (folder / "script.toml").rename(folder / "short.toml")
     write_recording(folder / "recordings" / "mine")
     scoring = ["score", str(folder / "recordings" / "mine"), "--out", str(folder / "scored")]
     assert main([*scoring, "--detector", "fused", "--detector", "thesis"]) in (0, 1, 4)
