@@ -1,64 +1,248 @@
-"""Commands of all pages are those of the program, and their TOML is TOML; what needs no instrument
-and no file of the reader's is run.
+"""Commands of all pages run, in their order, in a folder where what they name is there, and their
+TOML is loaded as what it is. A block that can't run has its reason in the page, above it:
+``<!-- not run: why -->``. The README's own commands are run by test_readme.py.
 """
 
 from __future__ import annotations
 
 import re
 import shlex
+import shutil
 import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from bench.cli.main import main, parser
+from bench.config import read_config
+from bench.record.check import check_run
+from bench.rig.loading import RIGS, load_rig
+from bench.rig.scripted_answers import load_answers
+from bench.run.trial import TrialRun
+from bench.script.detectors import DetectorFile
+from bench.script.model import TRIALS, load_script
+from bench.script.phantom import load_layout
+from bench.toml import toml_text
+from detector import registry
+from detector.geometry import Motion
+from tests.bench import operated_runs, small_run
+from tests.bench.calibrate.arm_terminal import at_terminal
+from tests.bench.calibrate.board_pictures import (
+    BOARD_TOML,
+    HEATED,
+    HEATED_TOML,
+    LEFT,
+    THERMAL,
+    THERMAL_FROM_LEFT,
+    picture,
+    poses,
+    write_image,
+    write_pairs,
+)
+from tests.bench.calibrate.touched import write_touched
+from tests.bench.small_recording import write_recording
 from tests.conftest import ROOT
 
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-COMMANDS = [
-    (page.name, line)
-    for page in PAGES
-    for block in re.findall(r"```(?:sh)?\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
-    for line in block.splitlines()
-    if line.startswith("teatbench ")
+MAY_JUDGE = {"run", "resume", "score", "compare"}  # their exit code may be a verdict
+AT_A_TERMINAL = {"arm home", "arm frame", "arm read", "arm verify"}
+# what a page names and its reader has, and what stands in for it here; whatever fits, in this order
+STAND_INS = {
+    r"/dev/ttyUSB0": "emulator:",
+    r"opencv:http://\S+": "my-rig.toml --seconds 0.1",
+    r"resume runs/\S+": "resume runs/stopped",
+    r"runs/20261120-\S+": "runs/kept",
+    r"\b(RUN|MONDAY|TUESDAY)\b": "runs/scored",
+    r"5ab3…": "DIGEST",
+    r"six-situations|my-script": "short.toml",
+    r"--seeds 200": "--seeds 1",
+    r"--seeds 12": "--seeds 1 --quantity pixel-noise",
+    r"thermal PICTURES": "thermal heated-pictures",
+    r"PICTURES": "pictures",
+}
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page; ``not_run`` is the reason why it can't run, empty where it can."""
+
+    page: str
+    line: int
+    language: str
+    text: str
+    not_run: str
+
+    def __str__(self) -> str:
+        return f"{self.page}:{self.line}"
+
+    @property
+    def commands(self) -> list[str]:
+        """The lines that call the program."""
+        lines = self.text.splitlines() if self.language in ("", "sh") else []
+        return [line for line in lines if line.startswith("teatbench ")]
+
+
+FENCED = re.compile(
+    r"(?:^<!-- not run: ([^>]+) -->\n)?^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE
+)
+BLOCKS = [
+    Block(page.name, text.count("\n", 0, found.start(3)), found[2], found[3], found[1] or "")
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+    for text in [page.read_text(encoding="utf-8")]
+    for found in FENCED.finditer(text)
 ]
-TOML = [
-    (page.name, text)
-    for page in PAGES
-    for text in re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
-]
-RUN_HERE = ("plan --rate", "plan --trials", "plan --shift-mm", "plan --limit-mm", "calibrate board")
+COMMANDS = [(str(block), line) for block in BLOCKS for line in block.commands]
+RUN_HERE = [block for block in BLOCKS if block.page != "README.md" and not block.not_run]
+TOML = [block for block in RUN_HERE if block.language == "toml"]
 
 
 def words_of(line: str) -> list[str]:
     return shlex.split(line, comments=True)[1:]
 
 
-@pytest.mark.parametrize(("page", "line"), COMMANDS)
+@pytest.mark.parametrize(("where", "line"), COMMANDS)
 def test_the_program_knows_the_command(
-    page: str, line: str, capsys: pytest.CaptureFixture[str]
+    where: str, line: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     try:
         parser().parse_args(words_of(line))
     except SystemExit:
-        pytest.fail(f"{page}: {line}\n{capsys.readouterr().err}")
+        pytest.fail(f"{where}: {line}\n{capsys.readouterr().err}")
 
 
-@pytest.mark.parametrize(
-    ("page", "line"),
-    [
-        (page, line)
-        for page, line in COMMANDS
-        if line.startswith(tuple(f"teatbench {w}" for w in RUN_HERE))
-    ],
-)
-def test_what_needs_nothing_else_works(
-    page: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A reader's folder: a rig, a script, a recording, pictures of boards, runs."""
+    folder = tmp_path_factory.mktemp("desk")
+    operated_runs.files(
+        folder,
+        script=small_run.SCRIPT,
+        stage=operated_runs.STAGE,
+        check_point=operated_runs.CHECK_POINT,
+        emulation="faults = []",
+    )
+    # calibration.toml is what the reader makes
+    (folder / "calibration.toml").rename(folder / "as-delivered.toml")
+    rig = (folder / "rig.toml").read_text(encoding="utf-8")
+    (folder / "my-rig.toml").write_text(
+        rig.replace("calibration.toml", "as-delivered.toml"), encoding="utf-8"
+    )
+    (folder / "script.toml").rename(folder / "short.toml")
+    stopped = TrialRun.run
+
+    def ctrl_c(trial_run: TrialRun, trial: Any) -> None:
+        if trial.number > 1:
+            raise KeyboardInterrupt
+        stopped(trial_run, trial)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(TrialRun, "run", ctrl_c)
+        given = [str(folder / name) for name in ("short.toml", "my-rig.toml", "runs")]
+        assert main(["run", given[0], "--rig", given[1], "--out", given[2]]) == 3
+    (run,) = (folder / "runs").iterdir()
+    run.rename(folder / "runs" / "stopped")
+    write_recording(folder / "recordings" / "mine")
+    scoring = ["score", str(folder / "recordings" / "mine"), "--out", str(folder / "scored")]
+    assert main([*scoring, "--detector", "fused", "--detector", "thesis"]) in (0, 1, 4)
+    (run,) = (folder / "scored").iterdir()
+    run.rename(folder / "runs" / "scored")
+    shutil.copytree(ROOT / "tests/bench/record/kept/schema-4", folder / "runs" / "kept")
+    (folder / "my-board.toml").write_text(BOARD_TOML, encoding="utf-8")
+    (folder / "my-heated.toml").write_text(HEATED_TOML, encoding="utf-8")
+    write_pairs(folder / "pictures", 12)
+    for number, pose in enumerate(poses(10, 3, HEATED, 0.3)):
+        for name, camera, motion in (
+            ("left", LEFT, Motion.identity()),
+            ("thermal", THERMAL, THERMAL_FROM_LEFT),
+        ):
+            image = picture(camera, motion @ pose, number, board=HEATED, pitch_mm=HEATED.pitch_mm)
+            write_image(folder / "heated-pictures" / name / f"{number:02d}.png", image)
+    write_touched(folder / "points.csv")
+    return folder
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("page", sorted({block.page for block in RUN_HERE if block.commands}))
+def test_the_commands_of_a_page_run_in_their_order(
+    page: str, desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(words_of(line)) == 0, page
+    monkeypatch.chdir(desk)
+    for block in RUN_HERE:
+        for line in block.commands if block.page == page else ():
+            code, said = ran(line, desk, capsys)
+            verdict = words_of(line)[0] in MAY_JUDGE
+            assert code in ((0, 1, 4) if verdict else (0,)), f"{block}: {line}\n{said}"
+            assert "Traceback" not in said, f"{block}: {line}\n{said}"
+            assert said.strip(), f"{block}: {line}"
 
 
-@pytest.mark.parametrize(("page", "text"), TOML)
-def test_each_example_of_a_file_is_toml(page: str, text: str) -> None:
-    assert tomllib.loads(text), page
+def ran(line: str, desk: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """The exit code of a page's line with what stands in for its names, and what it said."""
+    for name, here in STAND_INS.items():
+        line = re.sub(name, here, line)
+    if "DIGEST" in line:
+        line = line.replace("DIGEST", check_run(desk / "runs" / "kept").head.wall_digest)
+    words = [
+        path
+        for word in words_of(line)
+        for path in (sorted(map(str, desk.glob(word))) if "*" in word else [word])
+    ]
+    if "--capture" in words:  # never written over; each line of a page is another's
+        Path(words[words.index("--capture") + 1]).unlink(missing_ok=True)
+    if " ".join(words[:2]) in AT_A_TERMINAL:
+        with at_terminal(words, cwd=desk) as terminal:
+            return terminal.press_enter_to_the_end(), terminal.text
+    code = main(words)
+    told = capsys.readouterr()
+    return code, told.out + told.err
+
+
+def rig_of(text: str, folder: Path) -> object:
+    shutil.copy(RIGS / "calibration.toml", folder)
+    base = "emulated.toml" if "emulation" in tomllib.loads(text) else "lab.example.toml"
+    return load_rig(with_tables(RIGS / base, text, folder))
+
+
+def script_of(text: str, folder: Path) -> object:
+    return load_script(with_tables(TRIALS / "six-situations.toml", text, folder))
+
+
+def with_tables(base: Path, text: str, folder: Path) -> Path:
+    """The file with the tables of ``text`` in the place of its own."""
+    whole = tomllib.loads(base.read_text(encoding="utf-8"))
+    for key, value in tomllib.loads(text).items():
+        whole[key] = {**whole.get(key, {}), **value} if isinstance(value, dict) else value
+    return written(toml_text(whole), folder)
+
+
+def written(text: str, folder: Path) -> Path:
+    path = folder / "example.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def entry_point_of(text: str, folder: Path) -> object:
+    return tomllib.loads(text)["project"]["entry-points"][registry.GROUP]
+
+
+LOADED: dict[str, Callable[[str, Path], object]] = {  # by a key that only such a file has
+    "arm": rig_of,
+    "cameras": rig_of,
+    "emulation": rig_of,
+    "requirements": script_of,
+    "trials": script_of,
+    "truth": script_of,
+    "teats": lambda text, folder: load_layout(written(text, folder)),
+    "envelope": lambda text, folder: load_layout(written(text, folder)),
+    "command": lambda text, folder: read_config(written(text, folder), DetectorFile),
+    "answers": lambda text, folder: load_answers(written(text, folder)),
+    "project": entry_point_of,
+}
+
+
+@pytest.mark.parametrize("block", TOML, ids=str)
+def test_each_example_of_a_file_is_loaded_as_what_it_is(block: Block, tmp_path: Path) -> None:
+    (load,) = {LOADED[key] for key in tomllib.loads(block.text) if key in LOADED}
+    assert load(block.text, tmp_path)

@@ -356,13 +356,14 @@ def _nobody(
 def begin(talk: Session) -> None:
     """Begin the session. Raises InterfaceBoxError, NoMicroScribeError, or LinkError."""
     talk.send(wire.BEGIN, Event.BEGIN)
-    answer = talk.link.read_until(b"\0", SIGN_ON_S)
+    seconds = max(SIGN_ON_S, talk.answer_s)
+    answer = talk.link.read_until(b"\0", seconds)
     if answer.rstrip(b"\0").endswith(wire.PRODUCT_ID):
         return
     if not answer:
         what = "the arm echoed, then fell silent"
         raise SilentArmError(
-            talk.who, what, asked=wire.BEGIN, seen=b"", seconds=SIGN_ON_S, hint=ON_HINT
+            talk.who, what, asked=wire.BEGIN, seen=b"", seconds=seconds, hint=ON_HINT
         )
     if wire.INTERFACE_BOX in answer:
         what = (

@@ -201,12 +201,12 @@ class MarkedBench:
     def signal(self, name: str) -> None:
         os.kill(self.process.pid or 0, getattr(signal, name))
 
-    def wait_for(self, words: str, within_s: float = 40.0) -> None:
+    def wait_for(self, words: str, within_s: float = 240.0) -> None:
         """Until the bench has said ``words`` behind what was waited for before."""
         self.until(lambda: words in self.said[self._read_to :], f"said {words!r}", within_s)
         self._read_to = self.said.index(words, self._read_to) + len(words)
 
-    def until(self, there: Callable[[], bool], what: str, within_s: float = 40.0) -> None:
+    def until(self, there: Callable[[], bool], what: str, within_s: float = 240.0) -> None:
         deadline = time.monotonic() + within_s
         while not there():
             assert time.monotonic() < deadline, f"never {what}:\n{self.said}"

@@ -227,7 +227,7 @@ def touch_as_asked(
     On a busy machine a reading may not be good enough, or the arm be lost for a moment: then more
     is asked than once.
     """
-    answered, read, read_s, deadline = 0, 0, time.monotonic(), time.monotonic() + 120.0
+    answered, read, read_s, deadline = 0, 0, time.monotonic(), time.monotonic() + 240.0
     while not over():
         assert time.monotonic() < deadline, f"never over:\n{said()}"
         _, _, text = said().partition(STANDS)

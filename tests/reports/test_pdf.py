@@ -25,11 +25,14 @@ INFO = (
 )
 
 
+PATIENCE_S = 280.0  # a busy machine's browser; the suite's own limit comes after it
+
+
 @pytest.fixture(scope="module")
 def printed(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     folder = tmp_path_factory.mktemp("printed")
     return print_pdf(
-        write_report(sample_page(folder), folder), folder / "report.pdf", chromium()
+        write_report(sample_page(folder), folder), folder / "report.pdf", chromium(), PATIENCE_S
     ).read_bytes()
 
 

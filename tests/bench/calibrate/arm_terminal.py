@@ -11,13 +11,14 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 import pyte
 import pytest
 
 from tests.conftest import ROOT
 
-PATIENCE_S = 60.0
+PATIENCE_S = 240.0
 ENTER = "Enter"
 COLUMNS, ROWS = 200, 24
 OWN_TERMINAL = (
@@ -100,6 +101,14 @@ class Terminal:
             assert time.monotonic() < deadline, f"it doesn't end; it said:\n{self.text}"
         return self._child.wait(timeout=PATIENCE_S)
 
+    def press_enter_to_the_end(self) -> int:
+        """Press Enter at each prompt until it has ended; gives back the command's exit code."""
+        while self._more():
+            if "a = abort" in self.text[self._at :]:
+                self._at = len(self.text)
+                self.type("")
+        return self.code()
+
     def _more(self) -> bool:
         if not select.select([self._fd], [], [], 0.2)[0]:
             return self._child.poll() is None
@@ -113,7 +122,9 @@ class Terminal:
 
 
 @contextmanager
-def at_terminal(arguments: Sequence[str], columns: int = COLUMNS) -> Iterator[Terminal]:
+def at_terminal(
+    arguments: Sequence[str], columns: int = COLUMNS, cwd: Path = ROOT
+) -> Iterator[Terminal]:
     """``teatbench`` with ``arguments`` at a terminal of its own, which Ctrl-C and hanging up work
     on; skipped where there are none.
     """
@@ -134,7 +145,7 @@ def at_terminal(arguments: Sequence[str], columns: int = COLUMNS) -> Iterator[Te
         stdout=far,
         stderr=far,
         env=environment,
-        cwd=ROOT,
+        cwd=cwd,
         start_new_session=True,
     )
     os.close(far)

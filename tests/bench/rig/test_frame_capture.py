@@ -159,6 +159,7 @@ def test_a_run_goes_on_through_faults_that_pass_and_keeps_count_of_them(
     assert trials == 6
 
 
+@pytest.mark.timeout(900)  # a busy machine draws its report for minutes
 def test_a_run_ends_safely_when_a_fault_stays(tmp_path: Path, short_script: Path) -> None:
     rig = with_emulation(
         tmp_path, 'faults = [{ instrument = "cameras", name = "black", camera = "right" }]'

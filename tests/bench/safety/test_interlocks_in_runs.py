@@ -147,6 +147,7 @@ def test_a_detection_may_take_what_the_rig_file_allows(tmp_path: Path) -> None:
 SILENT_LOOK_S = 8.0  # a look at a bath that does not answer takes up to seven seconds
 
 
+@pytest.mark.timeout(900)
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a symbolic link")
 def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowledged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -162,10 +163,10 @@ def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowl
             with rig.twin.world.lock:
                 plant.bath_c = 39.0
             # and nobody pressed Enter
-            running.wait_until(lambda: not plant.running, "made safe", within_s=120.0)
+            running.wait_until(lambda: not plant.running, "made safe")
             running.wait_for("interlock over-temperature")
             running.wait_for("No answer is needed any more")
-            assert running.process.wait(60) == 3, running.said
+            assert running.process.wait(240) == 3, running.said
         trip = read_run(rig.run_folder()).facts["trip"]
         assert trip["values"][-1]["safety_c"] == pytest.approx(39.0, abs=0.2)
         latch = rig.folder / "lab.tripped.json"
@@ -187,7 +188,7 @@ def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowl
         with rig.twin.world.lock:
             plant.bath_c = plant.pv_c = 33.0
             plant.acknowledge()
-        deadline = time.monotonic() + 120.0
+        deadline = time.monotonic() + 240.0
         while main(["bath", "acknowledge", str(rig.rig_path)]) != 0:  # the sensor has its lag
             assert time.monotonic() < deadline, capsys.readouterr().err
         assert not latch.exists()

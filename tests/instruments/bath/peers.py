@@ -25,6 +25,11 @@ FIXED = {  # addresses in the examples' sources, and where a test's own come fro
 }
 NAP = "usleep(500000)"  # of the server's late register: on a busy machine any answer takes as long
 LONG_NAP = "sleep(5)"
+CONNECTED = "if (modbus_connect(ctx) == -1)"
+# its client gives half a second to an answer, and to the next byte of one: here the answer decides
+PATIENT = (
+    f"modbus_set_response_timeout(ctx, 120, 0); modbus_set_byte_timeout(ctx, 120, 0); {CONNECTED}"
+)
 OVER_RTU = "modbus_new_rtu(\"/dev/ttyUSB0\", 19200, 'N', 8, 1); modbus_set_slave(ctx, SERVER_ID)"
 
 
@@ -56,7 +61,9 @@ def built(example: str, folder: Path, *, over_rtu: bool = False) -> Path:
     assert all(fixed in text for fixed in FIXED), f"{source} has changed"
     if over_rtu:
         text = text.replace('modbus_new_tcp("127.0.0.1", 1502)', OVER_RTU)
-    for fixed, told in (FIXED | {NAP: LONG_NAP}).items():
+    patience = {CONNECTED: PATIENT} if "client" in example else {NAP: LONG_NAP}
+    assert all(fixed in text for fixed in patience), f"{source} has changed"
+    for fixed, told in (FIXED | patience).items():
         text = text.replace(fixed, told)
     copy = folder / source.name
     copy.write_text(text, encoding="utf-8")

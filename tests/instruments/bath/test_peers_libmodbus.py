@@ -54,7 +54,7 @@ def clock() -> Iterator[RealClock]:
 def passes(client: Path, **address: str) -> bool:
     environment = {**os.environ, **address}
     said = subprocess.run(
-        [client], capture_output=True, text=True, timeout=60, check=True, env=environment
+        [client], capture_output=True, text=True, timeout=280, check=True, env=environment
     ).stdout
     return said.splitlines()[-1] == "Test: SUCCESS" and "ERROR" not in said
 

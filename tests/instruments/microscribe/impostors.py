@@ -14,6 +14,7 @@ from instruments.errors import LimitError
 from instruments.link import Link
 from instruments.listener import Connection, Listener
 from instruments.microscribe.driver import MicroScribe
+from instruments.microscribe.session import ANSWER_S
 
 
 class Ghost:
@@ -51,11 +52,15 @@ class Parrot:
     def disconnect(self, connection: Connection) -> None: ...
 
 
-def sign_on_to(device: Ghost | Parrot, rates: tuple[int, ...] | None = None) -> None:
+def sign_on_to(
+    device: Ghost | Parrot, rates: tuple[int, ...] | None = None, answer_s: float = ANSWER_S
+) -> None:
     """Signs on, which has to fail and leave no session."""
     clock = VirtualClock()
     listener = Listener(device, clock, lock=threading.RLock(), name="ghost")
-    driver = MicroScribe(Link(listener.url, clock, who="arm"), clock, rates=rates)
+    driver = MicroScribe(
+        Link(listener.url, clock, who="arm"), clock, rates=rates, answer_s=answer_s
+    )
     try:
         driver.sign_on()
     finally:

@@ -36,6 +36,15 @@ def test_silence_at_sign_on(rig: Rig) -> None:
     assert b"BEGIN" not in rig.ear.heard
 
 
+@pytest.mark.parametrize(("answer_s", "waited"), [(0.12, "3 s"), (20.0, "20 s")])
+def test_an_arm_that_has_echoed_is_waited_for_as_long_as_is_asked(
+    answer_s: float, waited: str
+) -> None:
+    echoing = Parrot(lambda data: data if b"IMMC" in data else b"")
+    with pytest.raises(SilentArmError, match=rf"then fell silent \(.*after {waited}\)"):
+        sign_on_to(echoing, answer_s=answer_s)
+
+
 def test_the_interface_box_is_refused(rig: Rig) -> None:
     rig.arm.faults.inject("IBOX")
     with pytest.raises(InterfaceBoxError, match="Immersion Interface Box"):
