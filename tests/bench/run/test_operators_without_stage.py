@@ -80,7 +80,10 @@ def test_without_a_stage_a_script_of_answers_is_asked_for_every_pose(
     for found, wanted in zip(exact_ends(record), wanted_ends(), strict=True):
         assert found == pytest.approx(wanted, abs=1e-6)
     said = capsys.readouterr().out
-    assert "[trial 2 of 3, teat 4 of 4; less than a minute left] Touch the end of teat 4 (LF) of 4" in said
+    assert (
+        "[trial 2 of 3, teat 4 of 4; less than a minute left] Touch the end of teat 4 (LF) of 4"
+        in said
+    )
     assert record.folder.joinpath("answers.txt").read_text(encoding="utf-8") == answers
 
 
