@@ -1,9 +1,6 @@
 """The dialogues of `arm frame` and `arm verify`: which touches are asked for, in which order and
-words, and what they add up to.
-
-A touch that can't be used (the arm moved, two points are too near) is asked for again; nothing is
-lost but that touch. It may not know whether a person, a test or the emulated hand of a trial
-session answers.
+words, and what they add up to. A touch that can't be used (the arm moved, two points are too near)
+is asked for again; nothing is lost but that touch.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """Leads somebody who holds a board before live cameras: what each view was, what is still missing,
 and a picture that shows both.
-
-May not know where frames come from, nor what is calibrated from them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """One calibration from the steps' files: what each holds is put together, and what doesn't fit
-together is refused.
-
-The world's step depends on the very cameras that it was made with, and so does the thermal one's:
-their records name the cameras' file by its hash. May not know how any step was done.
+together is refused. The world's step depends on the very cameras that it was made with, and so does
+the thermal one's: their records name the cameras' file by its hash.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """The stereo pair from views of a board: alone, with fixed and with joint lenses, and everything
 that says how good it is.
-
-May not know where the views come from, nor how the result is shown.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """The thermal camera: as a third camera calibrated on a heated board that the left camera sees too,
 or as homographies from point pairs.
-
-May not know where pictures come from, nor how the result is shown.
 """
 
 from __future__ import annotations

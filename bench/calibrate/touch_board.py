@@ -1,7 +1,5 @@
 """Points that both cameras see and the arm touches: nine of a board's at each of two positions,
 asked for one by one.
-
-May not know what is fitted to them, nor how anything is shown.
 """
 
 from __future__ import annotations

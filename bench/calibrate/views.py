@@ -1,12 +1,6 @@
-"""Where pictures of a board come from: folders by camera, files named by camera, or a recording.
-Names of views are what pairs them.
-
-Strategy: find which picture is whose before any is read; a view is one pose of the board, and its
-name is the same in every camera. May not know boards.
-
-Pictures to views: the board found in each, alike in all cameras; what is refused, with its reason.
-
-May not know what is calibrated from them.
+"""Pictures of a board (folders by camera, files named by camera, or a recording) to views: one pose
+of the board each, with the same name in every camera. The board is found in each, alike in all
+cameras; what is refused has its reason.
 """
 
 from __future__ import annotations

@@ -1,9 +1,5 @@
-"""Tables of numbers that a person writes: comma-separated values with a first line of names,
-explained when wrong.
-
-Camera to table from points that the arm touched and both cameras saw.
-
-May not know where the points come from, nor how the result is shown.
+"""Camera to table from points that the arm touched and both cameras saw, read from comma-separated
+values with a first line of names.
 """
 
 from __future__ import annotations

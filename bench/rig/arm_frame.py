@@ -3,7 +3,7 @@ touches beyond three.
 
 Strategy: the 3-2-1 rule. The first touch is the origin, the second lies on the x axis, the third in
 the plane z = 0 on the side of positive y. Nothing is averaged, so every further touch is an
-independent check and gives a residual. Pure: it may not know files, instruments or persons.
+independent check and gives a residual.
 """
 
 from __future__ import annotations

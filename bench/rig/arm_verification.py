@@ -5,8 +5,7 @@ Articulated location: the tip sits in one conical divot while wrist and elbow sw
 is of one point, so what they differ by is the arm's error. Length: a calibrated distance, both ends
 touched, in several directions. After ASME B89.4.22 (single point articulation; volumetric
 performance) and ISO 10360-12 (articulated location; length), but for two things: a tip in a divot
-stands for their sphere, and the tester chooses how many. Pure: it may not know files, instruments
-or persons.
+stands for their sphere, and the tester chooses how many.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""The description of a calibration board, as a person writes it. Reading it may not open an
-instrument.
-"""
+"""The description of a calibration board, as a person writes it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
 """The rig file's `[cameras]`: a table for each camera, or one URL for all; what a frame set must
 pass; what the rig's cameras become of it.
-
-May not open anything.
 """
 
 from __future__ import annotations

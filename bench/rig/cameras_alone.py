@@ -1,8 +1,5 @@
-"""Cameras without a run: those of a rig, or one to three by their URLs; looked at, focused, and
-grabbed into a recording.
-
-A rig's cameras come as frame sets through its own declarations; cameras by URL are taken as they
-are. May not know how anything is printed.
+"""Cameras without a run: those of a rig, as frame sets through its own declarations, or one to
+three by their URLs, as they are; looked at, focused, and grabbed into a recording.
 """
 
 from __future__ import annotations

@@ -1,9 +1,5 @@
-"""Faults of emulated instruments, as a rig file names them: which there are, and how each
-instrument is told.
-
-The instruments' emulators have words of their own for it; here they become two actions, one that
-breaks something and one that mends it. Emulators are imported only where a file names a fault: a
-real rig needs none. It may not know what a fault does, nor when it is time for it.
+"""Faults of emulated instruments, as a rig file names them: which there are, and the two actions of
+each, one that breaks something and one that mends it.
 """
 
 from __future__ import annotations

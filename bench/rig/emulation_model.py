@@ -1,14 +1,6 @@
-"""What a rig file says of the emulated cameras' sensors and lenses. Values only; a real rig has no
-use for them.
-
-What is left out is as in `OpticalSensor` and `ThermalSensor`, and the thermal camera's size and
-form as in the calibration.
-
-What a rig file says of the emulated stage: its firmware and its errors. Values only; a real rig has
-no use for it.
-
-A rig file's `[emulation]`: what the emulated world is like, and what goes wrong in it. A real rig
-has no use for it.
+"""A rig file's `[emulation]`: the emulated world, its cameras' sensors and lenses, the stage's
+firmware and errors, and faults. What is left out of a sensor is as in `OpticalSensor` and
+`ThermalSensor`; the thermal camera's size and form are as in the calibration.
 """
 
 from __future__ import annotations

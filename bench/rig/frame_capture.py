@@ -1,8 +1,6 @@
-"""Takes a frame set that may be measured with: looks at each, takes it again where something is
-wrong, and at last refuses.
-
-Every fault is an event of the record and counted, also one that the next try cured. May not know
-what a fault looks like.
+"""Takes a frame set that may be measured with: checks each, takes it again where something is
+wrong, and at last refuses. Every fault is an event of the record and counted, also one that the
+next try cured.
 """
 
 from __future__ import annotations

@@ -1,9 +1,6 @@
 """Whether a frame set may be measured with: every fault that pictures and times show, by name, with
-a sentence.
-
-Strategy: each look gives what it noticed; nothing is refused here. Looks that compare need the set
-before. The looks' limits are the rig file's. May not know where the frames came from, nor what is
-done about a fault.
+a sentence. Nothing is refused here. Checks that compare need the set before; the limits are the rig
+file's.
 """
 
 from __future__ import annotations

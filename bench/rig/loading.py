@@ -1,7 +1,5 @@
-"""The rig file: which instruments, at which addresses, with which calibration and limits.
-
-An emulated rig and a real one have the same keys; what differs are the URLs. Reading it may not
-open anything.
+"""The rig file: which instruments, at which addresses, with which calibration and limits. An
+emulated rig and a real one have the same keys; what differs are the URLs.
 """
 
 from __future__ import annotations

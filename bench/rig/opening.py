@@ -1,12 +1,5 @@
-"""A pedal press as an answer at the terminal: watched in short turns, so that the keyboard is heard
-too, and none is lost between two.
-
-It may not know what the press answers.
-
-Opens the cameras that a rig file names: all by one URL, or each by its table, set and read back.
-
-Connects the drivers of a rig by URL. A bring-up that fails names every instrument that failed, not
-only the first.
+"""Connects the drivers of a rig by URL, its cameras (all by one URL, or each by its table) and its
+operator. A bring-up that fails names every instrument that failed, not only the first.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Scenes without instruments: members of the situation families drawn by the emulated cameras, as a
-contact sheet or as a recording.
-
-A recording's truth is exact: where each end is, and whether every camera can see it. May not know a
-detector.
+contact sheet or as a recording. A recording's truth is exact: where each end is, and whether every
+camera can see it.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 Strategy: rectify both ways, as they are and exchanged, and see with which one the pictures fit at a
 disparity that a thing in front of the cameras can have. Whole rows of edges are compared, not
-single features: that works on smooth teats, in dim light and in noise. May not know how the
-pictures were taken.
+single features: that works on smooth teats, in dim light and in noise.
 """
 
 from __future__ import annotations
