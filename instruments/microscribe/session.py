@@ -120,7 +120,7 @@ class Session:
     def tidy(self) -> None:
         """Let late bytes of a damaged answer pass, so that none is taken for the next answer."""
         if self.untidy:
-            self.link.drain(SILENCE_S * self.answer_s / ANSWER_S)
+            self.link.drain(min(1.0, SILENCE_S * self.answer_s / ANSWER_S))
             self.untidy = False
 
     def send(self, data: bytes, event: Event) -> None:

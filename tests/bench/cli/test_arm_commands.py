@@ -305,7 +305,7 @@ def test_read_in_the_world_uses_the_frame_of_this_arm_only(
     assert main(["arm", "read", "--port", "emulator:", "--homed", "--frame", str(out)]) == 2
     said = capsys.readouterr().err
     assert (
-        f"{out}:4: serial_number: this file is of the arm 11111, but the arm that answers is 40937"
+        f"{out}:5: serial_number: this file is of the arm 11111, but the arm that answers is 40937"
         in said
     )
 

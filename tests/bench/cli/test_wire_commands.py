@@ -221,6 +221,7 @@ def test_a_wrong_file_gives_2_and_a_sentence(
 
 
 WITHOUT_A_LINK = {
+    "control",
     "tell",
     "report",
     "score",
