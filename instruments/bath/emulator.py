@@ -80,6 +80,7 @@ class Server:
         self.framing = framing
         self.faults: set[str] = set()
         self.late_s = LATE_S
+        self._last_answer_s: dict[Connection, float] = {}
         self.deaf_until_s = -math.inf
         self._cells = cells
         self._manners = manners
@@ -113,6 +114,7 @@ class Server:
     def disconnect(self, connection: Connection) -> None:
         """The host has gone; the device carries on as it is."""
         self._readers.pop(connection, None)
+        self._last_answer_s.pop(connection, None)
 
     def hang_up(self) -> None:
         """Lose all hosts, as a device on a network does whose power goes; a serial line knows
@@ -140,8 +142,17 @@ class Server:
             self._send(connection, self._spoilt(frame.answer(pdu)))
 
     def _send(self, connection: Connection, answer: bytes) -> None:
-        if "late answer" in self.faults:
-            connection.after(self.late_s, lambda: connection.send(answer))
+        """Late where that fault is on. A device on a serial line never answers out of order; behind
+        TCP one may.
+        """
+        now_s = self._clock.now()
+        at_s = now_s + (self.late_s if "late answer" in self.faults else 0.0)
+        if self.framing == "rtu":
+            at_s = self._last_answer_s[connection] = max(
+                at_s, self._last_answer_s.get(connection, at_s)
+            )
+        if at_s > now_s:
+            connection.after(at_s - now_s, lambda: connection.send(answer))
         else:
             connection.send(answer)
 

@@ -273,3 +273,17 @@ def test_any_order(name: str) -> None:
             suppress_health_check=list(HealthCheck),
         ),
     )
+
+
+def test_a_serial_device_answers_in_order() -> None:
+    """A later answer that is less late can't overtake: the emulator once let it, and a wrong set
+    point was read.
+    """
+    machine = type("Machine", (BathInAnyOrder,), {"profile": "omega-cn7"})()
+    try:
+        for late_s, times in ((6.0, 3), (0.3, 1), (1.1, 1), (3.8, 1), (6.0, 3), (1.1, 1), (1.1, 1)):
+            machine.late(late_s=late_s)
+            for _ in range(times):
+                machine.get()
+    finally:
+        machine.teardown()
