@@ -24,7 +24,7 @@ from bench.script.model import TRIALS
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
-TRIM_MIB, MOST_MIB = 700.0, 1536.0
+TRIM_MIB, MOST_MIB = 700.0, 1024.0
 
 
 def pytest_configure(config: pytest.Config) -> None:
