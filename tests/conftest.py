@@ -36,6 +36,9 @@ def pytest_configure(config: pytest.Config) -> None:
     # how fast the machine is says nothing of the code
     settings.register_profile("teatbench", deadline=None, derandomize=fixed)
     settings.load_profile("teatbench")
+    # compiled once, not in each of some hundred processes
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
     # 'teatbench report' prints a PDF where a browser is: only where that is what is tested
     os.environ.setdefault("TEATBENCH_BROWSER", "")
     for name, default in (("SIGINT", signal.default_int_handler), ("SIGHUP", signal.SIG_DFL)):

@@ -99,7 +99,7 @@ def _coverage() -> Iterator[Sequence[str]]:
 # page, the table's first line, its rows
 TABLES: tuple[tuple[str, str, Callable[[], Iterator[Sequence[str]]]], ...] = (
     (
-        "README.md",
+        "docs/detectors.md",
         (
             "| situation | fused found | false | mean, p95, max (mm) | thesis found | false | mean,"
             " p95, max (mm) |"
