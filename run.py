@@ -23,8 +23,9 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 CONSTRAINTS = ROOT / "constraints.txt"
 NEEDED = (3, 11)
-# met, not met, inconclusive: a verdict on the detector, not a fault of the bench
 WORKERS = str(2 * (os.cpu_count() or 1))  # half of the tests in real time wait
+BY_FILE = ("--dist", "loadfile", "--no-loadscope-reorder")  # slow files first: tests/conftest.py
+# met, not met, inconclusive: a verdict on the detector, not a fault of the bench
 DID_ITS_WORK = (0, 1, 4)
 
 HINT_NETWORK = """The package index can't be reached. Check the network, or the proxy (set
@@ -65,7 +66,7 @@ def main(arguments: Sequence[str]) -> int:
         return fault
     if job == "test":
         return call(
-            [str(python()), "-m", "pytest", "--numprocesses", WORKERS, "--dist", "loadfile", *rest],
+            [str(python()), "-m", "pytest", "--numprocesses", WORKERS, *BY_FILE, *rest],
             ROOT,
         )
     code = call([str(python()), "-m", "bench.cli", "run", *rest])
