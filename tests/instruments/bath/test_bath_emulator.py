@@ -284,7 +284,7 @@ def test_bytes_one_by_one_and_with_a_rest() -> None:
 @settings(max_examples=300)
 @given(pdu=st.binary(min_size=1, max_size=253))
 def test_any_request_gets_one_whole_answer(pdu: bytes) -> None:
-    answer = answers_to([protocol.Frame(7, 1, b"").answer(pdu)])
+    answer = answers_to([protocol.Frame(1, b"", 7).answer(pdu)])
     assert int.from_bytes(answer[4:6], "big") == len(answer) - 6
     assert answer[:4] == bytes.fromhex("0007 0000")
     assert answer[6] == 1

@@ -14,7 +14,7 @@ from pymodbus.framer import FramerRTU
 
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
-from instruments.bath.protocol import RtuFrame, RtuReader, crc, framed
+from instruments.bath.protocol import Frame, RtuReader, crc, framed
 from instruments.clock import VirtualClock
 from instruments.errors import LinkError
 from instruments.link import Link
@@ -90,7 +90,7 @@ def test_bytes_may_be_cut_anywhere(order: list[bytes], cuts: list[int]) -> None:
 def test_garbage_never_crashes_it_and_silence_cures_it(data: bytes) -> None:
     reader = RtuReader()
     list(reader.feed(data, 0.0))
-    assert list(reader.feed(REQUESTS[0], 0.06)) == [RtuFrame(1, bytes.fromhex("03 0002 0002"))]
+    assert list(reader.feed(REQUESTS[0], 0.06)) == [Frame(1, bytes.fromhex("03 0002 0002"))]
 
 
 @given(at=st.integers(0, 7), bit=st.integers(0, 7))
@@ -219,7 +219,7 @@ def test_a_cable_that_comes_back_is_a_new_line(wired: Wired) -> None:
 
 
 def test_a_port_that_drops_comes_back(wired: Wired) -> None:
-    hosts: list[Connection] = list(wired.emulator._server._readers)
+    hosts: list[Connection] = list(wired.emulator._readers)
     hosts[0].hang_up()
     with pytest.raises(LinkError):
         wired.link.receive(1.0)
