@@ -10,12 +10,11 @@ from typing import ClassVar
 from instruments.bath.address_space import Values
 from instruments.bath.controller_behaviour import Manners
 from instruments.bath.emulator import WIRE_FAULTS, Framing, Server
-from instruments.bath.profile import RelayProfile
+from instruments.bath.profile import PUMP, RelayProfile
 from instruments.bath.registers import Row
 from instruments.clock import Clock
 from instruments.world.plant import Plant
 
-PUMP = "pump"
 POWER_CUT = "power cut"
 RELAY_FAULTS = (*WIRE_FAULTS, POWER_CUT)
 

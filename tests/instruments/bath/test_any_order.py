@@ -21,11 +21,10 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.emulator import FAULTS
 from instruments.bath.profile import load_relay, profile_names
 from instruments.bath.reading import BathReading
-from instruments.bath.relay import PumpAt
 from instruments.bath.relay_emulator import POWER_CUT, RELAY_FAULTS, RelayEmulator
 from instruments.errors import InstrumentError
 from instruments.listener import Listener

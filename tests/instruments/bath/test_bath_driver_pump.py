@@ -11,9 +11,8 @@ import pytest
 
 from bench.config import ConfigError
 from bench.rig.loading import load_rig
-from instruments.bath.driver import Bath
+from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.profile import ProfileError, RelayProfile, load_profile, load_relay
-from instruments.bath.relay import PumpAt
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LimitError
 from tests.instruments.bath.far_end import FarEnd, served

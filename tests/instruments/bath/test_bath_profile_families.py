@@ -10,7 +10,7 @@ import pytest
 
 from instruments.bath.driver import Bath
 from instruments.bath.profile import Profile, load_profile, profile_names
-from instruments.bath.register_access import WiredRows, line_to, wire_to
+from instruments.bath.register_access import WiredRows
 from instruments.bath.requests import blocks, markers
 from instruments.clock import VirtualClock
 from tests.instruments.bath.far_end import FarEnd, rtu, served
@@ -198,8 +198,7 @@ def asked_by(name: str, row: str, answer: str) -> tuple[bytes, float]:
     far_end = FarEnd(clock)
     with served(far_end) as url:
         profile = load_profile(name)
-        wire = wire_to(line_to(url, profile, "bath"), profile, clock, who="bath")
-        rows = WiredRows(profile, wire, 1, clock, who="bath", allow_inferred=False)
+        rows = WiredRows(url, profile, clock, who="bath")
         rows.wire.connect()
         far_end.spoils = [lambda _: rtu(answer)]
         value = rows.value(rows.row(row))

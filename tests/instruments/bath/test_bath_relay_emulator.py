@@ -10,10 +10,9 @@ from contextlib import closing, contextmanager
 
 import pytest
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.emulator import BathEmulator, Framing
 from instruments.bath.profile import load_profile, load_relay, relay_names
-from instruments.bath.relay import PumpAt
 from instruments.bath.relay_emulator import POWER_CUT, RELAY_FAULTS, RelayEmulator
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LinkError
