@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.stage.emulator.homing import Switch, homing
 from instruments.stage.emulator.motion import (
     AxisRates,
+    HomingRun,
     Motion,
+    Switch,
     Vector,
     junction_speed,
     lay,
@@ -150,7 +151,7 @@ def test_an_override_changes_the_speed_on_the_way() -> None:
 
 def test_homing_takes_what_its_runs_take() -> None:
     store = Store({25: 1500, 24: 100, 26: 250, 27: 1})
-    run = homing((-150.0, -100.0, -25.0), store.homing, {})
+    run = HomingRun((-150.0, -100.0, -25.0), store.homing, {})
 
     def seek(way: float) -> float:  # to a dead stop at 25 mm/s, 200 mm/s²
         return way / 25 + 25 / (2 * 200)
@@ -165,19 +166,19 @@ def test_homing_takes_what_its_runs_take() -> None:
 
 
 def test_homing_to_the_far_end() -> None:
-    run = homing((-150.0, -100.0, -25.0), Store({23: 1}).homing, {})
+    run = HomingRun((-150.0, -100.0, -25.0), Store({23: 1}).homing, {})
     assert run.position(run.end_s) == pytest.approx((-299.0, -1.0, -1.0))
 
 
 @pytest.mark.parametrize(("switch", "alarm"), [(Switch.MISSING, 9), (Switch.STUCK, 8)])
 def test_a_broken_switch_ends_homing_in_its_alarm(switch: Switch, alarm: int) -> None:
-    run = homing((-150.0, -100.0, -25.0), Store().homing, {0: switch})
+    run = HomingRun((-150.0, -100.0, -25.0), Store().homing, {0: switch})
     assert run.alarm == alarm
     assert all(place <= 1e-9 for place in run.position(run.end_s))
 
 
 @given(PLACES)
 def test_homing_ends_at_the_pull_off_from_anywhere(start: Vector) -> None:
-    run = homing(start, Store().homing, {})
+    run = HomingRun(start, Store().homing, {})
     assert run.alarm is None
     assert run.position(run.end_s) == pytest.approx((-1.0, -1.0, -1.0), abs=1e-9)

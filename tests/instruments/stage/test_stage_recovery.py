@@ -16,6 +16,7 @@ from instruments.link import Link
 from instruments.stage.alarm_texts import ALARMS, HAL_ALARMS
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, Fault, StageEmulator
+from instruments.stage.emulator.gcode import Mode
 from tests.instruments.stage.stage_bench import Bench
 
 FAST = (
@@ -41,7 +42,7 @@ def test_recovery_from_each_alarm_is_explicit(bench: Bench, code: int, critical:
     for refused in (stage.home, lambda: stage.move_to(-5, -5), lambda: stage.jog(x_mm=-1)):
         with pytest.raises((DeviceError, LimitError), match=f"alarm {code}|no move before homing"):
             refused()
-    assert controller.locked or critical, "nothing unlocked it behind our back"
+    assert controller.mode is Mode.LOCKED or critical, "nothing unlocked it behind our back"
     stage.recover()
     with pytest.raises(LimitError, match="no move before homing"):
         stage.move_to(-5, -5)
