@@ -384,8 +384,7 @@ class HomingRun:
         self._rates = rates
         self._broken = broken
         for axes in rates.passes:
-            self._home(axes)
-            if self.alarm:
+            if not self._home(axes):
                 break
 
     def position(self, now_s: float) -> Vector:
@@ -400,7 +399,8 @@ class HomingRun:
             place = phase.place_mm(now_s)
         return place
 
-    def _home(self, axes: tuple[int, ...]) -> None:
+    def _home(self, axes: tuple[int, ...]) -> bool:
+        """One pass; whether it ended without an alarm."""
         rates = self._rates
         search = SEARCH * max(rates.travel_mm[axis] for axis in axes)
         for approach, reach, speed in (
@@ -412,8 +412,9 @@ class HomingRun:
             run = self._approach if approach else self._back_off
             self.end_s += max([run(axis, reach, speed) for axis in axes])
             if self.alarm:
-                return
+                return False
             self.end_s += rates.debounce_s
+        return True
 
     def _towards(self, axis: int) -> float:
         return -1.0 if axis in self._rates.at_far_end else 1.0
