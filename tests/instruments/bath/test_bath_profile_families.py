@@ -8,12 +8,10 @@ import re
 
 import pytest
 
-from instruments.bath.driver import Bath
 from instruments.bath.profile import Profile, load_profile, profile_names
 from instruments.bath.register_access import WiredRows
 from instruments.bath.requests import blocks, markers
-from instruments.clock import VirtualClock
-from tests.instruments.bath.far_end import FarEnd, rtu, served
+from tests.instruments.bath.far_end import bath_on, rtu, shown_by
 
 SHIPPED = [
     "eurotherm-2400",
@@ -194,11 +192,8 @@ def test_there_are_shapes_enough_to_prove_a_line_clean(name: str) -> None:
 
 def asked_by(name: str, row: str, answer: str) -> tuple[bytes, float]:
     """The one question that reads ``row``, and what the driver makes of the frame ``answer``."""
-    clock = VirtualClock()
-    far_end = FarEnd(clock)
-    with served(far_end) as url:
-        profile = load_profile(name)
-        rows = WiredRows(url, profile, clock, who="bath")
+    with shown_by({}) as (far_end, url):
+        rows = WiredRows(url, load_profile(name), far_end.clock, who="bath")
         rows.wire.connect()
         far_end.spoils = [lambda _: rtu(answer)]
         value = rows.value(rows.row(row))
@@ -254,15 +249,10 @@ def test_questions_and_answers_by_the_byte(
     ],
 )
 def test_writes_by_the_byte(name: str, row: str, value: float | str, written: str) -> None:
-    clock = VirtualClock()
-    far_end = FarEnd(clock)
-    far_end.memory = dict(BROWSED[name])
-    with served(far_end) as url:
-        bath = Bath(url, load_profile(name), clock)
+    with bath_on(name, BROWSED[name]) as (far_end, bath):
         bath.set(row, value)
         bath.set(row, value)
         bath.safe()
-        bath.close()
     writes = [pdu for pdu in far_end.asked if pdu[0] in (5, 6, 16)]
     assert writes[0] == bytes.fromhex(written)
     # once, and standby; a command every time
@@ -276,10 +266,6 @@ def test_standby_by_the_byte_whatever_is_there() -> None:
         "watlow-pm-map2": "06 0938 003E",
         "omega-cn7": "05 0814 0000",
     }.items():
-        clock = VirtualClock()
-        far_end = FarEnd(clock)
-        with served(far_end) as url:
-            bath = Bath(url, load_profile(name), clock, identify=False)
+        with bath_on(name, {}, identify=False) as (far_end, bath):
             bath.safe()
-            bath.close()
         assert far_end.asked[0] == bytes.fromhex(written)

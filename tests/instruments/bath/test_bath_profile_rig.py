@@ -137,3 +137,109 @@ def test_links_that_are_none(rig: Path, url: str, message: str) -> None:
     said = fault_of(rig)
     assert message in said
     assert f"rig.toml:{line}: " in said
+
+
+# ---- the relay of a pump
+
+RELAY = """
+family = "Relay box"
+source = "made up for these tests"
+transports = ["rtu", "tcp"]
+functions = [1, 5]
+unit_id = 5
+
+[[rows]]
+name = "pump"
+table = "coil"
+address = 2
+type = "bit"
+access = "rw"
+values = { off = 0, on = 1 }
+evidence = "CERTAIN"
+"""
+PUMP = 'pump_url = "/dev/ttyUSB1?unit=5"\npump_profile = "relay.toml"\n'
+REAL = {
+    "operator": "console:",
+    "arm": "COM1",
+    "bath": "COM3?parity=E",
+    "stage": "COM2",
+    "cameras": "opencv:0,1,2",
+}
+
+
+@pytest.fixture
+def real_rig(rig: Path) -> Path:
+    """A rig of real instruments, with an Omega and its pump's relay."""
+    rig.with_name("relay.toml").write_text(RELAY, encoding="utf-8")
+    for name, url in REAL.items():
+        change(rig, f'[{name}]\nurl = "emulator:"', f'[{name}]\nurl = "{url}"')
+    change(rig, 'profile = "own.toml"', f'profile = "omega-cn7"\n{PUMP}')
+    return rig
+
+
+def test_a_pump_in_the_rig_file(real_rig: Path) -> None:
+    loaded = load_rig(real_rig)
+    assert loaded.relay is not None
+    assert loaded.relay.family == "Relay box"
+    assert loaded.rig.bath.pump_url == "/dev/ttyUSB1?unit=5"
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        (
+            "rig.toml",
+            'profile = "omega-cn7"',
+            'profile = "julabo-presto"',
+            "JULABO PRESTO has a pump of its own: leave pump_url and pump_profile out",
+        ),
+        ("rig.toml", '"relay.toml"', '"rely.toml"', "no such file beside the rig file"),
+        (
+            "rig.toml",
+            "ttyUSB1?unit=5",
+            "ttyUSB1?unit=500",
+            "unit=500: a whole number from 1 to 254",
+        ),
+        ("rig.toml", 'pump_profile = "relay.toml"\n', "", "pump_profile is missing"),
+        ("rig.toml", 'pump_url = "/dev/ttyUSB1?unit=5"\n', "", "pump_url is missing"),
+        ("relay.toml", 'name = "pump"', 'name = "pomp"', "the row 'pump' is missing"),
+    ],
+)
+def test_faults_of_a_pump_are_shown_in_their_place(
+    real_rig: Path, name: str, old: str, new: str, message: str
+) -> None:
+    path = real_rig.with_name(name)
+    change(path, old, new)
+    with pytest.raises(ConfigError) as caught:
+        load_rig(real_rig)
+    assert message in str(caught.value)
+    assert f"{path}:" in str(caught.value)
+
+
+def test_a_real_bath_has_no_emulated_pump(real_rig: Path) -> None:
+    change(real_rig, 'pump_url = "/dev/ttyUSB1?unit=5"', 'pump_url = "emulator:"')
+    with pytest.raises(
+        ConfigError, match=r"bath\.pump_url: bath and pump are both emulated or both real"
+    ):
+        load_rig(real_rig)
+
+
+def test_an_emulated_bath_has_no_real_pump(rig: Path) -> None:
+    rig.with_name("relay.toml").write_text(RELAY, encoding="utf-8")
+    change(rig, 'profile = "own.toml"', f'profile = "own.toml"\n{PUMP}')
+    with pytest.raises(
+        ConfigError, match=r"bath\.pump_url: bath and pump are both emulated or both real"
+    ):
+        load_rig(rig)
+
+
+def test_a_shipped_relay_by_its_name(real_rig: Path) -> None:
+    change(real_rig, 'pump_profile = "relay.toml"', 'pump_profile = "modbus-relay"')
+    loaded = load_rig(real_rig)
+    assert loaded.relay is not None
+    assert loaded.relay.family == "Modbus relay board"
+    change(real_rig, 'pump_profile = "modbus-relay"', 'pump_profile = "modbus-rely"')
+    with pytest.raises(
+        ConfigError, match=r'no such profile; did you mean "modbus-relay"\? .*shipped: modbus-relay'
+    ):
+        load_rig(real_rig)
