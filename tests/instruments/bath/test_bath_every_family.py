@@ -18,7 +18,7 @@ from instruments.errors import DeviceError, InstrumentError, LimitError, LinkErr
 from instruments.listener import Listener
 from tests.instruments.bath.devices import Watched, calm_plant
 from tests.instruments.bath.far_end import bath_on, shown_by
-from tests.instruments.bath.test_bath_profile_families import (
+from tests.instruments.bath.test_bath_profile import (
     BROWSED,
     EUROTHERM_MEMORY,
     OMEGA_MEMORY,
