@@ -56,7 +56,7 @@ class Wire:
         self.device = device
         self.clock = clock
         self.sink = Sink()
-        self.connection = Connection(self.sink, clock, threading.RLock())
+        self.connection = Connection(self.sink, clock, threading.RLock())  # type: ignore[arg-type]
         device.connect(self.connection)
 
     def send(self, data: bytes) -> bytes:

@@ -65,8 +65,7 @@ def test_no_inferred_row_is_written_or_polled_unless_the_rig_says_so(name: str) 
         for row in profile.rows:
             if row.evidence != "INFERRED" or row.access == "r":
                 continue
-            bounds = list(row.values.values()) or list(row.range or (0.0,))
-            value = float(bounds[0])
+            value = float(next(iter((*row.values.values(), *(row.range or (0.0,))))))
             with pytest.raises(
                 LimitError, match=f"not written: the profile only infers where {row.name} is"
             ):

@@ -270,9 +270,6 @@ def test_the_welcome_comes_after_every_reset(board: Board) -> None:
     )
 
 
-Make = Callable[..., Board]
-
-
 def test_a_fresh_eeprom_speaks_of_an_error_first(make_board: Make) -> None:
     greeting = make_board(fresh_eeprom=True).greeting
     assert greeting.startswith(b"error:7\r\n$0=10\r\n$1=25\r\n")
@@ -388,7 +385,6 @@ def test_the_buffer_holds_exactly_128_bytes(free: Board) -> None:
     assert free.say(b"G\n").startswith(b"[GC:G0 ")
 
 
-Make = Callable[..., Board]
 RESET_TO_GO_ON = b"[MSG:Reset to continue]\r\n"
 HOMED = b"$H\n"
 RESTARTED = b"ok\r\n" + WELCOME + LOCK

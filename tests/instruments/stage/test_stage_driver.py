@@ -143,9 +143,6 @@ def test_coarse_steps_are_not_taken_for_a_wrong_place(make: Make) -> None:
     assert stage.position() == pytest.approx([-100.03, -50.04, -1], abs=0.04)
 
 
-Make = Callable[..., Bench]
-
-
 class Sent(list[bytes]):
     """What the driver of ``bench`` sends from now on."""
 
@@ -318,9 +315,6 @@ def test_jog_lines() -> None:
     assert protocol.jog_line({"Y": -0.0004, "A": 12.5}, 99.95) == "$J=G21G91Y0A12.5F99.95"
     with pytest.raises(LimitError):
         protocol.jog_line({"B": 1.0}, 100)
-
-
-Make = Callable[..., Bench]
 
 
 def test_hold_resume_and_finish(bench: Bench) -> None:
