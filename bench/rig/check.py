@@ -12,7 +12,7 @@ from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import driver_openers
 from bench.rig.stage_alone import shown
-from instruments.bath.relay import PUMP
+from instruments.bath.profile import PUMP
 from instruments.bath.sequence import has_own_pump
 from instruments.captures.capture import NO_CAPTURE, Captures
 from instruments.clock import Clock, RealClock, VirtualClock

@@ -53,7 +53,7 @@ def fault_names(instrument: str) -> tuple[str, ...]:
         from instruments.bath.relay_emulator import RELAY_FAULTS
 
         return RELAY_FAULTS
-    from instruments.stage.emulator.faults import Fault
+    from instruments.stage.emulator.board import Fault
 
     return tuple(fault.value for fault in Fault)
 
@@ -126,8 +126,8 @@ def _modbus_actions(device: BathEmulator | RelayEmulator, wish: Request) -> Acti
 
 
 def stage_actions(stage: StageEmulator, wish: Request) -> Actions:
-    """``amount`` is what `instruments.stage.emulator.faults.AMOUNTS` says."""
-    from instruments.stage.emulator.faults import LATE_S, LOST_MM, Fault
+    """``amount`` is what `instruments.stage.emulator.board.AMOUNTS` says."""
+    from instruments.stage.emulator.board import LATE_S, LOST_MM, Fault
 
     fault, amount = Fault(wish.name), wish.amount
     if fault is Fault.LOST_STEP:
@@ -139,7 +139,7 @@ def stage_actions(stage: StageEmulator, wish: Request) -> Actions:
 
 
 def _check_stage_amount(wish: Request) -> None:
-    from instruments.stage.emulator.faults import AMOUNTS, Fault
+    from instruments.stage.emulator.board import AMOUNTS, Fault
 
     if wish.amount is not None and Fault(wish.name) not in AMOUNTS:
         having = ", ".join(f'"{fault.value}" ({unit})' for fault, unit in AMOUNTS.items())

@@ -122,11 +122,8 @@ class EmulatedStage(Section):
         return self._settings_fault(axes) if self.settings else None
 
     def _settings_fault(self, axes: str) -> str | None:
-        from instruments.stage.emulator.dialect import (
-            CLASSIC,
-            GRBL_HAL,  # a real rig needs no emulator
-        )
-        from instruments.stage.emulator.store import Store
+        # a real rig needs no emulator
+        from instruments.stage.emulator.store import CLASSIC, GRBL_HAL, Store
 
         try:
             Store(

@@ -23,8 +23,7 @@ from bench.rig.loading import LoadedRig
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import CONSOLE, ELSEWHERE, EMULATED, SCRIPT
 from detector.calibration import Calibration
-from instruments.bath.driver import Bath
-from instruments.bath.relay import PumpAt
+from instruments.bath.driver import Bath, PumpAt
 from instruments.camera.cameras import KNOWN, Camera, CameraSet
 from instruments.camera.conversion import Conversion
 from instruments.camera.genicam import GenicamCamera

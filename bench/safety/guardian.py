@@ -31,9 +31,8 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from instruments.bath.driver import Bath
-from instruments.bath.profile import ProfileError, load_profile, load_relay
-from instruments.bath.relay import PUMP, PumpAt
+from instruments.bath.driver import Bath, PumpAt
+from instruments.bath.profile import PUMP, ProfileError, load_profile, load_relay
 from instruments.bath.sequence import OFF, ON, OVERRUN_S, cause_of, has_own_pump
 from instruments.clock import RealClock, stopwatch_s, wall_time
 from instruments.errors import InstrumentError, LinkError

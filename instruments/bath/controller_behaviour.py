@@ -1,9 +1,6 @@
 """How controllers of each family behave beyond what a profile says: one table, read by the
-emulator. Pure.
-
-A profile says what the bench may do; here is what the controller does, whoever asks. From the
-water-bath fact sheet, section 1. Where it is silent the choice is the one that is harder on a
-driver, and stands here as chosen.
+emulator. Pure. From the water-bath fact sheet, section 1; where it is silent the choice is the one
+that is harder on a driver, marked as chosen.
 """
 
 from __future__ import annotations
@@ -155,9 +152,7 @@ FAMILIES: Mapping[str, Manners] = {  # by how the name of the family begins
 
 
 def manners_of(profile: Profile) -> Manners:
-    """The ways of the profile's family; of one that isn't known, all that Modbus has."""
+    """The behaviour of the profile's family; of an unknown one, all that Modbus has."""
     name = profile.family.lower()
-    return next(
-        (ways for begins, ways in FAMILIES.items() if name.startswith(begins)),
-        Manners(alike=profile.alike),
-    )
+    known = (manners for begins, manners in FAMILIES.items() if name.startswith(begins))
+    return next(known, Manners(alike=profile.alike))

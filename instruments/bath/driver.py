@@ -1,24 +1,24 @@
 """The bath's driver: a controller of any family with a profile, polled and commanded through plain
-calls that block.
+calls that block; with a relay that switches the pump, where the family has none.
 
-Nothing is written before the controller has been looked at: family, order of bytes, unit, a
-plausible temperature. Every write is checked against the profile, spaced, done only on change, and
-read back. Standby alone is always tried. It is no safety function: when the PC dies, most
-controllers hold their last set point.
+Nothing is written before the controller was identified: family, order of bytes, unit, a plausible
+temperature. Every write is checked against the profile, spaced, done only on change, and read back.
+Standby alone is always tried. It is no safety function: when the PC dies, most controllers hold
+their last set point. That a relay is on does not say that water moves.
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import ClassVar, Literal, TypeVar
 
 from instruments.bath.errors import BrokenError
-from instruments.bath.profile import Profile
+from instruments.bath.profile import PUMP, Profile, RelayProfile
 from instruments.bath.reading import BathReading, OrderError, Poll
-from instruments.bath.register_access import WiredRows, identity_of, line_to, look, wire_to
+from instruments.bath.register_access import WiredRows, identity_of, look
 from instruments.bath.registers import Row
-from instruments.bath.relay import PUMP, PumpAt, Relay, with_pump
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.tap import Tap
@@ -28,11 +28,23 @@ SAFE_TRIES = 3
 T = TypeVar("T")
 
 
-class Bath:
-    """The controller at ``url`` (see `line`), connected and identified. May be shared by threads.
+@dataclass(frozen=True, slots=True)
+class PumpAt:
+    """Where a pump's relay is and what it is. ``tap`` sees the bytes of its link, where that is its
+    own: on the controller's line it shares the controller's link.
+    """
 
-    ``identify=False`` puts the look at the controller off to the first call but ``safe``: for
-    whoever cleans up. Calls raise LinkError (no answer, within 7 s; or the link stayed down),
+    url: str
+    profile: RelayProfile
+    tap: Tap | None = None
+
+
+class Bath:
+    """The controller at ``url`` (see `connection`), connected and identified. May be shared by
+    threads.
+
+    ``identify=False`` puts the identification off to the first call but ``safe``: for clean-up.
+    Calls raise LinkError (no answer, within 7 s; or the link stayed down),
     ProtocolError (nonsense), DeviceError (refused, or in the wrong state), LimitError (we did not
     send it, or the family has no such thing). A broken link is mended, and the controller looked at
     anew, within the next call. ``allow_inferred`` lets rows be polled and written whose evidence is
@@ -55,22 +67,22 @@ class Bath:
         pump: PumpAt | None = None,
     ) -> None:
         self.url, self.pump_url = url, pump.url if pump else ""
-        self.profile = with_pump(profile, pump.profile) if pump else profile
+        self.profile = _with_pump(profile, pump.profile) if pump else profile
         self.who = f"bath at {url}"
         self._family = profile
         self._lock = threading.RLock()
-        line = line_to(url, profile, self.who)
-        self._wire = wire_to(line, profile, clock, who=self.who, tap=tap, inferred=allow_inferred)
         self._wired = WiredRows(
-            profile,
-            self._wire,
-            line.unit_id or 1,
-            clock,
-            who=self.who,
-            allow_inferred=allow_inferred,
+            url, profile, clock, who=self.who, allow_inferred=allow_inferred, tap=tap
         )
-        self._relay = (
-            Relay(pump, self._wire, clock, allow_inferred=allow_inferred) if pump else None
+        self._wire = self._wired.wire
+        self._relay = pump and WiredRows(
+            pump.url,
+            pump.profile,
+            clock,
+            who=f"pump at {pump.url}",
+            allow_inferred=allow_inferred,
+            tap=pump.tap,
+            shared=self._wire,
         )
         self._poll: Poll | None = None
         self._identity: Mapping[str, str] = {}
@@ -106,7 +118,8 @@ class Bath:
         after a poll that makes sense.
         """
         if self._relay and name == PUMP:
-            return self._switched(self._relay.get, self._relay)
+            relay = self._relay
+            return self._switched(lambda: relay.value(relay.row(PUMP)), relay)
         row = self._wired.row(name)
         return self._do(lambda: self._get(row))
 
@@ -143,22 +156,27 @@ class Bath:
             made_safe = self._times_made_safe
             reading = self.read()
             if reading.alarm:
-                text = self.profile.alarm_text(reading.alarm)
-                raise DeviceError(
-                    self.who,
-                    f"not started: {text}",
-                    hint="Clear its cause and the alarm at the controller.",
-                )
+                what = f"not started: {self.profile.alarm_text(reading.alarm)}"
+                hint = "Clear its cause and the alarm at the controller."
+                raise DeviceError(self.who, what, hint=hint)
             if self.pump == "own" and self.get(PUMP) != self.profile.row(PUMP).values["on"]:
-                raise DeviceError(
-                    self.who,
-                    "not started: the pump is off",
-                    hint="Switch it on, and see that water flows.",
-                )
+                hint = "Switch it on, and see that water flows."
+                raise DeviceError(self.who, "not started: the pump is off", hint=hint)
             for name, label in self.profile.before_start.items():
                 self.set(name, label)
             self.set("set_point", set_point_c)
-            self._run(made_safe)
+            try:
+                if self._times_made_safe == made_safe:  # no event of virtual time has made safe
+                    self.set("run", "started")
+                    self._started = True
+            finally:
+                overruled = self._times_made_safe != made_safe
+                if overruled:
+                    self.safe()
+            if overruled:
+                what = "not started: it was made safe meanwhile"
+                hint = "See what tripped, and start it anew."
+                raise DeviceError(self.who, what, hint=hint)
 
     def standby(self) -> None:
         """Heater off, and the pump with it where it turns with run."""
@@ -194,46 +212,32 @@ class Bath:
         with self._lock:
             self._wire.close()
             if self._relay:
-                self._relay.close()
+                self._relay.wire.close()
 
-    def _run(self, made_safe: int) -> None:
-        """Run, unless an event of virtual time has made safe since the count was ``made_safe``:
-        that one has the last word.
-        """
-        try:
-            if self._times_made_safe == made_safe:
-                self.set("run", "started")
-                self._started = True
-        finally:
-            overruled = self._times_made_safe != made_safe
-            if overruled:
-                self.safe()
-        if overruled:
-            raise DeviceError(
-                self.who,
-                "not started: it was made safe meanwhile",
-                hint="See what tripped, and start it anew.",
-            )
-
-    def _switch(self, relay: Relay, value: float | str) -> None:
+    def _switch(self, relay: WiredRows, value: float | str) -> None:
+        pump, run = relay.row(PUMP), self._wired.row("run")
+        wanted = relay.allowed(pump, value)
         with self._lock:
-            if relay.is_off(value):
-                run = self._wired.row("run")
+            if wanted == pump.values["off"]:
                 shown = self._do(lambda: self._wired.value(run))
                 if shown != run.values["standby"]:
-                    hint = "Put the controller into standby first."
-                    raise LimitError(
-                        self.who,
-                        f"the pump is not switched off while the controller is {run.label(shown)}",
-                        hint=hint,
-                    )
-            self._switched(lambda: relay.set(value), relay)
+                    state = run.label(shown)
+                    what = f"the pump is not switched off while the controller is {state}"
+                    raise LimitError(self.who, what, hint="Put the controller into standby first.")
+            self._switched(lambda: relay.set(pump, wanted), relay)
 
-    def _switched(self, work: Callable[[], T], relay: Relay) -> T:
+    def _switched(self, work: Callable[[], T], relay: WiredRows) -> T:
+        """``work``, on a link of the relay's own once more when that breaks."""
         if relay.shares:
             return self._do(work)
         with self._lock:
-            return work()
+            if not relay.wire.connected:
+                relay.wire.connect()
+            try:
+                return work()
+            except BrokenError:
+                relay.wire.connect()
+                return work()
 
     def _do(self, work: Callable[[], T]) -> T:
         """``work`` on a link that is up; once more over a new link when it breaks."""
@@ -250,9 +254,7 @@ class Bath:
                 raise
 
     def _meet(self) -> None:
-        """Connect, and look at who answers before anything is written; the link is closed on
-        whoever does not fit.
-        """
+        """Connect and identify; the link is closed where the controller does not fit."""
         self._poll = None
         wire = self._wire
         if not wire.connected:
@@ -282,9 +284,7 @@ class Bath:
         self._wired.set(row, wanted)
 
     def _known(self) -> Poll:
-        """How to poll whom we have met. Raises LinkError when an event of virtual time has dropped
-        the link meanwhile.
-        """
+        """Raises BrokenError when an event of virtual time has dropped the link meanwhile."""
         if self._poll is None:
             raise BrokenError(self.who, "the link is down", hint="Check cable and power.")
         return self._poll
@@ -292,10 +292,19 @@ class Bath:
     def _see_that_it_runs(self, reading: BathReading) -> None:
         if self._started and reading.running is False:
             self._started = False
-            raise DeviceError(
-                self.who,
-                "it has stopped by itself: a power cut?",
-                asked="run",
-                seen="standby",
-                hint="Start it anew.",
-            )
+            what, hint = "it has stopped by itself: a power cut?", "Start it anew."
+            raise DeviceError(self.who, what, asked="run", seen="standby", hint=hint)
+
+
+def _with_pump(profile: Profile, pump: RelayProfile) -> Profile:
+    """``profile`` with the pump's row, which is for the relay alone. Raises LimitError where the
+    family turns a pump itself.
+    """
+    own = profile.capabilities.pump
+    if own != "none":
+        what = f"its pump ({own}) is the family's own, and no relay switches it"
+        hint = "Leave pump_url and pump_profile out of the rig file."
+        raise LimitError(profile.family, what, hint=hint)
+    capabilities = profile.capabilities.model_copy(update={"pump": "own"})
+    row = pump.row(PUMP).model_copy(update={"poll": False})
+    return profile.model_copy(update={"capabilities": capabilities, "rows": (*profile.rows, row)})

@@ -1,15 +1,9 @@
-"""A Modbus device of some make as data: how it is spoken to, its rows, and the checks of both; read
-from a TOML file.
-
-Every fault of a file is told at once, each with the key that it stands under. Pure: no clock, no
-socket, no Modbus library.
-
-What a controller family calls its registers: one TOML file a family, read and checked here.
+"""A Modbus device of some make as data, read from a TOML file: how it is spoken to, its rows, and
+the checks of both. All faults of a file are reported at once, each with its key. Pure.
 
 A row is known to the driver and the emulator by its name (``temperature``, ``set_point``, ``run``
 ...); a family that lacks a row lacks the thing. What a code means is a label in the row, so the
-driver writes ``started`` and never a number. Pure: it may not know a clock, a socket or a Modbus
-library.
+driver writes ``started`` and never a number.
 """
 
 from __future__ import annotations
@@ -17,15 +11,18 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
 from instruments.bath.registers import Evidence, Order, Row, Strict, Table
 
+PUMP = "pump"  # the row of a pump that is switched by itself
 ReadFunction = Literal[1, 2, 3, 4]
 WriteFunction = Literal[5, 6, 16]
+Functions = Annotated[tuple[ReadFunction | WriteFunction, ...], Field(min_length=1)]
 # first choice first
 READERS: dict[Table, tuple[ReadFunction, ...]] = {
     "holding": (3, 4),
@@ -45,10 +42,19 @@ class ProfileError(ValueError):
     def __init__(self, path: Path, faults: Sequence[tuple[str, str]]) -> None:
         self.path = path
         self.faults = tuple(faults)
-        super().__init__(
-            f"{path}: "
-            + "; ".join(f"{key}: {message}" if key else message for key, message in faults)
-        )
+        said = "; ".join(f"{key}: {message}" if key else message for key, message in faults)
+        super().__init__(f"{path}: {said}")
+
+
+class FaultsError(ValueError):
+    """Faults that a check of the whole has found: (key path, message) each."""
+
+    def __init__(self, faults: list[tuple[str, str]]) -> None:
+        self.faults = faults
+        super().__init__("; ".join(message for _, message in faults))
+
+
+Faults = Iterator[tuple[str, str]]
 
 
 class Wiring(Strict):
@@ -63,12 +69,7 @@ class Wiring(Strict):
     family: str
     source: str
     transports: Annotated[tuple[Literal["tcp", "rtu"], ...], Field(min_length=1)]
-    functions: Annotated[tuple[ReadFunction | WriteFunction, ...], Field(min_length=1)] = (
-        3,
-        4,
-        6,
-        16,
-    )
+    functions: Functions = (3, 4, 6, 16)
     alike: bool = False
     pairs_from: Annotated[int, Field(ge=0, le=0xFFFE)] | None = None
     unit_id: Annotated[int, Field(ge=1, le=254)] = 1
@@ -80,6 +81,37 @@ class Wiring(Strict):
     quiet_s: Annotated[float, Field(ge=0.05, le=10.0)] = 0.5
     order: Order = "ABCD"
     rows: Annotated[tuple[Row, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if faults := list(self.faults()):
+            raise FaultsError(faults)
+        return self
+
+    def faults(self) -> Faults:
+        """What is wrong with the rows, each and together."""
+        names = [row.name for row in self.rows]
+        for at, row in enumerate(self.rows):
+            for fault in (*row.faults(), *self._unreachable(row)):
+                yield f"rows.{at}", f"{row.name}: {fault}"
+            if row.name in names[:at]:
+                yield f"rows.{at}.name", f"a second row '{row.name}'"
+        places = sorted(enumerate(self.rows), key=lambda place: (place[1].table, place[1].address))
+        for (_, first), (at, row) in combinations(places, 2):
+            if row.table == first.table and row.address < first.end:
+                what = f"{row.name} at {row.table} {row.address}"
+                yield f"rows.{at}.address", f"{what} overlaps {first.name} at {first.address}"
+
+    def _unreachable(self, row: Row) -> Iterator[str]:
+        """Why the family's functions can't get at the row."""
+        known = ", ".join(map(str, self.functions))
+        if "r" in row.access and self.read_function(row.table) is None:
+            yield f"none of the functions {known} reads table {row.table}"
+        if "w" in row.access and self.write_function(row) is None:
+            yield f"none of the functions {known} writes {row.type}"
+        pairs = self.pairs_from
+        if pairs is not None and row.address >= pairs and (row.address % 2 or row.words != 2):
+            yield f"from {pairs} on, rows take two registers at an even address"
 
     def find(self, name: str) -> Row | None:
         """The row called ``name``, or None where the family has none."""
@@ -98,9 +130,8 @@ class Wiring(Strict):
 
     def write_function(self, row: Row) -> WriteFunction | None:
         """The function that writes ``row``, or None where the family has none."""
-        wanted: tuple[WriteFunction, ...] = (
-            (5,) if row.type == "bit" else (6, 16) if row.words == 1 else (16,)
-        )
+        wanted: tuple[WriteFunction, ...] = (6, 16) if row.words == 1 else (16,)
+        wanted = (5,) if row.type == "bit" else wanted
         return next((function for function in wanted if function in self.functions), None)
 
 
@@ -109,77 +140,18 @@ class RelayProfile(Wiring):
     ``off``.
     """
 
-    @model_validator(mode="after")
-    def _whole(self) -> RelayProfile:
-        faults = list(row_faults(self))
-        names = [row.name for row in self.rows]
-        if "pump" not in names:
-            faults.append(("rows", "the row 'pump' is missing"))
-        elif self.row("pump").access != "rw" or not {"on", "off"} <= set(self.row("pump").values):
-            faults.append(
-                (
-                    f"rows.{names.index('pump')}",
-                    "pump: access 'rw' and the labels 'on' and 'off' are needed",
-                )
-            )
-        if faults:
-            raise FaultsError(faults)
-        return self
+    def faults(self) -> Faults:
+        yield from super().faults()
+        pump = self.find(PUMP)
+        if pump is None:
+            yield "rows", "the row 'pump' is missing"
+        elif not _is_switch(pump):
+            at = f"rows.{self.rows.index(pump)}"
+            yield at, "pump: access 'rw' and the labels 'on' and 'off' are needed"
 
 
-class FaultsError(ValueError):
-    """Faults that a check of the whole has found: (key path, message) each."""
-
-    def __init__(self, faults: list[tuple[str, str]]) -> None:
-        self.faults = faults
-        super().__init__("; ".join(message for _, message in faults))
-
-
-def row_faults(profile: Wiring) -> Iterator[tuple[str, str]]:
-    """What is wrong with the rows, each and together."""
-    for at, row in enumerate(profile.rows):
-        yield from (
-            (f"rows.{at}", f"{row.name}: {fault}")
-            for fault in (*row.faults(), *_reach_faults(profile, row))
-        )
-    names = [row.name for row in profile.rows]
-    yield from (
-        (f"rows.{at}.name", f"a second row '{name}'")
-        for at, name in enumerate(names)
-        if name in names[:at]
-    )
-    yield from _overlaps(profile.rows)
-
-
-def _reach_faults(profile: Wiring, row: Row) -> Iterator[str]:
-    """Why the family's functions can't get at the row."""
-    known = ", ".join(map(str, profile.functions))
-    if "r" in row.access and profile.read_function(row.table) is None:
-        yield f"none of the functions {known} reads table {row.table}"
-    if "w" in row.access and profile.write_function(row) is None:
-        yield f"none of the functions {known} writes {row.type}"
-    if (
-        profile.pairs_from is not None
-        and row.address >= profile.pairs_from
-        and (row.address % 2 or row.words != 2)
-    ):
-        yield f"from {profile.pairs_from} on, rows take two registers at an even address"
-
-
-def _overlaps(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
-    """Every pair that shares an address, whatever lies between them in the file."""
-    places = sorted(enumerate(rows), key=lambda place: (place[1].table, place[1].address))
-    for i, (_, first) in enumerate(places):
-        for at, second in places[i + 1 :]:
-            if second.table != first.table or second.address >= first.end:
-                break
-            yield (
-                f"rows.{at}.address",
-                (
-                    f"{second.name} at {second.table} {second.address} overlaps {first.name} at"
-                    f" {first.address}"
-                ),
-            )
+def _is_switch(row: Row) -> bool:
+    return row.access == "rw" and {"on", "off"} <= set(row.values)
 
 
 def load(path: Path, kind: type[Made], *, hint: str = "") -> Made:
@@ -195,23 +167,18 @@ def load(path: Path, kind: type[Made], *, hint: str = "") -> Made:
     try:
         return kind.model_validate_json(json.dumps(content, default=str), strict=True)
     except ValidationError as error:
-        raise ProfileError(path, list(_told(error))) from error
-
-
-def _told(error: ValidationError) -> Iterator[tuple[str, str]]:
-    for fault in error.errors():
-        cause = fault.get("ctx", {}).get("error")
-        if isinstance(cause, FaultsError):
-            yield from cause.faults
-        else:
-            yield ".".join(str(part) for part in fault["loc"]), fault["msg"]
+        faults: list[tuple[str, str]] = []
+        for fault in error.errors():
+            cause = fault.get("ctx", {}).get("error")
+            place = ".".join(str(part) for part in fault["loc"])
+            faults += cause.faults if isinstance(cause, FaultsError) else [(place, fault["msg"])]
+        raise ProfileError(path, faults) from error
 
 
 AlarmCause = Literal["level", "sensor", "over-temperature", "other"]
 CommsLoss = Literal["hold", "stop", "safe_setpoint", "unknown"]
 SHIPPED = Path(__file__).with_name("profiles")
 RELAYS = SHIPPED / "relays"
-NEEDED = ("temperature", "set_point", "run")
 
 
 class Capabilities(Strict):
@@ -278,13 +245,6 @@ class Profile(Wiring):
     before_start: dict[str, str] = Field(default_factory=dict)
     alarms: tuple[AlarmCode, ...] = ()
 
-    @model_validator(mode="after")
-    def _whole(self) -> Profile:
-        faults = list(_faults(self))
-        if faults:
-            raise FaultsError(faults)
-        return self
-
     def order_for(self, code: int) -> Order | None:
         """The order that a code of the ``order_from`` row means, or None for a code that means
         nothing.
@@ -300,70 +260,55 @@ class Profile(Wiring):
             known = [alarm for alarm in self.alarms if alarm.code & code]
         if not known:
             return f"alarm {code}, see the controller's manual"
-        doubt = (
-            " (meaning inferred)" if any(alarm.evidence == "INFERRED" for alarm in known) else ""
-        )
+        inferred = any(alarm.evidence == "INFERRED" for alarm in known)
+        doubt = " (meaning inferred)" if inferred else ""
         return f"alarm {code}, {' and '.join(alarm.text for alarm in known)}{doubt}"
 
+    def faults(self) -> Faults:
+        yield from super().faults()
+        names = [row.name for row in self.rows]
+        for name in ("temperature", "set_point", "run"):
+            if name not in names:
+                yield "rows", f"the row '{name}' is missing"
+        for name in {"run", "set_point"} & set(names):
+            if self.row(name).access != "rw":
+                at = f"rows.{names.index(name)}.access"
+                yield at, f"{name}: the bench has to read and write it, so access must be 'rw'"
+        for name in {"unit", self.order_from.row if self.order_from else "unit"} & set(names):
+            if not self.row(name).poll:
+                at = f"rows.{names.index(name)}"
+                yield at, f"{name}: it may be changed at the panel, so it has to be polled"
+        pump, run = self.find(PUMP), self.find("run")
+        if self.capabilities.pump == "own" and not (pump and _is_switch(pump)):
+            what = "an own pump needs a row 'pump' with access 'rw' and the labels 'on' and 'off'"
+            yield "capabilities.pump", what
+        if run is not None and not {"standby", "started"} <= set(run.values):
+            at = f"rows.{names.index('run')}.values"
+            yield at, "run: the labels 'standby' and 'started' are needed"
+        yield from self._reference_faults()
 
-def _faults(profile: Profile) -> Iterator[tuple[str, str]]:
-    yield from row_faults(profile)
-    names = [row.name for row in profile.rows]
-    yield from (("rows", f"the row '{name}' is missing") for name in NEEDED if name not in names)
-    yield from _reference_faults(profile)
-    for name in {"run", "set_point"} & set(names):
-        if profile.row(name).access != "rw":
-            yield (
-                f"rows.{names.index(name)}.access",
-                f"{name}: the bench has to read and write it, so access must be 'rw'",
-            )
-    for name in {"unit", profile.order_from.row if profile.order_from else "unit"} & set(names):
-        if not profile.row(name).poll:
-            yield (
-                f"rows.{names.index(name)}",
-                f"{name}: it may be changed at the panel, so it has to be polled",
-            )
-    pump = profile.find("pump")
-    if profile.capabilities.pump == "own" and (
-        pump is None or pump.access != "rw" or not {"on", "off"} <= set(pump.values)
-    ):
-        yield (
-            "capabilities.pump",
-            "an own pump needs a row 'pump' with access 'rw' and the labels 'on' and 'off'",
-        )
-    run = profile.find("run")
-    if run is not None and not {"standby", "started"} <= set(run.values):
-        yield (
-            f"rows.{names.index('run')}.values",
-            "run: the labels 'standby' and 'started' are needed",
-        )
-
-
-def _reference_faults(profile: Profile) -> Iterator[tuple[str, str]]:
-    if profile.order_from and getattr(profile.find(profile.order_from.row), "order", None) is None:
-        yield (
-            "order_from.row",
-            f"there is no row '{profile.order_from.row}' with an order of its own",
-        )
-    for at, identity in enumerate(profile.identity):
-        if profile.find(identity.row) is None:
-            yield f"identity.{at}.row", f"there is no row '{identity.row}'"
-    for name, label in profile.before_start.items():
-        setting = profile.find(name)
-        if setting is None or label not in setting.values or setting.access != "rw":
-            yield (
-                f"before_start.{name}",
-                f"there is no row '{name}' that may be written with the value '{label}'",
-            )
+    def _reference_faults(self) -> Faults:
+        """Rows and labels that are named and do not exist."""
+        if source := self.order_from:
+            row = self.find(source.row)
+            if row is None or row.order is None:
+                what = f"there is no row '{source.row}' with an order of its own"
+                yield "order_from.row", what
+        for at, identity in enumerate(self.identity):
+            if self.find(identity.row) is None:
+                yield f"identity.{at}.row", f"there is no row '{identity.row}'"
+        for name, label in self.before_start.items():
+            setting = self.find(name)
+            if setting is None or label not in setting.values or setting.access != "rw":
+                what = f"there is no row '{name}' that may be written with the value '{label}'"
+                yield f"before_start.{name}", what
 
 
 def load_profile(name_or_path: str | Path) -> Profile:
     """A shipped profile by its name (``julabo-presto``), or any profile by its path. Raises
     ProfileError.
     """
-    path = Path(name_or_path)
-    if path.suffix != ".toml":
-        path = SHIPPED / f"{name_or_path}.toml"
+    path = _path_of(name_or_path, SHIPPED)
     return load(path, Profile, hint=f"; shipped profiles: {', '.join(profile_names())}")
 
 
@@ -371,12 +316,13 @@ def load_relay(name_or_path: str | Path) -> RelayProfile:
     """A shipped profile of a pump's relay by its name (``modbus-relay``), or any by its path.
     Raises ProfileError.
     """
+    shipped = f"; shipped profiles of relays: {', '.join(relay_names())}"
+    return load(_path_of(name_or_path, RELAYS), RelayProfile, hint=shipped)
+
+
+def _path_of(name_or_path: str | Path, shipped: Path) -> Path:
     path = Path(name_or_path)
-    if path.suffix != ".toml":
-        path = RELAYS / f"{name_or_path}.toml"
-    return load(
-        path, RelayProfile, hint=f"; shipped profiles of relays: {', '.join(relay_names())}"
-    )
+    return path if path.suffix == ".toml" else shipped / f"{name_or_path}.toml"
 
 
 def profile_names() -> list[str]:

@@ -1,17 +1,11 @@
-"""Modbus as a server hears and answers it: bytes to requests, answers to bytes, and the framing of
-Modbus TCP. No I/O.
+"""Modbus from the server's side: bytes to requests, answers to bytes, and the framing of Modbus TCP
+and RTU. No I/O.
 
-Written from the public specification (Modbus application protocol 1.1b3, messaging on TCP/IP 1.0b)
-and not from the library that the driver uses, so that the two ends can't be wrong together. What
-registers mean, and which functions a family has, is for somebody else to know.
-
-Modbus RTU as a server hears it: where a request ends, whether its check sum holds, and how an
-answer is framed. Pure.
-
-RTU marks the end of a frame by 3.5 characters of silence, which neither a TCP connection nor an
-operating system's serial driver keeps. So a request ends where its content says; silence only ends
-what can't be understood. Written from the public specification (Modbus over serial line 1.02) and
-not from the library that the driver uses.
+Written from the public specifications (Modbus application protocol 1.1b3, messaging on TCP/IP 1.0b,
+serial line 1.02) and not from the library that the driver uses, so that the two ends can't be wrong
+together. RTU marks the end of a frame by 3.5 characters of silence, which neither a TCP connection
+nor an operating system's serial driver keeps. So a request ends where its content says; silence
+only ends what can't be understood.
 """
 
 from __future__ import annotations
@@ -38,16 +32,30 @@ READS = {
 BITS = (READ_COILS, READ_DISCRETE, WRITE_COIL, WRITE_COILS)
 
 
+# a request's bytes come closer together; 3.5 characters are 4 ms at 9600 baud, but a busy PC stalls
+# for longer
+GAP_S = 0.05
+LONGEST_RTU = 256
+SHORTEST = 4
+BROADCAST = 0
+
+LENGTHS = {1: 8, 2: 8, 3: 8, 4: 8, 5: 8, 6: 8, 7: 4, 8: 8, 11: 4, 12: 4, 17: 4, 22: 10, 24: 6}
+# where the count of data bytes stands, and how many bytes there are beside them
+COUNTED = {15: (6, 9), 16: (6, 9), 23: (10, 13)}
+
+
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One request as framed by Modbus TCP: whose it is, and its function code with what follows."""
+    """One request: the unit, its function code with what follows, and over TCP its transaction."""
 
-    transaction: int
     unit: int
     pdu: bytes
+    transaction: int | None = None
 
     def answer(self, pdu: bytes) -> bytes:
-        """The bytes that carry ``pdu`` back to who asked."""
+        """The bytes that carry ``pdu`` back."""
+        if self.transaction is None:
+            return framed(self.unit, pdu)
         return HEADER.pack(self.transaction, 0, len(pdu) + 1, self.unit) + pdu
 
 
@@ -102,98 +110,59 @@ class UnframedError(ValueError):
     """These bytes are no Modbus TCP; a server can only hang up."""
 
 
-class FrameReader:
-    """Takes bytes cut anywhere, gives whole frames of Modbus TCP."""
-
-    def __init__(self) -> None:
-        self._buffer = b""
-
-    def feed(self, data: bytes, now_s: float) -> Iterator[Frame]:  # noqa: ARG002 - the same face as the other framing's
-        """The frames that ``data`` completes; time means nothing here. Raises UnframedError when
-        this can't be Modbus TCP.
-        """
-        self._buffer += data
-        while len(self._buffer) >= HEADER.size:
-            transaction, protocol, length, unit = HEADER.unpack_from(self._buffer)
-            if protocol != 0 or not 2 <= length <= LONGEST:
-                raise UnframedError(f"protocol {protocol}, length {length}")
-            end = HEADER.size + length - 1
-            if len(self._buffer) < end:
-                return
-            pdu, self._buffer = self._buffer[HEADER.size : end], self._buffer[end:]
-            yield Frame(transaction, unit, pdu)
-
-
 def parse(pdu: bytes) -> Request:
-    """What is asked. Raises Refused, with the code that the specification's state diagrams give."""
+    """The request. Raises Refused, with the code that the specification's state diagrams give."""
     function, body = pdu[0], pdu[1:]
+    if function in (STATUS, LOOPBACK):
+        return Plain(function, body)
+    if function not in (*READS, WRITE_COIL, WRITE_ONE, WRITE_COILS, WRITE_MANY, EXCHANGE):
+        raise Refused(ILLEGAL_FUNCTION)
+    numbers, head = (4, 8) if function == EXCHANGE else (2, 4)
+    data = body[head:]
+    _demand(len(body) >= head and (function in COUNTED or not data))
+    address, value, *written = struct.unpack_from(f">{numbers}H", body)
     if function in READS:
-        address, count = _numbers(body, 2, exactly=True)
-        _demand(1 <= count <= READS[function])
-        return Read(function, address, count)
+        _demand(1 <= value <= READS[function])
+        return Read(function, address, value)
     if function == WRITE_COIL:
-        address, value = _numbers(body, 2, exactly=True)
         _demand(value in (0x0000, 0xFF00))
         return Write(function, address, (value >> 15,))
     if function == WRITE_ONE:
-        address, value = _numbers(body, 2, exactly=True)
         return Write(function, address, (value,))
     if function == WRITE_COILS:
-        address, count = _numbers(body, 2, exactly=False)
-        return Write(
-            function,
-            address,
-            unpacked(_counted(body[4:], -(-count // 8)), count, MOST_BITS_WRITTEN),
-        )
+        _demand(1 <= value <= MOST_BITS_WRITTEN)
+        bits = int.from_bytes(_counted(data, -(-value // 8)), "little")
+        return Write(function, address, tuple(bits >> at & 1 for at in range(value)))
     if function == WRITE_MANY:
-        address, count = _numbers(body, 2, exactly=False)
-        return Write(function, address, _registers(body[4:], count, MOST_WRITTEN))
-    if function == EXCHANGE:
-        address, count, target, written = _numbers(body, 4, exactly=False)
-        _demand(1 <= count <= MOST_READ)
-        return Exchange(
-            Read(function, address, count),
-            Write(function, target, _registers(body[8:], written, MOST_EXCHANGED)),
-        )
-    if function in (STATUS, LOOPBACK):
-        return Plain(function, body)
-    raise Refused(ILLEGAL_FUNCTION)
+        return Write(function, address, _registers(data, value, MOST_WRITTEN))
+    _demand(1 <= value <= MOST_READ)
+    target, count = written
+    write = Write(function, target, _registers(data, count, MOST_EXCHANGED))
+    return Exchange(Read(function, address, value), write)
 
 
 def answer_read(request: Read, values: Sequence[int]) -> bytes:
     """The PDU that carries ``values``; as many as there are, so a wrong number can be sent on
-    purpose.
+    purpose. Bits go into bytes from the lowest place.
     """
-    data = packed(values) if request.function in BITS else struct.pack(f">{len(values)}H", *values)
+    if request.function in BITS:
+        whole = sum(bit << at for at, bit in enumerate(values))
+        data = whole.to_bytes(-(-len(values) // 8), "little")
+    else:
+        data = struct.pack(f">{len(values)}H", *values)
     return bytes((request.function, len(data))) + data
 
 
 def answer_write(request: Write) -> bytes:
     """The PDU that confirms a write."""
     single = {WRITE_ONE: request.values[0], WRITE_COIL: request.values[0] * 0xFF00}
-    return struct.pack(
-        ">BHH", request.function, request.address, single.get(request.function, len(request.values))
-    )
+    value = single.get(request.function, len(request.values))
+    return struct.pack(">BHH", request.function, request.address, value)
 
 
 def answer_refusal(function: int, code: int) -> bytes:
     """The PDU that says no."""
     return bytes((function | 0x80, code))
-
-
-def packed(bits: Sequence[int]) -> bytes:
-    """Bits to bytes, the first in the lowest place."""
-    whole = sum(bit << at for at, bit in enumerate(bits))
-    return whole.to_bytes(-(-len(bits) // 8), "little")
-
-
-def unpacked(data: bytes, count: int, most: int) -> tuple[int, ...]:
-    """The first ``count`` bits of ``data``. Raises Refused where that is none, or more than
-    ``most``.
-    """
-    _demand(1 <= count <= most)
-    whole = int.from_bytes(data, "little")
-    return tuple(whole >> at & 1 for at in range(count))
 
 
 def _registers(counted: bytes, count: int, most: int) -> tuple[int, ...]:
@@ -207,77 +176,67 @@ def _counted(counted: bytes, length: int) -> bytes:
     return counted[1:]
 
 
-def _numbers(body: bytes, count: int, *, exactly: bool) -> tuple[int, ...]:
-    _demand(len(body) >= 2 * count and (len(body) == 2 * count or not exactly))
-    return struct.unpack_from(f">{count}H", body)
-
-
 def _demand(condition: bool) -> None:
     if not condition:
         raise Refused(ILLEGAL_VALUE)
 
 
-# a request's bytes come closer together; 3.5 characters are 4 ms at 9600 baud, but a busy PC stalls
-# for longer
-GAP_S = 0.05
-LONGEST_RTU = 256
-SHORTEST = 4
-BROADCAST = 0
+class FrameReader:
+    """Takes bytes cut anywhere, gives whole frames of Modbus TCP."""
 
-LENGTHS = {1: 8, 2: 8, 3: 8, 4: 8, 5: 8, 6: 8, 7: 4, 8: 8, 11: 4, 12: 4, 17: 4, 22: 10, 24: 6}
-# where the count of data bytes stands, and how many bytes there are beside them
-COUNTED = {15: (6, 9), 16: (6, 9), 23: (10, 13)}
+    def __init__(self) -> None:
+        self._buffer = b""
 
-
-@dataclass(frozen=True, slots=True)
-class RtuFrame:
-    """One request as framed: whose it is, and its function code with what follows."""
-
-    unit: int
-    pdu: bytes
-
-    def answer(self, pdu: bytes) -> bytes:
-        """The bytes that carry ``pdu`` back."""
-        return framed(self.unit, pdu)
+    def feed(self, data: bytes, now_s: float) -> Iterator[Frame]:  # noqa: ARG002 - as `RtuReader.feed`
+        """The frames that ``data`` completes. Raises UnframedError for what is no Modbus TCP."""
+        self._buffer += data
+        while len(self._buffer) >= HEADER.size:
+            transaction, protocol, length, unit = HEADER.unpack_from(self._buffer)
+            if protocol != 0 or not 2 <= length <= LONGEST:
+                raise UnframedError(f"protocol {protocol}, length {length}")
+            end = HEADER.size + length - 1
+            if len(self._buffer) < end:
+                return
+            pdu, self._buffer = self._buffer[HEADER.size : end], self._buffer[end:]
+            yield Frame(unit, pdu, transaction)
 
 
 class RtuReader:
-    """Takes bytes cut anywhere, gives whole frames. After a broken frame it is deaf until the line
-    has been quiet.
+    """Takes bytes cut anywhere, gives whole frames of RTU. After a broken frame everything is
+    dropped until the line has been quiet for ``GAP_S``.
     """
 
-    def __init__(self, gap_s: float = GAP_S) -> None:
-        self._gap_s = gap_s
+    def __init__(self) -> None:
         self._buffer = b""
-        self._deaf = False
-        self._heard_s = 0.0
+        self._broken = False
+        self._last_s = 0.0
 
-    def feed(self, data: bytes, now_s: float) -> Iterator[RtuFrame]:
+    def feed(self, data: bytes, now_s: float) -> Iterator[Frame]:
         """The frames that ``data``, come at ``now_s``, completes."""
-        if now_s - self._heard_s > self._gap_s:
-            self._buffer, self._deaf = b"", False
-        self._heard_s = now_s
+        if now_s - self._last_s > GAP_S:
+            self._buffer, self._broken = b"", False
+        self._last_s = now_s
         self._buffer += data
-        while self._buffer and not self._deaf:
+        while self._buffer and not self._broken:
             end = _end(self._buffer)
             if end is None or len(self._buffer) < end <= LONGEST_RTU:
-                self._deaf = len(self._buffer) > LONGEST_RTU
+                self._broken = len(self._buffer) > LONGEST_RTU
                 return
             frame, self._buffer = self._buffer[:end], self._buffer[end:]
             if end > LONGEST_RTU or crc(frame):
-                self._deaf = True
+                self._broken = True
                 return
-            yield RtuFrame(frame[0], frame[1:-2])
+            yield Frame(frame[0], frame[1:-2])
 
 
 def framed(unit: int, pdu: bytes) -> bytes:
-    """Unit, PDU and check sum, low byte first."""
+    """An RTU frame: unit, PDU and check sum, low byte first."""
     body = bytes((unit,)) + pdu
     return body + crc(body).to_bytes(2, "little")
 
 
 def _end(data: bytes) -> int | None:
-    """Where the first request in ``data`` ends, or None as long as that can't be told."""
+    """Where the first request in ``data`` ends, or None as long as that is unknown."""
     if len(data) < 2:
         return None
     if data[1] in LENGTHS:

@@ -1,12 +1,5 @@
-"""A controller's rows over the wire: read one by one or in a poll, written on change, spaced, and
-seen to stand.
-
-It may not know what the bench wants of a row, nor share itself between threads.
-
-The look at a controller before anything is written to it: is it the family, in degC, in the order
-of bytes that we think?
-
-Whoever does not fit is refused with what it seems to be. It writes nothing.
+"""The rows of one Modbus unit over the wire: read one by one or in a poll, written on change,
+spaced, and read back. And the identification of a controller before anything is written to it.
 """
 
 from __future__ import annotations
@@ -30,33 +23,47 @@ POLL_S = 4.0
 
 
 class WiredRows:
-    """The rows of ``profile`` at the unit ``unit_id`` on ``wire``. ``order`` is the order of bytes
-    just now.
+    """The rows of ``profile`` at ``url``, for one thread: on the link ``shared`` where that leads
+    to the same line, else on a link of its own, which is not opened yet. ``order`` is the order of
+    bytes just now. Raises LinkError for a URL that the family can't have.
     """
 
     def __init__(
         self,
+        url: str,
         profile: Wiring,
-        wire: Transactions,
-        unit_id: int,
         clock: Clock,
         *,
         who: str,
-        allow_inferred: bool,
+        allow_inferred: bool = False,
+        tap: Tap | None = None,
+        shared: Transactions | None = None,
     ) -> None:
+        line = _line_to(url, profile, who)
         self.profile = profile
-        self.wire = wire
         self.who = who
         self.allow_inferred = allow_inferred
         self.order: Order = profile.order
-        self._unit_id = unit_id
+        self.shares = shared is not None and line.url == shared.place
+        self.wire = (
+            shared
+            if shared and self.shares
+            else Transactions(
+                line,
+                clock,
+                who=who,
+                tap=tap,
+                timeout_s=profile.timeout_s,
+                quiet_s=profile.quiet_s,
+                markers=markers(profile, inferred=allow_inferred) if line.is_rtu else (),
+            )
+        )
+        self._unit_id = line.unit_id
         self._clock = clock
         self._set_at = -math.inf
 
     def row(self, name: str) -> Row:
-        """The row called ``name``. Raises LimitError where the family has none: what it lacks is
-        never made up.
-        """
+        """The row called ``name``. Raises LimitError where the family has none."""
         row = self.profile.find(name)
         if row is None:
             names = ", ".join(sorted(known.name for known in self.profile.rows))
@@ -69,11 +76,8 @@ class WiredRows:
         """The registers (or the bit) of ``row`` as they are."""
         if row.access == "w":
             raise LimitError(self.who, f"{row.name} is a command, and can't be read")
-        return tuple(
-            self.wire.read(
-                reader(self.profile, row.table), row.address, row.words, unit_id=self._unit_id
-            )
-        )
+        function = reader(self.profile, row.table)
+        return tuple(self.wire.read(function, row.address, row.words, unit_id=self._unit_id))
 
     def value(self, row: Row) -> float:
         """The value of ``row`` in its unit."""
@@ -91,133 +95,81 @@ class WiredRows:
             )
             took_s = self._clock.now() - start
             if took_s > POLL_S:
-                raise LinkError(
-                    self.who,
-                    "it answers too slowly",
-                    asked=f"{len(poll.blocks)} questions of a poll",
-                    seconds=took_s,
-                )
+                asked = f"{len(poll.blocks)} questions of a poll"
+                raise LinkError(self.who, "it answers too slowly", asked=asked, seconds=took_s)
         return poll.reading(start, answers)
 
     def allowed(self, row: Row, value: float | str) -> float:
         """The number to write. Raises LimitError when the profile does not allow it."""
         if isinstance(value, str):
             if value not in row.values:
-                raise LimitError(
-                    self.who,
-                    f"{row.name} has no value '{value}'",
-                    hint=f"There are: {', '.join(row.values) or 'none'}.",
-                )
+                hint = f"There are: {', '.join(row.values) or 'none'}."
+                raise LimitError(self.who, f"{row.name} has no value '{value}'", hint=hint)
             value = row.values[value]
         refusal = row.refusal(value)
         if refusal:
             raise LimitError(self.who, f"not written: {refusal}", asked=f"{row.name} = {value:g}")
         if row.evidence == "INFERRED" and not self.allow_inferred:
+            what = f"not written: the profile only infers where {row.name} is"
             hint = (
                 "Check it on the controller, then say 'allow_inferred = true' under [bath] in the"
                 " rig file."
             )
-            raise LimitError(
-                self.who, f"not written: the profile only infers where {row.name} is", hint=hint
-            )
+            raise LimitError(self.who, what, hint=hint)
         return value
 
     def set(self, row: Row, value: float) -> None:
-        """Write an allowed ``value`` where ``row`` has another, and see that it stands; a command
-        is written in any case.
+        """Write an allowed ``value`` where ``row`` has another, and read it back; a command is
+        written in any case.
         """
         if row.access == "w" or not self._stands(row, value, self.words(row)):
             self.send(row, value)
 
     def send(self, row: Row, value: float, *, urgent: bool = False) -> None:
-        """Write ``value`` when the last write is long enough ago, and see that it stands.
-        ``urgent``: see `Transactions.write`.
+        """Write ``value`` when the last write is long enough ago, and read it back. ``urgent``: see
+        `Transactions.write`.
         """
         function = self.profile.write_function(row)
         if function is None:
-            raise LimitError(
-                self.who, f"{self.profile.family} has no function that writes {row.name}"
-            )
+            what = f"{self.profile.family} has no function that writes {row.name}"
+            raise LimitError(self.who, what)
+        words = row.encode(value, self.order)
         self._clock.sleep(self._set_at + row.spacing_s - self._clock.now())
         try:
-            self.wire.write(
-                function,
-                row.address,
-                row.encode(value, self.order),
-                unit_id=self._unit_id,
-                urgent=urgent,
-            )
+            self.wire.write(function, row.address, words, unit_id=self._unit_id, urgent=urgent)
         finally:
             self._set_at = self._clock.now()
         if row.access == "w":
             return
         words = self.words(row)
         if not self._stands(row, value, words):
-            asked, seen = (
-                f"{row.name} = {row.label(shown)}"
-                for shown in (value, row.decode(words, self.order))
-            )
-            raise DeviceError(
-                self.who,
-                "it confirmed a write and did not do it",
-                asked=asked,
-                seen=seen,
-                hint=self._remote_hint(),
-            )
+            asked = f"{row.name} = {row.label(value)}"
+            seen = f"{row.name} = {row.label(row.decode(words, self.order))}"
+            what, hint = "it confirmed a write and did not do it", "Switch it at the controller."
+            if (remote := self.profile.find("remote")) is not None:
+                hint = (
+                    f"Its remote control is '{remote.label(self.value(remote))}': set it to Modbus"
+                    " at the controller, or switch it by hand."
+                )
+            raise DeviceError(self.who, what, asked=asked, seen=seen, hint=hint)
 
     def _stands(self, row: Row, value: float, words: Sequence[int]) -> bool:
         wanted = row.encode(value, self.order)
-        return (
-            tuple(words) == wanted
-            or abs(row.decode(words, self.order) - row.decode(wanted, self.order)) <= row.tolerance
-        )
-
-    def _remote_hint(self) -> str:
-        remote = self.profile.find("remote")
-        if remote is None:
-            return "Switch it at the controller."
-        return (
-            f"Its remote control is '{remote.label(self.value(remote))}': set it to Modbus at the"
-            " controller, or switch it by hand."
-        )
+        off = abs(row.decode(words, self.order) - row.decode(wanted, self.order))
+        return tuple(words) == wanted or off <= row.tolerance
 
 
-def wire_to(
-    line: Line,
-    profile: Wiring,
-    clock: Clock,
-    *,
-    who: str,
-    tap: Tap | None = None,
-    inferred: bool = False,
-) -> Transactions:
-    """A link to ``line``, with the profile's manners; not opened yet."""
-    known = markers(profile, inferred=inferred) if line.is_rtu else ()
-    return Transactions(
-        line,
-        clock,
-        who=who,
-        tap=tap,
-        timeout_s=profile.timeout_s,
-        quiet_s=profile.quiet_s,
-        markers=known,
-    )
-
-
-def line_to(url: str, profile: Wiring, who: str) -> Line:
-    """The line that ``url`` names, with the profile's settings where it names none. Raises
-    LinkError.
-    """
+def _line_to(url: str, profile: Wiring, who: str) -> Line:
+    """The line that ``url`` names, with the profile's settings where it names none."""
     try:
         line = parse_line(url)
     except LineError as error:
         raise LinkError(who, str(error)) from error
     if line.transport not in profile.transports:
+        what = f"{profile.family} does not speak Modbus {line.transport.upper()}"
         has = {"tcp": "tcp://host:port", "rtu": "rtu+tcp://host:port or a serial port"}
         hint = f"It has: {'; '.join(has[transport] for transport in profile.transports)}."
-        raise LinkError(
-            who, f"{profile.family} does not speak Modbus {line.transport.upper()}", hint=hint
-        )
+        raise LinkError(who, what, hint=hint)
     return replace(
         line,
         unit_id=line.unit_id or profile.unit_id,
@@ -227,7 +179,7 @@ def line_to(url: str, profile: Wiring, who: str) -> Line:
     )
 
 
-TOLD = ("model", "version", "firmware", "cut_out")
+SHOWN = ("model", "version", "firmware", "cut_out")
 HEXADECIMAL = ("model", "version")
 
 
@@ -237,7 +189,14 @@ def look(wired: WiredRows, profile: Profile) -> tuple[Poll, BathReading]:
     Raises DeviceError when it is another family, is in another unit, or has no temperature, and
     ProtocolError when what it shows makes no sense.
     """
-    _learn_order(wired, profile)
+    if source := profile.order_from:
+        code = int(wired.value(wired.row(source.row)))
+        order = profile.order_for(code)
+        if order is None:
+            what = "its order of bytes is none that the profile knows"
+            hint = "Is this really the profile's family?"
+            raise ProtocolError(wired.who, what, asked=source.row, seen=str(code), hint=hint)
+        wired.order = order
     for identity in profile.identity:
         _check(wired, identity)
     try:
@@ -249,55 +208,31 @@ def look(wired: WiredRows, profile: Profile) -> tuple[Poll, BathReading]:
 
 
 def identity_of(wired: WiredRows, url: str) -> Mapping[str, str]:
-    """What the controller tells of itself."""
-    told = {"family": wired.profile.family, "url": url, "order": wired.order}
-    for name in TOLD:
+    """What the controller shows of itself."""
+    shown = {"family": wired.profile.family, "url": url, "order": wired.order}
+    for name in SHOWN:
         row = wired.profile.find(name)
         if row is not None and (row.evidence != "INFERRED" or wired.allow_inferred):
-            told[name] = _told(row, wired.value(row))
-    return told
-
-
-def _told(row: Row, value: float) -> str:
-    return f"{int(value):04X}" if row.name in HEXADECIMAL else f"{value:.10g} {row.unit}".rstrip()
-
-
-def _learn_order(wired: WiredRows, profile: Profile) -> None:
-    source = profile.order_from
-    if source is None:
-        return
-    code = int(wired.value(wired.row(source.row)))
-    order = profile.order_for(code)
-    if order is None:
-        hint = "Is this really the profile's family?"
-        raise ProtocolError(
-            wired.who,
-            "its order of bytes is none that the profile knows",
-            asked=source.row,
-            seen=str(code),
-            hint=hint,
-        )
-    wired.order = order
+            value = wired.value(row)
+            number = f"{int(value):04X}" if name in HEXADECIMAL else f"{value:.10g} {row.unit}"
+            shown[name] = number.rstrip()
+    return shown
 
 
 def _check(wired: WiredRows, identity: Identity) -> None:
     row = wired.row(identity.row)
+    what = f"it is no {wired.profile.family}"
     hint = f"Is it {identity.otherwise}? " if identity.otherwise else ""
     hint += "Give the rig the profile of the controller that is there."
     try:
         value = wired.value(row)
-    except RefusedError as refused:
-        if refused.code != ILLEGAL_ADDRESS:
+    except RefusedError as error:
+        if error.code != ILLEGAL_ADDRESS:
             raise
-        what = f"it is no {wired.profile.family}"
-        raise DeviceError(
-            wired.who, what, asked=row.name, seen=refused.seen, hint=hint
-        ) from refused
+        raise DeviceError(wired.who, what, asked=row.name, seen=error.seen, hint=hint) from error
     if not identity.fits(row, value):
         seen = f"{value:g} (hexadecimal {int(value) & 0xFFFFFFFF:04X})"
-        raise DeviceError(
-            wired.who, f"it is no {wired.profile.family}", asked=row.name, seen=seen, hint=hint
-        )
+        raise DeviceError(wired.who, what, asked=row.name, seen=seen, hint=hint)
 
 
 def _first_poll(wired: WiredRows, profile: Profile, *, gaps: bool) -> tuple[Poll, BathReading]:

@@ -1,15 +1,7 @@
-"""What an emulated controller is at one moment, beside the plant that it controls: its memory and
-the settings of its panel.
+"""The emulated controller between registers and plant: each row's name is a look at the plant, an
+act on it, or a cell of memory.
 
-It knows the profile's names and codes, and may not know addresses, frames or clocks. What each name
-means: `meanings`.
-
-What the rows of an emulated controller mean: each name is a look at the plant, an act on it, or a
-cell of memory.
-
-A row that nothing here knows is remembered as it was written and changes nothing else. Numbers go
-over the wire in the unit that the controller speaks just now. It may not know addresses, frames or
-clocks.
+A row that is unknown here is stored as it was written and changes nothing else.
 """
 
 from __future__ import annotations
@@ -17,36 +9,38 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
+from instruments.bath.address_space import Values
 from instruments.bath.controller_behaviour import Manners
 from instruments.bath.profile import Profile
 from instruments.bath.registers import Order, Row
 from instruments.world.plant import Plant
 
 TURNED: Mapping[Order, Order] = {"ABCD": "CDAB", "CDAB": "ABCD", "BADC": "DCBA", "DCBA": "BADC"}
+NO_NUMBER = 0x8000  # for a register that can't hold not-a-number; chosen
 
 
-class Controller:
+class Controller(Values):
     """A controller of ``profile``'s family over ``plant``.
 
-    ``fahrenheit`` and ``turned`` (the words of a number the other way round) are settings that
-    somebody else may change, as is ``manual_mode``: in it a circulator confirms writes and ignores
-    them (``ignores``); a controller holds its output where it was.
+    ``fahrenheit`` and ``turned`` (the words of a number the other way round) are settings of its
+    panel, as is ``manual_mode``: in it a circulator confirms writes and ignores them (``ignores``);
+    a controller holds its output where it was.
     """
 
     def __init__(self, plant: Plant, profile: Profile, manners: Manners, unit_id: int) -> None:
+        super().__init__(profile)
         self.plant = plant
         self.profile = profile
         self.manners = manners
         self.unit_id = unit_id
         self.fahrenheit = self.turned = self.ignores = False
-        self.memory: dict[str, float] = {}
         self._order = profile.order_for(0) or profile.order
         self._shipped_c = plant.set_point_c
         self._last_c = plant.pv_c
 
     @property
     def manual_mode(self) -> bool:
-        """Whether somebody has switched it to manual."""
+        """Whether it is switched to manual."""
         return self.ignores or self.plant.manual_output is not None
 
     @manual_mode.setter
@@ -58,46 +52,53 @@ class Controller:
 
     @property
     def decimals(self) -> int:
-        """Digits behind the decimal point that a 16-bit number leaves out (Eurotherm 525; none
-        where 12550 says integers).
-        """
+        """As Eurotherm's registers 525 and 12550 say."""
         return 0 if self.remembered("resolution") == 1 else int(self.remembered("decimals"))
 
     @property
     def order(self) -> Order:
-        """In which order the bytes of two registers go just now."""
         return TURNED[self._order] if self.turned else self._order
 
     def set_order(self, code: int) -> None:
         """Another order of bytes by its code; nothing for a code that means none."""
         self._order = self.profile.order_for(code) or self._order
 
-    def shown(self, row: Row, value: float) -> float:
-        """A value of ``row`` in the unit that it speaks just now."""
-        if not self.fahrenheit:
-            return value
-        return (
-            value * 1.8 + 32.0
-            if row.unit == "degC"
-            else value * 1.8
-            if row.unit.startswith("K")
-            else value
-        )
+    def words(self, row: Row) -> tuple[int, ...]:
+        instead = self.manners.sensor_break
+        if row.name == "temperature" and self.plant.broken_sensor and isinstance(instead, int):
+            return (instead,)
+        number = self.number(row)
+        if not math.isfinite(number) and row.type != "f32":
+            return (NO_NUMBER,) * row.words
+        return row.encode(number, self.order)
 
-    def metric(self, row: Row, shown: float) -> float:
-        """The other way round."""
-        if not self.fahrenheit:
-            return shown
-        return (
-            (shown - 32.0) / 1.8
-            if row.unit == "degC"
-            else shown / 1.8
-            if row.unit.startswith("K")
-            else shown
-        )
+    def number(self, row: Row) -> float:
+        value = LOOKS[row.name](self) if row.name in LOOKS else self.remembered(row.name)
+        scale, offset = self._unit(row)
+        return value * scale + offset
+
+    def refuses(self, row: Row, value: float) -> bool:
+        return super().refuses(row, self._metric(row, value))
+
+    def take(self, row: Row, value: float) -> None:
+        if self.ignores:
+            return
+        self.memory[row.name] = value = self._metric(row, value)
+        if row.name in ACTS:
+            ACTS[row.name](self, value)
+
+    def _metric(self, row: Row, value: float) -> float:
+        scale, offset = self._unit(row)
+        return (value - offset) / scale
+
+    def _unit(self, row: Row) -> tuple[float, float]:
+        """Scale and offset from degC and K to what the controller shows."""
+        if not self.fahrenheit or not row.unit.startswith(("degC", "K")):
+            return 1.0, 0.0
+        return 1.8, 32.0 if row.unit == "degC" else 0.0
 
     def remembered(self, name: str) -> float:
-        """What a row holds that nothing in the plant answers for."""
+        """The stored value of a row that nothing in the plant answers for."""
         start = self.manners.starts.get(name)
         if start is None:
             row = self.profile.find(name)
@@ -112,25 +113,19 @@ class Controller:
         return float(row.values.get(label, row.seen.get(label, 0)))
 
     def temperature_c(self) -> float:
-        """What it takes for the temperature."""
+        """What it measures; with a broken sensor not-a-number, or the last value."""
         if not self.plant.broken_sensor:
             self._last_c = self.plant.pv_c
-        return (
-            math.nan
-            if self.plant.broken_sensor and self.manners.sensor_break == "nan"
-            else self._last_c
-        )
+        elif self.manners.sensor_break == "nan":
+            return math.nan
+        return self._last_c
 
     def alarm1(self) -> str:
         """Which of alarm 1's two thresholds is passed."""
         temp_c = self.temperature_c()
-        return (
-            "high"
-            if temp_c >= self.remembered("alarm1_high")
-            else "low"
-            if temp_c <= self.remembered("alarm1_low")
-            else "none"
-        )
+        if temp_c >= self.remembered("alarm1_high"):
+            return "high"
+        return "low" if temp_c <= self.remembered("alarm1_low") else "none"
 
     def reset(self) -> None:
         """Power off and on. A family that keeps nothing is as shipped then, in standby."""
@@ -138,59 +133,9 @@ class Controller:
             self.memory.clear()
             plant = self.plant
             plant.standby()
-            plant.set_point_c, plant.manual_output, plant.output_max = (
-                self._shipped_c,
-                None,
-                plant.constants.output_max,
-            )
+            plant.set_point_c, plant.manual_output = self._shipped_c, None
+            plant.output_max = plant.constants.output_max
             plant.set_flow(plant.constants.flow_l_per_min)
-
-
-NO_NUMBER = 0x8000  # for a register that can't say not-a-number; chosen
-
-
-class Meanings:
-    """The rows' values as `cells.Values` wants them."""
-
-    def __init__(self, controller: Controller) -> None:
-        self._on = controller
-
-    @property
-    def decimals(self) -> int:
-        """As `Controller.decimals`."""
-        return self._on.decimals
-
-    @property
-    def order(self) -> Order:
-        """As `Controller.order`."""
-        return self._on.order
-
-    def words(self, row: Row) -> tuple[int, ...]:
-        """The registers that say the row's value."""
-        instead = self._on.manners.sensor_break
-        if row.name == "temperature" and self._on.plant.broken_sensor and isinstance(instead, int):
-            return (instead,)
-        number = self.number(row)
-        if not math.isfinite(number) and row.type != "f32":
-            return (NO_NUMBER,) * row.words
-        return row.encode(number, self.order)
-
-    def number(self, row: Row) -> float:
-        """The row's value in the unit that the controller speaks."""
-        look = LOOKS.get(row.name)
-        return self._on.shown(row, look(self._on) if look else self._on.remembered(row.name))
-
-    def refuses(self, row: Row, value: float) -> bool:
-        """Whether a value in the unit that the controller speaks is out of bounds."""
-        return row.refusal(self._on.metric(row, value)) is not None
-
-    def take(self, row: Row, value: float) -> None:
-        """Act on a value in the unit that the controller speaks."""
-        if self._on.ignores:
-            return
-        self._on.memory[row.name] = value = self._on.metric(row, value)
-        if row.name in ACTS:
-            ACTS[row.name](self._on, value)
 
 
 def _run(on: Controller) -> float:
@@ -210,19 +155,18 @@ def _mode(name: str, automatic: str) -> Callable[[Controller], float]:
 
 
 def _alarm(on: Controller) -> float:
-    return next(
-        (float(alarm.code) for alarm in on.profile.alarms if alarm.cause == on.plant.alarm), 0.0
-    )
+    known = (float(alarm.code) for alarm in on.profile.alarms if alarm.cause == on.plant.alarm)
+    return next(known, 0.0)
 
 
 def _status(on: Controller) -> float:
-    told = {
+    states = {
         "alarm 1": on.alarm1() == "high",
         "manual": on.manual_mode,
         "sensor": on.plant.broken_sensor,
         "loop": on.plant.loop_broken,
     }
-    return float(sum(on.manners.bits.get(name, 0) for name, true in told.items() if true))
+    return float(sum(on.manners.bits.get(name, 0) for name, true in states.items() if true))
 
 
 def _encoding(on: Controller) -> float:
@@ -231,11 +175,8 @@ def _encoding(on: Controller) -> float:
 
 
 def _set_point(on: Controller) -> float:
-    return (
-        on.memory.get("set_point", on.plant.set_point_c)
-        if on.remembered("local_remote")
-        else on.plant.set_point_c
-    )
+    local = on.memory.get("set_point", on.plant.set_point_c)
+    return local if on.remembered("local_remote") else on.plant.set_point_c
 
 
 LOOKS: Mapping[str, Callable[[Controller], float]] = {
@@ -290,23 +231,18 @@ def _automatic(on: Controller, value: float) -> None:  # noqa: ARG001 - the whit
 
 
 def _actuating(on: Controller, value: float) -> None:
-    """JULABO: "digital" heats with a power of its own, whatever the set point; EPROG, with nobody's
+    """JULABO: "digital" heats with a power of its own, whatever the set point; EPROG, without a
     program, not at all.
     """
-    digital = (
-        on.memory.get("heating_power", 0.0) / 100.0
-        if value == on.code("actuating", "digital")
-        else 0.0
-    )
-    on.plant.manual_output = None if value == on.code("actuating", "controller") else digital
+    digital = value == on.code("actuating", "digital")
+    power = on.memory.get("heating_power", 0.0) / 100.0 if digital else 0.0
+    on.plant.manual_output = None if value == on.code("actuating", "controller") else power
 
 
-def _aim(on: Controller, value: float) -> None:  # noqa: ARG001 - one of three rows has changed; which does not matter
+def _aim(on: Controller, value: float) -> None:  # noqa: ARG001 - which of three rows has changed does not matter
     """The set point is the local one or, on a controller that is set so, the remote one."""
-    remote = on.remembered("local_remote") == 1
-    on.plant.set_point_c = on.memory.get(
-        "remote_set_point" if remote else "set_point", on.plant.set_point_c
-    )
+    name = "remote_set_point" if on.remembered("local_remote") == 1 else "set_point"
+    on.plant.set_point_c = on.memory.get(name, on.plant.set_point_c)
 
 
 def _limit(on: Controller, value: float) -> None:
@@ -317,16 +253,8 @@ def _ramp(on: Controller, value: float) -> None:
     on.plant.ramp_k_per_min = value
 
 
-def _stage(on: Controller, value: float) -> None:
-    on.plant.set_flow(on.plant.constants.flow_l_per_min * value / 4.0)
-
-
 def _unit(on: Controller, value: float) -> None:
     on.fahrenheit = value == on.code("unit", "f")
-
-
-def _encode(on: Controller, value: float) -> None:
-    on.set_order(int(value))
 
 
 ACTS: Mapping[str, Callable[[Controller, float], None]] = {
@@ -340,7 +268,9 @@ ACTS: Mapping[str, Callable[[Controller, float], None]] = {
     "local_remote": _aim,
     "heating_limit": _limit,
     "ramp": _ramp,
-    "pump_stage": _stage,
+    "pump_stage": lambda on, value: on.plant.set_flow(
+        on.plant.constants.flow_l_per_min * value / 4.0
+    ),
     "unit": _unit,
-    "encoding": _encode,
+    "encoding": lambda on, value: on.set_order(int(value)),
 }

@@ -1,9 +1,8 @@
-"""The order in which a bath is started and stopped, whoever's the pump is (water-bath fact sheet,
-section 4.1, item 6).
+"""The order in which a bath is started and stopped (water-bath fact sheet, section 4.1, item 6).
 
 Start: level, pump, ten seconds of flow, set point, run. Stop: heater off, pump on for a minute,
 pump off. A pump that turns with the controller's run can't do that, and one that is not fitted
-isn't pretended. May not know why the bath is stopped.
+isn't pretended.
 """
 
 from __future__ import annotations
@@ -11,33 +10,19 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING
 
-from instruments.bath.profile import Profile
+from instruments.bath.profile import PUMP
 from instruments.bath.reading import BathReading
-from instruments.bath.relay import PUMP
 from instruments.errors import DeviceError, InstrumentError
+
+if TYPE_CHECKING:
+    from instruments.bath.driver import Bath
 
 ON, OFF = "on", "off"  # labels of the row of a pump that is switched by itself
 FLOW_S = 10.0
 OVERRUN_S = 60.0
 SLICE_S = 0.5
-
-
-class Bath(Protocol):
-    """What the order needs of a bath."""
-
-    @property
-    def who(self) -> str: ...
-    @property
-    def profile(self) -> Profile: ...
-    @property
-    def pump(self) -> Literal["none", "with run", "own"]: ...
-    def read(self) -> BathReading: ...
-    def get(self, name: str) -> float: ...
-    def set(self, name: str, value: float | str) -> None: ...
-    def start(self, set_point_c: float) -> None: ...
-    def safe(self) -> None: ...
 
 
 def cause_of(error: BaseException) -> str:
@@ -78,23 +63,18 @@ def start_bath(bath: Bath, set_point_c: float, wait: Callable[[float], None]) ->
     if has_own_pump(bath):
         reading = bath.read()
         if reading.alarm:  # the level among them: a pump must not run dry either
-            text = bath.profile.alarm_text(reading.alarm)
-            raise DeviceError(
-                bath.who,
-                f"not started: {text}",
-                hint="Clear its cause and the alarm at the controller.",
-            )
+            what = f"not started: {bath.profile.alarm_text(reading.alarm)}"
+            hint = "Clear its cause and the alarm at the controller."
+            raise DeviceError(bath.who, what, hint=hint)
         bath.set(PUMP, ON)
         wait(FLOW_S)
     bath.start(set_point_c)
 
 
 def heater_off(bath: Bath) -> str:
-    """Standby at once; then the pump on, where it can run alone, to carry the heater's rest of heat
-    away.
+    """Standby at once; then the pump on, where it can run alone, to carry the heat away.
 
-    Raises InstrumentError where the heater can't be reached; a pump that can't be is told, for the
-    heater is off.
+    Raises InstrumentError where the heater can't be reached; a fault of the pump is returned.
     """
     bath.safe()
     if not has_own_pump(bath):

@@ -1,5 +1,4 @@
-"""The conversation with a GRBL controller: one line out, one answer back, and what it pushes in
-between.
+"""The connection to a GRBL controller: one line out, one answer back, and what is pushed between.
 
 Nothing is sent while an answer is owed. An alarm is kept until a restart; each alarm, locked
 report, restart or broken link counts as an upset, by which the driver knows that homing is lost.
@@ -62,9 +61,8 @@ class Dialogue:
         pushed: list[Response] = []
         start = self._clock.now()
         while True:
-            answer = (
-                self._next(start + timeout_s) if self._clock.now() <= start + timeout_s else None
-            )
+            in_time = self._clock.now() <= start + timeout_s
+            answer = self._next(start + timeout_s) if in_time else None
             if answer is None:
                 hint = "Check power and cable; then recover() starts the controller anew."
                 raise LinkError(self.who, "no answer", asked=text, seconds=timeout_s, hint=hint)
@@ -72,9 +70,8 @@ class Dialogue:
                 return pushed
             if isinstance(answer, ErrorReply):
                 meaning = error_meaning(answer.code)
-                raise DeviceError(
-                    self.who, f"error {answer.code}: {meaning.what}", asked=text, hint=meaning.do
-                )
+                what = f"error {answer.code}: {meaning.what}"
+                raise DeviceError(self.who, what, asked=text, hint=meaning.do)
             pushed.append(answer)
 
     def status(self, timeout_s: float = 1.0) -> Status:
@@ -89,32 +86,18 @@ class Dialogue:
             while (answer := self._next(until_s)) is not None:
                 if isinstance(answer, Status):
                     return answer
-        raise LinkError(
-            self.who,
-            "no status report",
-            asked="?",
-            seconds=timeout_s,
-            hint="Check power and cable.",
-        )
+        what, hint = "no status report", "Check power and cable."
+        raise LinkError(self.who, what, asked="?", seconds=timeout_s, hint=hint)
 
     def machine_mm(self, status: Status) -> Position:
         """The machine position of a report of either kind. Raises ProtocolError."""
         if status.mpos_mm is not None:
             return status.mpos_mm
-        if (
-            status.wpos_mm is None
-            or self._offset is None
-            or len(status.wpos_mm) != len(self._offset)
-        ):
-            raise ProtocolError(
-                self.who,
-                "no machine position: the work offset has not come yet",
-                seen=status.name,
-                hint="Set $10=1.",
-            )
-        return tuple(
-            work + offset for work, offset in zip(status.wpos_mm, self._offset, strict=True)
-        )
+        work, offset = status.wpos_mm, self._offset
+        if work is None or offset is None or len(work) != len(offset):
+            what = "no machine position: the work offset has not come yet"
+            raise ProtocolError(self.who, what, seen=status.name, hint="Set $10=1.")
+        return tuple(at + zero for at, zero in zip(work, offset, strict=True))
 
     def realtime(self, byte: bytes) -> None:
         """Send a byte that acts at once and is never answered."""
@@ -140,10 +123,8 @@ class Dialogue:
         self._write(SOFT_RESET)
         welcome = self._welcome(START_S)
         if welcome is None:
-            hint = "Check power, cable and baud rate."
-            raise LinkError(
-                self.who, "no welcome after a reset", asked=SOFT_RESET, seconds=START_S, hint=hint
-            )
+            what, hint = "no welcome after a reset", "Check power, cable and baud rate."
+            raise LinkError(self.who, what, asked=SOFT_RESET, seconds=START_S, hint=hint)
         return welcome
 
     def _welcome(self, timeout_s: float) -> Welcome | None:
@@ -156,14 +137,8 @@ class Dialogue:
             seen += data
             welcome = _last_welcome(self._decoder, data)
         if welcome is None and seen:
-            hint = "Is this the stage's port, at 115200 baud?"
-            raise ProtocolError(
-                self.who,
-                "this is not GRBL: no welcome",
-                seen=seen[:60],
-                seconds=timeout_s,
-                hint=hint,
-            )
+            what, hint = "this is not GRBL: no welcome", "Is this the stage's port, at 115200 baud?"
+            raise ProtocolError(self.who, what, seen=seen[:60], seconds=timeout_s, hint=hint)
         if welcome:
             more = self._link.drain(QUIET_S, at_most_s=timeout_s)
             welcome = _last_welcome(self._decoder, more) or welcome
@@ -177,10 +152,9 @@ class Dialogue:
         if self.alarm is not None:
             raise self._alarmed(asked=text)
         if self.owed is not None:
+            what = f"the answer to {self.owed!r} is still owed"
             hint = "Call recover(): it starts the controller anew."
-            raise LinkError(
-                self.who, f"the answer to {self.owed!r} is still owed", asked=text, hint=hint
-            )
+            raise LinkError(self.who, what, asked=text, hint=hint)
 
     def _read_pending(self) -> None:
         while self._next(self._clock.now()) is not None:
@@ -222,11 +196,8 @@ class Dialogue:
             self.upsets += 1
             self.owed = None
             if self.alarm is None:  # a failed homing ends in a restart
-                what, hint = (
-                    "the controller has restarted by itself: position lost",
-                    "Check its power, then home().",
-                )
-                raise DeviceError(self.who, what, hint=hint)
+                what = "the controller has restarted by itself: position lost"
+                raise DeviceError(self.who, what, hint="Check its power, then home().")
         elif isinstance(answer, Status):
             self._offset = answer.wco_mm or self._offset
             if answer.state in LOCKED:  # whether or not we have seen why: its position is lost
@@ -255,10 +226,8 @@ class Dialogue:
 
 def _last_welcome(decoder: Decoder, data: bytes) -> Welcome | None:
     """The last welcome; boards print other text around it, as from the boot loader."""
-    return next(
-        (answer for answer in reversed(list(decoder.feed(data))) if isinstance(answer, Welcome)),
-        None,
-    )
+    welcomes = [answer for answer in decoder.feed(data) if isinstance(answer, Welcome)]
+    return welcomes[-1] if welcomes else None
 
 
 def meet(talk: Dialogue, axes: str) -> tuple[StageIdentity, StageSettings]:
@@ -267,23 +236,11 @@ def meet(talk: Dialogue, axes: str) -> tuple[StageIdentity, StageSettings]:
     """
     welcome = talk.start()
     if not welcome.version.startswith("1.1"):
-        hint = "Load Grbl 1.1 or grblHAL."
-        raise DeviceError(
-            talk.who,
-            f"firmware {welcome.dialect} {welcome.version} speaks another protocol",
-            hint=hint,
-        )
-    identity = _identity(talk, welcome)
-    values = {
-        answer.number: answer.value for answer in talk.command("$$") if isinstance(answer, Setting)
-    }
-    return identity, read_settings(values, who=talk.who, axes=axes)
-
-
-def _identity(talk: Dialogue, welcome: Welcome) -> StageIdentity:
-    told = {
-        answer.kind: answer.text for answer in talk.command("$I") if isinstance(answer, Message)
-    }
-    return StageIdentity(
-        welcome.dialect, welcome.version, told.get("VER", "").strip(":"), told.get("OPT", "")
+        what = f"firmware {welcome.dialect} {welcome.version} speaks another protocol"
+        raise DeviceError(talk.who, what, hint="Load Grbl 1.1 or grblHAL.")
+    info = {said.kind: said.text for said in talk.command("$I") if isinstance(said, Message)}
+    identity = StageIdentity(
+        welcome.dialect, welcome.version, info.get("VER", "").strip(":"), info.get("OPT", "")
     )
+    values = {said.number: said.value for said in talk.command("$$") if isinstance(said, Setting)}
+    return identity, read_settings(values, who=talk.who, axes=axes)

@@ -29,74 +29,7 @@ POLL_S = 0.2  # the firmware asks for no more than 5 queries a second
 STOP_S = 10.0  # braking takes a second at most; more means that the stage doesn't obey
 MOVING = frozenset({"Run", "Jog", "Home"})
 # states, or states with a substate
-_STILL = frozenset({"Idle", "Alarm", "Sleep", "Check", "Hold:0", "Door:0", "Door:1"})
-
-
-def is_still(status: Status) -> bool:
-    """Whether a report says that nothing moves."""
-    return status.state in _STILL or status.name in _STILL
-
-
-def until_over(talk: Dialogue, clock: Clock, deadline_s: float, allowed_s: float) -> Status:
-    """The report of an idle stage after all that was planned. Raises DeviceError for a hold, a
-    lock, or the deadline (``allowed_s`` is for its message).
-    """
-    while (status := talk.status()).state in MOVING:
-        if clock.now() > deadline_s:
-            hint = "Is a feed override set, or does an axis stick?"
-            raise DeviceError(
-                talk.who, "the move takes too long", seen=status.name, seconds=allowed_s, hint=hint
-            )
-        talk.wait(POLL_S)
-    if status.state != "Idle":
-        hint = (
-            "Call resume() and finish_move()."
-            if status.state == "Hold"
-            else "See the controller's panel; then recover()."
-        )
-        raise DeviceError(talk.who, "the move was interrupted", seen=status.name, hint=hint)
-    # Idle may be reported before the move has begun: only the dwell behind it shows that it is
-    # over.
-    talk.command("G4P0", max(ANSWER_S, deadline_s - clock.now()))
-    status = talk.status()
-    if status.state != "Idle":
-        raise DeviceError(
-            talk.who,
-            "not idle after the move",
-            seen=status.name,
-            hint="Was the stage held at its own panel?",
-        )
-    return status
-
-
-def until_still(talk: Dialogue, clock: Clock) -> Status:
-    """The first report of a stage that brakes and stands. Raises DeviceError if it doesn't."""
-    deadline = clock.now() + STOP_S
-    while not is_still(status := talk.status()):
-        if clock.now() > deadline:
-            raise DeviceError(
-                talk.who,
-                "the stage does not stop",
-                seen=status.name,
-                seconds=STOP_S,
-                hint="Cut its power.",
-            )
-        talk.wait(POLL_S)
-    return status
-
-
-def stop_hard(talk: Dialogue, error: InstrumentError) -> None:
-    """After braking gave ``error``: nothing where the steps are cut already, else a reset. Raises
-    LinkError.
-    """
-    if talk.alarm is not None:
-        return
-    try:
-        talk.restart()
-    except InstrumentError as worse:
-        raise LinkError(
-            talk.who, f"can't be stopped: {worse.what}", hint="Cut its power."
-        ) from error
+STILL = frozenset({"Idle", "Alarm", "Sleep", "Check", "Hold:0", "Door:0", "Door:1"})
 
 
 # The firmware sends a report before it goes on, where both are asked for in one pass of its loop.
@@ -116,10 +49,10 @@ class Stage:
 
     def __init__(self, link: Link, clock: Clock, axes: str = "XY") -> None:
         if axes not in DECLARABLE:
-            raise LimitError(
-                link.who, f"a stage has no axes {axes!r}", hint=f"Declare {', '.join(DECLARABLE)}."
-            )
+            hint = f"Declare {', '.join(DECLARABLE)}."
+            raise LimitError(link.who, f"a stage has no axes {axes!r}", hint=hint)
         self.axes = axes
+        self.who = link.who
         self._link = link
         self._clock = clock
         self._talk = Dialogue(link, clock)
@@ -137,14 +70,14 @@ class Stage:
     def identity(self) -> StageIdentity:
         """Who answered ``connect``. Raises LimitError before."""
         if self._identity is None:
-            raise LimitError(self._talk.who, "not connected yet", hint="Call connect().")
+            raise LimitError(self.who, "not connected yet", hint="Call connect().")
         return self._identity
 
     @property
     def settings(self) -> StageSettings:
         """The controller's settings as ``connect`` read them. Raises LimitError before."""
         if self._settings is None:
-            raise LimitError(self._talk.who, "not connected yet", hint="Call connect().")
+            raise LimitError(self.who, "not connected yet", hint="Call connect().")
         return self._settings
 
     @property
@@ -171,29 +104,17 @@ class Stage:
         """Run to the switches and set the position: a minute or more. Raises DeviceError."""
         settings = self.settings
         if not settings.homing:
-            raise LimitError(
-                self._talk.who,
+            what, hint = (
                 "homing is switched off in the controller",
-                hint="Fit the switches and set $22=1.",
+                "Fit the switches and set $22=1.",
             )
+            raise LimitError(self.who, what, hint=hint)
         if self._under_way:
-            raise LimitError(
-                self._talk.who,
-                "a move is under way",
-                asked="$H",
-                hint="Call finish_move(), or stop() and recover().",
-            )
+            hint = "Call finish_move(), or stop() and recover()."
+            raise LimitError(self.who, "a move is under way", asked="$H", hint=hint)
         self._move = self._homed_at = None
         self._talk.command("$H", settings.homing_bound_s)
-        status = self._talk.status()
-        if status.state != "Idle":
-            raise DeviceError(
-                self._talk.who,
-                "not idle after homing",
-                asked="$H",
-                seen=status.name,
-                hint="Call recover(), then home().",
-            )
+        self._check_idle("not idle after homing", "Call recover(), then home().", asked="$H")
         self._homed_at = self._talk.upsets
 
     def move_to(
@@ -225,11 +146,11 @@ class Stage:
     ) -> None:
         """Start what ``finish_move`` waits for. Raises as ``move_to``."""
         wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
-        target = targets.declared(wanted, self.axes, who=self._talk.who)
+        target = targets.declared(wanted, self.axes, who=self.who)
         feed = targets.feed(target, feed_mm_min, self.settings)
-        line = move_line(target, feed, who=self._talk.who)
+        line = move_line(target, feed, who=self.who)
         self._check_homed(line)
-        targets.check_within(target, self.settings, line, who=self._talk.who)
+        targets.check_within(target, self.settings, line, who=self.who)
         here = self._ready_at(line)
         self._send(line, target, {axis: target[axis] - here[axis] for axis in target}, feed)
 
@@ -246,33 +167,33 @@ class Stage:
         ``move_to``.
         """
         wanted = {"X": x_mm or None, "Y": y_mm or None, "Z": z_mm or None, "A": a_deg or None}
-        way = targets.declared(wanted, self.axes, who=self._talk.who)
+        way = targets.declared(wanted, self.axes, who=self.who)
         if not way:
-            raise LimitError(self._talk.who, "a jog by nothing", hint="Give a way along an axis.")
+            raise LimitError(self.who, "a jog by nothing", hint="Give a way along an axis.")
         feed = targets.feed(way, feed_mm_min, self.settings)
-        line = jog_line(way, feed, who=self._talk.who)
+        line = jog_line(way, feed, who=self.who)
         self._check_homed(line)
         here = self._ready_at(line)
         target = {axis: here[axis] + way[axis] for axis in way}
-        targets.check_within(target, self.settings, line, who=self._talk.who)
+        targets.check_within(target, self.settings, line, who=self.who)
         self._send(line, target, way, feed, jog=True)
 
     def cancel_jog(self) -> None:
         """End a jog early and wait for a stand; the position is kept. Nothing without a jog."""
         if (move := self._under_way) and move.jog:
             self._talk.realtime(JOG_CANCEL)
-            until_still(self._talk, self._clock)
+            self._until_still()
             self._move = None
 
     def finish_move(self) -> None:
         """Wait for a move or jog. Raises DeviceError when held, too slow, or it ends elsewhere."""
         move = self._under_way
         if move is None:
-            raise LimitError(self._talk.who, "no move is under way", hint="Call begin_move().")
-        status = until_over(self._talk, self._clock, move.deadline_s, move.allowed_s)
+            raise LimitError(self.who, "no move is under way", hint="Call begin_move().")
+        status = self._until_over(move)
         self._move = None
         try:
-            targets.check_arrived(move, self._here(status), self.settings, who=self._talk.who)
+            targets.check_arrived(move, self._here(status), self.settings, who=self.who)
         except DeviceError:
             self._homed_at = self._homed_at if move.jog else None
             raise
@@ -282,7 +203,7 @@ class Stage:
         self.cancel_jog()
         if self._talk.status().state in MOVING:
             self._talk.realtime(HOLD)
-        until_still(self._talk, self._clock)
+        self._until_still()
 
     def brake(self) -> None:
         """Send the braking byte without waiting: the one call for other threads than the owner's.
@@ -293,11 +214,10 @@ class Stage:
 
     def resume(self) -> None:
         """Go on after a hold, once the stage stands. Raises LimitError unless held."""
-        status = until_still(self._talk, self._clock)
+        status = self._until_still()
         if status.name != "Hold:0":
-            raise LimitError(
-                self._talk.who, "nothing to resume: the stage is not held", seen=status.name
-            )
+            what = "nothing to resume: the stage is not held"
+            raise LimitError(self.who, what, seen=status.name)
         if move := self._under_way:
             self._move = move.again(self._clock.now())
         self._talk.realtime(RESUME)
@@ -306,10 +226,8 @@ class Stage:
             status = self._talk.status()
             if status.state != "Hold":
                 return
-        hint = "Call recover(), then home()."
-        raise DeviceError(
-            self._talk.who, "the controller did not resume", seen=status.name, hint=hint
-        )
+        what, hint = "the controller did not resume", "Call recover(), then home()."
+        raise DeviceError(self.who, what, seen=status.name, hint=hint)
 
     def stop(self) -> None:
         """Bring the stage to a stand from any state and wait for it; may be repeated.
@@ -328,7 +246,8 @@ class Stage:
                 self._talk.realtime(HOLD)
             self.hold()
         except InstrumentError as error:
-            stop_hard(self._talk, error)
+            if self._talk.alarm is None:  # an alarm has cut the steps already
+                self._reset_after(error)
 
     safe = stop
 
@@ -346,10 +265,11 @@ class Stage:
         self._talk.restart()
         status = self._talk.status()
         if status.state not in ("Idle", "Alarm"):
-            hint = "Switch the controller off and on."
-            raise DeviceError(
-                self._talk.who, "neither idle nor locked after a reset", seen=status.name, hint=hint
+            what, hint = (
+                "neither idle nor locked after a reset",
+                "Switch the controller off and on.",
             )
+            raise DeviceError(self.who, what, seen=status.name, hint=hint)
 
     def close(self) -> None:
         """Close the link. Does not stop the stage: call ``stop`` before."""
@@ -361,34 +281,29 @@ class Stage:
         return self._move if self.homed else None
 
     def _here(self, status: Status) -> Target:
-        return targets.by_letter(self._talk.machine_mm(status), self.axes, who=self._talk.who)
+        return targets.by_letter(self._talk.machine_mm(status), self.axes, who=self.who)
 
     def _check_homed(self, line: str) -> None:
         if not self.homed:
-            raise LimitError(
-                self._talk.who,
-                "no move before homing",
-                asked=line,
-                hint="Call home(); after an alarm recover() first.",
-            )
+            hint = "Call home(); after an alarm recover() first."
+            raise LimitError(self.who, "no move before homing", asked=line, hint=hint)
+
+    def _check_idle(self, what: str, hint: str, asked: str | None = None) -> Status:
+        status = self._talk.status()
+        if status.state != "Idle":
+            raise DeviceError(self.who, what, asked=asked, seen=status.name, hint=hint)
+        return status
 
     def _ready_at(self, line: str) -> Target:
         """Where the stage stands, ready to move. Raises LimitError unless it is."""
         status = self._talk.status()
         self._check_homed(line)  # the report may have brought bad news with it
         if status.state != "Idle" or self._under_way:
-            hint = (
-                "Call resume() and finish_move(), or recover()."
-                if status.state == "Hold"
-                else "Call finish_move(), or stop()."
-            )
-            raise LimitError(
-                self._talk.who,
-                "a move is still under way, or the stage is not idle",
-                asked=line,
-                seen=status.name,
-                hint=hint,
-            )
+            what = "a move is still under way, or the stage is not idle"
+            hint = "Call finish_move(), or stop()."
+            if status.state == "Hold":
+                hint = "Call resume() and finish_move(), or recover()."
+            raise LimitError(self.who, what, asked=line, seen=status.name, hint=hint)
         return self._here(status)
 
     def _send(
@@ -397,3 +312,44 @@ class Stage:
         allowed = targets.allowed_s(way, feed, self.settings)
         self._talk.command(line)
         self._move = Move(target, self._clock.now() + allowed, allowed, jog)
+
+    def _until_over(self, move: Move) -> Status:
+        """The report of an idle stage after all that was planned. Raises DeviceError for a hold, a
+        lock, or the deadline.
+        """
+        while (status := self._talk.status()).state in MOVING:
+            if self._clock.now() > move.deadline_s:
+                what, hint = (
+                    "the move takes too long",
+                    "Is a feed override set, or does an axis stick?",
+                )
+                seen, seconds = status.name, move.allowed_s
+                raise DeviceError(self.who, what, seen=seen, seconds=seconds, hint=hint)
+            self._talk.wait(POLL_S)
+        if status.state != "Idle":
+            hint = "See the controller's panel; then recover()."
+            if status.state == "Hold":
+                hint = "Call resume() and finish_move()."
+            raise DeviceError(self.who, "the move was interrupted", seen=status.name, hint=hint)
+        # Idle may be reported before the move has begun: only the dwell behind it shows that it is
+        # over.
+        self._talk.command("G4P0", max(ANSWER_S, move.deadline_s - self._clock.now()))
+        return self._check_idle("not idle after the move", "Was the stage held at its own panel?")
+
+    def _until_still(self) -> Status:
+        """The first report of a stage that brakes and stands. Raises DeviceError if it doesn't."""
+        deadline = self._clock.now() + STOP_S
+        while not {(status := self._talk.status()).state, status.name} & STILL:
+            if self._clock.now() > deadline:
+                what, seen = "the stage does not stop", status.name
+                raise DeviceError(self.who, what, seen=seen, seconds=STOP_S, hint="Cut its power.")
+            self._talk.wait(POLL_S)
+        return status
+
+    def _reset_after(self, error: InstrumentError) -> None:
+        """A reset, where braking gave ``error``. Raises LinkError."""
+        try:
+            self._talk.restart()
+        except InstrumentError as worse:
+            what = f"can't be stopped: {worse.what}"
+            raise LinkError(self.who, what, hint="Cut its power.") from error

@@ -122,23 +122,22 @@ def _number(values: Mapping[int, str], key: int, least: float, who: str) -> floa
 
 def _check(values: Mapping[int, str], axes: str, who: str) -> None:
     """Raise DeviceError for a controller that these axes can't be driven with."""
+
+    def refuse(what: str, hint: str) -> None:
+        raise DeviceError(who, what, asked="$$", hint=hint)
+
     if _number(values, 13, 0.0, who):
-        raise DeviceError(who, "the controller reports in inches", asked="$$", hint="Set $13=0.")
+        refuse("the controller reports in inches", "Set $13=0.")
     if "A" in axes and 103 not in values:
-        hint = (
-            "A rotation needs a grblHAL build with four axes; without one, declare the axes"
-            " without A."
-        )
-        raise DeviceError(
-            who, "the controller has no axis A: setting $103 is missing", asked="$$", hint=hint
+        refuse(
+            "the controller has no axis A: setting $103 is missing",
+            "A rotation needs a grblHAL build with four axes; without one, declare the axes without"
+            " A.",
         )
     if int(_number(values, 22, 0.0, who)) & _ORIGIN_AT_SWITCH:
-        hint = "Clear that bit ($22=1): targets are then negative, 0 at the switch."
-        raise DeviceError(
-            who,
+        refuse(
             "homing puts the origin where the switch lets go ($22 has bit 8 set)",
-            asked="$$",
-            hint=hint,
+            "Clear that bit ($22=1): targets are then negative, 0 at the switch.",
         )
     passes = [int(_number(values, key, 0.0, who)) for key in _PASSES if key in values]
     unhomed = [
@@ -146,4 +145,4 @@ def _check(values: Mapping[int, str], axes: str, who: str) -> None:
     ]
     if unhomed:
         hint = "Name it in a homing pass ($44 to $49: X is 1, Y 2, Z 4, A 8), and fit its switch."
-        raise DeviceError(who, f"homing leaves out {', '.join(unhomed)}", asked="$$", hint=hint)
+        refuse(f"homing leaves out {', '.join(unhomed)}", hint)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from instruments.stage.emulator.board import StageEmulator
+from instruments.stage.emulator.board import Fault, StageEmulator
 from instruments.stage.emulator.carriage import Mounting
-from instruments.stage.emulator.dialect import CLASSIC, GRBL_HAL, Dialect
-from instruments.stage.emulator.faults import Fault
+from instruments.stage.emulator.store import CLASSIC, GRBL_HAL, Dialect
 
 __all__ = ["CLASSIC", "GRBL_HAL", "Dialect", "Fault", "Mounting", "StageEmulator"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from enum import Enum
 from functools import partial
 
 import numpy as np
@@ -11,21 +12,55 @@ from numpy.typing import NDArray
 
 from instruments.clock import Clock
 from instruments.listener import Connection
-from instruments.stage.emulator.carriage import Carriage, Drive
+from instruments.stage.emulator.carriage import Carriage
 from instruments.stage.emulator.controller import Controller
-from instruments.stage.emulator.dialect import CLASSIC, Dialect
-from instruments.stage.emulator.faults import (
-    BROKEN_SWITCHES,
-    IN_MOTION,
-    LOST_MM,
-    NOISE,
-    NOT_WHILE_HOMING,
-    Fault,
-)
-from instruments.stage.emulator.motion import Vector
-from instruments.stage.emulator.store import Store
+from instruments.stage.emulator.motion import Switch, Vector
+from instruments.stage.emulator.store import CLASSIC, Dialect, Store
 
 GLANCE_S = 1e-3  # over which a velocity is told
+
+
+class Fault(Enum):
+    """Faults by name. Those of a motion strike in the running motion, or in the next one."""
+
+    SILENT = "silent"  # nothing is answered any more
+    LOST_OK = "lost ok"  # the next answer to a line is swallowed
+    LATE_OK = "late ok"  # the next answer to a line comes late
+    GARBAGE = "garbage"  # noise on the line before the next answer to a line
+    LIMIT_HIT = "limit hit"  # a limit switch closes in a motion
+    DISCONNECT = "disconnect"  # the cable comes out in a motion
+    # the motor stalls in a motion and the carriage stands; the controller counts on
+    STALL = "stall"
+    LOST_STEP = "lost step"  # the motor loses steps in a motion; the controller counts on
+    RESTART = "restart"  # the power dips in a motion, and the controller starts anew
+    NO_SWITCH = "no switch"  # X's homing switch never closes
+    STUCK_SWITCH = "stuck switch"  # X's homing switch never opens again
+    CROOKED_GANTRY = "crooked gantry"  # Y's two motors find their switches too far apart
+    PROBE_CLOSED = "probe closed"  # the probe's contact is closed
+
+
+IN_MOTION = frozenset(
+    {Fault.LIMIT_HIT, Fault.DISCONNECT, Fault.STALL, Fault.LOST_STEP, Fault.RESTART}
+)
+# homing is there to hit switches, and heals lost steps
+NOT_WHILE_HOMING = frozenset({Fault.LIMIT_HIT, Fault.LOST_STEP})
+BROKEN_SWITCHES = {
+    Fault.NO_SWITCH: (0, Switch.MISSING),
+    Fault.STUCK_SWITCH: (0, Switch.STUCK),
+    Fault.CROOKED_GANTRY: (1, Switch.CROOKED),
+}
+NOISE = b"\xff\x00<Ru|\x1b\r\n"
+LOST_MM = 1.0  # lost by a lost step of which no amount is said
+LATE_S = 3.0  # how late a late answer is of which no amount is said
+_INTO = "s into the motion"
+AMOUNTS = {  # what an amount of a fault is; others have none
+    Fault.LOST_STEP: "mm lost",
+    Fault.LATE_OK: "s late",
+    Fault.LIMIT_HIT: _INTO,
+    Fault.DISCONNECT: _INTO,
+    Fault.STALL: _INTO,
+    Fault.RESTART: _INTO,
+}
 
 
 class StageEmulator:
@@ -52,7 +87,7 @@ class StageEmulator:
         store = Store(settings, dialect=dialect, axes=axes)
         start = start_mm or tuple(-travel / 2 for travel in store.travel_mm)
         self._carriage = Carriage(
-            Drive(start, store.travel_mm, play_mm or (0.0,) * axes, store.at_far_end)
+            start, store.travel_mm, play_mm or (0.0,) * axes, store.at_far_end
         )
         self._controller = Controller(clock, store, dialect, self._carriage, self._answer)
         self._first_words = ("error:7", *store.lines()) if fresh_eeprom else ()
@@ -72,7 +107,8 @@ class StageEmulator:
         if not self._carriage.moving(now):
             return np.zeros_like(self.position_mm())
         here, there = (
-            np.array(self._carriage.count_mm(at), dtype=np.float64) for at in (now, now + GLANCE_S)
+            np.array(self._carriage.motion.position(at), dtype=np.float64)
+            for at in (now, now + GLANCE_S)
         )
         return np.asarray((there - here) / GLANCE_S)
 

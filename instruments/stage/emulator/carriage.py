@@ -13,8 +13,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from instruments.stage.emulator.homing import HomingRates, HomingRun, Switch, homing
-from instruments.stage.emulator.motion import SOON_S, AxisRates, Block, Leg, Motion, Vector
+from instruments.stage.emulator.motion import (
+    SOON_S,
+    AxisRates,
+    HomingRates,
+    HomingRun,
+    Leg,
+    Motion,
+    Switch,
+    Vector,
+)
 from instruments.world.phantom import PlatePose
 
 PRESSED_MM = 0.005  # how far past its edge a limit switch is closed
@@ -87,170 +95,86 @@ class AxisDrive:
         return trial.pressed
 
 
-class Drive:
-    """All axes: a carriage at ``place_mm`` on rails of ``travel_mm``."""
+class Carriage:
+    """Motors, screws, carriage; mm (degrees for A) in machine coordinates, 0 at the switches.
+
+    At ``place_mm`` on rails of ``travel_mm``. ``motion`` is the controller's count; whoever changes
+    it takes it from `follow`. ``starts``: how often it has set out from rest.
+    """
 
     def __init__(
         self, place_mm: Vector, travel_mm: Vector, play_mm: Vector, at_far_end: frozenset[int]
     ) -> None:
-        self.axes = [
+        axes = zip(place_mm, travel_mm, play_mm, strict=True)
+        self._axes = [
             AxisDrive(place, low=-travel, high=0.0, play=play, at_far_end=axis in at_far_end)
-            for axis, (place, travel, play) in enumerate(
-                zip(place_mm, travel_mm, play_mm, strict=True)
-            )
+            for axis, (place, travel, play) in enumerate(axes)
         ]
-
-    @property
-    def place_mm(self) -> Vector:
-        """Where the carriage is."""
-        return tuple([axis.place for axis in self.axes])
-
-    @property
-    def pressed(self) -> bool:
-        """Whether a limit switch has closed since this was last forgotten."""
-        return any(axis.pressed for axis in self.axes)
-
-    def follow(self, count_mm: Vector) -> None:
-        """The count goes straight to ``count_mm``."""
-        for axis, count in zip(self.axes, count_mm, strict=True):
-            axis.follow(count)
-
-    def settle(self, place_mm: Vector, count_mm: Vector) -> None:
-        """The carriage stands at ``place_mm``, which counts as ``count_mm``."""
-        for axis, place, count in zip(self.axes, place_mm, count_mm, strict=True):
-            axis.settle(place, count)
-
-    def recount(self, count_mm: Vector) -> None:
-        """Nothing moves; from now on the controller counts from here."""
-        for axis, count in zip(self.axes, count_mm, strict=True):
-            axis.recount(count)
-
-    def stall(self, on: bool) -> None:
-        """The motors stand while the count goes on, or hold again."""
-        for axis in self.axes:
-            axis.stalled = on
-
-    def forget_pressed(self) -> None:
-        """The switches have been heard."""
-        for axis in self.axes:
-            axis.pressed = False
-
-    def closes_switch(self, count_mm: Vector) -> bool:
-        """Whether going straight to ``count_mm`` closes a limit switch on the way."""
-        return any(axis.past_switch(count) for axis, count in zip(self.axes, count_mm, strict=True))
-
-    def lose(self, axis: int, amount_mm: float) -> None:
-        """From now on ``axis`` loses all steps, until it has lost this much."""
-        self.axes[axis].to_lose += amount_mm
-
-    def copy(self) -> Drive:
-        """Another one in the same state, to look ahead with."""
-        twin = copy.copy(self)
-        twin.axes = [copy.copy(axis) for axis in self.axes]
-        return twin
-
-
-class Carriage:
-    """Motors, screws, carriage; mm (degrees for A) in machine coordinates, 0 at the switches."""
-
-    def __init__(self, drive: Drive) -> None:
-        self._zero = tuple(0.0 for _ in drive.axes)
-        self._motion = Motion(self._zero)
-        self._drive = drive
-        self._seen_s = -math.inf  # up to when the drive has followed the motion
+        self._zero = tuple(0.0 for _ in self._axes)
+        self.motion = Motion(self._zero)
+        self.starts = 0
+        self._seen_s = -math.inf  # up to when the axes have followed the motion
         self._homing: tuple[HomingRun, float] | None = None
         self._stalled_homing: Vector | None = None
-        self.starts = 0  # how often it has set out from rest
 
     @property
     def homing(self) -> bool:
         return self._homing is not None
 
-    @property
-    def percent(self) -> tuple[int, int]:
-        """The feed and rapid overrides."""
-        return self._motion.percent
-
-    @property
-    def target_mm(self) -> Vector:
-        """Where the count will be when all that is planned is done."""
-        return self._motion.target
-
     def moving(self, now_s: float) -> bool:
-        return self.homing or self._motion.moving(now_s)
+        return self.homing or self.motion.moving(now_s)
 
-    def count_mm(self, now_s: float) -> Vector:
-        """What the controller believes."""
-        return self._motion.position(now_s)
-
-    def speed_mm_s(self, now_s: float) -> float:
-        return self._motion.speed(now_s)
+    def follow(self, now_s: float) -> Motion:
+        """Bring the axes up to this moment; the motion."""
+        if not self._homing and now_s > self._seen_s:
+            for count in self.motion.turns(self._seen_s, now_s):
+                _follow(self._axes, count)
+            self._seen_s = now_s
+        return self.motion
 
     def place_mm(self, now_s: float) -> Vector:
         """Where the carriage is."""
         if self._homing:
             return self._stalled_homing or self._homing[0].position(now_s - self._homing[1])
-        self._follow(now_s)
-        return self._drive.place_mm
-
-    def blocks(self, now_s: float) -> tuple[Block, ...]:
-        return self._motion.blocks(now_s)
+        self.follow(now_s)
+        return tuple([axis.place for axis in self._axes])
 
     def due_s(self, now_s: float) -> float:
         """When the running block or the homing cycle ends; ``inf`` at rest."""
         if self._homing:
             return self._homing[1] + self._homing[0].end_s
-        return self._motion.next_end_s(now_s)
+        return self.motion.next_end_s(now_s)
 
     def go(
         self, target_mm: Vector, feed_mm_s: float | None, rates: AxisRates, now_s: float
     ) -> None:
         """Plan a move after all that is planned; None is as fast as possible."""
-        self._follow(now_s)
+        self.follow(now_s)
         still = not self.moving(now_s)
         if still:
-            self._drive.stall(False)  # the motor holds again, as far off as a stall has left it
-        if self._motion.go(target_mm, feed_mm_s, rates, now_s) and still:
+            self._stall(False)  # the motor holds again, as far off as a stall has left it
+        if self.motion.go(target_mm, feed_mm_s, rates, now_s) and still:
             self.starts += 1
-
-    def hold(self, now_s: float) -> None:
-        """Brake and keep what is left of the plan."""
-        self._follow(now_s)
-        self._motion.hold(now_s)
-
-    def resume(self, now_s: float) -> None:
-        """Go on with what a hold has left."""
-        self._follow(now_s)
-        self._motion.resume(now_s)
-
-    def cancel(self, now_s: float) -> None:
-        """Brake and forget what is left of the plan."""
-        self._follow(now_s)
-        self._motion.cancel(now_s)
-
-    def override(self, feed: int, rapid: int, now_s: float) -> None:
-        """Change the overrides, in percent."""
-        self._follow(now_s)
-        self._motion.override(feed, rapid, now_s)
 
     def halt(self, now_s: float) -> None:
         """Cut the steps."""
         place = self.place_mm(now_s)
-        self._motion.halt(now_s)
+        self.motion.halt(now_s)
         if self._homing:
             self._end_homing(place, now_s)
 
     def cut_power(self, now_s: float) -> None:
         """Off and on again: the count starts at nought, the carriage stays."""
         self.halt(now_s)
-        self._motion = Motion(self._zero)
-        self._drive.recount(self._zero)
+        self.motion = Motion(self._zero)
+        for axis in self._axes:
+            axis.recount(0.0)
 
     def start_homing(self, rates: HomingRates, broken: dict[int, Switch], now_s: float) -> None:
         """Begin the cycle from where the carriage stands."""
         place = self.place_mm(now_s)
-        self._drive.stall(False)
-        self._homing, self._stalled_homing = (homing(place, rates, broken), now_s), None
+        self._stall(False)
+        self._homing, self._stalled_homing = (HomingRun(place, rates, broken), now_s), None
         self.starts += 1
 
     def finish_homing(self, home_mm: Vector, now_s: float) -> int | None:
@@ -261,12 +185,10 @@ class Carriage:
         if run.alarm is not None:
             self.halt(now_s)
         else:
-            homed = (
-                home if track else at
-                for home, at, track in zip(home_mm, place, run.tracks, strict=True)
-            )
-            self._motion = Motion(home_mm)
-            self._end_homing(self._stalled_homing or tuple(homed), now_s)
+            tracked = zip(home_mm, place, run.tracks, strict=True)
+            homed = tuple(home if track else at for home, at, track in tracked)
+            self.motion = Motion(home_mm)
+            self._end_homing(self._stalled_homing or homed, now_s)
         return run.alarm
 
     def homing_over(self, now_s: float) -> bool:
@@ -277,64 +199,73 @@ class Carriage:
         if self._homing:
             self._stalled_homing = self.place_mm(now_s)
         else:
-            self._follow(now_s)
-            self._drive.stall(True)
+            self.follow(now_s)
+            self._stall(True)
 
     def lose_steps(self, amount_mm: float, now_s: float) -> None:
         """Lose that much on the linear axis that the running move takes furthest."""
-        self._follow(now_s)
-        blocks = self.blocks(now_s)
+        blocks = self.follow(now_s).blocks(now_s)
         unit = blocks[0].unit[:3] if blocks else (1.0,)
-        self._drive.lose(max(range(len(unit)), key=lambda axis: abs(unit[axis])), amount_mm)
+        self._axes[max(range(len(unit)), key=lambda axis: abs(unit[axis]))].to_lose += amount_mm
 
     def knock(self, way_mm: Vector, now_s: float) -> None:
         """Push the carriage against the count."""
-        self._follow(now_s)
-        for axis, way in zip(self._drive.axes, way_mm, strict=False):
+        self.follow(now_s)
+        for axis, way in zip(self._axes, way_mm, strict=False):
             axis.knock(way)
 
     def take_pressed(self, now_s: float) -> bool:
         """Whether a limit switch has closed since this was last asked."""
         if self._homing:
             return False
-        self._follow(now_s)
-        pressed = self._drive.pressed
-        self._drive.forget_pressed()
+        self.follow(now_s)
+        pressed = any(axis.pressed for axis in self._axes)
+        for axis in self._axes:
+            axis.pressed = False
         return pressed
 
     def switch_due_s(self, now_s: float) -> float:
         """When the motion that is planned closes a limit switch; ``inf`` where it doesn't."""
-        if self._homing or not (legs := self._motion.legs(now_s)):
+        if self._homing or not (legs := self.motion.legs(now_s)):
             return math.inf
-        self._follow(now_s)
-        ahead, start = self._drive.copy(), now_s
+        self.follow(now_s)
+        ahead, start = [copy.copy(axis) for axis in self._axes], now_s
         for leg in legs:
             end = leg.block.place(leg.end_mm)
-            if ahead.closes_switch(end):
+            if _closes_switch(ahead, end):
                 return _closing_s(ahead, leg, start)
-            ahead.follow(end)
+            _follow(ahead, end)
             start = leg.end_s
         return math.inf
 
-    def _follow(self, now_s: float) -> None:
-        """Bring the drive up to this moment."""
-        if not self._homing and now_s > self._seen_s:
-            for count in self._motion.turns(self._seen_s, now_s):
-                self._drive.follow(count)
-            self._seen_s = now_s
+    def _stall(self, on: bool) -> None:
+        for axis in self._axes:
+            axis.stalled = on
 
     def _end_homing(self, place_mm: Vector, now_s: float) -> None:
         self._homing = self._stalled_homing = None
-        self._drive.settle(place_mm, self._motion.position(now_s))
+        count_mm = self.motion.position(now_s)
+        for axis, place, count in zip(self._axes, place_mm, count_mm, strict=True):
+            axis.settle(place, count)
         self._seen_s = now_s
 
 
-def _closing_s(drive: Drive, leg: Leg, start_s: float) -> float:
+def _follow(axes: list[AxisDrive], count_mm: Vector) -> None:
+    for axis, count in zip(axes, count_mm, strict=True):
+        axis.follow(count)
+
+
+def _closes_switch(axes: list[AxisDrive], count_mm: Vector) -> bool:
+    """Whether going straight to ``count_mm`` closes a limit switch on the way."""
+    return any(axis.past_switch(count) for axis, count in zip(axes, count_mm, strict=True))
+
+
+def _closing_s(axes: list[AxisDrive], leg: Leg, start_s: float) -> float:
     """When on ``leg`` a switch closes, by halving; at least when it has closed."""
     low, high = start_s, leg.end_s
     for _ in range(50):
         middle = (low + high) / 2
-        if drive.closes_switch(leg.block.place(leg.place_mm(middle))):
+        if _closes_switch(axes, leg.block.place(leg.place_mm(middle))):
             high = middle
         else:
             low = middle
@@ -360,23 +291,15 @@ class Mounting:
         """The plate's pose for X Y Z in mm and A in degrees; below its reference it rests on the
         table.
         """
-        x, y, z, a = (
-            self._way(axis, at)
-            for axis, at in zip("XYZA", (*place, self.reference[3])[:4], strict=True)
-        )
+        ways = [0.0] * 4
+        for at, (axis, here) in enumerate(zip("XYZA", place, strict=False)):
+            if axis in self.axes:
+                ways[at] = (1.0 + self.scale_errors[at]) * (here - self.reference[at])
+        x, y, z, a = ways
         lean = math.pi / 2 + self.squareness_rad + self.yaw_rad
         return PlatePose(
             x_mm=x * math.cos(self.yaw_rad) + y * math.cos(lean),
             y_mm=x * math.sin(self.yaw_rad) + y * math.sin(lean),
             z_mm=max(0.0, z),
             yaw_rad=math.radians(a),
-        )
-
-    def _way(self, axis: str, at: float) -> float:
-        """The plate's way along ``axis`` from the reference; 0 where nothing is carried."""
-        index = "XYZA".index(axis)
-        return (
-            (1.0 + self.scale_errors[index]) * (at - self.reference[index])
-            if axis in self.axes
-            else 0.0
         )

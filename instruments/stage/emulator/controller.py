@@ -1,6 +1,7 @@
-"""The firmware: states, resets, alarms, real-time bytes, and the main loop over lines.
+"""The firmware: states, resets, alarms, real-time bytes, the receive buffer, the main loop over
+lines, and status reports.
 
-A line runs as a generator (``lines.execute``) that yields while it waits for planner, dwell or
+A line runs as a generator (`gcode.execute`) that yields while it waits for planner, dwell or
 homing; further bytes then stay in the receive buffer. Real-time bytes act at once. Output gathers
 in ``out``. Sources: the firmware's interface and command documents, and its behaviour recorded in a
 simulator.
@@ -9,22 +10,119 @@ simulator.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
 
 from instruments.clock import Clock
 from instruments.stage import protocol
 from instruments.stage.emulator.carriage import Carriage
-from instruments.stage.emulator.dialect import DEAF, STUBBORN, Dialect, Mode
-from instruments.stage.emulator.gcode import Modes
-from instruments.stage.emulator.homing import Switch
-from instruments.stage.emulator.lines import Task, execute
-from instruments.stage.emulator.motion import SOON_S
-from instruments.stage.emulator.receiver import Receiver, split
-from instruments.stage.emulator.report import SlowFields, status_report
-from instruments.stage.emulator.store import Store
+from instruments.stage.emulator.gcode import OVERFLOW, Mode, Modes, Task, axis_numbers, execute
+from instruments.stage.emulator.motion import SOON_S, Switch
+from instruments.stage.emulator.store import Dialect, Store
 
 PASS_S = 0.001  # one pass of the main loop: reports that are asked for in it are sent first
 RESTART_S = 0.02
+LINE_PLACES = 79
+_REALTIME = re.compile(rb"([?!~\x18\x80-\xff])")
+# reports from one slow field to the next
+_IDLE_EVERY = 10
+_BUSY_WCO_EVERY = 30
+_BUSY_OV_EVERY = 20
+DEAF = frozenset({Mode.CRITICAL, Mode.HOLD, Mode.DOOR, Mode.SLEEP})  # lines wait
+# holds, resumes and overrides are ignored
+STUBBORN = frozenset({Mode.LOCKED, Mode.CRITICAL, Mode.HOMING, Mode.SLEEP})
+_NAMES: dict[Mode, tuple[str, str]] = {  # at rest, and while moving
+    Mode.READY: ("Idle", "Run"),
+    Mode.LOCKED: ("Alarm", "Alarm"),
+    Mode.CRITICAL: ("Alarm", "Alarm"),
+    Mode.HOMING: ("Home", "Home"),
+    Mode.HOLD: ("Hold:0", "Hold:1"),
+    Mode.DOOR: ("Door:0", "Door:2"),
+    Mode.SLEEP: ("Sleep", "Sleep"),
+}
+
+
+def split(data: bytes) -> Iterator[tuple[bool, bytes]]:
+    """Cut into single real-time bytes (True) and stretches of others (False), in order."""
+    for at, part in enumerate(_REALTIME.split(data)):
+        if part:
+            yield at % 2 == 1, part
+
+
+class Receiver:
+    """Bytes in, lines out on demand; ``OVERFLOW`` for a line that was too long."""
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._waiting = bytearray()
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all, as a reset does."""
+        self._waiting.clear()
+        self._line = ""
+        self._overflowed = False
+        self._comment = ""
+
+    @property
+    def room(self) -> int:
+        """Bytes that can be taken before the main loop reads again."""
+        return self._capacity - len(self._waiting)
+
+    def put(self, data: bytes) -> None:
+        """Take what there is room for; the rest is lost."""
+        self._waiting += data[: self.room]
+
+    def lines(self) -> Iterator[str]:
+        """Complete lines on demand: capitals, without blanks and comments."""
+        while self._waiting:
+            sign = chr(self._waiting.pop(0))
+            if sign in "\r\n":
+                line = OVERFLOW if self._overflowed else self._line
+                self._line, self._overflowed, self._comment = "", False, ""
+                yield line
+            else:
+                self._add(sign)
+
+    def _add(self, sign: str) -> None:
+        if self._comment:
+            if self._comment == "(" and sign == ")":
+                self._comment = ""
+        elif sign in "(;":
+            self._comment = sign
+        elif sign <= " " or sign == "/" or self._overflowed:
+            return
+        elif len(self._line) >= LINE_PLACES:
+            self._overflowed = True
+        else:
+            self._line += sign.upper()
+
+
+class SlowFields:
+    """Counts reports and says which slow field is due."""
+
+    def __init__(self) -> None:
+        self._until_wco = 0
+        self._until_ov = 0
+
+    def wco_changed(self) -> None:
+        """The offset goes into the next report."""
+        self._until_wco = 0
+
+    def due(self, busy: bool) -> str | None:
+        """``WCO`` or ``Ov`` if it is this report's turn."""
+        if self._until_wco == 0:
+            self._until_wco = (_BUSY_WCO_EVERY if busy else _IDLE_EVERY) - 1
+            self._until_ov = max(self._until_ov, 1)
+            due = "WCO"
+        else:
+            self._until_wco -= 1
+            due = None
+        if self._until_ov > 0:
+            self._until_ov -= 1
+            return due
+        self._until_ov = (_BUSY_OV_EVERY if busy else _IDLE_EVERY) - 1
+        return "Ov"
 
 
 class Controller:
@@ -63,28 +161,6 @@ class Controller:
     def jogging(self) -> bool:
         return self.jogged and self.moving
 
-    @property
-    def room(self) -> int:
-        """Bytes that the receive buffer still takes."""
-        return self._receiver.room
-
-    @property
-    def locked(self) -> bool:
-        return self.mode is Mode.LOCKED
-
-    def unlock(self) -> None:
-        """Leave the alarm without homing."""
-        self.mode = Mode.READY
-
-    def sleep(self) -> None:
-        """Motors off until a reset."""
-        self.mode = Mode.SLEEP
-
-    def set_homing(self, on: bool) -> None:
-        """A homing cycle begins, or has succeeded."""
-        self.mode = Mode.HOMING if on else Mode.READY
-        self.homed = not on
-
     def say(self, text: str) -> None:
         """Put a line out."""
         self.out += text.encode("ascii") + b"\r\n"
@@ -121,7 +197,7 @@ class Controller:
         if self._task:
             self.say("ok")  # the line that was in the works is answered on the way out
         self.carriage.halt(self.now)
-        self.carriage.override(100, 100, self.now)
+        self.carriage.follow(self.now).override(100, 100, self.now)
         self._clear()
         self.mode = Mode.LOCKED if locked else Mode.READY
         self._greet()
@@ -196,7 +272,7 @@ class Controller:
             self._resume()
         elif byte == protocol.JOG_CANCEL:
             if self.jogging:
-                self.carriage.cancel(self.now)
+                self.carriage.follow(self.now).cancel(self.now)
         else:
             self._override(byte)
 
@@ -211,9 +287,9 @@ class Controller:
         if door:
             self.say("[MSG:Check Door]")
         if self.jogging:
-            self.carriage.cancel(self.now)
+            self.carriage.follow(self.now).cancel(self.now)
         elif self.mode is Mode.READY and self.moving:
-            self.carriage.hold(self.now)
+            self.carriage.follow(self.now).hold(self.now)
         if door or (self.mode is Mode.READY and not self.jogged):
             self.mode = Mode.DOOR if door else Mode.HOLD
 
@@ -223,13 +299,13 @@ class Controller:
             self._resume_s = self.now + PASS_S
 
     def _override(self, byte: bytes) -> None:
-        feed, rapid = self.carriage.percent
+        feed, rapid = self.carriage.motion.percent
         if byte in protocol.FEED_OVERRIDES:
             change = protocol.FEED_OVERRIDES[byte]
             feed = 100 if change is None else min(200, max(10, feed + change))
         rapid = protocol.RAPID_OVERRIDES.get(byte, rapid)
-        if (feed, rapid) != self.carriage.percent:
-            self.carriage.override(feed, rapid, self.now)
+        if (feed, rapid) != self.carriage.motion.percent:
+            self.carriage.follow(self.now).override(feed, rapid, self.now)
             self.pump()
 
     # The main loop
@@ -242,7 +318,7 @@ class Controller:
             self._resume_s = math.inf
             if self.mode in (Mode.HOLD, Mode.DOOR):
                 self.mode = Mode.READY
-                self.carriage.resume(self.now)
+                self.carriage.follow(self.now).resume(self.now)
         self.due_s = math.inf
         while self.mode not in DEAF and self._restart_s == math.inf:
             if self._task is None:
@@ -265,8 +341,30 @@ class Controller:
         if self.mode is Mode.SLEEP:
             self.say("[MSG:Sleeping]")
 
-    # Reports
-
     def status(self) -> str:
         """A status report, as ``?`` gets it."""
-        return status_report(self)
+        now, bits, moving, motion = (
+            self.now,
+            int(self.settings[10]),
+            self.moving,
+            self.carriage.motion,
+        )
+        inches, offset = bool(self.settings[13]), self.modes.offset_mm
+        place = self.settings.whole_steps(motion.position(now))
+        work = tuple([at - zero for at, zero in zip(place, offset, strict=True)])
+        jog = self.mode is Mode.READY and self.jogging
+        parts = ["Jog" if jog else _NAMES[self.mode][moving]]
+        mpos, wpos = axis_numbers(place, inches), axis_numbers(work, inches)
+        parts.append(f"MPos:{mpos}" if bits & 1 else f"WPos:{wpos}")
+        if bits & 2:
+            free = self.dialect.planner_blocks - len(motion.blocks(now))
+            parts.append(f"Bf:{free},{self._receiver.room}")
+        parts.append(f"FS:{motion.speed(now) * 60:.0f},0")
+        due = self.slow.due(moving or self.mode in (Mode.HOLD, Mode.DOOR))
+        if due == "WCO":
+            parts.append(f"WCO:{axis_numbers(offset, inches)}")
+        elif due == "Ov":
+            parts.append("Ov:{},{},100".format(*motion.percent))
+        if self.dialect.more_fields:
+            parts += [f"H:{int(self.homed)}", "TLR:0"]
+        return f"<{'|'.join(parts)}>"

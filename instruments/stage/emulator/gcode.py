@@ -1,4 +1,4 @@
-"""G-code of the emulated controller: one line to one command, and the modes that stay.
+"""G-code of the emulated controller: one line to one command, and what a line does to the board.
 
 Straight moves, dwell, units, distance mode, machine coordinates, G92, jogs and probing; spindle,
 coolant and program words do nothing. Arcs, tool offsets and more work coordinates are error 20.
@@ -6,10 +6,17 @@ coolant and program words do nothing. Arcs, tool offsets and more work coordinat
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Generator
 from dataclasses import dataclass, replace
+from enum import Enum
+from typing import TYPE_CHECKING
 
-from instruments.stage.emulator.motion import Vector
+from instruments.stage.emulator.motion import SOON_S, Vector
+
+if TYPE_CHECKING:
+    from instruments.stage.emulator.controller import Controller
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)")
 _GROUPS = {
@@ -149,15 +156,15 @@ def command(
     if other == 92.0:
         if not axes:
             raise GcodeError(26)
-        offset = (
-            at_mm[i] - axes[i] if i in axes else after.offset_mm[i] for i in range(len(at_mm))
-        )
+        offset = list(after.offset_mm)
+        for axis, value in axes.items():
+            offset[axis] = at_mm[axis] - value
         return replace(after, offset_mm=tuple(offset)), None
-    move = _move(line, after, axes, at_mm)
-    return after, _probe(line, move, after.motion, at_mm) if 38.0 < after.motion < 39.0 else move
+    move = _target(line, after, axes, at_mm)
+    return after, _probing(line, move, after.motion, at_mm) if 38.0 < after.motion < 39.0 else move
 
 
-def _probe(line: Words, move: Move | None, kind: float, at_mm: Vector) -> Probe | None:
+def _probing(line: Words, move: Move | None, kind: float, at_mm: Vector) -> Probe | None:
     if move is None:
         if "motion" in line.groups:
             raise GcodeError(26)
@@ -173,7 +180,7 @@ def jog(text: str, modes: Modes, at_mm: Vector, most_line_number: float) -> Move
     if "F" not in line.values:
         raise GcodeError(22)
     after = replace(_new_modes(line, modes), motion=1.0)
-    move = _move(line, after, _axes(line, after.inches), at_mm)
+    move = _target(line, after, _axes(line, after.inches), at_mm)
     if set(line.groups) - _JOG_GROUPS or line.groups.get("other", 53.0) != 53.0:
         raise GcodeError(16)
     return move
@@ -182,31 +189,22 @@ def jog(text: str, modes: Modes, at_mm: Vector, most_line_number: float) -> Move
 def _new_modes(line: Words, modes: Modes) -> Modes:
     inches = line.groups.get("units", 20.0 if modes.inches else 21.0) == 20.0
     relative = line.groups.get("distance", 91.0 if modes.relative else 90.0) == 91.0
-    feed = (
-        line.values["F"] * (_INCH_MM if inches else 1.0)
-        if "F" in line.values
-        else modes.feed_mm_min
-    )
-    return replace(
-        modes,
-        motion=line.groups.get("motion", modes.motion),
-        inches=inches,
-        relative=relative,
-        feed_mm_min=feed,
-    )
+    feed = modes.feed_mm_min
+    if "F" in line.values:
+        feed = line.values["F"] * (_INCH_MM if inches else 1.0)
+    motion = line.groups.get("motion", modes.motion)
+    return replace(modes, motion=motion, inches=inches, relative=relative, feed_mm_min=feed)
 
 
 def _axes(line: Words, inches: bool) -> dict[int, float]:
     """By number; the rotation A is in degrees whatever the units."""
-    values = {
-        _AXES.index(letter): value for letter, value in line.values.items() if letter in _AXES
-    }
+    values = {_AXES.index(word): value for word, value in line.values.items() if word in _AXES}
     return {
         axis: value * (_INCH_MM if inches and axis < 3 else 1.0) for axis, value in values.items()
     }
 
 
-def _move(line: Words, modes: Modes, axes: dict[int, float], at_mm: Vector) -> Move | None:
+def _target(line: Words, modes: Modes, axes: dict[int, float], at_mm: Vector) -> Move | None:
     machine = line.groups.get("other") == 53.0
     if machine and modes.motion not in (0.0, 1.0):
         raise GcodeError(30)
@@ -225,3 +223,182 @@ def _move(line: Words, modes: Modes, axes: dict[int, float], at_mm: Vector) -> M
         else:
             target[axis] = value + modes.offset_mm[axis]
     return Move(tuple(target), modes.feed_mm_min if modes.motion != 0.0 else None)
+
+
+OVERFLOW = "\n"  # stands for a line that was too long; no line can hold it
+_ANSWERS = {OVERFLOW: 11, "": 0}
+Task = Generator[float, None, int | None]
+Wait = Generator[float, None, None]
+_HELP = "[HLP:$$ $G $I $x=val $J=line $SLP $X $H ~ ! ? ctrl-x]"
+
+
+class Mode(Enum):
+    """What the firmware is in, beside moving or not."""
+
+    READY = "ready"
+    LOCKED = "locked"
+    CRITICAL = "critical"  # a limit alarm: nothing is heard until a reset
+    HOMING = "homing"
+    HOLD = "hold"
+    DOOR = "door"
+    SLEEP = "sleep"
+
+
+def axis_numbers(place: Vector, inches: bool) -> str:
+    """The axes' numbers as reports write them; the rotation A is in degrees whatever the units."""
+    texts = [
+        f"{v / _INCH_MM + 0.0:.4f}" if inches and axis < 3 else f"{v + 0.0:.3f}"
+        for axis, v in enumerate(place)
+    ]
+    return ",".join(texts)
+
+
+def execute(board: Controller, text: str) -> Task:
+    """Run one line (capitals, no blanks), as a generator.
+
+    Yields the moment at which to resume (``inf``: only after a reset); returns the error code, 0
+    for ``ok``, or None for a restart.
+    """
+    if text in _ANSWERS:
+        return _ANSWERS[text]
+    if text.startswith("$J="):
+        return (yield from _jog(board, text[3:]))
+    if text.startswith("$"):
+        return (yield from _system(board, text[1:]))
+    if board.mode is Mode.LOCKED or board.jogging:
+        return 9
+    try:
+        modes, what = command(
+            text, board.modes, board.carriage.motion.target, board.dialect.most_line_number
+        )
+    except GcodeError as error:
+        return error.code
+    if modes.offset_mm != board.modes.offset_mm:
+        board.slow.wco_changed()
+    board.modes = modes
+    if isinstance(what, Dwell):
+        yield from _dwell(board, what.seconds)
+    elif isinstance(what, Probe):
+        yield from _probe(board, what)
+    elif what:
+        yield from _move(board, what)
+    return 0
+
+
+def _dwell(board: Controller, seconds: float) -> Wait:
+    yield from _until_still(board)
+    end = board.now + seconds
+    while board.now < end - SOON_S:
+        yield end
+
+
+def _move(board: Controller, move: Move) -> Wait:
+    if board.settings[20] and board.settings.beyond_travel(move.target_mm):
+        yield from _soft_limit(board)
+    yield from _plan(board, move)
+    board.jogged = False
+
+
+def _probe(board: Controller, probe: Probe) -> Wait:
+    """To the end of the way, for nothing ever touches this board's probe."""
+    yield from _until_still(board)
+    if board.probe_closed is not probe.away:
+        board.alarm(4)
+        return
+    yield from _move(board, probe.move)
+    yield from _until_still(board)
+    if probe.must:
+        board.alarm(5)
+    board.say(f"[PRB:{axis_numbers(board.carriage.motion.position(board.now), inches=False)}:0]")
+
+
+def _soft_limit(board: Controller) -> Wait:
+    """Come to a stand without losing steps, then be deaf until a reset."""
+    board.carriage.follow(board.now).cancel(board.now)
+    yield from _until_still(board)
+    board.alarm(2, critical=True)
+    while True:
+        yield math.inf
+
+
+def _plan(board: Controller, move: Move) -> Wait:
+    while len(board.carriage.motion.blocks(now := board.now)) >= board.dialect.planner_blocks:
+        yield board.carriage.due_s(now)
+    feed = None if move.feed_mm_min is None else move.feed_mm_min / 60
+    board.carriage.go(
+        board.settings.whole_steps(move.target_mm), feed, board.settings.rates, board.now
+    )
+
+
+def _until_still(board: Controller) -> Wait:
+    while board.carriage.moving(now := board.now):
+        yield board.carriage.due_s(now)
+
+
+def _jog(board: Controller, text: str) -> Task:
+    if board.mode is Mode.LOCKED or (board.moving and not board.jogged):
+        return 8
+    try:
+        move = jog(text, board.modes, board.carriage.motion.target, board.dialect.most_line_number)
+    except GcodeError as error:
+        return error.code
+    if move is None:
+        return 0
+    if board.settings[20] and board.settings.beyond_travel(move.target_mm):
+        return 15
+    yield from _plan(board, move)
+    board.jogged = True
+    return 0
+
+
+def _system(board: Controller, text: str) -> Task:
+    if text == "X":
+        if board.mode is Mode.LOCKED:
+            board.mode = Mode.READY
+            board.say("[MSG:Caution: Unlocked]")
+        return 0
+    if text in ("G", ""):
+        board.say(board.modes.describe() if text else _HELP)
+        return 0
+    if board.moving:
+        return 8
+    if text == "H":
+        return (yield from _home(board))
+    if text == "SLP":
+        board.mode = Mode.SLEEP
+        return 0
+    if text in ("$", "I"):
+        for line in board.settings.lines() if text == "$" else board.dialect.identity():
+            board.say(line)
+        return 0
+    return _write(board, text)
+
+
+def _write(board: Controller, text: str) -> int:
+    """``n=value``."""
+    number, equals, value = text.partition("=")
+    if not number[:1].isdigit():
+        return 2
+    try:
+        return board.settings.write(float(number), float(value)) if equals else 3
+    except ValueError:
+        return 2
+
+
+def _home(board: Controller) -> Task:
+    if not board.settings[22]:
+        return 5
+    board.carriage.start_homing(board.settings.homing, board.broken_switches, board.now)
+    board.mode, board.homed = Mode.HOMING, False
+    while not board.carriage.homing_over(board.now):
+        yield board.carriage.due_s(board.now)
+    home_mm = board.settings.homing.home_mm(board.carriage.motion.position(board.now))
+    alarm = board.carriage.finish_homing(board.settings.whole_steps(home_mm), board.now)
+    if alarm:
+        board.alarm(alarm)
+        return None
+    if board.asked_while_homing:
+        board.asked_while_homing = False
+        board.say(board.status())
+    board.mode, board.homed = Mode.READY, True
+    return 0

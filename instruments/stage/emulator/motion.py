@@ -1,5 +1,5 @@
 """Straight moves with limited acceleration as a function of time, joined without a stop where
-corners allow it.
+corners allow it; and the homing cycle.
 
 A plan is a row of legs, each a line and its phases; what is left is planned anew when a block is
 added, an override changes, or a hold begins. Source: S.-K. Jeon's GRBL planner (two-pass
@@ -10,8 +10,9 @@ deviation, $11).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 
 # one number an axis: X Y Z, and A where the board has it; mm, and degrees for A
 Vector = tuple[float, ...]
@@ -37,9 +38,8 @@ class Phase:
         return self.start_mm + self.speed_mm_s * t + self.accel_mm_s2 * t * t / 2
 
     def speed_at(self, now_s: float) -> float:
-        return self.speed_mm_s + self.accel_mm_s2 * min(
-            max(now_s - self.start_s, 0.0), self.seconds
-        )
+        t = min(max(now_s - self.start_s, 0.0), self.seconds)
+        return self.speed_mm_s + self.accel_mm_s2 * t
 
 
 def profile(
@@ -88,10 +88,8 @@ class AxisRates:
 
     def along(self, unit: Vector, of: Vector) -> float:
         """The most that a motion along ``unit`` may have without any axis exceeding ``of``."""
-        return min(
-            (most / abs(u) for u, most in zip(unit, of, strict=True) if abs(u) > 1e-12),
-            default=math.inf,
-        )
+        limits = (most / abs(u) for u, most in zip(unit, of, strict=True) if abs(u) > 1e-12)
+        return min(limits, default=math.inf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,18 +113,15 @@ class Block:
 
     def cruise_mm_s(self, feed_percent: int, rapid_percent: int) -> float:
         """The speed asked for, under the overrides."""
-        return (
-            self.top_mm_s * rapid_percent / 100
-            if self.rapid
-            else min(self.feed_mm_s * feed_percent / 100, self.top_mm_s)
-        )
+        if self.rapid:
+            return self.top_mm_s * rapid_percent / 100
+        return min(self.feed_mm_s * feed_percent / 100, self.top_mm_s)
 
     def place(self, along_mm: float) -> Vector:
         if along_mm >= self.length_mm:
             return self.target_mm
-        return tuple(
-            [start + u * along_mm for start, u in zip(self.start_mm, self.unit, strict=True)]
-        )
+        pairs = zip(self.start_mm, self.unit, strict=True)
+        return tuple([start + u * along_mm for start, u in pairs])
 
 
 def block_to(
@@ -194,25 +189,16 @@ def plan(
 ) -> tuple[Leg, ...]:
     """Legs through ``blocks`` from ``speed_mm_s`` to rest. ``percent``: feed, rapid overrides."""
     cruise = [block.cruise_mm_s(*percent) for block in blocks]
-    entry = (
-        [speed_mm_s]
-        + [min(b.junction_mm_s, cruise[i], cruise[i + 1]) for i, b in enumerate(blocks[1:])]
-        + [0.0]
-    )
+    corners = [min(b.junction_mm_s, cruise[i], cruise[i + 1]) for i, b in enumerate(blocks[1:])]
+    entry = [speed_mm_s, *corners, 0.0]
+    gains = [2 * block.accel_mm_s2 * block.left_mm for block in blocks]
     for i in range(len(blocks) - 1, 0, -1):
-        entry[i] = min(
-            entry[i], math.sqrt(entry[i + 1] ** 2 + 2 * blocks[i].accel_mm_s2 * blocks[i].left_mm)
-        )
+        entry[i] = min(entry[i], math.sqrt(entry[i + 1] ** 2 + gains[i]))
     legs = []
     for i, block in enumerate(blocks):
-        entry[i + 1] = min(
-            entry[i + 1], math.sqrt(entry[i] ** 2 + 2 * block.accel_mm_s2 * block.left_mm)
-        )
-        phases = lay(
-            profile(block.left_mm, entry[i], cruise[i], entry[i + 1], block.accel_mm_s2),
-            now_s,
-            block.from_mm,
-        )
+        entry[i + 1] = min(entry[i + 1], math.sqrt(entry[i] ** 2 + gains[i]))
+        steps = profile(block.left_mm, entry[i], cruise[i], entry[i + 1], block.accel_mm_s2)
+        phases = lay(steps, now_s, block.from_mm)
         now_s = phases[-1].end_s if phases else now_s
         legs.append(Leg(block, phases, now_s, block.length_mm))
     return tuple(legs)
@@ -226,18 +212,13 @@ def brake(
     left = list(blocks)
     while left and speed_mm_s > 0:
         block = left.pop(0)
-        way = speed_mm_s**2 / (2 * block.accel_mm_s2)
-        after = (
-            math.sqrt(max(0.0, speed_mm_s**2 - 2 * block.accel_mm_s2 * block.left_mm))
-            if way > block.left_mm
-            else 0.0
-        )
+        accel = block.accel_mm_s2
+        way = speed_mm_s**2 / (2 * accel)
+        after = 0.0
+        if way > block.left_mm:
+            after = math.sqrt(max(0.0, speed_mm_s**2 - 2 * accel * block.left_mm))
         end = min(block.from_mm + way, block.length_mm)
-        phases = lay(
-            [((speed_mm_s - after) / block.accel_mm_s2, speed_mm_s, -block.accel_mm_s2)],
-            now_s,
-            block.from_mm,
-        )
+        phases = lay([((speed_mm_s - after) / accel, speed_mm_s, -accel)], now_s, block.from_mm)
         now_s, speed_mm_s = phases[-1].end_s, after
         legs.append(Leg(block, phases, now_s, end))
         if end < block.length_mm:
@@ -255,10 +236,10 @@ class Motion:
         self.percent = (100, 100)
 
     def position(self, now_s: float) -> Vector:
-        leg = next(
-            (leg for leg in self._legs if now_s < leg.end_s), self._legs[-1] if self._legs else None
-        )
-        return leg.block.place(leg.place_mm(now_s)) if leg else self._rest
+        for leg in self._legs:
+            if now_s < leg.end_s:
+                return leg.block.place(leg.place_mm(now_s))
+        return self._end
 
     def turns(self, since_s: float, now_s: float) -> list[Vector]:
         """Where it was at each end of a straight line after ``since_s``, and where it is now."""
@@ -280,10 +261,8 @@ class Motion:
         """What is not finished, the running one first."""
         # A leg that ends short of its block is braking for a hold; what is left of its block is
         # among the held.
-        unfinished = (leg for leg in self._legs if leg.end_s > now_s + SOON_S)
-        return (
-            tuple(leg.block for leg in unfinished if leg.end_mm >= leg.block.length_mm) + self._held
-        )
+        legs = self.legs(now_s)
+        return tuple(leg.block for leg in legs if leg.end_mm >= leg.block.length_mm) + self._held
 
     def next_end_s(self, now_s: float) -> float:
         """When the running block ends, or stops; ``inf`` at rest."""
@@ -292,8 +271,10 @@ class Motion:
     @property
     def target(self) -> Vector:
         """Where all that is planned ends."""
-        if self._held:
-            return self._held[-1].target_mm
+        return self._held[-1].target_mm if self._held else self._end
+
+    @property
+    def _end(self) -> Vector:
         return self._legs[-1].block.place(self._legs[-1].end_mm) if self._legs else self._rest
 
     def go(self, target: Vector, feed_mm_s: float | None, rates: AxisRates, now_s: float) -> bool:
@@ -338,8 +319,129 @@ class Motion:
 
     def _left(self, now_s: float) -> tuple[tuple[Block, ...], float]:
         """The blocks to go, the first cut at where it is now, and the speed."""
-        running = [leg for leg in self._legs if leg.end_s > now_s + SOON_S]
+        running = self.legs(now_s)
         if self._held or not running:
             return self._held, 0.0
         first = replace(running[0].block, from_mm=running[0].place_mm(now_s))
         return (first, *(leg.block for leg in running[1:])), running[0].speed_at(now_s)
+
+
+SEARCH = 1.5  # times the longest travel of the pass, before a switch counts as missing
+LOCATE = 5.0  # times the pull-off
+
+
+class Switch(Enum):
+    """How a homing switch is broken."""
+
+    MISSING = "never closes"
+    STUCK = "never opens again"
+    CROOKED = "of the axis's two motors, one finds its switch too late"
+
+
+@dataclass(frozen=True, slots=True)
+class HomingRates:
+    """Settings in mm, mm/s, mm/s², s. ``passes``: axes of each pass; ``at_far_end``: axes with the
+    switch at minus the travel; ``crooked_alarm``: for two motors out of square.
+    """
+
+    travel_mm: Vector
+    seek_mm_s: float
+    feed_mm_s: float
+    accel_mm_s2: Vector
+    pull_off_mm: float
+    debounce_s: float
+    passes: tuple[tuple[int, ...], ...] = ((2,), (0, 1))
+    at_far_end: frozenset[int] = frozenset()
+    crooked_alarm: int = 10
+
+    def switch_mm(self, axis: int) -> float:
+        """Where the axis's switch is."""
+        return -self.travel_mm[axis] if axis in self.at_far_end else 0.0
+
+    def home_mm(self, before_mm: Vector) -> Vector:
+        """The count after homing; an axis without a pass keeps its own."""
+        home = list(before_mm)
+        for axis in (axis for axes in self.passes for axis in axes):
+            away = self.pull_off_mm if axis in self.at_far_end else -self.pull_off_mm
+            home[axis] = self.switch_mm(axis) + away
+        return tuple(home)
+
+
+class HomingRun:
+    """The homing cycle from the carriage's place, as a function of time from 0: pass by pass, the
+    axes of a pass together. ``broken``: axes with a broken switch.
+
+    Each axis seeks its switch fast, backs off, finds it again slowly and backs off, with a pause
+    between runs. A run to a switch stops dead, as the steps are cut when it closes. ``end_s`` is
+    when it ends, ``alarm`` what ends it, if any, ``tracks`` the phases by axis.
+    """
+
+    def __init__(self, start_mm: Vector, rates: HomingRates, broken: Mapping[int, Switch]) -> None:
+        self.tracks: tuple[list[Phase], ...] = tuple([] for _ in start_mm)
+        self.end_s = 0.0
+        self.alarm: int | None = None
+        self._start_mm = start_mm
+        self._rates = rates
+        self._broken = broken
+        for axes in rates.passes:
+            if not self._home(axes):
+                break
+
+    def position(self, now_s: float) -> Vector:
+        """Where the carriage is, mm."""
+        return tuple(self._axis(axis, now_s) for axis in range(len(self.tracks)))
+
+    def _axis(self, axis: int, now_s: float) -> float:
+        place = self._start_mm[axis]
+        for phase in self.tracks[axis]:
+            if now_s < phase.start_s:
+                break
+            place = phase.place_mm(now_s)
+        return place
+
+    def _home(self, axes: tuple[int, ...]) -> bool:
+        """One pass; whether it ended without an alarm."""
+        rates = self._rates
+        search = SEARCH * max(rates.travel_mm[axis] for axis in axes)
+        for approach, reach, speed in (
+            (True, search, rates.seek_mm_s),
+            (False, rates.pull_off_mm, rates.seek_mm_s),
+            (True, LOCATE * rates.pull_off_mm, rates.feed_mm_s),
+            (False, rates.pull_off_mm, rates.seek_mm_s),
+        ):
+            run = self._approach if approach else self._back_off
+            self.end_s += max([run(axis, reach, speed) for axis in axes])
+            if self.alarm:
+                return False
+            self.end_s += rates.debounce_s
+        return True
+
+    def _towards(self, axis: int) -> float:
+        return -1.0 if axis in self._rates.at_far_end else 1.0
+
+    def _back_off(self, axis: int, reach: float, speed: float) -> float:
+        if self._broken.get(axis) is Switch.STUCK:
+            self.alarm = 8
+        return self._run(axis, -self._towards(axis) * reach, speed, dead_stop=False)
+
+    def _approach(self, axis: int, reach: float, speed: float) -> float:
+        towards, fault = self._towards(axis), self._broken.get(axis)
+        gap = towards * (self._rates.switch_mm(axis) - self._axis(axis, self.end_s))
+        if fault is Switch.MISSING or gap > reach:
+            # the carriage stops at the end of its rails, the motor goes on
+            self.alarm = 9
+            way = towards * max(0.0, min(gap, reach))
+            return max(reach / speed, self._run(axis, way, speed, dead_stop=True))
+        if fault is Switch.CROOKED:
+            self.alarm = self._rates.crooked_alarm
+        return self._run(axis, towards * max(0.0, gap), speed, dead_stop=True)
+
+    def _run(self, axis: int, way_mm: float, speed: float, *, dead_stop: bool) -> float:
+        """Append one axis's run of ``way_mm`` (with its sign) from ``end_s`` on; its seconds."""
+        accel, place = self._rates.accel_mm_s2[axis], self._axis(axis, self.end_s)
+        sign = 1.0 if way_mm >= 0 else -1.0
+        leave = min(speed, math.sqrt(2 * accel * abs(way_mm))) if dead_stop else 0.0
+        steps = profile(abs(way_mm), 0.0, speed, leave, accel)
+        phases = lay([(seconds, sign * v, sign * a) for seconds, v, a in steps], self.end_s, place)
+        self.tracks[axis].extend(phases)
+        return sum(seconds for seconds, _, _ in steps)

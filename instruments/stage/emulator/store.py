@@ -1,17 +1,74 @@
-"""The emulated controller's stored settings: defaults, text, allowed values, and meaning in mm and
-s.
+"""The two firmwares' differences, and the emulated controller's stored settings: defaults, text,
+allowed values, and meaning in mm and s.
 
-Numbers to $132 are the firmware's documents'; $103 to $133 of a fourth axis and $44 to $46 are from
-grblHAL's source.
+Classic GRBL's differences are recorded. Of grblHAL, welcome, buffer size, report fields and the
+answer to ``?`` in alarm 2 are recorded; planner blocks, fourth axis ($103 to $133), homing passes
+($44 to $46) and the out-of-square alarm are from its source. Numbers to $132 are the firmware's
+documents'.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
-from instruments.stage.emulator.dialect import CLASSIC, Dialect
-from instruments.stage.emulator.homing import HomingRates
-from instruments.stage.emulator.motion import AxisRates, Vector
+from instruments.stage.emulator.motion import AxisRates, HomingRates, Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """A firmware's welcome, buffers, report fields and options (as `$I` prints them). grblHAL's
+    receive buffer holds a byte less than it states.
+    """
+
+    name: str
+    welcome: str
+    build: str
+    options: str
+    planner_blocks: int
+    receive_bytes: int
+    more_fields: bool  # grblHAL's H: (homed) and TLR: (tool length reference)
+    always_reports: bool  # also while homing and in a critical alarm
+    most_axes: int
+    homing_passes: bool  # whether settings say which axes are homed in which pass
+    crooked_alarm: int  # two motors of one axis found their switches too far apart
+    most_line_number: float
+
+    def identity(self) -> list[str]:
+        """As ``$I`` prints it."""
+        return [f"[VER:{self.build}:]", f"[OPT:{self.options}]"]
+
+
+CLASSIC = Dialect(
+    name="Grbl",
+    welcome="Grbl 1.1h ['$' for help]",
+    build="1.1h.20190830",
+    options="V,15,128",
+    planner_blocks=15,
+    receive_bytes=128,
+    more_fields=False,
+    always_reports=False,
+    most_axes=3,
+    homing_passes=False,
+    crooked_alarm=10,
+    most_line_number=10_000_000,
+)
+GRBL_HAL = Dialect(
+    name="grblHAL",
+    welcome="GrblHAL 1.1f ['$' or '$HELP' for help]",
+    build="1.1f.20240101",
+    options="V,35,1024",
+    planner_blocks=35,
+    receive_bytes=1023,
+    more_fields=True,
+    always_reports=True,
+    most_axes=4,
+    homing_passes=True,
+    crooked_alarm=15,
+    most_line_number=math.inf,
+)
+
 
 DEFAULTS: dict[int, float] = {
     0: 10, 1: 25, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0,
@@ -44,16 +101,10 @@ class Store:
             raise ValueError(f"{dialect.name} has 3 to {dialect.most_axes} axes, not {axes}")
         self.axes = axes
         self._dialect = dialect
-        known = (
-            DEFAULTS
-            | (HAL_DEFAULTS if dialect.homing_passes else {})
-            | (ROTARY_DEFAULTS if axes > 3 else {})
-        )
-        unknown = set(changes or {}) - set(known)
-        if unknown:
-            raise ValueError(
-                f"the stage has no settings ${', $'.join(str(n) for n in sorted(unknown))}"
-            )
+        known = DEFAULTS | (HAL_DEFAULTS if dialect.homing_passes else {})
+        known |= ROTARY_DEFAULTS if axes > 3 else {}
+        if unknown := sorted(set(changes or {}) - set(known)):
+            raise ValueError(f"the stage has no settings ${', $'.join(map(str, unknown))}")
         self._values = dict(sorted((known | dict(changes or {})).items()))
 
     def __getitem__(self, number: int) -> float:
@@ -92,9 +143,8 @@ class Store:
 
     @property
     def rates(self) -> AxisRates:
-        return AxisRates(
-            tuple([rate / 60 for rate in self._axes(110)]), self._axes(120), self._values[11]
-        )
+        speeds = tuple([rate / 60 for rate in self._axes(110)])
+        return AxisRates(speeds, self._axes(120), self._values[11])
 
     @property
     def homing(self) -> HomingRates:
@@ -112,19 +162,13 @@ class Store:
 
     def whole_steps(self, at_mm: Vector) -> Vector:
         """The nearest place that a whole number of steps reaches."""
-        return tuple(
-            [
-                round(place * steps) / steps
-                for place, steps in zip(at_mm, self._axes(100), strict=True)
-            ]
-        )
+        pairs = zip(at_mm, self._axes(100), strict=True)
+        return tuple([round(place * steps) / steps for place, steps in pairs])
 
     def beyond_travel(self, target_mm: Vector) -> bool:
         """Whether a target lies outside machine space, which is negative."""
-        return any(
-            place > 0 or place < -travel
-            for place, travel in zip(target_mm, self.travel_mm, strict=True)
-        )
+        pairs = zip(target_mm, self.travel_mm, strict=True)
+        return any(not -travel <= place <= 0 for place, travel in pairs)
 
     def _passes(self) -> tuple[tuple[int, ...], ...]:
         if not self._dialect.homing_passes:

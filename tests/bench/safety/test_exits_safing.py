@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,6 +13,7 @@ from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.opening import driver_openers, open_rig
+from instruments.bath.driver import Bath
 from instruments.bath.profile import Profile, load_profile
 from instruments.bath.reading import BathReading
 from instruments.bath.registers import Row
@@ -57,20 +58,16 @@ def profile(pump: Literal["none", "with run", "own"]) -> Profile:
     )
 
 
-@dataclass
-class Noted:
-    """A bath that notes what it is told, and when."""
+class Noted(Bath):
+    """A bath without a wire that notes what it is told, and when."""
 
-    pump: Literal["none", "with run", "own"]
-    clock: VirtualClock = field(default_factory=VirtualClock)
-    alarm: int = 0
-    told: list[tuple[float, str]] = field(default_factory=list)
-    values: dict[str, float] = field(default_factory=dict)
-    who: str = "bath"
-
-    @property
-    def profile(self) -> Profile:
-        return profile(self.pump)
+    def __init__(self, pump: Literal["none", "with run", "own"], alarm: int = 0) -> None:
+        self.who = "bath"
+        self.profile = profile(pump)
+        self.clock = VirtualClock()
+        self.alarm = alarm
+        self.told: list[tuple[float, str]] = []
+        self.values: dict[str, float] = {}
 
     def note(self, what: str) -> None:
         self.told.append((self.clock.now(), what))

@@ -7,13 +7,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.instruments.bath.stand import Stand
+from tests.instruments.bath.devices import Stand
 
 
 @pytest.fixture
 def stand() -> Iterator[Stand]:
     before = threading.active_count()
-    stand = Stand()
-    yield stand
-    stand.close()
+    with Stand() as stand:
+        yield stand
     assert threading.active_count() == before

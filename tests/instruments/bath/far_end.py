@@ -12,6 +12,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import RLock
 
+from instruments.bath.connection import parse_line
+from instruments.bath.driver import Bath
+from instruments.bath.profile import load_profile
+from instruments.bath.transactions import Transactions
 from instruments.clock import Clock, VirtualClock
 from instruments.listener import Connection, Listener
 
@@ -151,3 +155,46 @@ def virtual(framing: str = "rtu", *, gateway: bool = False) -> Iterator[tuple[Fa
     far_end = FarEnd(VirtualClock(), framing=framing, gateway=gateway)
     with served(far_end) as url:
         yield far_end, url
+
+
+@contextmanager
+def shown_by(memory: dict[int, int]) -> Iterator[tuple[FarEnd, str]]:
+    """An RTU device that holds ``memory``, and its URL."""
+    with virtual() as (far_end, url):
+        far_end.memory = dict(memory)
+        yield far_end, url
+
+
+@contextmanager
+def bath_on(
+    name: str, memory: dict[int, int], *, identify: bool = True
+) -> Iterator[tuple[FarEnd, Bath]]:
+    """A driver with the profile ``name`` on a device that holds ``memory``."""
+    with shown_by(memory) as (far_end, url):
+        bath = Bath(url, load_profile(name), far_end.clock, identify=identify)
+        try:
+            yield far_end, bath
+        finally:
+            bath.close()
+
+
+MARKERS = ((3, 0, 2), (4, 0, 1), (3, 0, 3))
+
+
+@contextmanager
+def linked(framing: str = "rtu", *, gateway: bool = False) -> Iterator[tuple[FarEnd, Transactions]]:
+    """Transactions with a far end that holds 100 at register 0, 200 at 1 and so on: a value at the
+    wrong address is a wrong value.
+    """
+    with virtual(framing, gateway=gateway) as (far_end, url):
+        far_end.memory = {address: 100 * (address + 1) for address in range(16)}
+        link = Transactions(parse_line(url), far_end.clock, who="bath", markers=MARKERS)
+        link.connect()
+        try:
+            yield far_end, link
+        finally:
+            link.close()
+
+
+def right(address: int, count: int = 1) -> list[int]:
+    return [100 * (address + at + 1) for at in range(count)]

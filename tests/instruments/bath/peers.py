@@ -10,13 +10,20 @@ import shutil
 import socket
 import subprocess
 import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import NoReturn
 
 import pytest
 
-from instruments.bath.profile import Profile
-from instruments.listener import Connection
+from instruments.bath.emulator import BathEmulator, Framing
+from instruments.bath.profile import Profile, RelayProfile
+from instruments.bath.relay_emulator import RelayEmulator
+from instruments.clock import RealClock
+from instruments.listener import Connection, Listener
+from instruments.pty_listener import PtyListener
+from tests.instruments.bath.devices import calm_plant
 
 EXAMPLES = Path("/usr/share/doc/libmodbus-dev/examples")
 FIXED = {  # addresses in the examples' sources, and where a test's own come from
@@ -68,16 +75,8 @@ def built(example: str, folder: Path, *, over_rtu: bool = False) -> Path:
     copy = folder / source.name
     copy.write_text(text, encoding="utf-8")
     target = folder / example
-    command = [
-        program("gcc"),
-        "-w",
-        "-I/usr/include/modbus",
-        f"-I{EXAMPLES}",
-        str(copy),
-        "-lmodbus",
-        "-o",
-        str(target),
-    ]
+    folders = ["-I/usr/include/modbus", f"-I{EXAMPLES}"]
+    command = [program("gcc"), "-w", *folders, str(copy), "-lmodbus", "-o", str(target)]
     subprocess.run(command, check=True, capture_output=True, timeout=60)
     return target
 
@@ -86,55 +85,18 @@ def memory_profile() -> Profile:
     """A family without manners of its own: 100 coils and 100 registers that keep what is written,
     and a bath behind them.
     """
-    whole = {"evidence": "CERTAIN", "access": "rw"}
-    bath = [
-        {
-            "name": "temperature",
-            "table": "input",
-            "address": 200,
-            "type": "f32",
-            "unit": "degC",
-            "evidence": "CERTAIN",
-        },
-        {
-            "name": "set_point",
-            "table": "holding",
-            "address": 200,
-            "type": "f32",
-            "unit": "degC",
-            "range": [0, 40],
-            **whole,
-        },
-        {
-            "name": "run",
-            "table": "holding",
-            "address": 202,
-            "type": "u16",
-            "values": {"standby": 0, "started": 1},
-            **whole,
-        },
-    ]
-    registers = [
-        {
-            "name": f"r{n}",
-            "table": "holding",
-            "address": n,
-            "type": "u16",
-            "range": [0, 65535],
-            **whole,
-        }
-        for n in range(100)
-    ]
-    coils = [
-        {
-            "name": f"c{n}",
-            "table": "coil",
-            "address": n,
-            "type": "bit",
-            "values": {"off": 0, "on": 1},
-            **whole,
-        }
-        for n in range(100)
+
+    def row(name: str, table: str, address: int, kind: str, **more: object) -> dict[str, object]:
+        access = "r" if table == "input" else "rw"
+        place = {"name": name, "table": table, "address": address, "type": kind}
+        return {**place, "evidence": "CERTAIN", "access": access, **more}
+
+    rows = [
+        row("temperature", "input", 200, "f32", unit="degC"),
+        row("set_point", "holding", 200, "f32", unit="degC", range=[0, 40]),
+        row("run", "holding", 202, "u16", values={"standby": 0, "started": 1}),
+        *(row(f"r{n}", "holding", n, "u16", range=[0, 65535]) for n in range(100)),
+        *(row(f"c{n}", "coil", n, "bit", values={"off": 0, "on": 1}) for n in range(100)),
     ]
     return Profile.model_validate(
         {
@@ -144,9 +106,35 @@ def memory_profile() -> Profile:
             "functions": [1, 2, 3, 4, 5, 6, 16],
             "comms_loss": "hold",
             "comms_loss_evidence": "CERTAIN",
-            "rows": [*bath, *registers, *coils],
+            "rows": rows,
         }
     )
+
+
+Device = BathEmulator | RelayEmulator
+
+
+@contextmanager
+def real_time(
+    profile: Profile | RelayProfile,
+    transport: str,
+    *,
+    unit_id: int | None = None,
+    baud: int | None = None,
+) -> Iterator[tuple[Device, Listener | PtyListener]]:
+    """An emulated device in real time, on "tcp" or a pseudo-terminal ("pty")."""
+    framing: Framing = "tcp" if transport == "tcp" else "rtu"
+    kind: type[Device] = RelayEmulator if isinstance(profile, RelayProfile) else BathEmulator
+    clock, lock = RealClock(), threading.RLock()
+    device = kind(calm_plant(), profile, clock, unit_id=unit_id, framing=framing)  # type: ignore[arg-type]
+    with closing(clock), ExitStack() as stack:
+        listener: Listener | PtyListener = (
+            Listener(device, clock, lock=lock, name="bath")
+            if transport == "tcp"
+            else PtyListener(device, clock, lock=lock, name="bath", baud=baud)
+        )
+        stack.callback(listener.close)
+        yield device, listener
 
 
 class Bridge:

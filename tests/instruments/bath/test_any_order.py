@@ -1,14 +1,13 @@
-"""Driver against emulators, every shipped profile, through faults in any order; a family without a
-pump has a relay's.
+"""Driver against emulators, every shipped profile, through faults in any order; a family without a pump has
+a relay's.
 
 Never a wrong value, never a set point that nobody asked for, never a start against an alarm or
-without a pump, and safe in the end.
-"""
+without a pump, and safe in the end."""
 
 from __future__ import annotations
 
 import threading
-from contextlib import suppress
+from contextlib import closing, suppress
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
@@ -21,16 +20,15 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from instruments.bath.driver import Bath
+from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.emulator import FAULTS
-from instruments.bath.profile import load_relay, profile_names
+from instruments.bath.profile import load_profile, load_relay, profile_names
 from instruments.bath.reading import BathReading
-from instruments.bath.relay import PumpAt
 from instruments.bath.relay_emulator import POWER_CUT, RELAY_FAULTS, RelayEmulator
+from instruments.clock import VirtualClock
 from instruments.errors import InstrumentError
 from instruments.listener import Listener
-from instruments.world.plant import Plant, PlantConstants
-from tests.instruments.bath.moving import SCHEMES, Cable, MovingClock
+from tests.instruments.bath.devices import MovingClock, Watched, calm_plant, url_of
 
 SET_POINTS = [20.0, 25.5, 33.0]
 FASTEST_K_PER_S = 1.9 / 60.0  # full power; a stuck heater is no faster
@@ -45,14 +43,14 @@ class BathInAnyOrder(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.clock = MovingClock()
-        self.plant = Plant(1, constants=PlantConstants(sensor_noise_k=0.0))
-        self.emulator = Cable(self.plant, self.profile, self.clock)
+        self.plant = calm_plant()
+        self.emulator = Watched(self.plant, load_profile(self.profile), self.clock)
         self.faults = [
             fault for fault in FAULTS if fault != "bad CRC" or self.emulator.framing == "rtu"
         ]
         self.lock = threading.RLock()
         self.listener = Listener(self.emulator, self.clock, lock=self.lock, name="bath")
-        url = f"{SCHEMES[self.emulator.framing]}://127.0.0.1:{self.listener.port}"
+        url = url_of(self.emulator, self.listener)
         self.relay, self.relay_listener, pump = self.with_relay()
         self.relay_was_cut = False
         self.bath = Bath(url, self.emulator.profile, self.clock, pump=pump)
@@ -67,7 +65,7 @@ class BathInAnyOrder(RuleBasedStateMachine):
         return (
             relay,
             listener,
-            PumpAt(f"{SCHEMES[relay.framing]}://127.0.0.1:{listener.port}", profile),
+            PumpAt(url_of(relay, listener), profile),
         )
 
     @rule(data=st.data(), on=st.booleans())
@@ -125,8 +123,7 @@ class BathInAnyOrder(RuleBasedStateMachine):
     @rule()
     def pull_the_cable(self) -> None:
         with self.lock:
-            for connection in list(self.emulator.hosts):
-                connection.hang_up()
+            self.emulator.pull_the_cable()
 
     @rule(seconds=st.sampled_from([0.2, 1.0, 7.0, 60.0, 600.0]))
     def wait(self, seconds: float) -> None:
@@ -287,3 +284,47 @@ def test_a_serial_device_answers_in_order() -> None:
                 machine.get()
     finally:
         machine.teardown()
+
+
+def connected(name: str, clock: VirtualClock) -> tuple[Watched, Listener, Bath]:
+    emulator = Watched(calm_plant(), load_profile(name), clock)
+    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
+    return (
+        emulator,
+        listener,
+        Bath(url_of(emulator, listener), emulator.profile, clock),
+    )
+
+
+@pytest.mark.parametrize("start_s", [26.60000000000002, 28.600000000000012, 62.300000000000054])
+def test_a_late_answer_stops_no_clock_whatever_the_rounding(start_s: float) -> None:
+    """Times that the rule machine found: a deadline and a late
+    answer, one step of rounding apart.
+    """
+    clock = MovingClock()
+    emulator, listener, bath = connected("julabo-presto", clock)
+    with closing(listener), closing(bath):
+        clock.sleep(start_s - clock.now())
+        emulator.late_s = 1.1
+        emulator.fault("late answer")
+        for _ in range(3):
+            with suppress(InstrumentError):
+                bath.get("set_point")
+        assert clock.now() > start_s + 3.0
+
+
+@pytest.mark.parametrize("name", ["watlow-pm-map1", "watlow-pm-map2"])
+@pytest.mark.parametrize("temp_c", [20.01, 20.03, 25.07, 33.03])
+def test_words_turned_behind_our_back_are_never_a_value(name: str, temp_c: float) -> None:
+    """20.03 degC with its words the other way round is 0.06 degC, which a bath may have; the set
+    point tells.
+    """
+    clock = MovingClock()
+    emulator, listener, bath = connected(name, clock)
+    with closing(listener), closing(bath):
+        bath.set_point(25.5)
+        emulator.plant.pv_c = temp_c
+        assert bath.read().temp_c == pytest.approx(temp_c)
+        emulator.fault("word order")
+        with pytest.raises(InstrumentError):
+            bath.read()

@@ -1,14 +1,18 @@
-"""The driver against the emulator over loopback: what it reads, sends and refuses."""
+"""The driver against the emulator over loopback: what it reads, sends and refuses; before anything is sent,
+at its first look, and to start."""
 
 from __future__ import annotations
 
 import itertools
+import math
 import struct
 
 import pytest
 
+from instruments.bath.driver import Bath
+from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.world.plant import Plant
-from tests.instruments.bath.stand import Stand
+from tests.instruments.bath.devices import Stand
 
 
 def test_a_reading_says_it_all(stand: Stand) -> None:
@@ -99,8 +103,7 @@ def test_heating_to_33_degc_and_back_to_standby(stand: Stand) -> None:
 
 def test_two_runs_read_the_same() -> None:
     def run() -> list[object]:
-        stand = Stand(plant=Plant(7))
-        try:
+        with Stand(plant=Plant(7)) as stand:
             bath = stand.bath()
             bath.start(33.0)
             readings: list[object] = []
@@ -108,7 +111,163 @@ def test_two_runs_read_the_same() -> None:
                 stand.clock.sleep(1.0)
                 readings.append(bath.read())
             return readings
-        finally:
-            stand.close()
 
     assert run() == run()
+
+
+# ---- refusals before anything is sent
+
+
+@pytest.mark.parametrize(
+    ("row", "value", "message"),
+    [
+        ("set_point", 36.5, "set_point takes 5 to 36 degC"),
+        ("set_point", math.nan, "set_point takes 5 to 36 degC"),
+        ("run", 7, r"run takes 0 \(standby\), 1 \(started\)"),
+        ("run", "on", "run has no value 'on'"),
+        ("unit", "f", "unit is read-only"),
+        ("temperature", 20.0, "temperature is read-only"),
+        ("pump_stage", 5, "pump_stage takes 1 to 4"),
+    ],
+)
+def test_what_the_profile_does_not_list_is_not_written(
+    stand: Stand, row: str, value: float | str, message: str
+) -> None:
+    bath = stand.bath()
+    with pytest.raises(LimitError, match=message) as caught:
+        bath.set(row, value)
+    assert str(caught.value).startswith(f"bath at {stand.url}")
+    assert not stand.emulator.writes()
+
+
+def test_a_set_point_out_of_bounds_does_not_start(stand: Stand) -> None:
+    with pytest.raises(LimitError, match="5 to 36"):
+        stand.bath().start(80.0)
+    assert not stand.emulator.writes()
+
+
+def test_a_row_that_the_family_lacks(stand: Stand) -> None:
+    bath = stand.bath()
+    for call in (lambda: bath.get("flow"), lambda: bath.set("flow", 1.0), bath.acknowledge):
+        with pytest.raises(
+            LimitError,
+            match=r"JULABO PRESTO has no '(flow|acknowledge)'\. It has: actuating, alarm, ",
+        ):
+            call()
+
+
+# ---- refusals at the first look
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "message"),
+    [
+        (
+            "fahrenheit",
+            DeviceError,
+            (
+                r"does not speak degC \(asked its unit, got f\)\. Set the controller to degrees"
+                r" Celsius"
+            ),
+        ),
+        (
+            "sensor break",
+            DeviceError,
+            r"has no temperature \(asked temperature, got alarm 5, working sensor",
+        ),
+        ("silence", LinkError, r"no answer \(asked holding registers 93 to 93, after 2 s\)"),
+        (
+            "busy",
+            DeviceError,
+            r"refused: it is busy \(asked holding registers 93 to 93, got Modbus exception 6\)",
+        ),
+        ("wrong length", ProtocolError, "0 registers were answered where 1 were asked"),
+    ],
+)
+def test_a_controller_that_does_not_fit_is_refused(
+    stand: Stand, fault: str, error: type[InstrumentError], message: str
+) -> None:
+    stand.emulator.fault(fault)
+    stand.clock.sleep(1.0)
+    with pytest.raises(error, match=message):
+        stand.bath()
+    assert not stand.emulator.writes()
+    stand.emulator.fault(fault, on=False)
+    assert stand.bath().read().temp_c == pytest.approx(20.0, abs=0.05)
+
+
+def test_a_code_of_order_that_nobody_knows_is_refused(stand: Stand) -> None:
+    codes = stand.profile.order_from
+    assert codes is not None
+    stand.profile = stand.profile.model_copy(
+        update={"order_from": codes.model_copy(update={"codes": {"9": "ABCD"}})}
+    )
+    with pytest.raises(
+        ProtocolError,
+        match=r"order of bytes is none that the profile knows \(asked encoding, got 0\)",
+    ):
+        stand.bath()
+
+
+def test_gaps_that_the_controller_refuses_are_left_out(stand: Stand) -> None:
+    stand.emulator.fault("gaps refused")
+    bath = stand.bath()
+    stand.emulator.asked.clear()
+    assert bath.read().safety_c == pytest.approx(20.0)
+    assert [address for _, _, address in stand.emulator.asked] == [0, 2, 90, 93, 5, 10, 16]
+
+
+def test_a_url_that_is_none(stand: Stand) -> None:
+    with pytest.raises(
+        LinkError,
+        match=r'bath at tpc://h:1: "tpc://" is no link to a Modbus device; did you mean "tcp://"',
+    ):
+        Bath("tpc://h:1", stand.profile, stand.clock)
+
+
+def test_a_family_that_does_not_speak_tcp(stand: Stand) -> None:
+    stand.profile = stand.profile.model_copy(update={"transports": ("rtu",)})
+    with pytest.raises(
+        LinkError,
+        match=(
+            r"JULABO PRESTO does not speak Modbus TCP\. It has: rtu\+tcp://host:port or a serial"
+            r" port"
+        ),
+    ):
+        stand.bath()
+
+
+def test_nobody_there_is_said_after_some_tries(stand: Stand) -> None:
+    with pytest.raises(
+        LinkError, match=r"nothing took the connection in 6 tries: .+ \(after 3\.1 s\)"
+    ):
+        Bath("tcp://127.0.0.1:1", stand.profile, stand.clock)
+    with pytest.raises(LinkError, match="nothing took the connection"):
+        Bath("tcp://no-such-host.invalid:502", stand.profile, stand.clock)
+
+
+# ---- refusals to start
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"), [("low level", "alarm 1, low level"), ("sensor break", "working sensor")]
+)
+def test_no_heat_with_an_alarm(stand: Stand, fault: str, message: str) -> None:
+    bath = stand.bath()
+    stand.emulator.fault(fault)
+    stand.clock.sleep(1.0)
+    with pytest.raises(DeviceError, match=message):
+        bath.start(33.0)
+    assert not stand.emulator.writes()
+    assert not stand.plant.running
+
+
+def test_a_write_that_does_not_stand_is_told(stand: Stand) -> None:
+    bath = stand.bath()
+    stand.emulator.fault("manual mode")
+    assert bath.read().remote is False
+    with pytest.raises(
+        DeviceError, match=r"did not do it \(asked set_point = 33, got set_point = 20\).*'manual'"
+    ):
+        bath.start(33.0)
+    assert not stand.plant.running

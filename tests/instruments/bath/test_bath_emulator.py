@@ -1,58 +1,30 @@
-"""The emulated controller by its bytes, typed from the Modbus specification and the fact sheet, and
-by an independent client.
+"""The emulated controller by its bytes, over TCP and RTU, typed from the Modbus specification and the
+fact sheet; and by an independent client.
 """
 
 from __future__ import annotations
 
 import itertools
-import socket
 import threading
-from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import closing
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymodbus.client import ModbusTcpClient
+from pymodbus.framer import FramerRTU
 
-from instruments.bath import protocol
-from instruments.bath.emulator import FAULTS, BathEmulator
-from instruments.bath.profile import load_profile
-from instruments.clock import VirtualClock
-from instruments.listener import Connection, Listener
-from instruments.world.plant import Plant, PlantConstants
+from instruments.bath.emulator import FAULTS
+from instruments.bath.protocol import Frame, RtuReader, crc, framed
+from instruments.listener import Listener
+from tests.instruments.bath.devices import Asked, Wire
 
-
-@dataclass
-class Stand:
-    plant: Plant
-    emulator: BathEmulator
-    listener: Listener
-    clock: VirtualClock
-
-    def runs(self) -> bool:
-        return self.plant.running
-
-    def ask(self, text: str, answers: int = 1) -> str:
-        """Hex bytes to a fresh connection; hex of what comes back, which is nothing when it hangs
-        up or stays silent.
-        """
-        with socket.create_connection(("127.0.0.1", self.listener.port), timeout=5.0) as link:
-            link.sendall(bytes.fromhex(text))
-            link.shutdown(socket.SHUT_WR)
-            data = b""
-            while more := link.recv(4096):
-                data += more
-        return data.hex(" ").upper()
+# ---- Modbus TCP
 
 
 @pytest.fixture
-def stand() -> Iterator[Stand]:
-    clock, plant = VirtualClock(), Plant(1, constants=PlantConstants(sensor_noise_k=0.0))
-    emulator = BathEmulator(plant, load_profile("julabo-presto"), clock)
-    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
-    yield Stand(plant, emulator, listener, clock)
-    listener.close()
+def tcp() -> Asked:
+    return Asked("julabo-presto", framing="tcp")
 
 
 FAHRENHEIT = "00 1C 00 00 00 07 01 04 04 42 88 00 00"  # 68
@@ -108,55 +80,50 @@ POLLED = " 41 A0 00 00 41 A0 00 00 00 00 00 00 41 A0 00 00"
         ("001A 0000 0001 01", ""),
     ],
 )
-def test_bytes_on_the_wire(stand: Stand, request_: str, answer: str) -> None:
-    assert stand.ask(request_) == answer
+def test_bytes_on_the_wire(tcp: Asked, request_: str, answer: str) -> None:
+    assert tcp.ask_tcp(request_) == answer
 
 
-def test_a_value_written_acts(stand: Stand) -> None:
-    stand.ask("0001 0000 000B 01 10 0002 0002 04 4204 0000 0002 0000 0006 01 06 0000 0001")
-    assert stand.runs()
-    assert stand.plant.set_point_c == 33.0
-    stand.clock.sleep(3600.0)
-    stand.ask("0003 0000 0006 01 04 000A 0002")  # looking moves the plant on
-    assert stand.plant.pv_c == pytest.approx(33.0, abs=0.05)
-    stand.ask("0001 0000 0006 01 06 0000 0000")
-    assert not stand.runs()
+@pytest.mark.parametrize("request_", ["0018 0001 0006 01 04 000A 0002", "0019 0000 FFFF 01 04"])
+def test_it_hangs_up_on_what_is_no_modbus(tcp: Asked, request_: str) -> None:
+    assert tcp.wire.send(bytes.fromhex(request_)) == b""
+    assert not tcp.wire.sink.open
 
 
-def test_registers_written_together_are_all_or_nothing(stand: Stand) -> None:
-    assert (
-        stand.ask("0001 0000 000F 01 10 0000 0004 08 0001 0009 4204 0000")
-        == "00 01 00 00 00 03 01 90 03"
+def test_a_value_written_acts(tcp: Asked) -> None:
+    tcp.ask_tcp("0001 0000 000B 01 10 0002 0002 04 4204 0000 0002 0000 0006 01 06 0000 0001")
+    assert tcp.plant.running
+    assert tcp.plant.set_point_c == 33.0
+    tcp.clock.sleep(3600.0)
+    tcp.ask_tcp("0003 0000 0006 01 04 000A 0002")  # looking moves the plant on
+    assert tcp.plant.pv_c == pytest.approx(33.0, abs=0.05)
+    tcp.ask_tcp("0001 0000 0006 01 06 0000 0000")
+    assert not bool(tcp.plant.running)
+
+
+def test_registers_written_together_are_all_or_nothing(tcp: Asked) -> None:
+    wrong, right = (
+        f"0001 0000 000F 01 10 0000 0004 08 0001 {code} 4204 0000" for code in ("0009", "0000")
     )
-    assert not stand.runs()
-    assert (
-        stand.ask("0001 0000 000F 01 10 0000 0004 08 0001 0000 4204 0000")
-        == "00 01 00 00 00 06 01 10 00 00 00 04"
-    )
-    assert stand.runs()
-    assert stand.plant.set_point_c == 33.0
+    assert tcp.ask_tcp(wrong) == "00 01 00 00 00 03 01 90 03"
+    assert not tcp.plant.running
+    assert tcp.ask_tcp(right) == "00 01 00 00 00 06 01 10 00 00 00 04"
+    assert (tcp.plant.running, tcp.plant.set_point_c) == (True, 33.0)
 
 
-def test_in_manual_mode_writes_are_confirmed_and_do_nothing(stand: Stand) -> None:
-    stand.emulator.fault("manual mode")
-    assert stand.ask("0001 0000 0006 01 06 0000 0001") == "00 01 00 00 00 06 01 06 00 00 00 01"
-    assert not stand.runs()
-    assert stand.ask("0002 0000 0006 01 04 0005 0001") == "00 02 00 00 00 05 01 04 02 00 00"
+def test_in_manual_mode_writes_are_confirmed_and_do_nothing(tcp: Asked) -> None:
+    tcp.emulator.fault("manual mode")
+    assert tcp.ask_tcp("0001 0000 0006 01 06 0000 0001") == "00 01 00 00 00 06 01 06 00 00 00 01"
+    assert not tcp.plant.running
+    assert tcp.ask_tcp("0002 0000 0006 01 04 0005 0001") == "00 02 00 00 00 05 01 04 02 00 00"
 
 
-def test_digital_power_does_not_follow_the_set_point(stand: Stand) -> None:
-    stand.ask("0001 0000 000F 01 10 0000 0004 08 0001 0001 4204 0000")
-    stand.clock.sleep(600.0)
-    stand.ask("0002 0000 0006 01 04 000A 0002")
-    assert stand.plant.bath_c < 20.2
-
-
-def test_pump_stage_and_heating_limit_reach_the_plant(stand: Stand) -> None:
-    stand.ask("0001 0000 0006 01 06 0034 0002 0002 0000 0006 01 06 0029 0028")
-    assert stand.plant.flow_l_per_min == pytest.approx(3.0)
-    assert stand.plant.output_max == pytest.approx(0.4)
-    assert stand.ask("0003 0000 0006 01 03 0034 0001") == "00 03 00 00 00 05 01 03 02 00 02"
-    assert stand.ask("0004 0000 0006 01 03 0029 0001") == "00 04 00 00 00 05 01 03 02 00 28"
+def test_pump_stage_and_heating_limit_reach_the_plant(tcp: Asked) -> None:
+    tcp.ask_tcp("0001 0000 0006 01 06 0034 0002 0002 0000 0006 01 06 0029 0028")
+    assert tcp.plant.flow_l_per_min == pytest.approx(3.0)
+    assert tcp.plant.output_max == pytest.approx(0.4)
+    assert tcp.ask_tcp("0003 0000 0006 01 03 0034 0001") == "00 03 00 00 00 05 01 03 02 00 02"
+    assert tcp.ask_tcp("0004 0000 0006 01 03 0029 0001") == "00 04 00 00 00 05 01 03 02 00 28"
 
 
 @pytest.mark.parametrize(
@@ -177,16 +144,16 @@ def test_pump_stage_and_heating_limit_reach_the_plant(stand: Stand) -> None:
         ("low level", "0001 0000 0006 01 04 0006 0001", "00 01 00 00 00 05 01 04 02 00 01"),
     ],
 )
-def test_faults_by_name(stand: Stand, fault: str, request_: str, answer: str) -> None:
-    healthy = stand.ask(request_)
-    stand.emulator.fault(fault)
-    stand.clock.sleep(1.0)
-    assert stand.ask(request_) == answer != healthy
-    stand.emulator.fault(fault, on=False)
-    stand.plant.acknowledge()
-    stand.clock.sleep(1.0)
-    assert stand.ask(request_) == healthy
-    assert stand.emulator.faults == frozenset()
+def test_faults_by_name(tcp: Asked, fault: str, request_: str, answer: str) -> None:
+    healthy = tcp.ask_tcp(request_)
+    tcp.emulator.fault(fault)
+    tcp.clock.sleep(1.0)
+    assert tcp.ask_tcp(request_) == answer != healthy
+    tcp.emulator.fault(fault, on=False)
+    tcp.plant.acknowledge()
+    tcp.clock.sleep(1.0)
+    assert tcp.ask_tcp(request_) == healthy
+    assert tcp.emulator.faults == frozenset()
 
 
 @pytest.mark.parametrize(
@@ -197,21 +164,24 @@ def test_faults_by_name(stand: Stand, fault: str, request_: str, answer: str) ->
         ("pump stopped", "stopped_pump"),
     ],
 )
-def test_faults_of_the_plant(stand: Stand, fault: str, attribute: str) -> None:
-    stand.emulator.fault(fault)
-    assert getattr(stand.plant, attribute) is True
-    stand.emulator.fault(fault, on=False)
-    assert getattr(stand.plant, attribute) is False
+def test_faults_of_the_plant(tcp: Asked, fault: str, attribute: str) -> None:
+    for on in (True, False):
+        tcp.emulator.fault(fault, on=on)
+        assert getattr(tcp.plant, attribute) is on
 
 
-def test_an_unknown_fault_is_refused(stand: Stand) -> None:
+def test_an_unknown_fault_is_refused(tcp: Asked) -> None:
     with pytest.raises(ValueError, match="no fault 'gremlins'; there are silence, busy"):
-        stand.emulator.fault("gremlins")
+        tcp.emulator.fault("gremlins")
     assert len(set(FAULTS)) == len(FAULTS)
 
 
-def test_an_independent_client_reads_and_writes(stand: Stand) -> None:
-    with ModbusTcpClient("127.0.0.1", port=stand.listener.port, timeout=5, retries=0) as client:
+def test_an_independent_client_reads_and_writes(tcp: Asked) -> None:
+    listener = Listener(tcp.emulator, tcp.clock, lock=threading.RLock(), name="bath")
+    with (
+        closing(listener),
+        ModbusTcpClient("127.0.0.1", port=listener.port, timeout=5, retries=0) as client,
+    ):
 
         def number(registers: list[int]) -> object:
             return client.convert_from_registers(
@@ -223,8 +193,8 @@ def test_an_independent_client_reads_and_writes(stand: Stand) -> None:
         assert not client.write_registers(2, registers).isError()
         assert not client.write_register(0, 1).isError()
         assert number(client.read_holding_registers(2, count=2).registers) == 33.5
-        assert stand.plant.set_point_c == 33.5
-        stand.clock.sleep(60.0)
+        assert tcp.plant.set_point_c == 33.5
+        tcp.clock.sleep(60.0)
         assert 20.5 < float(str(number(client.read_input_registers(10, count=2).registers))) < 22.5
         assert client.read_input_registers(14, count=1).registers == [100]
         assert client.read_input_registers(99, count=1).exception_code == 2
@@ -232,30 +202,10 @@ def test_an_independent_client_reads_and_writes(stand: Stand) -> None:
         assert client.read_input_registers(0, count=2).registers == [0, 10400]
 
 
-class Sink:
-    """Takes what a device sends."""
-
-    def __init__(self) -> None:
-        self.got = b""
-        self.open = True
-
-    def send(self, data: bytes) -> None:
-        self.got += data
-
-    def hang_up(self) -> None:
-        self.open = False
-
-
-def answers_to(pieces: list[bytes]) -> bytes:
+def answers_to(*pieces: bytes) -> bytes:
     """What the device sends when its bytes come in these pieces."""
-    emulator = BathEmulator(Plant(1), load_profile("julabo-presto"), VirtualClock())
-    sink = Sink()
-    connection: Connection = sink  # type: ignore[assignment]
-    emulator.connect(connection)
-    for piece in pieces:
-        emulator.receive(connection, piece)
-    emulator.disconnect(connection)
-    return sink.got
+    asked = Asked("julabo-presto", framing="tcp")
+    return b"".join(asked.wire.send(piece) for piece in pieces)
 
 
 # fmt: off - a message a line
@@ -273,18 +223,18 @@ SAID = bytes.fromhex(
 @given(cuts=st.lists(st.integers(0, len(STREAM))))
 def test_bytes_may_be_cut_anywhere(cuts: list[int]) -> None:
     edges = [0, *sorted(cuts), len(STREAM)]
-    assert answers_to([STREAM[a:b] for a, b in itertools.pairwise(edges)]) == SAID
+    assert answers_to(*(STREAM[a:b] for a, b in itertools.pairwise(edges))) == SAID
 
 
 def test_bytes_one_by_one_and_with_a_rest() -> None:
-    assert answers_to([bytes((byte,)) for byte in STREAM]) == SAID
-    assert answers_to([STREAM + STREAM[:5]]) == SAID
+    assert answers_to(*(bytes((byte,)) for byte in STREAM)) == SAID
+    assert answers_to(STREAM + STREAM[:5]) == SAID
 
 
 @settings(max_examples=300)
 @given(pdu=st.binary(min_size=1, max_size=253))
 def test_any_request_gets_one_whole_answer(pdu: bytes) -> None:
-    answer = answers_to([protocol.Frame(7, 1, b"").answer(pdu)])
+    answer = answers_to(Frame(1, b"", 7).answer(pdu))
     assert int.from_bytes(answer[4:6], "big") == len(answer) - 6
     assert answer[:4] == bytes.fromhex("0007 0000")
     assert answer[6] == 1
@@ -293,4 +243,175 @@ def test_any_request_gets_one_whole_answer(pdu: bytes) -> None:
 
 @given(data=st.binary(max_size=600))
 def test_garbage_never_crashes_it(data: bytes) -> None:
-    answers_to([data])
+    answers_to(data)
+
+
+# ---- Modbus RTU
+
+# From the serial-line guide (status query to unit 2) and Modbus primers that many a maker prints.
+GOLDEN = [
+    "02 07 41 12",
+    "01 04 02 FF FF B8 80",
+    "11 03 00 6B 00 03 76 87",
+    "11 06 00 01 00 03 9A 9B",
+    "11 05 00 AC FF 00 4E 8B",
+]
+
+
+@pytest.mark.parametrize("frame", GOLDEN)
+def test_check_sums_as_printed(frame: str) -> None:
+    data = bytes.fromhex(frame)
+    assert framed(data[0], data[1:-2]) == data
+    assert crc(data) == 0
+
+
+@given(data=st.binary(max_size=256))
+def test_another_implementation_agrees_on_every_check_sum(data: bytes) -> None:
+    assert crc(data) == int.from_bytes(FramerRTU.compute_CRC(data).to_bytes(2, "big"), "little")
+
+
+# fmt: off - a request a line: each function with a length of its own, and one that nobody knows
+REQUESTS = [
+    framed(1, bytes.fromhex(pdu))
+    for pdu in (
+        "03 0002 0002",
+        "04 000A 0001",
+        "06 0000 0001",
+        "10 0002 0002 04 4204 0000",
+        "05 0814 FF00",
+        "0F 0000 0009 02 FF 01",
+        "07",
+        "08 0000 1234",
+        "16 0004 00F2 0025",
+        "17 0000 0001 0002 0001 02 0001",
+        "11",
+        "2B 0E 01 00",
+    )
+]
+# fmt: on
+
+
+def frames(pieces: list[bytes]) -> list[bytes]:
+    reader = RtuReader()
+    return [framed(frame.unit, frame.pdu) for piece in pieces for frame in reader.feed(piece, 0.0)]
+
+
+@pytest.mark.parametrize("request_", REQUESTS)
+def test_each_request_ends_where_it_ends(request_: bytes) -> None:
+    assert frames([request_]) == [request_]
+    assert frames([bytes((byte,)) for byte in request_]) == [request_]
+    assert frames([request_, REQUESTS[0][:3]]) == [request_]
+
+
+@given(
+    order=st.lists(st.sampled_from(REQUESTS[:-1]), min_size=1, max_size=4),
+    cuts=st.lists(st.integers(0, 60)),
+)
+def test_rtu_may_be_cut_anywhere(order: list[bytes], cuts: list[int]) -> None:
+    stream = b"".join(order)
+    edges = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
+    assert frames([stream[a:b] for a, b in itertools.pairwise(edges)]) == order
+
+
+@given(data=st.binary(max_size=600))
+def test_garbage_never_crashes_it_and_silence_cures_it(data: bytes) -> None:
+    reader = RtuReader()
+    list(reader.feed(data, 0.0))
+    assert list(reader.feed(REQUESTS[0], 0.06)) == [Frame(1, bytes.fromhex("03 0002 0002"))]
+
+
+@given(at=st.integers(0, 7), bit=st.integers(0, 7))
+def test_no_frame_with_a_flipped_bit_is_heard(at: int, bit: int) -> None:
+    broken = bytearray(REQUESTS[0])
+    broken[at] ^= 1 << bit
+    assert frames([bytes(broken)]) == []
+
+
+def test_after_a_broken_frame_it_is_deaf_until_the_line_was_quiet() -> None:
+    reader = RtuReader()
+    broken = REQUESTS[0][:-1] + b"\0"
+    assert list(reader.feed(broken + REQUESTS[1], 0.0)) == []
+    assert list(reader.feed(REQUESTS[1], 0.04)) == []
+    assert len(list(reader.feed(REQUESTS[1], 0.10))) == 1
+
+
+def test_half_a_request_is_forgotten() -> None:
+    reader = RtuReader()
+    assert list(reader.feed(REQUESTS[0][:5], 0.0)) == []
+    assert len(list(reader.feed(REQUESTS[1], 1.0))) == 1
+
+
+def test_a_count_that_no_frame_can_hold_is_no_frame() -> None:
+    assert frames([bytes.fromhex("01 10 0002 0002 FF") + bytes(259)]) == []
+
+
+@pytest.fixture
+def rtu() -> Asked:
+    return Asked("julabo-presto")
+
+
+def said(pdu: str) -> str:
+    return framed(1, bytes.fromhex(pdu)).hex(" ").upper()
+
+
+TWENTY = "01 04 04 41 A0 00 00 EF 9A"  # check sum and all
+ASKED = framed(1, bytes.fromhex("04 000A 0002"))
+
+
+def shown(wire: Wire, request: bytes = ASKED) -> str:
+    return wire.send(request).hex(" ").upper()
+
+
+def test_rtu_on_the_wire(rtu: Asked) -> None:
+    assert shown(rtu.wire) == TWENTY
+    assert shown(rtu.wire, framed(1, bytes.fromhex("06 0000 0001"))) == "01 06 00 00 00 01 48 0A"
+    assert rtu.plant.running
+    write = framed(1, bytes.fromhex("10 0002 0002 04 4204 0000"))
+    assert shown(rtu.wire, write) == "01 10 00 02 00 02 E0 08"
+    assert rtu.plant.set_point_c == 33.0
+    assert rtu.ask("04 0063 0001") == "84 02"
+    assert rtu.ask("01 0000 0001") == "81 01"
+
+
+@pytest.mark.parametrize(("unit", "acts"), [(2, False), (0, True)])
+def test_another_unit_and_what_is_for_all_units(rtu: Asked, unit: int, acts: bool) -> None:
+    """Unit 0 is for all: it is done, and not answered."""
+    assert rtu.ask("06 0000 0001", unit=unit) == ""
+    assert rtu.plant.running == acts
+
+
+@pytest.mark.parametrize(
+    ("fault", "answer"),
+    [
+        ("garbage", "00 01 04 04 41 A0 00 00 EF 9A"),
+        ("bad CRC", "01 04 04 41 A0 00 00 EF 65"),
+        ("silence", ""),
+        ("busy", "01 84 06 C3 02"),
+        ("wrong length", said("04 02 41A0")),
+        ("surplus", said("04 06 41A0 0000 0000")),
+        ("controller reset", ""),
+        ("late answer", ""),
+    ],
+)
+def test_faults_of_the_wire(rtu: Asked, fault: str, answer: str) -> None:
+    rtu.emulator.fault(fault)
+    assert fault in rtu.emulator.faults
+    assert shown(rtu.wire) == answer
+    rtu.emulator.fault(fault, on=False)
+    assert rtu.emulator.faults == frozenset()
+    if fault == "late answer":
+        rtu.clock.sleep(1.499)
+        assert rtu.wire.sink.got == b""
+        rtu.clock.sleep(0.002)
+        assert rtu.wire.sink.got.hex(" ").upper() == TWENTY
+    assert shown(rtu.wire) == TWENTY
+
+
+def test_the_garbage_is_not_always_the_same(rtu: Asked) -> None:
+    rtu.emulator.fault("garbage")
+    assert [shown(rtu.wire)[:2] for _ in range(5)] == ["00", "FF", "01", "03", "00"]
+
+
+def test_a_new_connection_is_a_new_line(rtu: Asked) -> None:
+    rtu.wire.send(ASKED[:4])
+    assert shown(Wire(rtu.emulator, rtu.clock)) == TWENTY

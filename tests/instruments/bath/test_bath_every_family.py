@@ -1,22 +1,28 @@
-"""Rules that hold for every shipped family, each seen through driver and emulator: who is refused,
-and what is never written.
-"""
+"""Rules that hold for every shipped family, seen through driver and emulator: who is refused, and what is
+never written; what its alarms say, and which profiles are refused."""
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from pathlib import Path
 
 import pytest
 
 from instruments.bath.driver import Bath
-from instruments.bath.profile import Profile, load_profile, profile_names
+from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.listener import Listener
-from instruments.world.plant import Plant, PlantConstants
-from tests.instruments.bath.stand import Watched
+from tests.instruments.bath.devices import Watched, calm_plant
+from tests.instruments.bath.far_end import bath_on, shown_by
+from tests.instruments.bath.test_bath_profile import (
+    BROWSED,
+    EUROTHERM_MEMORY,
+    OMEGA_MEMORY,
+)
 
 NAMES = profile_names()
 BOTH = {"transports": ("tcp", "rtu")}  # so that any driver can meet any controller
@@ -32,7 +38,7 @@ def met(
     """A controller of the family ``other`` (its own by default), and the profile ``name`` to meet
     it with, over TCP.
     """
-    clock, plant = VirtualClock(), Plant(1, constants=PlantConstants(sensor_noise_k=0.0))
+    clock, plant = VirtualClock(), calm_plant()
     served = load_profile(other or name).model_copy(update=BOTH)
     emulator = Watched(plant, served, clock)
     if warm:
@@ -59,13 +65,7 @@ def test_no_inferred_row_is_written_or_polled_unless_the_rig_says_so(name: str) 
         for row in profile.rows:
             if row.evidence != "INFERRED" or row.access == "r":
                 continue
-            value = (
-                float(next(iter(row.values.values())))
-                if row.values
-                else row.range[0]
-                if row.range
-                else 0.0
-            )
+            value = float(next(iter((*row.values.values(), *(row.range or (0.0,))))))
             with pytest.raises(
                 LimitError, match=f"not written: the profile only infers where {row.name} is"
             ):
@@ -155,7 +155,8 @@ def test_another_unit_is_silence(name: str) -> None:
         with pytest.raises(LinkError, match="no answer"):
             Bath(f"{url}?unit=2", profile, clock)
         assert emulator.writes() == []
-        with closing(Bath(url, profile, clock)) as bath:
+        emulator.unit_id = 2
+        with closing(Bath(f"{url}?unit=2", profile, clock)) as bath:
             assert bath.read().temp_c == pytest.approx(20.0)
 
 
@@ -163,12 +164,10 @@ def test_another_unit_is_silence(name: str) -> None:
 def test_a_port_that_drops_comes_back(name: str) -> None:
     with met(name) as (emulator, url, profile, clock), closing(Bath(url, profile, clock)) as bath:
         for _ in range(3):
-            for connection in list(emulator.hosts):
-                connection.hang_up()
+            emulator.pull_the_cable()
             assert bath.read().temp_c == pytest.approx(20.0)
         bath.start(33.0)
-        for connection in list(emulator.hosts):
-            connection.hang_up()
+        emulator.pull_the_cable()
         bath.safe()
         assert not emulator.plant.running
 
@@ -222,6 +221,10 @@ def test_words_the_other_way_round_are_refused_or_learnt(name: str) -> None:
             with closing(Bath(url, profile, clock)) as bath:
                 assert bath.read().temp_c == pytest.approx(20.0)
                 assert bath.identity["order"] == "CDAB"
+                assert emulator.writes() == []
+                bath.start(33.0)
+                assert emulator.plant.set_point_c == 33.0
+                return
         else:
             turned = "ABCD" if profile.order == "CDAB" else "CDAB"
             with pytest.raises(
@@ -239,7 +242,8 @@ def test_words_the_other_way_round_are_refused_or_learnt(name: str) -> None:
 def test_words_turned_behind_our_back_are_noticed_and_nothing_written(name: str) -> None:
     with met(name) as (emulator, url, profile, clock), closing(Bath(url, profile, clock)) as bath:
         emulator.fault("word order")
-        with pytest.raises(ProtocolError):
+        changed = r"order of bytes has changed \(asked encoding, got 3\)"
+        with pytest.raises(ProtocolError, match=changed if name == LEARNT else "can't be"):
             bath.set_point(33.0)
         assert emulator.writes() == []
         if name == LEARNT:
@@ -264,3 +268,207 @@ def test_a_pump_that_the_family_lacks_is_never_made_up(name: str) -> None:
             for row in ("pump", "pump_stage"):
                 with pytest.raises(LimitError, match=f"has no '{row}'"):
                     bath.set(row, 1.0)
+
+
+MAP_2 = dict(
+    zip(
+        (30, 360, 361, 362, 1896, 2308, 2360, 2408, 2640, 2641),
+        (138, 0, 0x41A0, 61, 61, 15, 62, 61, 0, 0x41A0),
+        strict=True,
+    )
+)
+
+
+# ---- who is refused
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        (
+            "eurotherm-2400",
+            {122: 0x3216},
+            r"it is no Eurotherm 2400 .*hexadecimal 3216.*Is it a 3200",
+        ),
+        ("eurotherm-3200", {}, r"it is no Eurotherm 3200 .*hexadecimal 2416.*Is it a 2400"),
+        ("eurotherm-2400", {516: 1}, r"does not speak degC \(asked its unit, got f\)"),
+        ("watlow-pm-map1", {2490: 30}, r"does not speak degC \(asked its unit, got f\)"),
+        (
+            "watlow-pm-map1",
+            {1880: 0, 1881: 0x4296},
+            r"it is no Watlow EZ-ZONE PM map 1 .*Is it map 2",
+        ),
+        ("watlow-pm-map2", {}, r"it is no Watlow EZ-ZONE PM map 2 .*Is it map 1"),
+        ("omega-cn7", {0x1005: 0x1234}, r"it is no Omega CN7 .*1234"),
+    ],
+)
+def test_another_controller_is_refused_before_anything_is_written(
+    name: str, changes: dict[int, int], message: str
+) -> None:
+    memory = next(known for other, known in BROWSED.items() if other[:5] == name[:5]) | changes
+    assert message_at_the_first_look(name, memory, DeviceError, message)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        (
+            "watlow-pm-map1",
+            {360: 0x41A0, 361: 0},
+            r"temperature can't be.*In the order ABCD it would be 20\.0 degC: set order",
+        ),
+        (
+            "watlow-pm-map1",
+            {360: 0x0000, 361: 0x42B6},
+            r"temperature can't be.*91 degC.*In degF it would be 32\.8 degC",
+        ),
+        (
+            "eurotherm-2400",
+            {0x8002: 0x0000, 0x8003: 0x41A0},
+            r"temperature can't be.*In the order CDAB it would be 20\.0 degC",
+        ),
+        (
+            "omega-cn7",
+            {0x1000: 680},
+            r"temperature can't be.*68 degC.*In degF it would be 20\.0 degC",
+        ),
+    ],
+)
+def test_the_wrong_order_or_unit_is_refused_with_what_it_may_be(
+    name: str, changes: dict[int, int], message: str
+) -> None:
+    assert message_at_the_first_look(name, BROWSED[name] | changes, ProtocolError, message)
+
+
+def message_at_the_first_look(
+    name: str, memory: dict[int, int], error: type[Exception], message: str
+) -> bool:
+    with shown_by(memory) as (far_end, url):
+        with pytest.raises(error, match=message):
+            Bath(url, load_profile(name), far_end.clock)
+        return all(pdu[0] not in (5, 6, 16) for pdu in far_end.asked)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "text"),
+    [
+        ("eurotherm-2400", {75: 0x0020, 0x8002: 0x447A}, "alarm 32, sensor break"),
+        ("omega-cn7", {0x1000: 0x8003}, r"alarm 32771, sensor not connected \(meaning inferred\)"),
+    ],
+)
+def test_a_broken_sensor_is_told_by_its_alarm(
+    name: str, changes: dict[int, int], text: str
+) -> None:
+    assert message_at_the_first_look(
+        name, BROWSED[name] | changes, DeviceError, rf"no temperature .*{text}"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "alarm", "text"),
+    [
+        ("eurotherm-2400", {75: 0x0010}, 0, ""),  # manual: no alarm
+        (
+            "eurotherm-2400",
+            {75: 0x00C1},
+            0xC1,
+            "alarm 193, alarm 1 and loop break and heater failed",
+        ),
+        ("watlow-pm-map2", {1896: 7}, 7, "alarm 7, alarm 1 high"),
+        ("watlow-pm-map2", {1896: 88}, 0, ""),
+        ("watlow-pm-map2", {2408: 1274}, 1274, "alarm 1274, open loop"),
+        ("watlow-pm-map2", {362: 99}, 99, "alarm 99, see the controller's manual"),
+    ],
+)
+def test_alarms_of_each_kind(name: str, changes: dict[int, int], alarm: int, text: str) -> None:
+    memory = (MAP_2 if "map2" in name else EUROTHERM_MEMORY) | changes
+    with bath_on(name, memory) as (_, bath):
+        reading = bath.read()
+        assert reading.alarm == alarm
+        if alarm:
+            assert bath.profile.alarm_text(alarm) == text
+            with pytest.raises(DeviceError, match=f"not started: {text}"):
+                bath.start(33.0)
+
+
+def test_a_family_without_a_pump_has_no_calls_for_one() -> None:
+    with bath_on("omega-cn7", OMEGA_MEMORY) as (_, bath):
+        assert bath.pump == "none"
+        for name in ("pump_stage", "pump"):
+            with pytest.raises(LimitError, match=f"Omega CN7 has no '{name}'"):
+                bath.set(name, 1.0)
+        assert (bath.read().safety_c, bath.read().external_c) == (None, None)
+
+
+def test_a_rounded_set_point_stands_and_is_not_written_again() -> None:
+    with bath_on("eurotherm-2400", EUROTHERM_MEMORY) as (far_end, bath):
+        good = [bytes] * 5  # a poll, and the look whether it stands already
+        # 33.04 becomes 33.0
+        far_end.spoils = [
+            *good,
+            lambda f: (far_end.memory.update({0x8004: 0x4204, 0x8005: 0}), f)[1],
+        ]
+        bath.set_point(33.04)
+        count = len(far_end.asked)
+        bath.set_point(33.04)
+        assert all(pdu[0] == 3 for pdu in far_end.asked[count:])
+        # what was confirmed is not done
+        far_end.spoils = [*good, lambda f: (far_end.memory.update({0x8004: 0x41A0}), f)[1]]
+        with pytest.raises(
+            DeviceError, match=r"did not do it \(asked set_point = 34, got set_point = 20\)"
+        ):
+            bath.set_point(34.0)
+
+
+# ---- profiles that are refused
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        (
+            "eurotherm-2400",
+            "address = 0x8004",
+            "address = 0x8003",
+            "from 32768 on, rows take two registers at an even address",
+        ),
+        (
+            "eurotherm-2400",
+            "functions = [3, 4, 16]",
+            "functions = [3, 4, 6]",
+            "none of the functions 3, 4, 6 writes f32",
+        ),
+        (
+            "omega-cn7",
+            "functions = [2, 3, 5, 6]",
+            "functions = [3, 5, 6]",
+            "none of the functions 3, 5, 6 reads table coil",
+        ),
+        ("omega-cn7", "functions = [2, 3, 5, 6]", "functions = [2, 3, 7]", "functions"),
+        ("watlow-pm-map1", 'row = "run"', 'row = "rum"', "there is no row 'rum'"),
+        (
+            "watlow-pm-map1",
+            "seen = { manual = 54 }",
+            "seen = { manual = 10 }",
+            "mean the same code",
+        ),
+        ("omega-cn7", "not_yet = 0x8002", "not_yet = 0x18002", "is no register of 16 bits"),
+        (
+            "omega-cn7",
+            'control = "pid"',
+            'control = "manual"',
+            "that may be written with the value 'manual'",
+        ),
+    ],
+)
+def test_a_familys_rules_are_checked(
+    tmp_path: Path, name: str, old: str, new: str, message: str
+) -> None:
+    text = (Path(__file__).parents[3] / f"instruments/bath/profiles/{name}.toml").read_text(
+        encoding="utf-8"
+    )
+    assert old in text
+    path = tmp_path / "own.toml"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ProfileError, match=re.escape(message)):
+        load_profile(path)

@@ -55,14 +55,8 @@ def test_a_profile_of_its_own(rig: Path) -> None:
             "address = 1881",
             "alarm1_low at holding 1881 overlaps alarm1_high at 1880",
         ),
-        ("address = 2362", "address = 2360", "run_active at holding 2360 overlaps run at 2360"),
         ('order = "CDAB"', 'order = "CDBA"', "CDBA"),
         ("address = 2640", "address = 70000", "less than or equal to 65535"),
-        (
-            "address = 2640",
-            "address = 65535",
-            "set_point: address 65535 leaves no room for 2 registers",
-        ),
         ("range = [5.0, 36.0]", "range = [36.0, 5.0]", "is empty"),
         ('row = "device_status"', 'row = "divice_status"', "there is no row 'divice_status'"),
         (
@@ -70,7 +64,6 @@ def test_a_profile_of_its_own(rig: Path) -> None:
             'comms_loss = "maybe"',
             "'hold', 'stop', 'safe_setpoint' or 'unknown'",
         ),
-        ('pump = "none"', 'pump = "perhaps"', "'none', 'with run' or 'own'"),
         ('family = "', 'famly = "', "Extra inputs"),
     ],
 )
@@ -85,16 +78,6 @@ def test_a_fault_of_the_profile_is_shown_in_its_line(
     heads = [own.read_text(encoding="utf-8").split("\n")[at - 1] for at in shown]
     assert line in shown or "[[rows]]" in heads, said  # a row's own fault is shown at its head
     assert "^" in said
-
-
-def test_two_rows_far_apart_in_the_file_that_overlap(rig: Path) -> None:
-    own = rig.with_name("own.toml")
-    extra = (
-        '\n[[rows]]\nname = "mine"\ntable = "holding"\naddress = 361\ntype = "u16"\nevidence ='
-        ' "FIELD"\n'
-    )
-    own.write_text(own.read_text(encoding="utf-8") + extra, encoding="utf-8")
-    assert "mine at holding 361 overlaps temperature at 360" in fault_of(rig)
 
 
 def test_a_profile_that_is_not_there_or_no_toml(rig: Path) -> None:
@@ -137,3 +120,109 @@ def test_links_that_are_none(rig: Path, url: str, message: str) -> None:
     said = fault_of(rig)
     assert message in said
     assert f"rig.toml:{line}: " in said
+
+
+# ---- the relay of a pump
+
+RELAY = """
+family = "Relay box"
+source = "made up for these tests"
+transports = ["rtu", "tcp"]
+functions = [1, 5]
+unit_id = 5
+
+[[rows]]
+name = "pump"
+table = "coil"
+address = 2
+type = "bit"
+access = "rw"
+values = { off = 0, on = 1 }
+evidence = "CERTAIN"
+"""
+PUMP = 'pump_url = "/dev/ttyUSB1?unit=5"\npump_profile = "relay.toml"\n'
+REAL = {
+    "operator": "console:",
+    "arm": "COM1",
+    "bath": "COM3?parity=E",
+    "stage": "COM2",
+    "cameras": "opencv:0,1,2",
+}
+
+
+@pytest.fixture
+def real_rig(rig: Path) -> Path:
+    """A rig of real instruments, with an Omega and its pump's relay."""
+    rig.with_name("relay.toml").write_text(RELAY, encoding="utf-8")
+    for name, url in REAL.items():
+        change(rig, f'[{name}]\nurl = "emulator:"', f'[{name}]\nurl = "{url}"')
+    change(rig, 'profile = "own.toml"', f'profile = "omega-cn7"\n{PUMP}')
+    return rig
+
+
+def test_a_pump_in_the_rig_file(real_rig: Path) -> None:
+    loaded = load_rig(real_rig)
+    assert loaded.relay is not None
+    assert loaded.relay.family == "Relay box"
+    assert loaded.rig.bath.pump_url == "/dev/ttyUSB1?unit=5"
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        (
+            "rig.toml",
+            'profile = "omega-cn7"',
+            'profile = "julabo-presto"',
+            "JULABO PRESTO has a pump of its own: leave pump_url and pump_profile out",
+        ),
+        ("rig.toml", '"relay.toml"', '"rely.toml"', "no such file beside the rig file"),
+        (
+            "rig.toml",
+            "ttyUSB1?unit=5",
+            "ttyUSB1?unit=500",
+            "unit=500: a whole number from 1 to 254",
+        ),
+        ("rig.toml", 'pump_profile = "relay.toml"\n', "", "pump_profile is missing"),
+        ("rig.toml", 'pump_url = "/dev/ttyUSB1?unit=5"\n', "", "pump_url is missing"),
+        ("relay.toml", 'name = "pump"', 'name = "pomp"', "the row 'pump' is missing"),
+    ],
+)
+def test_faults_of_a_pump_are_shown_in_their_place(
+    real_rig: Path, name: str, old: str, new: str, message: str
+) -> None:
+    path = real_rig.with_name(name)
+    change(path, old, new)
+    with pytest.raises(ConfigError) as caught:
+        load_rig(real_rig)
+    assert message in str(caught.value)
+    assert f"{path}:" in str(caught.value)
+
+
+def test_a_real_bath_has_no_emulated_pump(real_rig: Path) -> None:
+    change(real_rig, 'pump_url = "/dev/ttyUSB1?unit=5"', 'pump_url = "emulator:"')
+    with pytest.raises(
+        ConfigError, match=r"bath\.pump_url: bath and pump are both emulated or both real"
+    ):
+        load_rig(real_rig)
+
+
+def test_an_emulated_bath_has_no_real_pump(rig: Path) -> None:
+    rig.with_name("relay.toml").write_text(RELAY, encoding="utf-8")
+    change(rig, 'profile = "own.toml"', f'profile = "own.toml"\n{PUMP}')
+    with pytest.raises(
+        ConfigError, match=r"bath\.pump_url: bath and pump are both emulated or both real"
+    ):
+        load_rig(rig)
+
+
+def test_a_shipped_relay_by_its_name(real_rig: Path) -> None:
+    change(real_rig, 'pump_profile = "relay.toml"', 'pump_profile = "modbus-relay"')
+    loaded = load_rig(real_rig)
+    assert loaded.relay is not None
+    assert loaded.relay.family == "Modbus relay board"
+    change(real_rig, 'pump_profile = "modbus-relay"', 'pump_profile = "modbus-rely"')
+    with pytest.raises(
+        ConfigError, match=r'no such profile; did you mean "modbus-relay"\? .*shipped: modbus-relay'
+    ):
+        load_rig(real_rig)

@@ -1,4 +1,5 @@
-"""The driver in real time: several threads, silence, and Ctrl-C amid a question."""
+"""The driver in real time: on a pseudo-terminal, from several threads, and Ctrl-C amid a question. And what
+a tap sees of each link."""
 
 from __future__ import annotations
 
@@ -6,16 +7,141 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 
 import pytest
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
-from instruments.clock import RealClock
+from instruments.clock import RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.listener import Listener
+from instruments.pty_listener import PtyListener
 from instruments.world.plant import Plant
+from tests.instruments.bath.devices import Stand, Watched
+from tests.instruments.bath.far_end import FarEnd, rtu, served
+from tests.instruments.listening_in import Heard
+
+pty = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals: POSIX only")
+
+
+@contextmanager
+def terminal(family: str) -> Iterator[tuple[PtyListener, Watched, RealClock]]:
+    with ExitStack() as stack:
+        clock = RealClock()
+        stack.callback(clock.close)
+        emulator = Watched(Plant(1), load_profile(family), clock, "rtu")
+        listener = PtyListener(emulator, clock, lock=threading.RLock(), name="bath")
+        stack.callback(listener.close)
+        yield listener, emulator, clock
+
+
+@pty
+@pytest.mark.parametrize("family", ["eurotherm-3200", "watlow-pm-map1", "omega-cn7"])
+def test_a_serial_port_is_read_set_started_and_made_safe(family: str) -> None:
+    with terminal(family) as (listener, emulator, clock):
+        bath = Bath(f"{listener.url}?baud=19200", load_profile(family), clock)
+        assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)
+        bath.start(33.0)
+        assert emulator.runs()
+        assert bath.read().set_point_c == pytest.approx(33.0)
+        bath.safe()
+        assert not emulator.runs()
+        bath.close()
+
+
+@pty
+def test_garbage_and_a_damaged_answer_on_a_serial_port() -> None:
+    with terminal("omega-cn7") as (listener, emulator, clock):
+        bath = Bath(listener.url, load_profile("omega-cn7"), clock)
+        emulator.fault("garbage")
+        for _ in range(5):
+            assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)
+        emulator.fault("garbage", on=False)
+        emulator.fault("bad CRC")
+        clock.call_at(clock.now() + 0.5, lambda: emulator.fault("bad CRC", on=False))
+        assert bath.get("run") == 0.0
+        bath.close()
+
+
+@pty
+def test_an_adapter_that_is_unplugged_is_told_and_the_next_one_is_found() -> None:
+    with terminal("eurotherm-2400") as (listener, emulator, clock):
+        profile = load_profile("eurotherm-2400")
+        bath = Bath(listener.url, profile, clock)
+        emulator.pull_the_cable()
+        with pytest.raises(LinkError, match=r"the port can't be opened in 6 tries: .*list_ports"):
+            bath.read()
+        bath.close()
+        again = Bath(listener.url, profile, clock)  # it came back under another name
+        assert again.read().temp_c == pytest.approx(20.0, abs=0.1)
+        again.close()
+
+
+@pty
+def test_at_exit_standby_needs_no_look_and_no_second() -> None:
+    with terminal("eurotherm-2400") as (listener, emulator, clock):
+        emulator.plant.run(33.0)
+        bath = Bath(listener.url, load_profile("eurotherm-2400"), clock, identify=False)
+        start = clock.now()
+        clock.call_at(start + 0.3, lambda: stands.append(not emulator.runs()))
+        stands: list[bool] = []
+        bath.safe()
+        assert not emulator.runs()
+        clock.sleep(max(0.0, start + 0.4 - clock.now()))
+        assert stands == [True]  # the proof that it stands took longer, the write did not
+        bath.close()
+
+
+# ---- taps
+
+
+def test_a_tap_sees_every_byte_garbage_too() -> None:
+    clock, tap = VirtualClock(), Heard()
+    far_end = FarEnd(clock)
+    far_end.memory = {0x1000: 200, 0x1001: 200}
+    with served(far_end) as url:
+        bath = Bath(url, load_profile("omega-cn7"), clock, tap=tap)
+        assert tap.told[0] == ("opened", url)
+        del tap.told[:]
+        far_end.spoils = [lambda frame: b"\xff" + frame]
+        bath.get("run")
+        assert tap.told == [
+            ("sent", rtu("01 02 0814 0001")),
+            ("received", b"\xff" + rtu("01 02 01 00")),
+        ]
+        bath.close()
+        bath.close()
+    assert tap.told[2:] == [("closed", "")]
+
+
+def test_a_tap_is_told_of_a_link_that_breaks_and_of_the_next_one(stand: Stand) -> None:
+    tap = Heard()
+    bath = Bath(stand.url, stand.profile, stand.clock, tap=tap)
+    stand.emulator.pull_the_cable()
+    bath.read()
+    bath.close()
+    events = [(what, told) for what, told in tap.told if what in ("opened", "closed")]
+    assert events == [
+        ("opened", stand.url),
+        ("closed", "the other end hung up"),
+        ("opened", stand.url),
+        ("closed", ""),
+    ]
+    sent = [told for what, told in tap.told if what == "sent"]
+    assert len(sent) - len(stand.emulator.asked) in (0, 1)  # one may have met nobody
+
+
+@pty
+def test_a_setting_that_the_port_does_not_have_is_told() -> None:
+    with (
+        terminal("omega-cn7") as (listener, _, clock),
+        pytest.raises(LinkError, match=r"the port can't be opened in 6 tries"),
+    ):
+        # pseudo-terminals have no parity
+        Bath(f"{listener.url}?parity=E", load_profile("omega-cn7"), clock)
+
 
 # ---- trouble under way
 
@@ -47,21 +173,6 @@ def test_in_real_time_it_works_from_several_threads() -> None:
     listener.close()
     clock.close()
     assert threading.active_count() == before
-
-
-def test_in_real_time_silence_takes_2_s() -> None:
-    clock, profile = RealClock(), load_profile("julabo-presto")
-    emulator = BathEmulator(Plant(1), profile, clock)
-    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
-    bath = Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock)
-    emulator.fault("silence")
-    start = clock.now()
-    with pytest.raises(LinkError, match="no answer"):
-        bath.read()
-    assert 1.9 < clock.now() - start < 3.5
-    bath.close()
-    listener.close()
-    clock.close()
 
 
 @pytest.fixture

@@ -1,48 +1,52 @@
-"""The emulated board on a link: raw bytes out, raw bytes back."""
+"""The emulated stage on a link: with raw bytes out and back, or with its driver; and devices that
+only pretend to be a stage.
+"""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
+from typing import Any
 
 from instruments.clock import VirtualClock
 from instruments.link import Link
-from instruments.listener import Listener
-from instruments.stage.emulator import CLASSIC, Dialect, StageEmulator
-from instruments.stage.emulator.motion import Vector
+from instruments.listener import Connection, Device, Listener
+from instruments.stage.driver import Stage
+from instruments.stage.emulator import StageEmulator
 
-WELCOME = b"\r\nGrbl 1.1h ['$' for help]\r\n"
+GREETING = WELCOME = b"\r\nGrbl 1.1h ['$' for help]\r\n"
 LOCK = b"[MSG:'$H'|'$X' to unlock]\r\n"
 UNLOCKED = b"[MSG:Caution: Unlocked]\r\nok\r\n"
 
 
-class Board:
-    """The emulator on a link: raw bytes out, raw bytes back."""
+class OnLink:
+    """An emulator with the arguments of `StageEmulator`, on loopback under virtual time."""
 
-    def __init__(
-        self,
-        settings: Mapping[int, float] | None = None,
-        *,
-        dialect: Dialect = CLASSIC,
-        axes: int = 3,
-        play_mm: Vector | None = None,
-        fresh_eeprom: bool = False,
-    ) -> None:
+    def __init__(self, settings: Mapping[int, float] | None = None, **more: Any) -> None:
         self.clock = VirtualClock()
-        self.emulator = StageEmulator(
-            self.clock,
-            settings=settings,
-            dialect=dialect,
-            axes=axes,
-            play_mm=play_mm,
-            fresh_eeprom=fresh_eeprom,
-        )
+        self.emulator = StageEmulator(self.clock, settings=settings, **more)
         self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="stage")
         self.links: list[Link] = []
+
+    def link(self) -> Link:
+        self.links.append(Link(self.listener.url, self.clock, who="stage"))
+        return self.links[-1]
+
+    def close(self) -> None:
+        for link in self.links:
+            link.close()
+        self.listener.close()
+
+
+class Board(OnLink):
+    """Raw bytes out, raw bytes back."""
+
+    def __init__(self, settings: Mapping[int, float] | None = None, **more: Any) -> None:
+        super().__init__(settings, **more)
         self.greeting = self.plug_in()
 
     def plug_in(self) -> bytes:
-        self.links.append(Link(self.listener.url, self.clock, who="stage"))
+        self.link()
         return self.hear(0.0)
 
     def hear(self, seconds: float) -> bytes:
@@ -74,7 +78,56 @@ class Board:
     def state(self) -> bytes:
         return self.say(b"?")[1:].split(b"|")[0]
 
-    def close(self) -> None:
-        for link in self.links:
-            link.close()
-        self.listener.close()
+
+class Bench(OnLink):
+    """A driver for ``axes``, its emulator, and their clock."""
+
+    def __init__(
+        self, settings: Mapping[int, float] | None = None, *, axes: str = "XYZ", **more: Any
+    ) -> None:
+        super().__init__(settings, axes=4 if "A" in axes else 3, **more)
+        self.axes = axes
+        self.stage = self.plug_in()
+
+    def plug_in(self) -> Stage:
+        return Stage(self.link(), self.clock, self.axes)
+
+    def again(self, *, axes: str | None = None, device: Device | None = None) -> Bench:
+        """With a new driver: for other ``axes``, or with ``device`` before the board."""
+        self.stage.close()
+        self.axes = axes or self.axes
+        self.listener._device = device or self.emulator
+        self.stage = self.plug_in()
+        return self
+
+    def homed(self) -> Stage:
+        self.stage.connect()
+        self.stage.home()
+        return self.stage
+
+
+class Parrot:
+    """A device that answers every byte stream with the same words, after a greeting."""
+
+    def __init__(self, greeting: bytes, answers: Mapping[bytes, bytes]) -> None:
+        self.greeting = greeting
+        self.answers = answers
+
+    def connect(self, connection: Connection) -> None:
+        connection.send(self.greeting)
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        connection.send(self.answers.get(data, b""))
+
+    def disconnect(self, connection: Connection) -> None: ...
+
+
+def meet(device: Device, axes: str = "XY") -> None:
+    clock = VirtualClock()
+    listener = Listener(device, clock, lock=threading.RLock(), name="stage")
+    link = Link(listener.url, clock, who="stage")
+    try:
+        Stage(link, clock, axes).connect()
+    finally:
+        link.close()
+        listener.close()

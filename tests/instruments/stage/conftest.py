@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 
 from instruments.stage.emulator import CLASSIC, GRBL_HAL
-from tests.instruments.stage.board import UNLOCKED, Board
-from tests.instruments.stage.stage_bench import Bench
+from tests.instruments.stage.board import Bench, Board, OnLink
 
 
 @pytest.fixture(autouse=True)
@@ -26,17 +25,22 @@ def _no_thread_is_left() -> Iterator[None]:
 
 
 @pytest.fixture
-def make() -> Iterator[Callable[..., Bench]]:
+def _open() -> Iterator[list[OnLink]]:
+    opened: list[OnLink] = []
+    yield opened
+    for one in opened:
+        one.close()
+
+
+@pytest.fixture
+def make(_open: list[OnLink]) -> Callable[..., Bench]:
     """Benches with the arguments of `Bench`."""
-    benches: list[Bench] = []
 
     def one(*arguments: Any, **more: Any) -> Bench:
-        benches.append(Bench(*arguments, **more))
-        return benches[-1]
+        _open.append(bench := Bench(*arguments, **more))
+        return bench
 
-    yield one
-    for bench in benches:
-        bench.close()
+    return one
 
 
 @pytest.fixture(params=[CLASSIC, GRBL_HAL], ids=["grbl", "grblHAL"])
@@ -45,17 +49,14 @@ def bench(make: Callable[..., Bench], request: pytest.FixtureRequest) -> Bench:
 
 
 @pytest.fixture
-def make_board() -> Iterator[Callable[..., Board]]:
+def make_board(_open: list[OnLink]) -> Callable[..., Board]:
     """Boards with the arguments of `Board`."""
-    boards: list[Board] = []
 
     def one(*arguments: Any, **more: Any) -> Board:
-        boards.append(Board(*arguments, **more))
-        return boards[-1]
+        _open.append(board := Board(*arguments, **more))
+        return board
 
-    yield one
-    for board in boards:
-        board.close()
+    return one
 
 
 @pytest.fixture
@@ -67,5 +68,5 @@ def board(make_board: Callable[..., Board]) -> Board:
 def free(make_board: Callable[..., Board]) -> Board:
     """Unlocked without homing, soft limits off, count 0 in the middle of the table."""
     board = make_board({20: 0})
-    assert board.say(b"$X\n") == UNLOCKED
+    board.unlock()
     return board

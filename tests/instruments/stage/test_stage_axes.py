@@ -14,7 +14,7 @@ from instruments.listener import Connection
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import GRBL_HAL
 from instruments.stage.settings import read_settings
-from tests.instruments.stage.stage_bench import GREETING, Bench, Parrot, meet
+from tests.instruments.stage.board import GREETING, Bench, Parrot, meet
 
 Make = Callable[..., Bench]
 SETTINGS = {13: "0", 20: "1", 21: "0", 22: "1", 24: "25.000", 25: "500.000", 27: "1.000"} | {
@@ -56,10 +56,7 @@ def test_a_turntable_without_a_z(make: Make) -> None:
 
 def test_a_two_axis_stage_on_a_four_axis_controller(make: Make) -> None:
     bench = make(dialect=GRBL_HAL, axes="XYA")
-    bench.stage.close()
-    bench.axes = "XY"
-    bench.stage = bench.plug_in()
-    stage = bench.homed()
+    stage = bench.again(axes="XY").homed()
     stage.move_to(-100, -50)
     assert stage.position() == pytest.approx([-100, -50, -1])
 
@@ -87,10 +84,7 @@ def test_axes_that_no_stage_has(make: Make) -> None:
 
 
 def test_a_controller_without_a_fourth_axis_is_told(make: Make) -> None:
-    bench = make(axes="XY")
-    bench.stage.close()
-    bench.axes = "XYA"
-    bench.stage = bench.plug_in()
+    bench = make(axes="XY").again(axes="XYA")
     with pytest.raises(
         DeviceError, match=r"no axis A: setting \$103 is missing.*grblHAL build with four axes"
     ):
@@ -129,9 +123,7 @@ def test_settings_that_a_stage_cannot_be_driven_with(
 
 def test_fields_of_a_report_that_nobody_knows_are_no_obstacle(make: Make) -> None:
     bench = make()
-    bench.stage.close()
-    bench.listener._device = Spoiled(bench, rb"\|FS:", b"|H:1,7|A:S|Sx:?;-|TLR:0|FS:")
-    bench.stage = bench.plug_in()
+    bench.again(device=Spoiled(bench, rb"\|FS:", b"|H:1,7|A:S|Sx:?;-|TLR:0|FS:"))
     stage = bench.homed()
     stage.move_to(-100, -50)
     assert stage.status().fields["Sx"] == "?;-"
@@ -165,9 +157,7 @@ def test_a_move_that_is_read_back_elsewhere_is_not_finished_and_asks_for_homing(
     make: Make, told: bytes
 ) -> None:
     bench = make()
-    bench.stage.close()
-    bench.listener._device = Spoiled(bench, rb"<Idle\|MPos:-100\.000", b"<Idle|MPos:" + told)
-    bench.stage = bench.plug_in()
+    bench.again(device=Spoiled(bench, rb"<Idle\|MPos:-100\.000", b"<Idle|MPos:" + told))
     stage = bench.homed()
     with pytest.raises(
         DeviceError, match=rf"not at its target, X = -100\.000 \(got X = {float(told):.3f}"
@@ -180,9 +170,7 @@ def test_a_move_that_is_read_back_elsewhere_is_not_finished_and_asks_for_homing(
 
 def test_a_report_with_too_few_numbers_for_the_declared_axes(make: Make) -> None:
     bench = make(dialect=GRBL_HAL, axes="XYA")
-    bench.stage.close()
-    bench.listener._device = Spoiled(bench, rb"(MPos:[^,]+,[^,]+,[^,]+),[^|>]+", rb"\1")
-    bench.stage = bench.plug_in()
+    bench.again(device=Spoiled(bench, rb"(MPos:[^,]+,[^,]+,[^,]+),[^|>]+", rb"\1"))
     with pytest.raises(ProtocolError, match="3 numbers in a position, 4 are needed"):
         bench.homed().move_to(-5, -5)
 

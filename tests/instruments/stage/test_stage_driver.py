@@ -1,6 +1,5 @@
-"""The driver against the emulator over a loopback link, under virtual time, both dialects: who it
-is, homing, moves, limits.
-"""
+"""The driver against the emulator over a loopback link, under virtual time, both dialects: who it is, homing,
+moves, limits, jogs, hold, resume, stop and safe from every state; golden lines typed from the fact sheet."""
 
 from __future__ import annotations
 
@@ -9,8 +8,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from instruments.errors import DeviceError, LimitError
-from tests.instruments.stage.stage_bench import Bench
+from instruments.errors import DeviceError, LimitError, LinkError
+from instruments.stage import protocol
+from instruments.stage.emulator import GRBL_HAL, Fault
+from tests.instruments.stage.board import Bench
 
 Make = Callable[..., Bench]
 
@@ -140,3 +141,371 @@ def test_coarse_steps_are_not_taken_for_a_wrong_place(make: Make) -> None:
     stage = bench.homed()
     stage.move_to(-100.03, -50.04)
     assert stage.position() == pytest.approx([-100.03, -50.04, -1], abs=0.04)
+
+
+class Sent(list[bytes]):
+    """What the driver of ``bench`` sends from now on."""
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__()
+        write = bench.links[-1].write
+
+        def noted(data: bytes) -> None:
+            self.append(data)
+            write(data)
+
+        bench.links[-1].write = noted  # type: ignore[method-assign]
+
+
+def test_what_a_move_sends(bench: Bench) -> None:
+    bench.stage.connect()
+    sent = Sent(bench)
+    bench.stage.home()
+    bench.stage.move_to(-1.5, -1, z_mm=-2.25, feed_mm_min=600)
+    assert sent == [
+        b"$H\n",
+        b"?",
+        b"?",
+        b"G21G90G94G53G1X-1.5Y-1Z-2.25F600\n",
+        b"?",
+        b"?",
+        b"G4P0\n",
+        b"?",
+    ]
+
+
+def test_what_connecting_sends(bench: Bench) -> None:
+    sent = Sent(bench)
+    bench.stage.connect()
+    assert sent == [b"$I\n", b"$$\n"]
+
+
+def test_what_jogs_holds_and_recovery_send(bench: Bench) -> None:
+    stage = bench.homed()
+    stage.move_to(-100, -100)
+    sent = Sent(bench)
+    stage.jog(x_mm=50, y_mm=-0.5, feed_mm_min=600)
+    stage.cancel_jog()
+    assert [data for data in sent if data != b"?"] == [b"$J=G21G91X50Y-0.5F600\n", b"\x85"]
+    sent.clear()
+    stage.begin_move(-200, -100)
+    stage.hold()
+    stage.resume()
+    stage.recover()
+    assert [data for data in sent if data != b"?"] == [
+        b"G21G90G94G53G1X-200Y-100F3000\n",
+        b"!",
+        b"~",
+        b"\x18",
+    ]
+
+
+def test_a_jog_ends_where_it_should(bench: Bench) -> None:
+    stage = bench.homed()
+    stage.move_to(-100, -100)
+    stage.jog(x_mm=-12.5, y_mm=3)
+    assert stage.status().state == "Jog"
+    stage.finish_move()
+    assert bench.emulator.position_mm() == pytest.approx([-112.5, -97, -1])
+    stage.jog(z_mm=-3, feed_mm_min=300)
+    stage.finish_move()
+    assert stage.position() == pytest.approx([-112.5, -97, -4])
+
+
+def test_a_rotation_jogs_too(make: Make) -> None:
+    bench = make(dialect=GRBL_HAL, axes="XYA")
+    stage = bench.homed()
+    stage.jog(a_deg=-45)
+    stage.finish_move()
+    assert stage.position() == pytest.approx([-1, -1, -1, -46])
+
+
+def test_a_cancelled_jog_stands_and_keeps_the_position(bench: Bench) -> None:
+    stage = bench.homed()
+    stage.jog(x_mm=-200)
+    bench.clock.sleep(1.0)
+    stage.cancel_jog()
+    place = bench.emulator.position_mm()
+    bench.clock.sleep(10.0)
+    assert bench.emulator.position_mm() == pytest.approx(place)
+    assert -80 < place[0] < -20
+    assert stage.homed
+    assert stage.position() == pytest.approx(place, abs=0.005)
+    stage.cancel_jog()
+    stage.move_to(-5, -5)
+
+
+@pytest.mark.parametrize("end", ["hold", "stop"])
+def test_hold_and_stop_end_a_jog(bench: Bench, end: str) -> None:
+    stage = bench.homed()
+    stage.jog(x_mm=-200)
+    bench.clock.sleep(1.0)
+    getattr(stage, end)()
+    assert stage.status().state == "Idle"
+    with pytest.raises(LimitError, match="nothing to resume"):
+        stage.resume()
+    stage.move_to(-5, -5)
+
+
+def test_a_jog_that_the_panel_ended_is_told_and_keeps_the_position(bench: Bench) -> None:
+    stage = bench.homed()
+    stage.jog(x_mm=-200)
+    bench.clock.sleep(1.0)
+    stage.brake()
+    with pytest.raises(
+        DeviceError, match=r"not at its target, X = -201\.000.*its position is kept"
+    ):
+        stage.finish_move()
+    assert stage.homed
+    stage.move_to(-5, -5)
+
+
+@pytest.mark.parametrize(
+    "way",
+    [
+        {"x_mm": 1.001},
+        {"x_mm": -299.001},
+        {"y_mm": float("nan")},
+        {"y_mm": float("inf")},
+        {"z_mm": 5.0},
+        {},
+    ],
+)
+def test_a_jog_beyond_the_travel_is_refused_before_sending(
+    bench: Bench, way: dict[str, float]
+) -> None:
+    stage = bench.homed()
+    sent = Sent(bench)
+    with pytest.raises(LimitError):
+        stage.jog(**way)
+    assert set(sent) <= {b"?"}
+    assert stage.homed
+
+
+def test_the_controllers_own_refusal_is_a_sentence_and_no_alarm(bench: Bench) -> None:
+    stage = bench.homed()
+    bench.emulator._controller.settings.write(130, 100)  # the driver has read 300
+    with pytest.raises(
+        DeviceError, match="error 15: the jog goes beyond the travel; it was not started"
+    ):
+        stage.jog(x_mm=-150)
+    assert stage.homed
+    stage.jog(x_mm=-50)
+    stage.finish_move()
+
+
+def test_no_jog_before_homing_or_on_top_of_a_move(bench: Bench) -> None:
+    stage = bench.stage
+    stage.connect()
+    with pytest.raises(LimitError, match="no move before homing"):
+        stage.jog(x_mm=-1)
+    stage.home()
+    stage.begin_move(-100, -1)
+    with pytest.raises(LimitError, match="still under way"):
+        stage.jog(x_mm=-1)
+    stage.finish_move()
+    stage.jog(x_mm=-100)
+    for call in (stage.home, lambda: stage.begin_move(-5, -5), lambda: stage.jog(y_mm=-1)):
+        with pytest.raises(LimitError, match="under way"):
+            call()
+
+
+def test_jog_lines() -> None:
+    assert protocol.jog_line({"X": 5}, 600) == "$J=G21G91X5F600"
+    assert protocol.jog_line({"Y": -0.0004, "A": 12.5}, 99.95) == "$J=G21G91Y0A12.5F99.95"
+    with pytest.raises(LimitError):
+        protocol.jog_line({"B": 1.0}, 100)
+
+
+def test_hold_resume_and_finish(bench: Bench) -> None:
+    stage = bench.homed()
+    stage.begin_move(-200, -1)
+    bench.clock.sleep(1.0)
+    stage.hold()
+    held = bench.emulator.position_mm()
+    assert stage.status().name == "Hold:0"
+    bench.clock.sleep(60)
+    assert bench.emulator.position_mm() == pytest.approx(held)
+    assert stage.position() == pytest.approx(held, abs=0.005)
+    with pytest.raises(LimitError, match="still under way"):
+        stage.move_to(-5, -5)
+    stage.resume()  # the first report still says that it is held
+    assert stage.status().state == "Run"
+    stage.finish_move()
+    assert bench.emulator.position_mm() == pytest.approx([-200, -1, -1])
+    assert stage.homed
+
+
+def test_a_resume_that_is_lost_is_told(bench: Bench) -> None:
+    stage = bench.homed()
+    stage.begin_move(-200, -1)
+    bench.clock.sleep(1.0)
+    stage.hold()
+    start_s = bench.clock.now()
+    bench.emulator._controller._resume = lambda: None  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match=r"the controller did not resume \(got Hold:0\)"):
+        stage.resume()
+    assert bench.clock.now() - start_s == pytest.approx(0.3)
+
+
+def test_resume_waits_until_the_stage_stands(bench: Bench) -> None:
+    stage = bench.homed()
+    stage.begin_move(-200, -1)
+    bench.clock.sleep(1.0)
+    stage._talk.realtime(b"!")
+    assert stage.status().name == "Hold:1"
+    stage.resume()
+    assert stage.status().state == "Run"
+    stage.finish_move()
+
+
+def test_resume_without_a_hold_is_refused(bench: Bench) -> None:
+    stage = bench.homed()
+    with pytest.raises(LimitError, match="nothing to resume"):
+        stage.resume()
+    with pytest.raises(LimitError, match="no move is under way"):
+        stage.finish_move()
+    stage.begin_move(-5, -5)
+    for call in (stage.home, lambda: stage.begin_move(-6, -6)):
+        with pytest.raises(LimitError, match="under way"):
+            call()
+
+
+def test_a_hold_at_the_panel_interrupts_the_move(bench: Bench) -> None:
+    stage = bench.homed()
+    stage.begin_move(-200, -1)
+    bench.clock.sleep(1.0)
+    stage._talk.realtime(b"!")
+    with pytest.raises(DeviceError, match=r"the move was interrupted \(got Hold:[01]\)"):
+        stage.finish_move()
+    stage.resume()
+    stage.finish_move()
+
+
+def test_a_feed_override_that_makes_the_move_too_slow(bench: Bench) -> None:
+    stage = bench.homed()
+    stage.begin_move(-299, -1)
+    stage._talk.realtime(b"\x92" * 9)
+    with pytest.raises(DeviceError, match="takes too long"):
+        stage.finish_move()
+    stage.stop()
+    assert stage.status().name == "Hold:0"
+
+
+def _idle(bench: Bench) -> None:
+    bench.homed()
+
+
+def _unhomed(bench: Bench) -> None:
+    bench.stage.connect()
+
+
+def _moving(bench: Bench) -> None:
+    bench.homed().begin_move(-200, -200)
+    bench.clock.sleep(1.0)
+
+
+def _move_over_but_not_finished(bench: Bench) -> None:
+    _moving(bench)
+    bench.clock.sleep(60.0)
+
+
+def _held(bench: Bench) -> None:
+    _moving(bench)
+    bench.stage.hold()
+
+
+def _braking(bench: Bench) -> None:
+    _moving(bench)
+    bench.stage._talk.realtime(b"!")
+
+
+def _door(bench: Bench) -> None:
+    _moving(bench)
+    bench.stage._talk.realtime(b"\x84")
+
+
+def _homing(bench: Bench) -> None:
+    bench.stage.connect()
+    with pytest.raises(LinkError):
+        bench.stage._talk.command("$H", 2.0)
+
+
+def _alarm(bench: Bench) -> None:
+    bench.emulator.inject(Fault.LIMIT_HIT, 0.5)
+    with pytest.raises(DeviceError):
+        bench.homed().move_to(-200, -200)
+
+
+def _alarm_unseen(bench: Bench) -> None:
+    bench.emulator.inject(Fault.LIMIT_HIT, 0.5)
+    bench.homed().begin_move(-200, -200)
+    bench.clock.sleep(2.0)
+
+
+def _asleep(bench: Bench) -> None:
+    bench.stage.connect()
+    bench.stage._talk.command("$SLP")
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        _idle,
+        _unhomed,
+        _moving,
+        _move_over_but_not_finished,
+        _held,
+        _braking,
+        _door,
+        _homing,
+        _alarm,
+        _alarm_unseen,
+        _asleep,
+    ],
+)
+def test_safe_stops_from_every_state_and_may_be_called_again(
+    bench: Bench, state: Callable[[Bench], None]
+) -> None:
+    state(bench)
+    start = bench.clock.now()
+    for _ in range(3):
+        bench.stage.safe()
+    assert bench.clock.now() - start <= 10
+    place = bench.emulator.position_mm()
+    bench.clock.sleep(60)
+    assert bench.emulator.position_mm() == pytest.approx(place)
+    if state not in (_unhomed, _asleep):
+        bench.stage.recover()
+        bench.stage.home()
+        bench.stage.move_to(-7, -7)
+
+
+def test_ctrl_c_in_a_move_ends_at_a_stand(bench: Bench) -> None:
+    stage = bench.homed()
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    bench.clock.call_at(bench.clock.now() + 1.3, interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        stage.move_to(-250, -250)
+    stage.safe()
+    assert stage.status().name == "Hold:0"
+    stage.resume()
+    stage.finish_move()
+    assert bench.emulator.position_mm() == pytest.approx([-250, -250, -1])
+
+
+def test_ctrl_c_while_homing_ends_at_a_stand(bench: Bench) -> None:
+    bench.stage.connect()
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    bench.clock.call_at(bench.clock.now() + 3.0, interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        bench.stage.home()
+    bench.stage.safe()
+    assert not bench.stage.homed
+    assert bench.stage.status().state == "Alarm"

@@ -226,7 +226,7 @@ class StageRules(RuleBasedStateMachine):
     def within_the_travel(self) -> None:
         """The carriage itself, whatever the controller counts; and all that was ever planned."""
         if hasattr(self, "emulator"):
-            places, planned = self.emulator.position_mm(), self.emulator._carriage.target_mm
+            places, planned = self.emulator.position_mm(), self.emulator._carriage.motion.target
             for place, target, travel in zip(places, planned, TRAVEL, strict=False):
                 assert -travel - 1e-6 <= place <= 1e-6
                 assert -travel - 1e-6 <= target <= 1e-6

@@ -1,14 +1,23 @@
-"""What the driver makes of faults, alarms, and devices that are no stage."""
+"""What the driver makes of faults, alarms, and devices that are no stage. From each alarm there is one way out,
+and somebody has to ask for it."""
 
 from __future__ import annotations
 
+import contextlib
+import sys
+import threading
 from collections.abc import Callable, Mapping
 
 import pytest
 
+from instruments.clock import RealClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
-from instruments.stage.emulator import Fault
-from tests.instruments.stage.stage_bench import GREETING, Bench, Parrot, meet
+from instruments.link import Link
+from instruments.stage.alarm_texts import ALARMS, HAL_ALARMS
+from instruments.stage.driver import Stage
+from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, Fault, StageEmulator
+from instruments.stage.emulator.gcode import Mode
+from tests.instruments.stage.board import GREETING, Bench, Parrot, meet
 
 Make = Callable[..., Bench]
 
@@ -63,20 +72,6 @@ def test_the_controllers_own_soft_limit_is_an_alarm_too(make: Make) -> None:
     assert not stage.homed
 
 
-def test_a_restart_out_of_the_blue_asks_for_homing(bench: Bench) -> None:
-    stage = bench.homed()
-    bench.emulator.inject(Fault.RESTART, 0.5)
-    with pytest.raises(DeviceError, match="restarted by itself"):
-        stage.move_to(-100, -100)
-    assert not stage.homed
-    with pytest.raises(LimitError, match="no move before homing"):
-        stage.move_to(-5, -5)
-    stage.stop()
-    stage.recover()
-    stage.home()
-    stage.move_to(-5, -5)
-
-
 def test_unplugged_in_a_move(bench: Bench) -> None:
     stage = bench.homed()
     bench.emulator.inject(Fault.DISCONNECT, 0.5)
@@ -94,13 +89,25 @@ def test_unplugged_in_a_move(bench: Bench) -> None:
     assert bench.emulator.position_mm() == pytest.approx([-5, -5, -1])
 
 
-def test_a_lost_answer_is_a_time_out_and_keeps_the_conversation_closed(bench: Bench) -> None:
+@pytest.mark.parametrize(
+    ("fault", "error", "what", "refusal"),
+    [
+        (Fault.RESTART, DeviceError, "restarted by itself", "no move before homing"),
+        (Fault.LOST_OK, LinkError, r"no answer \(asked G21.*after 2 s\)", "is still owed"),
+        (Fault.GARBAGE, ProtocolError, r"nonsense: .*FF 00 3C 52 75 7C 1B", ""),
+    ],
+)
+def test_after_a_fault_the_stage_is_recovered_and_homed(
+    bench: Bench, fault: Fault, error: type[InstrumentError], what: str, refusal: str
+) -> None:
     stage = bench.homed()
-    bench.emulator.inject(Fault.LOST_OK)
-    with pytest.raises(LinkError, match=r"no answer \(asked G21.*after 2 s\)"):
+    bench.emulator.inject(fault, 0.5)
+    with pytest.raises(error, match=what):
         stage.move_to(-250, -250)
-    with pytest.raises(LinkError, match="is still owed"):
-        stage.home()
+    assert stage.homed == (fault is not Fault.RESTART)
+    if refusal:
+        with pytest.raises(InstrumentError, match=refusal):
+            stage.move_to(-5, -5) if fault is Fault.RESTART else stage.home()
     stage.stop()
     stage.recover()
     stage.home()
@@ -115,16 +122,6 @@ def test_a_late_answer_is_not_taken_for_another_lines(bench: Bench) -> None:
     bench.clock.sleep(5.0)
     stage.move_to(-50, -50)
     assert bench.emulator.position_mm() == pytest.approx([-50, -50, -1])
-
-
-def test_noise_is_a_protocol_error(bench: Bench) -> None:
-    stage = bench.homed()
-    bench.emulator.inject(Fault.GARBAGE)
-    with pytest.raises(ProtocolError, match=r"nonsense: .*FF 00 3C 52 75 7C 1B"):
-        stage.move_to(-100, -100)
-    stage.stop()
-    stage.recover()
-    stage.home()
 
 
 def test_silence_in_a_move(bench: Bench) -> None:
@@ -192,3 +189,89 @@ def test_a_stale_boot_message_before_the_welcome_is_no_obstacle(make: Make) -> N
             b"\xf0\xe0boot\r\nok\r\n" + GREETING, {b"$I\n": b"ok\r\n", b"$$\n": settings + flags}
         )
     )
+
+
+FAST = (
+    {24: 6000, 25: 60000, 26: 1}
+    | {110 + axis: 60000 for axis in range(3)}
+    | {120 + axis: 20000 for axis in range(3)}
+)
+
+
+@pytest.mark.parametrize("critical", [False, True], ids=["heard", "deaf"])
+@pytest.mark.parametrize("code", [*ALARMS, *HAL_ALARMS.keys() - ALARMS.keys()])
+def test_recovery_from_each_alarm_is_explicit(bench: Bench, code: int, critical: bool) -> None:
+    stage = bench.homed()
+    controller = bench.emulator._controller
+
+    def strike() -> None:
+        controller.alarm(code, critical=critical)
+        bench.emulator._settle()
+
+    bench.clock.call_at(bench.clock.now() + 1.0, strike)
+    with pytest.raises(DeviceError, match=f"alarm {code}: .*home"):
+        stage.move_to(-250, -250)
+    for refused in (stage.home, lambda: stage.move_to(-5, -5), lambda: stage.jog(x_mm=-1)):
+        with pytest.raises((DeviceError, LimitError), match=f"alarm {code}|no move before homing"):
+            refused()
+    assert controller.mode is Mode.LOCKED or critical, "nothing unlocked it behind our back"
+    stage.recover()
+    with pytest.raises(LimitError, match="no move before homing"):
+        stage.move_to(-5, -5)
+    stage.home()
+    stage.move_to(-5, -5)
+    assert bench.emulator.position_mm() == pytest.approx([-5, -5, -1])
+
+
+def test_every_alarm_of_grblhal_has_a_sentence_and_advice() -> None:
+    for meaning in HAL_ALARMS.values():
+        assert meaning.what
+        assert meaning.do.endswith("recover() and home().") or meaning.do.endswith("then home().")
+
+
+def test_lost_power_asks_for_homing_whenever_it_comes(bench: Bench) -> None:
+    stage = bench.homed()
+    stage.move_to(-50, -50)
+    bench.emulator._controller.power_up()
+    bench.emulator._settle()
+    with pytest.raises(DeviceError, match="restarted by itself: position lost"):
+        stage.move_to(-60, -60)
+    with pytest.raises(LimitError, match="no move before homing"):
+        stage.move_to(-60, -60)
+    assert bench.emulator.position_mm() == pytest.approx([-50, -50, -1])
+    stage.home()
+    stage.move_to(-60, -60)
+
+
+def test_a_board_that_sleeps_has_to_be_homed(bench: Bench) -> None:
+    stage = bench.homed()
+    stage._talk.command("$SLP")
+    with pytest.raises(LimitError, match="no move before homing"):
+        stage.move_to(-60, -60)
+    stage.recover()
+    stage.home()
+    stage.move_to(-60, -60)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals: POSIX only")
+@pytest.mark.parametrize("dialect", [CLASSIC, GRBL_HAL], ids=["grbl", "grblHAL"])
+def test_the_driver_works_on_a_pseudo_terminal(dialect: Dialect) -> None:
+    from instruments.pty_listener import PtyListener
+
+    with contextlib.closing(RealClock()) as clock:
+        emulator = StageEmulator(clock, dialect=dialect, settings=FAST)
+        with (
+            contextlib.closing(
+                PtyListener(emulator, clock, lock=threading.RLock(), name="stage", baud=115200)
+            ) as listener,
+            contextlib.closing(Stage(Link(listener.url, clock, who="stage"), clock)) as stage,
+        ):
+            assert stage.connect().dialect == dialect.name
+            stage.home()
+            stage.move_to(-20, -30)
+            assert emulator.position_mm() == pytest.approx([-20, -30, -1])
+            stage.begin_move(-290, -30, feed_mm_min=6000)
+            stage.stop()
+            assert stage.status().name == "Hold:0"
+            stage.resume()
+            stage.finish_move()

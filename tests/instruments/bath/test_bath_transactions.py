@@ -1,29 +1,29 @@
-"""What clients of Modbus get wrong on a bad wire (fact sheet, section 2.3, P1 to P6), each
-reproduced and shown cured.
-
-The far end holds 100 at register 0, 200 at 1 and so on: a value at the wrong address is a wrong
-value.
-"""
+"""URLs of Modbus devices; and what clients of Modbus get wrong on a bad wire and about links (fact sheet,
+section 2.3, P1 to P10), each reproduced and shown cured."""
 
 from __future__ import annotations
 
 import re
-from contextlib import suppress
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from instruments.bath.connection import parse_line
+from instruments.bath.connection import Line, LineError, parse_line
 from instruments.bath.driver import Bath
 from instruments.bath.errors import BrokenError
 from instruments.bath.profile import load_profile
 from instruments.bath.transactions import FORGET_S, Transactions
+from instruments.clock import Clock, RealClock
 from instruments.errors import InstrumentError, LinkError, ProtocolError
-from tests.instruments.bath.far_end import rtu, virtual
-from tests.instruments.bath.linked import MARKERS, linked, right
-from tests.instruments.bath.stand import Stand
+from instruments.listener import Listener
+from tests.instruments.bath.devices import Stand
+from tests.instruments.bath.far_end import MARKERS, FarEnd, crc, linked, right, rtu, served, virtual
 
 # about the ends of time-out, quiet and proof
 LATE_S = [0.1, 0.9, 1.1, 1.4, 1.6, 2.4, 2.6, 3.6, 7.0, 9.5]
@@ -334,8 +334,7 @@ def test_a_cut_answer_is_never_completed_by_the_next(cut: str) -> None:
 
 
 def test_where_every_shape_of_an_answer_is_owed_a_call_waits_and_says_so() -> None:
-    stand = Stand(profile=load_profile("omega-cn7"))
-    try:
+    with Stand(profile=load_profile("omega-cn7")) as stand:
         bath = stand.bath()
         stand.emulator.fault("silence")
         said = []
@@ -356,5 +355,159 @@ def test_where_every_shape_of_an_answer_is_owed_a_call_waits_and_says_so() -> No
                 assert bath.read().temp_c == 20.0
                 break
         assert stand.clock.now() - back_s <= FORGET_S
-    finally:
-        stand.close()
+
+
+# ---- P7, P8: links that are not there, or go
+
+
+def test_p7_a_first_connect_that_fails_is_tried_again() -> None:
+    with virtual() as (elsewhere, url):
+        clock, port = elsewhere.clock, int(url.rpartition(":")[2])
+    listeners: list[Listener] = []
+    far_end = FarEnd(clock)
+    clock.call_at(
+        1.0,
+        lambda: listeners.append(
+            Listener(far_end, clock, lock=threading.RLock(), name="far end", port=port)
+        ),
+    )
+    link = Transactions(parse_line(url), clock, who="bath")
+    link.connect()
+    assert clock.now() == pytest.approx(1.5)  # 0.1, 0.3, 0.7, 1.5 s: growing pauses
+    assert link.read(3, 0, 1) == [0]
+    link.close()
+    listeners[0].close()
+
+
+def test_a_port_that_is_not_there_is_said_with_the_systems_words() -> None:
+    with virtual() as (far_end, _):
+        link = Transactions(parse_line("/dev/no-such-port"), far_end.clock, who="bath")
+        with pytest.raises(
+            LinkError, match=r"can't be opened in 6 tries: .*no-such-port.*list_ports"
+        ):
+            link.connect()
+
+
+def test_p8_a_link_that_breaks_raises_and_opens_once_more() -> None:
+    with linked() as (far_end, link):
+        for _ in range(5):
+            far_end.hosts[0].hang_up()
+            with pytest.raises(BrokenError):
+                link.read(3, 0, 1)
+            link.connect()
+            assert link.read(3, 1, 1) == right(1)
+            assert len(far_end.hosts) == 1
+
+
+# ---- P9, P10: real time
+
+
+@contextmanager
+def real(framing: str) -> Iterator[tuple[FarEnd, Transactions]]:
+    with ExitStack() as stack:
+        clock: Clock = RealClock()
+        stack.callback(clock.close)  # type: ignore[attr-defined]
+        far_end = FarEnd(clock, framing=framing)
+        far_end.memory = {address: 100 * (address + 1) for address in range(16)}
+        url = stack.enter_context(served(far_end))
+        link = Transactions(parse_line(url), clock, who="bath", quiet_s=0.1)
+        link.connect()
+        stack.callback(link.close)
+        yield far_end, link
+
+
+@pytest.mark.parametrize("framing", ["rtu", "tcp"])
+def test_p10_bytes_one_by_one_are_one_answer(framing: str) -> None:
+    with real(framing) as (far_end, link):
+        link.read(3, 0, 1)
+
+        def drop(frame: bytes) -> bytes:
+            for at, byte in enumerate(frame):
+                far_end.clock.call_at(
+                    far_end.clock.now() + 0.02 * at,
+                    lambda byte=byte: far_end.hosts[0].send(bytes((byte,))),  # type: ignore[misc]
+                )
+            return b""
+
+        far_end.spoils = [drop]
+        start = time.perf_counter()
+        assert link.read(3, 0, 4) == right(0, 4)
+        assert time.perf_counter() - start > 0.02 * 10
+
+
+def test_the_far_end_of_these_tests_speaks_rtu_as_printed() -> None:
+    assert crc(bytes.fromhex("02 07")) == bytes.fromhex("41 12")  # Modbus over serial line 1.02
+    assert rtu("11 03 00 6B 00 03") == bytes.fromhex("11 03 00 6B 00 03 76 87")
+
+
+@pytest.mark.parametrize(
+    ("url", "line"),
+    [
+        ("tcp://10.0.0.7", Line("tcp", "10.0.0.7", 502)),
+        ("tcp://bath.lab:1502?unit=255", Line("tcp", "bath.lab", 1502, unit_id=255)),
+        ("tcp://[::1]:502", Line("tcp", "::1", 502)),
+        ("rtu+tcp://moxa:4001?unit=3", Line("rtu+tcp", "moxa", 4001, unit_id=3)),
+        ("/dev/ttyUSB0", Line("serial", device="/dev/ttyUSB0")),
+        ("COM5", Line("serial", device="COM5")),
+        (
+            "/dev/serial/by-id/usb-FTDI?unit=12&baud=19200&parity=e&stopbits=2",
+            Line(
+                "serial",
+                device="/dev/serial/by-id/usb-FTDI",
+                unit_id=12,
+                baud=19200,
+                parity="E",
+                stopbits=2,
+            ),
+        ),
+        ("COM12?baud=9600", Line("serial", device="COM12", baud=9600)),
+    ],
+)
+def test_what_a_url_says(url: str, line: Line) -> None:
+    assert parse_line(url) == line
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("tpc://h:1", 'did you mean "tcp://"?'),
+        ("socket://h:1", 'did you mean "rtu+tcp://"?'),
+        ("rtu://h:1", 'did you mean "rtu+tcp://"?'),
+        ("modbus://h:1", 'did you mean "tcp://"?'),
+        ("ttyUSB0", 'did you mean "/dev/ttyUSB0"?'),
+        ("com5:", 'did you mean "COM5"?'),
+        ("10.0.0.7:502", 'did you mean "tcp://10.0.0.7:502"?'),
+        ("", 'allowed: "tcp://host:port", "rtu+tcp://host:port", "/dev/ttyUSB0", "COM5"'),
+        ("tcp://", 'write "tcp://host:port"'),
+        ("tcp://:502", 'write "tcp://host:port"'),
+        ("tcp://h:1/x", "nothing behind it"),
+        ("tcp://me@h:1", "nothing behind it"),
+        ("tcp://h:99999", "Port out of range"),
+        ("tcp://h:x", "not a link"),
+        ("rtu+tcp://h", "the port is missing"),
+        ("tcp://h:1?unti=1", 'no setting of tcp://; did you mean "unit"?'),
+        ("tcp://h:1?baud=9600", '"baud" is no setting of tcp:// (allowed: unit)'),
+        ("/dev/ttyS0?bauds=9600", 'no setting of a serial port; did you mean "baud"?'),
+        ("/dev/ttyS0?9600", "is no list of settings"),
+        ("tcp://h:1?unit=x", "unit=x: a whole number from 1 to 255"),
+        ("tcp://h:1?unit=", "unit=: a whole number"),
+        ("rtu+tcp://h:1?unit=255", "from 1 to 254"),
+        ("COM5?unit=0", "from 1 to 254"),
+        ("COM5?parity=odd", "N (none), E (even) and O (odd)"),
+        ("COM5?baud=115200000", "from 300 to 921600"),
+        ("COM5?stopbits=1.5", "from 1 to 2"),
+    ],
+)
+def test_a_url_that_is_none_is_told_why(url: str, said: str) -> None:
+    with pytest.raises(LineError) as caught:
+        parse_line(url)
+    assert said in str(caught.value)
+
+
+@given(url=st.text(max_size=40))
+def test_any_text_is_a_line_or_is_refused(url: str) -> None:
+    try:
+        line = parse_line(url)
+    except LineError:
+        return
+    assert line.device or (line.host and 0 <= line.port <= 65535)

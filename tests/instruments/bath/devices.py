@@ -1,0 +1,194 @@
+"""What the bath's tests share: an emulated device asked by the byte, with nothing between; an
+emulated bath on loopback that notes its requests; a clock that notices a hang.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+from dataclasses import dataclass, field
+
+from instruments.bath.driver import Bath, PumpAt
+from instruments.bath.emulator import BathEmulator, Framing, Server
+from instruments.bath.profile import Profile, load_profile
+from instruments.bath.protocol import framed
+from instruments.clock import Clock, VirtualClock
+from instruments.listener import Connection, Listener
+from instruments.world.plant import Plant, PlantConstants
+
+EUROTHERMS = ["eurotherm-2400", "eurotherm-3200"]
+WATLOWS = ["watlow-pm-map1", "watlow-pm-map2"]
+OMEGA = "omega-cn7"
+NO_PUMP = [*EUROTHERMS, *WATLOWS, OMEGA]
+MOST_LOOKS = 10_000  # at one moment of virtual time
+
+
+def calm_plant() -> Plant:
+    """At 20 degC and without noise."""
+    return Plant(1, constants=PlantConstants(sensor_noise_k=0.0))
+
+
+def url_of(device: Server, listener: Listener) -> str:
+    return f"{'tcp' if device.framing == 'tcp' else 'rtu+tcp'}://127.0.0.1:{listener.port}"
+
+
+class Sink:
+    """Keeps what a device sends; ``open`` until it hangs up."""
+
+    def __init__(self) -> None:
+        self.got = b""
+        self.open = True
+
+    def write(self, data: bytes) -> None:
+        self.got += data
+
+    def hang_up(self) -> None:
+        self.open = False
+
+    def baud(self) -> int | None:
+        return None
+
+
+class Wire:
+    """One host of ``device``, by the byte."""
+
+    def __init__(self, device: Server, clock: VirtualClock) -> None:
+        self.device = device
+        self.clock = clock
+        self.sink = Sink()
+        self.connection = Connection(self.sink, clock, threading.RLock())  # type: ignore[arg-type]
+        device.connect(self.connection)
+
+    def send(self, data: bytes) -> bytes:
+        """What comes back at once, after a moment of silence."""
+        self.clock.sleep(0.1)
+        self.sink.got = b""
+        self.device.receive(self.connection, data)
+        return self.sink.got
+
+
+class Asked:
+    """An emulated controller on an RTU line. ``ask`` gives the PDU answered, in hex; "" for
+    silence.
+    """
+
+    def __init__(self, profile: str, *, as_shipped: bool = False, framing: Framing = "rtu") -> None:
+        self.clock, self.plant = VirtualClock(), calm_plant()
+        self.emulator = BathEmulator(
+            self.plant,
+            load_profile(profile),
+            self.clock,
+            unit_id=1,
+            framing=framing,
+            as_shipped=as_shipped,
+        )
+        self.wire = Wire(self.emulator, self.clock)
+
+    def ask(self, pdu: str, *, unit: int = 1) -> str:
+        answer = self.wire.send(framed(unit, bytes.fromhex(pdu)))
+        assert not answer or answer == framed(1, answer[1:-2])
+        return answer[1:-2].hex(" ").upper()
+
+    def ask_tcp(self, frames: str) -> str:
+        """Whole frames over a fresh connection; hex of what comes back."""
+        return Wire(self.emulator, self.clock).send(bytes.fromhex(frames)).hex(" ").upper()
+
+    def word(self, address: int) -> int:
+        """One holding register."""
+        return int(self.ask(f"03 {address:04X} 0001")[6:].replace(" ", ""), 16)
+
+    def float(self, address: int, *, low_first: bool = False) -> float:
+        words = bytes.fromhex(self.ask(f"03 {address:04X} 0002")[6:])
+        value: float = struct.unpack(">f", words[2:] + words[:2] if low_first else words)[0]
+        return value
+
+
+class Watched(BathEmulator):
+    """Notes who is connected, and function, address and time of every request."""
+
+    def __init__(
+        self, plant: Plant, profile: Profile, clock: Clock, framing: Framing | None = None
+    ) -> None:
+        super().__init__(plant, profile, clock, framing=framing)
+        self.clock = clock
+        self.asked: list[tuple[float, int, int]] = []
+        self.hosts: set[Connection] = set()
+
+    def connect(self, connection: Connection) -> None:
+        super().connect(connection)
+        self.hosts.add(connection)
+
+    def disconnect(self, connection: Connection) -> None:
+        super().disconnect(connection)
+        self.hosts.discard(connection)
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        at = 7 if self.framing == "tcp" else 1
+        address = int.from_bytes(data[at + 1 : at + 3], "big")
+        self.asked.append((self.clock.now(), data[at], address))
+        super().receive(connection, data)
+
+    def writes(self) -> list[tuple[float, int]]:
+        return [(when, address) for when, function, address in self.asked if function in (5, 6, 16)]
+
+    def pull_the_cable(self) -> None:
+        for connection in list(self.hosts):
+            connection.hang_up()
+
+    def runs(self) -> bool:
+        return self.plant.running
+
+
+@dataclass
+class Stand:
+    """A watched bath on loopback, and the drivers that were opened on it."""
+
+    clock: VirtualClock = field(default_factory=VirtualClock)
+    plant: Plant = field(default_factory=calm_plant)
+    profile: Profile = field(default_factory=lambda: load_profile("julabo-presto"))
+
+    def __post_init__(self) -> None:
+        self.emulator = Watched(self.plant, self.profile, self.clock)
+        self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="bath")
+        self.url = url_of(self.emulator, self.listener)
+        self._opened: list[Bath] = []
+
+    def bath(
+        self, *, allow_inferred: bool = False, identify: bool = True, pump: PumpAt | None = None
+    ) -> Bath:
+        self._opened.append(
+            Bath(
+                self.url,
+                self.profile,
+                self.clock,
+                allow_inferred=allow_inferred,
+                identify=identify,
+                pump=pump,
+            )
+        )
+        return self._opened[-1]
+
+    def __enter__(self) -> Stand:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for bath in self._opened:
+            bath.close()
+        self.listener.close()
+
+
+class MovingClock(VirtualClock):
+    """Virtual time that raises when somebody waits for it and does not let it move."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._seen_s, self._looks = -1.0, 0
+
+    def now(self) -> float:
+        now_s = super().now()
+        self._looks = self._looks + 1 if now_s == self._seen_s else 0
+        self._seen_s = now_s
+        if self._looks > MOST_LOOKS:
+            self._looks = 0
+            raise AssertionError(f"virtual time stands still at {now_s!r}")
+        return now_s

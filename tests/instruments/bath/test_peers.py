@@ -1,0 +1,446 @@
+"""Independent Modbus programs against our two ends: libmodbus's own test programs, mbpoll and
+minimalmodbus.
+
+libmodbus's server misbehaves on purpose: a request for two registers gets one, and four registers of it
+answer with an exception, for another unit or transaction, late, or byte by byte. Whatever is asked in
+whatever order, a value that is returned is the right one. Addresses, codes and word orders for mbpoll
+and minimalmodbus are typed from the fact sheet, section 1, and not taken from the profiles."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import random
+import re
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from instruments.bath.connection import parse_line
+from instruments.bath.emulator import BathEmulator
+from instruments.bath.errors import RefusedError
+from instruments.bath.profile import load_profile, load_relay, profile_names, relay_names
+from instruments.bath.relay_emulator import RelayEmulator
+from instruments.bath.transactions import Transactions
+from instruments.clock import RealClock
+from instruments.errors import InstrumentError, LinkError, ProtocolError
+from instruments.listener import Listener
+from instruments.world.plant import Plant
+from tests.instruments.bath.peers import (
+    Bridge,
+    Device,
+    absent,
+    built,
+    free_port,
+    memory_profile,
+    program,
+    real_time,
+)
+
+UNIT = 17  # the examples' server id
+ANY_TCP = 255  # the unit that libmodbus addresses over TCP
+
+REGISTERS, INPUT = 0x160, 0x108
+BUSY, OTHER, LATE, BYTEWISE = 0x170, 0x171, 0x172, 0x173
+VALUES = [0x0101, 0x0202, 0x0303]
+TIMEOUT_S = 2.0  # the late register naps for 5 s, so that its answer comes after both attempts
+# how late an answer may come: as late as it does, or sooner, so that it takes us by surprise
+AS_KNOWN_S, SLOWER_S = 4.0, 0.5
+
+
+@pytest.fixture
+def clock() -> Iterator[RealClock]:
+    clock = RealClock()
+    yield clock
+    clock.close()
+
+
+# ---- its client asks
+
+
+def passes(client: Path, **address: str) -> bool:
+    environment = {**os.environ, **address}
+    said = subprocess.run(
+        [client], capture_output=True, text=True, timeout=280, check=True, env=environment
+    ).stdout
+    return said.splitlines()[-1] == "Test: SUCCESS" and "ERROR" not in said
+
+
+@pytest.mark.parametrize(("transport", "unit_id"), [("tcp", ANY_TCP), ("pty", UNIT)])
+def test_its_random_client_passes(tmp_path: Path, transport: str, unit_id: int) -> None:
+    client = built("random-test-client", tmp_path, over_rtu=transport == "pty")
+    with real_time(memory_profile(), transport, unit_id=unit_id) as (_, listener):
+        if isinstance(listener, Listener):
+            assert passes(client, PEER_PORT=str(listener.port))
+        else:
+            assert passes(client, PEER_DEVICE=listener.url)
+
+
+def test_its_random_client_notices_an_emulator_that_errs(tmp_path: Path) -> None:
+    """The witness is one: with a register that takes less than 16 bits, it does not pass."""
+    client = built("random-test-client", tmp_path)
+    profile = memory_profile()
+    rows = tuple(
+        row.model_copy(update={"range": (0.0, 99.0)}) if row.name == "r50" else row
+        for row in profile.rows
+    )
+    wrong = profile.model_copy(update={"rows": rows})
+    with real_time(wrong, "tcp", unit_id=ANY_TCP) as (_, listener):
+        assert isinstance(listener, Listener)
+        assert not passes(client, PEER_PORT=str(listener.port))
+
+
+# ---- its server answers
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return built("unit-test-server", tmp_path_factory.mktemp("libmodbus"))
+
+
+@contextmanager
+def running(server: Path, kind: str, **address: str) -> Iterator[None]:
+    environment = {**os.environ, **address}
+    with subprocess.Popen(
+        [server, kind], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment
+    ) as process:
+        try:
+            yield
+        finally:
+            process.kill()
+
+
+@contextmanager
+def tcp_server(server: Path) -> Iterator[str]:
+    port = free_port()
+    with running(server, "tcp", PEER_PORT=str(port)):
+        yield f"tcp://127.0.0.1:{port}"
+
+
+@contextmanager
+def rtu_server(server: Path) -> Iterator[str]:
+    with closing(RealClock()) as clock, closing(Bridge()) as bridge:
+        listener = Listener(bridge, clock, lock=threading.RLock(), name="bridge")
+        with closing(listener), running(server, "rtu", PEER_DEVICE=bridge.path):
+            yield f"rtu+tcp://127.0.0.1:{listener.port}"
+
+
+@pytest.fixture(params=[("tcp", AS_KNOWN_S), ("rtu", AS_KNOWN_S), ("rtu", SLOWER_S)], ids=str)
+def link(request: pytest.FixtureRequest, server: Path, clock: RealClock) -> Iterator[Transactions]:
+    kind, quiet_s = request.param
+    with (tcp_server if kind == "tcp" else rtu_server)(server) as url:
+        line, markers = parse_line(f"{url}?unit={UNIT}"), [(4, INPUT, 1), (3, REGISTERS, 3)]
+        link = Transactions(
+            line, clock, who="peer", markers=markers, timeout_s=TIMEOUT_S, quiet_s=quiet_s
+        )
+        link.connect()
+        # it has no way to say that its port is open, and drops what came before
+        until_it_answers(link)
+        yield link
+        link.close()
+
+
+def test_what_is_written_is_read(link: Transactions) -> None:
+    assert link.read(3, REGISTERS, 3) == VALUES
+    link.write(6, REGISTERS + 1, [0xBEEF])
+    assert link.read(3, REGISTERS, 3) == [0x0101, 0xBEEF, 0x0303]
+    assert link.read(4, INPUT, 1) == [0x000A]
+
+
+def test_one_register_for_two_is_no_answer(link: Transactions) -> None:
+    with pytest.raises(ProtocolError, match="1 registers were answered where 2 were asked"):
+        link.read(3, REGISTERS, 2)
+    assert link.read(3, REGISTERS, 3) == VALUES
+
+
+def test_busy_is_told(link: Transactions) -> None:
+    with pytest.raises(RefusedError, match="busy") as caught:
+        link.read(3, BUSY, 1)
+    assert caught.value.code == 6
+    assert link.read(3, REGISTERS, 3) == VALUES
+
+
+def test_an_answer_for_somebody_else_is_none(link: Transactions) -> None:
+    with pytest.raises((LinkError, ProtocolError)):
+        link.read(3, OTHER, 1)
+    assert after_trouble(link) == VALUES
+
+
+def test_a_late_answer_is_never_another_ones(link: Transactions) -> None:
+    with suppress(InstrumentError):
+        assert link.read(3, LATE, 1) == [0]
+    # each as long as the late one
+    for address, value in zip(range(REGISTERS, REGISTERS + 3), VALUES, strict=True):
+        with suppress(InstrumentError):
+            assert link.read(3, address, 1) == [value]
+    assert after_trouble(link) == VALUES
+
+
+def test_whatever_is_asked_no_wrong_value_gets_through(link: Transactions) -> None:
+    known = {REGISTERS + at: value for at, value in enumerate(VALUES)}
+    chance, right = random.Random(1), 0
+    plan = [*known] * 3 + [BUSY, OTHER, LATE, LATE, BYTEWISE]
+    chance.shuffle(plan)
+    for address in plan:
+        count = chance.choice([1, 2, 3]) if address == REGISTERS else 1
+        try:
+            values = link.read(3, address, count)
+        except InstrumentError:
+            if not link.connected:
+                link.connect()
+            continue
+        assert values == [known.get(address + at, 0) for at in range(count)]
+        right += 1
+    assert right >= 5
+
+
+def until_it_answers(link: Transactions) -> None:
+    deadline = time.monotonic() + 60.0
+    while True:
+        try:
+            return link.write(16, REGISTERS, VALUES)
+        except InstrumentError:
+            assert time.monotonic() < deadline, "the server never answered"
+            if not link.connected:
+                link.connect()
+
+
+def after_trouble(link: Transactions) -> list[int]:
+    """What the registers hold, once the link answers again."""
+    for _ in range(4):
+        with suppress(InstrumentError):
+            if not link.connected:
+                link.connect()
+            return link.read(3, REGISTERS, 3)
+    raise AssertionError("the link stays dead")
+
+
+@dataclass(frozen=True)
+class Seen:
+    """How mbpoll is told a family: ``-t`` type and address of what is read and written, and codes
+    and numbers as they are shown.
+    """
+
+    temperature: tuple[str, int]
+    set_point: tuple[str, int]
+    run: tuple[str, int]
+    started: str
+    standby: str
+    high_word_first: bool = True
+    scale: float = 1.0
+    run_read: str = ""  # another type to read ``run`` by
+
+
+EUROTHERM = Seen(("4:float", 0x8002), ("4:float", 0x8004), ("4", 199), "0", "1")
+SEEN = {
+    "julabo-presto": Seen(("3:float", 10), ("4:float", 2), ("4", 0), "1", "0"),
+    "julabo-magio": Seen(("3:float", 10), ("4:float", 2), ("4", 0), "1", "0"),
+    "eurotherm-2400": EUROTHERM,
+    "eurotherm-3200": EUROTHERM,
+    "watlow-pm-map1": Seen(
+        ("4:float", 360), ("4:float", 2160), ("4", 1880), "10", "62", high_word_first=False
+    ),
+    "watlow-pm-map2": Seen(
+        ("4:float", 360), ("4:float", 2640), ("4", 2360), "10", "62", high_word_first=False
+    ),
+    "omega-cn7": Seen(
+        ("4", 0x1000), ("4", 0x1001), ("0", 0x0814), "1", "0", scale=0.1, run_read="1"
+    ),
+}
+
+RELAYS = {"modbus-relay": ("0", 0)}  # ``-t`` type and address of the contact
+
+
+def test_every_shipped_profile_has_its_witness() -> None:
+    assert set(SEEN) == set(profile_names())
+    assert set(RELAYS) == set(relay_names())
+
+
+@dataclass
+class Polled:
+    """An emulated controller in real time, and mbpoll pointed at it."""
+
+    plant: Plant
+    emulator: BathEmulator | RelayEmulator
+    where: list[str]
+
+    def ask(
+        self, kind: str, address: int, *values: str, unit: int = 1, high: bool = True
+    ) -> subprocess.CompletedProcess[str]:
+        place = ["-0", "-a", str(unit), "-t", kind, "-r", str(address), "-o", "0.5"]
+        order, once = ["-B"] if high else [], [] if values else ["-1"]
+        return subprocess.run(
+            [program("mbpoll"), *place, *order, *once, *self.where, *values],
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+
+    def read(self, kind: str, address: int, *, high: bool = True) -> str:
+        """The value as it is shown."""
+        done = self.ask(kind, address, high=high)
+        found = re.search(rf"^\[{address}\]:\s+(\S+)", done.stdout, re.MULTILINE)
+        assert found, done.stdout + done.stderr
+        return found[1]
+
+    def write(self, kind: str, address: int, value: str, *, high: bool = True) -> None:
+        done = self.ask(kind, address, value, high=high)
+        assert "Written 1 references" in done.stdout, done.stdout + done.stderr
+
+
+@contextmanager
+def polled(name: str, transport: str) -> Iterator[Polled]:
+    program("mbpoll")
+    profile = load_relay(name) if name in RELAYS else load_profile(name)
+    with real_time(profile, transport) as (emulator, listener):
+        if isinstance(listener, Listener):
+            where = ["-m", "tcp", "-p", str(listener.port), "127.0.0.1"]
+        else:
+            where = ["-m", "rtu", "-b", "19200", "-P", "none", listener.url]
+        yield Polled(emulator.plant, emulator, where)
+
+
+@pytest.mark.parametrize("transport", ["tcp", "pty"])
+@pytest.mark.parametrize("name", SEEN)
+def test_mbpoll_reads_and_writes(name: str, transport: str) -> None:
+    seen = SEEN[name]
+    high = seen.high_word_first
+    with polled(name, transport) as bath:
+        assert float(bath.read(*seen.temperature, high=high)) * seen.scale == 20.0
+        assert bath.read(seen.run_read or seen.run[0], seen.run[1]) == seen.standby
+        bath.write(*seen.set_point, f"{33.5 / seen.scale:g}", high=high)
+        assert bath.plant.set_point_c == 33.5
+        assert float(bath.read(*seen.set_point, high=high)) * seen.scale == 33.5
+        bath.write(*seen.run, seen.started)
+        assert bath.plant.running
+        assert bath.read(seen.run_read or seen.run[0], seen.run[1]) == seen.started
+        bath.write(*seen.run, seen.standby)
+        assert not bath.plant.running
+
+
+@pytest.mark.parametrize("transport", ["tcp", "pty"])
+@pytest.mark.parametrize("name", RELAYS)
+def test_mbpoll_switches_the_pump(name: str, transport: str) -> None:
+    kind, address = RELAYS[name]
+    with polled(name, transport) as relay:
+        for state in ("0", "1", "0"):
+            if relay.plant.pump_on != (state == "1"):
+                relay.write(kind, address, state)
+            assert relay.read(kind, address) == state
+            assert relay.plant.pump_on == (state == "1")
+        assert "timed out" in relay.ask(kind, address, unit=2).stderr
+
+
+@pytest.mark.parametrize("transport", ["tcp", "pty"])
+def test_mbpoll_gets_no_answer_from_another_unit(transport: str) -> None:
+    with polled("julabo-presto", transport) as bath:
+        done = bath.ask("3:float", 10, unit=2)
+        assert "timed out" in done.stderr
+        assert bath.read("3:float", 10) == "20"
+
+
+def test_mbpoll_notices_a_bad_check_sum() -> None:
+    with polled("eurotherm-3200", "pty") as bath:
+        bath.emulator.fault("bad CRC")
+        assert "Invalid CRC" in bath.ask("4:float", 0x8002).stderr
+        bath.emulator.fault("bad CRC", on=False)
+        assert bath.read("4:float", 0x8002) == "20"
+
+
+def test_mbpoll_sees_the_words_the_other_way_round() -> None:
+    with polled("watlow-pm-map1", "tcp") as bath:
+        bath.emulator.fault("word order")
+        assert bath.read("4:float", 360, high=True) == "20"
+
+
+@dataclass
+class Instrument:
+    """An emulated controller in real time, and a minimalmodbus instrument on its port."""
+
+    client: Any
+    library: Any
+    plant: Plant
+    emulator: Device
+
+
+@contextmanager
+def instrument(profile: str, *, baud: int | None = None) -> Iterator[Instrument]:
+    if importlib.util.find_spec("minimalmodbus") is None:
+        absent("needs minimalmodbus: pip install minimalmodbus")
+    library: Any = importlib.import_module("minimalmodbus")
+    with real_time(load_profile(profile), "pty", baud=baud) as (emulator, listener):
+        client = library.Instrument(listener.url, 1)
+        client.serial.baudrate = baud or 19200
+        client.serial.timeout = 0.5
+        with closing(client.serial):
+            yield Instrument(client, library, emulator.plant, emulator)
+
+
+@pytest.mark.parametrize("profile", ["eurotherm-2400", "eurotherm-3200"])
+def test_eurotherm(profile: str) -> None:
+    with instrument(profile) as on:
+        assert on.client.read_float(0x8002) == 20.0
+        assert on.client.read_register(1, number_of_decimals=1, signed=True) == 20.0
+        on.client.write_float(0x8004, 33.25)
+        assert on.client.read_float(0x8004) == on.plant.set_point_c == 33.25
+        on.client.write_register(199, 0, functioncode=6)
+        assert on.plant.running
+        with pytest.raises(on.library.IllegalRequestError, match="address"):
+            on.client.write_register(1, 7, functioncode=6)
+        with pytest.raises(on.library.NoResponseError):
+            on.client.write_bits(0, [1, 0])  # function 15: an unsupported one gets no reply
+
+
+@pytest.mark.parametrize(
+    ("profile", "set_point"), [("watlow-pm-map1", 2160), ("watlow-pm-map2", 2640)]
+)
+def test_watlow(profile: str, set_point: int) -> None:
+    with instrument(profile) as on:
+        low_first = on.library.BYTEORDER_LITTLE_SWAP
+        assert on.client.read_float(360, byteorder=low_first) == 20.0
+        on.client.write_float(set_point, 31.5, byteorder=low_first)
+        assert on.plant.set_point_c == 31.5
+
+
+def test_omega() -> None:
+    with instrument("omega-cn7") as on:
+        assert on.client.read_register(0x1000, number_of_decimals=1, signed=True) == 20.0
+        on.client.write_register(0x1001, 33.0, number_of_decimals=1, functioncode=6, signed=True)
+        on.client.write_bit(0x0814, 1)
+        assert on.client.read_bit(0x0814, functioncode=2) == 1
+        assert (on.plant.running, on.plant.set_point_c) == (True, 33.0)
+        with pytest.raises(on.library.IllegalRequestError, match="function"):
+            on.client.read_bit(0x0814, functioncode=1)
+
+
+def test_julabo_over_rtu_and_paced_as_a_serial_line() -> None:
+    with instrument("julabo-magio", baud=9600) as on:
+        assert on.client.read_float(10, functioncode=4) == 20.0
+        on.client.write_registers(0, [1, 0, 0x4204, 0x0000])
+        assert on.client.read_registers(0, 4) == [1, 0, 0x4204, 0x0000]
+        assert on.plant.running
+
+
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [
+        ("silence", "NoResponseError"),
+        ("bad CRC", "InvalidResponseError"),
+        ("wrong length", "InvalidResponseError"),
+        ("busy", "SlaveDeviceBusyError"),
+    ],
+)
+def test_faults_look_to_it_as_they_should(fault: str, error: str) -> None:
+    with instrument("watlow-pm-map1") as on:
+        on.emulator.fault(fault)
+        with pytest.raises(getattr(on.library, error)):
+            on.client.read_register(1880)
+        on.emulator.fault(fault, on=False)
+        assert on.client.read_register(1880) == 62
