@@ -210,7 +210,7 @@ class _Normal:
         back = np.linalg.solve(damped, np.concatenate(sides, axis=2))
         taken = np.einsum("pki,pij->kj", self.coupling, back)
         matrix = self.shared + damping * np.diag(np.diag(self.shared)) - taken[:, :-1]
-        return matrix, self.slope - taken[:, -1], back
+        return matrix, self.slope - taken[:, -1], back  # type: ignore[return-value]
 
     def step(self, damping: float) -> Array:
         """Marquardt's step (size,) for a damping."""
