@@ -31,7 +31,7 @@ from instruments.world.scene import Renderer
 from instruments.world.sensor import OpticalSensor
 from instruments.world.shading import Lighting, Paint
 from instruments.world.situations import Situation, collisions, situation
-from instruments.world.situations.draws import Draw, apart, udder
+from instruments.world.situations.families import Draw, apart, udder
 from instruments.world.situations.situation import EYES_MM
 from instruments.world.state import SceneState
 
