@@ -24,42 +24,25 @@ GROUP = "teatbench.detectors"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # it becomes a part of files' names
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    description: str
-    module: str
-    attribute: str
-
-
+# name: where what makes it is, and one line on it
 _SHIPPED = {
-    "thesis": _Entry(
-        "the published algorithm, stage by stage: thermal edges, one homography, dark line in a 41"
-        " x 41 region",
-        "detector.thesis.detector",
-        "ThesisDetector",
-    ),
-    "fused": _Entry(
-        "the bench's own: thermal nominates, optics localise, stereo decides",
-        "detector.fused.detector",
-        "FusedDetector",
-    ),
-    "thesis-published-homography": _Entry(
-        "the same with the homographies that the thesis printed, not the calibration's at the"
-        " teats' plane",
-        "detector.thesis.detector",
-        "published_homography",
-    ),
-    "thesis-no-refinement": _Entry(
-        "the same without the optical step: the ends stay where the homography puts them",
-        "detector.thesis.detector",
-        "no_refinement",
-    ),
-    "thesis-published-homography-no-refinement": _Entry(
-        "the same with the printed homographies and without the optical step",
-        "detector.thesis.detector",
+    "thesis": ("thesis.detector", "ThesisDetector"),
+    "fused": ("fused.detector", "FusedDetector"),
+    "thesis-published-homography": ("thesis.detector", "published_homography"),
+    "thesis-no-refinement": ("thesis.detector", "no_refinement"),
+    "thesis-published-homography-no-refinement": (
+        "thesis.detector",
         "published_homography_no_refinement",
     ),
 }
+_ABOUT = """\
+the published algorithm, stage by stage: thermal edges, one homography, dark line in a\
+ 41 x 41 region
+the bench's own: thermal nominates, optics localise, stereo decides
+the same with the homographies that the thesis printed, not the calibration's at the teats' plane
+the same without the optical step: the ends stay where the homography puts them
+the same with the printed homographies and without the optical step
+"""
 
 
 class UnknownDetectorError(ValueError):
@@ -88,8 +71,9 @@ def available(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
     """Name -> one line on every detector; other packages' are not loaded. ``plugs``: the entry
     points, by default the group's.
     """
-    shipped = {name: entry.description for name, entry in _SHIPPED.items()}
-    return {**{plug.name: f"from {_source(plug)}" for plug in reversed(_usable(plugs))}, **shipped}
+    usable = [plug for plug in _plugs(plugs) if _NAME.fullmatch(plug.name)]
+    others = {plug.name: f"from {_source(plug)}" for plug in reversed(usable)}
+    return {**others, **dict(zip(_SHIPPED, _ABOUT.splitlines(), strict=True))}
 
 
 def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
@@ -97,20 +81,21 @@ def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
     found: dict[str, str] = {}
     seen: set[str] = set()
     for plug in _plugs(plugs):
+        fault = None
         if not _NAME.fullmatch(plug.name):
-            found[plug.name] = (
-                f"{_source(plug)} gives it a name that no file could bear: letters, digits, dots, _"
-                " and - are allowed"
+            fault = (
+                "gives it a name that no file could bear: letters, digits, dots, _ and - are"
+                " allowed"
             )
         elif plug.name in _SHIPPED:
-            found[plug.name] = (
-                f"{_source(plug)} brings a detector of this name, which is the name of one that"
-                " ships: it is left out"
+            fault = (
+                "brings a detector of this name, which is the name of one that ships: it is left"
+                " out"
             )
         elif plug.name in seen:
-            found[plug.name] = (
-                f"{_source(plug)} brings a second detector of this name: the first is used"
-            )
+            fault = "brings a second detector of this name: the first is used"
+        if fault:
+            found[plug.name] = f"{_source(plug)} {fault}"
         else:
             try:
                 _plugged(plug)
@@ -124,10 +109,11 @@ def create(name: str, plugs: Iterable[EntryPoint] | None = None) -> Detector:
     """A detector with its own settings. Raises UnknownDetectorError with the nearest name,
     BrokenDetectorError where it can't be loaded.
     """
-    entry = _SHIPPED.get(name)
-    if entry is not None:
-        return cast("Detector", getattr(import_module(entry.module), entry.attribute)())
-    plug = next((plug for plug in _usable(plugs) if plug.name == name), None)
+    if name in _SHIPPED:
+        module, maker = _SHIPPED[name]
+        return cast("Detector", getattr(import_module(f"detector.{module}"), maker)())
+    usable = (plug for plug in _plugs(plugs) if _NAME.fullmatch(plug.name))
+    plug = next((plug for plug in usable if plug.name == name), None)
     if plug is None:
         known = sorted(available(plugs))
         near = get_close_matches(name, known, n=1)
@@ -142,24 +128,23 @@ def _plugs(plugs: Iterable[EntryPoint] | None) -> list[EntryPoint]:
     return list(entry_points(group=GROUP) if plugs is None else plugs)
 
 
-def _usable(plugs: Iterable[EntryPoint] | None) -> list[EntryPoint]:
-    return [plug for plug in _plugs(plugs) if _NAME.fullmatch(plug.name)]
-
-
 def _plugged(plug: EntryPoint) -> Plugged:
+    # another's code: it may fail in any way, and not every library's errors are Exceptions
     try:
         given = plug.load()
         made = given() if isinstance(given, type) or not hasattr(given, "detect") else given
         parameters = json.loads(json.dumps(dict(getattr(made, "parameters", {})), default=_plain))
-        version = _line(
-            str(getattr(made, "version", None) or (plug.dist.version if plug.dist else "unknown"))
-        )
+        own = plug.dist.version if plug.dist else "unknown"
+        version = _line(str(getattr(made, "version", None) or own))
     except KeyboardInterrupt:
         raise
-    # another's code: it may fail in any way, and not every library's errors are Exceptions
     except BaseException as error:
+        try:
+            said = _line(f"{type(error).__name__}: {error}")
+        except Exception:  # its own words fail
+            said = type(error).__name__
         raise BrokenDetectorError(
-            f"detector {plug.name!r} of {_source(plug)} can't be loaded: {_told(error)}"
+            f"detector {plug.name!r} of {_source(plug)} can't be loaded: {said}"
         ) from error
     if not callable(getattr(made, "detect", None)):
         raise BrokenDetectorError(
@@ -178,13 +163,6 @@ def _plain(value: object) -> object:
     """What JSON has no word for: arrays as lists, else as text."""
     listed = getattr(value, "tolist", None)
     return listed() if callable(listed) else str(value)
-
-
-def _told(error: BaseException) -> str:
-    try:
-        return _line(f"{type(error).__name__}: {error}")
-    except Exception:  # its own words fail
-        return type(error).__name__
 
 
 def _line(text: str) -> str:

@@ -11,9 +11,8 @@ from bench.calibrate.views import BoardViews
 from bench.calibrate.world import TouchedPoints
 from bench.config import ConfigError
 from detector.calibration import Part
-from detector.calibration.diagnosis import Finding, measured_again
-from detector.calibration.remeasure import Remeasured, remeasure
-from detector.calibration.uncertainty import Pair, covariance_of_points
+from detector.calibration.diagnosis import Finding, Remeasured, measured_again, remeasure
+from detector.calibration.values import Pair, covariance_of_points
 from detector.geometry import Array, Motion
 
 SIGNIFICANT = 1e-4  # of a chance to accuse a calibration that holds

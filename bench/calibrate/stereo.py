@@ -14,16 +14,25 @@ from detector.calibration import ParameterCovariance, Part, Record
 from detector.calibration.bundle import POSE
 from detector.calibration.cameras import (
     Calibrated,
+    Halves,
     TooFewViewsError,
     View,
     calibrate_camera,
     join_cameras,
+    pair_of,
+    split_half,
 )
 from detector.calibration.coverage import Coverage, coverage
-from detector.calibration.diagnosis import Finding, bent, measured_again, outlier_views, swapped
-from detector.calibration.remeasure import Remeasured, remeasure
-from detector.calibration.split_half import Halves, pair_of, split_half
-from detector.calibration.uncertainty import Pair, covariance_of_points
+from detector.calibration.diagnosis import (
+    Finding,
+    Remeasured,
+    bent,
+    measured_again,
+    outlier_views,
+    remeasure,
+    swapped,
+)
+from detector.calibration.values import Pair, covariance_of_points
 from detector.geometry import Array
 
 PAIR = ("left", "right")

@@ -15,7 +15,7 @@ from bench.config import ConfigError
 from detector.calibration.boards import Board
 from detector.calibration.cameras import View
 from detector.calibration.corners import Found, SubPixel, ViewRefusedError, find_board, order_alike
-from detector.calibration.remeasure import PairView
+from detector.calibration.diagnosis import PairView
 from instruments.camera.recording import RecordingError, read_grey
 
 CAMERAS = ("left", "right", "thermal")

@@ -31,8 +31,7 @@ from bench.report.calibration_parts import (
 )
 from detector.calibration import Record
 from detector.calibration.bundle import POSE
-from detector.calibration.diagnosis import Finding
-from detector.calibration.remeasure import Remeasured
+from detector.calibration.diagnosis import Finding, Remeasured
 from reports.page import Banner, Page, Section
 from reports.parts import Cell, Table, Verdict, columns
 

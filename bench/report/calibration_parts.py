@@ -19,8 +19,7 @@ from detector.calibration import Calibration, Record
 from detector.calibration.bundle import LENS, POSE
 from detector.calibration.cameras import Calibrated
 from detector.calibration.coverage import SIDES, Coverage
-from detector.calibration.diagnosis import Finding
-from detector.calibration.remeasure import Remeasured
+from detector.calibration.diagnosis import Finding, Remeasured
 from detector.geometry import Array
 from reports.figures import precision_by_distance, residual_field
 from reports.parts import Cell, Code, Figure, KeyValues, Notes, Paragraph, Part, Table, columns

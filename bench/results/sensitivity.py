@@ -31,7 +31,7 @@ from instruments.world.scene import Renderer
 from instruments.world.sensor import OpticalSensor
 from instruments.world.shading import Lighting, Paint
 from instruments.world.situations import Situation, collisions, situation
-from instruments.world.situations.draws import Draw, apart, udder
+from instruments.world.situations.families import Draw, apart, udder
 from instruments.world.situations.situation import EYES_MM
 from instruments.world.state import SceneState
 
@@ -236,7 +236,7 @@ def _bounds(scene: _Scene, renderer: Renderer, truth: Calibration, *, thermal: b
 
 def shifts_mm(calibration: Calibration, told: Calibration, ends_mm: Array) -> Array:
     """How far (n, 3) exact pixels of the ends are triangulated off with the given calibration."""
-    return told.pair.place(*calibration.pair.see(ends_mm)) - ends_mm
+    return told.place(*calibration.project(ends_mm)) - ends_mm
 
 
 def _limit(bounds: Sequence[_Bounds]) -> Limit:

@@ -207,7 +207,7 @@ def told(size_px: float, seed: int, calibration: Calibration) -> Calibration:
     drawn = np.random.Generator(np.random.PCG64([seed, *b"miscalibration"])).standard_normal(
         len(SPREAD_PER_PX)
     )
-    pair = calibration.pair
+    pair = calibration
     for (owner, name), one, unit in zip(
         SPREAD_PER_PX, SPREAD_PER_PX.values(), drawn.tolist(), strict=True
     ):

@@ -13,10 +13,10 @@ from detector.calibration.homographies import (
     derive_homographies,
     plane_homography,
 )
-from detector.calibration.uncertainty import ParameterCovariance
 from detector.calibration.values import (
     Calibration,
     Homographies,
+    ParameterCovariance,
     Part,
     Polarity,
     Record,

@@ -66,17 +66,14 @@ class Board:
             raise ValueError(
                 f"no marker dictionary {self.dictionary!r}; there are {', '.join(DICTIONARIES)}"
             )
-        if (
-            charuco
-            and self._markers
-            > cv2.aruco.getPredefinedDictionary(DICTIONARIES[str(self.dictionary)]).bytesList.shape[
-                0
-            ]
-        ):
-            raise ValueError(
-                f"the board needs {self._markers} markers, more than {self.dictionary} has; take a"
-                " larger dictionary"
-            )
+        if self.dictionary is not None:
+            needed = (self.columns + 1) * (self.rows + 1) // 2
+            markers = cv2.aruco.getPredefinedDictionary(DICTIONARIES[self.dictionary])
+            if needed > markers.bytesList.shape[0]:
+                raise ValueError(
+                    f"the board needs {needed} markers, more than {self.dictionary} has; take a"
+                    " larger dictionary"
+                )
 
     @property
     def points_mm(self) -> Array:
@@ -88,11 +85,9 @@ class Board:
     @property
     def size_mm(self) -> tuple[float, float]:
         """Width and height of what is printed, without a margin."""
-        more = -1 if self.kind == "circles" else 1
-        extra = self.circle_mm or 0.0
-        return (self.columns + more) * self.pitch_mm + extra, (
-            self.rows + more
-        ) * self.pitch_mm + extra
+        more, extra = -1 if self.kind == "circles" else 1, self.circle_mm or 0.0
+        wide, high = ((count + more) * self.pitch_mm + extra for count in (self.columns, self.rows))
+        return wide, high
 
     @property
     def reads_the_same_turned(self) -> bool:
@@ -110,7 +105,3 @@ class Board:
         return cv2.aruco.CharucoBoard(
             (self.columns + 1, self.rows + 1), self.pitch_mm, self.marker_mm, markers
         )
-
-    @property
-    def _markers(self) -> int:
-        return (self.columns + 1) * (self.rows + 1) // 2

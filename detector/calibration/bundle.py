@@ -10,7 +10,7 @@ and Zisserman, 2nd ed., section 5.2.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -40,7 +40,7 @@ class Rig:
 
     @property
     def reference(self) -> str:
-        """The camera in whose frame all is told."""
+        """The camera in whose frame all poses are."""
         return next(iter(self.cameras))
 
 
@@ -53,94 +53,6 @@ class Freedom:
     lens: Mapping[str, frozenset[str]]
     aspect: frozenset[str] = frozenset()
     motions: bool = True
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class State:
-    """Cameras, and reference_from_board of each view."""
-
-    rig: Rig
-    poses: tuple[Motion, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Layout:
-    """The Jacobian's columns: parameters of cameras and motions, then six a pose."""
-
-    shared: tuple[tuple[str, str], ...]
-    ratio: Mapping[str, float]  # fy / fx where it is held
-    poses: int
-
-    @classmethod
-    def of(cls, start: Rig, poses: int, freedom: Freedom) -> Layout:
-        """The parameters that ``freedom`` leaves to ``poses`` views of the cameras of ``start``."""
-        lens = [
-            (name, p)
-            for name in start.cameras
-            for p in LENS
-            if p in freedom.lens.get(name, frozenset())
-            and not (p == "fy" and name in freedom.aspect)
-        ]
-        moved = (
-            [(name, p) for name in start.cameras if name != start.reference for p in POSE]
-            if freedom.motions
-            else []
-        )
-        ratio = {
-            name: start.cameras[name].fc[1] / start.cameras[name].fc[0] for name in freedom.aspect
-        }
-        return cls((*lens, *moved), ratio, poses)
-
-    @property
-    def size(self) -> int:
-        """How many parameters there are."""
-        return len(self.shared) + 6 * self.poses
-
-    def columns(self, camera: str, names: Sequence[str]) -> tuple[list[int], list[int]]:
-        """Free ones of a camera's parameters: places among ``names``, and columns."""
-        at = {key: column for column, key in enumerate(self.shared)}
-        free = [(i, at[camera, name]) for i, name in enumerate(names) if (camera, name) in at]
-        return [i for i, _ in free], [column for _, column in free]
-
-    def moved(self, state: State, step: Array) -> State:
-        """The state after a step (size,)."""
-        cameras, motions = dict(state.rig.cameras), dict(state.rig.from_reference)
-        for name, camera in cameras.items():
-            values = np.array([*camera.fc, *camera.cc, *camera.kc])
-            places, columns = self.columns(name, LENS)
-            values[places] += step[columns]
-            if name in self.ratio:
-                values[1] = values[0] * self.ratio[name]
-            if not (values[:2] > 0).all():
-                return state  # a step to nowhere: no better than before, so the damping grows
-            fx, fy, cx, cy, *kc = (float(v) for v in values)
-            cameras[name] = replace(
-                camera, fc=(fx, fy), cc=(cx, cy), kc=(kc[0], kc[1], kc[2], kc[3], kc[4])
-            )
-            places, columns = self.columns(name, POSE)
-            if places:
-                motions[name] = _shifted(motions[name], step[columns])
-        tail = step[len(self.shared) :].reshape(-1, 6)
-        poses = tuple(_shifted(pose, part) for pose, part in zip(state.poses, tail, strict=True))
-        return State(Rig(cameras, motions), poses)
-
-    def told(self, column: int) -> str:
-        """A parameter's name for a sentence."""
-        if column < len(self.shared):
-            camera, name = self.shared[column]
-            return f"{name} of the {camera} camera"
-        return f"where the board was in view {(column - len(self.shared)) // 6 + 1}"
-
-
-def _shifted(motion: Motion, step: Array) -> Motion:
-    return Motion.from_vectors(motion.om + step[:3], motion.T + step[3:])
-
-
-STEPS = 100
-CONVERGED = 1e-12  # relative decrease of the sum of squares
-SINGULAR = 1e-14  # of the largest eigenvalue: less is rounding
-# of cv2.projectPoints' Jacobian: rotation 0:3, translation 3:6, then f, c, k in the order of LENS
-_OPENCV_COLUMNS = slice(6, 15)
 
 
 class BundleError(ValueError):
@@ -166,16 +78,88 @@ class Adjusted:
     @property
     def rms_px(self) -> float:
         """The toolboxes' "reprojection error": rms distance of corners over all cameras."""
-        return float(
-            np.sqrt(np.mean(np.concatenate([np.sum(r**2, axis=1) for r in self.residuals_px])))
-        )
+        squares = np.concatenate([np.sum(r**2, axis=1) for r in self.residuals_px])
+        return float(np.sqrt(np.mean(squares)))
 
     def sd(self, camera: str, name: str) -> float | None:
         """Standard deviation of one parameter; None where it was held fixed."""
-        if (camera, name) not in self.names:
-            return None
-        at = self.names.index((camera, name))
-        return float(np.sqrt(self.covariance[at, at]))
+        variances = dict(zip(self.names, np.diag(self.covariance).tolist(), strict=True))
+        variance = variances.get((camera, name))
+        return None if variance is None else float(np.sqrt(variance))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """Cameras, and reference_from_board of each view."""
+
+    rig: Rig
+    poses: tuple[Motion, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layout:
+    """The Jacobian's columns: parameters of cameras and motions, then six a pose."""
+
+    shared: tuple[tuple[str, str], ...]
+    ratio: Mapping[str, float]  # fy / fx where it is held
+    poses: int
+
+    @classmethod
+    def of(cls, start: Rig, poses: int, freedom: Freedom) -> _Layout:
+        """The parameters that ``freedom`` leaves to ``poses`` views of the cameras of ``start``."""
+        held = {(name, "fy") for name in freedom.aspect}
+        lens = [
+            (name, p)
+            for name in start.cameras
+            for p in LENS
+            if p in freedom.lens.get(name, ()) and (name, p) not in held
+        ]
+        others = [n for n in start.cameras if n != start.reference] if freedom.motions else []
+        fc = {name: start.cameras[name].fc for name in freedom.aspect}
+        ratio = {name: fy / fx for name, (fx, fy) in fc.items()}
+        return cls((*lens, *((name, p) for name in others for p in POSE)), ratio, poses)
+
+    @property
+    def size(self) -> int:
+        """How many parameters there are."""
+        return len(self.shared) + 6 * self.poses
+
+    def columns(self, camera: str, names: Sequence[str]) -> tuple[list[int], list[int]]:
+        """Free ones of a camera's parameters: places among ``names``, and columns."""
+        at = {key: column for column, key in enumerate(self.shared)}
+        places = [i for i, name in enumerate(names) if (camera, name) in at]
+        return places, [at[camera, names[i]] for i in places]
+
+    def moved(self, state: _State, step: Array) -> _State:
+        """The state after a step (size,)."""
+        cameras, motions = dict(state.rig.cameras), dict(state.rig.from_reference)
+        for name, camera in cameras.items():
+            values = camera.lens
+            places, columns = self.columns(name, LENS)
+            values[places] += step[columns]
+            if name in self.ratio:
+                values[1] = values[0] * self.ratio[name]
+            if not (values[:2] > 0).all():
+                return state  # a step to nowhere: no better than before, so the damping grows
+            cameras[name] = camera.with_lens(values)
+            places, columns = self.columns(name, POSE)
+            if places:
+                motions[name] = motions[name].shifted(step[columns])
+        tail = step[len(self.shared) :].reshape(-1, 6)
+        poses = tuple(pose.shifted(part) for pose, part in zip(state.poses, tail, strict=True))
+        return _State(Rig(cameras, motions), poses)
+
+    def describe(self, column: int) -> str:
+        """A parameter's name for a sentence."""
+        if column < len(self.shared):
+            camera, name = self.shared[column]
+            return f"{name} of the {camera} camera"
+        return f"where the board was in view {(column - len(self.shared)) // 6 + 1}"
+
+
+STEPS = 100
+CONVERGED = 1e-12  # relative decrease of the sum of squares
+SINGULAR = 1e-14  # of the largest eigenvalue: less is rounding
 
 
 def adjust(
@@ -184,23 +168,19 @@ def adjust(
     """The least-squares fit from ``start`` and ``poses`` (reference_from_board), with equal,
     independent noise of all corners. Raises BundleError.
     """
-    layout = Layout.of(start, len(poses), freedom)
+    layout = _Layout.of(start, len(poses), freedom)
     rows = sum(2 * len(s.board_mm) for s in sightings)
     if rows <= layout.size:
         raise BundleError(
             f"{rows // 2} corners can't fix {layout.size} parameters: more views, or fewer free"
             " parameters"
         )
-    state, normal = _descend(State(start, tuple(poses)), layout, sightings)
+    state, normal = _descend(_State(start, tuple(poses)), layout, sightings)
     variance = normal.cost / (rows - layout.size)
     covariance = _covariance(normal, layout) * variance
+    sigma_px = float(np.sqrt(variance))
     return Adjusted(
-        state.rig,
-        state.poses,
-        layout.shared,
-        covariance,
-        float(np.sqrt(variance)),
-        normal.residuals_px,
+        state.rig, state.poses, layout.shared, covariance, sigma_px, normal.residuals_px
     )
 
 
@@ -226,13 +206,11 @@ class _Normal:
     def reduced(self, damping: float) -> tuple[Array, Array, Array]:
         """Without poses: matrix (k, k), slope (k,), and their recovery (poses, 6, k + 1)."""
         damped = self.own + damping * self.own * np.eye(6)
-        back = np.linalg.solve(
-            damped,
-            np.concatenate([self.coupling.transpose(0, 2, 1), self.own_slope[:, :, None]], axis=2),
-        )
+        sides = [self.coupling.transpose(0, 2, 1), self.own_slope[:, :, None]]
+        back = np.linalg.solve(damped, np.concatenate(sides, axis=2))
         taken = np.einsum("pki,pij->kj", self.coupling, back)
         matrix = self.shared + damping * np.diag(np.diag(self.shared)) - taken[:, :-1]
-        return matrix, self.slope - taken[:, -1], back
+        return matrix, self.slope - taken[:, -1], back  # type: ignore[return-value]
 
     def step(self, damping: float) -> Array:
         """Marquardt's step (size,) for a damping."""
@@ -242,10 +220,18 @@ class _Normal:
         return np.concatenate([shared, poses.reshape(-1)])
 
 
-def _descend(state: State, layout: Layout, sightings: Sequence[Sighting]) -> tuple[State, _Normal]:
+def _descend(
+    state: _State, layout: _Layout, sightings: Sequence[Sighting]
+) -> tuple[_State, _Normal]:
     """Levenberg-Marquardt with Marquardt's scaling; ends where a step no longer helps."""
     normal, damping = _normal(state, layout, sightings), 1e-4
-    _refuse_blind(normal, layout)
+    own = np.diagonal(normal.own, axis1=1, axis2=2).reshape(-1)
+    diagonal = np.concatenate([np.diag(normal.shared), own])
+    if not diagonal.all():
+        raise BundleError(
+            f"no corner tells of {layout.describe(int(np.argmin(diagonal)))}: hold it fixed, or"
+            " add views"
+        )
     for _ in range(STEPS):
         better = False
         while damping < 1e12 and not better:
@@ -262,17 +248,7 @@ def _descend(state: State, layout: Layout, sightings: Sequence[Sighting]) -> tup
     return state, normal
 
 
-def _refuse_blind(normal: _Normal, layout: Layout) -> None:
-    told = np.concatenate(
-        [np.diag(normal.shared), np.diagonal(normal.own, axis1=1, axis2=2).reshape(-1)]
-    )
-    if not told.all():
-        raise BundleError(
-            f"no corner tells of {layout.told(int(np.argmin(told)))}: hold it fixed, or add views"
-        )
-
-
-def _normal(state: State, layout: Layout, sightings: Sequence[Sighting]) -> _Normal:
+def _normal(state: _State, layout: _Layout, sightings: Sequence[Sighting]) -> _Normal:
     k, poses = len(layout.shared), layout.poses
     shared, own, coupling = np.zeros((k, k)), np.zeros((poses, 6, 6)), np.zeros((poses, k, 6))
     slope, own_slope, residuals = np.zeros(k), np.zeros((poses, 6)), []
@@ -287,65 +263,43 @@ def _normal(state: State, layout: Layout, sightings: Sequence[Sighting]) -> _Nor
     return _Normal(shared, own, coupling, slope, own_slope, tuple(residuals))
 
 
-def _linearised(state: State, layout: Layout, seen: Sighting) -> tuple[Array, Array, Array]:
+def _linearised(state: _State, layout: _Layout, seen: Sighting) -> tuple[Array, Array, Array]:
     """A sighting's derivatives by shared parameters (2n, k) and pose (2n, 6); residuals (2n,)."""
-    camera, motion, pose = (
-        state.rig.cameras[seen.camera],
-        state.rig.from_reference[seen.camera],
-        state.poses[seen.pose],
+    camera, motion = state.rig.cameras[seen.camera], state.rig.from_reference[seen.camera]
+    pose = state.poses[seen.pose]
+    # composed om and T, then their derivatives: of om by om1, T1, om2, T2, and the same of T
+    om, T, *by_part = map(np.asarray, cv2.composeRT(pose.om, pose.T, motion.om, motion.T))
+    by_pose, by_motion = (
+        np.block([[by_part[i], by_part[i + 1]], [by_part[i + 4], by_part[i + 5]]]) for i in (0, 2)
     )
-    whole = [
-        np.asarray(part, dtype=np.float64)
-        for part in cv2.composeRT(pose.om, pose.T, motion.om, motion.T)
-    ]
     predicted, by = cv2.projectPoints(
-        seen.board_mm.reshape(-1, 1, 3), whole[0], whole[1], _matrix(camera), np.array(camera.kc)
+        seen.board_mm.reshape(-1, 1, 3), om, T, camera.matrix, np.array(camera.kc)
     )
     residual = (seen.pixels_px - predicted.reshape(-1, 2)).reshape(-1)
-    by_shared, by_whole = (
-        np.zeros((len(residual), len(layout.shared))),
-        np.array(by[:, :6], dtype=np.float64),
-    )
+    # its columns: rotation 0:3, translation 3:6, then f, c, k in the order of LENS
+    by_whole, lens = (np.array(part, dtype=np.float64) for part in (by[:, :6], by[:, 6:15]))
+    by_shared = np.zeros((len(residual), len(layout.shared)))
     places, columns = layout.columns(seen.camera, POSE)
     if places:
-        by_shared[:, columns] = (by_whole @ _chain(whole, 2))[:, places]
-    lens = np.array(by[:, _OPENCV_COLUMNS], dtype=np.float64)
+        by_shared[:, columns] = (by_whole @ by_motion)[:, places]
     if seen.camera in layout.ratio:
         lens[:, 0] += layout.ratio[seen.camera] * lens[:, 1]
     places, columns = layout.columns(seen.camera, LENS)
     by_shared[:, columns] = lens[:, places]
-    return by_shared, by_whole @ _chain(whole, 0), np.asarray(residual, dtype=np.float64)
+    return by_shared, by_whole @ by_pose, np.asarray(residual, dtype=np.float64)
 
 
-def _chain(whole: Sequence[Array], first: int) -> Array:
-    """(6, 6): derivative of a composed pose by one of its motions, from cv2.composeRT."""
-    dr_dr, dr_dt, dt_dr, dt_dt = (
-        whole[2 + first],
-        whole[3 + first],
-        whole[6 + first],
-        whole[7 + first],
-    )
-    return np.block([[dr_dr, dr_dt], [dt_dr, dt_dt]])
-
-
-def _covariance(normal: _Normal, layout: Layout) -> Array:
+def _covariance(normal: _Normal, layout: _Layout) -> Array:
     """Of the shared parameters, for a variance of 1."""
     if not layout.shared:
         return np.zeros((0, 0))
-    reduced = normal.reduced(0.0)[0]
     scale = np.sqrt(np.diag(normal.shared))
-    scaled = reduced / np.outer(scale, scale)
+    scaled = normal.reduced(0.0)[0] / np.outer(scale, scale)
     values, directions = np.linalg.eigh(scaled)
     if values[0] < SINGULAR * values[-1]:
         weakest = int(np.argmax(np.abs(directions[:, 0])))
         raise BundleError(
-            f"the views don't tell {layout.told(weakest)} apart from the rest: tilt the board more,"
-            " or hold it fixed"
+            f"the views don't tell {layout.describe(weakest)} apart from the rest: tilt the board"
+            " more, or hold it fixed"
         )
     return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))
-
-
-def _matrix(camera: Camera) -> Array:
-    return np.array(
-        [[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]]
-    )

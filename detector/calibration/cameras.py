@@ -1,18 +1,34 @@
 """Cameras from views of a board: each alone, then the pair with fixed and with joint lenses.
 OpenCV's solver gives the start, the bundle adjustment the answer and its covariance.
+
+The split-half comparison tests the stated standard deviations: two calibrations, each from every
+other view. Reprojection error can't: few views reproject better, and are worse.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from detector.calibration.bundle import LENS, Adjusted, BundleError, Freedom, Rig, Sighting, adjust
+from detector.calibration.bundle import (
+    LENS,
+    POSE,
+    Adjusted,
+    BundleError,
+    Freedom,
+    Rig,
+    Sighting,
+    adjust,
+)
+from detector.calibration.values import Pair
 from detector.geometry import Array, Camera, Motion
 
+Floats = NDArray[np.floating]
 # two leave a family of lenses; three are the least that a planar board needs in practice (Zhang
 # 2000, section 3.3)
 LEAST_VIEWS = 3
@@ -70,16 +86,63 @@ def calibrate_camera(
     Raises TooFewViewsError, BundleError.
     """
     _refuse_too_few(name, views)
-    camera, poses = _started(views, image_size, model, square_pixels)
-    _refuse_all_alike(name, poses)
-    freedom = Freedom(
-        {name: LENS_MODELS[model]},
-        frozenset({name}) if square_pixels else frozenset(),
-        motions=False,
+    free, flags = LENS_MODELS[model], cv2.CALIB_FIX_ASPECT_RATIO if square_pixels else 0
+    for parameter, flag in (
+        ("k1", cv2.CALIB_FIX_K1),
+        ("k2", cv2.CALIB_FIX_K2),
+        ("k3", cv2.CALIB_FIX_K3),
+        ("p1", cv2.CALIB_ZERO_TANGENT_DIST),
+    ):
+        flags |= 0 if parameter in free else flag
+    board, seen = (
+        [np.asarray(getattr(view, part), dtype=np.float32) for view in views]
+        for part in ("board_mm", "pixels_px")
     )
-    sightings = tuple(
-        Sighting(name, i, view.board_mm, view.pixels_px) for i, view in enumerate(views)
-    )
+    guess = np.eye(3) if square_pixels else None
+    _, K, kc, turns, shifts = cv2.calibrateCamera(
+        board, seen, image_size, guess, None, flags=flags
+    )[:5]
+    lens = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *np.resize(kc.reshape(-1)[:5], 5)])
+    poses = [Motion.from_vectors(turn, shift) for turn, shift in zip(turns, shifts, strict=True)]
+    normals = np.array([pose.R[:, 2] for pose in poses])
+    apart = np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))).max()
+    if apart < LEAST_TILT_DEG:
+        raise TooFewViewsError(
+            f"all views of {name} are from one side: the board was never tilted by more than"
+            f" {apart:.1f} degrees between two views; tilt it by 20 to 40 degrees to each side"
+        )
+    camera = Camera(image_size, (1.0, 1.0), (0.0, 0.0)).with_lens(lens)
+    aspect = frozenset({name}) if square_pixels else frozenset()
+    return _alone(name, views, camera, poses, Freedom({name: free}, aspect, motions=False))
+
+
+def place_board(name: str, views: Sequence[View], lens: Camera) -> Calibrated:
+    """Where the board was before a camera whose lens is known and held. Raises TooFewViewsError."""
+    _refuse_too_few(name, views)
+    poses = [
+        flat_pose(view.board_mm, view.pixels_px, lens.matrix, np.array(lens.kc)) for view in views
+    ]
+    return _alone(name, views, lens, poses, Freedom({}, motions=False))
+
+
+def flat_pose(board_mm: Floats, pixels_px: Floats, matrix: Array, kc: Array) -> Motion:
+    """camera_from_board of a flat board's points (n, 3) at (n, 2) px."""
+    _, turn, shift = cv2.solvePnP(board_mm, pixels_px, matrix, kc, flags=cv2.SOLVEPNP_IPPE)
+    return Motion.from_vectors(turn, shift)
+
+
+def _refuse_too_few(name: str, views: Sequence[View]) -> None:
+    if len(views) < LEAST_VIEWS:
+        raise TooFewViewsError(
+            f"{name} has {len(views)} usable views of the board, at least {LEAST_VIEWS} are needed,"
+            " 15 to 30 are good"
+        )
+
+
+def _alone(
+    name: str, views: Sequence[View], camera: Camera, poses: Sequence[Motion], freedom: Freedom
+) -> Calibrated:
+    sightings = tuple(Sighting(name, i, v.board_mm, v.pixels_px) for i, v in enumerate(views))
     fit = adjust(Rig({name: camera}, {name: Motion.identity()}), poses, sightings, freedom)
     return Calibrated(fit, tuple(view.name for view in views), sightings)
 
@@ -96,13 +159,23 @@ def join_cameras(
     Lenses of ``joint_lenses`` are fitted again, others are held. All views take part; shared ones
     move a camera. Raises TooFewViewsError.
     """
-    names = list(alone)
-    first = alone[names[0]]
-    motions = {names[0]: Motion.identity()}
-    poses = dict(zip(first.views, first.fit.poses, strict=True))
-    for name in names[1:]:
-        motions[name] = _between(first, alone[name], names[0], name)
-        for view, pose in zip(alone[name].views, alone[name].fit.poses, strict=True):
+    first, *others = alone
+    motions = {first: Motion.identity()}
+    in_first = dict(zip(alone[first].views, alone[first].fit.poses, strict=True))
+    poses = dict(in_first)
+    for name in others:
+        seen = dict(zip(alone[name].views, alone[name].fit.poses, strict=True))
+        both = [pose @ in_first[v].inverse() for v, pose in seen.items() if v in in_first]
+        if len(both) < LEAST_VIEWS:
+            raise TooFewViewsError(
+                f"{first} and {name} share {len(both)} views, at least {LEAST_VIEWS} are"
+                " needed: show the board where both see all of it"
+            )
+        # to start with, the median over the views that both saw
+        middle = np.median([motion.T for motion in both], axis=0)
+        nearest = min(both, key=lambda motion: float(np.linalg.norm(motion.T - middle)))
+        motions[name] = Motion(nearest.R, middle)
+        for view, pose in seen.items():
             poses.setdefault(view, motions[name].inverse() @ pose)
     order = {view: i for i, view in enumerate(poses)}
     sightings = tuple(
@@ -110,98 +183,66 @@ def join_cameras(
         for name, c in alone.items()
         for s in c.sightings
     )
-    cameras = {name: c.fit.rig.cameras[name] for name, c in alone.items()}
+    rig = Rig({name: c.fit.rig.cameras[name] for name, c in alone.items()}, motions)
     aspect = frozenset(joint_lenses) if square_pixels else frozenset()
     freedom = Freedom(dict.fromkeys(joint_lenses, LENS_MODELS[model]), aspect)
-    return Calibrated(
-        adjust(Rig(cameras, motions), list(poses.values()), sightings, freedom),
-        tuple(poses),
-        sightings,
-    )
+    fit = adjust(rig, list(poses.values()), sightings, freedom)
+    return Calibrated(fit, tuple(poses), sightings)
 
 
-def place_board(name: str, views: Sequence[View], lens: Camera) -> Calibrated:
-    """Where the board was before a camera whose lens is known and held. Raises TooFewViewsError."""
-    _refuse_too_few(name, views)
-    K = np.array([[lens.fc[0], 0.0, lens.cc[0]], [0.0, lens.fc[1], lens.cc[1]], [0.0, 0.0, 1.0]])
-    poses = []
-    for view in views:
-        _, turn, shift = cv2.solvePnP(
-            view.board_mm, view.pixels_px, K, np.array(lens.kc), flags=cv2.SOLVEPNP_IPPE
+def pair_of(joined: Calibrated) -> Pair:
+    """The pair of an adjustment of left and right; its world is the right camera's frame."""
+    cameras, motions = joined.fit.rig.cameras, joined.fit.rig.from_reference
+    right_from_left = motions["right"] @ motions["left"].inverse()
+    return Pair(cameras["left"], cameras["right"], right_from_left, Motion.identity())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Halves:
+    """Two calibrations of one pair; ``differences`` of parameters in combined sd."""
+
+    pairs: tuple[Pair, Pair]
+    differences: Mapping[tuple[str, str], float]
+
+    def disagree_mm(self, left_px: ArrayLike, right_px: ArrayLike) -> Array:
+        """Distance (n,) mm of points that both triangulate from pixels (n, 2), right's frame."""
+        first, second = (pair.in_right_mm(left_px, right_px) for pair in self.pairs)
+        return np.asarray(np.linalg.norm(first - second, axis=1))
+
+
+def split_half(
+    views: Mapping[str, Sequence[View]],
+    image_size: tuple[int, int],
+    *,
+    model: str,
+    square_pixels: bool = False,
+) -> Halves:
+    """Both halves of the shared views, alone and jointly. Raises TooFewViewsError."""
+    in_right = {view.name for view in views["right"]}
+    shared = [view.name for view in views["left"] if view.name in in_right]
+    lens: dict[str, Any] = {"model": model, "square_pixels": square_pixels}
+    fits, values, variances = [], [], []
+    for half in (set(shared[::2]), set(shared[1::2])):
+        alone = {
+            name: calibrate_camera(
+                name, [v for v in views[name] if v.name in half], image_size, **lens
+            )
+            for name in ("left", "right")
+        }
+        found = join_cameras(alone, joint_lenses=("left", "right"), **lens)
+        fits.append(found)
+        rig = found.fit.rig
+        values.append(
+            {(n, p): v for n, c in rig.cameras.items() for p, v in zip(LENS, c.lens, strict=True)}
+            | {
+                (n, p): v
+                for n, m in rig.from_reference.items()
+                for p, v in zip(POSE, (*m.om, *m.T), strict=True)
+            }
         )
-        poses.append(Motion.from_vectors(turn.reshape(-1), shift.reshape(-1)))
-    sightings = tuple(
-        Sighting(name, i, view.board_mm, view.pixels_px) for i, view in enumerate(views)
-    )
-    fit = adjust(
-        Rig({name: lens}, {name: Motion.identity()}), poses, sightings, Freedom({}, motions=False)
-    )
-    return Calibrated(fit, tuple(view.name for view in views), sightings)
-
-
-def _started(
-    views: Sequence[View], image_size: tuple[int, int], model: str, square_pixels: bool
-) -> tuple[Camera, list[Motion]]:
-    board = [view.board_mm.astype(np.float32) for view in views]
-    seen = [view.pixels_px.astype(np.float32) for view in views]
-    free, flags = LENS_MODELS[model], 0
-    for name, flag in (
-        ("k1", cv2.CALIB_FIX_K1),
-        ("k2", cv2.CALIB_FIX_K2),
-        ("k3", cv2.CALIB_FIX_K3),
-        ("p1", cv2.CALIB_ZERO_TANGENT_DIST),
-    ):
-        flags |= 0 if name in free else flag
-    guess = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) if square_pixels else None
-    flags |= cv2.CALIB_FIX_ASPECT_RATIO if square_pixels else 0
-    _, K, kc, turns, shifts = cv2.calibrateCamera(
-        board, seen, image_size, guess, None, flags=flags
-    )[:5]
-    k1, k2, p1, p2, k3 = (float(v) for v in np.resize(kc.reshape(-1)[:5], 5))
-    camera = Camera(
-        image_size,
-        (float(K[0, 0]), float(K[1, 1])),
-        (float(K[0, 2]), float(K[1, 2])),
-        0.0,
-        (k1, k2, p1, p2, k3),
-    )
-    return camera, [
-        Motion.from_vectors(turn.reshape(-1), shift.reshape(-1))
-        for turn, shift in zip(turns, shifts, strict=True)
-    ]
-
-
-def _between(first: Calibrated, other: Calibrated, first_name: str, other_name: str) -> Motion:
-    """other_from_first as a start: the median over the views that both saw."""
-    there = dict(zip(first.views, first.fit.poses, strict=True))
-    both = [
-        pose @ there[view].inverse()
-        for view, pose in zip(other.views, other.fit.poses, strict=True)
-        if view in there
-    ]
-    if len(both) < LEAST_VIEWS:
-        raise TooFewViewsError(
-            f"{first_name} and {other_name} share {len(both)} views, at least {LEAST_VIEWS} are"
-            " needed: show the board where both see all of it"
-        )
-    middle = np.median([motion.T for motion in both], axis=0)
-    nearest = min(both, key=lambda motion: float(np.linalg.norm(motion.T - middle)))
-    return Motion(nearest.R, middle)
-
-
-def _refuse_too_few(name: str, views: Sequence[View]) -> None:
-    if len(views) < LEAST_VIEWS:
-        raise TooFewViewsError(
-            f"{name} has {len(views)} usable views of the board, at least {LEAST_VIEWS} are needed,"
-            " 15 to 30 are good"
-        )
-
-
-def _refuse_all_alike(name: str, poses: Sequence[Motion]) -> None:
-    normals = np.array([pose.R[:, 2] for pose in poses])
-    apart = np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))).max()
-    if apart < LEAST_TILT_DEG:
-        raise TooFewViewsError(
-            f"all views of {name} are from one side: the board was never tilted by more than"
-            f" {apart:.1f} degrees between two views; tilt it by 20 to 40 degrees to each side"
-        )
+        variances.append(dict(zip(found.fit.names, np.diag(found.fit.covariance), strict=True)))
+    differences = {
+        at: float((values[0][at] - values[1][at]) / np.sqrt(variances[0][at] + variances[1][at]))
+        for at in fits[0].fit.names
+    }
+    return Halves((pair_of(fits[0]), pair_of(fits[1])), differences)

@@ -8,7 +8,7 @@ column.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration.boards import Board
-from detector.geometry import Array
+from detector.geometry import Array, homogeneous
 
 STRAY = 0.25  # of the distance between corners
 
@@ -71,7 +71,10 @@ class SubPixel:
         """Refined corners (n, 1, 2) and the window; ``grid_px`` (rows, columns, 2), NaN if hidden.
         ``reach``: the window's part of the least distance between corners, on each side.
         """
-        window = self.window_px or _largest_window(grid_px, reach)
+        steps = [np.linalg.norm(np.diff(grid_px, axis=axis), axis=2) for axis in (0, 1)]
+        least = min(float(np.nanmin(step)) for step in steps if np.isfinite(step).any())
+        largest = int(np.clip(reach * least, SMALLEST_WINDOW_PX, LARGEST_WINDOW_PX))
+        window = self.window_px or largest
         until = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, self.steps, self.epsilon_px)
         return cv2.cornerSubPix(image, corners, (window, window), (-1, -1), until), window
 
@@ -95,12 +98,7 @@ class Found:
 
     def turned(self, board: Board) -> Found:
         """The same points counted from the board's other end."""
-        return Found(
-            np.asarray(board.columns * board.rows - 1 - self.ids),
-            self.pixels_px,
-            self.edges_px,
-            self.window_px,
-        )
+        return replace(self, ids=np.asarray(board.columns * board.rows - 1 - self.ids))
 
 
 def find_board(
@@ -132,17 +130,11 @@ def order_alike(first: Found, second: Found, board: Board) -> Found:
     """
     if not board.reads_the_same_turned:
         return second
-    ways = [_way(found, board) for found in (first, second)]
+    ways = []
+    for found in (first, second):
+        grid = homogeneous(board.points_mm[found.ids, :2])
+        ways.append(np.linalg.lstsq(grid, found.pixels_px, rcond=None)[0][0])
     return second if float(ways[0] @ ways[1]) >= 0.0 else second.turned(board)
-
-
-def _way(found: Found, board: Board) -> Array:
-    """The direction of the rows in the picture."""
-    grid = board.points_mm[found.ids, :2]
-    slopes = np.linalg.lstsq(
-        np.column_stack([grid, np.ones(len(grid))]), found.pixels_px, rcond=None
-    )[0]
-    return np.asarray(slopes[0])
 
 
 def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
@@ -153,13 +145,11 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
         return None
     grid = (board.rows, board.columns, 2)
     fine, window = sub_pixel.refine(image, corners, corners.reshape(grid))
+    placed = fine.reshape(grid)
     # OpenCV's finder may leave one beside its place, too far for the window to get there
-    if (astray := strays(fine.reshape(grid))).any():
-        fine = (
-            np.where(astray[:, :, None], between_neighbours(fine.reshape(grid)), fine.reshape(grid))
-            .astype(np.float32)
-            .reshape(-1, 1, 2)
-        )
+    if (astray := strays(placed)).any():
+        placed = np.where(astray[:, :, None], between_neighbours(placed), placed)
+        fine = placed.astype(np.float32).reshape(-1, 1, 2)
         fine, window = sub_pixel.refine(image, fine, fine.reshape(grid))
         if lost := int(strays(fine.reshape(grid)).sum()):
             raise ViewRefusedError(
@@ -167,11 +157,14 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
                 " board, or glare?"
             )
     pixels = np.asarray(fine.reshape(-1, 2), dtype=np.float64)
-    if not board.reads_the_same_turned and not _dark_before_first(
-        image, pixels.reshape(board.rows, board.columns, 2)
-    ):
+    if not board.reads_the_same_turned and not _dark_before_first(image, pixels.reshape(grid)):
         pixels = pixels[::-1].copy()
-    return Found(np.arange(len(pixels)), pixels, _edges(image, shape, fine), window)
+    sharpness = (
+        cv2.estimateChessboardSharpness(image, shape, fine, 0.8, vertical)[0]
+        for vertical in (False, True)
+    )
+    along, across = (float(np.ravel(each)[0]) for each in sharpness)
+    return Found(np.arange(len(pixels)), pixels, (along, across), window)
 
 
 def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
@@ -179,14 +172,11 @@ def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
     if ids is None or len(ids) < LEAST_CHARUCO:
         return None
     numbers = ids.reshape(-1).astype(np.intp)
-    grid = np.full((board.rows * board.columns, 2), np.nan)
-    grid[numbers] = corners.reshape(-1, 2)
-    # its corner must stay out of the window too
-    to_marker = 0.5 * (1.0 - (board.marker_mm or 0.0) / board.pitch_mm)
-    reach = min(REACH, to_marker)
-    fine, window = sub_pixel.refine(
-        image, corners.reshape(-1, 1, 2).copy(), grid.reshape(board.rows, board.columns, 2), reach
-    )
+    grid = np.full((board.rows, board.columns, 2), np.nan)
+    grid.reshape(-1, 2)[numbers] = corners.reshape(-1, 2)
+    # the marker's corner must stay out of the window too
+    reach = min(REACH, 0.5 * (1.0 - (board.marker_mm or 0.0) / board.pitch_mm))
+    fine, window = sub_pixel.refine(image, corners.reshape(-1, 1, 2).copy(), grid, reach)
     return Found(numbers, np.asarray(fine.reshape(-1, 2), dtype=np.float64), None, window)
 
 
@@ -206,62 +196,40 @@ def _circles(image: Gray, board: Board, _: SubPixel) -> Found | None:
 def _darknesses(image: Gray) -> Iterator[NDArray[Any]]:
     yield cv2.threshold(image, 0, 255, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
     low, high = np.percentile(image, [1.0, 99.0])
+    how, step = (cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV), LEAST_STEP * (high - low)
     for share in AROUND:
         side = int(share * image.shape[1]) | 1
-        yield cv2.adaptiveThreshold(
-            image,
-            255,
-            cv2.ADAPTIVE_THRESH_MEAN_C,
-            cv2.THRESH_BINARY_INV,
-            side,
-            float(LEAST_STEP * (high - low)),
-        )
+        yield cv2.adaptiveThreshold(image, 255, *how, side, float(step))
 
 
 def _grid_of_blobs(image: Gray, dark: NDArray[Any], board: Board) -> Array | None:
     """Circles (n, 2) px in the print's order; None where the blobs make no grid."""
-    count, labels, stats, _rough = cv2.connectedComponentsWithStats(dark)
+    labels, stats = cv2.connectedComponentsWithStats(dark)[1:3]
     wanted = board.columns * board.rows
-    blobs = [
-        n
-        for n in range(1, count)
-        if _round(stats[n], image.size / (2.0 * wanted)) and _whole(stats[n], image)
-    ]
-    if len(blobs) < wanted:
+    left, top, width, height, area = stats.T
+    # a circle's size and shape, clear of the picture's border
+    longer, shorter = np.maximum(width, height), np.minimum(width, height)
+    alike = (area >= 4) & (area <= image.size / (2.0 * wanted)) & (longer <= MOST_OBLONG * shorter)
+    alike &= area >= LEAST_FILL * width * height
+    alike &= (left > 0) & (left + width < image.shape[1])
+    alike &= (top > 0) & (top + height < image.shape[0])
+    alike[0] = False
+    if np.count_nonzero(alike) < wanted:
         return None
-    areas = stats[blobs, cv2.CC_STAT_AREA]
     # specks are smaller and many; one circle is not much larger than another
-    usual = float(np.sort(areas)[::-1][wanted // 2])
-    blobs = [
-        n
-        for n, area in zip(blobs, areas, strict=True)
-        if usual / MOST_UNLIKE < area < usual * MOST_UNLIKE
-    ]
+    usual = float(np.sort(area[alike])[::-1][wanted // 2])
+    alike &= (usual / MOST_UNLIKE < area) & (area < usual * MOST_UNLIKE)
+    blobs = np.flatnonzero(alike)
     if not wanted <= len(blobs) <= MOST_BLOBS * wanted:
         return None
-    centres = np.array(
-        [_centre(image, labels, stats[n], n) for n in blobs], dtype=np.float32
-    ).reshape(-1, 1, 2)
+    middles = [_centre(image, labels, stats[n], n) for n in blobs.tolist()]
+    centres = np.array(middles, dtype=np.float32)
     shape, settings = (board.columns, board.rows), cv2.CirclesGridFinderParameters()
     # The manual allows None with points in place of a picture; OpenCV's type stubs don't.
-    done, ordered = cv2.findCirclesGrid(centres, shape, cv2.CALIB_CB_SYMMETRIC_GRID, None, settings)  # type: ignore[call-overload]
-    return np.asarray(ordered.reshape(-1, 2), dtype=np.float64) if done else None
-
-
-def _round(box: NDArray[Any], largest: float) -> bool:
-    """Whether a blob (left, top, width, height, area) may be a circle."""
-    width, height, area = (float(v) for v in box[2:5])
-    return (
-        4.0 <= area <= largest
-        and area >= LEAST_FILL * width * height
-        and max(width, height) <= MOST_OBLONG * min(width, height)
+    done, ordered = cv2.findCirclesGrid(  # type: ignore[call-overload]
+        centres[:, None], shape, cv2.CALIB_CB_SYMMETRIC_GRID, None, settings
     )
-
-
-def _whole(box: NDArray[Any], image: Gray) -> bool:
-    """Whether a blob's box (left, top, width, height, area) keeps off the picture's border."""
-    left, top, width, height = (int(v) for v in box[:4])
-    return left > 0 and top > 0 and left + width < image.shape[1] and top + height < image.shape[0]
+    return np.asarray(ordered.reshape(-1, 2), dtype=np.float64) if done else None
 
 
 def _centre(
@@ -271,45 +239,21 @@ def _centre(
     left, top, width, height = (int(v) for v in box[:4])
     rows, columns = slice(top - 1, top + height + 1), slice(left - 1, left + width + 1)
     part = image[rows, columns].astype(np.float64)
-    own = (
-        cv2.dilate((labels[rows, columns] == number).astype(np.uint8), np.ones((3, 3), np.uint8))
-        > 0
-    )
+    blob = (labels[rows, columns] == number).astype(np.uint8)
+    own = cv2.dilate(blob, np.ones((3, 3), np.uint8)) > 0
     weight = np.where(own, part[own].max() - part, 0.0)
     y, x = np.mgrid[rows, columns]
     return float((weight * x).sum() / weight.sum()), float((weight * y).sum() / weight.sum())
 
 
-def _largest_window(grid_px: NDArray[Any], reach: float) -> int:
-    """Half the largest safe window's side for corners (rows, columns, 2)."""
-    steps = [np.linalg.norm(np.diff(grid_px, axis=axis), axis=2) for axis in (0, 1)]
-    least = float(min(np.nanmin(step) for step in steps if np.isfinite(step).any()))
-    return int(np.clip(reach * least, SMALLEST_WINDOW_PX, LARGEST_WINDOW_PX))
-
-
 def _dark_before_first(image: Gray, grid_px: Array) -> bool:
     """Whether the square diagonally outside of the first corner is dark, as printed."""
     first, right, down = grid_px[0, 0], grid_px[0, 1] - grid_px[0, 0], grid_px[1, 0] - grid_px[0, 0]
-    values = [
-        _at(image, first + 0.5 * (a * right + b * down))
-        for a, b in ((-1, -1), (1, 1), (1, -1), (-1, 1))
-    ]
-    return values[0] + values[1] < values[2] + values[3]
-
-
-def _at(image: Gray, place_px: Array) -> float:
-    column, row = np.clip(
-        np.rint(place_px).astype(int), 0, [image.shape[1] - 1, image.shape[0] - 1]
-    )
-    return float(image[row, column])
-
-
-def _edges(image: Gray, shape: tuple[int, int], corners: NDArray[Any]) -> tuple[float, float]:
-    along, across = (
-        np.ravel(cv2.estimateChessboardSharpness(image, shape, corners, 0.8, vertical)[0])
-        for vertical in (False, True)
-    )
-    return float(along[0]), float(across[0])
+    diagonals = np.array([(-1, -1), (1, 1), (1, -1), (-1, 1)])
+    places = np.rint(first + 0.5 * diagonals @ np.array([right, down])).astype(int)
+    columns, rows = np.clip(places, 0, np.array(image.shape[::-1]) - 1).T
+    values = image[rows, columns].astype(int)
+    return bool(values[0] + values[1] < values[2] + values[3])
 
 
 def _refuse_blurred(found: Found) -> None:

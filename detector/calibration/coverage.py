@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from detector.geometry import Array, Motion
+from detector.calibration.cameras import flat_pose
+from detector.geometry import Array, Camera, Motion
 
 COLUMNS, ROWS = 4, 3  # cells of the picture
 LEAST_CORNERS = 12  # in a cell that counts as covered
@@ -29,15 +30,8 @@ SIDES = (
     "its upper edge towards the cameras",
     "its lower edge towards the cameras",
 )
-_CELL_NAMES_ROWS, _CELL_NAMES_COLUMNS = (
-    ("top", "middle", "bottom"),
-    (
-        "far left",
-        "left",
-        "right",
-        "far right",
-    ),
-)
+_ROW_NAMES = ("top", "middle", "bottom")
+_COLUMN_NAMES = ("far left", "left", "right", "far right")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +40,7 @@ class Coverage:
 
     views: int
     corners: Array
-    tilted: tuple[int, int, int, int]
+    tilted: tuple[int, ...]
     distances_mm: tuple[float, float] | None
 
     @property
@@ -57,30 +51,25 @@ class Coverage:
     @property
     def missing(self) -> tuple[str, ...]:
         """What is still to be shown, as instructions; empty when nothing is."""
-        return (*self._area(), *self._tilts(), *self._distance(), *self._count())
-
-    def _area(self) -> list[str]:
+        found = []
         empty = [
-            f"{_CELL_NAMES_ROWS[row]} {_CELL_NAMES_COLUMNS[column]}"
+            f"{_ROW_NAMES[row]} {_COLUMN_NAMES[column]}"
             for row, column in np.argwhere(self.corners < LEAST_CORNERS)
         ]
-        return [f"show the board in the picture's {', '.join(empty)}"] if empty else []
-
-    def _tilts(self) -> list[str]:
-        few = [side for side, count in zip(SIDES, self.tilted, strict=True) if count < LEAST_TILTED]
-        return [f"tilt the board by 20 to 40 degrees, {side}" for side in few]
-
-    def _distance(self) -> list[str]:
-        if self.distances_mm is None:
-            return []
-        near, far = self.distances_mm
-        if far >= DISTANCE_RATIO * near:
-            return []
-        return [f"hold the board nearer and farther: all views are {near:.0f} to {far:.0f} mm away"]
-
-    def _count(self) -> list[str]:
+        if empty:
+            found.append(f"show the board in the picture's {', '.join(empty)}")
+        for side, count in zip(SIDES, self.tilted, strict=True):
+            if count < LEAST_TILTED:
+                found.append(f"tilt the board by 20 to 40 degrees, {side}")
+        near, far = self.distances_mm or (0.0, 0.0)
+        if self.distances_mm and far < DISTANCE_RATIO * near:
+            found.append(
+                f"hold the board nearer and farther: all views are {near:.0f} to {far:.0f} mm away"
+            )
         more = LEAST_VIEWS - self.views
-        return [f"{more} more view{'s' if more > 1 else ''}"] if more > 0 else []
+        if more > 0:
+            found.append(f"{more} more view{'s' if more > 1 else ''}")
+        return tuple(found)
 
 
 def coverage(
@@ -93,12 +82,13 @@ def coverage(
             (pixels + 0.5) / image_size * (COLUMNS, ROWS), 0, (COLUMNS - 1e-9, ROWS - 1e-9)
         ).astype(int)
         np.add.at(corners, (cell[:, 1], cell[:, 0]), 1.0)
-    tilted = np.zeros(4, dtype=int)
-    for pose in poses:
-        tilted += _leans(pose)
+    # a normal (away from the camera) that points to the right: the left edge is farther away
+    normals = np.array([pose.R[:2, 2] * np.copysign(1, pose.R[2, 2]) for pose in poses])
+    x, y = np.degrees(np.arcsin(np.clip(normals.reshape(-1, 2), -1.0, 1.0))).T
+    sides = (x < -TILT_DEG, x > TILT_DEG, y < -TILT_DEG, y > TILT_DEG)
     depths = [float(pose.T[2]) for pose in poses]
-    sides = (int(tilted[0]), int(tilted[1]), int(tilted[2]), int(tilted[3]))
-    return Coverage(len(pixels_px), corners, sides, (min(depths), max(depths)) if depths else None)
+    tilted = tuple(int(side.sum()) for side in sides)
+    return Coverage(len(pixels_px), corners, tilted, (min(depths), max(depths)) if depths else None)
 
 
 def rough_poses(
@@ -116,24 +106,9 @@ def rough_poses(
     guessed = float(cv2.initCameraMatrix2D(object_points, image_points, image_size, 1.0)[0, 0])
     low, high = (ratio * image_size[0] for ratio in FOCAL_OVER_WIDTH)
     focal = min(max(guessed, low), high) if np.isfinite(guessed) else float(image_size[0])
-    K = np.array(
-        [
-            [focal, 0.0, (image_size[0] - 1) / 2],
-            [0.0, focal, (image_size[1] - 1) / 2],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    poses = []
-    for board, pixels in zip(object_points, image_points, strict=True):
-        _, turn, shift = cv2.solvePnP(board, pixels, K, np.zeros(5), flags=cv2.SOLVEPNP_IPPE)
-        poses.append(Motion.from_vectors(turn.reshape(-1), shift.reshape(-1)))
-    return poses
-
-
-def _leans(pose: Motion) -> Array:
-    """Which of `SIDES` the view is tilted to, (4,) of 0 and 1, by the board's normal."""
-    normal = pose.R[:, 2] * (1.0 if pose.R[2, 2] > 0 else -1.0)
-    x, y = np.degrees(np.arcsin(np.clip(normal[:2], -1.0, 1.0)))
-    # a normal (away from the camera) that points to the right means that the left edge is farther
-    # away
-    return np.array([x < -TILT_DEG, x > TILT_DEG, y < -TILT_DEG, y > TILT_DEG], dtype=int)
+    middle = (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
+    lens = Camera(image_size, (focal, focal), middle)
+    return [
+        flat_pose(board, pixels, lens.matrix, np.array(lens.kc))
+        for board, pixels in zip(object_points, image_points, strict=True)
+    ]

@@ -1,22 +1,167 @@
-"""Names what is wrong with a calibration, from a board measured again and from touched points.
+"""A board measured again in space with a calibrated pair (spacing, flatness, epipolar offset), and
+what is wrong with a calibration, by that and by touched points.
 
-A wrong baseline or square scales all lengths; a column shift scales them with distance; a row shift
-is an epipolar offset; a bent board has a raised middle; swapped cameras see points behind them. A
-mark counts where significant and large enough.
+The views are not those of the calibration. A wrong baseline or square scales all lengths; a column
+shift scales them with distance; a row shift is an epipolar offset; a bent board has a raised
+middle; swapped cameras see points behind them. A mark counts where significant and large enough.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import norm, t
 
-from detector.calibration.remeasure import Remeasured
-from detector.calibration.uncertainty import Pair
+from detector.calibration.boards import Board
+from detector.calibration.rigid import cross_matrix
+from detector.calibration.values import Pair
 from detector.calibration.world import WorldFit
-from detector.geometry import Motion
+from detector.geometry import Array, Motion, homogeneous
+
+Ids = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairView:
+    """A board seen by both cameras: points ``ids`` (n,) at left and right pixels (n, 2)."""
+
+    name: str
+    ids: Ids
+    left_px: Array
+    right_px: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """One view measured again; mm and px; ``scale``: measured over printed lengths.
+
+    ``off_plane_mm`` (n,): height over the fitted plane, towards the cameras. ``epipolar_px`` (n,):
+    signed distance from the epipolar line in the right picture, positive downwards. ``spacing_mm``
+    (m,): neighbours' distances less the pitch.
+    """
+
+    name: str
+    ids: Ids
+    depth_mm: float
+    scale: float
+    spacing_mm: Array
+    off_plane_mm: Array
+    epipolar_px: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Remeasured:
+    """All views of a board measured again with ``pair``."""
+
+    board: Board
+    views: tuple[Measured, ...]
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Mean over the views, and the standard deviation of that mean."""
+        return _mean([view.scale for view in self.views])
+
+    @property
+    def grows_with_distance(self) -> bool:
+        """Whether a scale error proportional to distance fits better than a constant one."""
+        depth = np.array([view.depth_mm for view in self.views])
+        off = np.array([view.scale - 1.0 for view in self.views])
+        proportional = off - depth * float(depth @ off) / float(depth @ depth)
+        return float(np.sum(proportional**2)) < float(np.sum((off - off.mean()) ** 2))
+
+    @property
+    def epipolar(self) -> tuple[float, float]:
+        """Mean signed row offset in px over the views, and its standard deviation."""
+        return _mean([float(np.mean(view.epipolar_px)) for view in self.views])
+
+    @property
+    def epipolar_rms_px(self) -> float:
+        return _rms([view.epipolar_px for view in self.views])
+
+    @property
+    def spacing_rms_mm(self) -> float:
+        """Of the distances between neighbours from the pitch."""
+        return _rms([view.spacing_mm for view in self.views])
+
+    @property
+    def flatness_rms_mm(self) -> float:
+        return _rms([view.off_plane_mm for view in self.views])
+
+    @property
+    def bend(self) -> tuple[float, float]:
+        """Height of the middle over the edge, mm, by a paraboloid over all views, and its sd."""
+        return _mean([_bend_mm(self.board, view) for view in self.views])
+
+
+def remeasure(pair: Pair, board: Board, views: Sequence[PairView]) -> Remeasured:
+    """The board of each view in space. Raises ValueError where there is no view."""
+    if not views:
+        raise ValueError("there is no view of the board that both cameras saw")
+    return Remeasured(board, tuple(_measured(pair, board, view) for view in views))
+
+
+def _measured(pair: Pair, board: Board, view: PairView) -> Measured:
+    points, printed = pair.in_right_mm(view.left_px, view.right_px), board.points_mm[view.ids]
+    a, b = _neighbours(board, view.ids)
+    spacing = np.linalg.norm(points[a] - points[b], axis=1) - board.pitch_mm
+    centred, centred_printed = points - points.mean(axis=0), printed - printed.mean(axis=0)
+    scale = float(np.sqrt(np.sum(centred**2) / np.sum(centred_printed**2)))
+    normal = np.linalg.svd(centred, full_matrices=False)[2][2]
+    off_plane = centred @ (normal if normal[2] < 0 else -normal)
+    depth, epipolar = float(points[:, 2].mean()), epipolar_px(pair, view)
+    return Measured(view.name, view.ids, depth, scale, spacing, off_plane, epipolar)
+
+
+def epipolar_px(pair: Pair, view: PairView) -> Array:
+    """Signed distances (n,) px of right pixels from their epipolar lines, positive downwards.
+
+    In the undistorted picture at the right camera's focal length. Hartley and Zisserman, 2nd ed.,
+    section 9.6.
+    """
+    a = homogeneous(pair.left.normalize(view.left_px))
+    b = homogeneous(pair.right.normalize(view.right_px))
+    essential = cross_matrix(pair.right_from_left.T) @ pair.right_from_left.R
+    lines = a @ essential.T
+    lines *= np.where(lines[:, 1:2] < 0, -1.0, 1.0)
+    off = np.sum(lines * b, axis=1) / np.linalg.norm(lines[:, :2], axis=1)
+    return np.asarray(off * pair.right.fc[1])
+
+
+def _neighbours(board: Board, ids: Ids) -> tuple[Ids, Ids]:
+    """Rows of ``ids`` that are next to each other on the board, as two lists of places."""
+    place = np.full(board.columns * board.rows, -1)
+    place[ids] = np.arange(len(ids))
+    grid = place.reshape(board.rows, board.columns)
+    pairs = np.vstack([
+        np.column_stack([grid[:, :-1].reshape(-1), grid[:, 1:].reshape(-1)]),
+        np.column_stack([grid[:-1].reshape(-1), grid[1:].reshape(-1)]),
+    ])  # fmt: skip
+    both = pairs[(pairs >= 0).all(axis=1)]
+    return both[:, 0], both[:, 1]
+
+
+def _bend_mm(board: Board, view: Measured) -> float:
+    printed = board.points_mm[view.ids, :2]
+    half = 0.5 * np.array([board.columns - 1, board.rows - 1]) * board.pitch_mm
+    x, y = ((printed - half) / np.linalg.norm(half)).T
+    terms = np.column_stack([np.ones_like(x), x, y, x**2, x * y, y**2])
+    found = np.linalg.lstsq(terms, view.off_plane_mm, rcond=None)[0]
+    # at the corners x^2 + y^2 = 1; along the diagonal that bends most
+    bends = np.linalg.eigvalsh(np.array([[found[3], found[4] / 2], [found[4] / 2, found[5]]]))
+    return float(-bends[np.argmax(np.abs(bends))])
+
+
+def _mean(values: Sequence[float]) -> tuple[float, float]:
+    sd = float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else float("nan")
+    return float(np.mean(values)), sd
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
 
 # standard deviations of a normal distribution: several marks are looked at, and views are not quite
 # independent
@@ -38,20 +183,16 @@ class Finding:
 def swapped(right_from_left: Motion) -> list[Finding]:
     """Whether what is called left stands on the right. The pair is taken to stand upright."""
     x = float((-right_from_left.R.T @ right_from_left.T)[0])
-    if x > 0:
-        return []
     said = (
         f"the right camera stands {-x:.0f} mm to the left of the left one: the cameras' names, or"
         " their cables, are swapped"
     )
-    return [Finding("swapped cameras", said)]
+    return [] if x > 0 else [Finding("swapped cameras", said)]
 
 
 def outlier_views(rms_px: Mapping[str, float], camera: str) -> list[Finding]:
     """Views that fit far worse than the others: listed, never dropped."""
-    if len(rms_px) < 4:
-        return []
-    middle = float(np.median(list(rms_px.values())))
+    middle = float(np.median(list(rms_px.values()))) if len(rms_px) >= 4 else np.inf
     return [
         Finding(
             "outlier view",
@@ -65,14 +206,9 @@ def outlier_views(rms_px: Mapping[str, float], camera: str) -> list[Finding]:
 
 def measured_again(again: Remeasured, pair: Pair) -> list[Finding]:
     """What a board measured again tells of the calibration, or of the board."""
-    depths = np.array([view.depth_mm for view in again.views])
-    if (depths <= 0).any():
-        return [
-            Finding(
-                "swapped cameras",
-                "the board is measured behind the cameras: left and right pictures are swapped",
-            )
-        ]
+    if any(view.depth_mm <= 0 for view in again.views):
+        said = "the board is measured behind the cameras: left and right pictures are swapped"
+        return [Finding("swapped cameras", said)]
     return [*bent(again), *_scale(again, pair), *_rows(again)]
 
 
@@ -88,71 +224,56 @@ def against_the_arm(world: WorldFit) -> list[Finding]:
     return [Finding("wrong square size", said)]
 
 
-def _significant(value: float, sd: float, again: Remeasured) -> bool:
-    """Whether a mean over views differs from 0 at `SIGNIFICANT`, its sd from as many views."""
-    freedom = len(again.views) - 1
-    return freedom > 0 and abs(value) > float(t.isf(norm.sf(SIGNIFICANT), freedom)) * sd
+def _matters(mean: tuple[float, float], least: float, again: Remeasured) -> bool:
+    """Whether a mean over views, with its sd, is above ``least`` and differs from 0 at
+    `SIGNIFICANT`.
+    """
+    (value, sd), freedom = mean, len(again.views) - 1
+    if freedom < 1 or not abs(value) > least:
+        return False
+    return abs(value) > float(t.isf(norm.sf(SIGNIFICANT), freedom)) * sd
 
 
 def _scale(again: Remeasured, pair: Pair) -> list[Finding]:
     scale, sd = again.scale
     off = scale - 1.0
-    if not (abs(off) > SCALE_MATTERS and _significant(off, sd, again)):
+    if not _matters((off, sd), SCALE_MATTERS, again):
         return []
     said = f"the board is measured {100 * abs(off):.2f} % too {'large' if off > 0 else 'small'}"
-    if again.grows_with_distance:
-        # a disparity wrong by d px makes lengths at the distance Z wrong by d Z / (f B)
-        depth_mm = float(np.mean([view.depth_mm for view in again.views]))
-        shift_px = off * pair.right.fc[0] * float(np.linalg.norm(pair.right_from_left.T)) / depth_mm
+    if not again.grows_with_distance:
         said += (
-            f", the more the farther, as by {abs(shift_px):.2f} px between the columns of the two"
-            " cameras"
+            " at every distance: the baseline is wrong by that factor, or the board is not"
+            " the one described"
         )
-        return [
-            Finding(
-                "shifted columns",
-                f"{said}: pixel centres counted from 0 in one and 0.5 in the other, or a lens that"
-                " moved",
-            )
-        ]
-    return [
-        Finding(
-            "wrong baseline",
-            f"{said} at every distance: the baseline is wrong by that factor, or the board is not"
-            " the one described",
-        )
-    ]
+        return [Finding("wrong baseline", said)]
+    # a disparity wrong by d px makes lengths at the distance Z wrong by d Z / (f B)
+    depth_mm = float(np.mean([view.depth_mm for view in again.views]))
+    shift_px = off * pair.right.fc[0] * float(np.linalg.norm(pair.right_from_left.T)) / depth_mm
+    said += (
+        f", the more the farther, as by {abs(shift_px):.2f} px between the columns of the two"
+        " cameras: pixel centres counted from 0 in one and 0.5 in the other, or a lens that moved"
+    )
+    return [Finding("shifted columns", said)]
 
 
 def _rows(again: Remeasured) -> list[Finding]:
-    offset, sd = again.epipolar
-    if not (abs(offset) > ROWS_MATTER_PX and _significant(offset, sd, again)):
-        return []
+    offset = again.epipolar[0]
     said = (
         f"the right camera's rows are {abs(offset):.2f} px too {'low' if offset > 0 else 'high'}"
-        " against the left's"
+        " against the left's: pixel centres counted from 0 in one and 0.5 in the other, or a lens"
+        " or camera that moved"
     )
-    return [
-        Finding(
-            "shifted rows",
-            f"{said}: pixel centres counted from 0 in one and 0.5 in the other, or a lens or camera"
-            " that moved",
-        )
-    ]
+    found = _matters(again.epipolar, ROWS_MATTER_PX, again)
+    return [Finding("shifted rows", said)] if found else []
 
 
 def bent(again: Remeasured) -> list[Finding]:
     """Whether the board's middle stands off its rim. What the calibration's lenses took up is
     missing, so what is left is real.
     """
-    bend, sd = again.bend
-    diagonal = float(np.hypot(*again.board.size_mm))
-    if not (abs(bend) > BEND_MATTERS * diagonal and _significant(bend, sd, again)):
-        return []
-    return [
-        Finding(
-            "bent board",
-            f"the board's middle stands {abs(bend):.2f} mm {'before' if bend > 0 else 'behind'} its"
-            " rim: it is bent",
-        )
-    ]
+    bend, least = again.bend[0], BEND_MATTERS * float(np.hypot(*again.board.size_mm))
+    said = (
+        f"the board's middle stands {abs(bend):.2f} mm {'before' if bend > 0 else 'behind'} its"
+        " rim: it is bent"
+    )
+    return [Finding("bent board", said)] if _matters(again.bend, least, again) else []

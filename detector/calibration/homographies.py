@@ -60,12 +60,10 @@ def fit_homography(thermal_px: ArrayLike, optical_px: ArrayLike) -> MappedPairs:
             " is the picture still mirrored?"
         )
     inliers = np.asarray(marked.reshape(-1) > 0)
-    refined = np.asarray(
-        cv2.findHomography(thermal[inliers], optical[inliers], 0)[0], dtype=np.float64
-    )
-    return MappedPairs(
-        refined, inliers, np.linalg.norm(apply_homography(refined, thermal) - optical, axis=1)
-    )
+    fitted, _ = cv2.findHomography(thermal[inliers], optical[inliers], 0)
+    refined = np.asarray(fitted, dtype=np.float64)
+    missed_px = np.linalg.norm(apply_homography(refined, thermal) - optical, axis=1)
+    return MappedPairs(refined, inliers, missed_px)
 
 
 # Of the mean teat end of table 5.2 in the thesis's rig, to a millimetre: for a rig whose file names
@@ -77,9 +75,7 @@ _GRID = 21
 
 def thermal_grid(image_size: tuple[int, int]) -> Array:
     """Pixels (441, 2) evenly over a picture of image_size (columns, rows), with its corners."""
-    x, y = np.meshgrid(
-        np.linspace(0, image_size[0] - 1, _GRID), np.linspace(0, image_size[1] - 1, _GRID)
-    )
+    x, y = np.meshgrid(*(np.linspace(0, size - 1, _GRID) for size in image_size))
     return np.column_stack([x.ravel(), y.ravel()])
 
 
@@ -107,11 +103,9 @@ def plane_homography(
     camera's frame). Raises ValueError unless the plane is before both cameras.
     """
     grid = thermal_grid(thermal.image_size)
-    seen = optical.project(
-        optical_from_right.apply(through_plane(grid, thermal, thermal_from_right, plane_depth_mm))
-    )
-    kept = np.all(np.isfinite(seen), axis=1)
-    if not plane_depth_mm > 0 or np.count_nonzero(kept) < len(grid):
+    on_plane = through_plane(grid, thermal, thermal_from_right, plane_depth_mm)
+    seen = optical.project(optical_from_right.apply(on_plane))
+    if not plane_depth_mm > 0 or not np.isfinite(seen).all():
         raise ValueError(
             f"the plane at {plane_depth_mm} mm isn't in front of both cameras over the whole"
             " thermal picture"

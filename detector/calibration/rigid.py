@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from detector.geometry import Array, Motion, rigid_fit
+from detector.geometry import Array, rigid_fit
 
 _FLAT = 1e-9  # of the largest extent: thinner than this is no extent
 
@@ -61,32 +61,23 @@ class Comparison:
 def fit_rigid(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
     """Rotation and shift, no reflection. Raises ValueError as `detector.geometry.rigid_fit`."""
     motion = rigid_fit(target_mm, source_mm)
-    return _left_over("rigid", motion.R, motion.T, target_mm, source_mm)
+    return _fit("rigid", motion.R, motion.T, *_arrays(target_mm, source_mm))
 
 
 def fit_similarity(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
     """Rotation, shift and one scale (Umeyama 1991, eq. 42). Raises ValueError as the rigid fit."""
     motion = rigid_fit(target_mm, source_mm)
-    target, source = (
-        np.asarray(target_mm, dtype=np.float64),
-        np.asarray(source_mm, dtype=np.float64),
-    )
+    target, source = _arrays(target_mm, source_mm)
     centred_t, centred_s = target - target.mean(axis=0), source - source.mean(axis=0)
     scale = float(np.sum(centred_t * (centred_s @ motion.R.T)) / np.sum(centred_s**2))
-    A = scale * motion.R
-    return _left_over(
-        "similarity", A, target.mean(axis=0) - A @ source.mean(axis=0), target, source
-    )
+    return _fit("similarity", scale * motion.R, None, target, source)
 
 
 def fit_affine(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
     """A linear map and a shift; for points in a plane, its normal goes to the other's. Raises
     ValueError as the rigid fit.
     """
-    target, source = (
-        np.asarray(target_mm, dtype=np.float64),
-        np.asarray(source_mm, dtype=np.float64),
-    )
+    target, source = _arrays(target_mm, source_mm)
     rigid_fit(target, source)  # refuses what determines no fit, in the same words
     centred_t, centred_s = target - target.mean(axis=0), source - source.mean(axis=0)
     _, extent, axes = np.linalg.svd(centred_s, full_matrices=True)
@@ -95,15 +86,28 @@ def fit_affine(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
     if rank == 2:
         normal = np.cross(slopes[:, 0], slopes[:, 1]) * np.sign(np.linalg.det(axes))
         slopes = np.column_stack([slopes, normal / np.linalg.norm(normal)])
-    A = slopes @ axes
-    return _left_over("affine", A, target.mean(axis=0) - A @ source.mean(axis=0), target, source)
+    return _fit("affine", slopes @ axes, None, target, source)
+
+
+def _arrays(*given: ArrayLike) -> tuple[Array, ...]:
+    return tuple(np.asarray(each, dtype=np.float64) for each in given)
+
+
+def _fit(model: str, A: Array, t: Array | None, target: Array, source: Array) -> Fit:
+    """With the shift that takes mean to mean, unless given."""
+    t = target.mean(axis=0) - A @ source.mean(axis=0) if t is None else t
+    return Fit(model, A, t, target - (source @ A.T + t))
 
 
 def compare(target_mm: ArrayLike, source_mm: ArrayLike) -> Comparison:
     """All three fits of pairs (n, 3) with held-out errors. Raises ValueError as the rigid fit."""
-    models = {"rigid": fit_rigid, "similarity": fit_similarity, "affine": fit_affine}
-    held_out = {name: rms_held_out_mm(fit, target_mm, source_mm) for name, fit in models.items()}
-    rigid, similarity, affine = (fit(target_mm, source_mm) for fit in models.values())
+    fits, held_out = [], {}
+    for fit in (fit_rigid, fit_similarity, fit_affine):
+        fits.append(fit(target_mm, source_mm))
+        missed = held_out_mm(fit, target_mm, source_mm)
+        known = missed[np.isfinite(missed)]
+        held_out[fits[-1].model] = float(np.sqrt(np.mean(known**2))) if len(known) else None
+    rigid, similarity, affine = fits
     return Comparison(rigid, similarity, affine, held_out)
 
 
@@ -111,31 +115,16 @@ def held_out_mm(
     fit: Callable[[ArrayLike, ArrayLike], Fit], target_mm: ArrayLike, source_mm: ArrayLike
 ) -> Array:
     """Distances (n,) of pairs (n, 3) from the fit of all others; NaN where those determine none."""
-    target, source = (
-        np.asarray(target_mm, dtype=np.float64),
-        np.asarray(source_mm, dtype=np.float64),
-    )
+    target, source = _arrays(target_mm, source_mm)
     missed = np.full(len(source), np.nan)
+    rank = np.linalg.matrix_rank(source - source.mean(axis=0))
     for row in range(len(source)):
         others = np.arange(len(source)) != row
-        if np.linalg.matrix_rank(
-            source[others] - source[others].mean(axis=0)
-        ) < np.linalg.matrix_rank(source - source.mean(axis=0)):
-            continue
-        if others.sum() >= 3:
-            missed[row] = np.linalg.norm(
-                target[row] - fit(target[others], source[others]).apply(source[row])
-            )
+        rest = source[others] - source[others].mean(axis=0)
+        if others.sum() >= 3 and np.linalg.matrix_rank(rest) >= rank:
+            found = fit(target[others], source[others]).apply(source[row])
+            missed[row] = np.linalg.norm(target[row] - found)
     return missed
-
-
-def rms_held_out_mm(
-    fit: Callable[[ArrayLike, ArrayLike], Fit], target_mm: ArrayLike, source_mm: ArrayLike
-) -> float | None:
-    """Root mean square of `held_out_mm` over the pairs that have one; None where none has."""
-    missed = held_out_mm(fit, target_mm, source_mm)
-    known = missed[np.isfinite(missed)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else None
 
 
 def expected_fre_mm(fle_mm: float, n: int) -> float:
@@ -157,10 +146,7 @@ def target_error_mm(fle_mm: float, fiducials_mm: ArrayLike, at_mm: ArrayLike) ->
     d_k: the point's distance from principal axis k of the fiducials (n, 3); f_k: theirs, rms
     (Fitzpatrick, West and Maurer 1998, eq. 46). Infinite for fiducials on one line.
     """
-    source, at = (
-        np.asarray(fiducials_mm, dtype=np.float64),
-        np.atleast_2d(np.asarray(at_mm, dtype=np.float64)),
-    )
+    source, at = _arrays(fiducials_mm, np.atleast_2d(at_mm))
     _enough(len(source))
     centre = source.mean(axis=0)
     axes = np.linalg.svd(source - centre, full_matrices=True)[2]
@@ -185,34 +171,10 @@ def rotation_covariance(fiducials_mm: ArrayLike, u_mm: float) -> Array:
     return np.asarray(u_mm**2 * np.linalg.inv(inertia))
 
 
-def target_covariance(fiducials_mm: ArrayLike, u_mm: float, at_mm: ArrayLike) -> Array:
-    """Covariance (3, 3) mm^2 of a mapped point (3,) in the fiducials' axes, first order. Its trace
-    is `target_error_mm` squared with fle = sqrt(3) u. Raises ValueError for a line.
-    """
-    source = np.asarray(fiducials_mm, dtype=np.float64)
-    arm = cross_matrix(np.asarray(at_mm, dtype=np.float64) - source.mean(axis=0))
-    return np.asarray(
-        u_mm**2 / len(source) * np.eye(3) + arm @ rotation_covariance(source, u_mm) @ arm.T
-    )
-
-
 def cross_matrix(vector: ArrayLike) -> Array:
     """The matrix (3, 3) whose product with w is vector x w."""
     x, y, z = np.asarray(vector, dtype=np.float64)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def motion_of(fit: Fit) -> Motion:
-    """The motion of a rigid fit. Raises ValueError for another model."""
-    return Motion(fit.A, fit.t)
-
-
-def _left_over(model: str, A: Array, t: Array, target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
-    target, source = (
-        np.asarray(target_mm, dtype=np.float64),
-        np.asarray(source_mm, dtype=np.float64),
-    )
-    return Fit(model, np.asarray(A), np.asarray(t), np.asarray(target - (source @ A.T + t)))
 
 
 def _enough(n: int) -> int:

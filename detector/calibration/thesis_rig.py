@@ -9,16 +9,28 @@ thermal camera's focal lengths, direction and plane; it stands midway between th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from detector.calibration.bundle import POSE
+from detector.calibration.bundle import LENS, POSE
 from detector.calibration.homographies import derive_homographies, thermal_grid, through_plane
-from detector.calibration.uncertainty import ParameterCovariance
-from detector.calibration.values import Calibration, Homographies, ThermalCamera
-from detector.geometry import Array, Camera, Motion, apply_homography, rigid_fit
+from detector.calibration.values import (
+    Calibration,
+    Homographies,
+    ParameterCovariance,
+    ThermalCamera,
+)
+from detector.geometry import (
+    Array,
+    Camera,
+    Motion,
+    apply_homography,
+    rigid_fit,
+    rotation_from_vector,
+)
 
 IMAGE_SIZE = (1360, 1024)  # section 3.1.1
 # table 3.1
@@ -46,6 +58,7 @@ PRINTED_UNCERTAINTY = {  # tables 3.1 and 3.2: fc, cc, k1, k2
 # section 3.2.1.2
 STEREO_OM_UNCERTAINTY_RAD, STEREO_T_UNCERTAINTY_MM = (0.0023, 0.0030, 0.0003), (0.195, 0.218, 0.959)
 THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE = (640, 480), (160, 120)  # sections 3.1.1, 4.1.1
+THERMAL = ThermalCamera(THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE, True, "hot_is_black", None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,16 +93,14 @@ def right_from_left() -> Motion:
 
 def printed_teats_in_right_mm() -> Array:
     """Table 5.2 (4, 3) carried into the right camera's frame by the printed, non-rigid matrix."""
-    return np.asarray(
-        np.linalg.solve(np.array(WORLD_MATRIX), (np.array(TEAT_ENDS_MM) - np.array(WORLD_T_MM)).T).T
-    )
+    turned = np.array(TEAT_ENDS_MM) - np.array(WORLD_T_MM)
+    return np.asarray(np.linalg.solve(np.array(WORLD_MATRIX), turned.T).T)
 
 
 def stereo_pixels(in_right_mm: Array) -> Array:
     """Left and right pixels (2, n, 2) of points (n, 3) in the right camera's frame."""
-    return np.stack(
-        [LEFT.project(right_from_left().inverse().apply(in_right_mm)), RIGHT.project(in_right_mm)]
-    )
+    in_left_mm = right_from_left().inverse().apply(in_right_mm)
+    return np.stack([LEFT.project(in_left_mm), RIGHT.project(in_right_mm)])
 
 
 def fit_world() -> Motion:
@@ -100,18 +111,9 @@ def fit_world() -> Motion:
     start = rigid_fit(printed_teats_in_right_mm(), teats)
 
     def residual(p: Array) -> Array:
-        return np.asarray(
-            (stereo_pixels(Motion.from_vectors(p[:3], p[3:]).apply(teats)) - wanted).ravel()
-        )
+        return stereo_pixels(Motion.from_vectors(p[:3], p[3:]).apply(teats)) - wanted
 
-    found = least_squares(
-        residual,
-        np.concatenate([start.om, start.T]),
-        x_scale=np.array([1e-3] * 3 + [1.0] * 3),
-        xtol=1e-14,
-        ftol=1e-14,
-        gtol=1e-14,
-    ).x
+    found = _fitted(residual, [*start.om, *start.T], [1e-3] * 3 + [1.0] * 3)
     return Motion.from_vectors(found[:3], found[3:]).inverse()
 
 
@@ -119,48 +121,39 @@ def fit_thermal() -> ThermalFit:
     """The thermal camera closest to both printed homographies over an even grid."""
     # the left camera's centre, in the right camera's frame, is T
     midway = 0.5 * right_from_left().T
-    left_from_right, grid = right_from_left().inverse(), thermal_grid(THERMAL_IMAGE_SIZE)
-    wanted = np.stack(
-        [apply_homography(HOMOGRAPHY_LEFT, grid), apply_homography(HOMOGRAPHY_RIGHT, grid)]
-    )
+    grid = thermal_grid(THERMAL_IMAGE_SIZE)
+    printed = HOMOGRAPHY_LEFT, HOMOGRAPHY_RIGHT
+    wanted = np.stack([apply_homography(printed_map, grid) for printed_map in printed])
     centre = ((THERMAL_IMAGE_SIZE[0] - 1) / 2, (THERMAL_IMAGE_SIZE[1] - 1) / 2)
 
     def camera(p: Array) -> tuple[Camera, Motion]:
-        pose = Motion.from_vectors(p[2:5], np.zeros(3))
-        return Camera(THERMAL_IMAGE_SIZE, (float(p[0]), float(p[1])), centre), Motion(
-            pose.R, -pose.R @ midway
-        )
+        R = rotation_from_vector(p[2:5])
+        lens = Camera(THERMAL_IMAGE_SIZE, (float(p[0]), float(p[1])), centre)
+        return lens, Motion(R, -R @ midway)
 
     def residual(p: Array) -> Array:
-        on_plane = through_plane(grid, *camera(p), float(p[5]))
-        return (
-            np.stack([LEFT.project(left_from_right.apply(on_plane)), RIGHT.project(on_plane)])
-            - wanted
-        )
+        return stereo_pixels(through_plane(grid, *camera(p), float(p[5]))) - wanted
 
-    start, scale = (
-        np.array([2000.0, 2000.0, 0.0, 0.0, 0.0, 1200.0]),
-        np.array([10.0, 10.0, 1e-3, 1e-3, 1e-3, 10.0]),
+    start, scale = [2000.0, 2000.0, 0.0, 0.0, 0.0, 1200.0], [10.0, 10.0, 1e-3, 1e-3, 1e-3, 10.0]
+    found = _fitted(residual, start, scale)
+    return ThermalFit(*camera(found), float(found[5]), residual(found))
+
+
+def _fitted(residual: Callable[[Array], Array], start: list[float], scale: list[float]) -> Array:
+    to_the_end = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
+    return np.asarray(
+        least_squares(lambda p: residual(p).ravel(), start, x_scale=scale, **to_the_end).x
     )
-    found = least_squares(
-        lambda p: residual(p).ravel(), start, x_scale=scale, xtol=1e-14, ftol=1e-14, gtol=1e-14
-    ).x
-    lens, pose = camera(found)
-    return ThermalFit(lens, pose, float(found[5]), residual(found))
 
 
 def thesis_rig() -> Calibration:
     """The emulated rig's calibration; its homographies hold at table 5.2's mean depth."""
-    world_from_right, fit = fit_world(), fit_thermal()
-    thermal_from_left = fit.thermal_from_right @ right_from_left()
+    world_from_right, fit, stereo = fit_world(), fit_thermal(), right_from_left()
+    thermal_from_left = fit.thermal_from_right @ stereo
     depth_mm = float(world_from_right.inverse().apply(TEAT_ENDS_MM)[:, 2].mean())
-    thermal = ThermalCamera(THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE, True, "hot_is_black", fit.lens)
-    homographies = derive_homographies(
-        fit.lens, LEFT, RIGHT, thermal_from_left, right_from_left(), depth_mm
-    )
-    return Calibration(
-        LEFT, RIGHT, thermal, right_from_left(), thermal_from_left, world_from_right, homographies
-    )
+    maps = derive_homographies(fit.lens, LEFT, RIGHT, thermal_from_left, stereo, depth_mm)
+    thermal = replace(THERMAL, lens=fit.lens)
+    return Calibration(LEFT, RIGHT, stereo, world_from_right, thermal, thermal_from_left, maps)
 
 
 def thesis_published() -> Calibration:
@@ -172,23 +165,12 @@ def thesis_published() -> Calibration:
     """
     sds: dict[tuple[str, str], float] = {}
     for name, (fc, cc, k1, k2) in PRINTED_UNCERTAINTY.items():
-        sds |= {
-            (name, "fx"): fc[0],
-            (name, "fy"): fc[1],
-            (name, "cx"): cc[0],
-            (name, "cy"): cc[1],
-            (name, "k1"): k1,
-            (name, "k2"): k2,
-        }
-    sds |= {
-        ("stereo", name): value
-        for name, value in zip(
-            POSE, (*STEREO_OM_UNCERTAINTY_RAD, *STEREO_T_UNCERTAINTY_MM), strict=True
-        )
-    }
-    covariance = ParameterCovariance(
-        tuple(sds), np.diag([(value / 3.0) ** 2 for value in sds.values()])
-    )
-    thermal = ThermalCamera(THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE, True, "hot_is_black", None)
+        sds |= {(name, p): sd for p, sd in zip(LENS, (*fc, *cc, k1, k2), strict=False)}
+    pose = (*STEREO_OM_UNCERTAINTY_RAD, *STEREO_T_UNCERTAINTY_MM)
+    sds |= {("stereo", p): sd for p, sd in zip(POSE, pose, strict=True)}
+    variances = np.diag([(sd / 3.0) ** 2 for sd in sds.values()])
     maps = Homographies(np.array(HOMOGRAPHY_LEFT), np.array(HOMOGRAPHY_RIGHT), None)
-    return Calibration(LEFT, RIGHT, thermal, right_from_left(), None, fit_world(), maps, covariance)
+    return Calibration(
+        LEFT, RIGHT, right_from_left(), fit_world(), THERMAL, None, maps,
+        ParameterCovariance(tuple(sds), variances),
+    )  # fmt: skip

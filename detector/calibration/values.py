@@ -1,21 +1,130 @@
-"""A calibration as one complete, frozen value: cameras, motions between them and the world,
-homographies.
+"""A calibration as one complete, frozen value, and the uncertainty of points that it triangulates:
+first order (JCGM 100:2008, 5.1.2; 102:2011), by central differences.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Literal, get_args
+from dataclasses import dataclass, fields, replace
+from typing import Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from detector.calibration.uncertainty import Pair, ParameterCovariance, covariance_of_points
-from detector.geometry import Array, Camera, Motion
+from detector.calibration.bundle import LENS, POSE
+from detector.geometry import Array, Camera, Motion, triangulate
 
 Polarity = Literal["hot_is_black", "hot_is_white"]
 POLARITIES: tuple[str, ...] = get_args(Polarity)
+# of a parameter's standard deviation: far above rounding, far below where the geometry bends
+STEP = 0.1
+PIXEL_STEP_PX = 0.01
+LENSES = ("left", "right", "thermal")
+# right_from_left, thermal_from_left, world_from_right
+MOTIONS = ("stereo", "thermal pose", "world")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ParameterCovariance:
+    """``matrix`` (k, k) of ``names``: (of `LENSES`, of `bundle.LENS`) or (of `MOTIONS`, of
+    `bundle.POSE`); px, rad, mm. Other parameters were fixed. Raises ValueError where it is no
+    covariance.
+    """
+
+    names: tuple[tuple[str, str], ...]
+    matrix: Array
+
+    def __post_init__(self) -> None:
+        matrix, k = np.array(self.matrix, dtype=np.float64), len(self.names)
+        known = {(owner, name) for owner in LENSES for name in LENS}
+        known |= {(owner, name) for owner in MOTIONS for name in POSE}
+        if strange := [" ".join(name) for name in self.names if name not in known]:
+            raise ValueError(f"no such parameter: {', '.join(strange)}")
+        if len(set(self.names)) < k:
+            raise ValueError("a parameter is named twice")
+        if matrix.shape != (k, k) or not np.isfinite(matrix).all():
+            raise ValueError(
+                f"the covariance must be {k} x {k} finite numbers, a row and a column for each"
+                f" name; it has the shape {matrix.shape}"
+            )
+        scale = np.sqrt(np.clip(np.diag(matrix), np.finfo(float).tiny, None))
+        scaled = matrix / np.outer(scale, scale)
+        sound = np.allclose(scaled, scaled.T, atol=1e-6) and (np.diag(matrix) >= 0).all()
+        if not sound or np.linalg.eigvalsh(scaled).min(initial=0.0) < -1e-6:
+            raise ValueError(
+                "not a covariance: it must be symmetric, without a negative variance in any"
+                " direction"
+            )
+        matrix.setflags(write=False)
+        object.__setattr__(self, "matrix", matrix)
+
+    def sd(self, owner: str, name: str) -> float | None:
+        """Standard deviation of one parameter; None where it was held fixed."""
+        return self.sds.get((owner, name))
+
+    @property
+    def sds(self) -> Mapping[tuple[str, str], float]:
+        """Standard deviations by parameter."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.matrix)).tolist(), strict=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """What triangulation needs: both lenses, right_from_left, world_from_right."""
+
+    left: Camera
+    right: Camera
+    right_from_left: Motion
+    world_from_right: Motion
+
+    def project(self, world_mm: ArrayLike) -> tuple[Array, Array]:
+        """Left and right pixels (n, 2) of world points (n, 3); NaN behind a camera."""
+        in_right = self.world_from_right.inverse().apply(world_mm)
+        in_left = self.right_from_left.inverse().apply(in_right)
+        return self.left.project(in_left), self.right.project(in_right)
+
+    def in_right_mm(self, left_px: ArrayLike, right_px: ArrayLike) -> Array:
+        """Points (n, 3) of pixel pairs, right camera's frame."""
+        return triangulate(left_px, right_px, self.left, self.right, self.right_from_left)[0]
+
+    def place(self, left_px: ArrayLike, right_px: ArrayLike) -> Array:
+        """World points (n, 3) of pixel pairs."""
+        return self.world_from_right.apply(self.in_right_mm(left_px, right_px))
+
+    def moved(self, owner: str, name: str, step: float) -> Self:
+        """The pair with one parameter changed; the thermal camera's move nothing."""
+        at = {"stereo": "right_from_left", "world": "world_from_right"}.get(owner, owner)
+        part, moved = getattr(self, at, None), dict[str, Camera | Motion]()
+        if isinstance(part, Camera):
+            moved = {at: part.with_lens(part.lens + step * np.equal(LENS, name))}
+        if isinstance(part, Motion):
+            moved = {at: part.shifted(step * np.equal(POSE, name))}
+        return replace(self, **moved)  # type: ignore[arg-type]
+
+
+def covariance_of_points(
+    pair: Pair, covariance: ParameterCovariance | None, world_mm: ArrayLike, pixel_sd_px: float
+) -> Array:
+    """(n, 3, 3) mm^2 of triangulated world points (n, 3); NaN for one that a camera can't see.
+    ``pixel_sd_px``: of each pixel coordinate; alone where there is no covariance.
+    """
+    points = np.atleast_2d(np.asarray(world_mm, dtype=np.float64))
+    left_px, right_px = pair.project(points)
+    total = np.zeros((len(points), 3, 3))
+    for move in PIXEL_STEP_PX * np.eye(4):
+        near, far = (pair.place(left_px + s * move[:2], right_px + s * move[2:]) for s in (-1, 1))
+        slope = (far - near) / (2.0 * PIXEL_STEP_PX)
+        total += slope[:, :, None] * slope[:, None, :]
+    total *= pixel_sd_px**2
+    if covariance is None or not covariance.names:
+        return total
+    columns = [np.zeros_like(points) for _ in covariance.names]
+    for column, ((owner, name), sd) in zip(columns, covariance.sds.items(), strict=True):
+        if h := STEP * sd:
+            near, far = (pair.moved(owner, name, s).place(left_px, right_px) for s in (-h, h))
+            column += (far - near) / (2.0 * h)
+    jacobian = np.stack(columns, axis=2)
+    return np.asarray(total + jacobian @ covariance.matrix @ jacobian.transpose(0, 2, 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,19 +190,15 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
+class Calibration(Pair):
     """A calibrated rig. Lengths mm; motions take points from the frame named last to the first.
 
     `thermal.lens` and `thermal_from_left` are both given or both None. `covariance` is of all
     fitted parameters; None where the file has none.
     """
 
-    left: Camera
-    right: Camera
     thermal: ThermalCamera
-    right_from_left: Motion
     thermal_from_left: Motion | None
-    world_from_right: Motion
     homographies: Homographies
     covariance: ParameterCovariance | None = None
     record: Record | None = None
@@ -101,52 +206,29 @@ class Calibration:
     @property
     def thermal_from_right(self) -> Motion | None:
         """Right camera -> thermal camera, None where the thermal camera has no pose."""
-        return (
-            None
-            if self.thermal_from_left is None
-            else self.thermal_from_left @ self.right_from_left.inverse()
-        )
-
-    @property
-    def world_from_left(self) -> Motion:
-        """Left camera -> world."""
-        return self.world_from_right @ self.right_from_left
+        pose = self.thermal_from_left
+        return None if pose is None else pose @ self.right_from_left.inverse()
 
     @property
     def baseline_mm(self) -> float:
         """Distance between the optical centres of the stereo pair."""
         return float(np.linalg.norm(self.right_from_left.T))
 
-    @property
-    def pair(self) -> Pair:
-        """What triangulation needs of it."""
-        return Pair(self.left, self.right, self.right_from_left, self.world_from_right)
-
     def covariance_of(self, world_mm: ArrayLike, pixel_sd_px: float = 0.0) -> Array:
         """(n, 3, 3) mm^2, world axes, of triangulated points (n, 3): calibration and `pixel_sd_px`.
         NaN for a point that a camera can't see; zero without covariance and pixel noise.
         """
-        return covariance_of_points(self.pair, self.covariance, world_mm, pixel_sd_px)
+        return covariance_of_points(self, self.covariance, world_mm, pixel_sd_px)
 
     @property
     def part(self) -> Part:
         """The same as a part that lacks nothing."""
         return Part(**{field.name: getattr(self, field.name) for field in fields(Part)})
 
-    def project(self, world_mm: ArrayLike) -> tuple[Array, Array]:
-        """Left and right pixels (n, 2) of world points (n, 3); NaN behind a camera."""
-        in_right = self.world_from_right.inverse().apply(world_mm)
-        return self.left.project(
-            self.right_from_left.inverse().apply(in_right)
-        ), self.right.project(in_right)
-
     def depth_per_disparity_px_mm(self, world_mm: ArrayLike) -> Array:
         """Motion (n,) of world points (n, 3) along the viewing axis for 1 px of disparity: Z^2 / (f
         B), f the mean horizontal focal length. No stereo method here is better per pixel.
         """
-        depth = self.world_from_right.inverse().apply(
-            np.atleast_2d(np.asarray(world_mm, dtype=np.float64))
-        )[:, 2]
-        return np.asarray(
-            depth**2 / (0.5 * (self.left.fc[0] + self.right.fc[0]) * self.baseline_mm)
-        )
+        depth = self.world_from_right.inverse().apply(np.atleast_2d(world_mm))[:, 2]
+        focal_px = 0.5 * (self.left.fc[0] + self.right.fc[0])
+        return np.asarray(depth**2 / (focal_px * self.baseline_mm))

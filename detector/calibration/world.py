@@ -6,7 +6,6 @@ is joint with lenses and stereo, as their errors partly cancel where points were
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from detector.calibration.bundle import POSE
 from detector.calibration.rigid import Comparison, compare, fle_from_fre_mm, target_error_mm
-from detector.calibration.uncertainty import STEP, Pair, ParameterCovariance
+from detector.calibration.values import STEP, Pair, ParameterCovariance
 from detector.geometry import Array, Camera, Motion, rigid_fit, triangulate
 
 POINT_STEP_MM = 0.01
@@ -67,77 +66,45 @@ def fit_world(
     """World from pixel pairs (n, 2) of points touched at (n, 3) mm. Raises ValueError without a
     fit. ``touch_sd_mm`` along each axis, ``pixel_sd_px`` of a coordinate.
     """
-    seen = np.asarray(left_px, dtype=np.float64), np.asarray(right_px, dtype=np.float64)
-    touched = np.asarray(touched_mm, dtype=np.float64)
-    in_right = triangulate(*seen, left, right, right_from_left)[0]
+    data = [np.array(each, dtype=np.float64) for each in (left_px, right_px, touched_mm)]
+    in_right = triangulate(data[0], data[1], left, right, right_from_left)[0]
     if not np.isfinite(in_right).all():
         bad = int(np.flatnonzero(~np.isfinite(in_right).all(axis=1))[0]) + 1
         raise ValueError(
             f"point {bad} can't be triangulated: its pixels are outside of what the lenses were"
             " calibrated for"
         )
-    pair = Pair(left, right, right_from_left, rigid_fit(touched, in_right))
-    covariance = _joint(
-        pair,
-        seen,
-        touched,
-        pair_covariance or ParameterCovariance((), np.zeros((0, 0))),
-        pixel_sd_px,
-        touch_sd_mm,
-    )
-    return WorldFit(
-        pair.world_from_right, compare(touched, in_right), covariance, in_right, touched
-    )
-
-
-def _joint(
-    pair: Pair,
-    seen: tuple[Array, Array],
-    touched: Array,
-    given: ParameterCovariance,
-    pixel_sd_px: float,
-    touch_sd_mm: float,
-) -> ParameterCovariance:
-    """The pair's parameters pass through; the world's follow from them, pixels and touches."""
-    here = pair.world_from_right
+    here = rigid_fit(data[2], in_right)
+    pair = Pair(left, right, right_from_left, here)
+    given = pair_covariance or ParameterCovariance((), np.zeros((0, 0)))
 
     def world(changed: Pair, left_px: Array, right_px: Array, touched_mm: Array) -> Array:
-        in_right = triangulate(
-            left_px, right_px, changed.left, changed.right, changed.right_from_left
-        )[0]
-        there = rigid_fit(touched_mm, in_right)
+        there = rigid_fit(touched_mm, changed.in_right_mm(left_px, right_px))
         return np.concatenate([_near(there.om, here.om), there.T])
 
-    columns = [
-        _slope(lambda h, o=o, n=n: world(pair.moved(o, n, h), *seen, touched), STEP * sd)  # type: ignore[misc]
-        for (o, n), sd in given.sds.items()
-    ]
-    by_pair = np.column_stack(columns) if columns else np.zeros((6, 0))
+    by_pair = np.zeros((6, len(given.names)))
+    for column, ((owner, name), sd) in enumerate(given.sds.items()):
+        h = STEP * sd
+        near, far = (world(pair.moved(owner, name, s), *data) for s in (-h, h))
+        by_pair[:, column] = (far - near) / (2.0 * h)
     own = np.zeros((6, 6))
-    for side, sd in ((0, pixel_sd_px), (1, pixel_sd_px), (2, touch_sd_mm)):
-        own += sd**2 * _sum_over_entries(world, pair, (*seen, touched), side)
-    top = np.hstack([given.matrix, given.matrix @ by_pair.T])
-    bottom = np.hstack([by_pair @ given.matrix, by_pair @ given.matrix @ by_pair.T + own])
+    for each, sd in zip(data, (pixel_sd_px, pixel_sd_px, touch_sd_mm), strict=True):
+        total = np.zeros((6, 6))
+        for at in np.ndindex(each.shape):
+            kept, ends = each[at], []
+            for step in (-POINT_STEP_MM, POINT_STEP_MM):
+                each[at] = kept + step
+                ends.append(world(pair, *data))
+            each[at] = kept
+            slope = (ends[1] - ends[0]) / (2.0 * POINT_STEP_MM)
+            total += np.outer(slope, slope)
+        own += sd**2 * total
+    # the pair's parameters pass through; the world's follow from them, pixels and touches
+    M, B = given.matrix, by_pair
+    joint = np.block([[M, M @ B.T], [B @ M, B @ M @ B.T + own]])
     names = (*given.names, *(("world", name) for name in POSE))
-    return ParameterCovariance(names, np.vstack([top, bottom]))
-
-
-def _sum_over_entries(
-    world: Callable[..., Array], pair: Pair, data: tuple[Array, Array, Array], side: int
-) -> Array:
-    """The sum over all numbers of one of the three inputs of slope times slope, (6, 6)."""
-    total = np.zeros((6, 6))
-    for at in np.ndindex(data[side].shape):
-
-        def moved(h: float, at: tuple[int, ...] = at) -> Array:
-            changed = list(data)
-            changed[side] = data[side].copy()
-            changed[side][at] += h
-            return world(pair, *changed)
-
-        slope = _slope(moved, POINT_STEP_MM)
-        total += np.outer(slope, slope)
-    return total
+    covariance = ParameterCovariance(names, joint)
+    return WorldFit(here, compare(data[2], in_right), covariance, in_right, data[2])
 
 
 def _near(om_rad: Array, reference_rad: Array) -> Array:
@@ -145,7 +112,3 @@ def _near(om_rad: Array, reference_rad: Array) -> Array:
     angle = float(np.linalg.norm(om_rad))
     other = om_rad * (1.0 - 2.0 * np.pi / angle) if angle > 0 else om_rad
     return min((om_rad, other), key=lambda om: float(np.linalg.norm(om - reference_rad)))
-
-
-def _slope(place: Callable[[float], Array], step: float) -> Array:
-    return (place(step) - place(-step)) / (2.0 * step)

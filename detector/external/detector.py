@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -56,55 +57,31 @@ class ExternalDetector:
         version: str | None = None,
         environment: Sequence[str] = (),
     ) -> None:
-        self._name, self._command, self._folder = name, tuple(command), folder
+        self.name = name
+        self._command, self._folder = tuple(command), folder
         self._environment = tuple(environment)
         self._stopwatch, self._limits = stopwatch, limits or Limits()
-        self._files = {part: digest for part in self._command if (digest := _digest(part, folder))}
-        self._version = (
-            version or hashlib.sha256("".join(self._files.values()).encode()).hexdigest()[:12]
-        )
-        self._child: Child | None = None
-        self._desk: _Desk | None = None
-        self._asked = ""
-        self._start_up_s: float | None = None
-        self._starts = self._faults_in_a_row = 0
-        self._off = ""
-        self._last_words = ""
-
-    @property
-    def name(self) -> str:
-        """The name that it was given."""
-        return self._name
-
-    @property
-    def version(self) -> str:
-        """As given; else made from the bytes of the files that its command names."""
-        return self._version
-
-    @property
-    def parameters(self) -> Mapping[str, Any]:
-        """Command, limits, SHA-256 of files in the command, names of passed variables."""
-        passed = {"environment": list(self._environment)} if self._environment else {}
-        return {
-            "command": list(self._command),
+        files = {part: digest for part in self._command if (digest := _digest(part, folder))}
+        # as given; else made from the bytes of the files that its command names
+        of_files = hashlib.sha256("".join(files.values()).encode()).hexdigest()[:12]
+        self.version = version or of_files
+        passed = {"environment": list(environment)} if environment else {}
+        self.parameters: Mapping[str, Any] = {
+            "command": list(command),
             "limits": asdict(self._limits),
-            "files_sha256": dict(self._files),
+            "files_sha256": files,
             **passed,
         }
-
-    @property
-    def patience_s(self) -> float:
-        """The longest that a call may take, a start and an end of the process with it."""
-        return self._limits.start_s + self._limits.answer_s + 10.0
-
-    @property
-    def start_up_s(self) -> float | None:
-        """Start-up seconds in the last `prepare`; None where it ran already."""
-        return self._start_up_s
+        self.patience_s = self._limits.start_s + self._limits.answer_s + 10.0
+        self.start_up_s: float | None = None
+        self._child: Child | None = None
+        self._desk: _Desk | None = None
+        self._asked = self._off = self._last_words = ""
+        self._starts = self._faults_in_a_row = 0
 
     def prepare(self, frames: Frames, calibration: Calibration) -> None:
         """Start the process if none runs, and write the pictures. Raises DetectionFailure."""
-        self._start_up_s, self._asked = None, ""
+        self.start_up_s, self._asked = None, ""
         if self._off:
             raise DetectionFailure(self._off, Outcome.OFF)
         if self._desk is None:
@@ -122,30 +99,22 @@ class ExternalDetector:
         child, desk = self._child, self._desk
         if child is None or desk is None:
             raise DetectionFailure("it was closed")
-        try:
+        with self._ended_on_faults(f"gave no answer within {self._limits.answer_s:g} s"):
             child.ask(request_line(asked, desk.pictures, desk.calibration))
-            detection = parse_answer(child.line(self._limits.answer_s), asked, calibration)
-        except ChildSilent as silent:
-            raise self._fault(
-                f"it gave no answer within {self._limits.answer_s:g} s{silent}", Outcome.TIMEOUT
-            ) from None
-        except ChildFault as fault:
-            raise self._fault(f"it {fault}") from None
-        except Garbled as fault:
-            raise self._fault(str(fault)) from None
-        except BadAnswer as fault:
-            self._faults_in_a_row = 0
-            raise DetectionFailure(str(fault)) from None
+            line = child.line(self._limits.answer_s)
+            try:
+                detection = parse_answer(line, asked, calibration)
+            except BadAnswer as fault:
+                self._faults_in_a_row = 0
+                raise DetectionFailure(str(fault)) from None
         self._faults_in_a_row = 0
         return detection
 
     def check(self) -> None:
         """Check memory between calls. Raises DetectionFailure for too much; then restarted."""
-        try:
+        with self._ended_on_faults(""):
             if self._child is not None:
                 self._child.check_limits()
-        except ChildFault as fault:
-            raise self._fault(f"it {fault}") from None
 
     def said(self) -> str:
         """Its standard error since this was last asked."""
@@ -163,26 +132,30 @@ class ExternalDetector:
     def _start(self) -> None:
         start_s, limit_s = self._stopwatch(), self._limits.start_s
         self._starts += 1
+        memory_mib = self._limits.memory_mib
         try:
-            self._child = Child(
-                self._command,
-                self._folder,
-                self._limits.memory_mib,
-                self._stopwatch,
-                self._environment,
-            )
-            check_ready(self._child.line(limit_s))
+            with self._ended_on_faults(
+                f"was not ready within {limit_s:g} s of its start", " before it was ready"
+            ):
+                self._child = Child(
+                    self._command, self._folder, memory_mib, self._stopwatch, self._environment
+                )
+                check_ready(self._child.line(limit_s))
         except OSError as error:
             raise self._fault(f"it can't be started: {error.strerror or error}") from None
+        self.start_up_s = self._stopwatch() - start_s
+
+    @contextmanager
+    def _ended_on_faults(self, late: str, when: str = "") -> Iterator[None]:
+        """Faults of the child and of its lines end it. Raises DetectionFailure."""
+        try:
+            yield
         except ChildSilent as silent:
-            raise self._fault(
-                f"it was not ready within {limit_s:g} s of its start{silent}", Outcome.TIMEOUT
-            ) from None
+            raise self._fault(f"it {late}{silent}", Outcome.TIMEOUT) from None
         except ChildFault as fault:
-            raise self._fault(f"it {fault} before it was ready") from None
+            raise self._fault(f"it {fault}{when}") from None
         except Garbled as fault:
             raise self._fault(str(fault)) from None
-        self._start_up_s = self._stopwatch() - start_s
 
     def _fault(self, reason: str, outcome: Outcome = Outcome.FAILED) -> DetectionFailure:
         """End the process, and perhaps give it up; gives back what to raise."""
@@ -203,9 +176,8 @@ class ExternalDetector:
         if self._child is not None:
             child, self._child = self._child, None
             child.end(grace_s)
-            self._last_words = "\n".join(
-                word for word in (self._last_words, child.complaints()) if word
-            )
+            words = self._last_words, child.complaints()
+            self._last_words = "\n".join(word for word in words if word)
 
 
 class _Desk:
@@ -230,7 +202,12 @@ class _Desk:
         try:
             for path in self.pictures.values():
                 path.unlink(missing_ok=True)
-            self._lay_calibration(calibration)
+            # folder and calibration are the program's to read, and it may have removed them
+            if calibration is not self._known or not self.calibration.is_file():
+                self._folder.mkdir(exist_ok=True)
+                text = dump_calibration(calibration)
+                self.calibration.write_text(text, encoding="utf-8", newline="\n")
+                self._known = calibration
             self.pictures = {
                 name: self._write(name, image) for name, image in _images(frames).items()
             }
@@ -241,15 +218,6 @@ class _Desk:
 
     def clear(self) -> None:
         self._held.cleanup()
-
-    def _lay_calibration(self, calibration: Calibration) -> None:
-        """Folder and calibration are the program's to read, and it may have removed them."""
-        if calibration is not self._known or not self.calibration.is_file():
-            self._folder.mkdir(exist_ok=True)
-            self.calibration.write_text(
-                dump_calibration(calibration), encoding="utf-8", newline="\n"
-            )
-            self._known = calibration
 
     def _write(self, name: str, image: Image) -> Path:
         path = self._folder / f"{self._count}-{name}.png"
@@ -265,16 +233,10 @@ class _Desk:
 
 def _images(frames: Frames) -> dict[str, Image]:
     """The pictures that there are, kelvin in hundredths."""
-    kelvin = frames.thermal_k
-    hundredths = (
-        None if kelvin is None else np.rint(np.clip(kelvin * 100.0, 0.0, 65535.0)).astype(np.uint16)
-    )
-    images = {
-        "left": frames.left,
-        "right": frames.right,
-        "thermal": frames.thermal,
-        "thermal_radiometric": hundredths,
-    }
+    images = {"left": frames.left, "right": frames.right, "thermal": frames.thermal}
+    if frames.thermal_k is not None:
+        hundredths = np.rint(np.clip(frames.thermal_k * 100.0, 0.0, 65535.0))
+        images["thermal_radiometric"] = hundredths.astype(np.uint16)
     return {name: image for name, image in images.items() if image is not None}
 
 

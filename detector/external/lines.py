@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from detector.calibration import Calibration
-from detector.geometry import Array, triangulate
+from detector.geometry import Array
 from detector.protocol import Detection, Teat
 
 READY = {"ready": True}
@@ -39,12 +39,14 @@ def request_line(frame: str, pictures: Mapping[str, Path], calibration: Path) ->
 def answer_line(frame: str, detection: Detection) -> bytes:
     """An answer, as a detector in Python gives it."""
     teats = [
-        {"world_mm": _plain(t.world_mm), "covariance_mm2": _plain(t.covariance_mm2)}
+        {
+            name: None if value is None else np.asarray(value).tolist()
+            for name, value in (("world_mm", t.world_mm), ("covariance_mm2", t.covariance_mm2))
+        }
         for t in detection.teats
     ]
-    return _line(
-        {"frame": frame, "teats": teats, "hidden": detection.hidden, "reason": detection.reason}
-    )
+    answer = {"frame": frame, "teats": teats}
+    return _line({**answer, "hidden": detection.hidden, "reason": detection.reason})
 
 
 def check_ready(line: bytes) -> None:
@@ -78,11 +80,8 @@ def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection
         )
     if reason is not None and not isinstance(reason, str):
         raise BadAnswer(f'"reason" of its answer is {json.dumps(reason)[:_SHOWN]}, not text')
-    return Detection(
-        tuple(_teat(number, teat, calibration) for number, teat in enumerate(teats, 1)),
-        hidden,
-        reason,
-    )
+    found = tuple(_teat(number, teat, calibration) for number, teat in enumerate(teats, 1))
+    return Detection(found, hidden, reason)
 
 
 def shown(line: bytes) -> str:
@@ -106,49 +105,30 @@ def _teat(number: int, given: Any, calibration: Calibration) -> Teat:
         raise BadAnswer(
             f'teat {number} of its answer is no object with "world_mm", or "left_px" and "right_px"'
         )
-    covariance = given.get("covariance_mm2")
-    spread = (
-        None
-        if covariance is None
-        else _numbers(covariance, (3, 3), f'"covariance_mm2" of teat {number}')
-    )
-    left, right = (
-        (
-            None
-            if given.get(name) is None
-            else _numbers(given[name], (2,), f'"{name}" of teat {number}')
-        )
-        for name in ("left_px", "right_px")
-    )
-    if given.get("world_mm") is not None:
-        return Teat(
-            _numbers(given["world_mm"], (3,), f'"world_mm" of teat {number}'), spread, left, right
-        )
+
+    def numbers(name: str, *shape: int) -> Array | None:
+        value = given.get(name)
+        return None if value is None else _numbers(value, shape, f'"{name}" of teat {number}')
+
+    spread, left, right = (
+        numbers("covariance_mm2", 3, 3), numbers("left_px", 2), numbers("right_px", 2)
+    )  # fmt: skip
+    world_mm = numbers("world_mm", 3)
+    if world_mm is not None:
+        return Teat(world_mm, spread, left, right)
     if left is None or right is None:
         raise BadAnswer(
             f'teat {number} of its answer has neither "world_mm" nor both of "left_px" and'
             ' "right_px"'
         )
-    return Teat(_world_mm(number, left, right, calibration), spread, left, right)
-
-
-def _world_mm(number: int, left: Array, right: Array, calibration: Calibration) -> Array:
-    """Where the rays through two pixels (2,) pass each other, (3,) mm."""
     with np.errstate(all="ignore"):  # pixels may be anywhere; what comes of them is looked at
-        in_right, _ = triangulate(
-            left[None],
-            right[None],
-            calibration.left,
-            calibration.right,
-            calibration.right_from_left,
-        )
-        world: Array = calibration.world_from_right.apply(in_right)[0]
-    if not np.isfinite(world).all():
+        world_mm = calibration.place(left[None], right[None])[0]
+    if not np.isfinite(world_mm).all():
         raise BadAnswer(
             f'"left_px" {left.tolist()} and "right_px" {right.tolist()} of teat {number} lead to no'
             " point in space"
         )
-    return world
+    return Teat(world_mm, spread, left, right)
 
 
 def _numbers(given: Any, shape: tuple[int, ...], what: str) -> Array:
@@ -160,10 +140,6 @@ def _numbers(given: Any, shape: tuple[int, ...], what: str) -> Array:
         pass
     sizes = " x ".join(map(str, shape))
     raise BadAnswer(f"{what} of its answer is {json.dumps(given)[:_SHOWN]}, not {sizes} numbers")
-
-
-def _plain(value: Array | None) -> Any:
-    return None if value is None else np.asarray(value).tolist()
 
 
 def _line(message: Mapping[str, Any]) -> bytes:

@@ -16,38 +16,17 @@ import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, Any, cast
 
 from detector.external import process_supervisor
 from detector.external.lines import shown
 
+# what programs need to start; no passwords
 ENVIRONMENT = (
-    "PATH",
-    "HOME",
-    "USER",
-    "LOGNAME",
-    "LANG",
-    "LANGUAGE",
-    "LC_ALL",
-    "LC_CTYPE",
-    "LC_NUMERIC",
-    "LC_MESSAGES",
-    "TZ",
-    "TMPDIR",
-    "TEMP",
-    "TMP",
-    "SYSTEMROOT",
-    "SYSTEMDRIVE",
-    "WINDIR",
-    "COMSPEC",
-    "PATHEXT",
-    "USERPROFILE",
-    "APPDATA",
-    "LOCALAPPDATA",
-    "PROGRAMDATA",
-    "PROGRAMFILES",
-    "NUMBER_OF_PROCESSORS",
-    "PROCESSOR_ARCHITECTURE",
+    *("PATH", "HOME", "USER", "LOGNAME", "LANG", "LANGUAGE", "LC_ALL", "LC_CTYPE", "LC_NUMERIC"),
+    *("LC_MESSAGES", "TZ", "TMPDIR", "TEMP", "TMP", "SYSTEMROOT", "SYSTEMDRIVE", "WINDIR"),
+    *("COMSPEC", "PATHEXT", "USERPROFILE", "APPDATA", "LOCALAPPDATA", "PROGRAMDATA"),
+    *("PROGRAMFILES", "NUMBER_OF_PROCESSORS", "PROCESSOR_ARCHITECTURE"),
 )
 # by which it and all that it started are known, whatever became of the processes between
 MARK = "TEATBENCH_DETECTOR"
@@ -86,25 +65,20 @@ class Child:
         self._memory_mib, self._stopwatch = memory_mib, stopwatch
         self._mark = secrets.token_hex(16)
         hard_mib = 0 if memory_mib is None else math.ceil(HARD_LIMIT * memory_mib)
-        self._process, self._hold = _spawn(
-            command, folder, {**environment(passed), MARK: self._mark}, hard_mib
-        )
+        known = {n: os.environ[n] for n in (*ENVIRONMENT, *passed) if n in os.environ}
+        env = {**known, MARK: self._mark}
+        self._process, self._hold = _spawn(command, folder, env, hard_mib)
         self._in = cast(IO[bytes], self._process.stdin)
-        self._heard = _Heard()
-        self._complaints = _Complaints()
-        pipes = cast(IO[bytes], self._process.stdout), cast(IO[bytes], self._process.stderr)
-        self._readers = [
-            threading.Thread(
+        self._lines, self._complaints = _Lines(), _Complaints()
+        self._readers = []
+        for name, pipe, take in (
+            ("answers", self._process.stdout, self._lines.take),
+            ("complaints", self._process.stderr, self._complaints.take),
+        ):
+            reader = threading.Thread(
                 target=_read, args=(pipe, take), name=f"detector's {name}", daemon=True
             )
-            for pipe, take, name in zip(
-                pipes,
-                (self._heard.take, self._complaints.take),
-                ("answers", "complaints"),
-                strict=True,
-            )
-        ]
-        for reader in self._readers:
+            self._readers.append(reader)
             reader.start()
 
     def ask(self, line: bytes) -> None:
@@ -123,14 +97,14 @@ class Child:
         while True:
             left_s = deadline_s - self._stopwatch()
             if left_s <= 0:
-                raise ChildSilent(self._heard.unfinished and f", stuck{self._heard.unfinished}")
+                raise ChildSilent(self._lines.unfinished and f", stuck{self._lines.unfinished}")
             try:
-                line = self._heard.lines.get(timeout=min(left_s, _LOOK_S))
+                line = self._lines.whole.get(timeout=min(left_s, _LOOK_S))
             except queue.Empty:
                 self.check_limits()
                 continue
             if line is None:
-                raise ChildFault(self._heard.trouble or self._ending())
+                raise ChildFault(self._lines.trouble or self._ending())
             return line
 
     def check_limits(self) -> None:
@@ -167,17 +141,16 @@ class Child:
         self._process.wait()
         with contextlib.suppress(OSError):  # what was never sent can't be sent now
             self._in.close()
-        for reader, pipe in zip(
-            self._readers, (self._process.stdout, self._process.stderr), strict=True
-        ):
+        pipes = self._process.stdout, self._process.stderr
+        for reader, pipe in zip(self._readers, pipes, strict=True):
             reader.join(_END_S)
             # else some process that got away holds the other end: its number must not be given to
             # another file
-            if not reader.is_alive():
-                cast(IO[bytes], pipe).close()
+            if pipe and not reader.is_alive():
+                pipe.close()
 
     def _kill(self) -> None:
-        """What is left where the leash didn't do it, was ended itself, or there is none."""
+        """What is left where the supervisor didn't do it, was ended itself, or there is none."""
         until_s = self._stopwatch() + _END_S
         while sys.platform == "linux" and self._stopwatch() < until_s:
             left = process_supervisor.descendants(self._process.pid, self._mark.encode())
@@ -196,7 +169,7 @@ class Child:
             code = self._process.wait(1.0)
         except subprocess.TimeoutExpired:
             return "closed its output"
-        after = self._heard.unfinished
+        after = self._lines.unfinished
         if code > 128 and sys.platform != "win32":
             return f"was ended by signal {code - 128}{after}"
         return f"ended with exit code {code}{after}"
@@ -213,11 +186,11 @@ def resident_mib(process: int) -> float | None:
     return pages * os.sysconf("SC_PAGE_SIZE") / _MIB
 
 
-class _Heard:
+class _Lines:
     """Whole lines out of bytes; None is the end. Stops reading a child that floods."""
 
     def __init__(self) -> None:
-        self.lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self.whole: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self.trouble = ""
         self._rest = b""
 
@@ -230,13 +203,13 @@ class _Heard:
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > LONGEST_LINE or any(len(line) > LONGEST_LINE for line in lines):
             self.trouble = f"wrote a line of more than {LONGEST_LINE} bytes"
-        elif self.lines.qsize() + len(lines) > _UNASKED_LINES:
+        elif self.whole.qsize() + len(lines) > _UNASKED_LINES:
             self.trouble = f"wrote more than {_UNASKED_LINES} lines without being asked"
         if not self.trouble:
             for line in lines:
-                self.lines.put(line)
+                self.whole.put(line)
         if self.trouble or not data:
-            self.lines.put(None)
+            self.whole.put(None)
         return bool(data) and not self.trouble
 
 
@@ -273,56 +246,26 @@ def _read(pipe: IO[bytes], take: Callable[[bytes], bool]) -> None:
             return
 
 
-def environment(passed: Sequence[str] = ()) -> dict[str, str]:
-    """The child's variables: what programs need to start, and ``passed``; no passwords."""
-    return {name: os.environ[name] for name in (*ENVIRONMENT, *passed) if name in os.environ}
-
-
 def _spawn(
     command: Sequence[str], folder: Path | None, env: Mapping[str, str], hard_mib: int
 ) -> tuple[subprocess.Popen[bytes], int | None]:
     """The process, and the supervisor's pipe where there is one. A session of its own: Ctrl-C is
     the bench's.
     """
-    pipe = subprocess.PIPE
+    settings: dict[str, Any] = {"cwd": folder, "env": env}
+    settings |= dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
     if os.name != "posix":
-        detached = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0) | getattr(
-            subprocess, "CREATE_NO_WINDOW", 0
-        )
-        return (
-            subprocess.Popen(  # noqa: S603
-                command,
-                cwd=folder,
-                env=env,
-                creationflags=detached,
-                stdin=pipe,
-                stdout=pipe,
-                stderr=pipe,
-            ),
-            None,
-        )
+        names = "CREATE_NEW_PROCESS_GROUP", "CREATE_NO_WINDOW"
+        detached = sum(getattr(subprocess, name, 0) for name in names)
+        return subprocess.Popen(command, creationflags=detached, **settings), None  # noqa: S603
     far, near = os.pipe()
-    held = [
-        sys.executable,
-        "-I",
-        "-S",
-        str(Path(process_supervisor.__file__)),
-        str(far),
-        str(hard_mib),
-        *command,
-    ]
+    python = [sys.executable, "-I", "-S", str(Path(process_supervisor.__file__))]
+    held = [*python, str(far), str(hard_mib), *command]
     try:
-        process = subprocess.Popen(  # noqa: S603
-            held,
-            cwd=folder,
-            env=env,
-            pass_fds=(far,),
-            start_new_session=True,
-            stdin=pipe,
-            stdout=pipe,
-            stderr=pipe,
+        return (
+            subprocess.Popen(held, pass_fds=(far,), start_new_session=True, **settings),  # noqa: S603
+            near,
         )
-        return process, near
     except OSError:
         os.close(near)
         raise

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration import load_calibration
-from detector.external.lines import READY, answer_line
+from detector.external.lines import PICTURES, READY, answer_line
 from detector.registry import BrokenDetectorError, UnknownDetectorError, create
 
 
@@ -37,20 +37,23 @@ def serve(name: str, questions: IO[bytes], answers: IO[bytes]) -> None:
     answers.flush()
     for line in questions:
         asked = json.loads(line)
-        detection = detector.detect(
-            read_pictures(asked), load_calibration(Path(asked["calibration"]))
-        )
+        calibration = load_calibration(Path(asked["calibration"]))
+        detection = detector.detect(read_pictures(asked), calibration)
         answers.write(answer_line(asked["frame"], detection))
         answers.flush()
 
 
 def read_pictures(asked: dict[str, str]) -> Pictures:
     """The pictures that a question names."""
-    images = {
-        name: _read(Path(asked[name]))
-        for name in ("left", "right", "thermal", "thermal_radiometric")
-        if name in asked
-    }
+    images: dict[str, NDArray[Any]] = {}
+    for name in PICTURES:
+        if name in asked:
+            # through memory, for imread knows only the ASCII paths of Windows
+            data = np.frombuffer(Path(asked[name]).read_bytes(), dtype=np.uint8)
+            image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+            if image is None:
+                raise ValueError(f"{asked[name]} is no picture")
+            images[name] = image
     kelvin = images.get("thermal_radiometric")
     return Pictures(
         images["left"],
@@ -58,14 +61,6 @@ def read_pictures(asked: dict[str, str]) -> Pictures:
         images.get("thermal"),
         None if kelvin is None else kelvin / 100.0,
     )
-
-
-def _read(path: Path) -> NDArray[Any]:
-    # through memory, for imread knows only the ASCII paths of Windows
-    image = cv2.imdecode(np.frombuffer(path.read_bytes(), dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise ValueError(f"{path} is no picture")
-    return image
 
 
 def main(arguments: list[str]) -> int:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.fused.fit import View
-from detector.fused.model import COUNT, HEIGHT, LEAN_X, RADIUS, axes
+from detector.fused.model import COUNT, HEIGHT, LEAN_X, RADIUS, Rows, axes
 from detector.fused.parameters import Parameters
 from detector.fused.thermal import Field, Nominations, joined, strengths
 from detector.geometry import Array, Camera, Motion
@@ -23,10 +23,8 @@ _DISPARITY_STEP_PX = 2.5
 _CROSS_PX = np.array(
     [(0.0, 0.0), (-2.0, 0.0), (2.0, 0.0), (0.0, -2.0), (0.0, 2.0)], dtype=np.float32
 )
-_GRID_PX = np.array(
-    [(x, y) for x in (-2.4, -1.2, 0.0, 1.2, 2.4) for y in (-2.4, -1.2, 0.0, 1.2, 2.4)],
-    dtype=np.float32,
-)
+_GRID = (-2.4, -1.2, 0.0, 1.2, 2.4)
+_GRID_PX = np.array([(x, y) for x in _GRID for y in _GRID], dtype=np.float32)
 _SWELLS = (0.85, 0.95, 1.05, 1.16)
 _ARC = np.radians([-70.0, -42.0, -14.0, 14.0, 42.0, 70.0])
 _BELOW = np.array([0.4, 1.2, 2.0, 2.8, 3.6])  # of the half width, below the ball's middle
@@ -38,20 +36,12 @@ _SLIDE_MM = np.arange(0.0, 111.0, 3.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Starts:
+class Starts(Rows):
     """Teats (m, 8) for the fit, right camera's frame, their scores (m,), and their nominations'."""
 
     teats: Array
     score: Array
     nominated: Array
-
-    def __add__(self, other: Starts) -> Starts:
-        """All of both."""
-        return Starts(
-            np.concatenate([self.teats, other.teats]),
-            np.concatenate([self.score, other.score]),
-            np.concatenate([self.nominated, other.nominated]),
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,13 +78,10 @@ def hypotheses(
     normal = lens.normalize(centre)
     rays = np.column_stack([normal, np.ones(len(normal))])
     teats = np.zeros((len(found), len(depth_mm), COUNT))
-    teats[..., :3] = right_from_thermal.apply(
-        (rays[:, None] * depth_mm[:, None]).reshape(-1, 3)
-    ).reshape(len(found), len(depth_mm), 3)
-    down = (
-        np.column_stack([found.lean, np.ones(len(found)), np.zeros(len(found))])
-        @ right_from_thermal.R.T
-    )
+    points = (rays[:, None] * depth_mm[:, None]).reshape(-1, 3)
+    teats[..., :3] = right_from_thermal.apply(points).reshape(*teats.shape[:2], 3)
+    lean = np.column_stack([found.lean, np.ones(len(found)), np.zeros(len(found))])
+    down = lean @ right_from_thermal.R.T
     teats[..., LEAN_X] = (down[:, 0] / down[:, 1])[:, None]
     teats[..., HEIGHT] = 1.0
     teats[..., RADIUS] = (found.radius_px * px_a_sensor_px / lens.fc[0])[:, None] * depth_mm
@@ -103,10 +90,7 @@ def hypotheses(
 
 def sweep_ends(teats: Array, nominated: Array, maps: tuple[Map, ...], p: Parameters) -> Starts:
     """Best starts among teats (n, d, 8) with thermal end scores ``nominated`` (n,)."""
-    score = (
-        _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0).max(axis=0).reshape(teats.shape[:2])
-    )
-    best = np.where(_possible(teats, p), score, 0.0)
+    best = _by_depth(teats, maps, p, end=True)
     rows, columns = _peaks(best, p.starts_per_nomination)
     return Starts(teats[rows, columns], best[rows, columns], nominated[rows] * _NEXT ** _rank(rows))
 
@@ -115,45 +99,35 @@ def sweep_bars(
     teats: Array, nominated: Array, maps: tuple[Map, ...], thermal: Map, p: Parameters
 ) -> Starts:
     """Best starts among teats (n, d, 8) known by their sides: depth first, then the end."""
-    score = (
-        _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0, end=False)
-        .max(axis=0)
-        .reshape(teats.shape[:2])
-    )
-    rows, columns = _peaks(np.where(_possible(teats, p), score, 0.0), p.starts_per_nomination)
+    rows, columns = _peaks(_by_depth(teats, maps, p, end=False), p.starts_per_nomination)
     deep, nominated = teats[rows, columns], nominated[rows] * _NEXT ** _rank(rows)
     slid = np.repeat(deep[:, None], len(_SLIDE_MM), axis=1)
     slid[..., :3] -= _SLIDE_MM[:, None] * axes(deep)[:, None]
-    score = _ended(slid.reshape(-1, COUNT), maps, thermal).reshape(slid.shape[:2])
+    flat = slid.reshape(-1, COUNT)
+    # by optical and thermal pictures: one kind may take an arm for an end
+    optical = _joint(flat, maps, _CROSS_PX, 1.0).max(axis=0)
+    score = optical + 0.5 * _scores(flat, thermal, _CROSS_PX[:1], 1.0, end=True)[0]
+    score = score.reshape(slid.shape[:2])
     rows, columns = _peaks(score, 2)
     return Starts(
         slid[rows, columns], score[rows, columns] / 1.5, nominated[rows] * _NEXT ** _rank(rows)
     )
 
 
-def _ended(teats: Array, maps: tuple[Map, ...], thermal: Map) -> Array:
-    """Scores (m,) of teats (m, 8) by optical and thermal pictures; one kind may take an arm for an
-    end.
+def _by_depth(teats: Array, maps: tuple[Map, ...], p: Parameters, *, end: bool) -> Array:
+    """Scores (n, d) of teats (n, d, 8); 0 for a size no teat has, the thermal picture being
+    coarse.
     """
-    return np.asarray(
-        _joint(teats, maps, _CROSS_PX, 1.0).max(axis=0)
-        + 0.5 * _scores(teats, thermal, _CROSS_PX[:1], 1.0, end=True)[0]
-    )
-
-
-def _possible(teats: Array, p: Parameters) -> NDArray[np.bool_]:
-    """Whether teats (..., 8) might be of a teat's size, the thermal picture being coarse."""
-    return np.asarray(
-        (teats[..., RADIUS] > 0.75 * p.least_radius_mm)
-        & (teats[..., RADIUS] < 1.3 * p.greatest_radius_mm)
-    )
+    score = _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0, end=end).max(axis=0)
+    radius = teats[..., RADIUS]
+    possible = (radius > 0.75 * p.least_radius_mm) & (radius < 1.3 * p.greatest_radius_mm)
+    return np.where(possible, score.reshape(radius.shape), 0.0)
 
 
 def best_starts(starts: Starts, maps: tuple[Map, ...], p: Parameters) -> Array:
     """The most promising teats (m, 8), with the best shift and swell."""
-    teats = starts.teats[
-        np.argsort(-starts.score * starts.nominated, kind="stable")[: p.most_starts]
-    ]
+    order = np.argsort(-starts.score * starts.nominated, kind="stable")
+    teats = starts.teats[order[: p.most_starts]]
     if len(teats) == 0:
         return teats
     # (swells, shifts, m)
@@ -177,27 +151,20 @@ def _joint(
 
 def _scores(teats: Array, each: Map, shifts: Field, swell: float, *, end: bool) -> Array:
     """Scores (shifts, m) of teats (m, 8) in one picture."""
-    camera, motion = each.view.camera, each.view.camera_from_teats
-    foot = teats[:, :3] + 20.0 * np.column_stack(
-        [teats[:, LEAN_X], np.ones(len(teats)), np.zeros(len(teats))]
-    )
-    points = motion.apply(np.concatenate([teats[:, :3], foot]))
+    camera, motion, m = each.view.camera, each.view.camera_from_teats, len(teats)
+    down_mm = np.column_stack([teats[:, LEAN_X], np.ones(m), np.zeros(m)])
+    points = motion.apply(np.concatenate([teats[:, :3], teats[:, :3] + 20.0 * down_mm]))
     pixels = camera.project(points)
-    seen = np.isfinite(pixels[: len(teats)] + pixels[len(teats) :]).all(axis=1, keepdims=True)
-    middle = np.where(seen, pixels[: len(teats)], -1e4)  # nowhere, and so without a score
-    down = np.where(seen, pixels[len(teats) :] - pixels[: len(teats)], [0.0, 1.0])
+    seen = np.isfinite(pixels[:m] + pixels[m:]).all(axis=1, keepdims=True)
+    middle = np.where(seen, pixels[:m], -1e4)  # nowhere, and so without a score
+    down = np.where(seen, pixels[m:] - pixels[:m], [0.0, 1.0])
     down /= np.linalg.norm(down, axis=1, keepdims=True)
     right = np.column_stack([down[:, 1], -down[:, 0]])
-    half = (swell * teats[:, RADIUS] * camera.fc[0] / np.maximum(points[: len(teats), 2], 1.0))[
-        :, None
-    ]
+    half = (swell * teats[:, RADIUS] * camera.fc[0] / np.maximum(points[:m, 2], 1.0))[:, None]
     arc = -np.cos(_ARC)[:, None, None] * down + np.sin(_ARC)[:, None, None] * right
-    at = middle - each.view.corner_px
+    at, below = middle - each.view.corner_px, _BELOW[:, None, None] * down
     left, other = (
-        _across(
-            each, shifts, at + half * (_BELOW[:, None, None] * down + s * right), s * right[None]
-        )
-        for s in (-1.0, 1.0)
+        _across(each, shifts, at + half * (below + s * right), s * right[None]) for s in (-1.0, 1.0)
     )
     top = _across(each, shifts, at + half * arc, arc) if end else np.ones_like(left)
     return joined(top, left, other)

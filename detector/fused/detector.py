@@ -32,11 +32,11 @@ from detector.fused.refine import (
     THERMAL,
     THERMAL_FLOOR_PX,
     Fitted,
+    fine,
     hidden_points,
     one_sided,
     refine,
     refine_again,
-    refine_more,
     refine_slid,
     slide_ends,
 )
@@ -56,16 +56,8 @@ class FusedDetector:
     """Classical vision, no learning; all it knows is in `Parameters` and the calibration."""
 
     settings: Parameters = field(default_factory=Parameters)
-
-    @property
-    def name(self) -> str:
-        """The name in the registry."""
-        return "fused"
-
-    @property
-    def version(self) -> str:
-        """Counted up when an answer on any frame set changes."""
-        return "2"
+    name: str = "fused"  # in the registry
+    version: str = "2"  # counted up when an answer on any frame set changes
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -83,11 +75,12 @@ class FusedDetector:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Thermal:
-    """The thermal picture, its cold level, and the way to it from the right camera."""
+    """The thermal picture as a coarse view in sensor pixels, the lens of the delivered picture, and
+    the cold level.
+    """
 
-    warm: NDArray[np.float32]
+    view: View
     lens: Camera
-    from_right: Motion
     px_a_sensor_px: float
     surroundings: float
 
@@ -100,15 +93,21 @@ def _detect(
     thermal = _thermal(frames, calibration)
     teats, maps, ends = _start(thermal, left, right, calibration, p, trace)
     judged = _fit(teats, maps, thermal, p)
-    trace.append(_decisions(judged))
-    answers = _answers(judged, thermal, calibration)
-    hidden = unexplained(thermal.warm, ends, *_bars_of(judged, thermal))
-    return Detection(
-        answers,
-        hidden,
-        None if answers else "nothing warm has the outline of a teat in both optical pictures",
-        tuple(trace),
+    # every fitted teat with evidence and objection, empty if accepted
+    shown = {"teats": judged.fitted.teats}
+    shown |= {name: getattr(judged.evidence, name) for name in (*Evidence.__slots__, "merit")}
+    reasons = np.array([reason or "" for reason in judged.reasons], dtype=np.str_)
+    trace.append(Stage("decisions", {**shown, "reasons": reasons}))
+    accepted = judged.fitted.teats[judged.accepted]
+    tips, view = apexes(accepted), thermal.view
+    feet_px, tips_px = (
+        view.camera.project(view.camera_from_teats.apply(points))
+        for points in (tips + 60.0 * axes(accepted), tips)
     )
+    hidden = unexplained(view.field, ends, feet_px, tips_px)
+    answers = _answers(judged, thermal, calibration)
+    reason = None if answers else "nothing warm has the outline of a teat in both optical pictures"
+    return Detection(answers, hidden, reason, tuple(trace))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,51 +130,62 @@ def _fit(teats: Array, maps: tuple[Map, ...], thermal: _Thermal, p: Parameters) 
     judged = _judge(refine(teats, views, p), thermal, p)
     bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.reasons, p)
     if bridging or shifted:
-        starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
+        more = judged.fitted
+        if bridging:
+            starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
+            more += fine(starts, left_out, views, p)
         slid = slide_ends(judged.fitted.teats[shifted], views)
-        more = refine_slid(refine_more(judged.fitted, starts, left_out, views, p), slid, views, p)
+        if len(slid):
+            more += refine_slid(slid, views, p)
         judged = _judge(more, thermal, p)
-    hidden = hidden_points(
-        judged.fitted,
-        judged.accepted,
-        [i for i, reason in enumerate(judged.reasons) if maybe_hidden(reason)],
-    )
-    return (
-        _judge(refine_again(judged.fitted, hidden, views, p), thermal, p)
-        if hidden.any()
-        else judged
-    )
+    again = [i for i, reason in enumerate(judged.reasons) if maybe_hidden(reason)]
+    hidden = hidden_points(judged.fitted, judged.accepted, again)
+    if not hidden.any():
+        return judged
+    return _judge(refine_again(judged.fitted, hidden, views, p), thermal, p)
 
 
 def _judge(fitted: Fitted, thermal: _Thermal, p: Parameters) -> _Judged:
     covariances = end_covariances(fitted, p)
-    warmth = warmth_inside(
-        fitted.teats, thermal.warm, thermal.lens, thermal.from_right, thermal.px_a_sensor_px
-    )
+    motion, size = thermal.view.camera_from_teats, thermal.px_a_sensor_px
+    warmth = warmth_inside(fitted.teats, thermal.view.field, thermal.lens, motion, size)
     evidence = weigh(fitted, covariances, warmth)
-    return _Judged(
-        fitted, covariances, evidence, objections(fitted.teats, evidence, thermal.surroundings, p)
-    )
+    reasons = objections(fitted.teats, evidence, thermal.surroundings, p)
+    return _Judged(fitted, covariances, evidence, reasons)
 
 
 def _thermal(frames: Frames, calibration: Calibration) -> _Thermal:
     warm = pictures.thermal(frames, calibration.thermal)
     camera, motion = calibration.thermal, calibration.thermal_from_right
-    if camera.lens is None or motion is None:
+    lens = camera.lens
+    if lens is None or motion is None:
         raise pictures.UnusableError(
             "the calibration has no lens and pose of the thermal camera, by which fused goes from"
             " thermal to optical"
         )
-    across, down = (
+    size, down = (
         delivered / sensor
         for delivered, sensor in zip(camera.image_size, camera.sensor_size, strict=True)
     )
-    if abs(across - down) > 0.01 * across:
+    if abs(size - down) > 0.01 * size:
         raise pictures.UnusableError(
-            f"the thermal picture is stretched: {across:g} pixels a sensor pixel across, {down:g}"
+            f"the thermal picture is stretched: {size:g} pixels a sensor pixel across, {down:g}"
             " down"
         )
-    return _Thermal(warm, camera.lens, motion, across, float(np.percentile(warm, _COLD_PERCENT)))
+    fx, fy, cx, cy = (*lens.fc, *lens.cc)
+    sensor = Camera(
+        (warm.shape[1], warm.shape[0]),
+        (fx / size, fy / size),
+        ((cx + 0.5) / size - 0.5, (cy + 0.5) / size - 0.5),
+        lens.alpha_c,
+        lens.kc,
+    )
+    # it can't take a shadow for a teat
+    view = View(
+        warm, np.zeros(2), pictures.noise_of(warm), sensor, motion, THERMAL, THERMAL,
+        THERMAL_FLOOR_PX,
+    )  # fmt: skip
+    return _Thermal(view, lens, size, float(np.percentile(warm, _COLD_PERCENT)))
 
 
 def _start(
@@ -186,116 +196,49 @@ def _start(
     p: Parameters,
     trace: list[Stage],
 ) -> tuple[Array, tuple[Map, ...], Nominations]:
-    ends = nominate(thermal.warm, p.most_nominations)
-    upright = bars(thermal.warm, ends, p.most_bars)
-    trace.append(
-        Stage("thermal", {"warmth": thermal.warm, **_shown("end", ends), **_shown("bar", upright)})
-    )
+    warm = thermal.view.field
+    ends = nominate(warm, p.most_nominations)
+    upright = bars(warm, ends, p.most_bars)
+    shown = {
+        f"{what}_{name.removeprefix('centre_')}": getattr(found, name)
+        for what, found in (("end", ends), ("bar", upright))
+        for name in ("centre_px", "radius_px", "score")
+    }
+    trace.append(Stage("thermal", {"warmth": warm, **shown}))
     if len(ends) + len(upright) == 0:
         raise pictures.UnusableError("the thermal picture shows nothing like a teat")
-    depth_mm, right_from_thermal = depths_mm(calibration, p), thermal.from_right.inverse()
+    depth_mm = depths_mm(calibration, p)
+    right_from_thermal = thermal.view.camera_from_teats.inverse()
     of_ends, of_bars = (
         hypotheses(n, thermal.lens, thermal.px_a_sensor_px, right_from_thermal, depth_mm)
         for n in (ends, upright)
     )
-    views = _views(
-        left,
-        right,
-        calibration,
-        np.concatenate([of_ends, of_bars - [0, _ROOM_ABOVE_MM, 0, 0, 0, 0, 0, 0], of_bars]),
-    )
+    above = of_bars - [0, _ROOM_ABOVE_MM, 0, 0, 0, 0, 0, 0]
+    views = _views(left, right, calibration, np.concatenate([of_ends, above, of_bars]))
     maps = tuple(Map.of(view, _OPTICAL_BLUR_PX) for view in views)
-    warm = Map.of(_thermal_view(thermal), _THERMAL_BLUR_PX)
-    starts = sweep_ends(of_ends, ends.score, maps, p) + sweep_bars(
-        of_bars, upright.score, maps, warm, p
-    )
+    coarse = Map.of(thermal.view, _THERMAL_BLUR_PX)
+    starts = sweep_ends(of_ends, ends.score, maps, p)
+    starts += sweep_bars(of_bars, upright.score, maps, coarse, p)
     teats = best_starts(starts, maps, p)
     trace.append(Stage("starts", {"teats": teats}))
-    return teats, (*maps, warm), ends
-
-
-def _shown(what: str, found: Nominations) -> dict[str, Array]:
-    return {
-        f"{what}_px": found.centre_px,
-        f"{what}_radius_px": found.radius_px,
-        f"{what}_score": found.score,
-    }
+    return teats, (*maps, coarse), ends
 
 
 def _views(
     left: NDArray[Any], right: NDArray[Any], calibration: Calibration, guesses: Array
-) -> tuple[View, ...]:
+) -> list[View]:
     """The parts of both pictures that the guesses (n, d, 8) reach."""
     points = guesses[..., :3].reshape(-1, 3)
     points = np.concatenate([points, points + np.array([0.0, 60.0, 0.0])])
+    profiles = OPTICAL_ROUGH, OPTICAL_FINE, OPTICAL_FLOOR_PX
     made = []
-    sides = (
+    for picture, camera, motion in (
         (left, calibration.left, calibration.right_from_left.inverse()),
-        (
-            right,
-            calibration.right,
-            Motion.identity(),
-        ),
-    )
-    for picture, camera, motion in sides:
+        (right, calibration.right, Motion.identity()),
+    ):
         near, corner = pictures.region(picture, camera.project(motion.apply(points)), _ROOM_PX)
-        made.append(
-            View(
-                near,
-                corner,
-                pictures.noise_of(near),
-                camera,
-                motion,
-                OPTICAL_ROUGH,
-                OPTICAL_FINE,
-                OPTICAL_FLOOR_PX,
-            )
-        )
-    return tuple(made)
-
-
-def _thermal_view(thermal: _Thermal) -> View:
-    """The thermal picture as a coarse view in sensor pixels; it can't take a shadow for a teat."""
-    lens, size = thermal.lens, thermal.px_a_sensor_px
-    rows, columns = thermal.warm.shape
-    sensor = Camera(
-        (columns, rows),
-        (lens.fc[0] / size, lens.fc[1] / size),
-        ((lens.cc[0] + 0.5) / size - 0.5, (lens.cc[1] + 0.5) / size - 0.5),
-        lens.alpha_c,
-        lens.kc,
-    )
-    return View(
-        thermal.warm,
-        np.zeros(2),
-        pictures.noise_of(thermal.warm),
-        sensor,
-        thermal.from_right,
-        THERMAL,
-        THERMAL,
-        THERMAL_FLOOR_PX,
-    )
-
-
-def _decisions(judged: _Judged) -> Stage:
-    """Every fitted teat with evidence and objection, empty if accepted."""
-    shown = {name: getattr(judged.evidence, name) for name in Evidence.__slots__}
-    reasons = np.array([reason or "" for reason in judged.reasons], dtype=np.str_)
-    return Stage(
-        "decisions",
-        {"teats": judged.fitted.teats, **shown, "merit": judged.evidence.merit, "reasons": reasons},
-    )
-
-
-def _bars_of(judged: _Judged, thermal: _Thermal) -> tuple[Array, Array]:
-    """Feet and tips (k, 2) of the accepted teats in the thermal picture, sensor pixels."""
-    teats, sensor = judged.fitted.teats[judged.accepted], _thermal_view(thermal).camera
-    tips = apexes(teats)
-    feet, tips_px = (
-        sensor.project(thermal.from_right.apply(points))
-        for points in (tips + 60.0 * axes(teats), tips)
-    )
-    return feet, tips_px
+        made.append(View(near, corner, pictures.noise_of(near), camera, motion, *profiles))
+    return made
 
 
 def _answers(judged: _Judged, thermal: _Thermal, calibration: Calibration) -> tuple[Teat, ...]:
@@ -307,7 +250,7 @@ def _answers(judged: _Judged, thermal: _Thermal, calibration: Calibration) -> tu
     world = calibration.world_from_right.apply(ends)
     covariances = world_covariances(judged.covariances[accepted], ends, calibration)
     left_px, right_px = calibration.project(world)
-    thermal_px = thermal.lens.project(thermal.from_right.apply(ends))
+    thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(ends))
     return tuple(
         Teat(*each) for each in zip(world, covariances, left_px, right_px, thermal_px, strict=True)
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from detector.fused.edges import (
     LEAST_CLEAR,
@@ -28,6 +27,7 @@ from detector.fused.model import (
     RADIUS,
     TAPER,
     Outline,
+    Rows,
     axes,
     contours,
     normals_of,
@@ -67,7 +67,7 @@ class Prior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class Seen(Rows):
     """Edges about the outlines of m teats, ``n`` points a view: (m, views * n) each."""
 
     offset_px: Array
@@ -81,10 +81,6 @@ class Seen:
     limb_px: Array  # by how much brightness that falls towards the limb moved the edges hereabouts
     limb_sd_px: Array  # the noise of each line's own
 
-    def take(self, which: NDArray[np.intp] | list[int]) -> Seen:
-        """Some of the teats."""
-        return Seen(**{name: getattr(self, name)[which] for name in Seen.__slots__})
-
 
 def look(
     teats: Array,
@@ -95,20 +91,14 @@ def look(
     fine: bool,
 ) -> Seen:
     """Edges about teats (m, 8). ``jacobian``: of teats nearby, instead of a new one."""
-    parts = [
-        _look_at(
-            teats, view, outline, view.fine if fine else view.rough, slopes_too=jacobian is None
-        )
-        for view in views
-    ]
+    parts = [_look_at(teats, v, outline, fine=fine, slopes_too=jacobian is None) for v in views]
     if fine:
         optical = [part for part, view in zip(parts, views, strict=True) if view.fine.limb]
         shared = shared_limb(np.stack([part.limb_px for part in optical]))
         parts[: len(optical)] = [_lit_alike(part, shared) for part in optical]
-    found = {
-        name: np.concatenate([getattr(p, name) for p in parts], axis=1) for name in Seen.__slots__
-    }
-    return Seen(**(found if jacobian is None else {**found, "jacobian": jacobian}))
+    names = Seen.__slots__
+    seen = Seen(*(np.concatenate([getattr(p, name) for p in parts], axis=1) for name in names))
+    return seen if jacobian is None else replace(seen, jacobian=jacobian)
 
 
 def _lit_alike(part: Seen, shared_px: Array) -> Seen:
@@ -120,9 +110,8 @@ def _lit_alike(part: Seen, shared_px: Array) -> Seen:
     return replace(part, offset_px=offset, sd_px=sd, limb_px=shared_px)
 
 
-def _look_at(
-    teats: Array, view: View, outline: Outline, profile: Profile, *, slopes_too: bool
-) -> Seen:
+def _look_at(teats: Array, view: View, outline: Outline, *, fine: bool, slopes_too: bool) -> Seen:
+    profile = view.fine if fine else view.rough
     contour = contours(teats, view.camera_from_teats, outline)
     pixels = pixels_of(contour.points, view.camera)
     normals = normals_of(pixels)
@@ -130,28 +119,16 @@ def _look_at(
     jacobian = np.zeros((m, n, COUNT))
     if slopes_too:
         outward = pixels_of(contour.points + _STEP_MM * contour.normals, view.camera) - pixels
-        jacobian = slopes(
-            teats,
-            contour,
-            np.einsum("mnd,mnd->mn", outward, normals) / _STEP_MM,
-            view.camera_from_teats,
-        )
-    lines = sample(
-        view.field, pixels.reshape(-1, 2) - view.corner_px, normals.reshape(-1, 2), profile.offsets
-    )
+        px_a_mm = np.einsum("mnd,mnd->mn", outward, normals) / _STEP_MM
+        jacobian = slopes(teats, contour, px_a_mm, view.camera_from_teats)
+    middles, directions = (pixels - view.corner_px).reshape(-1, 2), normals.reshape(-1, 2)
+    lines = sample(view.field, middles, directions, profile.offsets)
     found = find_edges(lines.reshape(m, n, -1), profile, view.noise)
     floor = np.full((m, n), view.floor_px)
     return Seen(
-        found.offset_px,
-        found.sd_px,
-        found.clarity,
-        floor,
-        jacobian,
-        pixels,
-        normals,
-        found.limb_px,
-        found.limb_sd_px,
-    )
+        found.offset_px, found.sd_px, found.clarity, floor, jacobian, pixels, normals,
+        found.limb_px, found.limb_sd_px,
+    )  # fmt: skip
 
 
 def weights(seen: Seen, scale: float) -> Array:
@@ -169,18 +146,8 @@ def normal_equations(teats: Array, seen: Seen, weight: Array, prior: Prior) -> t
     weighted = (j * weight[..., None]).transpose(0, 2, 1)
     H, b = weighted @ j, (weighted @ r[..., None])[..., 0]
     mean = np.array([0, 0, 0, 0, 0, prior.radius_mm, 0, 1])
-    sure = np.array(
-        [
-            1e-8,
-            1e-8,
-            1e-8,
-            prior.lean_sd**-2,
-            prior.lean_sd**-2,
-            prior.radius_sd_mm**-2,
-            prior.taper_sd**-2,
-            prior.height_sd**-2,
-        ]
-    )
+    sds = (prior.lean_sd, prior.lean_sd, prior.radius_sd_mm, prior.taper_sd, prior.height_sd)
+    sure = np.array([1e-8, 1e-8, 1e-8, *(sd**-2 for sd in sds)])
     return H + np.diag(sure), b + sure * np.where(sure > 1e-6, mean - teats, 0.0)
 
 

@@ -10,17 +10,36 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from detector.geometry import Array, Camera, Motion
 
-CX, CY, CZ, LEAN_X, LEAN_Z, RADIUS, TAPER, HEIGHT = range(
-    8
-)  # the end's middle, the axis, its radius, the sides' slope, its height in radii
+# the end's middle, the axis, its radius, the sides' slope, its height in radii
+CX, _, CZ, LEAN_X, LEAN_Z, RADIUS, TAPER, HEIGHT = range(8)
 COUNT = 8
 # the parts of an outline; a camera that looks along +z with y down has side A on its left
 SIDE_A, END, SIDE_B = range(3)
+
+
+class Rows:
+    """A dataclass of arrays, and of such dataclasses, with one row a thing in each."""
+
+    __slots__ = ()
+
+    def take(self, which: NDArray[np.intp] | list[int]) -> Self:
+        """Some of the things."""
+        parts: list[Any] = [getattr(self, name) for name in self.__slots__]
+        return type(self)(*(p.take(which) if isinstance(p, Rows) else p[which] for p in parts))
+
+    def __add__(self, other: Self) -> Self:
+        """All of both."""
+        pairs: list[Any] = [(getattr(self, n), getattr(other, n)) for n in self.__slots__]
+        return type(self)(
+            *(a + b if isinstance(a, Rows) else np.concatenate([a, b]) for a, b in pairs)
+        )
 
 
 @dataclass(frozen=True)
@@ -70,11 +89,15 @@ def contours(teats: Array, camera_from_teats: Motion, outline: Outline) -> Conto
     centre, axis = camera_from_teats.apply(teats[:, :3]), axes(teats) @ camera_from_teats.R.T
     height = teats[:, HEIGHT]
     round_centre = centre + ((1 / height - 1) * _dot(centre, axis))[:, None] * axis
-    round_points, round_normals = _surface(
-        round_centre, axis, teats[:, RADIUS], teats[:, TAPER], outline
-    )
-    from_centre = round_points + _along(round_points, axis, height - 1)
-    normals = round_normals + _along(round_normals, axis, 1 / height - 1)
+    points, normals = _surface(round_centre, axis, teats[:, RADIUS], teats[:, TAPER], outline)
+
+    def along(vectors: Array, factor: Array) -> Array:
+        """Their components along the axes, times a factor (m,)."""
+        share = np.einsum("mnd,md->mn", vectors, axis) * factor[:, None]
+        return np.asarray(share[..., None] * axis[:, None])
+
+    from_centre = points + along(points, height - 1)
+    normals = normals + along(normals, 1 / height - 1)
     normals /= np.sqrt(np.einsum("mnd,mnd->mn", normals, normals))[..., None]
     return Contour(centre[:, None] + from_centre, normals, from_centre)
 
@@ -107,21 +130,11 @@ def slopes(teats: Array, contour: Contour, px_a_mm: Array, camera_from_teats: Mo
     return np.asarray(result * px_a_mm[..., None])
 
 
-def _along(vectors: Array, axis: Array, factor: Array) -> Array:
-    """The components of vectors (m, n, 3) along axes (m, 3), times a factor (m,)."""
-    return np.asarray(
-        (np.einsum("mnd,md->mn", vectors, axis) * factor[:, None])[..., None] * axis[:, None]
-    )
-
-
 def normals_of(pixels_px: Array) -> Array:
     """Outward unit normals (m, n, 2) of outlines (m, n, 2), from each point's neighbours."""
     along = np.empty_like(pixels_px)
     along[:, 1:-1] = pixels_px[:, 2:] - pixels_px[:, :-2]
-    along[:, 0], along[:, -1] = (
-        pixels_px[:, 1] - pixels_px[:, 0],
-        pixels_px[:, -1] - pixels_px[:, -2],
-    )
+    along[:, [0, -1]] = pixels_px[:, [1, -1]] - pixels_px[:, [0, -2]]
     length = np.sqrt(along[..., 0] ** 2 + along[..., 1] ** 2)
     return np.stack([along[..., 1] / length, -along[..., 0] / length], axis=-1)
 
@@ -146,23 +159,9 @@ def _surface(
     rims = [one - taper[:, None] * axis for one in level]
     cosine = np.sqrt(1 - taper**2)[:, None]
     generators = [cosine * axis + (taper[:, None] / cosine) * one for one in level]
-    over = _over_end(centre, radius, rims[0], rims[1], outline.over_end)
-    k, m = len(outline.along_mm), over.shape[1]
-    normals = np.concatenate(
-        [np.repeat(rims[0][:, None], k, axis=1), over, np.repeat(rims[1][:, None], k, axis=1)],
-        axis=1,
-    )
-    sides = [
-        outline.along_mm[::-1, None] * generators[0][:, None],
-        np.zeros((len(centre), m, 3)),
-        outline.along_mm[:, None] * generators[1][:, None],
-    ]
-    return radius[:, None, None] * normals + np.concatenate(sides, axis=1), normals
-
-
-def _over_end(centre: Array, radius: Array, start: Array, stop: Array, shares: Array) -> Array:
-    """Normals (m, k, 3) from rim to rim over the end: the circle n . centre = -radius."""
+    start, stop = rims
     far = np.linalg.norm(centre, axis=1)
+    # from rim to rim over the end: on the circle n . centre = -radius
     middle = -(radius / far**2)[:, None] * centre
     first, last = start - middle, stop - middle
     reach = np.linalg.norm(first, axis=1)
@@ -170,9 +169,15 @@ def _over_end(centre: Array, radius: Array, start: Array, stop: Array, shares: A
     # turns clockwise as the camera sees it: up from side A and over
     e2 = np.cross(centre / far[:, None], e1)
     angle = np.arctan2(_dot(last, e2), _dot(last, e1)) % (2 * np.pi)
-    phi = angle[:, None] * shares[None, :]
-    turned = np.cos(phi)[:, :, None] * e1[:, None] + np.sin(phi)[:, :, None] * e2[:, None]
-    return np.asarray(middle[:, None] + reach[:, None, None] * turned)
+    phi = (angle[:, None] * outline.over_end[None, :])[..., None]
+    turned = np.cos(phi) * e1[:, None] + np.sin(phi) * e2[:, None]
+    over = middle[:, None] + reach[:, None, None] * turned
+    k, along = len(outline.along_mm), outline.along_mm[:, None]
+    rows = [np.repeat(start[:, None], k, axis=1), over, np.repeat(stop[:, None], k, axis=1)]
+    normals = np.concatenate(rows, axis=1)
+    up, down = (generator[:, None] for generator in generators)
+    sides = np.concatenate([along[::-1] * up, np.zeros_like(over), along * down], axis=1)
+    return radius[:, None, None] * normals + sides, normals
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -26,6 +26,7 @@ from detector.fused.model import (
     SIDE_B,
     TAPER,
     Outline,
+    Rows,
     apexes,
     axes,
 )
@@ -52,7 +53,7 @@ _SAME_MM = np.array([2.5, 2.5, 8.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
+class Fitted(Rows):
     """Teats (m, 8), right camera's frame, the edges about them, and weights (m, k)."""
 
     teats: Array
@@ -60,31 +61,6 @@ class Fitted:
     weight: Array
     hidden: NDArray[np.bool_]  # (m, k): behind another teat, or left out
     followed: NDArray[np.bool_]  # (m,): up both sides to where the last of an end is seen
-
-    def take(self, which: NDArray[np.intp]) -> Fitted:
-        """Some of them."""
-        return Fitted(
-            self.teats[which],
-            self.seen.take(which),
-            self.weight[which],
-            self.hidden[which],
-            self.followed[which],
-        )
-
-    def __add__(self, other: Fitted) -> Fitted:
-        """All of both."""
-        seen = Seen(
-            **{
-                name: np.concatenate([getattr(self.seen, name), getattr(other.seen, name)])
-                for name in Seen.__slots__
-            }
-        )
-        teats = np.concatenate([self.teats, other.teats])
-        weight, hidden = (
-            np.concatenate([self.weight, other.weight]),
-            np.concatenate([self.hidden, other.hidden]),
-        )
-        return Fitted(teats, seen, weight, hidden, np.concatenate([self.followed, other.followed]))
 
 
 def refine(teats: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
@@ -94,26 +70,13 @@ def refine(teats: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
         raise UnusableError("the optical pictures show no outline where the thermal one is warm")
     hidden = np.zeros((len(teats), len(views) * len(FINE_OUTLINE.part)), dtype=bool)
     nearly = fine(teats, hidden, views, p, steps=2)
-    kept = _apart(nearly)
-    return fine(
-        nearly.teats[kept],
-        hidden[kept],
-        views,
-        p,
-        nearly.take(kept).seen,
-        steps=FINE_STEPS - 2,
-        first=2,
-    )
-
-
-def _apart(fitted: Fitted) -> NDArray[np.intp]:
-    """Which teats to go on with: in each place, the one with most of its outline seen."""
-    ends = apexes(fitted.teats)
-    kept: list[int] = []
-    for i in np.argsort(-(fitted.weight > 0).sum(axis=1), kind="stable"):
+    # in each place go on with the one with most of its outline seen
+    ends, kept = apexes(nearly.teats), list[int]()
+    for i in np.argsort(-(nearly.weight > 0).sum(axis=1), kind="stable").tolist():
         if all(np.abs((ends[i] - ends[k]) / _ONE_MM).max() > 1 for k in kept):
-            kept.append(int(i))
-    return np.array(sorted(kept), dtype=np.intp)
+            kept.append(i)
+    best = nearly.take(sorted(kept))
+    return fine(best.teats, best.hidden, views, p, best.seen, steps=FINE_STEPS - 2, first=2)
 
 
 def fine(
@@ -131,9 +94,8 @@ def fine(
         moved = step(teats, seen, _trusted(seen, hidden, number), p.prior)
         seen = _look_again(seen, moved, moved - teats, views, fine=True)
         teats = moved
-    return Fitted(
-        teats, seen, _trusted(seen, hidden, first + steps), hidden, np.zeros(len(teats), dtype=bool)
-    )
+    weight = _trusted(seen, hidden, first + steps)
+    return Fitted(teats, seen, weight, hidden, np.zeros(len(teats), dtype=bool))
 
 
 def _look_again(
@@ -145,15 +107,15 @@ def _look_again(
     outline = FINE_OUTLINE if fine else ROUGH_OUTLINE
     k = 2 * len(outline.part)
     moves = np.einsum("mki,mi->mk", seen.jacobian, change)
-    found = {name: getattr(seen, name) for name in Seen.__slots__}
-    found["offset_px"] = seen.offset_px - moves
+    seen = replace(seen, offset_px=seen.offset_px - moves)
     moving = np.flatnonzero(~(np.abs(moves[:, :k]).max(axis=1) < _STILL_PX))
     if len(moving):
         optical = look(teats[moving], views[:2], outline, seen.jacobian[moving, :k], fine=fine)
+        found = {name: getattr(seen, name).copy() for name in Seen.__slots__}
         for name, values in found.items():
-            found[name] = values if name == "offset_px" else values.copy()
-            found[name][moving, :k] = getattr(optical, name)
-    return Seen(**found)
+            values[moving, :k] = getattr(optical, name)
+        seen = Seen(**found)
+    return seen
 
 
 def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
@@ -163,36 +125,30 @@ def _trusted(seen: Seen, hidden: NDArray[np.bool_], number: int) -> Array:
     weight = np.where(hidden, 0.0, weights(seen, _FINE_SCALE))
     if number == 0:
         return weight
-    m, part = len(weight), FINE_OUTLINE.part
-    close = (weight > 0) & (
-        np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < np.minimum(_CLOSE * seen.floor_px, 1.0)
-    )
-    close, each, open_ = (
-        close.reshape(m, -1, len(part)),
-        weight.reshape(m, -1, len(part)),
-        ~hidden.reshape(m, -1, len(part)),
-    )
+    part = FINE_OUTLINE.part
+    shape = (len(weight), -1, len(part))
+    near = np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < np.minimum(_CLOSE * seen.floor_px, 1.0)
+    close, each = ((weight > 0) & near).reshape(shape), weight.reshape(shape)
+    open_ = ~hidden.reshape(shape)
     for side in (SIDE_A, SIDE_B):
         at = part == side
-        share = close[:, :, at].sum(axis=2) / np.maximum(
-            open_[:, :, at].sum(axis=2), 0.3 * at.sum()
-        )
+        shown = open_[:, :, at].sum(axis=2)
+        share = close[:, :, at].sum(axis=2) / np.maximum(shown, 0.3 * at.sum())
         covered = open_[:, :2, at].mean(axis=2) < 0.5
-        doubtful = (np.where(covered, 1.0, share[:, :2]).min(axis=1) < _MOST_OTHER) & (
-            share[:, :2].max(axis=1) > _LEAST_ALONE
-        )
+        doubtful = np.where(covered, 1.0, share[:, :2]).min(axis=1) < _MOST_OTHER
+        doubtful &= share[:, :2].max(axis=1) > _LEAST_ALONE
         unseen = share < _LEAST_SIDE
         unseen[:, :2] |= doubtful[:, None]
         each[:, :, at] *= ~unseen[..., None]
-        each[:, :2, _next_to(side)] *= ~doubtful[:, None, None]
-    return each.reshape(m, -1)
+        each[:, :2, _next_to(side, 3)] *= ~doubtful[:, None, None]
+    return each.reshape(weight.shape)
 
 
-def _next_to(side: int) -> NDArray[np.intp]:
-    """The points of the end in the third next to a side."""
+def _next_to(side: int, parts: int) -> NDArray[np.intp]:
+    """The points of the end, in the part of so many that is next to a side."""
     end = np.flatnonzero(FINE_OUTLINE.part == END)
-    third = len(end) // 3
-    return end[:third] if side == SIDE_A else end[-third:]
+    count = len(end) // parts
+    return end[:count] if side == SIDE_A else end[-count:]
 
 
 def _rough(teats: Array, views: tuple[View, ...], p: Parameters) -> Array:
@@ -214,13 +170,10 @@ def _rough(teats: Array, views: tuple[View, ...], p: Parameters) -> Array:
 
 def _distinct(teats: Array, seen: Seen, least: float, same_mm: Array, most: int) -> list[int]:
     """At most ``most`` of teats (m, 8) by seen outline, none within ``same_mm`` of a better one."""
-    near = (weights(seen, _ROUGH_SCALE) > 0) & (
-        np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _NEAR_PX
-    )
-    share, ends = (
-        np.maximum(near.mean(axis=1), near[:, : 2 * near.shape[1] // 3].mean(axis=1)),
-        apexes(teats),
-    )
+    near = np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _NEAR_PX
+    near &= weights(seen, _ROUGH_SCALE) > 0
+    optical = near[:, : 2 * near.shape[1] // 3]
+    share, ends = np.maximum(near.mean(axis=1), optical.mean(axis=1)), apexes(teats)
     same = np.abs((ends[:, None] - ends) / same_mm).max(axis=2) <= 1
     one_bar = on_one_bar(teats)
     kept: list[int] = []
@@ -281,29 +234,18 @@ def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[n
         start[:, CX] += sign * (start[:, RADIUS] - p.prior.radius_mm)
         start[:, RADIUS], start[:, TAPER] = p.prior.radius_mm, 0.0
         starts.append(start)
-        left_out = np.tile(np.isin(np.arange(len(FINE_OUTLINE.part)), _half(lost)), views)
+        left = [*np.flatnonzero(FINE_OUTLINE.part == lost), *_next_to(lost, 2)]
+        left_out = np.tile(np.isin(np.arange(len(FINE_OUTLINE.part)), left), views)
         masks.append(np.repeat(left_out[None], len(teats), axis=0))
     return np.concatenate(starts), np.concatenate(masks)
 
 
-def refine_more(
-    fitted: Fitted,
-    starts: Array,
-    left_out: NDArray[np.bool_],
-    views: tuple[View, ...],
-    p: Parameters,
-) -> Fitted:
-    """The fitted teats, and fits from ``starts`` (n, 8) without points ``left_out`` (n, k)."""
-    return fitted + fine(starts, left_out, views, p) if len(starts) else fitted
-
-
-def refine_slid(fitted: Fitted, slid: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
-    """The fitted teats, and fits from ``slid`` (n, 8), followed up their sides."""
-    if len(slid) == 0:
-        return fitted
+def refine_slid(slid: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
+    """Fits from ``slid`` (n, 8), followed up their sides."""
     tight = replace(p, prior=replace(p.prior, height_sd=_SHAPE * p.prior.height_sd))
-    more = fine(slid, np.zeros((len(slid), fitted.weight.shape[1]), dtype=bool), views, tight)
-    return fitted + replace(more, followed=np.ones(len(slid), dtype=bool))
+    shape = (len(slid), len(views) * len(FINE_OUTLINE.part))
+    more = fine(slid, np.zeros(shape, dtype=bool), views, tight)
+    return replace(more, followed=np.ones(len(slid), dtype=bool))
 
 
 def slide_ends(teats: Array, views: tuple[View, ...]) -> Array:
@@ -318,35 +260,20 @@ def slide_ends(teats: Array, views: tuple[View, ...]) -> Array:
         return teats
     slid = np.repeat(teats[:, None], count, axis=1)
     slid[..., HEIGHT] = 1.0
-    slid[..., :3] -= (teats[:, RADIUS] * (teats[:, HEIGHT] - 1.0))[:, None, None] * axes(teats)[
-        :, None
-    ]
-    slid[..., :3] -= _SLIDE_MM[:, None] * axes(teats)[:, None]
-    points = len(_END_OUTLINE.part)
-    seen = look(
-        slid.reshape(-1, COUNT),
-        views[:2],
-        _END_OUTLINE,
-        np.zeros((m * count, 2 * points, COUNT)),
-        fine=True,
-    )
+    axis = axes(teats)[:, None]
+    slid[..., :3] -= (teats[:, RADIUS] * (teats[:, HEIGHT] - 1.0))[:, None, None] * axis
+    slid[..., :3] -= _SLIDE_MM[:, None] * axis
+    jacobian = np.zeros((m * count, 2 * len(_END_OUTLINE.part), COUNT))
+    seen = look(slid.reshape(-1, COUNT), views[:2], _END_OUTLINE, jacobian, fine=True)
     part = np.tile(_END_OUTLINE.part == END, 2)
-    good = (np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _CLOSE_PX) & (
-        seen.clarity > LEAST_CLEAR
-    )
+    good = np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _CLOSE_PX
+    good &= seen.clarity > LEAST_CLEAR
     share = good[:, part].reshape(m, count, -1).mean(axis=2)
     peak = share >= np.maximum(_NEARLY * share.max(axis=1, keepdims=True), _LEAST_END)
     last = count - 1 - peak[:, ::-1].argmax(axis=1)
     near = np.abs(np.arange(count) - last[:, None]) <= 2
     best = np.where(near, share, 0.0).argmax(axis=1)
     return np.asarray(slid[np.arange(m), best][peak.any(axis=1)])
-
-
-def _half(side: int) -> NDArray[np.intp]:
-    """The points of a side and of the half of the end next to it."""
-    end = np.flatnonzero(FINE_OUTLINE.part == END)
-    near = end[: len(end) // 2] if side == SIDE_A else end[len(end) // 2 :]
-    return np.concatenate([np.flatnonzero(FINE_OUTLINE.part == side), near])
 
 
 def hidden_points(fitted: Fitted, accepted: list[int], again: list[int]) -> NDArray[np.bool_]:
@@ -357,10 +284,8 @@ def hidden_points(fitted: Fitted, accepted: list[int], again: list[int]) -> NDAr
     pixels = fitted.seen.pixels_px.reshape(m, -1, n, 2)
     hidden = np.zeros(pixels.shape[:3], dtype=bool)
     for k in accepted:
-        behind = np.array(
-            [i for i in again if fitted.teats[i, CZ] > fitted.teats[k, CZ] + _NEARER_MM],
-            dtype=np.intp,
-        )
+        nearer = fitted.teats[k, CZ] + _NEARER_MM
+        behind = np.array([i for i in again if fitted.teats[i, CZ] > nearer], dtype=np.intp)
         for view, room in enumerate(_ROOM_PX):
             hidden[behind, view] |= _inside(pixels[behind, view], pixels[k, view], room)
     return hidden.reshape(m, -1)
@@ -369,20 +294,15 @@ def hidden_points(fitted: Fitted, accepted: list[int], again: list[int]) -> NDAr
 def _inside(points: Array, outline: Array, room_px: float) -> NDArray[np.bool_]:
     """Whether points (b, n, 2) lie within a closed ``outline`` (n, 2), or ``room_px`` of it."""
     result = np.zeros(points.shape[:2], dtype=bool)
-    near = np.all(
-        (points > outline.min(axis=0) - room_px) & (points < outline.max(axis=0) + room_px), axis=2
-    )
+    low, high = outline.min(axis=0) - room_px, outline.max(axis=0) + room_px
+    near = np.all((points > low) & (points < high), axis=2)
     p = points[near]
     if len(p) == 0:
         return result
-    start, way = outline, np.roll(outline, -1, axis=0) - outline
-    from_start = p[:, None] - start
-    share = np.clip(
-        np.einsum("pnd,nd->pn", from_start, way)
-        / np.maximum(np.einsum("nd,nd->n", way, way), 1e-12),
-        0,
-        1,
-    )
+    way = np.roll(outline, -1, axis=0) - outline
+    from_start = p[:, None] - outline
+    length2 = np.maximum(np.einsum("nd,nd->n", way, way), 1e-12)
+    share = np.clip(np.einsum("pnd,nd->pn", from_start, way) / length2, 0, 1)
     off = from_start - share[..., None] * way
     beside = np.einsum("pnd,pnd->pn", off, off).min(axis=1) < room_px**2
     crossed = (from_start[..., 1] < 0) != (from_start[..., 1] < way[:, 1])

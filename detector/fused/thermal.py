@@ -7,12 +7,14 @@ bar may lack a side, where teats touch.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from detector.fused.model import Rows
 from detector.geometry import Array
 
 Field = NDArray[np.float32]
@@ -29,7 +31,7 @@ _STEEP, _LEAST_END, _LEAST_BAR, _CLEAR_END, _SURE_END = 0.35, 0.25, 0.45, 0.8, 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Nominations:
+class Nominations(Rows):
     """Ends, sensor px: middle (n, 2), radius, lean (columns a row downwards), score, (n,) each."""
 
     centre_px: Array
@@ -39,12 +41,6 @@ class Nominations:
 
     def __len__(self) -> int:
         return len(self.score)
-
-    def take(self, which: NDArray[np.intp]) -> Nominations:
-        """Some of them."""
-        return Nominations(
-            self.centre_px[which], self.radius_px[which], self.lean[which], self.score[which]
-        )
 
 
 _NONE = Nominations(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
@@ -58,24 +54,13 @@ def nominate(temperature: Field, most: int) -> Nominations:
     if len(u) == 0:
         return _NONE
     tips = np.column_stack([u, v]).astype(np.float32)
-    maps = _Padded.of(gx, gy)
-    rough = np.stack(
-        [
-            _end_score(maps, maps.index(tips), w, lean)
-            for w in _ROUGH_WIDTHS_PX
-            for lean in _BAR_LEANS
-        ]
-    ).max(axis=0)
+    rough = _scores(_end_score, gx, gy, tips, _ROUGH_WIDTHS_PX, _BAR_LEANS).max(axis=0)
     tips = tips[np.argsort(-rough, kind="stable")[:_MOST_TIPS]]
-    scores = np.stack(
-        [_end_score(maps, maps.index(tips), w, lean) for w in HALF_WIDTHS_PX for lean in LEANS]
-    )
+    scores = _scores(_end_score, gx, gy, tips, HALF_WIDTHS_PX, LEANS)
     found = _best(tips, scores, HALF_WIDTHS_PX, LEANS)
     length = np.sqrt(1 + found.lean**2)
     down = np.column_stack([found.lean, np.ones_like(found.lean)]) / length[:, None]
-    inside = Nominations(
-        tips + found.radius_px[:, None] * down, found.radius_px, found.lean, found.score
-    )
+    inside = replace(found, centre_px=tips + found.radius_px[:, None] * down)
     return inside.take(_peaks(tips, found.score, most, 3.0, _LEAST_END))
 
 
@@ -89,29 +74,12 @@ def bars(temperature: Field, ends: Nominations, most: int) -> Nominations:
     if len(rows) == 0 or high <= low:
         return _NONE
     at = np.column_stack([columns, 4 * rows]).astype(np.float32)
-    clear = [
-        (ends.centre_px[i], ends.lean[i]) for i in range(len(ends)) if ends.score[i] > _CLEAR_END
-    ]
-    at = (
-        at[
-            np.all(
-                [
-                    _beside(at.T.astype(np.float64), 0.0, middle, lean) > _APART_PX
-                    for middle, lean in clear
-                ],
-                axis=0,
-            )
-        ]
-        if clear
-        else at
-    )
+    clear = [(ends.centre_px[i], ends.lean[i]) for i in np.flatnonzero(ends.score > _CLEAR_END)]
+    for middle, lean in clear:
+        at = at[_beside(at.T.astype(np.float64), 0.0, middle, lean) > _APART_PX]
     if len(at) == 0:
         return _NONE
-    maps = _Padded.of(gx, gy)
-    index = maps.index(at)
-    scores = np.stack(
-        [_bar_score(maps, index, w, lean) for w in HALF_WIDTHS_PX for lean in _BAR_LEANS]
-    )
+    scores = _scores(_bar_score, gx, gy, at, HALF_WIDTHS_PX, _BAR_LEANS)
     found = _best(at, scores, HALF_WIDTHS_PX, _BAR_LEANS)
     order = [int(i) for i in np.argsort(-found.score, kind="stable") if found.score[i] > _LEAST_BAR]
     kept: list[int] = []
@@ -174,69 +142,56 @@ def strengths(picture: Field, blur_px: float = 0.8, noises: float = 4.0) -> tupl
     return gx * squeezed, gy * squeezed
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Padded:
-    """Squeezed gradients, flat, with a border of zeros for outlines beyond the picture."""
+def _scores(
+    score: Callable[..., Array],
+    gx: Field,
+    gy: Field,
+    at: Field,
+    widths: tuple[float, ...],
+    leans: tuple[float, ...],
+) -> Array:
+    """Scores (shapes, n) of bars of each half width px and lean at whole pixels ``at`` (n, 2)."""
+    # flat, with a border of zeros for outlines beyond the picture
+    columns = gx.shape[1] + 2 * _ROOM_PX
+    flat_x, flat_y = np.pad(gx, _ROOM_PX).ravel(), np.pad(gy, _ROOM_PX).ravel()
+    whole = at.astype(np.intp) + _ROOM_PX
+    start = whole[:, 1] * columns + whole[:, 0]
 
-    gx: Field
-    gy: Field
-    columns: int
+    def outward(points: Array, normals: Array) -> Field:
+        """Strength (k, n) at ``points`` (k, 2) px from the places, along ``normals`` (k, 2)."""
+        off = np.rint(points).astype(np.intp)
+        index = start + (off[:, 1] * columns + off[:, 0])[:, None]
+        n = normals.astype(np.float32)
+        return np.asarray(flat_x[index] * n[:, :1] + flat_y[index] * n[:, 1:], dtype=np.float32)
 
-    @classmethod
-    def of(cls, gx: Field, gy: Field) -> _Padded:
-        return cls(
-            np.pad(gx, _ROOM_PX).ravel(), np.pad(gy, _ROOM_PX).ravel(), gx.shape[1] + 2 * _ROOM_PX
-        )
-
-    def index(self, places: Field) -> NDArray[np.intp]:
-        """Where places (n, 2) of the picture, at whole pixels, are."""
-        whole = places.astype(np.intp) + _ROOM_PX
-        return np.asarray(whole[:, 1] * self.columns + whole[:, 0])
+    found = []
+    for width in widths:
+        for lean in leans:
+            length = np.hypot(1.0, lean)
+            down, right = np.array([lean, 1.0]) / length, np.array([1.0, -lean]) / length
+            found.append(score(outward, width, down, right))
+    return np.stack(found)
 
 
-def _end_score(maps: _Padded, tips: NDArray[np.intp], width: float, lean: float) -> Array:
-    """Fit (n,) of a bar of half width ``width`` px and lean with tips ``tips`` (n,)."""
-    length = np.hypot(1.0, lean)
-    down, right = np.array([lean, 1.0]) / length, np.array([1.0, -lean]) / length
+def _end_score(outward: Callable[..., Field], width: float, down: Array, right: Array) -> Array:
+    """Fit (n,) of a bar with its tip at the places."""
     arc = -np.cos(_ARC)[:, None] * down + np.sin(_ARC)[:, None] * right
-    top = np.abs(_along(maps, tips, width * (down + arc), arc))
+    top = np.abs(outward(width * (down + arc), arc))
+    below = (width + _BELOW_PX)[:, None] * down
+    left, other = (
+        np.abs(outward(below + s * width * right, np.tile(s * right, (6, 1)))).mean(axis=0)
+        for s in (-1.0, 1.0)
+    )
+    return joined(top.mean(axis=0), left, other)
+
+
+def _bar_score(outward: Callable[..., Field], width: float, down: Array, right: Array) -> Array:
+    """Fit (n,) of a warm bar's sides below the places."""
     sides = [
-        np.abs(
-            _along(
-                maps,
-                tips,
-                (width + _BELOW_PX)[:, None] * down + side * width * right,
-                np.tile(side * right, (6, 1)),
-            )
-        )
-        for side in (-1.0, 1.0)
+        -1.0 * outward(_BELOW_PX[:, None] * down + s * width * right, np.tile(s * right, (6, 1)))
+        for s in (-1.0, 1.0)
     ]
-    return joined(top.mean(axis=0), sides[0].mean(axis=0), sides[1].mean(axis=0))
-
-
-def _bar_score(maps: _Padded, at: NDArray[np.intp], width: float, lean: float) -> Array:
-    """Fit (n,) of a warm bar's sides, half width ``width`` px and lean, below ``at`` (n,)."""
-    length = np.hypot(1.0, lean)
-    down, right = np.array([lean, 1.0]) / length, np.array([1.0, -lean]) / length
-    sides = [
-        -1.0
-        * _along(
-            maps,
-            at,
-            _BELOW_PX[:, None] * down + side * width * right,
-            np.tile(side * right, (6, 1)),
-        ).mean(axis=0)
-        for side in (-1.0, 1.0)
-    ]
-    return np.asarray(np.minimum(*sides), dtype=np.float64)
-
-
-def _along(maps: _Padded, at: NDArray[np.intp], points: Array, normals: Array) -> Field:
-    """Outward strength (k, n) at ``points`` (k, 2) px from ``at`` (n,), by ``normals`` (k, 2)."""
-    whole = np.rint(points).astype(np.intp)
-    index = at + (whole[:, 1] * maps.columns + whole[:, 0])[:, None]
-    n = normals.astype(np.float32)
-    return np.asarray(maps.gx[index] * n[:, :1] + maps.gy[index] * n[:, 1:], dtype=np.float32)
+    return np.asarray(np.minimum(*(side.mean(axis=0) for side in sides)), dtype=np.float64)
 
 
 def joined(top: Array, left: Array, right: Array) -> Array:

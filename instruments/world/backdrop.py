@@ -7,7 +7,7 @@ grid on the table and looked up by each pixel; only the table receives them, and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
@@ -72,16 +72,10 @@ class Backdrop:
     table_drop_mm: float = 220.0
 
     def __post_init__(self) -> None:
-        for name in (
-            "board_albedo",
-            "board_texture",
-            "table_albedo",
-            "table_texture",
-            "front_albedo",
-            "room_albedo",
-        ):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} must be from 0 to 1, is {getattr(self, name)}")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name.endswith(("_albedo", "_texture")) and not 0.0 <= value <= 1.0:
+                raise ValueError(f"{field.name} must be from 0 to 1, is {value}")
         if not (
             self.board_y_mm > self.table_front_y_mm
             and self.board_x_mm[1] > self.board_x_mm[0]
@@ -109,55 +103,26 @@ class Patch:
 
 def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
     """Far to near: board, posters, table, the table's front."""
-    b = backdrop
-    wide = b.board_x_mm[1] - b.board_x_mm[0]
-    reach, deep = 2.0 * b.table_reach_mm, b.board_y_mm - b.table_front_y_mm
+    b, seed = backdrop, 2 * backdrop.texture_seed
+    wide, deep = b.board_x_mm[1] - b.board_x_mm[0], b.board_y_mm - b.table_front_y_mm
+    reach = (2.0 * b.table_reach_mm, 0.0, 0.0)
     edge = (-b.table_reach_mm - 190.0, b.table_front_y_mm, 0.0)
-    back, up, seed = (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), 2 * b.texture_seed
-    corner = (b.board_x_mm[0], b.board_y_mm, 0.0)
-    posters = (
-        Patch(
-            (p.x_mm, b.board_y_mm, p.z_mm),
-            (p.width_mm, 0.0, 0.0),
-            (0.0, 0.0, p.height_mm),
-            back,
-            p.albedo,
-            warmer_k=b.board_k,
-        )
-        for p in b.posters
-    )
+    back, up = (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)
+
+    def upright(x: float, z: float, width: float, height: float) -> tuple[Point, ...]:
+        return (x, b.board_y_mm, z), (width, 0.0, 0.0), (0.0, 0.0, height), back
+
+    board = upright(b.board_x_mm[0], 0.0, wide, b.board_top_mm)
+    board_look = b.board_albedo, b.board_texture, b.board_weave, seed, b.board_k
+    table_look = b.table_albedo, b.table_texture, b.table_weave, seed + 1, b.table_k
     return (
-        Patch(
-            corner,
-            (wide, 0.0, 0.0),
-            (0.0, 0.0, b.board_top_mm),
-            back,
-            b.board_albedo,
-            b.board_texture,
-            b.board_weave,
-            seed,
-            b.board_k,
+        Patch(*board, *board_look),
+        *(
+            Patch(*upright(p.x_mm, p.z_mm, p.width_mm, p.height_mm), p.albedo, warmer_k=b.board_k)
+            for p in b.posters
         ),
-        *posters,
-        Patch(
-            edge,
-            (reach, 0.0, 0.0),
-            (0.0, deep, 0.0),
-            up,
-            b.table_albedo,
-            b.table_texture,
-            b.table_weave,
-            seed + 1,
-            b.table_k,
-        ),
-        Patch(
-            edge,
-            (reach, 0.0, 0.0),
-            (0.0, 0.0, -b.table_drop_mm),
-            back,
-            b.front_albedo,
-            warmer_k=b.table_k,
-        ),
+        Patch(edge, reach, (0.0, deep, 0.0), up, *table_look),
+        Patch(edge, reach, (0.0, 0.0, -b.table_drop_mm), back, b.front_albedo, warmer_k=b.table_k),
     )
 
 
@@ -167,20 +132,15 @@ def draw(
     """Light of the backdrop at each pixel before lens and sensor, and depth in mm, (height, width)
     each. Edges by exact coverage.
     """
-    image = np.full(
-        camera.height_px * camera.width_px,
-        backdrop.room_albedo * lighting.ambient * lighting.brightness,
-        dtype=np.float32,
-    )
+    room = backdrop.room_albedo * lighting.ambient * lighting.brightness
+    image = np.full(camera.height_px * camera.width_px, room, dtype=np.float32)
     depth = np.full_like(image, FAR_MM)
     for patch in patches(backdrop):
         seen = _outline(patch, camera)
-        for start in range(0, len(seen.share), PIXELS_AT_ONCE):
+        pixels, shares = seen.row * camera.width_px + seen.column, seen.share.astype(np.float32)
+        for start in range(0, len(pixels), PIXELS_AT_ONCE):
             part = slice(start, start + PIXELS_AT_ONCE)
-            pixel, share = (
-                seen.row[part] * camera.width_px + seen.column[part],
-                seen.share[part].astype(np.float32),
-            )
+            pixel, share = pixels[part], shares[part]
             light, far = _light(patch, lighting, camera, rays, pixel)
             image[pixel] += share * (light - image[pixel])
             depth[pixel] += share * (far - depth[pixel])
@@ -199,11 +159,8 @@ def warmer(backdrop: Backdrop, camera: CameraModel) -> Image:
 
 
 def _outline(patch: Patch, camera: CameraModel) -> Cover:
-    corner, across, along = (
-        np.asarray(patch.corner_mm),
-        np.asarray(patch.across_mm),
-        np.asarray(patch.along_mm),
-    )
+    edges = patch.corner_mm, patch.across_mm, patch.along_mm
+    corner, across, along = (np.asarray(edge) for edge in edges)
     square = np.array([corner, corner + across, corner + across + along, corner + along])
     return cover_outlines([camera.camera_from_world(square)], camera)
 
@@ -215,18 +172,13 @@ def _light(
     x, y = (ray.reshape(-1)[pixel].astype(np.float32) for ray in rays)
     turn, eye = camera.R.astype(np.float32), camera.centre_mm.astype(np.float32)
     ray = np.stack([turn[0, i] * x + turn[1, i] * y + turn[2, i] for i in range(3)])
-    normal, corner = (
-        np.asarray(patch.normal, dtype=np.float32),
-        np.asarray(patch.corner_mm, dtype=np.float32),
-    )
+    normal = np.asarray(patch.normal, dtype=np.float32)
+    corner = np.asarray(patch.corner_mm, dtype=np.float32)
     towards = normal @ ray
     # A pixel on the patch's edge may look past it, and past the horizon: its light is that of a far
     # point.
-    depth = np.clip(
-        normal @ (corner - eye) / np.where(np.abs(towards) > 1e-6, towards, np.float32(-1e-6)),
-        0.0,
-        1e4,
-    ).astype(np.float32)
+    ahead = np.where(np.abs(towards) > 1e-6, towards, np.float32(-1e-6))
+    depth = np.clip(normal @ (corner - eye) / ahead, 0.0, 1e4).astype(np.float32)
     points = eye[:, None] + depth * ray
     light = irradiance(lighting, points, normal[:, None]) * np.float32(patch.albedo)
     if patch.texture > 0.0:
@@ -236,17 +188,15 @@ def _light(
 
 def _texture(patch: Patch, points_mm: NDArray[np.float32]) -> Image:
     """The weave fixed to the patch, about -1 to 1, at surface points (3, n)."""
-    size = [float(np.linalg.norm(edge)) for edge in (patch.across_mm, patch.along_mm)]
     off = points_mm - np.asarray(patch.corner_mm, dtype=np.float32)[:, None]
-    edges = [
-        np.asarray(edge, dtype=np.float32) / np.float32(length * TEXEL_MM)
-        for edge, length in zip((patch.across_mm, patch.along_mm), size, strict=True)
-    ]
-    u, v = (edge @ off for edge in edges)
-    cloth = woven(patch.weave, patch.seed, round(size[0] / TEXEL_MM), round(size[1] / TEXEL_MM))
-    values = cv2.remap(
-        cloth, u[:, None], v[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
+    places, sizes = [], []
+    for edge in (patch.across_mm, patch.along_mm):
+        length = float(np.linalg.norm(edge))
+        unit = np.asarray(edge, dtype=np.float32) / np.float32(length * TEXEL_MM)
+        places.append((unit @ off)[:, None])
+        sizes.append(round(length / TEXEL_MM))
+    cloth = woven(patch.weave, patch.seed, *sizes)
+    values = cv2.remap(cloth, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(values.reshape(-1), dtype=np.float32)
 
 
@@ -279,15 +229,14 @@ def shadow_map(lighting: Lighting, solids: Solids) -> ShadowMap | None:
     casters = np.flatnonzero(np.maximum(solids.radius_a, solids.radius_b) >= LEAST_CASTER_MM)
     if len(casters) == 0 or lighting.brightness <= 0.0:
         return None
-    low = np.minimum(solids.a[casters], solids.b[casters]).min(axis=0)[:2] - REACH_MM
-    high = np.maximum(solids.a[casters], solids.b[casters]).max(axis=0)[:2] + REACH_MM
+    ends = np.concatenate([solids.a[casters], solids.b[casters]])[:, :2]
+    low, high = ends.min(axis=0) - REACH_MM, ends.max(axis=0) + REACH_MM
     x, y = (
-        np.arange(low[axis], high[axis] + SHADOW_TEXEL_MM, SHADOW_TEXEL_MM, dtype=np.float32)
-        for axis in (0, 1)
+        np.arange(least, most + SHADOW_TEXEL_MM, SHADOW_TEXEL_MM, dtype=np.float32)
+        for least, most in zip(low, high, strict=True)
     )
-    points = np.stack(
-        [*(grid.ravel() for grid in np.meshgrid(x, y)), np.zeros(len(x) * len(y), dtype=np.float32)]
-    )
+    u, v = (grid.ravel() for grid in np.meshgrid(x, y))
+    points = np.stack([u, v, np.zeros_like(u)])
     up = np.array([[0.0], [0.0], [1.0]], dtype=np.float32)
     sky = irradiance(Lighting(1.0, (), lighting.ambient), points, up)
     total, lit = sky, sky * _sky_left(solids, casters, points)
@@ -308,26 +257,20 @@ def _lamp_left(solids: Solids, casters: Ints, points: Rows, lamp: Lamp) -> Rows:
     left = np.ones_like(far)
     for i in casters:
         a, b = solids.a[i].astype(np.float32), solids.b[i].astype(np.float32)
-        gap, along, part = _nearest(points, way, a, b)
-        radius = np.float32(solids.radius_a[i]) + part * np.float32(
-            solids.radius_b[i] - solids.radius_a[i]
-        )
+        # the ray's and the segment's nearest points: least distance, place on ray and segment
+        span, off = b - a, points - a[:, None]
+        cross, d_way, d_span = dot(way, span), dot(off, way), dot(off, span)
+        under = np.maximum(dot(span, span) - cross * cross, np.float32(1e-3))
+        part = np.clip((d_span - d_way * cross) / under, 0.0, 1.0)
+        along = np.maximum(part * cross - d_way, 0.0)
+        off += along * way
+        off -= part * span[:, None]
+        gap = np.sqrt(dot(off, off))
+        wider = np.float32(solids.radius_b[i] - solids.radius_a[i])
+        radius = np.float32(solids.radius_a[i]) + part * wider
         half_shade = np.maximum(along, 2.0) * (LAMP_RADIUS_MM / far)
         np.minimum(left, np.clip(0.5 + 0.5 * (gap - radius) / half_shade, 0.0, 1.0), out=left)
     return np.asarray(left)
-
-
-def _nearest(points: Rows, way: Rows, a: Rows, b: Rows) -> tuple[Rows, Rows, Rows]:
-    """Rays (points, unit way; 3, n) and segment a b: least distance, place on ray and segment."""
-    span = b - a
-    off = points - a[:, None]
-    cross, d_way, d_span = dot(way, span), dot(off, way), dot(off, span)
-    under = np.maximum(dot(span, span) - cross * cross, np.float32(1e-3))
-    part = np.clip((d_span - d_way * cross) / under, 0.0, 1.0)
-    along = np.maximum(part * cross - d_way, 0.0)
-    off += along * way
-    off -= part * span[:, None]
-    return np.asarray(np.sqrt(dot(off, off))), along, part
 
 
 def _sky_left(solids: Solids, casters: Ints, points: Rows) -> Rows:
@@ -374,13 +317,9 @@ def shade(
     to_x, to_y, to_z = (camera.R[0, i] * x + camera.R[1, i] * y + camera.R[2, i] for i in range(3))
     depth = -camera.centre_mm[2] / np.minimum(to_z, -1e-6)
     table_x, table_y = camera.centre_mm[0] + depth * to_x, camera.centre_mm[1] + depth * to_y
-    on_x, on_y = (
-        ((at - origin) / SHADOW_TEXEL_MM).astype(np.float32)
-        for at, origin in ((table_x, shadows.x_mm), (table_y, shadows.y_mm))
-    )
-    looked_up = cv2.remap(
-        shadows.share, on_x, on_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1.0
-    )
-    share = np.asarray(looked_up, dtype=np.float32)
+    on_x = ((table_x - shadows.x_mm) / SHADOW_TEXEL_MM).astype(np.float32)
+    on_y = ((table_y - shadows.y_mm) / SHADOW_TEXEL_MM).astype(np.float32)
+    border = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": 1.0}
+    share = np.asarray(cv2.remap(shadows.share, on_x, on_y, cv2.INTER_LINEAR, **border))
     share[(table_y > high[1]) | (table_y < low[1]) | (to_z > -1e-6)] = 1.0
     return Shade(slice(int(top), int(bottom)), slice(int(left), int(right)), share)

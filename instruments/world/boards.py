@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Literal
 
 import cv2
@@ -19,7 +19,7 @@ import numpy as np
 from instruments.world.objects import Warmth
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import Image
-from instruments.world.solids import Point
+from instruments.world.solids import Point, as_point
 
 Kind = Literal["plain", "chessboard", "charuco", "circles"]
 ROUND = 64  # corners of a circle
@@ -46,12 +46,9 @@ class Pattern:
     feature_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        sizes = (
-            self.square_mm > 0.0
-            and self.margin_mm >= 0.0
-            and 0.0 <= self.feature_mm <= self.square_mm
-        )
-        if not (self.columns >= 1 and self.rows >= 1 and sizes):
+        rim_fits = self.square_mm > 0.0 and self.margin_mm >= 0.0
+        fits = rim_fits and 0.0 <= self.feature_mm <= self.square_mm
+        if not (self.columns >= 1 and self.rows >= 1 and fits):
             raise ValueError(
                 "a board's pattern needs squares with a size, and markers or circles that fit, is"
                 f" {self}"
@@ -66,10 +63,8 @@ class Pattern:
     @property
     def size_mm(self) -> tuple[float, float]:
         """Width and height with the rim."""
-        return (
-            self.columns * self.square_mm + 2.0 * self.margin_mm,
-            self.rows * self.square_mm + 2.0 * self.margin_mm,
-        )
+        rim = 2.0 * self.margin_mm
+        return self.columns * self.square_mm + rim, self.rows * self.square_mm + rim
 
     @property
     def corners_mm(self) -> Floats:
@@ -99,17 +94,14 @@ class Board:
     velocity_mm_s: Point = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        across, along = np.asarray(self.across), np.asarray(self.along)
-        if not np.allclose(
-            [across @ across, along @ along, across @ along], [1.0, 1.0, 0.0], atol=1e-6
-        ):
+        axes = np.array([self.across, self.along])
+        if not np.allclose(axes @ axes.T, np.eye(2), atol=1e-6):
             raise ValueError(
                 f"{self.name}: across and along must be unit vectors at a right angle, are"
                 f" {self.across} and {self.along}"
             )
-        if not all(
-            0.0 <= share <= 1.0 for share in (self.light_albedo, self.dark_albedo, self.emissivity)
-        ):
+        shares = self.light_albedo, self.dark_albedo, self.emissivity
+        if not all(0.0 <= share <= 1.0 for share in shares):
             raise ValueError(f"{self.name}: albedos and emissivity must be from 0 to 1")
 
     @property
@@ -137,8 +129,8 @@ class Board:
 
     def moved(self, seconds: float) -> Board:
         """Where it is that much later."""
-        x, y, z = np.asarray(self.corner_mm) + seconds * np.asarray(self.velocity_mm_s)
-        return replace(self, corner_mm=(float(x), float(y), float(z)))
+        corner = np.asarray(self.corner_mm) + seconds * np.asarray(self.velocity_mm_s)
+        return replace(self, corner_mm=as_point(corner))
 
 
 @lru_cache(maxsize=16)
@@ -146,47 +138,25 @@ def dark_parts_mm(pattern: Pattern) -> tuple[Floats, ...]:
     """A board's dark polygons, each (m, 2) mm from its first corner, without overlaps."""
     if pattern.kind == "plain":
         return ()
-    columns, rows = (
-        grid.astype(np.float64)
-        for grid in np.meshgrid(np.arange(pattern.columns), np.arange(pattern.rows))
-    )
-    dark = (columns + rows) % 2 == 0
+    grid = np.meshgrid(np.arange(pattern.columns), np.arange(pattern.rows))
+    places = np.column_stack([axis.ravel() for axis in grid]).astype(np.float64)
+    dark = places.sum(axis=1) % 2 == 0
     if pattern.kind == "circles":
-        cells = list(
-            np.column_stack([columns.ravel(), rows.ravel()])[:, None, :]
-            + 0.5
-            + 0.5 * pattern.feature_share * _circle()
-        )
+        # a polygon with the area of a circle of radius 1
+        step = 2.0 * np.pi / ROUND
+        angles = np.arange(ROUND) * 2.0 * np.pi / ROUND
+        circle = np.column_stack([np.cos(angles), np.sin(angles)]) * np.sqrt(step / np.sin(step))
+        cells = list(places[:, None, :] + 0.5 + 0.5 * pattern.feature_share * circle)
     else:
-        cells = list(np.column_stack([columns[dark], rows[dark]])[:, None, :] + SQUARE)
+        cells = list(places[dark][:, None, :] + SQUARE)
     if pattern.kind == "charuco":
-        light = np.column_stack([columns[~dark], rows[~dark]])
-        cells += [
-            part
-            for number, at in enumerate(light)
-            for part in at + _marker(pattern.dictionary, number, pattern.feature_share)
-        ]
+        markers = cv2.aruco.getPredefinedDictionary(pattern.dictionary)
+        side, share = int(markers.markerSize) + 2, pattern.feature_share
+        for number, at in enumerate(places[~dark]):
+            bits = np.asarray(markers.generateImageMarker(number, side, borderBits=1))
+            modules = np.argwhere(bits == 0)[:, None, ::-1] + SQUARE
+            cells += list(at + (modules * share / side + (1.0 - share) / 2.0))
     return tuple(np.asarray(cell * pattern.square_mm + pattern.margin_mm) for cell in cells)
-
-
-def _circle() -> Floats:
-    """A polygon with the area of a circle of radius 1, (m, 2)."""
-    angle = np.arange(ROUND) * 2.0 * np.pi / ROUND
-    step = 2.0 * np.pi / ROUND
-    return np.asarray(
-        np.column_stack([np.cos(angle), np.sin(angle)]) * np.sqrt(step / np.sin(step))
-    )
-
-
-def _marker(dictionary: int, number: int, share: float) -> Floats:
-    """Dark modules of a marker within a square of side 1, (k, 4, 2)."""
-    known = cv2.aruco.getPredefinedDictionary(dictionary)
-    side = int(known.markerSize) + 2
-    bits = known.generateImageMarker(number, side, borderBits=1)
-    rows, columns = np.nonzero(np.asarray(bits) == 0)
-    return np.asarray(
-        (np.column_stack([columns, rows])[:, None, :] + SQUARE) * share / side + (1.0 - share) / 2.0
-    )
 
 
 GRID = (4, 3)  # parts of the narrowest picture, one after the other
@@ -249,16 +219,13 @@ def _held(
         across, along = turn @ camera.R[0], turn @ camera.R[1]
         width, height = pattern.size_mm
         corner = middle - 0.5 * (width * across + height * along)
-        board = Board(_point(corner), _point(across), _point(along), pattern, name="board")
-        if _free(board) and all(_seen(board, one) >= seen for one in cameras):
+        board = Board(as_point(corner), as_point(across), as_point(along), pattern)
+        outline = board.outline_mm
+        # held over the table, or before it
+        free = np.all((outline[:, 2] > 5.0) | (outline[:, 1] < TABLE_FRONT_MM))
+        if free and all(_seen(board, one) >= seen for one in cameras):
             return board
     return None
-
-
-def _free(board: Board) -> bool:
-    """Whether the board is held over the table, or before it."""
-    outline = board.outline_mm
-    return bool(np.all((outline[:, 2] > 5.0) | (outline[:, 1] < TABLE_FRONT_MM)))
 
 
 def _seen(board: Board, camera: CameraModel) -> float:
@@ -266,20 +233,12 @@ def _seen(board: Board, camera: CameraModel) -> float:
     towards = camera.centre_mm - board.outline_mm.mean(axis=0)
     if board.normal @ towards < 0.45 * np.linalg.norm(towards):
         return 0.0
-    around = (
-        0.7
-        * board.pattern.square_mm
-        * np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
-    )
+    around = 0.7 * board.pattern.square_mm * (2.0 * SQUARE - 1.0)
     squares = board.placed((board.pattern.corners_mm[:, None, :] + around).reshape(-1, 2))
     pixels = camera.project(squares)
     high = np.array([camera.width_px, camera.height_px]) - 1.0 - RIM_PX
     inside = np.all((pixels >= RIM_PX) & (pixels <= high), axis=1).reshape(-1, 4)
     return float(inside.all(axis=1).mean())
-
-
-def _point(vector: Floats) -> Point:
-    return float(vector[0]), float(vector[1]), float(vector[2])
 
 
 Weave = Literal["cloud", "grain", "waves", "planks"]
@@ -307,36 +266,24 @@ def _lattices(
     return cloth
 
 
-def _cloud(rng: np.random.Generator, width: int, height: int) -> Image:
-    return _lattices(rng, width, height, CELLS_CLOUD)
-
-
-def _grain(rng: np.random.Generator, width: int, height: int) -> Image:
-    return _lattices(rng, width, height, CELLS_GRAIN)
-
-
 def _waves(rng: np.random.Generator, width: int, height: int) -> Image:
     """Veins, as in stone: a wave whose phase is cloudy."""
     rows = np.arange(height, dtype=np.float32)[:, None]
-    phase = rows * np.float32(2.0 * np.pi / rng.uniform(22.0, 45.0)) + np.float32(2.5) * _lattices(
-        rng, width, height, ((160, 1.0), (50, 0.5))
-    )
-    return np.asarray(0.8 * np.sin(phase) + 0.5 * _grain(rng, width, height), dtype=np.float32)
+    phase = rows * np.float32(2.0 * np.pi / rng.uniform(22.0, 45.0))
+    phase = phase + np.float32(2.5) * _lattices(rng, width, height, ((160, 1.0), (50, 0.5)))
+    return np.asarray(0.8 * np.sin(phase) + 0.5 * _lattices(rng, width, height, CELLS_GRAIN))
 
 
 def _planks(rng: np.random.Generator, width: int, height: int) -> Image:
     """Long grain across, as in wood."""
     across = rng.standard_normal((height // 2 + 2, max(width // 80, 2)), dtype=np.float32)
-    return np.asarray(
-        0.6 * cv2.resize(across, (width, height), interpolation=cv2.INTER_CUBIC)
-        + 0.4 * _cloud(rng, width, height),
-        dtype=np.float32,
-    )
+    grain = cv2.resize(across, (width, height), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(0.6 * grain + 0.4 * _lattices(rng, width, height, CELLS_CLOUD))
 
 
 WEAVES: dict[Weave, Callable[[np.random.Generator, int, int], Image]] = {
-    "cloud": _cloud,
-    "grain": _grain,
+    "cloud": partial(_lattices, cells=CELLS_CLOUD),
+    "grain": partial(_lattices, cells=CELLS_GRAIN),
     "waves": _waves,
     "planks": _planks,
 }

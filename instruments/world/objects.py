@@ -10,7 +10,7 @@ import inspect
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -19,7 +19,6 @@ from instruments.world.shading import Paint
 from instruments.world.solids import Hull, Point, ball, cylinder
 
 Warmth = float | Literal["teat", "ambient"]
-
 TEAT_PAINT = Paint(albedo=0.07, gloss=0.05, emissivity=0.95)
 ARM_STATIONS = (0.0, 0.15, 0.3, 0.42, 0.54, 0.68, 0.76, 0.84, 0.92, 1.0)
 JOINT_MM = 4.0
@@ -66,17 +65,11 @@ def _hulls(
 
 
 def _cold_teat(
-    x_mm: float = -25.0, y_mm: float = 225.0, length_mm: float = 135.0, radius_mm: float = 11.0, *,
-    temperature: Warmth = "ambient", offset_k: float = 0.0, albedo: float = TEAT_PAINT.albedo,
-    gloss: float = TEAT_PAINT.gloss, emissivity: float = TEAT_PAINT.emissivity,
-) -> SceneObject:  # fmt: skip
+    x_mm: float = -25.0, y_mm: float = 225.0, length_mm: float = 135.0, radius_mm: float = 11.0
+) -> tuple[Hull, ...]:
     """Section 5.2.3: shaped as a teat, not heated."""
-    hull = Hull(
-        (x_mm, y_mm, 0.0), (x_mm, y_mm, length_mm - radius_mm), radius_mm, radius_mm, flat_a=True
-    )
-    return SceneObject(
-        "cold_teat", (hull,), Paint(albedo, gloss, emissivity), temperature, offset_k
-    )
+    top = (x_mm, y_mm, length_mm - radius_mm)
+    return (Hull((x_mm, y_mm, 0.0), top, radius_mm, radius_mm, flat_a=True),)
 
 
 def _hot_cup(
@@ -84,18 +77,11 @@ def _hot_cup(
     y_mm: float = 240.0,
     height_mm: float = 85.0,
     radius_mm: float = 30.0,
-    *,
     foot_radius_mm: float | None = None,
-    temperature: Warmth = "teat",
-    offset_k: float = 1.0,
-    albedo: float = 0.7,
-    gloss: float = 0.1,
-    emissivity: float = 0.94,
-) -> SceneObject:
+) -> tuple[Hull, ...]:
     """Section 5.2.4: a cup amid the teats in place of the udder, wider at its rim."""
     foot = 0.8 * radius_mm if foot_radius_mm is None else foot_radius_mm
-    hull = cylinder((x_mm, y_mm, 0.0), (x_mm, y_mm, height_mm), foot, radius_mm)
-    return SceneObject("hot_cup", (hull,), Paint(albedo, gloss, emissivity), temperature, offset_k)
+    return (cylinder((x_mm, y_mm, 0.0), (x_mm, y_mm, height_mm), foot, radius_mm),)
 
 
 def _warm_arm(
@@ -107,13 +93,7 @@ def _warm_arm(
     wrist_radius_mm: float = 34.0,
     rise_deg: float = -4.0,
     turn_deg: float = 4.0,
-    *,
-    temperature: Warmth = "teat",
-    offset_k: float = 0.6,
-    albedo: float = 0.35,
-    gloss: float = 0.02,
-    emissivity: float = 0.98,
-) -> SceneObject:
+) -> tuple[Hull, ...]:
     """Section 5.2.5: a forearm and hand behind the teat ends, from left (elbow) to right."""
     rise, turn = math.radians(rise_deg), math.radians(turn_deg)
     way = (math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise))
@@ -122,22 +102,19 @@ def _warm_arm(
         reach = (part - 0.5) * length_mm
         return x_mm + reach * way[0], y_mm + reach * way[1], z_mm + reach * way[2]
 
+    def radius(part: float) -> float:
+        """Elbow, belly of the forearm, wrist at 0.68, back of the hand, fingertips."""
+        if part <= 0.68:
+            belly = 0.5 + 0.5 * math.cos(math.pi * part / 0.68)
+            return wrist_radius_mm + (elbow_radius_mm - wrist_radius_mm) * belly
+        hand = (part - 0.68) / 0.32
+        back = 0.35 * math.sin(math.pi * min(hand / 0.8, 1.0))
+        return wrist_radius_mm * (1.0 + back - 0.45 * hand**3)
+
     # Slices that overlap a little, so that no pixel lies half on one and half on the next.
     slices = [(start, end + JOINT_MM / length_mm) for start, end in pairwise(ARM_STATIONS)]
-    radius = partial(_arm_radius, elbow_mm=elbow_radius_mm, wrist_mm=wrist_radius_mm)
-    forearm = tuple(
-        cylinder(along(start), along(end), radius(start), radius(end)) for start, end in slices
-    )
-    hulls = (*forearm, ball(along(0.0), radius(0.0)), ball(along(1.0), radius(1.0)))
-    return SceneObject("warm_arm", hulls, Paint(albedo, gloss, emissivity), temperature, offset_k)
-
-
-def _arm_radius(part: float, elbow_mm: float, wrist_mm: float) -> float:
-    """Elbow, belly of the forearm, wrist at 0.68, back of the hand, fingertips."""
-    if part <= 0.68:
-        return wrist_mm + (elbow_mm - wrist_mm) * (0.5 + 0.5 * math.cos(math.pi * part / 0.68))
-    hand = (part - 0.68) / 0.32
-    return wrist_mm * (1.0 + 0.35 * math.sin(math.pi * min(hand / 0.8, 1.0)) - 0.45 * hand**3)
+    forearm = [cylinder(along(a), along(b), radius(a), radius(b)) for a, b in slices]
+    return (*forearm, ball(along(0.0), radius(0.0)), ball(along(1.0), radius(1.0)))
 
 
 def _cooler_body(
@@ -147,13 +124,7 @@ def _cooler_body(
     height_mm: float = 180.0,
     radius_mm: float = 60.0,
     top_radius_mm: float | None = None,
-    *,
-    temperature: Warmth = "teat",
-    offset_k: float = -5.0,
-    albedo: float = 0.3,
-    gloss: float = 0.02,
-    emissivity: float = 0.97,
-) -> SceneObject:
+) -> tuple[Hull, ...]:
     """Section 5.2.6: a leg or flank behind the teats, cooler than them: upright, tapered, round on
     top.
     """
@@ -164,65 +135,40 @@ def _cooler_body(
             f" {height_mm:g}"
         )
     head = (x_mm, y_mm, z_mm + height_mm - top)
-    hulls = (cylinder((x_mm, y_mm, z_mm), head, radius_mm, top), ball(head, top))
-    return SceneObject(
-        "cooler_body", hulls, Paint(albedo, gloss, emissivity), temperature, offset_k
-    )
+    return cylinder((x_mm, y_mm, z_mm), head, radius_mm, top), ball(head, top)
 
 
 def _ball(
-    x_mm: float = -190.0,
-    y_mm: float = 480.0,
-    z_mm: float = 230.0,
-    radius_mm: float = 60.0,
-    *,
-    temperature: Warmth = "teat",
-    offset_k: float = -5.0,
-    albedo: float = 0.3,
-    gloss: float = 0.02,
-    emissivity: float = 0.97,
-) -> SceneObject:
+    x_mm: float = -190.0, y_mm: float = 480.0, z_mm: float = 230.0, radius_mm: float = 60.0
+) -> tuple[Hull, ...]:
     """A sphere, hung anywhere."""
-    return SceneObject(
-        "ball",
-        (ball((x_mm, y_mm, z_mm), radius_mm),),
-        Paint(albedo, gloss, emissivity),
-        temperature,
-        offset_k,
-    )
+    return (ball((x_mm, y_mm, z_mm), radius_mm),)
 
 
 def _rod(
-    x_mm: float = -190.0,
-    y_mm: float = 600.0,
-    height_mm: float = 300.0,
-    radius_mm: float = 8.0,
-    *,
-    temperature: Warmth = "ambient",
-    offset_k: float = 0.0,
-    albedo: float = 0.1,
-    gloss: float = 0.0,
-    emissivity: float = 0.95,
-) -> SceneObject:
+    x_mm: float = -190.0, y_mm: float = 600.0, height_mm: float = 300.0, radius_mm: float = 8.0
+) -> tuple[Hull, ...]:
     """An upright post behind the teats: clutter for the optical cameras."""
-    hull = cylinder((x_mm, y_mm, 0.0), (x_mm, y_mm, height_mm), radius_mm)
-    return SceneObject("rod", (hull,), Paint(albedo, gloss, emissivity), temperature, offset_k)
+    return (cylinder((x_mm, y_mm, 0.0), (x_mm, y_mm, height_mm), radius_mm),)
 
 
-KINDS: dict[str, Callable[..., SceneObject]] = {
-    "cold_teat": _cold_teat,
-    "hot_cup": _hot_cup,
-    "warm_arm": _warm_arm,
-    "cooler_body": _cooler_body,
-    "ball": _ball,
-    "rod": _rod,
+# what every kind takes beside its shape
+LOOK = ("temperature", "offset_k", "albedo", "gloss", "emissivity")
+KINDS: dict[str, tuple[Callable[..., tuple[Hull, ...]], tuple[Warmth, float, float, float, float]]]
+KINDS = {
+    "cold_teat": (_cold_teat, ("ambient", 0.0, 0.07, 0.05, 0.95)),
+    "hot_cup": (_hot_cup, ("teat", 1.0, 0.7, 0.1, 0.94)),
+    "warm_arm": (_warm_arm, ("teat", 0.6, 0.35, 0.02, 0.98)),
+    "cooler_body": (_cooler_body, ("teat", -5.0, 0.3, 0.02, 0.97)),
+    "ball": (_ball, ("teat", -5.0, 0.3, 0.02, 0.97)),
+    "rod": (_rod, ("ambient", 0.0, 0.1, 0.0, 0.95)),
 }
 
 
 def parameters(kind: str) -> tuple[str, ...]:
     """The parameters that a kind takes. Raises ValueError for a kind that isn't known."""
     _known("kind of object", kind, KINDS)
-    return tuple(inspect.signature(KINDS[kind]).parameters)
+    return (*inspect.signature(KINDS[kind][0]).parameters, *LOOK)
 
 
 def make_object(kind: str, **params: Any) -> SceneObject:
@@ -232,14 +178,16 @@ def make_object(kind: str, **params: Any) -> SceneObject:
         _known(f"parameter of {kind}", name, names)
         if name == "temperature" and isinstance(value, str):
             _known(f"temperature of {kind} (besides degC)", value, ("teat", "ambient"))
-        elif (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not math.isfinite(value)
-        ):
+        elif type(value) not in (int, float) or not math.isfinite(value):
             raise ValueError(f"{kind}: {name} must be a finite number, is {value!r}")
+    shape, usual = KINDS[kind]
+    look = {
+        **dict(zip(LOOK, usual, strict=True)),
+        **{n: params.pop(n) for n in LOOK if n in params},
+    }
+    warmth, offset_k = look.pop("temperature"), look.pop("offset_k")
     try:
-        return KINDS[kind](**params)
+        return SceneObject(kind, shape(**params), Paint(**look), warmth, offset_k)
     except ValueError as fault:
         raise ValueError(f"{kind}: {fault}") from fault
 

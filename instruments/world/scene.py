@@ -4,11 +4,14 @@
 Analytic: coverage is an exact area, depth and normal roots of a quadratic, so nothing is sampled.
 Same state and generator, same bytes. A contact sheet has a row a state: left, right, close-up,
 thermal; a cross on each teat end, a ring where that camera can't see it.
+
+Which ends a camera can see is found by rays to points of each end, against every other solid and
+board: no picture is used, so the truth doesn't depend on a camera's resolution.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,14 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instruments.world.backdrop import ShadowMap, shadow_map
+from instruments.world.boards import Board
 from instruments.world.microbolometer import ThermalSensor
 from instruments.world.optical_camera import OpticalCamera
-from instruments.world.optics import CameraModel, cameras_from_calibration
+from instruments.world.optics import CameraModel, Floats, cameras_from_calibration
+from instruments.world.phantom import Phantom
 from instruments.world.sensor import OpticalSensor
-from instruments.world.solids import Bools
+from instruments.world.solids import Bools, Solids, meet
 from instruments.world.state import SceneState, Stage
 from instruments.world.thermal_camera import ThermalCamera
-from instruments.world.visibility import seen_share
 
 LEAST_SEEN = 0.5  # of a rounded end's near side
 
@@ -110,6 +114,67 @@ class Renderer:
         return np.column_stack(columns)
 
 
+RINGS_DEG, ROUND = (30.0, 60.0, 85.0), 16
+
+
+def seen_share(
+    phantom: Phantom, solids: Solids, camera: CameraModel, boards: Sequence[Board] = ()
+) -> Floats:
+    """Visible share of each rounded end's near side, (n,); 0 where the apex is hidden or outside.
+    ``solids`` (world frame) begin with the teats; a teat doesn't hide its own end.
+    """
+    ends = phantom.ends_mm
+    shares = np.zeros(len(ends))
+    pixels, size = camera.project(ends), np.array([camera.width_px, camera.height_px])
+    inside = np.all((pixels >= -0.5) & (pixels <= size - 0.5), axis=1)
+    seen = solids.in_camera(camera)
+    for i, (end, axis) in enumerate(zip(ends, phantom.axes, strict=True)):
+        near = _near_side(end, axis, phantom.teats[i].shape.radius_mm, camera)
+        points = np.concatenate([end[None, :], near])
+        free = _free(points, seen, i, camera) & _past_boards(points, boards, camera)
+        shares[i] = float(free[1:].mean()) if inside[i] and free[0] else 0.0
+    return shares
+
+
+def _near_side(end_mm: Floats, axis: Floats, radius_mm: float, camera: CameraModel) -> Floats:
+    """Points of the hemisphere that face the camera, (n, 3)."""
+    middle = end_mm - radius_mm * axis
+    u = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.7 else [0.0, 1.0, 0.0])
+    u /= np.linalg.norm(u)
+    v = np.cross(axis, u)
+    polar, round_ = np.meshgrid(np.radians(RINGS_DEG), np.arange(ROUND) * 2.0 * np.pi / ROUND)
+    across = np.cos(round_.ravel())[:, None] * u + np.sin(round_.ravel())[:, None] * v
+    outward = np.cos(polar.ravel())[:, None] * axis + np.sin(polar.ravel())[:, None] * across
+    towards = camera.centre_mm - middle
+    return np.asarray(middle + radius_mm * outward[outward @ towards > 0.0])
+
+
+def _free(points_mm: Floats, solids: Solids, itself: int, camera: CameraModel) -> Bools:
+    """Whether only solid ``itself`` stands between the camera and each point (n, 3)."""
+    seen = camera.camera_from_world(points_mm)
+    count = len(solids)
+    which = np.tile(np.arange(count), len(seen))
+    x, y, z = np.repeat(seen, count, axis=0).T
+    depth, _, hit = meet(solids, which, x / z, y / z)
+    blocks = hit & (depth > 0.0) & (depth < z) & (which != itself)
+    return np.asarray(~blocks.reshape(len(seen), count).any(axis=1))
+
+
+def _past_boards(points_mm: Floats, boards: Sequence[Board], camera: CameraModel) -> Bools:
+    """Whether no board stands between the camera and each point (n, 3)."""
+    free = np.ones(len(points_mm), dtype=np.bool_)
+    away = points_mm - camera.centre_mm
+    for board in boards:
+        towards, corner = away @ board.normal, np.asarray(board.corner_mm)
+        ahead = np.where(np.abs(towards) > 1e-9, towards, 1e-9)
+        part = ((corner - camera.centre_mm) @ board.normal) / ahead
+        met = camera.centre_mm + part[:, None] * away - corner
+        place = np.column_stack([met @ np.asarray(board.across), met @ np.asarray(board.along)])
+        on_it = np.all((place >= 0.0) & (place <= board.pattern.size_mm), axis=1)
+        free &= ~((part > 0.0) & (part < 1.0) & on_it)
+    return free
+
+
 ROW_PX = 340
 LABEL_PX = 22
 CLOSE_UP_PX = (440, 340)
@@ -123,33 +188,29 @@ def contact_sheet(states: Mapping[str, SceneState], renderer: Renderer, seed: in
     rows = []
     for number, (name, state) in enumerate(states.items()):
         frames = renderer.render(state, np.random.Generator(np.random.SFC64([seed, number])))
-        close_up = _close_up(
-            _marked(frames.left, state, renderer),
-            renderer.cameras[0].project(state.phantom.ends_mm),
-        )
-        row = np.concatenate(
-            [_whole(frames.left), _whole(frames.right), close_up, _whole(frames.thermal_8bit)],
-            axis=1,
-        )
-        rows.append(_label(name, row))
+        marked, ends_px = _marked(frames.left, state, renderer)
+        whole = [_whole(image) for image in (frames.left, frames.right, frames.thermal_8bit)]
+        row = np.concatenate([*whole[:2], _close_up(marked, ends_px), whole[2]], axis=1)
+        strip = np.full((LABEL_PX, row.shape[1]), 255, dtype=np.uint8)
+        font = cv2.FONT_HERSHEY_SIMPLEX, 0.55, 0, 1, cv2.LINE_AA
+        cv2.putText(strip, name, (6, LABEL_PX - 6), *font)
+        rows += [strip, row]
     return np.concatenate(rows)
 
 
-def _marked(image: Grey8, state: SceneState, renderer: Renderer) -> Grey8:
-    marked = image.copy()
-    visible = renderer.visible_ends(state)
-    for (u, v), seen in zip(
-        renderer.cameras[0].project(state.phantom.ends_mm).round().astype(int),
-        visible[:, 0],
-        strict=True,
-    ):
+def _marked(
+    image: Grey8, state: SceneState, renderer: Renderer
+) -> tuple[Grey8, NDArray[np.float64]]:
+    """With its teat ends marked, and their pixels (n, 2)."""
+    marked, ends_px = image.copy(), renderer.cameras[0].project(state.phantom.ends_mm)
+    seen = renderer.visible_ends(state)[:, 0]
+    for (u, v), visible in zip(ends_px.round().astype(int).tolist(), seen, strict=True):
         grey = 0 if np.mean(image[max(v - 9, 0) : v + 1, max(u - 4, 0) : u + 5]) > 110 else 255
-        at = (int(u), int(v))
-        if seen:
-            cv2.drawMarker(marked, at, grey, cv2.MARKER_CROSS, 7, 1)
+        if visible:
+            cv2.drawMarker(marked, (u, v), grey, cv2.MARKER_CROSS, 7, 1)
         else:
-            cv2.circle(marked, at, 5, grey, 1, cv2.LINE_AA)
-    return marked
+            cv2.circle(marked, (u, v), 5, grey, 1, cv2.LINE_AA)
+    return marked, ends_px
 
 
 def _whole(image: Grey8) -> Grey8:
@@ -161,20 +222,10 @@ def _whole(image: Grey8) -> Grey8:
 
 def _close_up(image: Grey8, ends_px: NDArray[np.float64]) -> Grey8:
     width, height = CLOSE_UP_PX
-    middle = (
-        ends_px.mean(axis=0)
-        if len(ends_px)
-        else np.array([image.shape[1] / 2.0, image.shape[0] / 2.0])
-    )
+    middle = ends_px.mean(axis=0) if len(ends_px) else np.array(image.shape[::-1]) / 2.0
     left = int(np.clip(round(middle[0] - width / 2), 0, max(image.shape[1] - width, 0)))
     top = int(np.clip(round(middle[1] - height / 3), 0, max(image.shape[0] - height, 0)))
     cut = image[top : top + height, left : left + width]
     padded = np.zeros((height, width), dtype=np.uint8)
     padded[: cut.shape[0], : cut.shape[1]] = cut
     return padded
-
-
-def _label(name: str, row: Grey8) -> Grey8:
-    strip = np.full((LABEL_PX, row.shape[1]), 255, dtype=np.uint8)
-    cv2.putText(strip, name, (6, LABEL_PX - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.55, 0, 1, cv2.LINE_AA)
-    return np.concatenate([strip, row])

@@ -11,7 +11,7 @@ small.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,23 +43,26 @@ class Hull:
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(np.subtract(self.b_mm, self.a_mm)))
         numbers = (*self.a_mm, *self.b_mm, self.radius_a_mm, self.radius_b_mm)
+        flat, steep = self.flat_a or self.flat_b, abs(self.radius_a_mm - self.radius_b_mm)
+        fault = ""
         if not np.all(np.isfinite(numbers)) or min(self.radius_a_mm, self.radius_b_mm) <= 0.0:
-            raise ValueError(f"a solid needs finite ends and radii above zero, has {self}")
-        if self.flat_a != self.flat_b and self.radius_a_mm != self.radius_b_mm:
-            raise ValueError(
-                f"a solid with one flat and one round end needs equal radii, has {self}"
-            )
-        if (self.flat_a or self.flat_b) and length == 0.0:
-            raise ValueError(f"a solid with a flat end needs a length above zero, has {self}")
-        if (
-            not (self.flat_a or self.flat_b)
-            and length > 0.0
-            and abs(self.radius_a_mm - self.radius_b_mm) >= length
-        ):
-            raise ValueError(
+            fault = "a solid needs finite ends and radii above zero, has"
+        elif self.flat_a != self.flat_b and steep:
+            fault = "a solid with one flat and one round end needs equal radii, has"
+        elif flat and length == 0.0:
+            fault = "a solid with a flat end needs a length above zero, has"
+        elif not flat and 0.0 < length <= steep:
+            fault = (
                 "one round end of a solid swallows the other: move them apart or make it a sphere,"
-                f" {self}"
             )
+        if fault:
+            raise ValueError(f"{fault} {self}")
+
+
+def as_point(vector: Floats) -> Point:
+    """A vector (3,) as plain numbers."""
+    x, y, z = vector.tolist()
+    return x, y, z
 
 
 def ball(centre_mm: Point, radius_mm: float) -> Hull:
@@ -69,14 +72,8 @@ def ball(centre_mm: Point, radius_mm: float) -> Hull:
 
 def cylinder(a_mm: Point, b_mm: Point, radius_mm: float, radius_b_mm: float | None = None) -> Hull:
     """A flat-ended cylinder, or a cone's frustum where the second radius differs."""
-    return Hull(
-        a_mm,
-        b_mm,
-        radius_mm,
-        radius_mm if radius_b_mm is None else radius_b_mm,
-        flat_a=True,
-        flat_b=True,
-    )
+    end = radius_mm if radius_b_mm is None else radius_b_mm
+    return Hull(a_mm, b_mm, radius_mm, end, flat_a=True, flat_b=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,8 +100,10 @@ class Solids:
     @classmethod
     def from_hulls(cls, hulls: Sequence[Hull]) -> Solids:
         """Columns, in the world frame, in the order given; an empty sequence gives k = 0."""
-        a = np.array([hull.a_mm for hull in hulls], dtype=np.float64).reshape(-1, 3)
-        b = np.array([hull.b_mm for hull in hulls], dtype=np.float64).reshape(-1, 3)
+        a, b = (
+            np.array([getattr(hull, end) for hull in hulls], dtype=np.float64).reshape(-1, 3)
+            for end in ("a_mm", "b_mm")
+        )
         radius_a = np.array([hull.radius_a_mm for hull in hulls], dtype=np.float64)
         radius_b = np.array([hull.radius_b_mm for hull in hulls], dtype=np.float64)
         flat_a = np.array([hull.flat_a for hull in hulls], dtype=np.bool_)
@@ -120,19 +119,8 @@ class Solids:
         high = length + np.where(flat_b, 0.0, radius_b * sine)
         body = np.where(high > low, high - low, 1.0)
         slope = (radius_b - radius_a) * cosine / body
-        return cls(
-            a,
-            b,
-            axis,
-            radius_a,
-            radius_b,
-            flat_a,
-            flat_b,
-            low,
-            high,
-            radius_a * cosine - slope * low,
-            slope,
-        )
+        radius_0 = radius_a * cosine - slope * low
+        return cls(a, b, axis, radius_a, radius_b, flat_a, flat_b, low, high, radius_0, slope)
 
     def __len__(self) -> int:
         return len(self.radius_a)
@@ -140,10 +128,7 @@ class Solids:
     def in_camera(self, camera: CameraModel) -> Solids:
         """The same solids in the camera's frame."""
         a, b = camera.camera_from_world(self.a), camera.camera_from_world(self.b)
-        return Solids(
-            a, b, self.axis @ camera.R.T, self.radius_a, self.radius_b, self.flat_a, self.flat_b,
-            self.low, self.high, self.radius_0, self.slope,
-        )  # fmt: skip
+        return replace(self, a=a, b=b, axis=self.axis @ camera.R.T)
 
     def nearest_depth(self) -> Floats:
         """The least z of each solid, (k,): depth from a camera, or height over the table."""
@@ -190,11 +175,11 @@ def _meet_block(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floa
         beyond = height < solids.low[which] if below else height > solids.high[which]
         flat = (solids.flat_a if below else solids.flat_b)[which]
         for solve, chosen in ((_meet_disc, beyond & flat), (_meet_ball, beyond & ~flat)):
-            index = np.flatnonzero(chosen)
-            if len(index):
-                hit[index] = solve(
-                    solids, which[index], rays[:, index], below, depth, normal, index
-                )
+            at = np.flatnonzero(chosen)
+            if len(at):
+                there, outward, met, keep = solve(solids, which[at], rays[:, at], below)
+                hit[at] = met
+                depth[at[keep]], normal[:, at[keep]] = there[keep], outward[:, keep]
     normal /= np.sqrt(dot(normal, normal))
     return depth, normal, hit
 
@@ -221,15 +206,10 @@ def _meet_cone(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Float
     return depth, h0 + depth * dh, under >= 0.0
 
 
-def _meet_ball(
-    solids: Solids,
-    which: Ints,
-    rays: Floats,
-    below: bool,
-    depth: Floats,
-    normal: Floats,
-    index: Ints,
-) -> Bools:
+Met = tuple[Floats, Floats, Bools, Bools]  # depth, outward normal, truly hit, to be kept
+
+
+def _meet_ball(solids: Solids, which: Ints, rays: Floats, below: bool) -> Met:
     centre = (solids.a if below else solids.b)[which].T
     radius = (solids.radius_a if below else solids.radius_b)[which]
     qa = dot(rays, rays)
@@ -237,77 +217,53 @@ def _meet_ball(
     # Distance of the centre from the ray first: b^2 - a c would lose half of the digits at a metre.
     foot = middle * rays - centre
     under = radius * radius - dot(foot, foot)
-    depth[index] = middle - np.sqrt(np.maximum(under, 0.0) / qa)
-    normal[:, index] = depth[index] * rays - centre
-    return np.asarray(under >= 0.0)
+    depth = middle - np.sqrt(np.maximum(under, 0.0) / qa)
+    return depth, depth * rays - centre, under >= 0.0, np.ones_like(under, dtype=np.bool_)
 
 
-def _meet_disc(
-    solids: Solids,
-    which: Ints,
-    rays: Floats,
-    below: bool,
-    depth: Floats,
-    normal: Floats,
-    index: Ints,
-) -> Bools:
+def _meet_disc(solids: Solids, which: Ints, rays: Floats, below: bool) -> Met:
     centre = (solids.a if below else solids.b)[which].T
     radius = (solids.radius_a if below else solids.radius_b)[which]
     outward = solids.axis[which].T * (-1.0 if below else 1.0)
     towards = dot(rays, outward)
     facing = towards < -1e-9
-    at = dot(centre, outward) / np.where(facing, towards, -1.0)
-    off = at * rays - centre
+    depth = dot(centre, outward) / np.where(facing, towards, -1.0)
+    off = depth * rays - centre
     hit = facing & (dot(off, off) <= radius * radius)
     # A ray that misses keeps the rim's depth and normal from the cone.
-    depth[index[hit]] = at[hit]
-    normal[:, index[hit]] = outward[:, hit]
-    return np.asarray(hit)
+    return depth, outward, hit, hit
 
 
 def clearance_mm(one: Hull, other: Hull) -> float:
     """Least distance of two surfaces, mm; negative: overlap. Of two tapered solids one counts at
     its widest.
     """
-    (a, b), (c, d) = _axis(one), _axis(other)
-    wide, other_wide = (
-        max(one.radius_a_mm, one.radius_b_mm),
-        max(other.radius_a_mm, other.radius_b_mm),
-    )
+    (a, b), (c, d) = ((np.array(hull.a_mm), np.array(hull.b_mm)) for hull in (one, other))
+    wide, other_wide = (max(hull.radius_a_mm, hull.radius_b_mm) for hull in (one, other))
     coarse = segments_apart_mm(a, b, c, d) - wide - other_wide
-    if coarse >= 0.0 or (
-        one.radius_a_mm == one.radius_b_mm and other.radius_a_mm == other.radius_b_mm
-    ):
+    if coarse >= 0.0:
         return coarse
     if one.radius_a_mm != one.radius_b_mm:
         return _tapered_mm(one, c, d) - other_wide
-    return _tapered_mm(other, a, b) - wide
+    return coarse if other.radius_a_mm == other.radius_b_mm else _tapered_mm(other, a, b) - wide
 
 
 def _tapered_mm(cone: Hull, start: Floats, end: Floats) -> float:
     """Least distance of a tapered solid and a segment: convex along its axis, ternary search."""
-    a, b = _axis(cone)
+    a, b = np.array(cone.a_mm), np.array(cone.b_mm)
 
     def gap_mm(part: float) -> float:
-        return (
-            _point_apart_mm(a + part * (b - a), start, end)
-            - cone.radius_a_mm
-            - part * (cone.radius_b_mm - cone.radius_a_mm)
-        )
+        radius = part * (cone.radius_b_mm - cone.radius_a_mm)
+        return _point_apart_mm(a + part * (b - a), start, end) - cone.radius_a_mm - radius
 
     low, high = 0.0, 1.0
     while high - low > 1e-6:
         third = (high - low) / 3.0
-        low, high = (
-            (low, high - third)
-            if gap_mm(low + third) < gap_mm(high - third)
-            else (low + third, high)
-        )
+        if gap_mm(low + third) < gap_mm(high - third):
+            high -= third
+        else:
+            low += third
     return gap_mm((low + high) / 2.0)
-
-
-def _axis(hull: Hull) -> tuple[Floats, Floats]:
-    return np.array(hull.a_mm), np.array(hull.b_mm)
 
 
 def segments_apart_mm(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
@@ -328,7 +284,5 @@ def segments_apart_mm(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
 def _point_apart_mm(point: Floats, start: Floats, end: Floats) -> float:
     along = end - start
     length2 = float(np.dot(along, along))
-    part = (
-        0.0 if length2 == 0.0 else float(np.clip(np.dot(point - start, along) / length2, 0.0, 1.0))
-    )
+    part = np.clip(np.dot(point - start, along) / length2, 0.0, 1.0) if length2 else 0.0
     return float(np.linalg.norm(point - start - part * along))

@@ -14,7 +14,7 @@ from bench.rig.loading import RIGS
 from detector.calibration import Calibration, load_calibration
 from detector.calibration.boards import Board
 from detector.calibration.cameras import View
-from detector.calibration.remeasure import PairView
+from detector.calibration.diagnosis import PairView
 from detector.geometry import Array, Camera, Motion
 
 BOARD = Board("chessboard", 9, 6, 40.0)

@@ -18,10 +18,11 @@ from detector.calibration.cameras import (
     View,
     calibrate_camera,
     join_cameras,
+    pair_of,
+    split_half,
 )
 from detector.calibration.corners import SubPixel, find_board
-from detector.calibration.remeasure import PairView, remeasure
-from detector.calibration.split_half import pair_of, split_half
+from detector.calibration.diagnosis import PairView, remeasure
 from detector.geometry import Array, Camera, Motion
 from tests.detector.boards_seen import BOARD, seen, thesis_rig
 

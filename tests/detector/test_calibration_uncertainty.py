@@ -4,6 +4,7 @@ repeating the calibration shows.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from detector.calibration import (
 from detector.calibration.bundle import POSE
 from detector.calibration.cameras import calibrate_camera, join_cameras
 from detector.calibration.homographies import fit_homography
-from detector.calibration.uncertainty import Pair
+from detector.calibration.values import Pair
 from detector.calibration.world import fit_world
 from detector.geometry import Array, Motion, apply_homography
 from tests.detector.boards_seen import seen, thesis_rig
@@ -37,23 +38,9 @@ TOUCHED = np.array(
 
 def with_covariance(covariance: ParameterCovariance) -> Calibration:
     rig = thesis_rig()
-    return Calibration(
-        rig.left,
-        rig.right,
-        rig.thermal,
-        rig.right_from_left,
-        rig.thermal_from_left,
-        rig.world_from_right,
-        rig.homographies,
-        covariance,
-        Record(
-            "2026-11-20",
-            "A. Tester",
-            'board "B" of 9 x 6',
-            {"left": "SN 1"},
-            {"left/01.png": "0" * 64},
-        ),
-    )
+    board, inputs = 'board "B" of 9 x 6', {"left/01.png": "0" * 64}
+    record = Record("2026-11-20", "A. Tester", board, {"left": "SN 1"}, inputs)
+    return replace(rig, covariance=covariance, record=record)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +82,7 @@ def test_it_agrees_with_monte_carlo_within_ten_percent(covariance: ParameterCova
     rig = with_covariance(covariance)
     left, right = rig.project(POINTS)
     rng = np.random.default_rng(2)
-    pairs = drawn(rig.pair, covariance, 1000, 1)
+    pairs = drawn(rig, covariance, 1000, 1)
     shots = np.array(
         [
             pair.place(
@@ -156,17 +143,10 @@ def test_repeated_calibrations_scatter_as_each_says(covariance: ParameterCovaria
         world = fit_world(
             *cameras, left, right, touched, pair_covariance=given, pixel_sd_px=0.1, touch_sd_mm=0.2
         )
-        pair = Pair(*cameras, world.world_from_right)
-        off = pair.place(*rig.project(POINTS[:1]))[0] - POINTS[0]
-        stated = Calibration(
-            *cameras[:2],
-            rig.thermal,
-            cameras[2],
-            None,
-            world.world_from_right,
-            rig.homographies,
-            world.covariance,
-        )
+        given_names = ("left", "right", "right_from_left", "world_from_right")
+        pair = dict(zip(given_names, (*cameras, world.world_from_right), strict=True))
+        stated = replace(rig, covariance=world.covariance, **pair)  # type: ignore[arg-type]
+        off = stated.place(*rig.project(POINTS[:1]))[0] - POINTS[0]
         squared.append(off @ np.linalg.solve(stated.covariance_of(POINTS[:1])[0], off) / 3)
     assert 0.4 < np.mean(squared) < 2.0, (
         "chi-square of 24: its mean is 1, its standard deviation 0.29"

@@ -8,18 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from detector.calibration.cameras import View, calibrate_camera, join_cameras
+from detector.calibration.cameras import View, calibrate_camera, join_cameras, pair_of
 from detector.calibration.coverage import coverage
 from detector.calibration.diagnosis import (
     Finding,
     against_the_arm,
     measured_again,
     outlier_views,
+    remeasure,
     swapped,
 )
-from detector.calibration.remeasure import remeasure
-from detector.calibration.split_half import pair_of
-from detector.calibration.uncertainty import Pair
+from detector.calibration.values import Pair
 from detector.calibration.world import WorldFit, fit_world
 from detector.geometry import Array, Motion
 from tests.detector.boards_seen import BOARD, pair_views, seen, shifted, thesis_rig

@@ -18,9 +18,7 @@ from detector.calibration.rigid import (
     fit_similarity,
     fle_from_fre_mm,
     held_out_mm,
-    motion_of,
     rotation_covariance,
-    target_covariance,
     target_error_mm,
 )
 from detector.geometry import Motion
@@ -58,7 +56,7 @@ def test_a_mirror_image_is_no_rigid_fit() -> None:
     fit = fit_rigid(mirrored, CUBE)
     assert np.linalg.det(fit.A) == pytest.approx(1.0)
     assert fit.fre_mm > 10.0
-    assert np.allclose(motion_of(fit).R @ motion_of(fit).R.T, np.eye(3))
+    assert np.allclose(fit.A @ fit.A.T, np.eye(3))
 
 
 def test_points_in_a_plane_are_fitted_in_their_plane() -> None:
@@ -126,7 +124,9 @@ def test_target_error_is_what_the_formula_says() -> None:
         fit = fit_rigid(TURNED.apply(SQUARE) + rng.normal(0.0, 0.2, SQUARE.shape), SQUARE)
         missed.append(TURNED.R.T @ (fit.apply(at) - TURNED.apply(at)))
     formula = target_error_mm(0.2 * 3**0.5, SQUARE, at)[0]
-    covariance = target_covariance(SQUARE, 0.2, at)
+    arm = cross_matrix(at - SQUARE.mean(axis=0))
+    turned = arm @ rotation_covariance(SQUARE, 0.2) @ arm.T
+    covariance = 0.2**2 / len(SQUARE) * np.eye(3) + turned
     assert np.sqrt(np.mean(np.sum(np.square(missed), axis=1))) == pytest.approx(formula, rel=0.04)
     assert np.trace(covariance) == pytest.approx(formula**2, rel=1e-9), (
         "both are the same first-order error"

@@ -1,35 +1,178 @@
-"""The eleven families: each draws, from name and seed alone, until a scene can be set up and fits
-its name.
+"""The eleven families, and what they share (udders, paints, light and backgrounds, drawn at random):
+each draws, from name and seed alone, until a scene can be set up and fits its name.
 """
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from instruments.world.boards import Board, Pattern
+from instruments.world.backdrop import Backdrop, Poster
+from instruments.world.boards import Board, Pattern, Weave
 from instruments.world.objects import SceneObject, make_object
 from instruments.world.phantom import Phantom, Teat, TeatShape
 from instruments.world.sensor import Exposure
-from instruments.world.shading import Lighting, Paint
-from instruments.world.situations.draws import (
-    Draw,
-    apart,
-    backdrop,
-    cooler_bodies,
-    dark_paint,
-    light_paint,
-    lighting,
-    posters,
-    udder,
-)
+from instruments.world.shading import Lamp, Lighting, Paint
 from instruments.world.situations.situation import EYES_MM, Situation, faults, hidden_ways
+from instruments.world.solids import Point
 
 ATTEMPTS = 1000
 CLEAR_MM = 4.0  # between teats that don't overlap, as seen
+# near left, near right, far left, far right
+PLACES = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))
+
+
+class Draw:
+    """Chance, with the few ways in which families use it."""
+
+    def __init__(self, name: str, seed: int, attempt: int) -> None:
+        self._rng = np.random.Generator(np.random.PCG64([seed, attempt, *name.encode()]))
+
+    def between(self, low: float, high: float) -> float:
+        """Evenly."""
+        return float(self._rng.uniform(low, high))
+
+    def either(self) -> float:
+        """-1 or 1."""
+        return 1.0 if self._rng.random() < 0.5 else -1.0
+
+    def chance(self, share: float) -> bool:
+        """True in this share of draws."""
+        return bool(self._rng.random() < share)
+
+    def count(self, low: int, high: int) -> int:
+        """A whole number, both ends included."""
+        return int(self._rng.integers(low, high + 1))
+
+    def weave(self, *known: Weave) -> Weave:
+        """One of these."""
+        return known[self.count(0, len(known) - 1)]
+
+
+def udder(
+    draw: Draw, *, lean_deg: tuple[float, float] = (0.0, 2.0), spread: float = 1.0
+) -> Phantom:
+    """Four teats, the two near ones closer together, as seen from behind; ``lean_deg`` (least,
+    most).
+    """
+    middle = draw.between(-165.0, -95.0), draw.between(215.0, 265.0)
+    wide, deep = (draw.between(26.0, 42.0), draw.between(52.0, 78.0)), draw.between(30.0, 50.0)
+    teats = []
+    for x, y in PLACES:
+        base = (
+            middle[0] + spread * x * wide[int(y > 0.0)] + draw.between(-7.0, 7.0),
+            middle[1] + spread * y * deep + draw.between(-8.0, 8.0),
+        )
+        shape = TeatShape(draw.between(118.0, 150.0), draw.between(9.5, 12.5))
+        lean, way = np.radians(draw.between(*lean_deg)), draw.between(0.0, 2.0 * np.pi)
+        x_tilt, y_tilt = np.arctan(np.tan(lean) * np.array([np.cos(way), np.sin(way)])).tolist()
+        teats.append(Teat(base, shape, (x_tilt, y_tilt)))
+    return Phantom(tuple(teats))
+
+
+def dark_paint(draw: Draw) -> Paint:
+    """Matt dark, as the thesis's phantom."""
+    return Paint(draw.between(0.04, 0.10), draw.between(0.01, 0.07), draw.between(0.94, 0.97))
+
+
+def light_paint(draw: Draw) -> Paint:
+    """Light, with some gloss, as skin has."""
+    return Paint(draw.between(0.32, 0.60), draw.between(0.02, 0.20), draw.between(0.94, 0.98))
+
+
+def lighting(draw: Draw, brightness: tuple[float, float] = (0.95, 1.35)) -> Lighting:
+    """Two lamps or three, about where the usual two hang."""
+    # each about a usual place: the ranges of x, y and z, and of its power
+    lamps = [
+        _lamp(draw, (450.0, -350.0, 1350.0), ((-250, 250), (-250, 200), (-150, 250)), (1.8, 3.0)),
+        _lamp(draw, (-1300.0, -700.0, 1100.0), ((-200, 300), (-150, 250), (-150, 250)), (1.0, 1.9)),
+    ]
+    if draw.chance(0.3):
+        where = ((-600, 300), (100, 700), (1300, 1700))
+        lamps.append(_lamp(draw, (0.0, 0.0, 0.0), where, (0.5, 1.2)))
+    return Lighting(draw.between(*brightness), tuple(lamps), draw.between(0.40, 0.60))
+
+
+def _lamp(
+    draw: Draw,
+    usual_mm: Point,
+    off_mm: tuple[tuple[float, float], ...],
+    power: tuple[float, float],
+) -> Lamp:
+    x, y, z = (at + draw.between(*off) for at, off in zip(usual_mm, off_mm, strict=True))
+    return Lamp((x, y, z), draw.between(*power))
+
+
+def backdrop(
+    draw: Draw,
+    board_albedo: tuple[float, float],
+    *,
+    texture: tuple[float, float] = (0.02, 0.07),
+    weave: Weave = "cloud",
+) -> Backdrop:
+    """A board of that albedo and texture behind a light table."""
+    return Backdrop(
+        board_albedo=draw.between(*board_albedo),
+        board_texture=draw.between(*texture),
+        board_weave=weave,
+        table_albedo=draw.between(0.25, 0.5),
+        table_texture=draw.between(0.05, 0.18),
+        table_weave=draw.weave("cloud", "planks", "grain"),
+        front_albedo=draw.between(0.12, 0.30),
+        room_albedo=draw.between(0.04, 0.2),
+        texture_seed=draw.count(0, 2**31),
+        board_k=draw.between(-0.4, 0.6),
+        table_k=draw.between(-0.6, 0.3),
+    )
+
+
+def posters(draw: Draw, count: int) -> tuple[Poster, ...]:
+    """Rectangles of any grey, all over the board."""
+    ranges = ((-900.0, 850.0), (60.0, 640.0), (20.0, 180.0), (10.0, 110.0), (0.03, 0.9))
+    return tuple(Poster(*(draw.between(*each) for each in ranges)) for _ in range(count))
+
+
+def cooler_bodies(draw: Draw, count: int) -> tuple[SceneObject, ...]:
+    """Legs, flanks and bellies behind the teats, a few kelvin cooler."""
+    things = []
+    for _ in range(count):
+        look = {
+            "offset_k": -draw.between(2.5, 7.0),
+            "albedo": draw.between(0.1, 0.5),
+            "gloss": draw.between(0.0, 0.06),
+        }
+        x, y = draw.between(-420.0, 160.0), draw.between(390.0, 640.0)
+        if draw.chance(0.3):
+            look |= {"z_mm": draw.between(140.0, 260.0), "radius_mm": draw.between(45.0, 95.0)}
+        else:
+            radius = draw.between(35.0, 80.0)
+            top = {"radius_mm": radius, "top_radius_mm": radius * draw.between(0.6, 0.95)}
+            look |= top | {"height_mm": draw.between(150.0, 330.0)}
+        kind = "cooler_body" if "height_mm" in look else "ball"
+        things.append(make_object(kind, x_mm=x, y_mm=y, **look))
+    return tuple(things)
+
+
+def apart(phantom: Phantom, eyes_mm: Sequence[tuple[float, float, float]]) -> float:
+    """Least gap between two teats in any view, in mm at the nearer one; negative where covered."""
+    least = np.inf
+    hulls = phantom.teat_hulls()
+    for eye in eyes_mm:
+        bearings = []
+        for hull in hulls:
+            ends = np.array([hull.a_mm, hull.b_mm]) - np.asarray(eye)
+            x, y = ends[:, 0], ends[:, 1]
+            bearings.append((x / y, hull.radius_a_mm / y.mean(), y.mean()))
+        for i, (one, r_one, y_one) in enumerate(bearings):
+            for other, r_other, y_other in bearings[i + 1 :]:
+                gaps = np.abs(one - other) - r_one - r_other
+                crossed = (one[0] - other[0]) * (one[1] - other[1]) <= 0.0
+                least = min(least, -1.0 if crossed else float(gaps.min()) * min(y_one, y_other))
+    return float(least)
 
 
 def situation(name: str, seed: int) -> Situation:
@@ -68,13 +211,8 @@ def _clear(phantom: Phantom) -> bool:
     return apart(phantom, EYES_MM) >= CLEAR_MM
 
 
-def _ideal(draw: Draw) -> Situation | None:
-    phantom = udder(draw)
-    return _plain(draw, phantom) if _clear(phantom) else None
-
-
-def _non_vertical(draw: Draw) -> Situation | None:
-    phantom = udder(draw, lean_deg=(5.0, 19.0))
+def _ideal(draw: Draw, lean_deg: tuple[float, float] = (0.0, 2.0)) -> Situation | None:
+    phantom = udder(draw, lean_deg=lean_deg)
     return _plain(draw, phantom) if _clear(phantom) else None
 
 
@@ -109,14 +247,8 @@ def _spurious_teat(draw: Draw) -> Situation | None:
     decoys = []
     for _ in range(draw.count(1, 2)):
         size = {"length_mm": draw.between(115.0, 150.0), "radius_mm": draw.between(9.5, 12.5)}
-        decoys.append(
-            make_object(
-                "cold_teat",
-                x_mm=draw.between(-290.0, 60.0),
-                y_mm=draw.between(150.0, 380.0),
-                **size,
-            )
-        )
+        place = {"x_mm": draw.between(-290.0, 60.0), "y_mm": draw.between(150.0, 380.0)}
+        decoys.append(make_object("cold_teat", **place, **size))
     found = _plain(draw, phantom, *decoys)
     painted = tuple(replace(decoy, paint=found.teat_paint) for decoy in decoys)
     standing = [
@@ -234,14 +366,12 @@ def _screened(
         )
         return replace(found, objects=(post,))
     wide = draw.between(26.0, 50.0)
-    pattern = Pattern("plain", 1, 1, 1.0, 0.0)
     turn = draw.between(-0.4, 0.4)
+    pattern = Pattern("plain", round(wide), round(tall), 1.0, 0.0)
     across = (float(np.cos(turn)), float(np.sin(turn)), 0.0)
-    pattern = replace(pattern, rows=round(tall), columns=round(wide))
     corner = (x - 0.5 * wide * across[0], y - 0.5 * wide * across[1], float(pattern.rows))
-    panel = Board(
-        corner, across, pattern=pattern, name="panel", light_albedo=draw.between(0.1, 0.8)
-    )
+    albedo = draw.between(0.1, 0.8)
+    panel = Board(corner, across, pattern=pattern, name="panel", light_albedo=albedo)
     return replace(found, boards=(panel,))
 
 
@@ -250,11 +380,9 @@ def _anywhere(draw: Draw) -> Situation | None:
     teats = []
     for _ in range(4):
         shape = TeatShape(draw.between(105.0, 155.0), draw.between(8.5, 13.0))
-        tilt = (
-            float(np.radians(draw.between(-16.0, 16.0))),
-            float(np.radians(draw.between(-16.0, 16.0))),
-        )
-        teats.append(Teat((draw.between(-265.0, 20.0), draw.between(125.0, 375.0)), shape, tilt))
+        x_tilt, y_tilt = (float(np.radians(draw.between(-16.0, 16.0))) for _ in range(2))
+        base = draw.between(-265.0, 20.0), draw.between(125.0, 375.0)
+        teats.append(Teat(base, shape, (x_tilt, y_tilt)))
     phantom = Phantom(tuple(teats))
     clutter = tuple(_clutter(draw) for _ in range(draw.count(0, 3)))
     found = _plain(draw, phantom, *clutter)
@@ -273,33 +401,27 @@ def _anywhere(draw: Draw) -> Situation | None:
 
 
 def _clutter(draw: Draw) -> SceneObject:
-    x = draw.between(-450.0, 250.0)
-    match draw.count(0, 3):
-        case 0:
-            size = {
-                "height_mm": draw.between(80.0, 420.0),
-                "radius_mm": draw.between(5.0, 14.0),
-                "albedo": draw.between(0.05, 0.7),
-            }
-            return make_object("rod", x_mm=x, y_mm=draw.between(420.0, 900.0), **size)
-        case 1:
-            return make_object(
-                "cold_teat",
-                x_mm=x,
-                y_mm=draw.between(150.0, 700.0),
-                length_mm=draw.between(100.0, 160.0),
-                albedo=draw.between(0.05, 0.5),
-            )
-        case 2:
-            return make_object(
-                "hot_cup",
-                x_mm=x,
-                y_mm=draw.between(400.0, 700.0),
-                height_mm=draw.between(50.0, 120.0),
-                offset_k=draw.between(-8.0, 3.0),
-            )
-        case _:
-            return cooler_bodies(draw, 1)[0]
+    x_mm = draw.between(-450.0, 250.0)
+    kind = draw.count(0, 3)
+    if kind == 3:
+        return cooler_bodies(draw, 1)[0]
+    name, ranges = (
+        (
+            "rod",
+            {"height_mm": (80.0, 420.0), "radius_mm": (5.0, 14.0), "albedo": (0.05, 0.7)}
+            | {"y_mm": (420.0, 900.0)},
+        ),
+        (
+            "cold_teat",
+            {"y_mm": (150.0, 700.0), "length_mm": (100.0, 160.0), "albedo": (0.05, 0.5)},
+        ),
+        (
+            "hot_cup",
+            {"y_mm": (400.0, 700.0), "height_mm": (50.0, 120.0), "offset_k": (-8.0, 3.0)},
+        ),
+    )[kind]
+    drawn = {key: draw.between(*each) for key, each in ranges.items()}
+    return make_object(name, x_mm=x_mm, **drawn)
 
 
 Family = Callable[[Draw], Situation | None]
@@ -307,7 +429,7 @@ SITUATIONS: dict[str, tuple[str, Family]] = {
     "ideal": ("Four upright teats, none touching or covering another; neutral background.", _ideal),
     "non_vertical": (
         "Four teats, each leaning another way by 5 to 19 degrees; neutral background.",
-        _non_vertical,
+        partial(_ideal, lean_deg=(5.0, 19.0)),
     ),
     "overlapping": (
         (

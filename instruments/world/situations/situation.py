@@ -7,7 +7,7 @@ The cameras are a box of the thesis rig's bearings. Hoses give way to what stand
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import combinations
 from typing import Any
 
@@ -45,21 +45,11 @@ class Situation:
         self, teat_temps_c: tuple[float, ...], hose_temp_c: float, ambient_c: float, **more: Any
     ) -> SceneState:
         """The scene at these temperatures of the plant; ``more`` are fields of `SceneState`."""
-        fields: dict[str, Any] = {
-            "phantom": self.phantom,
-            "objects": self.objects,
-            "boards": self.boards,
-            "lighting": self.lighting,
-            "backdrop": self.backdrop,
-            "teat_paint": self.teat_paint,
-            "exposure": self.exposure,
-        }
-        return SceneState(
-            teat_temps_c=teat_temps_c,
-            hose_temp_c=hose_temp_c,
-            ambient_c=ambient_c,
-            **(fields | more),
-        )
+        own = {f.name: getattr(self, f.name) for f in fields(self)}
+        for name in ("name", "seed", "about"):
+            del own[name]
+        temperatures = {"teat_temps_c": teat_temps_c, "hose_temp_c": hose_temp_c}
+        return SceneState(ambient_c=ambient_c, **(own | temperatures | more))
 
 
 # left, right, thermal
@@ -117,7 +107,7 @@ def collisions(situation: Situation) -> Iterator[str]:
         u, v = np.meshgrid(np.linspace(0.0, 1.0, 9), np.linspace(0.0, 1.0, 25))
         points = board.placed(np.column_stack([u.ravel(), v.ravel()]) * board.pattern.size_mm)
         for hull in (*solid, *(hull for thing in situation.objects for hull in thing.hulls)):
-            if _from_points(points, hull) < GAP_MM:
+            if _apart(points, hull).min() < GAP_MM:
                 yield f"{board.name} stands within something else"
                 break
 
@@ -147,20 +137,15 @@ def _crosses(start: Floats, end: Floats, outline: Floats) -> bool:
 
 def _gap(one: Hull, other: Hull) -> float:
     """Gap between two solids taken as round, so a little small for flat ends; negative: overlap."""
-    a, b, c, d = (np.asarray(point) for point in (one.a_mm, one.b_mm, other.a_mm, other.b_mm))
-    t = np.linspace(0.0, 1.0, 33)[:, None]
-    points = a + t * (b - a)
-    radii = one.radius_a_mm + t[:, 0] * (one.radius_b_mm - one.radius_a_mm)
-    span = d - c
-    along = np.clip((points - c) @ span / max(float(span @ span), 1e-9), 0.0, 1.0)
-    away = np.linalg.norm(points - c - along[:, None] * span, axis=1)
-    return float(
-        (away - radii - other.radius_a_mm - along * (other.radius_b_mm - other.radius_a_mm)).min()
-    )
+    a, b = np.asarray(one.a_mm), np.asarray(one.b_mm)
+    t = np.linspace(0.0, 1.0, 33)
+    radii = one.radius_a_mm + t * (one.radius_b_mm - one.radius_a_mm)
+    return float((_apart(a + t[:, None] * (b - a), other) - radii).min())
 
 
-def _from_points(points: Floats, hull: Hull) -> float:
+def _apart(points: Floats, hull: Hull) -> Floats:
+    """Gaps (n,) between points (n, 3) and a solid taken as round."""
     a, span = np.asarray(hull.a_mm), np.subtract(hull.b_mm, hull.a_mm)
     along = np.clip((points - a) @ span / max(float(span @ span), 1e-9), 0.0, 1.0)
     away = np.linalg.norm(points - a - along[:, None] * span, axis=1)
-    return float((away - hull.radius_a_mm - along * (hull.radius_b_mm - hull.radius_a_mm)).min())
+    return np.asarray(away - hull.radius_a_mm - along * (hull.radius_b_mm - hull.radius_a_mm))

@@ -220,7 +220,7 @@ def test_all_live_steps_make_one_calibration_that_is_as_good_as_it_says(bench_ro
     found, put_in = load_calibration(whole), small_calibration()
     places = np.array([[-300.0, 150.0, 60.0], [-190.0, 235.0, 135.0], [-90.0, 330.0, 200.0]])
     left, right = put_in.project(places)
-    off, covariance = found.pair.place(left, right) - places, found.covariance_of(places)
+    off, covariance = found.place(left, right) - places, found.covariance_of(places)
     distances = [float(o @ np.linalg.solve(c, o)) for o, c in zip(off, covariance, strict=True)]
     assert max(distances) < chi2.ppf(0.9999, 3)
     assert found.record is not None

@@ -21,9 +21,8 @@ from bench.calibrate.capture import pattern_of
 from bench.rig.loading import RIGS
 from detector.calibration.boards import Board
 from detector.calibration.bundle import LENS, POSE
-from detector.calibration.cameras import Calibrated, View, calibrate_camera, join_cameras
+from detector.calibration.cameras import Calibrated, View, calibrate_camera, join_cameras, pair_of
 from detector.calibration.corners import ViewRefusedError, find_board
-from detector.calibration.split_half import pair_of
 from detector.geometry import Array
 from instruments.world.boards import poses
 from instruments.world.phantom import Phantom

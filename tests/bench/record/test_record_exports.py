@@ -233,7 +233,7 @@ def test_mcap_ties_the_cameras_to_the_world_and_tells_their_lenses(
     ]
     point_m, wanted = (
         np.array([-0.05, 0.29, 0.13]),
-        known.world_from_left.inverse().apply([[-50.0, 290.0, 130.0]]),
+        (known.world_from_right @ known.right_from_left).inverse().apply([[-50.0, 290.0, 130.0]]),
     )
     for tie in ties[:2]:
         turn = Rotation.from_quat([tie["rotation"][axis] for axis in "xyzw"])

@@ -65,7 +65,7 @@ def mirrored_rig(rig: Calibration) -> Calibration:
         thermal=replace(rig.thermal, lens=mirrored_camera(rig.thermal.lens)),
         right_from_left=mirrored_motion(rig.right_from_left.inverse()),
         thermal_from_left=mirrored_motion(rig.thermal_from_right),
-        world_from_right=mirrored_motion(rig.world_from_left),
+        world_from_right=mirrored_motion(rig.world_from_right @ rig.right_from_left),
     )
 
 

@@ -15,6 +15,7 @@ import pytest
 from instruments.world.objects import SceneObject, make_object
 from instruments.world.optics import CameraModel
 from instruments.world.phantom import Phantom, Teat
+from instruments.world.scene import seen_share
 from instruments.world.situations import (
     SITUATIONS,
     Situation,
@@ -25,7 +26,6 @@ from instruments.world.situations import (
 )
 from instruments.world.solids import Solids
 from instruments.world.state import SceneState
-from instruments.world.visibility import seen_share
 from tests.instruments.world.scenes import renderer
 
 NAMES = tuple(SITUATIONS)
