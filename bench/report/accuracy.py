@@ -19,7 +19,6 @@ from bench.scoring.errors import (
     AxisSummary,
     ErrorSummary,
     Floats,
-    distribution_free_n,
     normal_k,
     quantile_bounds,
     summarise,
@@ -27,6 +26,7 @@ from bench.scoring.errors import (
 from bench.scoring.guard_band import acceptance_limit_mm, error_without_noise_mm, refusal_limit_mm
 from bench.scoring.pool import Pool
 from bench.scoring.precision import GageStudy, Precision, distance_accuracy, drift_mm, pose_accuracy
+from bench.scoring.rates import zero_failure_n
 from reports.parts import Cell, Paragraph, Part, Table, columns
 
 MM = ">bias [mm] | >sd [mm] | >rms [mm] | >mean |e| [mm] | >max |e| [mm]"
@@ -195,7 +195,7 @@ def _tolerance(pool: Pool, detector: str) -> Part:
         free = (
             f"{upper:.2f}"
             if upper is not None
-            else f"{NOT_MEASURED}: {distribution_free_n(share, CONFIDENCE)} poses are the least"
+            else f"{NOT_MEASURED}: {zero_failure_n(share, CONFIDENCE)} poses are the least"
         )
         normal = f"{worst.mean() + k * worst.std(ddof=1):.2f}"
         lines.append(
