@@ -205,8 +205,8 @@ def _told_of_poses(plan: Plan, sure: str) -> Iterator[str]:
     shown = percent_apart(plan.rate_shown, *(claim.rate for claim in plan.claims))
     there = plan.poses or 0
     yield (
-        f"{plural(there, 'pose')} without a failure {'shows' if there == 1 else 'show'} {shown} with"
-        f" {sure}."
+        f"{plural(there, 'pose')} without a failure {'shows' if there == 1 else 'show'} {shown}"
+        f" with {sure}."
     )
     for claim in plan.claims:
         if claim.failures_allowed is None:

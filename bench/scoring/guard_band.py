@@ -24,6 +24,12 @@ def guard_band_mm(u_mm: float) -> float:
     return float(ndtri(ACCEPTED)) * u_mm
 
 
+def axis_acceptance_limit_mm(limit_mm: float, u_mm: float) -> float | None:
+    """The same as `acceptance_limit_mm` for the error along one axis: T - w."""
+    band = guard_band_mm(u_mm)
+    return limit_mm - band if limit_mm > band else None
+
+
 @lru_cache(maxsize=256)
 def acceptance_limit_mm(limit_mm: float, u_mm: float) -> float | None:
     """The largest seen distance that is still accepted under a limit T, or None where the truth is
@@ -31,7 +37,7 @@ def acceptance_limit_mm(limit_mm: float, u_mm: float) -> float | None:
 
     The A at which a true error of three normal components about the seen one exceeds T with the
     probability 5 %, so (T/u)^2 is the 95 % quantile of a noncentral chi-square with 3 degrees of
-    freedom and noncentrality (A/u)^2. T = 5 mm, u = 0.23 mm: 4.611 (along one axis T - w = 4.622).
+    freedom and noncentrality (A/u)^2. T = 5 mm, u = 0.23 mm: 4.611 (along one axis 4.622).
     """
     band = guard_band_mm(u_mm)
     if not 0.0 < limit_mm < float("inf"):

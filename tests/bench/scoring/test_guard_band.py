@@ -17,6 +17,7 @@ from scipy.stats import (
 from bench.scoring.errors import normal_k, quantile_bounds
 from bench.scoring.guard_band import (
     acceptance_limit_mm,
+    axis_acceptance_limit_mm,
     error_without_noise_mm,
     guard_band_mm,
     leak,
@@ -28,6 +29,8 @@ T, U = 5.0, 0.23
 
 def test_frozen_acceptance_limits() -> None:
     assert guard_band_mm(U) == pytest.approx(1.645 * U, abs=1e-4)
+    assert axis_acceptance_limit_mm(T, U) == pytest.approx(4.622, abs=0.0005)
+    assert axis_acceptance_limit_mm(T, T / 1.64) is None
     assert acceptance_limit_mm(T, U) == pytest.approx(4.611, abs=0.0005)
     assert refusal_limit_mm(T, U) == pytest.approx(5.378, abs=0.0005)
 
