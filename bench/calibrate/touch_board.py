@@ -17,12 +17,13 @@ from bench.calibrate.capture import pattern_of, write_picture
 from bench.calibrate.guide import Grey
 from bench.calibrate.world import POINT_COLUMNS, TouchedPoints
 from bench.files import write_synced
-from bench.truth.arm_tip import TipReader, WorldTip
+from bench.truth.arm_tip import TipReader
 from detector.calibration.boards import Board
 from detector.calibration.corners import Found, ViewRefusedError, find_board, order_alike
 from detector.geometry import Array
 from instruments.errors import DeviceError
 from instruments.microscribe.errors import ArmMovesError
+from instruments.microscribe.stream import Reading
 from instruments.operators.operator import BoardAsked
 
 POSITIONS = 2
@@ -101,12 +102,12 @@ def _at_position(
     asking: Asking, board: Board, position: int, folder: Path
 ) -> tuple[Array, Array, Array]:
     seen = _fixed(asking, board, position, folder)
-    readings: list[WorldTip] = []
+    readings: list[Reading] = []
     for at in range(len(seen.corners)):
         readings.append(_touched(asking, board, seen, at, readings))
     asking.operator.release()
     points = under_ball(
-        [reading.point_mm for reading in readings],
+        [reading.tip_mm for reading in readings],
         [reading.axis for reading in readings],
         asking.tip_radius_mm,
     )
@@ -162,7 +163,7 @@ def _looked(pictures: Mapping[str, Grey], board: Board) -> Seen:
     return Seen(left, right, corners)
 
 
-def _touched(asking: Asking, board: Board, seen: Seen, at: int, before: list[WorldTip]) -> WorldTip:
+def _touched(asking: Asking, board: Board, seen: Seen, at: int, before: list[Reading]) -> Reading:
     """One of the nine, read; asked for again where the arm moved, or where it was another point by
     its distances to those before.
     """
@@ -192,7 +193,7 @@ def _touched(asking: Asking, board: Board, seen: Seen, at: int, before: list[Wor
 
 
 def _mistaken(
-    board: Board, corners: tuple[int, ...], at: int, reading: WorldTip, before: list[WorldTip]
+    board: Board, corners: tuple[int, ...], at: int, reading: Reading, before: list[Reading]
 ) -> str:
     """Why a touch is not of the point asked for, or nothing: a distance to an earlier point that
     the print doesn't have.
@@ -201,7 +202,7 @@ def _mistaken(
         printed = float(
             np.linalg.norm(board.points_mm[corners[at]] - board.points_mm[corners[earlier]])
         )
-        touched = float(np.linalg.norm(reading.point_mm - known.point_mm))
+        touched = float(np.linalg.norm(reading.tip_mm - known.tip_mm))
         if abs(touched - printed) > MISTAKEN * board.pitch_mm:
             return (
                 f"That lies {touched:.1f} mm from point {earlier + 1}, where the print has"

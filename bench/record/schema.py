@@ -9,7 +9,10 @@ holds. A version's text never changes once a bench has written it.
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Mapping
+from typing import Any
 
+Row = Mapping[str, Any]
 SCHEMA_VERSION = 4
 DATABASE, SCRIPT, RULES = "run.sqlite", "script.toml", "rules.toml"
 GUARDIAN = "guardian.json"  # written by the guardian, when it had to act

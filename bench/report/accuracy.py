@@ -19,14 +19,18 @@ from bench.scoring.errors import (
     AxisSummary,
     ErrorSummary,
     Floats,
-    distribution_free_n,
     normal_k,
     quantile_bounds,
     summarise,
 )
-from bench.scoring.guard_band import acceptance_limit_mm, error_without_noise_mm, refusal_limit_mm
+from bench.scoring.guard_band import (
+    axis_acceptance_limit_mm,
+    error_without_noise_mm,
+    refusal_limit_mm,
+)
 from bench.scoring.pool import Pool
 from bench.scoring.precision import GageStudy, Precision, distance_accuracy, drift_mm, pose_accuracy
+from bench.scoring.rates import zero_failure_n
 from reports.parts import Cell, Paragraph, Part, Table, columns
 
 MM = ">bias [mm] | >sd [mm] | >rms [mm] | >mean |e| [mm] | >max |e| [mm]"
@@ -52,7 +56,7 @@ def accuracy_tables(
 def _axes(
     pool: Pool, detector: str, limit_mm: float, u_mm: float | None, camera_from_world: Floats
 ) -> Table:
-    accept = None if u_mm is None else acceptance_limit_mm(limit_mm, u_mm, "axis")
+    accept = None if u_mm is None else axis_acceptance_limit_mm(limit_mm, u_mm)
     refuse = refusal_limit_mm(limit_mm, u_mm or 0.0)
     last = "max |e| is # against the limit along this axis alone"
     heads = columns("axis | >n", MM, last)
@@ -195,7 +199,7 @@ def _tolerance(pool: Pool, detector: str) -> Part:
         free = (
             f"{upper:.2f}"
             if upper is not None
-            else f"{NOT_MEASURED}: {distribution_free_n(share, CONFIDENCE)} poses are the least"
+            else f"{NOT_MEASURED}: {zero_failure_n(share, CONFIDENCE)} poses are the least"
         )
         normal = f"{worst.mean() + k * worst.std(ddof=1):.2f}"
         lines.append(

@@ -6,9 +6,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import floor
 
-from bench.scoring.decisions import poses_told
 from bench.scoring.guard_band import acceptance_limit_mm, leak
-from bench.scoring.rates import exact_percent, guarded_n, percent, percent_apart, trials_needed
+from bench.scoring.rates import (
+    Rate,
+    exact_percent,
+    guarded_n,
+    percent,
+    percent_apart,
+    plural,
+    trials_needed,
+)
 from bench.scoring.sample_size import (
     detectable_loss,
     detectable_shift,
@@ -17,7 +24,6 @@ from bench.scoring.sample_size import (
     poses_for_shift,
     power_of_rate,
     shown_error_mm,
-    shown_rate,
 )
 
 
@@ -100,7 +106,7 @@ def make_plan(
         discordant_needed=discordant_needed(alpha),
         poses=poses,
         true_rate=true_rate,
-        rate_shown=shown_rate(there, 0, confidence) if there else None,
+        rate_shown=Rate(there, there).lower_bound(confidence) if there else None,
         loss_shown=detectable_loss(there, power, alpha) if there else None,
         sd_mm=sd_mm,
         shift_shown_mm=detectable_shift(there, sd_mm, power, alpha) if there and sd_mm else None,
@@ -187,7 +193,7 @@ def _told_of_error(plan: Plan) -> Iterator[str]:
         )
         edge = "no number" if claim.at_the_edge is None else str(claim.at_the_edge)
         yield (
-            f"  {exact_percent(claim.rate)}: {poses_told(poses)} {shown}; {edge} up to the"
+            f"  {exact_percent(claim.rate)}: {plural(poses, 'pose')} {shown}; {edge} up to the"
             " acceptance limit."
         )
 
@@ -199,8 +205,8 @@ def _told_of_poses(plan: Plan, sure: str) -> Iterator[str]:
     shown = percent_apart(plan.rate_shown, *(claim.rate for claim in plan.claims))
     there = plan.poses or 0
     yield (
-        f"{poses_told(there)} without a failure {'shows' if there == 1 else 'show'} {shown} with"
-        f" {sure}."
+        f"{plural(there, 'pose')} without a failure {'shows' if there == 1 else 'show'} {shown}"
+        f" with {sure}."
     )
     for claim in plan.claims:
         if claim.failures_allowed is None:

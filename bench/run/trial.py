@@ -32,7 +32,7 @@ from bench.run.truth_source import shown
 from bench.safety.stability import State
 from bench.script.model import Script
 from bench.script.planned_trials import PlannedTrial, shared
-from bench.truth.touching import NoTruthError, TrialTruth, TruthSource
+from bench.truth.touching import NoTruthError, TouchedTruth, TrialTruth
 from bench.truth.uncertainty import How
 from detector.protocol import Detector, Served
 from instruments.camera.frame import FrameSet
@@ -177,7 +177,7 @@ class TrialRun:
         devices: Devices,
         store: Store,
         detectors: Sequence[Detector],
-        truth: TruthSource,
+        truth: TouchedTruth,
         attention: Attention,
         *,
         exact_ends: Callable[[], NDArray[np.float64]] | None = None,

@@ -11,7 +11,7 @@ from math import hypot
 
 from bench.config import ConfigError
 from bench.record.reader import RunRecord
-from bench.record.writer import Row, Store
+from bench.record.writer import Store
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage as StageSettings
@@ -19,11 +19,11 @@ from bench.run.context import Attention
 from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.arm_tip import TipReader
-from bench.truth.carrying import CarriedTruth, CheckRule, fixed_key, resumed
+from bench.truth.carrying import CarriedTruth, fixed_key, resumed
 from bench.truth.registration import Registration, RegistrationError
 from bench.truth.registration_file import as_facts, registration_from_facts, write_registration
 from bench.truth.stage_registration import around, ends_of, register, stands_at
-from bench.truth.touching import ExpectedScene, TouchedTruth, Toucher, TruthSource
+from bench.truth.touching import ExpectedScene, TouchedTruth, Toucher
 from bench.truth.uncertainty import end_u_mm
 from instruments.clock import wall_time
 from instruments.errors import DeviceError, LimitError
@@ -65,7 +65,7 @@ def choose_truth(
     settled: Callable[[Sequence[str], bool], None],
     *,
     before: RunRecord | None = None,
-) -> TruthSource:
+) -> TouchedTruth:
     """The source for a run. ``settled`` is told which carried trials a check has confirmed (True)
     or invalidated.
 
@@ -79,18 +79,19 @@ def choose_truth(
     if stage is None or rig.rig.stage is None:
         raise ValueError("a truth can't be carried without a stage; refuse_carry says so before")
     maker = _Maker(rig, script, devices, stage, rig.rig.stage, toucher, store, attention)
-    rule = CheckRule(table.check_every, table.check_limit_mm)
     known = registration_from_facts(before.facts) if before else None
     registration = maker.registration if known is None else lambda: known
     return CarriedTruth(
         toucher,
         registration,
         lambda: stands_at(stage),
-        rule,
-        _Kept(store, settled),
+        store,
+        settled,
         _telling(attention),
         devices.clock.now,
-        resumed(before) if before else None,
+        every=table.check_every,
+        limit_mm=table.check_limit_mm,
+        state=resumed(before) if before else None,
     )
 
 
@@ -100,26 +101,6 @@ def _telling(attention: Attention) -> Callable[[str, str], None]:
         (attention.progress.warn if kind in URGENT else attention.progress.state)(text)
 
     return tell
-
-
-class _Kept:
-    """The store, and whoever else wants to know what became of carried trials."""
-
-    def __init__(self, store: Store, settled: Callable[[Sequence[str], bool], None]) -> None:
-        self._store = store
-        self._settled = settled
-
-    def fact(self, key: str, value: object) -> None:
-        self._store.fact(key, value)
-
-    def checked(
-        self, touches: Sequence[Row], confirmed: Sequence[str], invalid: Sequence[str], reason: str
-    ) -> None:
-        self._store.checked(touches, invalid, reason)
-        if confirmed:
-            self._settled(confirmed, True)
-        if invalid:
-            self._settled(invalid, False)
 
 
 class _Maker:

@@ -1,24 +1,20 @@
-"""Two detectors, or two versions, on the same scenes: what differs, with an interval, and how
-likely chance alone does that.
+"""Two detectors, or two versions, on the same scenes: what differs, with an interval, how likely
+chance alone does that, and whether the new one is worse.
 
-Only differences within a scene count, so what makes a scene hard falls out. Success is compared on
-the scenes where the two disagree (McNemar, Psychometrika 12, 1947), errors by their differences,
-pose by pose, since teats and repeats of one pose are not independent. Knows neither detectors nor
-runs: `old` and `new` are columns of the same rows.
+Only differences within a scene count, so what makes a scene hard falls out. Success, false teats
+and misses are compared as they are counted, success on the scenes where the two disagree (McNemar,
+Psychometrika 12, 1947); errors by their differences on teats that both found, pose by pose, since
+teats and repeats of one pose are not independent. An error's change counts up to the limit: a teat
+farther off has failed, and failures are counted.
 
-A new detector against an old one on the same scenes: paired differences by situation, and whether
-the new one is worse.
-
-Success, false teats and misses are compared as they are counted; errors only on teats that both
-found, for a difference needs two. An error's change counts up to the limit: a teat farther off has
-failed, and failures are counted. The gate asks one thing, "is it worse?": a scene that passed and
-now fails, a false teat or a miss more, or a mean error larger by more than the margin is worse; the
-mean distance, and the mean absolute error along each axis too, for a large error along one axis
-hides a new one across it. It is shown to be no worse only where the upper bound of the distance's
-change over all poses stays within the margin (non-inferiority; ICH E9, 3.3.2), those included that
-weren't run; else it is inconclusive, however little changed in the poses that were. A situation
-whose mean distance grew by more than the margin is worse where chance doesn't explain it (adjusted
-for all situations), and leaves the gate open where it may. Knows neither runs nor frames.
+The gate asks one thing, "is it worse?": a scene that passed and now fails, a false teat or a miss
+more, or a mean error larger by more than the margin is worse; the mean distance, and the mean
+absolute error along each axis too, for a large error along one axis hides a new one across it. It
+is shown to be no worse only where the upper bound of the distance's change over all poses stays
+within the margin (non-inferiority; ICH E9, 3.3.2), those included that weren't run; else it is
+inconclusive, however little changed in the poses that were. A situation whose mean distance grew by
+more than the margin is worse where chance doesn't explain it (adjusted for all situations), and
+leaves the gate open where it may.
 """
 
 from __future__ import annotations
@@ -26,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import expm1, log, pi, sqrt
+from operator import attrgetter
 from statistics import NormalDist
 
 import numpy as np
@@ -33,10 +30,10 @@ import numpy.typing as npt
 from scipy.optimize import brentq
 from scipy.special import bdtr, ndtr
 
-from bench.scoring.decisions import Verdict, poses_told
+from bench.scoring.decisions import Verdict
 from bench.scoring.errors import Floats, as_values, numbered
 from bench.scoring.matching import Counts, added
-from bench.scoring.rates import Rate, exact_percent, percent
+from bench.scoring.rates import Rate, exact_percent, fewest, percent, plural
 from bench.scoring.scene import SceneScore
 
 FLIPS = 9999
@@ -47,20 +44,12 @@ MOST_POSES = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Discordance:
-    """Scenes (or poses) by who succeeded; adds field by field."""
+    """Scenes (or poses) by who succeeded."""
 
     both: int = 0
     only_old: int = 0
     only_new: int = 0
     neither: int = 0
-
-    def __add__(self, other: Discordance) -> Discordance:
-        return Discordance(
-            self.both + other.both,
-            self.only_old + other.only_old,
-            self.only_new + other.only_new,
-            self.neither + other.neither,
-        )
 
     @property
     def n(self) -> int:
@@ -202,19 +191,11 @@ def poses_to_show(values: Floats, limit: float, margin: float, confidence: float
     """Fewest poses with differences such as these `values` whose `upper_bound` is at most `margin`;
     None where MOST_POSES don't do.
     """
-    low, high = 0, 1
-    while _chance_above(values, limit, margin, high) > 1.0 - confidence:
-        low, high = high, 2 * high
-        if high > MOST_POSES:
-            return None
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (
-            (middle, high)
-            if _chance_above(values, limit, margin, middle) > 1.0 - confidence
-            else (low, middle)
-        )
-    return high
+
+    def shows(poses: int) -> bool:
+        return _chance_above(values, limit, margin, poses) <= 1.0 - confidence
+
+    return fewest(shows, 0) if shows(MOST_POSES) else None
 
 
 def _chance_above(values: Floats, limit: float, mean: float, n: int) -> float:
@@ -304,15 +285,13 @@ def holm(p_values: Sequence[float]) -> tuple[float, ...]:
 
     A question whose adjusted value is below 0.05 is significant with 5 % for the whole family.
     """
-    order = sorted(range(len(p_values)), key=lambda k: p_values[k])
-    adjusted = [1.0] * len(p_values)
-    highest = 0.0
-    for rank, k in enumerate(order):
-        if not 0.0 <= p_values[k] <= 1.0:
-            raise ValueError(f"p-value {p_values[k]} is not between 0 and 1")
-        highest = max(highest, min(1.0, (len(p_values) - rank) * p_values[k]))
-        adjusted[k] = highest
-    return tuple(adjusted)
+    p = np.asarray(p_values, dtype=np.float64)
+    if not ((p >= 0.0) & (p <= 1.0)).all():
+        raise ValueError(f"p-values {list(p_values)}: one is not between 0 and 1")
+    order, adjusted = np.argsort(p, kind="stable"), np.empty(len(p))
+    steps = np.minimum(1.0, np.arange(len(p), 0, -1) * p[order])
+    adjusted[order] = np.maximum.accumulate(steps)
+    return tuple(adjusted.tolist())
 
 
 def _crossing(function: Callable[[float], float], low: float, high: float) -> float:
@@ -409,18 +388,23 @@ def compare(
     if not 0.0 <= margin < float("inf"):
         raise ValueError(f"margin: {margin} mm must be 0 or more")
     pooled = _row(None, pairs, confidence, seed)
-    names = dict.fromkeys(pair.situation for pair in pairs)
     rows = [
         _row(name, [pair for pair in pairs if pair.situation == name], confidence, seed)
-        for name in names
+        for name in dict.fromkeys(pair.situation for pair in pairs)
     ]
-    adjusted = _adjusted(rows)
-    return Compared(
-        pooled,
-        adjusted,
-        gate(pairs, pooled, margin, unpaired, adjusted if len(adjusted) > 1 else ()),
-        confidence,
+    success = holm([row.success.p_value for row in rows])
+    radial = iter(holm([p for row in rows if (p := row.radial.p_value) is not None]))
+    situations = tuple(
+        replace(
+            row,
+            success_holm=p,
+            radial_holm=None if row.radial.p_value is None else next(radial),
+        )
+        for row, p in zip(rows, success, strict=True)
     )
+    several = situations if len(situations) > 1 else ()
+    verdict = gate(pairs, pooled, margin, unpaired, several)
+    return Compared(pooled, situations, verdict, confidence)
 
 
 def gate(
@@ -436,71 +420,51 @@ def gate(
         for pair in pairs
         if pair.old.success and not pair.new.success
     ]
-    worse += _more("false teat", pooled.old.false, pooled.new.false) + _more(
-        "missed teat", pooled.old.missed, pooled.new.missed
-    )
-    mean, high = pooled.radial.mean, pooled.radial.high
-    errors = (
-        ("distance to the teat end", pooled.radial),
-        *((f"error along {name}", axis) for name, axis in zip("xyz", pooled.axes, strict=True)),
-    )
-    grown = [
-        (what, found.mean)
-        for what, found in errors
-        if found.mean is not None and found.mean > margin_mm
-    ]
+    for what in ("false", "missed"):
+        old, new = getattr(pooled.old, what), getattr(pooled.new, what)
+        if new > old:
+            worse.append(f"{plural(new - old, f'{what} teat')} more ({new} instead of {old})")
+    means = {"distance to the teat end": pooled.radial.mean}
+    means |= {
+        f"error along {name}": axis.mean for name, axis in zip("xyz", pooled.axes, strict=True)
+    }
     worse += [
         f"the mean {what} grew by {by:.3f} mm, more than the margin of {margin_mm:g} mm"
-        for what, by in grown
+        for what, by in means.items()
+        if by is not None and by > margin_mm
     ]
-    shown, perhaps = _grown_in(situations, margin_mm)
+    shown, left_open = _grown_in(situations, margin_mm)
     worse += shown
     if worse:
         return Gate(Verdict.NOT_MET, tuple(worse), margin_mm)
-    open_questions = list(perhaps)
     if unpaired:
-        open_questions.append(f"{unpaired} scenes of the old one were not run with the new one")
-    if mean is None or high is None:
-        open_questions.append("no teat was found by both, so no error was compared")
+        left_open.append(f"{unpaired} scenes of the old one were not run with the new one")
+    high, tail = pooled.radial.high, (1.0 + pooled.radial.confidence) / 2.0
+    poses = plural(pooled.poses, "pose")
+    if high is None:
+        left_open.append("no teat was found by both, so no error was compared")
     elif high > margin_mm:
-        open_questions.append(_hidden(pairs, pooled.radial, margin_mm))
-    if open_questions:
-        return Gate(Verdict.INCONCLUSIVE, tuple(open_questions), margin_mm)
-    tail = (1.0 + pooled.radial.confidence) / 2.0
+        left_open.append(
+            f"the mean distance changed by {pooled.radial.mean:+.3f} mm in"
+            f" {plural(pooled.radial.poses, 'pose')}; poses that were not run may hide that it grew"
+            f" by {high:.3f} mm (margin {margin_mm:g} mm): {_needed(pairs, margin_mm, tail)}"
+        )
+    if left_open:
+        return Gate(Verdict.INCONCLUSIVE, tuple(left_open), margin_mm)
     failing = Rate(0, pooled.poses).upper_bound(tail) or 0.0
     bounds = (
         f"over all poses the mean distance grew by at most {high:.3f} mm (margin {margin_mm:g} mm) "
-        f"and at most {percent(failing)} of poses are lost anew ({poses_told(pooled.poses)}, "
+        f"and at most {percent(failing)} of poses are lost anew ({poses}, "
         f"{exact_percent(tail)} confidence each)"
     )
     return Gate(Verdict.MET, ("no scene lost, no false or missed teat more", bounds), margin_mm)
-
-
-def _hidden(pairs: Sequence[ScenePair], found: PairedDifference, margin_mm: float) -> str:
-    """What the poses that were not run may hide, and how many poses would show that they don't."""
-    limit_mm, (old, new, poses) = _limit_mm(pairs), _common(pairs)
-    changes = pose_differences(
-        np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1), poses, limit=limit_mm
-    )
-    needed = poses_to_show(changes, limit_mm, margin_mm, (1.0 + found.confidence) / 2.0)
-    more = (
-        "no number of poses with such changes shows less"
-        if needed is None
-        else f"{needed} poses with such changes show less"
-    )
-    return (
-        f"the mean distance changed by {found.mean:+.3f} mm in {poses_told(found.poses)}; poses "
-        f"that were not run may hide that it grew by {found.high:.3f} mm "
-        f"(margin {margin_mm:g} mm): {more}"
-    )
 
 
 def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], list[str]]:
     """Situations whose mean distance grew by more than the margin, which the mean over all may
     hide: shown, and perhaps by chance.
     """
-    shown: list[str] = []
-    perhaps: list[str] = []
+    shown, perhaps = [], []
     for row in situations:
         by, p = row.radial.mean, row.radial_holm
         if by is None or by <= margin_mm:
@@ -514,6 +478,20 @@ def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], l
                 " of it"
             )
     return shown, perhaps
+
+
+def _needed(pairs: Sequence[ScenePair], margin_mm: float, confidence: float) -> str:
+    """How many poses would show that those that were not run hide nothing."""
+    limit_mm, (old, new, poses) = _limit_mm(pairs), _common(pairs)
+    changes = pose_differences(
+        np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1), poses, limit=limit_mm
+    )
+    needed = poses_to_show(changes, limit_mm, margin_mm, confidence)
+    return (
+        "no number of poses with such changes shows less"
+        if needed is None
+        else f"{needed} poses with such changes show less"
+    )
 
 
 def why_failed(score: SceneScore) -> str:
@@ -556,49 +534,20 @@ def _row(situation: str | None, pairs: Sequence[ScenePair], confidence: float, s
         )
 
     x, y, z = (differ(np.abs(old[:, k]), np.abs(new[:, k])) for k in range(3))
+    # a pose succeeds when all its repeats do
+    names = dict.fromkeys(pair.pose for pair in pairs)
+    failed = [
+        {pair.pose for pair in pairs if not score(pair).success}
+        for score in (attrgetter("old"), attrgetter("new"))
+    ]
     return Row(
         situation=situation,
         scenes=len(pairs),
-        poses=len({pair.pose for pair in pairs}),
+        poses=len(names),
         teats=len(old),
-        success=_successes(pairs),
+        success=discordance(*([name not in lost for name in names] for lost in failed)),
         radial=differ(np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1)),
         axes=(x, y, z),
         old=added(pair.old.counts for pair in pairs),
         new=added(pair.new.counts for pair in pairs),
-    )
-
-
-def _successes(pairs: Iterable[ScenePair]) -> Discordance:
-    """By pose: a pose succeeds when all its repeats do."""
-    old: dict[str, bool] = {}
-    new: dict[str, bool] = {}
-    for pair in pairs:
-        old[pair.pose] = old.get(pair.pose, True) and pair.old.success
-        new[pair.pose] = new.get(pair.pose, True) and pair.new.success
-    return discordance(list(old.values()), list(new.values()))
-
-
-def _adjusted(rows: Sequence[Row]) -> tuple[Row, ...]:
-    success = holm([row.success.p_value for row in rows])
-    asked = [row for row in rows if row.radial.p_value is not None]
-    radial = dict(
-        zip(
-            (row.situation for row in asked),
-            holm([row.radial.p_value or 0.0 for row in asked]),
-            strict=True,
-        )
-    )
-    return tuple(
-        replace(row, success_holm=p, radial_holm=radial.get(row.situation))
-        for row, p in zip(rows, success, strict=True)
-    )
-
-
-def _more(what: str, old: int, new: int) -> list[str]:
-    more = new - old
-    return (
-        [f"{more} {what}{'s' if more > 1 else ''} more ({new} instead of {old})"]
-        if more > 0
-        else []
     )

@@ -1,28 +1,21 @@
-"""The checks that every array passes on its way into a score, and names as numbers. Knows nothing
-but shapes.
-
-Errors of matched teats: bias, spread and distance, per axis and radial. Knows neither teats nor
-poses: only difference vectors.
+"""Errors of matched teats: bias, spread and distance, per axis and radial; what covers a share of
+them with a stated confidence (ISO 16269-6); and the checks of every array on its way into a score.
 
 No signed mean is ever called "the error": bias and spread stand side by side, rms^2 = bias^2 + sd^2
 holds exactly (sd divides by n), and the distance has figures of its own. Percentiles are observed
-values (the smallest with at least that share at or below it), not interpolated.
-
-Tolerance limits: what covers a share of all errors with a stated confidence (ISO 16269-6). Knows
-only sorted numbers.
-
-`rate` is the share that is covered, `confidence` how sure that is; "99/95" is a rate of 0.99 with a
-confidence of 0.95.
+values (the smallest with at least that share at or below it), not interpolated. `rate` is the share
+that is covered, `confidence` how sure that is; "99/95" is a rate of 0.99 with a confidence of 0.95.
 """
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
 import numpy.typing as npt
+from numpy.linalg import det
 from scipy.special import bdtr, nctdtrit, ndtri
 
 from bench.scoring.rates import zero_failure_n
@@ -77,9 +70,6 @@ def numbered(names: Sequence[Hashable]) -> npt.NDArray[np.intp]:
     return np.fromiter(map(numbers.__getitem__, names), dtype=np.intp, count=len(names))
 
 
-AXES = ("x", "y", "z")
-
-
 @dataclass(frozen=True, slots=True)
 class AxisSummary:
     """Signed errors along one axis, mm. All None where n is 0: not measured."""
@@ -118,10 +108,6 @@ class ErrorSummary:
     z: AxisSummary
     components: AxisSummary
     radial: RadialSummary
-
-    def as_dict(self) -> dict[str, object]:
-        """Plain numbers, text and None, nested as the fields are."""
-        return asdict(self)
 
 
 def summarise_axis(values_mm: npt.ArrayLike) -> AxisSummary:
@@ -170,7 +156,14 @@ def summarise(
     """
     errors = as_points(errors_mm, "errors")
     if camera_from_world is not None:
-        errors = errors @ _as_rotation(camera_from_world).T
+        rotation = np.asarray(camera_from_world, dtype=np.float64)
+        if rotation.shape != (3, 3):
+            raise ValueError(
+                f"camera_from_world: expected a rotation matrix (3, 3), got {rotation.shape}"
+            )
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or det(rotation) < 0:
+            raise ValueError("camera_from_world: no proper rotation, so it would change lengths")
+        errors = errors @ rotation.T
     along = [summarise_axis(errors[:, k]) for k in range(3)]
     return ErrorSummary(
         n=len(errors),
@@ -193,20 +186,6 @@ def percentile(values: npt.ArrayLike, percent: float) -> float:
     return float(np.percentile(given, percent, method="inverted_cdf"))
 
 
-def _as_rotation(matrix: npt.ArrayLike) -> Floats:
-    rotation = np.asarray(matrix, dtype=np.float64)
-    if rotation.shape != (3, 3):
-        raise ValueError(
-            f"camera_from_world: expected a rotation matrix (3, 3), got shape {rotation.shape}"
-        )
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
-        raise ValueError(
-            "camera_from_world: the matrix is no proper rotation, so it would change lengths; use a"
-            " rigid fit"
-        )
-    return rotation
-
-
 def normal_k(n: int, rate: float, confidence: float = 0.95) -> float:
     """One-sided factor: mean + k sd (sd divides by n - 1) covers `rate` of a normal population.
     k(30; 95/95) = 2.220.
@@ -216,13 +195,6 @@ def normal_k(n: int, rate: float, confidence: float = 0.95) -> float:
     zero_failure_n(rate, confidence)  # refuses a rate or a confidence outside 0 to 1
     root = float(np.sqrt(n))
     return float(nctdtrit(n - 1, ndtri(rate) * root, confidence)) / root
-
-
-def distribution_free_n(rate: float, confidence: float = 0.95) -> int:
-    """The n at which the largest of n values covers `rate` whatever the distribution: 59 for 95/95,
-    299 for 99/95.
-    """
-    return zero_failure_n(rate, confidence)
 
 
 def quantile_bounds(
@@ -239,9 +211,7 @@ def quantile_bounds(
     zero_failure_n(rate, confidence)
     # P(at most k of n values lie below the quantile), k = 0 to n
     at_most = bdtr(np.arange(n + 1), n, rate)
-    # 0-based: P(at most `upper` values lie below the quantile) >= confidence
     upper = int(np.searchsorted(at_most, confidence))
-    # P(at least `lower` + 1 values lie below it) >= confidence
     lower = int(np.searchsorted(at_most, 1.0 - confidence)) - 1
     return (
         float(ordered[lower]) if lower >= 0 else None,

@@ -10,7 +10,7 @@ and a visible teat loses its finding to a hidden one only where that is much nea
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from itertools import combinations, starmap
 from math import dist, inf, sqrt
@@ -109,17 +109,17 @@ class Match:
         return sqrt(sum(d * d for d in self.distances_mm) + self.gate_mm**2 / 2 * outliers)
 
 
-def gate_mm(truth_mm: npt.ArrayLike, ceiling_mm: float = GATE_CEILING_MM) -> float:
+def gate_mm(truth_mm: npt.ArrayLike) -> float:
     """The gate of a scene: min(25 mm, half the least spacing of its teats, the hidden ones too);
     `truth_mm` is (m, 3).
 
     Half the spacing, because then no finding lies within the gate of two teats. Raises ValueError
     where two ends are at one place.
     """
-    return gate_between(as_points(truth_mm, "truth").tolist(), ceiling_mm)
+    return gate_between(as_points(truth_mm, "truth").tolist())
 
 
-def gate_between(truth: Points, ceiling_mm: float = GATE_CEILING_MM) -> float:
+def gate_between(truth: Points) -> float:
     """`gate_mm` of points that are checked already."""
     least = min(starmap(dist, combinations(truth, 2)), default=inf)
     if least < LEAST_SPACING_MM:
@@ -130,7 +130,7 @@ def gate_between(truth: Points, ceiling_mm: float = GATE_CEILING_MM) -> float:
             f"truth: the ends of teats {i + 1} and {j + 1} are {least:.2f} mm apart, at {truth[i]}"
             " mm; one was touched twice"
         )
-    return min(ceiling_mm, least / 2)
+    return min(GATE_CEILING_MM, least / 2)
 
 
 def match(
@@ -151,20 +151,21 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
     """`match` of points and flags that are checked already: lists, since a scene has a handful of
     teats.
     """
-    _check_gate(gate_mm)
+    if not 0.0 < gate_mm < inf:
+        raise ValueError(f"gate: {gate_mm} mm is not above 0 and finite; use gate_mm(truth)")
     within = {
         (i, j): d
         for j, b in enumerate(truth)
         for i, a in enumerate(found)
         if (d := dist(a, b)) <= gate_mm
     }
-    near_found, near_truth = {i for i, _ in within}, {j for _, j in within}
-    if len(near_found) == len(near_truth) == len(within):
-        kept = list(within)  # nobody contends; in order of truth, as the pairs were looked at
-    elif len(near_found) == len(within):
-        kept = _apart(within)
-    else:
-        kept = _crowded(found, truth, seen, gate_mm, within)
+    kept = list(within)  # in order of truth, as the pairs were looked at
+    if not len({i for i, _ in kept}) == len({j for _, j in kept}) == len(kept):  # they contend
+        squared = ((np.array(found)[:, None] - np.array(truth)) ** 2).sum(axis=2)
+        gain = np.where(seen, 1.0, 0.5) * (np.minimum(squared, gate_mm**2) - gate_mm**2)
+        rows, cols = linear_sum_assignment(gain)
+        chosen = sorted(zip(cols.tolist(), rows.tolist(), strict=True))
+        kept = [(i, j) for j, i in chosen if (i, j) in within]
     taken_found, taken_truth = {i for i, _ in kept}, {j for _, j in kept}
     pairs = tuple([(i, j) for i, j in kept if seen[j]])
     return Match(
@@ -176,40 +177,6 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
         hidden=len(seen) - sum(seen),
         gate_mm=float(gate_mm),
     )
-
-
-def gospa_mm(a_mm: npt.ArrayLike, b_mm: npt.ArrayLike, gate_mm: float) -> float:
-    """GOSPA between two sets of points (n, 3) and (m, 3), p = 2, alpha = 2, c = gate: a metric for
-    a fixed gate.
-    """
-    b = as_points(b_mm, "b")
-    return match(a_mm, b, np.ones(len(b), dtype=bool), gate_mm).gospa_mm
-
-
-def _apart(within: Mapping[tuple[int, int], float]) -> list[tuple[int, int]]:
-    """The optimum where no finding is within the gate of two teats: each teat takes the nearest. In
-    order of truth.
-    """
-    best: dict[int, tuple[float, int]] = {}
-    for (i, j), d in within.items():
-        if j not in best or (d, i) < best[j]:
-            best[j] = (d, i)
-    return [(i, j) for j, (_, i) in sorted(best.items())]
-
-
-def _crowded(
-    found: Points,
-    truth: Points,
-    seen: list[bool],
-    gate: float,
-    within: Mapping[tuple[int, int], float],
-) -> list[tuple[int, int]]:
-    """The optimum where some finding is within the gate of several teats. In order of truth."""
-    squared = ((np.array(found)[:, None, :] - np.array(truth)[None, :, :]) ** 2).sum(axis=2)
-    gain = np.where(seen, 1.0, 0.5) * (np.minimum(squared, gate**2) - gate**2)
-    rows, cols = linear_sum_assignment(gain)
-    chosen = zip(cols.tolist(), rows.tolist(), strict=True)
-    return [(i, j) for j, i in sorted(chosen) if (i, j) in within]
 
 
 def as_flags(visible: npt.ArrayLike, teats: int) -> list[bool]:
@@ -229,8 +196,3 @@ def as_flags(visible: npt.ArrayLike, teats: int) -> list[bool]:
     if any(flag not in (0, 1) for flag in flags):
         raise ValueError(f"visible: expected true or false (1 or 0), got {flags}")
     return [bool(flag) for flag in flags]
-
-
-def _check_gate(gate: float) -> None:
-    if not 0.0 < gate < float("inf"):
-        raise ValueError(f"gate: {gate} mm is not above 0 and finite; use gate_mm(truth)")

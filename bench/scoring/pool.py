@@ -89,25 +89,6 @@ class Pool:
         return pose_successes(self.poses, [not s.surely_failed for s in self.scores])
 
     @property
-    def all_found(self) -> Rate:
-        """Poses whose visible teats were all found in all repeats, of the poses that have any:
-        recall by pose, for an interval.
-        """
-        seen = [
-            (p, not s.match.missed)
-            for p, s in zip(self.poses, self.scores, strict=True)
-            if s.counts.visible
-        ]
-        return pose_successes([p for p, _ in seen], [found for _, found in seen])
-
-    @property
-    def nothing_false(self) -> Rate:
-        """Poses without a false finding in any repeat, of the poses: precision by pose, for an
-        interval.
-        """
-        return pose_successes(self.poses, [not s.match.false for s in self.scores])
-
-    @property
     def worst_false(self) -> tuple[int, ...]:
         """The false findings of each pose's worst repeat."""
         worst: dict[Hashable, int] = {}
@@ -150,16 +131,6 @@ class Pool:
         return tuple(
             p for p, s in zip(self.poses, self.scores, strict=True) for _ in range(len(s.errors_mm))
         )
-
-    def errors_of_teat(self, teat: int) -> Floats:
-        """The errors (n, 3) of one teat, by its index in the truth."""
-        rows = [
-            s.errors_mm[k]
-            for s in self.scores
-            for k, (_, j) in enumerate(s.match.pairs)
-            if j == teat
-        ]
-        return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def summary(self, camera_from_world: Floats | None = None) -> ErrorSummary:
         """All matched teats; with a rotation (3, 3), along the camera's axes."""

@@ -1,16 +1,12 @@
-"""Repeatability and reproducibility of the bench itself: gage R&R of the ground truth, a crossed
-analysis of variance.
+"""Repeatability and reproducibility: gage R&R of the ground truth, a crossed analysis of variance
+(AIAG, Measurement Systems Analysis, 4th edition, chapter III, and ISO 22514-7); accuracy and
+repeatability of poses (ISO 9283:1998, 7.2), of distances (7.3), drift, and the components of spread
+(ISO 5725-2:1994).
 
-AIAG, Measurement Systems Analysis, 4th edition, chapter III (ANOVA method), and ISO 22514-7: parts
-are teat ends at poses, appraisers are set-ups (repeats of the pose, or runs), repeats are touches.
-A component below zero is zero. An interaction that isn't significant at 25 % is pooled into the
-repeatability, as the manual does. Knows only numbers.
-
-Repeated poses: accuracy and repeatability (ISO 9283:1998, 7.2), distances (7.3), drift, and the
-components of spread (ISO 5725-2:1994).
-
-Standard deviations divide by n - 1 here, as both standards do. Knows only points and numbers; a
-spread of one value is None.
+In the gage study parts are teat ends at poses, appraisers are set-ups (repeats of the pose, or
+runs), repeats are touches. A component below zero is zero. An interaction that isn't significant at
+25 % is pooled into the repeatability, as the manual does. Standard deviations divide by n - 1, as
+the standards do; a spread of one value is None.
 """
 
 from __future__ import annotations

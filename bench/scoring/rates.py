@@ -7,7 +7,7 @@ Intervals count poses, not frames: frames of one pose are not independent trials
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from math import ceil, log, log1p, sqrt
 
@@ -42,30 +42,24 @@ class Rate:
         return self.successes / self.trials if self.trials else None
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float] | None:
-        """Two-sided exact interval (low, high) of the true rate, or
-        None where nothing was tried.
+        """Two-sided exact interval (low, high) of the true rate, or None where nothing was
+        tried.
         """
-        _check_open("confidence", confidence)
+        check_open("confidence", confidence)
         tail = (1.0 + confidence) / 2.0
         low, high = self.lower_bound(tail), self.upper_bound(tail)
         return None if low is None or high is None else (low, high)
 
     def lower_bound(self, confidence: float = 0.95) -> float | None:
-        """One-sided exact lower bound: the true rate is at least this, with the confidence given.
-        None where nothing was tried.
+        """One-sided exact bound: the true rate is at least this, with the confidence given. None
+        where nothing was tried.
         """
-        _check_open("confidence", confidence)
-        if not self.trials:
-            return None
-        if self.successes == 0:
-            return 0.0
-        return float(betaincinv(self.successes, self.failures + 1, 1.0 - confidence))
+        failed = Rate(self.failures, self.trials).upper_bound(confidence)
+        return None if failed is None else 1.0 - failed
 
     def upper_bound(self, confidence: float = 0.95) -> float | None:
-        """One-sided exact upper bound: the true rate is at most this, with the confidence given.
-        None where nothing was tried.
-        """
-        _check_open("confidence", confidence)
+        """One-sided exact bound: the true rate is at most this. None where nothing was tried."""
+        check_open("confidence", confidence)
         if not self.trials:
             return None
         if self.failures == 0:
@@ -107,12 +101,17 @@ def exact_percent(fraction: float) -> str:
     return f"{100 * fraction:.6g} %"
 
 
+def plural(n: int, thing: str) -> str:
+    """``1 pose``, ``59 poses``."""
+    return f"{n} {thing}" if n == 1 else f"{n} {thing}s"
+
+
 def zero_failure_n(rate: float, confidence: float = 0.95) -> int:
     """Fewest trials, none failed, that show a success rate of at least `rate`: the least n with
     rate^n <= 1 - confidence.
     """
-    _check_open("rate", rate)
-    _check_open("confidence", confidence)
+    check_open("rate", rate)
+    check_open("confidence", confidence)
     return max(1, ceil(log1p(-confidence) / log(rate) - 1e-12))
 
 
@@ -122,15 +121,13 @@ def trials_needed(failures: int, rate: float, confidence: float = 0.95) -> int:
     """
     if failures < 0:
         raise ValueError(f"failures: {failures} is negative")
-    # the bound is below `rate` here, and at `high` it is not
-    low = max(failures, zero_failure_n(rate, confidence) - 1)
-    high = 2 * (low + 1)
-    while not _shows(failures, high, rate, confidence):
-        low, high = high, 2 * high
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if _shows(failures, middle, rate, confidence) else (middle, high)
-    return high
+    start = max(failures, zero_failure_n(rate, confidence) - 1)
+
+    def shows(trials: int) -> bool:
+        bound = Rate(trials - failures, trials).lower_bound(confidence)
+        return bound is not None and bound >= rate
+
+    return fewest(shows, start)
 
 
 def guarded_n(
@@ -146,18 +143,19 @@ def guarded_n(
     if leak >= allowed - 1e-9:
         return None
     enough = trials_needed(failures, rate, confidence)
-    if shown_falsely(failures, enough, rate, leak) <= allowed or leak == 0.0:
+    if leak == 0.0:
         return enough
-    low, high = enough, 2 * enough
-    while shown_falsely(failures, high, rate, leak) > allowed:
+    return fewest(lambda trials: shown_falsely(failures, trials, rate, leak) <= allowed, enough - 1)
+
+
+def fewest(enough: Callable[[int], bool], below: int) -> int:
+    """The least number above `below` that is `enough`, which all larger ones are too."""
+    low, high = below, max(below + 1, 1)
+    while not enough(high):
         low, high = high, 2 * high
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (
-            (middle, high)
-            if shown_falsely(failures, middle, rate, leak) > allowed
-            else (low, middle)
-        )
+        low, high = (low, middle) if enough(middle) else (middle, high)
     return high
 
 
@@ -182,18 +180,13 @@ def pose_successes(poses: Sequence[Hashable], successes: Iterable[bool]) -> Rate
     """Frames to poses: `poses` names the pose of each frame. Rule: a pose succeeds when all its
     repeats do; one failed repeat fails it.
     """
-    passed: dict[Hashable, bool] = {}
-    for pose, success in zip(poses, successes, strict=True):
-        passed[pose] = passed.get(pose, True) and bool(success)
-    return Rate(sum(passed.values()), len(passed))
+    failed = {pose for pose, success in zip(poses, successes, strict=True) if not success}
+    trials = len(set(poses))
+    return Rate(trials - len(failed), trials)
 
 
-def _shows(failures: int, trials: int, rate: float, confidence: float) -> bool:
-    bound = Rate(trials - failures, trials).lower_bound(confidence)
-    return bound is not None and bound >= rate
-
-
-def _check_open(name: str, value: float) -> None:
+def check_open(name: str, value: float) -> None:
+    """Raise ValueError where a rate or a confidence is no share that can be shown."""
     if not 0.0 < value < 1.0:
         raise ValueError(
             f"{name}: {value} must lie between 0 and 1, both excluded (no number of trials shows"

@@ -19,7 +19,7 @@ from math import sqrt
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtr, chdtri, fdtrc, fdtri
+from scipy.special import chdtri, fdtrc, fdtri
 
 from bench.scoring.errors import Bools, Floats, as_points, as_values, numbered
 
@@ -38,11 +38,6 @@ class Ellipsoid:
     centre_mm: Floats
     half_axes_mm: Floats
     directions: Floats
-
-    @property
-    def volume_mm3(self) -> float:
-        """4/3 pi a b c."""
-        return float(4.0 / 3.0 * np.pi * np.prod(self.half_axes_mm))
 
     def outline_mm(self, first: int, second: int, points: int = 72) -> Floats:
         """Its shadow on the plane of two axes (0 x, 1 y, 2 z) as a closed line (points, 2)."""
@@ -165,13 +160,6 @@ def consistency(
         float(chdtri(freedom, 1.0 - tail)) / freedom,
         float(chdtri(freedom, tail)) / freedom,
     )
-
-
-def share_within(half_axes: float) -> float:
-    """The share of a normal population in three dimensions within so many standard deviations:
-    0.199 for 1, 0.739 for 2, 0.971 for 3.
-    """
-    return float(chdtr(AXES, half_axes**2))
 
 
 def _ellipsoid(

@@ -16,9 +16,14 @@ from scipy.optimize import brentq
 from scipy.special import bdtr, bdtrc, gammaincinv, ndtr, stdtrit
 from scipy.stats import binom
 
-from bench.scoring.errors import Floats
 from bench.scoring.guard_band import acceptance_limit_mm, leak
-from bench.scoring.rates import Rate, shown_falsely, trials_needed, zero_failure_n
+from bench.scoring.rates import (
+    check_open,
+    fewest,
+    shown_falsely,
+    trials_needed,
+    zero_failure_n,
+)
 
 RARE = 1e-100  # a share so small is none: scipy's distributions overflow there
 
@@ -29,20 +34,7 @@ def failures_allowed(trials: int, rate: float, confidence: float = 0.95) -> int 
     """
     if trials < zero_failure_n(rate, confidence):
         return None
-    low, high = 0, trials  # `low` failures are allowed, `high` are not
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (
-            (middle, high) if trials_needed(middle, rate, confidence) <= trials else (low, middle)
-        )
-    return low
-
-
-def shown_rate(trials: int, failures: int = 0, confidence: float = 0.95) -> float | None:
-    """The rate that `trials` poses with so many failures show (exact one-sided bound): 24 of 24
-    show 0.883. None for no trial.
-    """
-    return Rate(trials - failures, trials).lower_bound(confidence)
+    return fewest(lambda k: trials_needed(k, rate, confidence) > trials, 0) - 1
 
 
 def shown_error_mm(
@@ -84,7 +76,7 @@ def discordant_needed(alpha: float = 0.05) -> int:
     """Fewest scenes, all lost (or won) by one of two detectors, that exact McNemar calls
     significant: 6 for 5 %.
     """
-    _share("alpha", alpha)
+    check_open("alpha", alpha)
     # 0.5^1100 is 0: no alpha is left
     return next(k for k in range(1, 1100) if 2.0 * 0.5**k < alpha)
 
@@ -118,7 +110,7 @@ def detectable_loss(trials: int, power: float = 0.8, alpha: float = 0.05) -> flo
     """The smallest share of scenes lost, none won, that a comparison over so many scenes shows with
     `power`; None where none can be.
     """
-    _share("power", power)
+    check_open("power", power)
     if trials < discordant_needed(alpha):
         return None
     return _rising_root(lambda lost: mcnemar_power(trials, lost, 0.0, alpha) - power, 1.0)
@@ -134,14 +126,18 @@ def detectable_shift(
     Paired t, two-sided: noncentral t (Cohen, Statistical Power Analysis, 1988, section 2.4); the
     sign-flip test of a comparison has nearly the same power.
     """
-    _share("power", power)
+    check_open("power", power)
     _positive_sd(sd)
     if poses < 2:
         return None
-    edge = float(stdtrit(poses - 1, 1.0 - alpha / 2.0))
-    spread, weights = _sample_sd(poses - 1)
+    edge, freedom = float(stdtrit(poses - 1, 1.0 - alpha / 2.0)), poses - 1
+    # P(|T| > edge) is the mean of a normal chance over the sample's own standard deviation
+    # (Gauss-Legendre over its quantiles)
+    nodes, weights = np.polynomial.legendre.leggauss(256)
+    spread = edge * np.sqrt(gammaincinv(freedom / 2.0, (nodes + 1.0) / 2.0) * 2.0 / freedom)
     noncentrality = _rising_root(
-        lambda d: _t_power(d, spread, weights, edge) - power, 20.0 + 10.0 * edge
+        lambda d: float(weights @ (ndtr(d - spread) + ndtr(-d - spread))) / 2.0 - power,
+        20.0 + 10.0 * edge,
     )
     return None if noncentrality is None else noncentrality * sd / sqrt(poses)
 
@@ -154,40 +150,21 @@ def poses_for_shift(shift: float, sd: float, power: float = 0.8, alpha: float = 
             f"difference: {shift} must be above 0; no number of poses shows that two detectors are"
             " the same"
         )
-    low, high = 1, 2
-    while (found := detectable_shift(high, sd, power, alpha)) is None or found > shift:
-        low, high = high, 2 * high
-    while high - low > 1:
-        middle = (low + high) // 2
-        found = detectable_shift(middle, sd, power, alpha)
-        low, high = (low, middle) if found is not None and found <= shift else (middle, high)
-    return high
+
+    def shows(poses: int) -> bool:
+        found = detectable_shift(poses, sd, power, alpha)
+        return found is not None and found <= shift
+
+    return fewest(shows, 1)
 
 
 def _critical(discordant: npt.NDArray[np.int64], alpha: float) -> npt.NDArray[np.int64]:
     """For each number of discordant scenes the largest smaller count that is still significant; -1
     where none is.
     """
-    _share("alpha", alpha)
+    check_open("alpha", alpha)
     at = binom.ppf(alpha / 2.0, discordant, 0.5).astype(np.int64)
     return np.asarray(np.where(2.0 * bdtr(at, discordant, 0.5) < alpha, at, at - 1), dtype=np.int64)
-
-
-def _t_power(noncentrality: float, spread: Floats, weights: Floats, edge: float) -> float:
-    """P(|T| > edge) of noncentral t: the mean of the normal chance over the sample's own standard
-    deviation, which `spread` spans.
-    """
-    return float(
-        np.dot(weights, ndtr(noncentrality - edge * spread) + ndtr(-noncentrality - edge * spread))
-    )
-
-
-def _sample_sd(freedom: int) -> tuple[Floats, Floats]:
-    """Values and weights (Gauss-Legendre over its quantiles) of a sample's standard deviation, of a
-    population's of 1.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(256)
-    return np.sqrt(gammaincinv(freedom / 2.0, (nodes + 1.0) / 2.0) * 2.0 / freedom), weights / 2.0
 
 
 def _rising_root(function: Callable[[float], float], high: float) -> float | None:
@@ -195,11 +172,6 @@ def _rising_root(function: Callable[[float], float], high: float) -> float | Non
     if function(high) < 0.0:
         return None
     return 0.0 if function(0.0) >= 0.0 else float(brentq(function, 0.0, high, xtol=1e-9))
-
-
-def _share(name: str, value: float) -> None:
-    if not 0.0 < value < 1.0:
-        raise ValueError(f"{name}: {value} must lie between 0 and 1, both excluded")
 
 
 def _positive_sd(sd: float) -> None:

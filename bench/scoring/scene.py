@@ -89,15 +89,14 @@ class SceneScore:
             "hidden": m.hidden,
             "gate_mm": m.gate_mm,
             "gospa_mm": m.gospa_mm,
-            "seconds": self.seconds,
-            "in_time": self.in_time,
-            "limit_mm": self.limit_mm,
-            "u_mm": self.u_mm,
-            "success": self.success,
+            **{name: getattr(self, name) for name in _PLAIN},
             "doubtful": list(self.doubtful),
             "hidden_claimed": self.hidden_claimed,
             "hidden_right": self.hidden_right,
         }
+
+
+_PLAIN = ("seconds", "in_time", "limit_mm", "u_mm", "success")
 
 
 def score_scene(
@@ -129,17 +128,20 @@ def score_scene(
         )
     answers, ends = found.tolist(), truth.tolist()
     result = assign(answers, ends, as_flags(visible, len(ends)), gate_between(ends))
-    in_time = bool(seconds <= time_limit_s)
-    within = all(d <= limit_mm for d in result.distances_mm)
+    errors = np.array([list(map(sub, answers[i], ends[j])) for i, j in result.pairs])
+    in_time, largest = seconds <= time_limit_s, max(result.distances_mm, default=0.0)
+    accept, refuse = acceptance_limit_mm(limit_mm, u_mm), refusal_limit_mm(limit_mm, u_mm)
+    sure = -1.0 if accept is None else accept
+    near = zip(result.pairs, result.distances_mm, strict=True) if largest > sure else ()
     return SceneScore(
         match=result,
-        errors_mm=_errors(answers, ends, result),
+        errors_mm=_frozen(errors),
         seconds=float(seconds),
-        in_time=in_time,
+        in_time=bool(in_time),
         limit_mm=float(limit_mm),
         u_mm=float(u_mm),
-        success=bool(in_time and within and not result.missed and not result.false),
-        doubtful=_doubtful(result, limit_mm, u_mm),
+        success=bool(in_time and largest <= limit_mm and not result.missed and not result.false),
+        doubtful=tuple([j for (_, j), d in near if sure < d < refuse]),
         hidden_claimed=hidden_claimed,
     )
 
@@ -156,6 +158,7 @@ def scene_from_dict(stored: Mapping[str, Any]) -> SceneScore:
             hidden=int(stored["hidden"]),
             gate_mm=float(stored["gate_mm"]),
         )
+        claimed = stored["hidden_claimed"]
         return SceneScore(
             match=result,
             errors_mm=_frozen(as_points(stored["errors_mm"], "errors_mm")),
@@ -165,9 +168,7 @@ def scene_from_dict(stored: Mapping[str, Any]) -> SceneScore:
             u_mm=float(stored["u_mm"]),
             success=bool(stored["success"]),
             doubtful=tuple(int(j) for j in stored["doubtful"]),
-            hidden_claimed=(
-                None if stored["hidden_claimed"] is None else int(stored["hidden_claimed"])
-            ),
+            hidden_claimed=None if claimed is None else int(claimed),
         )
     except KeyError as missing:
         raise ValueError(
@@ -176,21 +177,7 @@ def scene_from_dict(stored: Mapping[str, Any]) -> SceneScore:
         ) from missing
 
 
-def _errors(found: list[list[float]], truth: list[list[float]], result: Match) -> Floats:
-    rows = [list(map(sub, found[i], truth[j])) for i, j in result.pairs]
-    return _frozen(np.array(rows, dtype=np.float64).reshape(-1, 3))
-
-
-def _doubtful(result: Match, limit_mm: float, u_mm: float) -> tuple[int, ...]:
-    accept, refuse = acceptance_limit_mm(limit_mm, u_mm), refusal_limit_mm(limit_mm, u_mm)
-    floor = -1.0 if accept is None else accept
-    if all(d <= floor for d in result.distances_mm):
-        return ()
-    return tuple(
-        j for (_, j), d in zip(result.pairs, result.distances_mm, strict=True) if floor < d < refuse
-    )
-
-
-def _frozen(array: Floats) -> Floats:
-    array.setflags(write=False)
-    return array
+def _frozen(errors: Floats) -> Floats:
+    errors = errors.reshape(-1, 3)
+    errors.setflags(write=False)
+    return errors

@@ -48,11 +48,6 @@ class Trend:
     p_holm: float | None = None
 
     @property
-    def over_span_mm(self) -> float | None:
-        """What the slope makes of the whole range: how much it matters."""
-        return None if self.slope is None else self.slope * self.span
-
-    @property
     def significant(self) -> bool:
         """At 5 % for the whole family of questions."""
         p = self.p_value if self.p_holm is None else self.p_holm

@@ -43,9 +43,9 @@ def check_arm(
         touches.append(
             {
                 "t_s": clock.now(),
-                "tip_mm": seen.point_mm.tolist(),
+                "tip_mm": seen.tip_mm.tolist(),
                 "axis": seen.axis.tolist(),
-                "spread_mm": seen.spread_mm,
+                "spread_mm": float(seen.spread_mm),
                 "counts": [int(count) for count in seen.counts],
             }
         )

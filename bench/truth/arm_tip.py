@@ -1,12 +1,10 @@
 """The arm's tip in the world: the one place where a reading, which is in the arm's own frame,
 becomes a point of the table.
-
-It may not know why a point is wanted, nor whose hand holds the arm.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -25,19 +23,6 @@ class ReadableArm(Protocol):
     @property
     def identity(self) -> Identity: ...
     def read(self, n: int = 8, max_spread_mm: float = 1.0) -> Reading: ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WorldTip:
-    """A reading in the world: ``point_mm`` (3,), ``axis`` (3,) from the tip up the stylus; the rest
-    as the arm gave it.
-    """
-
-    point_mm: NDArray[np.float64]
-    axis: NDArray[np.float64]
-    spread_mm: float
-    n: int
-    counts: tuple[int, ...]
 
 
 class TipReader:
@@ -64,14 +49,13 @@ class TipReader:
                 "arm", what, hint="Make the frame anew with this arm: 'teatbench arm frame'"
             )
 
-    def read(self) -> WorldTip:
-        """One reading of a still arm. Raises as the driver does."""
+    def read(self) -> Reading:
+        """One reading of a still arm, in the world. Raises as the driver does."""
         seen = self._arm.read(self._settings.packets, max_spread_mm=self._settings.max_spread_mm)
-        tip, axis = seen.tip_mm, seen.axis
-        if self._frame is not None:
-            motion = self._frame.world_from_arm
-            tip, axis = motion.apply(tip), motion.R @ axis
-        return WorldTip(tip, np.asarray(axis), float(seen.spread_mm), seen.n, seen.counts)
+        if self._frame is None:
+            return seen
+        motion = self._frame.world_from_arm
+        return replace(seen, tip_mm=motion.apply(seen.tip_mm), axis=motion.R @ seen.axis)
 
     def u_registration_mm(self, point_mm: NDArray[np.float64]) -> float | None:
         """What the frame adds to the uncertainty of ``point_mm``, along an axis; None where the

@@ -1,12 +1,9 @@
-"""Truth that the stage carries: ends touched once at a reference position, computed at every later
-one.
+"""Truth that the stage carries: touched once for each thing that stands there, computed at every
+later stage position, and checked by touch.
 
 end(s) = touched + R (s - s_reference), with R the rigid registration's rotation and s the stage
 position as read back from the controller. Only shifts are carried: a phantom that was turned,
-rearranged or shifted by hand is another `fixed`, and is touched anew. Pure: it may not know files,
-instruments or persons.
-
-Truth that the stage carries: touched once for each thing that stands there, and checked by touch.
+rearranged or shifted by hand is another `fixed`, and is touched anew.
 
 Check touches come where the phantom still stands as it stood for the trials that they confirm:
 before it is rearranged, every n carried trials, and at the end. A check beyond its limit
@@ -19,17 +16,25 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.record.reader import RunRecord
-from bench.record.writer import Row
+from bench.record.schema import Row
+from bench.record.writer import Store
 from bench.truth.registration import Registration
-from bench.truth.touching import Ends, ExpectedScene, NoTruthError, Toucher, TrialTruth, rows_of
+from bench.truth.touching import (
+    Ends,
+    ExpectedScene,
+    NoTruthError,
+    TouchedTruth,
+    Toucher,
+    TrialTruth,
+)
 from bench.truth.uncertainty import (
     Component,
+    Floats,
     How,
     Triple,
     TruthPoint,
@@ -39,8 +44,6 @@ from bench.truth.uncertainty import (
 )
 from instruments.operators.operator import OperatorSkip
 from instruments.world.phantom import Phantom, PlatePose
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,17 +72,15 @@ class Reference:
 
 def reference_from_dict(stored: Mapping[str, Any]) -> Reference:
     """A reference from what `Reference.as_dict` gave."""
-    points = []
-    for end in stored["ends"]:
-        x, y, z = end["point_mm"]
-        points.append(
-            TruthPoint(
-                (x, y, z), TruthUncertainty.of(Component(**line) for line in end["components"])
-            )
+    points = tuple(
+        TruthPoint(
+            triple(end["point_mm"]),
+            TruthUncertainty(tuple(Component(**line) for line in end["components"])),
         )
-    a, b, c = stored["stage_mm"]
-    axes = tuple((x, y, z) for x, y, z in stored["axes"])
-    return Reference(stored["trial"], stored["fixed"], (a, b, c), tuple(points), axes)
+        for end in stored["ends"]
+    )
+    axes = tuple(triple(axis) for axis in stored["axes"])
+    return Reference(stored["trial"], stored["fixed"], triple(stored["stage_mm"]), points, axes)
 
 
 def fixed_key(phantom: Phantom, by_hand: PlatePose, yaw_rad: float) -> str:
@@ -114,57 +115,8 @@ def carried(
     return ends
 
 
-@dataclass(frozen=True, slots=True)
-class CheckTouch:
-    """One end touched again: where the carry had it, and where it was."""
-
-    teat: int
-    touched_mm: Triple
-    carried_mm: Triple
-    limit_mm: float
-
-    @property
-    def off_mm(self) -> float:
-        """Distance of the two."""
-        return float(np.linalg.norm(np.subtract(self.touched_mm, self.carried_mm)))
-
-    @property
-    def held(self) -> bool:
-        """Whether the carry was right, as far as the limit tells."""
-        return self.off_mm <= self.limit_mm
-
-
-def check_touches(
-    touched: Sequence[TruthPoint], expected: Sequence[TruthPoint], limit_mm: float
-) -> tuple[CheckTouch, ...]:
-    """The touched ends beside the carried ones, in the order of the teats."""
-    pairs = zip(touched, expected, strict=True)
-    return tuple(
-        CheckTouch(teat, a.point_mm, b.point_mm, limit_mm) for teat, (a, b) in enumerate(pairs, 1)
-    )
-
-
 REFERENCE_FACT, UNCONFIRMED_FACT = "truth reference", "truth unconfirmed"
 LOST = "The stage lost its place, or phantom or arm were moved"
-
-
-class TruthStore(Protocol):
-    """What of the store is used."""
-
-    def fact(self, key: str, value: object) -> None: ...
-    def checked(
-        self, touches: Sequence[Row], confirmed: Sequence[str], invalid: Sequence[str], reason: str
-    ) -> None: ...
-
-
-@dataclass(frozen=True, slots=True)
-class CheckRule:
-    """A check after ``every`` carried trials (0: only at the end and before a rearrangement), and
-    how far off it may be.
-    """
-
-    every: int
-    limit_mm: float
 
 
 @dataclass(slots=True)
@@ -181,12 +133,14 @@ class CarryState:
     unconfirmed: list[str] = field(default_factory=list)
 
 
-class CarriedTruth:
+class CarriedTruth(TouchedTruth):
     """Touched once for each thing that stands there, carried by the stage afterwards, and checked
     by touch.
 
     ``registration`` gives the registration, at `begin`; ``stage_mm`` reads back where the stage
-    stands; ``tell`` is for the operator and the record. ``now_s`` is the time.
+    stands. A check comes after ``every`` carried trials (0: only at the end and before a
+    rearrangement), and may be off by ``limit_mm``. ``settled`` is told which trials a check has
+    confirmed (True) or invalidated; ``tell`` is for the operator and the record.
     """
 
     def __init__(
@@ -194,19 +148,24 @@ class CarriedTruth:
         toucher: Toucher,
         registration: Callable[[], Registration],
         stage_mm: Callable[[], Triple],
-        rule: CheckRule,
-        store: TruthStore,
+        store: Store,
+        settled: Callable[[Sequence[str], bool], None],
         tell: Callable[[str, str], None],
         now_s: Callable[[], float],
+        *,
+        every: int,
+        limit_mm: float,
         state: CarryState | None = None,
     ) -> None:
-        self._toucher = toucher
+        super().__init__(toucher, stage_mm)
         self._register = registration
-        self._stage_mm = stage_mm
-        self._rule = rule
+        self._stands_at = stage_mm
         self._store = store
+        self._settled = settled
         self._tell = tell
         self._now_s = now_s
+        self._every = every
+        self._limit_mm = limit_mm
         self._state = state or CarryState()
         self._registration: Registration | None = None
         self._begun = ""
@@ -227,7 +186,7 @@ class CarriedTruth:
         if state.reference is None:
             return
         rearranged = again or state.reference.fixed != shown.fixed
-        if state.since and (rearranged or 0 < self._rule.every <= len(state.since)):
+        if state.since and (rearranged or 0 < self._every <= len(state.since)):
             self._check(state.reference)
         if rearranged:  # what was touched stands no more, even where it is put back later
             self._give_up()
@@ -248,15 +207,16 @@ class CarriedTruth:
         """Carried where the same thing was touched before, else touched, and the reference for what
         follows.
         """
-        stage_mm, reference = self._stage_mm(), self._state.reference
-        if reference is not None and reference.fixed == shown.fixed:
-            self._away = True
+        reference = self._state.reference
+        self._away = reference is not None and reference.fixed == shown.fixed
+        if reference is not None and self._away:
+            stage_mm = self._stands_at()
             return TrialTruth(tuple(self._carried(reference, stage_mm)), (), stage_mm)
-        self._away = False
-        points, rows = self._toucher.touch_all(shown.ends)
+        truth = super().of_trial(shown)
+        stage_mm = truth.stage_mm or self._stands_at()
         axes = tuple(triple(axis) for axis in shown.ends.axes)
-        self._refer(Reference(shown.trial, shown.fixed, stage_mm, tuple(points), axes))
-        return TrialTruth(tuple(points), rows_of(shown.trial, rows), stage_mm)
+        self._refer(Reference(shown.trial, shown.fixed, stage_mm, truth.points, axes))
+        return truth
 
     def stored(self, trial: str, truth: TrialTruth) -> None:
         """Remember that this trial rests on the reference."""
@@ -274,16 +234,14 @@ class CarriedTruth:
         before anything else happens.
         """
         state, number = self._state, self._state.checks + 1
+        after = state.since[-1]
         self._away = False
-        self._tell(
-            "state", f"check touch {number} of the carried truth, after trial {state.since[-1]}"
-        )
-        stage_mm = self._stage_mm()
+        self._tell("state", f"check touch {number} of the carried truth, after trial {after}")
+        stage_mm = self._stands_at()
         expected = self._carried(reference, stage_mm)
+        places = np.array([point.point_mm for point in expected])
         try:
-            touched, _ = self._toucher.touch_all(
-                Ends(np.array([p.point_mm for p in expected]), np.array(reference.axes))
-            )
+            seen, _ = self._toucher.touch_all(Ends(places, np.array(reference.axes)))
         except OperatorSkip as skip:  # a wish about this check, not about the trial to come
             self._tell(
                 "check touch",
@@ -295,34 +253,44 @@ class CarriedTruth:
             self._failed(number, (), f"check touch {number}: {none}")
             self._refer(None)
             return
-        touches = check_touches(touched, expected, self._rule.limit_mm)
-        worst = max(touches, key=lambda one: one.off_mm)
+        touches = np.array([point.point_mm for point in seen])
+        off_mm, limit_mm = np.linalg.norm(touches - places, axis=1), self._limit_mm
+        names = ("x_mm", "y_mm", "z_mm", "carried_x_mm", "carried_y_mm", "carried_z_mm")
+        rows = [
+            {
+                "number": number,
+                "teat": str(teat),
+                "after_trial": after,
+                "t_s": self._now_s(),
+                **dict(zip(names, (*touch.tolist(), *place.tolist()), strict=True)),
+                "off_mm": float(off),
+                "limit_mm": limit_mm,
+                "held": int(off <= limit_mm),
+            }
+            for teat, (touch, place, off) in enumerate(zip(touches, places, off_mm, strict=True), 1)
+        ]
+        worst = int(np.argmax(off_mm))
         found = (
-            f"check touch {number}: the worst end, teat {worst.teat}, is {worst.off_mm:.2f} mm from"
-            f" where it was carried to, limit {worst.limit_mm:g} mm"
+            f"check touch {number}: the worst end, teat {worst + 1}, is {off_mm[worst]:.2f} mm from"
+            f" where it was carried to, limit {limit_mm:g} mm"
         )
-        rows = [_check_row(number, state.since[-1], self._now_s(), one) for one in touches]
-        if not worst.held:
+        if off_mm[worst] > limit_mm:
             self._failed(number, rows, found)
-            self._refer(
-                Reference(
-                    f"check touch {number}",
-                    reference.fixed,
-                    stage_mm,
-                    tuple(touched),
-                    reference.axes,
-                )
-            )
+            name = f"check touch {number}"
+            self._refer(Reference(name, reference.fixed, stage_mm, tuple(seen), reference.axes))
             return
-        self._store.checked(rows, tuple(state.since), (), "")
-        self._tell("check touch", f"{found}: {counted(len(state.since))} confirmed")
+        since = tuple(state.since)
+        self._store.checked(rows, (), "")
+        self._settled(since, True)
+        self._tell("check touch", f"{found}: {counted(len(since))} confirmed")
         state.checks = number
         state.since.clear()
 
     def _failed(self, number: int, rows: Sequence[Row], found: str) -> None:
         """Invalidate what no good check has confirmed."""
         since = tuple(self._state.since)
-        self._store.checked(rows, (), since, f"{found}; carried since the last good check. {LOST}")
+        self._store.checked(rows, since, f"{found}; carried since the last good check. {LOST}")
+        self._settled(since, False)
         self._tell(
             "invalid",
             f"{found}. Invalidated, as carried since the last good check: {', '.join(since)}."
@@ -345,7 +313,7 @@ class CarriedTruth:
     def _carried(self, reference: Reference, stage_mm: Triple) -> list[TruthPoint]:
         if self._registration is None:
             raise ValueError("a carried truth has to begin before the first trial")
-        return carried(reference, self._registration, stage_mm, self._toucher.u_registration_mm)
+        return carried(reference, self._registration, stage_mm, self._toucher.tip.u_registration_mm)
 
 
 def resumed(run: RunRecord) -> CarryState:
@@ -355,14 +323,11 @@ def resumed(run: RunRecord) -> CarryState:
     stored, unconfirmed = run.facts.get(REFERENCE_FACT), list(run.facts.get(UNCONFIRMED_FACT, ()))
     last = run.checks[-1]["after_trial"] if run.checks else None
     order = [trial.id for trial in run.trials]
-    later = order[order.index(last) + 1 :] if last in order else order
-    by_id = {trial.id: trial for trial in run.trials}
+    later = run.trials[order.index(last) + 1 :] if last in order else run.trials
     since = [
-        name
-        for name in later
-        if by_id[name].how == How.CARRIED
-        and by_id[name].invalid is None
-        and name not in unconfirmed
+        trial.id
+        for trial in later
+        if trial.how == How.CARRIED and trial.invalid is None and trial.id not in unconfirmed
     ]
     checks = max((int(row["number"]) for row in run.checks), default=0)
     return CarryState(reference_from_dict(stored) if stored else None, since, checks, unconfirmed)
@@ -371,23 +336,3 @@ def resumed(run: RunRecord) -> CarryState:
 def counted(trials: int) -> str:
     """``1 trial is``, ``2 trials are``."""
     return "1 trial is" if trials == 1 else f"{trials} trials are"
-
-
-def _check_row(number: int, after: str, t_s: float, one: CheckTouch) -> Row:
-    x, y, z = one.touched_mm
-    cx, cy, cz = one.carried_mm
-    return {
-        "number": number,
-        "teat": str(one.teat),
-        "after_trial": after,
-        "t_s": t_s,
-        "x_mm": x,
-        "y_mm": y,
-        "z_mm": z,
-        "carried_x_mm": cx,
-        "carried_y_mm": cy,
-        "carried_z_mm": cz,
-        "off_mm": one.off_mm,
-        "limit_mm": one.limit_mm,
-        "held": int(one.held),
-    }

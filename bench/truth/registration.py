@@ -1,42 +1,34 @@
-"""The stage's axes and what they may be off by: scale of each, and the right angles between them.
-Pure.
+"""Where the stage's axes lie in the world, from touches of one teat end at three or more stage
+positions; and how far that holds.
+
+A rigid motion carries (`world_from_stage`). Scale per axis and squareness are diagnostics only: a
+misfit may as well be the arm's as the stage's, and a truth that follows the arm's own errors from
+place to place would hide them. What the axes may be off by is stated in the rig file and enters the
+uncertainty of everything carried. Where the touches cast doubt on that statement (a chi-square test
+at `DOUBT`), what they show is put on top. They resolve little (some 2 mm/m), so a doubt that waited
+for proof would leave stages unlike their statement uncovered: of a stage five to ten times worse, a
+95 % region would hold 84 to 92 % of poses at 0.01 or 0.2, and holds 94 to 97 % at 0.4. Where they
+contradict it (at `ALPHA`), the report says what to mend.
 
 E = [[sx, -gxy, -gxz], [0, sy, -gyz], [0, 0, sz]]: a stage that is told to go by D goes by (I + E)
 D, in its own axes. The x axis is the reference, and g is by how much the angle between two axes
-exceeds a right one.
-
-With q the touched positions less their mean, touch noise n turns a rigid fit by w = H^-1 sum q x n,
-H = sum(|q|^2 I - q q^T), and axes that are off by E turn it by w = H^-1 sum q x E q; a carry by D
-is then off by w x D - E D. All to first order.
-
-Where the stage's axes lie in the world, from touches of one teat end at three or more stage
-positions; and how far that holds.
-
-Strategy: a rigid motion carries (`world_from_stage`). Scale per axis and squareness are diagnostics
-only: a misfit may as well be the arm's as the stage's, and a truth that follows the arm's own
-errors from place to place would hide them. What the axes may be off by is stated in the rig file
-and enters the uncertainty of everything carried. Where the touches cast doubt on that statement (a
-chi-square test at `DOUBT`), what they show is put on top. They resolve little (some 2 mm/m), so a
-doubt that waited for proof would leave stages unlike their statement uncovered: of a stage five to
-ten times worse, a 95 % region would hold 84 to 92 % of poses at 0.01 or 0.2, and holds 94 to 97 %
-at 0.4. Where they contradict it (at `ALPHA`), the report says what to mend.
-
-All to first order, in the stage's own axes (`bench.truth.axes`). Pure: it may not know files,
-instruments or persons.
+exceeds a right one. With q the touched positions less their mean, touch noise n turns a rigid fit
+by w = H^-1 sum q x n, H = sum(|q|^2 I - q q^T), and axes that are off by E turn it by w = H^-1 sum
+q x E q; a carry by D is then off by w x D - E D. All to first order, in the stage's own axes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from math import sqrt
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import chdtrc
 
+from bench.truth.uncertainty import Floats, Triple
 from detector.calibration.rigid import (
     Comparison,
     compare,
@@ -100,11 +92,9 @@ def free_fit(q: Floats, seen: Floats) -> FreeFit:
     """The fit of q (n, 3) to the touches ``seen`` (n, 3) in the stage's axes, both less their mean;
     heights only where they varied.
     """
-    used = (
-        6 if np.std(q[:, 2]) > _FLAT_MM and np.linalg.svd(q, compute_uv=False)[2] > _FLAT_MM else 3
-    )
+    high = np.std(q[:, 2]) > _FLAT_MM and np.linalg.svd(q, compute_uv=False)[2] > _FLAT_MM
     turns = [np.cross(axis, q).ravel() for axis in np.eye(3)]
-    bends = [(q @ entry.T).ravel() for entry in _entries()[:used]]
+    bends = [(q @ entry.T).ravel() for entry in _ENTRIES[: 6 if high else 3]]
     design = np.column_stack([*turns, *bends])
     found = np.asarray(np.linalg.lstsq(design, (seen - q).ravel(), rcond=None)[0], dtype=np.float64)
     left_over = np.asarray((seen - q).ravel() - design @ found)
@@ -113,13 +103,10 @@ def free_fit(q: Floats, seen: Floats) -> FreeFit:
     return FreeFit(found[:3], found[3:], covariance, left_over, freedom)
 
 
-def _entries() -> list[Floats]:
-    """The matrices (3, 3) of E's entries, in the order of `NAMES`."""
-    places = ((0, 0), (1, 1), (0, 1), (2, 2), (0, 2), (1, 2))
-    signed = [
-        np.array([[float((r, c) == place) for c in range(3)] for r in range(3)]) for place in places
-    ]
-    return [entry if r == c else -entry for entry, (r, c) in zip(signed, places, strict=True)]
+# the matrices (6, 3, 3) of E's entries, in the order of `NAMES`
+_ENTRIES = np.zeros((6, 3, 3))
+for _i, (_row, _column) in enumerate(((0, 0), (1, 1), (0, 1), (2, 2), (0, 2), (1, 2))):
+    _ENTRIES[_i, _row, _column] = 1.0 if _row == _column else -1.0
 
 
 def bent_mm(q: Floats, way_mm: Floats) -> Floats:
@@ -127,11 +114,8 @@ def bent_mm(q: Floats, way_mm: Floats) -> Floats:
     to q (n, 3) that it brings.
     """
     inverse = np.linalg.inv(np.sum(q**2) * np.eye(3) - q.T @ q)
-    columns = []
-    for entry in _entries():
-        turned = inverse @ np.sum(np.cross(q, q @ entry.T), axis=0)
-        columns.append(np.cross(turned, way_mm) - entry @ way_mm)
-    return np.column_stack(columns)
+    turned = [inverse @ np.sum(np.cross(q, q @ entry.T), axis=0) for entry in _ENTRIES]
+    return np.asarray(np.cross(turned, way_mm) - _ENTRIES @ way_mm).T
 
 
 DOUBT, ALPHA = 0.4, 0.01
@@ -139,9 +123,6 @@ DOUBT, ALPHA = 0.4, 0.01
 SPREAD_MM = 40.0
 # no stage is so crooked, and no touch so bad: another teat, or something slipped
 GROSS_MM, GROSS_U = 5.0, 15.0
-
-Floats = NDArray[np.float64]
-Triple = tuple[float, float, float]
 
 
 class RegistrationError(ValueError):
@@ -181,21 +162,17 @@ class Registration:
             )
         across = np.linalg.svd(self._q, compute_uv=False)[1] / sqrt(len(self.stations))
         if across < SPREAD_MM:
-            what = (
-                f"the stage positions lie nearly on a line or near together ({across:.0f} mm rms"
-                f" across, {SPREAD_MM:g} mm are needed)"
-            )
             raise RegistrationError(
-                f"{what}. Touch at positions further apart, as at the corners of the travel"
+                f"the stage positions lie nearly on a line or near together ({across:.0f} mm rms"
+                f" across, {SPREAD_MM:g} mm are needed). Touch at positions further apart, as at"
+                " the corners of the travel"
             )
         off = np.linalg.norm(self.touched_mm - self.world_from_stage.apply(self.stage_mm), axis=1)
         if off.max() > max(GROSS_MM, GROSS_U * self.stated_u_mm):
-            what = (
-                f"the touch at position {int(np.argmax(off)) + 1} of {len(off)} is {off.max():.1f}"
-                " mm from where the others put it"
-            )
             raise RegistrationError(
-                f"{what}. Was another teat touched, or did stage or phantom slip? Touch all again"
+                f"the touch at position {int(np.argmax(off)) + 1} of {len(off)} is {off.max():.1f}"
+                " mm from where the others put it. Was another teat touched, or did stage or"
+                " phantom slip? Touch all again"
             )
 
     @cached_property
@@ -233,10 +210,8 @@ class Registration:
         """As stated; larger where what no axis error explains is too large for that (Birge ratio;
         chi-square test at `ALPHA`).
         """
-        chi2, freedom = (
-            float(np.sum(self._free.left_over**2)) / self.stated_u_mm**2,
-            self._free.freedom,
-        )
+        freedom = self._free.freedom
+        chi2 = float(np.sum(self._free.left_over**2)) / self.stated_u_mm**2
         if freedom and chdtrc(freedom, chi2) < ALPHA:
             return self.stated_u_mm * sqrt(chi2 / freedom)
         return self.stated_u_mm
@@ -246,32 +221,16 @@ class Registration:
         """Of the axes that the positions exercise: x, y and their squareness, and z where the
         height varied.
         """
-        u = np.sqrt(np.diag(self._free.covariance)) * self.u_mm
-        k = len(self._free.theta)
-        return tuple(
-            Diagnostic(*row)
-            for row in zip(NAMES[:k], self._free.theta.tolist(), u[3 : 3 + k].tolist(), strict=True)
-        )
-
-    @property
-    def axes_turned(self) -> tuple[Motion, Floats]:
-        """The rotation with the stage's x axis as reference (squareness is y's alone), and the
-        covariance (3, 3) of its rotation vector in the stage's axes.
-        """
-        turned = Motion(
-            self.world_from_stage.R @ Motion.from_vectors(self._free.rotation, (0.0, 0.0, 0.0)).R,
-            np.zeros(3),
-        )
-        return turned, np.asarray(self.u_mm**2 * self._free.covariance[:3, :3])
+        u = np.sqrt(np.diag(self._theta_covariance))
+        rows = zip(NAMES, self._free.theta.tolist(), u.tolist(), strict=False)
+        return tuple(Diagnostic(*row) for row in rows)
 
     @cached_property
     def p_value(self) -> float:
         """How likely the diagnostics are, if the stage is as good as stated and the touches are."""
-        k = len(self._free.theta)
-        expected = self.u_mm**2 * self._free.covariance[3 : 3 + k, 3 : 3 + k] + np.diag(
-            self.stated.deformation[:k]
-        )
-        return float(chdtrc(k, self._free.theta @ np.linalg.solve(expected, self._free.theta)))
+        theta = self._free.theta
+        expected = self._theta_covariance + np.diag(self.stated.deformation[: len(theta)])
+        return float(chdtrc(len(theta), theta @ np.linalg.solve(expected, theta)))
 
     @property
     def doubted(self) -> bool:
@@ -289,9 +248,7 @@ class Registration:
         """Covariance (3, 3), world axes, of what a carry from one stage position (3,) to another
         adds to a touched end.
         """
-        way = np.asarray(stage_to_mm, dtype=np.float64) - np.asarray(
-            stage_from_mm, dtype=np.float64
-        )
+        way = np.subtract(stage_to_mm, stage_from_mm)
         turn = cross_matrix(way)
         noise = turn @ rotation_covariance(self.stage_mm, self.u_mm) @ turn.T
         bent = bent_mm(self._q, way)
@@ -303,9 +260,7 @@ class Registration:
 
     def carry_mm(self, stage_from_mm: ArrayLike, stage_to_mm: ArrayLike) -> Floats:
         """By how much (3,) every teat end moves in the world."""
-        way = np.asarray(stage_to_mm, dtype=np.float64) - np.asarray(
-            stage_from_mm, dtype=np.float64
-        )
+        way = np.subtract(stage_to_mm, stage_from_mm)
         return np.asarray(self.world_from_stage.R @ way)
 
     def target_error_mm(self, stage_mm: ArrayLike) -> float:
@@ -363,6 +318,10 @@ class Registration:
             self._q, (self.touched_mm - self.touched_mm.mean(axis=0)) @ self.world_from_stage.R
         )
 
+    @property
+    def _theta_covariance(self) -> Floats:
+        return np.asarray(self.u_mm**2 * self._free.covariance[3:, 3:])
+
     @cached_property
     def _deformation(self) -> Floats:
         """Second moments (6, 6) of E's entries: as stated, and what the touches show on top where
@@ -370,17 +329,7 @@ class Registration:
         """
         moments = np.diag(self.stated.deformation)
         if self.doubted:
-            k = len(self._free.theta)
-            shown = (
-                np.outer(self._free.theta, self._free.theta)
-                + self.u_mm**2 * self._free.covariance[3 : 3 + k, 3 : 3 + k]
-            )
-            moments[:k, :k] += shown
+            theta = self._free.theta
+            k = len(theta)
+            moments[:k, :k] += np.outer(theta, theta) + self._theta_covariance
         return np.asarray(moments)
-
-
-def stations_of(
-    stage_mm: Sequence[Triple], touched_mm: Sequence[Triple], u_mm: float
-) -> tuple[Station, ...]:
-    """Stations that all have the same uncertainty."""
-    return tuple(Station(s, t, u_mm) for s, t in zip(stage_mm, touched_mm, strict=True))

@@ -8,6 +8,7 @@ it was changed by hand.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -79,11 +80,6 @@ class _RegistrationFile(Section):
 def as_dict(registration: Registration) -> dict[str, Any]:
     """Everything of it, as the file and the run's record keep it."""
     r, fits = registration, registration.comparison
-    stated = {
-        "scale_u": r.stated.scale_u,
-        "squareness_u_rad": r.stated.squareness_u_rad,
-        "repeatability_mm": r.stated.repeatability_mm,
-    }
     residuals = np.linalg.norm(fits.rigid.residuals_mm, axis=1).tolist()
     return {
         "made": r.made,
@@ -96,20 +92,12 @@ def as_dict(registration: Registration) -> dict[str, Any]:
         "fre_mm": fits.rigid.fre_mm,
         "expected_fre_mm": r.expected_fre_mm,
         "p_value": r.p_value,
-        "stated": stated,
+        "stated": asdict(r.stated),
         "stations": [
-            {
-                "stage_mm": list(s.stage_mm),
-                "touched_mm": list(s.touched_mm),
-                "u_mm": s.u_mm,
-                "residual_mm": residual,
-            }
+            {**asdict(s), "residual_mm": residual}
             for s, residual in zip(r.stations, residuals, strict=True)
         ],
-        "diagnostics": [
-            {"name": d.name, "value": d.value, "u": d.u, "significant": d.significant}
-            for d in r.diagnostics
-        ],
+        "diagnostics": [{**asdict(d), "significant": d.significant} for d in r.diagnostics],
         "fits": [
             {
                 "model": f.model,
@@ -173,7 +161,5 @@ def registration_from_facts(facts: Mapping[str, Any]) -> Registration | None:
 
 def _registration(file: _RegistrationFile) -> Registration:
     stations = tuple(Station(s.stage_mm, s.touched_mm, s.u_mm) for s in file.stations)
-    stated = StageAccuracy(
-        file.stated.scale_u, file.stated.squareness_u_rad, file.stated.repeatability_mm
-    )
+    stated = StageAccuracy(**file.stated.model_dump())
     return Registration(file.made, file.serial_number, file.stage, file.teat, stations, stated)

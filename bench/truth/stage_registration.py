@@ -1,7 +1,5 @@
 """Makes a stage's registration: moves to positions, has one teat end touched at each, and reads
-back where the stage stands.
-
-The same for the command and for the start of a run. May not know of trials, nor who touches.
+back where the stage stands. The same for the command and for the start of a run.
 """
 
 from __future__ import annotations
@@ -18,11 +16,6 @@ from bench.truth.touching import Ends, Toucher
 from bench.truth.uncertainty import Triple, triple
 from instruments.stage.driver import Stage
 from instruments.world.phantom import Phantom, PlatePose
-
-
-def stage_accuracy(settings: StageSettings) -> StageAccuracy:
-    """What the rig file states of the stage."""
-    return StageAccuracy(settings.scale_u, settings.squareness_u_rad, settings.repeatability_mm)
 
 
 def ends_of(phantom: Phantom, *, known: bool = True) -> Ends:
@@ -74,6 +67,5 @@ def register(
         point, _ = toucher.touch_one(teat, ends_of(phantom.moved(there), known=False))
         stations.append(Station(stands_at(stage), point.point_mm, u_mm))
     identity = " ".join(str(part) for part in asdict(stage.identity).values() if part)
-    return Registration(
-        made, serial_number, identity, teat, tuple(stations), stage_accuracy(settings)
-    )
+    stated = StageAccuracy(settings.scale_u, settings.squareness_u_rad, settings.repeatability_mm)
+    return Registration(made, serial_number, identity, teat, tuple(stations), stated)

@@ -1,39 +1,44 @@
 """Has the operator touch teat ends and reads the arm: several readings an end, each judged at once,
-asked for again where refused.
+asked for again where refused; and a trial's truth made of that.
 
-May not know of trials, nor what the ends are wanted for.
+**Outliers.** Readings of one end differ by hand and rounding only, whose standard deviation s0
+along an axis is known beforehand. A reading is refused when its distance from the median of all (by
+axis) is more than `FAR` times s, where s is the larger of s0 and the scatter that the readings show
+themselves, median distance / 1.538 (the median length of a standard normal vector in space). So an
+unsteady hand widens its own limit, one slip of the tip doesn't; of two readings that far apart
+neither can be trusted. With normal readings one end in some 3000 loses one falsely.
 
-Where a trial's truth comes from, as the engine asks for it; and the plain way: every end touched in
-every trial.
-
-The engine asks in this order: `begin` once, then for each trial `before`, `unattended`, `of_trial`
-and, when it is in the store, `stored`; `end` after the last. The other way, `bench.truth.carrying`,
-touches once and lets the stage carry.
+**Wrong teat.** Expected places are only as good as the phantom's placement, so places are compared
+with each other: those of the teats touched already give the common shift, and a touch is refused
+where another teat's shifted place is nearer than the asked one's by more than `TELL_MM`, or where
+it falls on an end that was touched already.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bench.record.writer import Row
+from bench.record.schema import Row
 from bench.rig.model import Arm
-from bench.truth.arm_tip import TipReader, WorldTip
-from bench.truth.touch_checks import mistaken, outliers, touched_before
-from bench.truth.uncertainty import How, Triple, TruthPoint, reading_u_mm, touched
+from bench.scoring.matching import LEAST_SPACING_MM
+from bench.truth.arm_tip import TipReader
+from bench.truth.uncertainty import Floats, How, Triple, TruthPoint, reading_u_mm, touched
 from instruments.clock import Clock, wall_time
 from instruments.errors import DeviceError
 from instruments.microscribe.errors import ArmMovesError
 from instruments.teat_end import end_under_ball_mm
 
 SPARE = 4  # touches of one end beyond those that are asked for, before it is given up
-
-Floats = NDArray[np.float64]
+FAR = 5.0
+MEDIAN_LENGTH = 1.5382
+TELL_MM = 2.0  # nearer to the other teat by this, or the two are taken to be equally near
+# of the expected distance between two ends: nearer than that, the tip stands at one of them twice
+SAME_SHARE = 0.25
 
 
 class NoTruthError(DeviceError):
@@ -64,20 +69,6 @@ class Ends:
     axes: Floats
     known: bool = True
 
-    @property
-    def count(self) -> int:
-        """How many teats there are."""
-        return len(self.expected_mm)
-
-
-@dataclass(slots=True)
-class _Reading:
-    seen: WorldTip
-    end_mm: Floats
-    t_s: float
-    wall: str
-    refused: str | None = None
-
 
 class Toucher:
     """Touches with ``arm``'s settings, ``readings`` an end. ``check`` is called before each touch,
@@ -94,10 +85,10 @@ class Toucher:
         readings: int | None = None,
     ) -> None:
         self._operator = operator
-        self._tip = tip
         self._arm = arm
         self._clock = clock
         self._check = check
+        self.tip = tip
         self.readings = readings or arm.touches
 
     def touch_all(self, ends: Ends) -> tuple[list[TruthPoint], list[Row]]:
@@ -106,10 +97,9 @@ class Toucher:
         """
         done: dict[int, TruthPoint] = {}
         rows: list[Row] = []
-        for teat in range(1, ends.count + 1):
-            done[teat], touches = self._touch_end(
-                teat, ends, {other: np.array(p.point_mm) for other, p in done.items()}
-            )
+        for teat in range(1, len(ends.expected_mm) + 1):
+            places = {other: np.array(point.point_mm) for other, point in done.items()}
+            done[teat], touches = self._touch_end(teat, ends, places)
             rows += touches
         self._operator.release()
         return list(done.values()), rows
@@ -120,120 +110,115 @@ class Toucher:
         self._operator.release()
         return point, rows
 
-    def u_registration_mm(self, point_mm: Floats) -> float | None:
-        """What the table frame adds to the uncertainty at (3,); None where the world is the arm's
-        frame.
-        """
-        return self._tip.u_registration_mm(point_mm)
-
     def _touch_end(
-        self, teat: int, ends: Ends, done: dict[int, Floats]
+        self, teat: int, ends: Ends, done: Mapping[int, Floats]
     ) -> tuple[TruthPoint, list[Row]]:
-        taken = _TouchSet(teat, ends, done)
+        taken: list[tuple[Floats, dict[str, Any]]] = []  # each reading's end (3,), and its row
+        moves: list[str] = []
         again = ""
-        while (missing := self.readings - len(taken.kept)) > 0:
-            taken.refuse_endless(self.readings + SPARE)
+        while (missing := self.readings - len(kept := _kept(taken))) > 0:
+            if len(taken) + len(moves) >= self.readings + SPARE:
+                raise _given_up(teat, [str(r["refused"]) for _, r in taken if r["refused"]] + moves)
             self._check()
-            self._operator.touch(
-                teat,
-                ends.count,
-                number=self.readings - missing + 1,
-                numbers=self.readings,
-                again=again,
-            )
-            again = self._read(taken)
-        points = np.array([r.end_mm for r in taken.kept])
-        truth = touched(
-            points, self._arm, registration_mm=self._tip.u_registration_mm(points.mean(axis=0))
-        )
-        return truth, [_row(teat, number, r) for number, r in enumerate(taken.readings, 1)]
+            number = self.readings - missing + 1
+            of = len(ends.expected_mm)
+            self._operator.touch(teat, of, number=number, numbers=self.readings, again=again)
+            try:
+                end, row = self._read(teat, len(taken) + 1, ends.axes[teat - 1])
+            except ArmMovesError as error:
+                moves.append(str(error))
+                again = f"{error} Touch teat {teat} once more."
+                continue
+            taken.append((end, row))
+            row["refused"] = mistaken(end, teat, ends.expected_mm if ends.known else None, done)
+            again = f"{row['refused']} Touch teat {teat}." if row["refused"] else ""
+            kept = _kept(taken)
+            if not again and len(kept) >= min(self.readings, 3):
+                refused = outliers(np.array([end for end, _ in kept]), reading_u_mm(self._arm))
+                for at, reason in refused.items():
+                    kept[at][1]["refused"] = reason
+                    again = again or f"A touch of teat {teat} is refused: {reason}. Once more."
+        points = np.array([end for end, _ in kept])
+        u_mm = self.tip.u_registration_mm(points.mean(axis=0))
+        return touched(points, self._arm, registration_mm=u_mm), [row for _, row in taken]
 
-    def _read(self, taken: _TouchSet) -> str:
-        """One reading, judged; gives back why a touch is asked for again, or nothing."""
-        try:
-            seen = self._tip.read()
-        except ArmMovesError as moves:
-            taken.moved.append(str(moves))
-            return f"{moves} Touch teat {taken.teat} once more."
-        end = end_under_ball_mm(
-            seen.point_mm, taken.ends.axes[taken.teat - 1], self._arm.tip_radius_mm
-        )
-        reason = touched_before(end, taken.teat, taken.done)
-        if reason is None and taken.ends.known:
-            reason = mistaken(end, taken.teat, taken.ends.expected_mm, taken.done)
-        taken.readings.append(
-            _Reading(
-                seen, end, self._clock.now(), wall_time().isoformat(timespec="milliseconds"), reason
-            )
-        )
-        if reason:
-            return f"{reason} Touch teat {taken.teat}."
-        if len(taken.kept) < min(self.readings, 3):
-            return ""
-        return taken.refuse_outliers(reading_u_mm(self._arm))
+    def _read(self, teat: int, number: int, axis: Floats) -> tuple[Floats, dict[str, Any]]:
+        seen = self.tip.read()
+        x, y, z = (float(v) for v in seen.tip_mm)
+        row = {
+            "teat": str(teat),
+            "touch": number,
+            "t_s": self._clock.now(),
+            "wall_time": wall_time().isoformat(timespec="milliseconds"),
+            "x_mm": x,
+            "y_mm": y,
+            "z_mm": z,
+            "spread_mm": float(seen.spread_mm),
+            "packets": seen.n,
+            "counts": json.dumps([int(count) for count in seen.counts]),
+        }
+        return end_under_ball_mm(seen.tip_mm, axis, self._arm.tip_radius_mm), row
 
 
-@dataclass(slots=True)
-class _TouchSet:
-    """What was read of one end so far. ``moved`` are the touches that gave no reading, since the
-    arm was not held still.
+def _kept(taken: list[tuple[Floats, dict[str, Any]]]) -> list[tuple[Floats, dict[str, Any]]]:
+    return [one for one in taken if one[1]["refused"] is None]
+
+
+def _given_up(teat: int, reasons: list[str]) -> NoTruthError:
+    return NoTruthError(
+        "truth",
+        f"teat {teat}: {len(reasons)} touches could not be used; the last one: {reasons[-1]}",
+        hint="Is the teat loose, does the phantom stand where the script says, and are its teats"
+        " counted as the layout counts them?",
+    )
+
+
+def outliers(points_mm: Floats, s0_mm: float) -> dict[int, str]:
+    """Rows of readings (n, 3) of one end that are refused, with the reason. Of one reading none; of
+    two both or none.
     """
-
-    teat: int
-    ends: Ends
-    done: dict[int, Floats]
-    readings: list[_Reading] = field(default_factory=list)
-    moved: list[str] = field(default_factory=list)
-
-    @property
-    def kept(self) -> list[_Reading]:
-        return [r for r in self.readings if r.refused is None]
-
-    def refuse_outliers(self, s0_mm: float) -> str:
-        """Mark what doesn't belong to the others; gives back the sentence for the operator, or
-        nothing.
-        """
-        kept = self.kept
-        refused = outliers(np.array([r.end_mm for r in kept]), s0_mm)
-        for row, reason in refused.items():
-            kept[row].refused = reason
-        return (
-            f"A touch of teat {self.teat} is refused: {next(iter(refused.values()))}. Once more."
-            if refused
-            else ""
-        )
-
-    def refuse_endless(self, most: int) -> None:
-        """Raises NoTruthError after ``most`` touches."""
-        if len(self.readings) + len(self.moved) < most:
-            return
-        reasons = [r.refused for r in self.readings if r.refused] + self.moved
-        what = (
-            f"teat {self.teat}: {len(reasons)} of {most} touches could not be used; the last one:"
-            f" {reasons[-1]}"
-        )
-        hint = (
-            "Is the teat loose, does the phantom stand where the script says, and are its teats"
-            " counted as the layout counts them?"
-        )
-        raise NoTruthError("truth", what, hint=hint)
+    points = np.asarray(points_mm, dtype=np.float64)
+    if len(points) < 2:
+        return {}
+    if len(points) == 2:
+        apart, limit = float(np.linalg.norm(points[0] - points[1])), FAR * s0_mm * 2.0**0.5
+        reason = f"two readings {apart:.2f} mm apart, limit {limit:.2f} mm: neither can be trusted"
+        return dict.fromkeys((0, 1), reason) if apart > limit else {}
+    away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    limit = FAR * max(s0_mm, float(np.median(away)) / MEDIAN_LENGTH)
+    told = f"mm from the median of {len(points)} readings, limit {limit:.2f} mm"
+    return {int(row): f"{away[row]:.2f} {told}" for row in np.flatnonzero(away > limit)}
 
 
-def _row(teat: int, number: int, reading: _Reading) -> Row:
-    x, y, z = (float(v) for v in reading.seen.point_mm)
-    return {
-        "teat": str(teat),
-        "touch": number,
-        "t_s": reading.t_s,
-        "wall_time": reading.wall,
-        "x_mm": x,
-        "y_mm": y,
-        "z_mm": z,
-        "spread_mm": reading.seen.spread_mm,
-        "packets": reading.seen.n,
-        "counts": json.dumps([int(count) for count in reading.seen.counts]),
-        "refused": reading.refused,
-    }
+def mistaken(
+    point: Floats, teat: int, expected: Floats | None, done: Mapping[int, Floats]
+) -> str | None:
+    """Why a touch (3,) that was asked of ``teat`` (from 1) isn't one of it; None where it may be.
+
+    ``expected`` (n, 3) mm are the places of all ends, None where nobody knows them; ``done`` what
+    was touched by teat.
+    """
+    for other, place in done.items():
+        apart, same = float(np.linalg.norm(point - place)), LEAST_SPACING_MM
+        if expected is not None:
+            between = float(np.linalg.norm(expected[teat - 1] - expected[other - 1]))
+            same = max(same, SAME_SHARE * between)
+        if other != teat and apart < same:
+            return (
+                f"That is the end of teat {other} once more ({apart:.1f} mm from where it was"
+                " touched)."
+            )
+    if expected is None:
+        return None
+    shifts = [place - expected[other - 1] for other, place in done.items()]
+    away = np.linalg.norm(expected + (np.mean(shifts, axis=0) if shifts else 0.0) - point, axis=1)
+    nearest = int(np.argmin(away)) + 1
+    if nearest == teat or away[nearest - 1] + TELL_MM >= away[teat - 1]:
+        return None
+    return (
+        f"That looks like teat {nearest}: it is {away[nearest - 1]:.0f} mm from that teat's place, "
+        f"and {away[teat - 1]:.0f} mm from the place of teat {teat}."
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,41 +248,13 @@ class TrialTruth:
         return self.points[0].how if self.points else How.TOUCHED
 
 
-class TruthSource(Protocol):
-    """What the engine asks."""
-
-    def begin(self) -> None:
-        """All is homed; nothing has been shown yet."""
-        ...
-
-    def before(self, shown: ExpectedScene) -> None:
-        """The phantom is about to be moved and set up for this."""
-        ...
-
-    def unattended(self, shown: ExpectedScene) -> bool:
-        """Whether nobody has been near the phantom since the last trial was shown, nor is needed
-        for this one.
-        """
-        ...
-
-    def of_trial(self, shown: ExpectedScene) -> TrialTruth:
-        """It stands there, and the cameras have seen it. Raises NoTruthError, and as operator and
-        instruments do.
-        """
-        ...
-
-    def stored(self, trial: str, truth: TrialTruth) -> None:
-        """The trial is in the store."""
-        ...
-
-    def end(self) -> None:
-        """After the last trial, as it still stands."""
-        ...
-
-
 class TouchedTruth:
-    """Every end of every trial is touched; ``stage_mm`` asks where the stage stands, for the
-    record.
+    """Where the truth of trials comes from: every end of every trial is touched. ``stage_mm`` asks
+    where the stage stands, for the record. `bench.truth.carrying` touches once and lets the stage
+    carry.
+
+    The engine calls `begin` once, then for each trial `before`, `unattended`, `of_trial` and, when
+    it is in the store, `stored`; `end` after the last.
     """
 
     def __init__(self, toucher: Toucher, stage_mm: Callable[[], Triple | None]) -> None:
@@ -305,26 +262,27 @@ class TouchedTruth:
         self._stage_mm = stage_mm
 
     def begin(self) -> None:
-        """Nothing to prepare."""
+        """All is homed; nothing has been shown yet."""
 
     def before(self, shown: ExpectedScene) -> None:
-        """Nothing to check."""
+        """The phantom is about to be moved and set up for this."""
 
     def unattended(self, shown: ExpectedScene) -> bool:  # noqa: ARG002 - it always is attended
-        """The arm may be in the picture until the operator says that it isn't."""
+        """Whether nobody has been near the phantom since the last trial was shown, nor is needed
+        for this one: the arm may be in the picture until the operator says that it isn't.
+        """
         return False
 
     def of_trial(self, shown: ExpectedScene) -> TrialTruth:
+        """It stands there, and the cameras have seen it. Raises NoTruthError, and as operator and
+        instruments do.
+        """
         points, rows = self._toucher.touch_all(shown.ends)
-        return TrialTruth(tuple(points), rows_of(shown.trial, rows), self._stage_mm())
+        touches = tuple({"trial": shown.trial, **row} for row in rows)
+        return TrialTruth(tuple(points), touches, self._stage_mm())
 
     def stored(self, trial: str, truth: TrialTruth) -> None:
-        """Nothing to remember."""
+        """The trial is in the store."""
 
     def end(self) -> None:
-        """Nothing to check."""
-
-
-def rows_of(trial: str, rows: Sequence[Row]) -> tuple[Row, ...]:
-    """Rows of touches, as those of this trial."""
-    return tuple({"trial": trial, **row} for row in rows)
+        """After the last trial, as it still stands."""

@@ -1,19 +1,15 @@
-"""The budget of the truth: named standard uncertainties that combine to u (GUM, JCGM 100:2008,
-section 5.1.2, uncorrelated components).
+"""One teat end as the truth has it: a point, how it was had, and the budget of its uncertainty:
+named standard uncertainties that combine to u (GUM, JCGM 100:2008, section 5.1.2, uncorrelated
+components).
 
-u(e)^2 = u_arm^2 + u_registration^2 + u_definition^2 + u_resolution^2, per axis, mm. Knows numbers
-and their sources, no instrument.
-
-One teat end as the truth has it: a point, how it was had, and the budget of its uncertainty.
-
-Pure: figures in, values out. What is measured is defined in `instruments.teat_end`; who touched,
-and where the stage stood, is others' business.
+u(e)^2 = u_arm^2 + u_registration^2 + u_definition^2 + u_resolution^2 + ..., per axis, mm. What is
+measured is defined in `instruments.teat_end`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from math import hypot, isfinite, sqrt
 
@@ -40,29 +36,6 @@ class Component:
                 " negative"
             )
 
-    @classmethod
-    def from_half_width(cls, name: str, half_width_mm: float, source: str) -> Component:
-        """A value anywhere within +-half width with equal chance: u = half width / sqrt(3) (GUM
-        4.3.7).
-        """
-        return cls(name, half_width_mm / sqrt(3.0), source)
-
-    @classmethod
-    def from_resolution(cls, name: str, step_mm: float, source: str) -> Component:
-        """A reading rounded to a step: u = step / sqrt(12) (GUM F.2.2.1)."""
-        return cls(name, step_mm / sqrt(12.0), source)
-
-    @classmethod
-    def from_expanded(
-        cls, name: str, expanded_mm: float, coverage: float, source: str
-    ) -> Component:
-        """A certificate's U with its coverage factor k: u = U / k."""
-        if coverage <= 0.0:
-            raise ValueError(
-                f"uncertainty component {name!r}: coverage factor {coverage} must be above 0"
-            )
-        return cls(name, expanded_mm / coverage, source)
-
 
 @dataclass(frozen=True, slots=True)
 class TruthUncertainty:
@@ -85,42 +58,24 @@ class TruthUncertainty:
                 " with a component of 0 mm"
             )
 
-    @classmethod
-    def of(cls, components: Iterable[Component]) -> TruthUncertainty:
-        """The budget of any iterable of components."""
-        return cls(tuple(components))
-
     @property
     def u_mm(self) -> float:
         """Combined standard uncertainty along each axis."""
         return sqrt(sum(c.u_mm**2 for c in self.components))
 
-    def expanded_mm(self, coverage: float = 2.0) -> float:
-        """U = k u along each axis."""
-        return coverage * self.u_mm
-
-    def shares(self) -> dict[str, float]:
-        """Each component's share of the variance, from 0 to 1; all 0 where the budget is 0."""
-        total = self.u_mm**2
-        return {c.name: c.u_mm**2 / total if total else 0.0 for c in self.components}
-
     def as_dict(self) -> dict[str, object]:
-        """Plain numbers and text."""
-        lines = [{"name": c.name, "u_mm": c.u_mm, "source": c.source} for c in self.components]
-        return {"u_mm": self.u_mm, "expanded_mm": self.expanded_mm(), "components": lines}
+        """Plain numbers and text; expanded by k = 2."""
+        lines = [asdict(c) for c in self.components]
+        return {"u_mm": self.u_mm, "expanded_mm": 2.0 * self.u_mm, "components": lines}
 
 
 # 0.105 mm rms in space over random poses (the arm's fact sheet), along one axis
 ROUNDING_MM = 0.105 / 3**0.5
 CHI2_95 = 7.814727903251179  # 95 % of chi-square with 3 degrees of freedom
 REGISTRATION, CARRY = "registration", "carry"
-REGISTRATION_SOURCE = (
-    "the table frame's three touches, each with the arm's accuracy, propagated to this teat end"
-)
 
 Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
-Matrix = tuple[Triple, Triple, Triple]
 
 
 class How(StrEnum):
@@ -142,7 +97,7 @@ class TruthPoint:
     point_mm: Triple
     uncertainty: TruthUncertainty
     how: How = How.TOUCHED
-    carry_mm2: Matrix | None = None
+    carry_mm2: tuple[Triple, ...] | None = None
 
     @property
     def covariance_mm2(self) -> Floats:
@@ -153,9 +108,7 @@ class TruthPoint:
         )
 
     def holds(self, point_mm: Iterable[float]) -> bool:
-        """Whether the stated 95 % region, an ellipsoid of
-        ``covariance_mm2``, holds a point (3,).
-        """
+        """Whether the stated 95 % region, an ellipsoid, holds a point (3,)."""
         off = np.asarray(tuple(point_mm), dtype=np.float64) - np.array(self.point_mm)
         return bool(off @ np.linalg.solve(self.covariance_mm2, off) <= CHI2_95)
 
@@ -170,36 +123,26 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
     tips = np.asarray(tips_mm, dtype=np.float64)
     if tips.ndim != 2 or tips.shape[1] != 3 or not len(tips):
         raise ValueError(f"touches must be (n, 3) with n at least 1, not {tips.shape}")
-    scatter = (
-        float(np.sqrt(np.mean(np.var(tips, axis=0, ddof=1)) / len(tips))) if len(tips) > 1 else 0.0
-    )
-    frame = (
-        ()
-        if registration_mm is None
-        else (Component(REGISTRATION, registration_mm, REGISTRATION_SOURCE),)
-    )
+    n = len(tips)
+    scatter = float(np.sqrt(np.mean(np.var(tips, axis=0, ddof=1)) / n)) if n > 1 else 0.0
+    frame = "the table frame's three touches, each with the arm's accuracy, propagated to this end"
     ball = (
-        ()
-        if not arm.tip_radius_mm
-        else (Component("tip radius", tip_radius_u_mm(arm), _tip_source(arm)),)
+        f"ball tip of {arm.tip_radius_mm:g} mm, along a teat axis known within {arm.axis_u_rad:g}"
     )
-    components = (
-        Component(
-            "arm", arm.accuracy_mm, "the arm's stated accuracy, taken along each axis (rig file)"
-        ),
-        *frame,
-        Component(
+    lines: list[tuple[str, float | None, str]] = [
+        ("arm", arm.accuracy_mm, "the arm's stated accuracy, taken along each axis (rig file)"),
+        (REGISTRATION, registration_mm, frame),
+        (
             "definition",
             arm.definition_mm,
             "how well a hand finds the apex of the rounded end (rig file)",
         ),
-        *ball,
-        Component(
-            "resolution", ROUNDING_MM, "rounding of the arm's encoder counts, rms over its reach"
-        ),
-        Component("scatter", scatter, f"standard deviation of the mean of {len(tips)} touches"),
-    )
-    return TruthPoint(triple(tips.mean(axis=0)), TruthUncertainty(components))
+        ("tip radius", tip_radius_u_mm(arm) or None, f"{ball} rad (rig file)"),
+        ("resolution", ROUNDING_MM, "rounding of the arm's encoder counts, rms over its reach"),
+        ("scatter", scatter, f"standard deviation of the mean of {n} touches"),
+    ]
+    budget = tuple(Component(name, u, source) for name, u, source in lines if u is not None)
+    return TruthPoint(triple(tips.mean(axis=0)), TruthUncertainty(budget))
 
 
 def moved(
@@ -209,21 +152,12 @@ def moved(
     line for the carry.
     """
     kept = [
-        (
-            replace(c, u_mm=registration_mm)
-            if c.name == REGISTRATION and registration_mm is not None
-            else c
-        )
+        c if c.name != REGISTRATION or registration_mm is None else replace(c, u_mm=registration_mm)
         for c in point.uncertainty.components
     ]
     worst = float(np.sqrt(max(np.linalg.eigvalsh(carry_mm2)[-1], 0.0)))
-    rows = triple(carry_mm2[0]), triple(carry_mm2[1]), triple(carry_mm2[2])
-    return TruthPoint(
-        triple(to_mm),
-        TruthUncertainty.of([*kept, Component(CARRY, worst, source)]),
-        How.CARRIED,
-        rows,
-    )
+    budget = TruthUncertainty((*kept, Component(CARRY, worst, source)))
+    return TruthPoint(triple(to_mm), budget, How.CARRIED, tuple(triple(row) for row in carry_mm2))
 
 
 def reading_u_mm(arm: Arm) -> float:
@@ -237,13 +171,8 @@ def end_u_mm(arm: Arm, readings: int) -> float:
     """Standard uncertainty along an axis of one end's mean, against that of another place, before
     anything was read.
     """
-    return sqrt(
-        arm.accuracy_mm**2
-        + arm.definition_mm**2
-        + tip_radius_u_mm(arm) ** 2
-        + ROUNDING_MM**2
-        + reading_u_mm(arm) ** 2 / readings
-    )
+    scatter = reading_u_mm(arm) / sqrt(readings)
+    return hypot(arm.accuracy_mm, arm.definition_mm, tip_radius_u_mm(arm), ROUNDING_MM, scatter)
 
 
 def tip_radius_u_mm(arm: Arm) -> float:
@@ -255,14 +184,7 @@ def tip_radius_u_mm(arm: Arm) -> float:
     )
 
 
-def triple(vector: Floats) -> Triple:
+def triple(vector: Iterable[float]) -> Triple:
     """A vector (3,) as three plain numbers."""
     x, y, z = (float(v) for v in vector)
     return x, y, z
-
-
-def _tip_source(arm: Arm) -> str:
-    return (
-        f"ball tip of {arm.tip_radius_mm:g} mm, along a teat axis known within {arm.axis_u_rad:g}"
-        " rad (rig file)"
-    )

@@ -60,12 +60,6 @@ def test_a_truth_without_uncertainty_asks_for_the_usual_number_up_to_the_limit()
     assert error([4.999] * 59, u_mm=0.0).verdict is MET
 
 
-def test_along_an_axis_the_limit_is_wider_and_the_sign_is_dropped() -> None:
-    assert error([-4.620] * 200, along="axis").verdict is MET
-    assert error([-4.620] * 200).verdict is INCONCLUSIVE
-    assert error([-5.4] * 59, along="axis").verdict is NOT_MET
-
-
 def test_teats_and_repeats_of_a_pose_count_once() -> None:
     poses = [k // 4 for k in range(232)]  # 58 poses of four teats
     decision = error([1.0] * 232, poses=poses)

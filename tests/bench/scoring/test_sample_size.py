@@ -21,15 +21,12 @@ from bench.scoring.sample_size import (
     poses_for_shift,
     power_of_rate,
     shown_error_mm,
-    shown_rate,
 )
 
 
 def test_frozen_numbers() -> None:
     assert [failures_allowed(n, 0.95) for n in (58, 59, 92, 93)] == [None, 0, 0, 1]
-    assert shown_rate(24) == pytest.approx(0.883, abs=5e-4)
     assert discordant_needed() == 6
-    assert shown_rate(0) is None
 
 
 @settings(max_examples=40)

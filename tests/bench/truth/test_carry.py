@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from bench.truth.carrying import Reference, carried, check_touches, fixed_key, reference_from_dict
+from bench.truth.carrying import Reference, carried, fixed_key, reference_from_dict
 from bench.truth.uncertainty import CARRY, ROUNDING_MM, TruthPoint, touched, triple
 from instruments.world.phantom import PlatePose
 from tests.bench.truth.touches import (
@@ -168,15 +168,3 @@ def test_what_is_carried_together_has_one_key() -> None:
     assert len({key, *others}) == 4, (
         "other teats, a plate shifted by hand, and a turn each need a touch of their own"
     )
-
-
-def test_a_check_compares_each_end() -> None:
-    rng = np.random.default_rng(5)
-    expected = [touch(rng, end) for end in ENDS_MM]
-    lifted = np.array([p.point_mm for p in expected]) + np.array(
-        [[0.0, 0.0, 0.0]] * 2 + [[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]
-    )
-    seen = [touched(end[None], ARM) for end in lifted]
-    checks = check_touches(seen, expected, 1.5)
-    assert [one.held for one in checks] == [True, True, False, True]
-    assert checks[2].off_mm == pytest.approx(2.0)

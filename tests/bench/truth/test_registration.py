@@ -24,7 +24,15 @@ from bench.truth.registration_file import (
 from bench.truth.stage_registration import around
 from detector.geometry import Motion
 from instruments.world.phantom import PlatePose
-from tests.bench.truth.touches import CORNERS_MM, MADE, U_MM, TrueStage, registered, stage_of
+from tests.bench.truth.touches import (
+    CORNERS_MM,
+    MADE,
+    U_MM,
+    TrueStage,
+    axes_turned,
+    registered,
+    stage_of,
+)
 
 SEEDS = 200
 # of 200 honest figures no more lie beyond 2 u, but once in ten thousand
@@ -45,7 +53,7 @@ def test_scale_squareness_and_rotation_are_found_again_within_twice_their_uncert
         put_in = (E[0, 0], E[1, 1], -E[0, 1], E[2, 2], -E[0, 2], -E[1, 2])
         for one, value in zip(found.diagnostics, put_in, strict=False):
             beyond[one.name] = beyond.get(one.name, 0) + (abs(one.value - value) > 2.0 * one.u)
-        turned, covariance = found.axes_turned
+        turned, covariance = axes_turned(found)
         off = Motion(stage.R.T @ turned.R, np.zeros(3)).om
         for name, angle, u in zip("xyz", off, np.sqrt(np.diag(covariance)), strict=True):
             beyond[f"rotation {name}"] = beyond.get(f"rotation {name}", 0) + bool(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.truth.touch_checks import FAR, MEDIAN_LENGTH, mistaken, outliers
+from bench.truth.touching import FAR, MEDIAN_LENGTH, mistaken, outliers
 from bench.truth.uncertainty import reading_u_mm
 from tests.bench.truth.touches import ENDS_MM, arm_settings
 

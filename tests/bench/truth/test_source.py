@@ -7,18 +7,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 
 from bench.record.reader import RunRecord, TrialRecord
-from bench.record.writer import Row
+from bench.record.schema import Row
+from bench.record.writer import Store
 from bench.truth.carrying import (
     REFERENCE_FACT,
     UNCONFIRMED_FACT,
     CarriedTruth,
     CarryState,
-    CheckRule,
     resumed,
 )
 from bench.truth.registration import Registration
@@ -56,9 +57,17 @@ class Bench:
         self, state: CarryState | None = None, hand: Toucher | None = None
     ) -> CarriedTruth:
         asks = hand or toucher(self.hand, readings=1)
-        rule = CheckRule(self.every, 1.5)
         return CarriedTruth(
-            asks, self.registration, self.stands, rule, self, self.tell, lambda: 7.0, state
+            asks,
+            self.registration,
+            self.stands,
+            cast("Store", self),
+            self.settled,
+            self.tell,
+            lambda: 7.0,
+            every=self.every,
+            limit_mm=1.5,
+            state=state,
         )
 
     def registration(self) -> Registration:
@@ -70,12 +79,12 @@ class Bench:
     def fact(self, key: str, value: object) -> None:
         self.facts[key] = value
 
-    def checked(
-        self, touches: Sequence[Row], confirmed: Sequence[str], invalid: Sequence[str], reason: str
-    ) -> None:
+    def checked(self, touches: Sequence[Row], invalid: Sequence[str], reason: str) -> None:
         self.checks += touches
-        self.confirmed += confirmed
         self.invalid |= dict.fromkeys(invalid, reason)
+
+    def settled(self, trials: Sequence[str], good: bool) -> None:
+        self.confirmed += trials if good else ()
 
     def tell(self, kind: str, text: str) -> None:
         self.told.append((kind, text))

@@ -13,6 +13,7 @@ from bench.results.verdicts import scored
 from bench.run.truth_source import REGISTRATION_FILE
 from bench.truth.registration_file import load_registration, registration_from_facts
 from bench.truth.uncertainty import CHI2_95
+from tests.bench.truth.touches import axes_turned
 from tests.bench.truth.truth_runs import CARRY, Done, done, rig_in, script_in
 
 
@@ -64,7 +65,7 @@ def test_the_stated_regions_hold_the_exact_ends(carried: Done) -> None:
 def test_a_stage_that_stands_askew_is_registered(carried: Done) -> None:
     registration = registration_from_facts(carried.run.facts)
     assert registration is not None
-    turned, covariance = registration.axes_turned
+    turned, covariance = axes_turned(registration)
     assert turned.om[2] == pytest.approx(0.03, abs=3.0 * float(np.sqrt(covariance[2, 2])))
     assert (
         load_registration(carried.run.folder / REGISTRATION_FILE).stations == registration.stations

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from bench.rig.model import Arm
 from bench.script.phantom import find_layout, load_layout
 from bench.truth.arm_tip import TipReader
-from bench.truth.registration import Registration, StageAccuracy, stations_of
+from bench.truth.registration import Registration, StageAccuracy, Station
 from bench.truth.touching import Ends, Toucher
+from bench.truth.uncertainty import triple
 from detector.geometry import Motion
 from instruments.clock import VirtualClock
 from instruments.microscribe.configuration import Identity
@@ -135,7 +136,17 @@ def registered(
 ) -> Registration:
     """What touches of one end at ``at_mm`` give, each coordinate off by ``u_mm``."""
     touched = ENDS_MM[0] + stage.moves(at_mm - CORNERS_MM[-1]) + rng.normal(0.0, u_mm, at_mm.shape)
-    rows = [[(float(x), float(y), float(z)) for x, y, z in points] for points in (at_mm, touched)]
-    return Registration(
-        MADE, "40937", "Grbl 1.1h", 1, stations_of(rows[0], rows[1], u_mm), ACCURACY
+    stations = tuple(
+        Station(triple(at), triple(end), u_mm) for at, end in zip(at_mm, touched, strict=True)
     )
+    return Registration(MADE, "40937", "Grbl 1.1h", 1, stations, ACCURACY)
+
+
+def axes_turned(found: Registration) -> tuple[Motion, Floats]:
+    """The rotation with the stage's x axis as reference (squareness is y's alone), and the
+    covariance (3, 3) of its rotation vector in the stage's axes.
+    """
+    free = found._free
+    turn = Motion.from_vectors(free.rotation, (0.0, 0.0, 0.0)).R
+    turned = Motion(found.world_from_stage.R @ turn, np.zeros(3))
+    return turned, np.asarray(found.u_mm**2 * free.covariance[:3, :3])
