@@ -33,22 +33,16 @@ def serial_url(url: str) -> str:
 
 def bath_url(url: str) -> str:
     """``url`` where it is a bath's. Raises ValueError that says what is allowed."""
-    if url == EMULATED:
-        return url
     try:
-        parse_line(url)
+        if url != EMULATED:
+            parse_line(url)
     except LineError as error:
         raise ValueError(str(error).replace(ALLOWED, f'"{EMULATED}", {ALLOWED}')) from error
     return url
 
 
 def relay_url(url: str) -> str:
-    try:
-        if url not in ("", EMULATED):
-            parse_line(url)
-    except LineError as error:
-        raise ValueError(str(error).replace(ALLOWED, f'"{EMULATED}", {ALLOWED}')) from error
-    return url
+    return url and bath_url(url)
 
 
 def operator_url(url: str, info: ValidationInfo) -> str:

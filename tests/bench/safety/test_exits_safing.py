@@ -9,10 +9,9 @@ from typing import Literal
 import pytest
 
 from bench.record.reader import read_run
-from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import find_rig, load_rig
-from bench.rig.opening import driver_openers, open_rig
+from bench.rig.opening import open_instruments
 from instruments.bath.profile import Profile, load_profile
 from instruments.bath.reading import BathReading
 from instruments.bath.registers import Row
@@ -154,8 +153,7 @@ def test_a_pump_that_turns_with_run_is_on_when_the_controller_runs() -> None:
 
 
 def test_every_driver_declares_its_safe_state_and_gets_there() -> None:
-    with open_rig(load_rig(find_rig(None)), seed=1) as hookup:
-        devices = hookup.devices
+    with open_instruments(load_rig(find_rig(None)), seed=1) as devices:
         assert set(devices.safe_states()) == {"bath", "stage", "arm", "cameras"}
         assert all(devices.safe_states().values())
         devices.bath.start(33.0)
@@ -171,11 +169,10 @@ def test_going_to_safe_is_bounded_in_time_and_goes_on_to_the_others(fault: str) 
     half a minute.
     """
     rig, clock = load_rig(find_rig(None)), VirtualClock()
-    with EmulatedRig(rig, clock, 1) as twin:
-        opened = {name: opener() for name, opener in driver_openers(rig, clock, twin.urls).items()}
-        devices = Devices(
-            clock, opened["arm"], opened["bath"], opened["stage"], twin.cameras, twin.operator
-        )
+    with (
+        EmulatedRig(rig, clock, 1) as twin,
+        open_instruments(rig, clock=clock, twin=twin) as devices,
+    ):
         devices.bath.start(33.0)
         twin.bath.late_s = 3.0
         twin.bath.fault(fault)
@@ -185,7 +182,6 @@ def test_going_to_safe_is_bounded_in_time_and_goes_on_to_the_others(fault: str) 
         assert {"stage is safe", "arm is safe"} <= set(told)
         assert unsafe == ("bath",), told
         assert any("bath could not be made safe" in text for text in told)
-        devices.close()
 
 
 @pytest.mark.parametrize(
@@ -197,8 +193,7 @@ def test_each_step_to_safe_is_tried_whatever_the_others_raise(
     raised: BaseException, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One step after the other fails in a way that no driver should; what failed is told."""
-    with open_rig(load_rig(find_rig(None)), seed=1) as hookup:
-        devices = hookup.devices
+    with open_instruments(load_rig(find_rig(None)), seed=1) as devices:
         for name, owner in {
             "bath": type(devices.bath),
             "stage": type(devices.stage),
