@@ -17,8 +17,7 @@ from pathlib import Path
 from bench.calibrate.arm_dialogues import Plan, Step, touch_frame, verify
 from bench.calibrate.simulated_arm import TryingArm
 from bench.config import ConfigError
-from bench.rig.arm_frame import TableFrame, Triple
-from bench.rig.arm_verification import Limits, Verification
+from bench.rig.arm_files import Limits, TableFrame, Triple, Verification
 from bench.rig.model import Arm, Baud
 from bench.rig.opening import open_instruments, pedal_watch, rig_of
 from bench.rig.urls import EMULATED, serial_url

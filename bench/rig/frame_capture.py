@@ -10,18 +10,122 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.rig.devices import Cameras
 from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import Checks
-from bench.rig.stereo_order import StereoOrder
 from detector.calibration import Calibration
+from detector.geometry import Array, Camera
 from instruments.camera.faults import FrameError, FrameFault
-from instruments.camera.frame import FrameSet
+from instruments.camera.frame import FrameSet, Grey
 from instruments.camera.quality import edge_blur_px, level_dn, missing_rows, saturated_share, spread
 from instruments.errors import DeviceError
+
+NEAREST_MM, FARTHEST_MM = 300.0, 8000.0
+REDUCED = 4  # rows and columns are compared at a fourth of the resolution
+SIGMA_PX = 1.0  # of the reduced picture: noise goes, edges stay
+LEAST_FIT = 0.05  # below, the pictures have nothing in common either way: no verdict
+CLEARLY = 1.25  # the exchanged pictures must fit so much better
+
+Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """How well the pictures fit as they are and exchanged: correlation of their edges at the best
+    disparity, 0 to 1.
+    """
+
+    as_is: float
+    exchanged: float
+
+    @property
+    def swapped(self) -> bool:
+        """The pictures fit clearly better when exchanged."""
+        return self.exchanged > LEAST_FIT and self.exchanged > CLEARLY * max(self.as_is, 0.0)
+
+
+class StereoOrder:
+    """Whether the left and the right picture have changed places, by the calibration: rectified
+    both ways, as they are and exchanged, they fit with one at a disparity that a thing in front of
+    the cameras can have. Whole rows of edges are compared, not single features: that works on
+    smooth teats, in dim light and in noise. Pictures are of the calibration's size.
+    """
+
+    def __init__(self, calibration: Calibration) -> None:
+        left, right, motion = calibration.left, calibration.right, calibration.right_from_left
+        K, D = zip(*(_matrices(camera) for camera in (left, right)), strict=True)
+        size = left.image_size
+        T = motion.T.reshape(3, 1)
+        R1, R2, P1, P2, *_ = cv2.stereoRectify(
+            K[0], D[0], K[1], D[1], size, motion.R, T, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0
+        )
+        self._upright = abs(P2[1, 3]) > abs(P2[0, 3])
+        shift = float(P2[1 if self._upright else 0, 3])  # focal length times baseline
+        self._sign = -1.0 if shift > 0 else 1.0
+        self._span = tuple(abs(shift) / depth / REDUCED for depth in (FARTHEST_MM, NEAREST_MM))
+        reduced = (size[0] // REDUCED, size[1] // REDUCED)
+        scale = np.diag([1.0 / REDUCED, 1.0 / REDUCED, 1.0])
+        self._maps: tuple[Maps, Maps] = (
+            _maps(K[0], D[0], R1, scale @ P1[:, :3], reduced),
+            _maps(K[1], D[1], R2, scale @ P2[:, :3], reduced),
+        )
+
+    def judge(self, left: Grey, right: Grey) -> Order:
+        """How well the pictures fit in either order."""
+        return Order(self._fit(left, right), self._fit(right, left))
+
+    def _fit(self, left: Grey, right: Grey) -> float:
+        """Correlation (normalised, summed over all rows) of the pictures' edges at the best
+        disparity of a thing in front.
+        """
+        edges = [
+            self._edges(picture, maps)
+            for picture, maps in zip((left, right), self._maps, strict=True)
+        ]
+        size = 2 * edges[0].shape[1]
+        spectra = [np.fft.rfft(edge, size, axis=1) for edge in edges]
+        correlation = np.fft.irfft(np.sum(spectra[0] * np.conj(spectra[1]), axis=0), size)
+        norm = float(np.sqrt(np.sum(edges[0] ** 2) * np.sum(edges[1] ** 2)))
+        nearest = min(int(np.ceil(self._span[1])), size // 2 - 1)
+        shifts = np.arange(int(self._span[0]), nearest + 1) * int(self._sign)
+        return float(correlation[shifts].max() / norm) if norm > 0 else 0.0
+
+    def _edges(self, picture: Grey, maps: Maps) -> Array:
+        small = cv2.resize(
+            picture, None, fx=1.0 / REDUCED, fy=1.0 / REDUCED, interpolation=cv2.INTER_AREA
+        )
+        even = cv2.remap(
+            small,
+            (maps[0] - (REDUCED - 1) / 2) / REDUCED,
+            (maps[1] - (REDUCED - 1) / 2) / REDUCED,
+            cv2.INTER_LINEAR,
+        )
+        even = even.T if self._upright else even
+        smooth = cv2.GaussianBlur(even.astype(np.float32), (0, 0), SIGMA_PX)
+        gradient = np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1), dtype=np.float64)
+        limit = 4.0 * float(np.sqrt(np.mean(gradient**2)))
+        return np.clip(gradient, -limit, limit)  # one glaring edge must not outvote all others
+
+
+def _matrices(camera: Camera) -> tuple[Array, Array]:
+    K = np.array(
+        [
+            [camera.fc[0], camera.alpha_c * camera.fc[0], camera.cc[0]],
+            [0.0, camera.fc[1], camera.cc[1]],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    return K, np.array(camera.kc)
+
+
+def _maps(K: Array, D: Array, R: Any, P: Any, size: tuple[int, int]) -> Maps:
+    x, y = cv2.initUndistortRectifyMap(K, D, R, P, size, cv2.CV_32FC1)
+    return np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
+
 
 NEARLY_ALL = 0.995
 # a thermal picture's grey says nothing of its light: only what is plainly nothing counts

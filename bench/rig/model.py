@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable
 from datetime import date
 from typing import Annotated, Literal
+from urllib.parse import urlsplit
 
 from pydantic import (
     AfterValidator,
@@ -27,10 +28,12 @@ from bench.rig.urls import (
     bath_url,
     beside,
     beside_if_named,
+    is_loopback,
     operator_url,
     relay_url,
     serial_url,
 )
+from instruments.bath.connection import parse_line
 from instruments.bath.profile import profile_names, relay_names
 from instruments.camera.conversion import Channel, Conversion, Flip, Radiometry, Turn
 from instruments.camera.settings import Settings, Trigger, Value
@@ -351,6 +354,18 @@ class Rig(Section):
     def emulated(self) -> tuple[str, ...]:
         """Names of the instruments that are emulated in this process."""
         return tuple(name for name, url in self.urls.items() if url == EMULATED)
+
+    @property
+    def bath_emulated(self) -> bool:
+        """Whether the bath is an emulator's: of this process, or of a `teatbench emulate` on this
+        machine. That one's operator and bath both are at the loopback or a pseudo-terminal; either
+        alone, or an address of another host, may be a real bath's.
+        """
+        if self.bath.url == EMULATED:
+            return True
+        line, hands = parse_line(self.bath.url), urlsplit(self.operator.url)
+        there = bool(re.match(r"/dev/(pts/|ttys)\d", line.device)) or is_loopback(line.host)
+        return there and hands.scheme == "emulator" and is_loopback(hands.hostname or "")
 
     @property
     def all_emulated(self) -> bool:

@@ -5,6 +5,7 @@ file. Checks words; opens nothing.
 from __future__ import annotations
 
 import re
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,14 @@ from instruments.bath.connection import ALLOWED, LineError, parse_line
 
 EMULATED, CONSOLE, SCRIPT = "emulator:", "console:", "script:"
 ELSEWHERE = "emulator://"  # the operator of another process, which emulates the whole rig
+
+
+def is_loopback(host: str) -> bool:
+    """Whether ``host`` is this machine, as an address that no other one can have."""
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def serial_url(url: str) -> str:

@@ -83,7 +83,7 @@ class WatchedBath(RuleBasedStateMachine):
         gate = StabilityGate(set_point_c=33.0, window_s=60.0)
         interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
         self.watch = BathMonitor(
-            self.bath,
+            self.bath.read,
             self.clock,
             gate,
             interlocks,

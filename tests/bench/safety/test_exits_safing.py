@@ -21,18 +21,9 @@ from instruments.errors import DeviceError, LinkError
 from instruments.stage.driver import Stage
 from tests.bench.killed_runs import Silent, start
 from tests.bench.operated_runs import STAGE, files
+from tests.bench.safety.calm import CALM
 
-CALM = BathReading(
-    t_s=0.0,
-    temp_c=20.0,
-    raw=(1, 2),
-    external_c=None,
-    power_percent=0.0,
-    safety_c=None,
-    alarm=0,
-    warning=0,
-    remote=True,
-)
+COLD = replace(CALM, temp_c=20.0, power_percent=0.0)
 
 
 def profile(pump: Literal["none", "with run", "own"]) -> Profile:
@@ -76,7 +67,7 @@ class Noted:
 
     def read(self) -> BathReading:
         self.note("look at the level")
-        return replace(CALM, alarm=self.alarm)
+        return replace(COLD, alarm=self.alarm)
 
     def get(self, name: str) -> float:
         return self.values[name]
@@ -96,7 +87,7 @@ def test_start_is_level_pump_ten_seconds_of_flow_then_run() -> None:
     bath = Noted("own")
     start_bath(bath, 33.0, bath.clock.sleep)
     assert bath.told == [(0.0, "look at the level"), (0.0, "pump on"), (10.0, "run at 33")]
-    assert pump_on(bath, CALM) is True
+    assert pump_on(bath, COLD) is True
 
 
 def test_a_low_level_starts_neither_pump_nor_heater() -> None:
@@ -146,10 +137,10 @@ def test_a_pump_without_a_switch_is_not_pretended(
 
 def test_a_pump_that_turns_with_run_is_on_when_the_controller_runs() -> None:
     assert [
-        pump_on(Noted("with run"), replace(CALM, running=running))
+        pump_on(Noted("with run"), replace(COLD, running=running))
         for running in (True, False, None)
     ] == [True, False, None]
-    assert pump_on(Noted("none"), replace(CALM, running=True)) is None
+    assert pump_on(Noted("none"), replace(COLD, running=True)) is None
 
 
 def test_every_driver_declares_its_safe_state_and_gets_there() -> None:
