@@ -17,14 +17,13 @@ from pathlib import Path
 from bench.calibrate.arm_dialogues import Plan, Step, touch_frame, verify
 from bench.calibrate.simulated_arm import TryingArm
 from bench.config import ConfigError
-from bench.rig.arm_frame import TableFrame, Triple
-from bench.rig.arm_verification import Limits, Verification
-from bench.rig.opening import pedal_watch
+from bench.rig.arm_files import Limits, TableFrame, Triple, Verification
+from bench.rig.model import Arm, Baud
+from bench.rig.opening import open_instruments, pedal_watch, rig_of
 from bench.rig.urls import EMULATED, serial_url
 from bench.script.model import ArmRequirement, find_script, load_script
 from instruments.captures.capture import Captures
 from instruments.clock import RealClock, wall_time
-from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.operators.console import Console
 
@@ -86,7 +85,7 @@ class ArmSession:
 
 @contextmanager
 def open_arm(
-    port: str, baud: int, answer_s: float, capture: Captures, *, length_mm: float | None = None
+    port: str, baud: Baud, answer_s: float, capture: Captures, *, length_mm: float | None = None
 ) -> Iterator[ArmSession]:
     """The arm at ``port``, signed on; ``length_mm`` is that of an emulated arm's bar. Raises
     ConfigError and as the driver does.
@@ -98,20 +97,13 @@ def open_arm(
     clock = RealClock()
     trying = TryingArm(clock, length_mm=length_mm or 300.0) if port == EMULATED else None
     try:
-        link = Link(
-            trying.url if trying else port,
-            clock,
-            who="arm",
-            baud=baud,
-            tap=capture.tap("arm", clock),
-        )
-        arm = MicroScribe(link, clock, answer_s=answer_s)
-        try:
+        url = trying.url if trying else port
+        rig = rig_of(arm=Arm.model_construct(url=url, baud=baud, answer_s=answer_s))
+        with open_instruments(rig, ("arm",), clock, capture=capture) as devices:
+            arm = devices.arm
             arm.sign_on()
             console = Console(sys.stdin, sys.stdout, clock, watch=lambda: pedal_watch(arm, clock))
             yield ArmSession(arm, clock, console, trying)
-        finally:
-            arm.close()
     finally:
         if trying:
             trying.close()

@@ -13,15 +13,18 @@ from typing import Protocol
 
 import numpy as np
 
-from bench.rig.arm_frame import (
+from bench.rig.arm_files import (
     APART_MM,
+    TOUCHES,
     FrameError,
+    LengthTest,
+    LocationTest,
     TableFrame,
     TouchedPoint,
     Triple,
+    Verification,
     world_from_arm,
 )
-from bench.rig.arm_verification import TOUCHES, LengthTest, LocationTest, Verification
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.errors import ArmMovesError
 from instruments.microscribe.stream import Reading

@@ -15,7 +15,7 @@ from bench.config import ConfigError
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage as StageSettings
-from bench.rig.opening import open_rig
+from bench.rig.opening import open_instruments
 from bench.script.phantom import find_layout, load_layout
 from bench.truth.arm_tip import TipReader
 from bench.truth.registration import Registration, RegistrationError
@@ -70,8 +70,8 @@ def calibrate_stage(
             f"--at: {len(poses)} positions; a registration needs three or more that don't lie on a"
             " line"
         )
-    with open_rig(rig, seed=seed, capture=capture) as hookup:
-        devices, stage = hookup.devices, hookup.devices.stage
+    with open_instruments(rig, seed=seed, capture=capture) as devices:
+        stage = devices.stage
         if stage is None:
             raise ConfigError.plain(f"{rig.path} has no [stage]: there is nothing to register.")
         tip = TipReader(devices.arm, rig.rig.arm, rig.frame)

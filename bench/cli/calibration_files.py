@@ -22,8 +22,8 @@ from bench.cli.arguments import CODES, Commands
 if TYPE_CHECKING:
     from bench.calibrate.capture import ViewsRequest
     from bench.rig.cameras_alone import Look
+    from bench.rig.devices import Devices
     from bench.rig.loading import LoadedRig
-    from bench.rig.opening import Parts
     from detector.calibration import Calibration, Part, Record
     from detector.calibration.diagnosis import Finding
     from instruments.camera.frame import Grey
@@ -260,8 +260,6 @@ def gather_world(given: argparse.Namespace, known: Part) -> Gathered:
     folder = free_folder(given.out)
     with _opened(given, known, arm=True) as (parts, rig):
         arm = parts.arm
-        if arm is None:
-            raise ValueError("the arm was asked for, and is not open")
         try:
             arm.sign_on()
             tip = TipReader(arm, rig.rig.arm, rig.frame)
@@ -282,19 +280,20 @@ def gather_world(given: argparse.Namespace, known: Part) -> Gathered:
 @contextmanager
 def _opened(
     given: argparse.Namespace, known: Part | None, *, arm: bool
-) -> Iterator[tuple[Parts, LoadedRig]]:
+) -> Iterator[tuple[Devices, LoadedRig]]:
     from bench.rig.loading import find_rig, load_rig
-    from bench.rig.opening import open_parts
+    from bench.rig.opening import open_instruments
     from bench.script.calibration_age import refuse_other_cameras
 
     rig = load_rig(find_rig(given.rig))
     seed = rig.rig.seed if given.seed is None else given.seed
-    with open_parts(rig, seed=seed, arm=arm, capture=given.capture) as parts:
+    names = ("arm", "operator", "cameras") if arm else ("operator", "cameras")
+    with open_instruments(rig, names, seed=seed, capture=given.capture) as parts:
         refuse_other_cameras(known.record if known else None, parts.cameras.identity)
         yield parts, rig
 
 
-def _look(parts: Parts, rig: LoadedRig) -> Look:
+def _look(parts: Devices, rig: LoadedRig) -> Look:
     """Takes each camera's picture, once whatever the operator moved has come to rest."""
     from bench.rig.cameras_alone import patient, pictures
 

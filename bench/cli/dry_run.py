@@ -5,7 +5,7 @@ by a rehearsal on emulators.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from shutil import disk_usage
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from bench.dry_run.rehearsal import Rehearsal
     from bench.rig.loading import LoadedRig
     from bench.script.model import LoadedScript
-    from instruments.stage.driver import Stage
     from instruments.stage.settings import StageSettings
 
 SHOWN = 40  # findings; a plane map on a wrong stage has hundreds
@@ -220,10 +219,8 @@ def _stage_settings(rig: LoadedRig) -> tuple[StageSettings | None, str]:
     """What the stage's controller tells of itself; None without a stage, or where nobody could ask,
     and why. It only asks.
     """
-    from bench.rig.emulated_rig import EmulatedRig
-    from bench.rig.opening import driver_openers
+    from bench.rig.opening import open_instruments
     from bench.run.lock import RigInUseError, lock_path, locked
-    from instruments.clock import RealClock, VirtualClock
     from instruments.errors import InstrumentError
 
     if rig.rig.stage is None:
@@ -232,21 +229,14 @@ def _stage_settings(rig: LoadedRig) -> tuple[StageSettings | None, str]:
     # gets no lock
     lock = lock_path(rig)
     try:
-        if rig.rig.emulated:
-            with EmulatedRig(rig, still := VirtualClock(), rig.rig.seed) as twin:
-                return _asked(driver_openers(rig, still, twin.urls)["stage"]()), ""
         with (
             locked(lock if lock and lock.exists() else None, "a dry run", lambda _: None),
-            closing(RealClock()) as clock,
+            open_instruments(rig, ("stage",)) as devices,
         ):
-            return _asked(driver_openers(rig, clock, rig.rig.urls)["stage"]()), ""
+            if stage := devices.stage:
+                stage.connect()
+            return stage.settings if stage else None, ""
     except RigInUseError:
         return None, "another bench has the rig"
     except InstrumentError:
         return None, "its controller doesn't answer"
-
-
-def _asked(stage: Stage) -> StageSettings:
-    with closing(stage):
-        stage.connect()
-        return stage.settings

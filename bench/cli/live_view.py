@@ -24,13 +24,15 @@ from rich.live import Live
 from rich.text import Text
 
 from bench.config import ConfigError, did_you_mean
+from bench.rig.model import Bath as BathTable
+from bench.rig.opening import open_instruments, rig_of
 from bench.safety.interlocks import moving_of
 from bench.safety.stability import StabilityGate, StabilityReport, State
 from instruments.bath.driver import Bath
 from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
 from instruments.bath.reading import BathReading
 from instruments.captures.capture import NO_CAPTURE, Captures
-from instruments.clock import Clock, RealClock
+from instruments.clock import Clock
 from instruments.errors import InstrumentError
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.stream import Pedal, Sample
@@ -58,18 +60,12 @@ def open_bath(
     allow_inferred: bool = False,
     identify: bool = True,
     capture: Captures = NO_CAPTURE,
-) -> Iterator[tuple[Bath, RealClock]]:
+) -> Iterator[tuple[Bath, Clock]]:
     """The bath at ``url`` in real time, and its clock. Raises InstrumentError."""
-    clock = RealClock()
-    try:
-        tap = capture.tap("bath", clock)
-        bath = Bath(url, profile, clock, allow_inferred=allow_inferred, identify=identify, tap=tap)
-        try:
-            yield bath, clock
-        finally:
-            bath.close()
-    finally:
-        clock.close()
+    table = BathTable.model_construct(url=url, profile="", allow_inferred=allow_inferred)
+    rig = rig_of(profile, bath=table)
+    with open_instruments(rig, ("bath",), capture=capture, identify=identify) as devices:
+        yield devices.bath, devices.clock
 
 
 def described(bath: Bath) -> dict[str, object]:

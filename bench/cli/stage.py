@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from bench.cli.arguments import CODES, Commands, address
 
 if TYPE_CHECKING:
-    from bench.rig.stage_alone import StageAt
+    from bench.rig.model import Stage as StageTable
     from instruments.stage.driver import Stage
 
 _RESETS = "opening the port resets most controllers, so that the stage has to be homed again"
@@ -113,12 +113,13 @@ def _step(text: str) -> dict[str, float]:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def _at(given: argparse.Namespace) -> StageAt:
+def _at(given: argparse.Namespace) -> StageTable:
     from bench.config import ConfigError
-    from bench.rig.stage_alone import StageAt, of_rig
+    from bench.rig.model import Stage as StageTable
+    from bench.rig.stage_alone import of_rig
 
     if given.rig is None:
-        return StageAt(given.port, given.axes or "XY")
+        return StageTable(url=given.port, axes=given.axes or "XY")
     if given.axes:
         raise ConfigError.plain(
             "--axes goes with --port; a rig file says itself which axes its stage has"

@@ -16,10 +16,10 @@ import numpy as np
 from bench.dry_run.findings import Course
 from bench.files import png_bytes
 from bench.results.answers import Examiner
-from bench.rig.camera_model import Checks, FocusTable
 from bench.rig.devices import Cameras
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
+from bench.rig.model import Checks, FocusTable
 from bench.run.rows import stage_pictures
 from bench.script.planned_trials import PlannedTrial
 from detector.calibration import Calibration

@@ -8,7 +8,7 @@ detections but one a detector.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,10 +20,10 @@ from bench.dry_run.pose_checks import Finding
 from bench.dry_run.twin import twin_of
 from bench.record.schema import SCRIPT as SCRIPT_FILE
 from bench.record.writer import Store
-from bench.rig.devices import Cameras, Devices
+from bench.rig.devices import Cameras
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig
-from bench.rig.opening import driver_openers
+from bench.rig.opening import open_instruments
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import CONSOLE, SCRIPT
 from bench.run.engine import Engine
@@ -156,12 +156,8 @@ def _go_through(
     and heard by ``course``.
     """
     clock = twin.world.clock
-    openers = driver_openers(rig, clock, twin.urls)
-    with ExitStack() as stack:
-        opened = {name: stack.enter_context(closing(openers[name]())) for name in openers}
-        devices = Devices(
-            clock, opened["arm"], opened["bath"], opened.get("stage"), cameras, operator
-        )
+    with open_instruments(rig, ("arm", "bath", "stage"), clock, twin=twin) as opened:
+        devices = replace(opened, cameras=cameras, operator=operator)
         Engine(rig, script, devices, store, (), course, exact_ends=twin.world.ends_mm).run()
 
 

@@ -14,10 +14,9 @@ from math import atan2
 import numpy as np
 
 from bench.dry_run.pose_checks import USUAL_ARM, registered_at
-from bench.rig.camera_model import Cameras, FocusTable
 from bench.rig.emulation_model import EmulatedStage, Emulation, Placed
 from bench.rig.loading import LoadedRig
-from bench.rig.model import Stage
+from bench.rig.model import Cameras, FocusTable, Stage
 from bench.rig.urls import EMULATED
 from bench.script.model import LoadedScript
 from bench.script.planned_trials import shared

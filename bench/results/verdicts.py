@@ -15,7 +15,7 @@ import numpy as np
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
 from bench.results.latency import Latency, latency_of
-from bench.rig.arm_verification import Limits, Verification, broken_by, from_dict, gaps_of
+from bench.rig.arm_files import Limits, Verification, broken_by, from_dict, gaps_of
 from bench.scoring.decisions import (
     Decision,
     Verdict,

@@ -5,30 +5,27 @@ three by their URLs, as they are; looked at, focused, and grabbed into a recordi
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.config import ConfigError, read_text
-from bench.rig.camera_model import Cameras as CamerasTable
-from bench.rig.camera_model import OneCamera, camera_url
 from bench.rig.devices import Cameras
-from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.frame_checks import FrameChecks
+from bench.rig.frame_capture import FrameChecks
 from bench.rig.loading import LoadedRig, find_rig, load_rig
-from bench.rig.opening import conversion_of, open_cameras, opener_of
-from bench.rig.urls import EMULATED
-from instruments.camera.cameras import KNOWN, Camera, CameraSet
+from bench.rig.model import Cameras as CamerasTable
+from bench.rig.model import OneCamera, camera_url
+from bench.rig.opening import conversion_of, open_camera, open_instruments, rig_of
+from instruments.camera.cameras import KNOWN, Camera
 from instruments.camera.conversion import Conversion
 from instruments.camera.faults import FrameError
 from instruments.camera.frame import FrameSet, Grey
 from instruments.camera.genicam import load_aravis
 from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
-from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.clock import Clock, RealClock
 from instruments.errors import DeviceError
 
 Seen = TypeVar("Seen")
@@ -47,18 +44,18 @@ class Alone:
     identity: Callable[[], Mapping[str, str]]
     look: Look
     frame_set: Cameras | None
-    table: CamerasTable
-    rig: LoadedRig | None
+    rig: LoadedRig
+
+    @property
+    def table(self) -> CamerasTable:
+        """What the rig declares of them."""
+        return self.rig.rig.cameras
 
     @property
     def checks(self) -> FrameChecks:
         """The rig's looks; a phantom that is still cold is no fault here."""
-        return FrameChecks(
-            self.table.checks,
-            self.table.max_skew_s,
-            self.rig.made_calibration if self.rig else None,
-            flat=False,
-        )
+        table, calibration = self.table, self.rig.made_calibration
+        return FrameChecks(table.checks, table.max_skew_s, calibration, flat=False)
 
 
 @contextmanager
@@ -66,97 +63,36 @@ def open_alone(sources: Sequence[str]) -> Iterator[Alone]:
     """A rig's cameras by its name or file (the emulated one for none), or cameras by URL. Raises
     ConfigError, InstrumentError.
     """
-    if any(source.partition(":")[0] in ("opencv", "genicam") for source in sources):
-        with _by_url(sources) as alone:
-            yield alone
-        return
-    if len(sources) > 1:
+    by_url = any(source.partition(":")[0] in ("opencv", "genicam") for source in sources)
+    if by_url and len(sources) > len(KNOWN):
+        raise ConfigError.plain(
+            f"at most {len(KNOWN)} cameras: {', '.join(KNOWN)}; got {len(sources)}"
+        )
+    if not by_url and len(sources) > 1:
         raise ConfigError.plain(
             "one rig, or one to three cameras by URL (opencv:…, genicam:…); got"
             f" {' '.join(sources)}"
         )
-    rig = load_rig(find_rig(sources[0] if sources else None))
-    with _of_rig(rig) as (cameras, clock):
-        yield Alone(
-            clock,
-            lambda: cameras.identity,
-            patient(lambda: pictures(cameras.capture())),
-            cameras,
-            rig.rig.cameras,
-            rig,
-        )
-
-
-@contextmanager
-def _of_rig(rig: LoadedRig) -> Iterator[tuple[Cameras, Clock]]:
-    if rig.rig.cameras.url == EMULATED:
-        virtual = VirtualClock()
-        with EmulatedRig(rig, virtual, rig.rig.seed) as twin:
-            yield twin.cameras, virtual
+    if not by_url:
+        rig = load_rig(find_rig(sources[0] if sources else None))
+    elif len(sources) == 1:
+        rig, table = rig_of(cameras=CamerasTable(url="emulator:")), _table(sources[0])
+        with (
+            closing(RealClock()) as clock,
+            closing(open_camera(ONE, table, Path(), clock)) as camera,
+        ):
+            look = patient(lambda: {ONE: _picture(camera)})
+            yield Alone(clock, lambda: {ONE: camera.identity}, look, None, rig)
         return
-    with _real_time() as clock:
-        cameras = open_cameras(rig.rig.cameras, rig.made_calibration, rig.path.parent, clock)
-        try:
-            yield cameras, clock
-        finally:
-            cameras.close()
-
-
-@contextmanager
-def _by_url(sources: Sequence[str]) -> Iterator[Alone]:
-    if len(sources) > len(KNOWN):
-        raise ConfigError.plain(
-            f"at most {len(KNOWN)} cameras: {', '.join(KNOWN)}; got {len(sources)}"
-        )
-    names = (ONE,) if len(sources) == 1 else KNOWN
-    tables = {name: _table(source) for name, source in zip(names, sources, strict=False)}
-    with _real_time() as clock:
-        openers = {name: opener_of(name, table, Path(), clock) for name, table in tables.items()}
-        if len(sources) == 1:
-            with _opened(openers[ONE]) as camera:
-                rules = CamerasTable(url="emulator:")
-                yield Alone(
-                    clock,
-                    lambda: {ONE: camera.identity},
-                    patient(lambda: {ONE: _picture(camera)}),
-                    None,
-                    rules,
-                    None,
-                )
-            return
-        cameras = CameraSet(openers, {})
-        try:
-            rules = CamerasTable.model_validate(
-                {name: {"url": table.url} for name, table in tables.items()}
-            )
-            yield Alone(
-                clock,
-                lambda: cameras.identity,
-                patient(lambda: pictures(cameras.capture())),
-                cameras,
-                rules,
-                None,
-            )
-        finally:
-            cameras.close()
-
-
-@contextmanager
-def _real_time() -> Iterator[RealClock]:
-    clock = RealClock()
-    try:
-        yield clock
-    finally:
-        clock.close()
-
-
-@contextmanager
-def _opened(opener: Callable[[], Camera]) -> Iterator[Camera]:
-    camera = opener()
-    try:
-        yield camera
-    finally:
-        camera.close()
+    else:
+        tables = {
+            name: {"url": _table(source).url} for name, source in zip(KNOWN, sources, strict=False)
+        }
+        rig = rig_of(cameras=CamerasTable.model_validate(tables))
+    with open_instruments(rig, ("cameras",)) as devices:
+        cameras = devices.cameras
+        look = patient(lambda: pictures(cameras.capture()))
+        yield Alone(devices.clock, lambda: cameras.identity, look, cameras, rig)
 
 
 def _table(source: str) -> OneCamera:
@@ -189,20 +125,14 @@ def pictures(frames: FrameSet) -> dict[str, Grey]:
     """
     thermal = frames.thermal
     if thermal is None and frames.thermal_ck is not None:
-        thermal = _stretched(frames.thermal_ck)
+        low, high = np.percentile(frames.thermal_ck, [0.5, 99.5])
+        stretched = np.rint((frames.thermal_ck - low) * (255.0 / max(1.0, high - low)))
+        thermal = np.clip(stretched, 0.0, 255.0).astype(np.uint8)
     return {
         "left": frames.left,
         "right": frames.right,
         **({} if thermal is None else {"thermal": thermal}),
     }
-
-
-def _stretched(counts: NDArray[np.uint16]) -> Grey:
-    low, high = np.percentile(counts, [0.5, 99.5])
-    stretched: Grey = np.clip(
-        np.rint((counts - low) * (255.0 / max(1.0, high - low))), 0.0, 255.0
-    ).astype(np.uint8)
-    return stretched
 
 
 def figures(picture: Grey) -> dict[str, object]:
@@ -218,8 +148,7 @@ def figures(picture: Grey) -> dict[str, object]:
 
 def calibration_text(alone: Alone) -> str | None:
     """The rig's calibration file; None for cameras by URL, and where it has not been made."""
-    there = alone.rig is not None and alone.rig.made_calibration is not None
-    return read_text(alone.rig.calibration_path) if alone.rig and there else None
+    return read_text(alone.rig.calibration_path) if alone.rig.made_calibration else None
 
 
 def attached() -> Iterator[tuple[str, str]]:

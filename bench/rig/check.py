@@ -5,15 +5,18 @@ Nothing moves or heats.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from dataclasses import asdict, is_dataclass
 from typing import Any
 
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig
-from bench.rig.opening import driver_openers
+from bench.rig.opening import ALL, open_instruments
 from bench.rig.stage_alone import shown
+from bench.rig.urls import ELSEWHERE
 from instruments.bath.profile import PUMP
 from instruments.bath.sequence import has_own_pump
+from instruments.camera.cameras import KNOWN
 from instruments.captures.capture import NO_CAPTURE, Captures
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError
@@ -23,56 +26,30 @@ def check_rig(
     rig: LoadedRig, capture: Captures = NO_CAPTURE
 ) -> Iterator[tuple[str, bool, list[str]]]:
     """For each instrument: its name, whether it has a fault, and lines to print."""
-    if rig.rig.emulated:
-        clock = VirtualClock()
-        with EmulatedRig(rig, clock, rig.rig.seed) as twin:
-            yield from _check_all(rig, clock, twin.urls, {"cameras": lambda: twin.cameras}, capture)
-        return
-    real = RealClock()
-    try:
-        yield from _check_all(rig, real, rig.rig.urls, {}, capture)
-    finally:
-        real.close()
-
-
-def _check_all(
-    rig: LoadedRig,
-    clock: Clock,
-    urls: dict[str, str],
-    more: dict[str, Callable[[], Any]],
-    capture: Captures,
-) -> Iterator[tuple[str, bool, list[str]]]:
-    for name, opener in {**driver_openers(rig, clock, urls, capture), **more}.items():
-        try:
-            device = opener()
+    remote = rig.rig.operator.url.startswith(ELSEWHERE)
+    names = [n for n in ALL if n in rig.rig.urls and (n != "operator" or remote)]
+    with ExitStack() as stack:
+        clock: Clock
+        twin = None
+        if rig.rig.emulated:
+            clock = VirtualClock()
+            twin = stack.enter_context(EmulatedRig(rig, clock, rig.rig.seed))
+        else:
+            clock = stack.enter_context(closing(RealClock()))
+        for name in names:
             try:
-                yield (
-                    name,
-                    False,
-                    [
-                        *(f"{key}: {value}" for key, value in _READ[name](device)),
-                        *_identity(device),
-                        *_safe_state(device),
-                    ],
-                )
-            finally:
-                device.close()
-        except InstrumentError as error:
-            yield name, True, [str(error)]
-
-
-def _identity(device: Any) -> list[str]:
-    identity = (
-        asdict(device.identity)
-        if is_dataclass(device.identity) and not isinstance(device.identity, type)
-        else dict(device.identity)
-    )
-    return [f"{key}: {value}" for key, value in identity.items()]
-
-
-def _safe_state(device: Any) -> list[str]:
-    """As the driver declares it; cameras have none."""
-    return [f"safe state: {device.safe_state}"] if hasattr(device, "safe_state") else []
+                with open_instruments(rig, (name,), clock, twin=twin, capture=capture) as devices:
+                    device = getattr(devices, name)
+                    told = [*_READ[name](device)]
+                    who: Any = device.identity
+                    if is_dataclass(who) and not isinstance(who, type):
+                        who = asdict(who)
+                    told += who.items()
+                    if hasattr(device, "safe_state"):  # cameras have none
+                        told.append(("safe state", device.safe_state))
+                    yield name, False, [f"{key}: {value}" for key, value in told]
+            except InstrumentError as error:
+                yield name, True, [str(error)]
 
 
 def _arm(arm: Any) -> Iterator[tuple[str, str]]:
@@ -100,7 +77,7 @@ def _stage(stage: Any) -> Iterator[tuple[str, str]]:
 
 def _cameras(cameras: Any) -> Iterator[tuple[str, str]]:
     frames = cameras.capture()
-    for name in ("left", "right", "thermal"):
+    for name in KNOWN:
         image = getattr(frames, name)
         if image is not None:
             yield name, f"{image.shape[1]} x {image.shape[0]}, mean level {image.mean():.1f}"

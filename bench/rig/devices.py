@@ -8,6 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from instruments.bath.driver import Bath
 from instruments.bath.sequence import cause_of, heater_off, run_pump_on
 from instruments.camera.frame import FrameSet
@@ -28,8 +31,8 @@ class Cameras(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """All that is open. ``stage`` is None on a rig without one; an
-    operator then moves the phantom.
+    """All that is open. ``stage`` is None on a rig without one; an operator then moves the phantom.
+    ``exact_ends``, world mm (n, 3), is there on an emulated rig only.
     """
 
     clock: Clock
@@ -38,6 +41,7 @@ class Devices:
     stage: Stage | None
     cameras: Cameras
     operator: Operator
+    exact_ends: Callable[[], NDArray[np.float64]] | None = None
 
     def identities(self) -> dict[str, dict[str, str]]:
         """What each instrument says of itself; where it was reached stands in the rig file."""
@@ -86,9 +90,3 @@ class Devices:
                 unsafe.append(name)
                 tell(f"{name} could not be made safe: {cause_of(error)}")
         return tuple(unsafe)
-
-    def close(self) -> None:
-        """Close all links."""
-        for device in (self.cameras, self.arm, self.stage, self.bath):
-            if device is not None:
-                device.close()

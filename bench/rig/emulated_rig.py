@@ -6,34 +6,29 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import located, read_text
-from bench.rig.emulated_faults import (
-    Actions,
-    arm_actions,
-    bath_actions,
-    camera_actions,
-    pump_actions,
-    stage_actions,
-)
 from bench.rig.emulation_model import EmulatedFault, EmulatedStage, make_renderer
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage
 from detector.geometry import Motion
 from instruments.bath.emulator import BathEmulator, Framing
+from instruments.bath.profile import Profile, RelayProfile
 from instruments.bath.relay_emulator import RelayEmulator
 from instruments.camera.emulator import EmulatedCameras
 from instruments.clock import Clock
 from instruments.listener import Device, Listener
 from instruments.microscribe.emulator import ArmEmulator
+from instruments.microscribe.faults import FOREVER
 from instruments.microscribe.mechanics import Hand
 from instruments.operators.emulated import EmulatedOperator
 from instruments.pty_listener import PtyListener
 from instruments.stage.emulator import CLASSIC, GRBL_HAL, Mounting, StageEmulator
+from instruments.stage.emulator.board import LATE_S, LOST_MM
+from instruments.stage.emulator.board import Fault as StageFault
 from instruments.world.phantom import PlatePose
 from instruments.world.world import World
 
@@ -99,48 +94,55 @@ class EmulatedRig:
         self._clock = clock
         self._host, self._pty, self._paced = host, pty, paced
         self._listeners: dict[str, Listener | PtyListener] = {}
-        hand = PlacedHand(
-            self.world, Motion.from_vectors(emulation.arm_placed.om, emulation.arm_placed.T)
+        placed = Motion.from_vectors(emulation.arm_placed.om, emulation.arm_placed.T)
+        self.arm = ArmEmulator(
+            PlacedHand(self.world, placed),
+            clock,
+            unit=rig.arm_unit,
+            seed=seed,
+            accuracy_mm=emulation.arm_accuracy_mm,
+            tremor_mm=emulation.hand_tremor_mm,
         )
-        unit, accuracy_mm, tremor_mm = (
-            rig.arm_unit,
-            emulation.arm_accuracy_mm,
-            emulation.hand_tremor_mm,
+        plant, r, relay = self.world.plant, rig.rig, rig.relay
+        self.bath = BathEmulator(plant, rig.profile, clock, framing=self._framing(rig.profile))
+        # on a port of its own; without one, and with a controller that turns none, the pump stands
+        self.pump = (
+            RelayEmulator(plant, relay, clock, framing=self._framing(relay)) if relay else None
         )
-        arm = self.arm = ArmEmulator(
-            hand, clock, unit=unit, seed=seed, accuracy_mm=accuracy_mm, tremor_mm=tremor_mm
-        )
-        framing: Framing | None = "rtu" if pty and "rtu" in rig.profile.transports else None
-        bath = self.bath = BathEmulator(self.world.plant, rig.profile, clock, framing=framing)
-        pump = self.pump = self._relay(rig)
-        stage = self.stage = self._stage(rig.rig.stage, emulation.stage) if rig.rig.stage else None
-        self._check_faults(rig)
-        for fault in emulation.faults:
-            self._plan(fault)
+        self.stage = self._stage(r.stage, emulation.stage) if r.stage else None
         try:
-            self._listen("arm", arm, rig.rig.arm.baud)
-            self._listen("bath", bath, rig.profile.baud if bath.framing == "rtu" else None)
-            if pump:
-                self._listen("pump", pump, pump.profile.baud if pump.framing == "rtu" else None)
-            if stage and rig.rig.stage:
-                self._listen("stage", stage, rig.rig.stage.baud)
+            for at, fault in enumerate(emulation.faults):
+                try:
+                    self._plan(fault)
+                except ValueError as error:
+                    key = ("emulation", "faults", at, "name")
+                    raise located(rig.path, rig.text, [(key, str(error), False)]) from error
+            self._listen("arm", self.arm, r.arm.baud)
+            self._listen(
+                "bath", self.bath, rig.profile.baud if self.bath.framing == "rtu" else None
+            )
+            if self.pump and relay:
+                self._listen("pump", self.pump, relay.baud if self.pump.framing == "rtu" else None)
+            if self.stage and r.stage:
+                self._listen("stage", self.stage, r.stage.baud)
         except BaseException:
             self.close()
             raise
+
+    def _framing(self, profile: Profile | RelayProfile) -> Framing | None:
+        return "rtu" if self._pty and "rtu" in profile.transports else None
 
     @property
     def urls(self) -> dict[str, str]:
         """What a driver opens, by instrument. One on a pseudo-terminal moves when the instrument
         itself hangs up.
         """
-        spoken = {"bath": self.bath.framing, **({"pump": self.pump.framing} if self.pump else {})}
-        scheme = {
-            name: "tcp://" if framing == "tcp" else "rtu+tcp://" for name, framing in spoken.items()
-        }
-        return {
-            name: listener.url.replace("socket://", scheme.get(name, "socket://"))
-            for name, listener in self._listeners.items()
-        }
+        urls = {name: listener.url for name, listener in self._listeners.items()}
+        for name, device in (("bath", self.bath), ("pump", self.pump)):
+            if device and name in urls:
+                scheme = "tcp://" if device.framing == "tcp" else "rtu+tcp://"
+                urls[name] = urls[name].replace("socket://", scheme)
+        return urls
 
     def close(self) -> None:
         """Close all listeners, and the world behind them."""
@@ -151,22 +153,15 @@ class EmulatedRig:
     def __enter__(self) -> EmulatedRig:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _stage(self, said: Stage, errors: EmulatedStage) -> StageEmulator:
         """A stage that carries the world's phantom; at its reference place the phantom stands as
         its layout says.
         """
-        axes, dialect = (
-            4 if "A" in said.axes else 3,
-            (GRBL_HAL if errors.dialect == "grblHAL" else CLASSIC),
-        )
+        axes = 4 if "A" in said.axes else 3
+        dialect = GRBL_HAL if errors.dialect == "grblHAL" else CLASSIC
         play_mm = (*errors.backlash_mm, errors.backlash_deg)[:axes]
         stage = StageEmulator(
             self._clock, settings=errors.settings, dialect=dialect, axes=axes, play_mm=play_mm
@@ -189,15 +184,6 @@ class EmulatedRig:
         self.world.stage_pose, self.world.stage_velocity = pose, velocity
         return stage
 
-    def _relay(self, rig: LoadedRig) -> RelayEmulator | None:
-        """The relay that switches the pump, on a port of its own; without one, and with a
-        controller that turns none, the pump stands.
-        """
-        if rig.relay is None:
-            return None
-        framing: Framing | None = "rtu" if self._pty and "rtu" in rig.relay.transports else None
-        return RelayEmulator(self.world.plant, rig.relay, self._clock, framing=framing)
-
     def _listen(self, name: str, device: Device, serial_baud: int | None) -> None:
         """``serial_baud`` is the rate of the instrument's serial port; None where it has none, but
         a network.
@@ -209,23 +195,6 @@ class EmulatedRig:
             self._listeners[name] = Listener(
                 device, clock, lock=lock, name=name, host=self._host, baud=baud
             )
-
-    def _check_faults(self, rig: LoadedRig) -> None:
-        """Raise ConfigError, in its place, for a fault that a bath of this profile, or its relay,
-        can't have on this port.
-        """
-        modbus = {"bath": self.bath, "pump": self.pump}
-        for at, fault in enumerate(rig.rig.emulation.faults):
-            device = modbus.get(fault.instrument)
-            if device:
-                try:
-                    device.check_fault(fault.name)
-                except ValueError as error:
-                    raise located(
-                        rig.path,
-                        rig.text,
-                        [(("emulation", "faults", at, "name"), str(error), False)],
-                    ) from error
 
     def _plan(self, fault: EmulatedFault) -> None:
         """Have a fault come at its time, and go where it is said when; one that is there from the
@@ -239,18 +208,39 @@ class EmulatedRig:
         if fault.for_s is not None:
             self._later(fault.at_s + fault.for_s, mend_it)
 
-    def _actions(self, fault: EmulatedFault) -> Actions:
+    def _actions(self, fault: EmulatedFault) -> tuple[Callable[[], None], Callable[[], None]]:
+        """What breaks something and what mends it. Raises ValueError for what a bath of this
+        profile, or its relay, can't have on this port.
+        """
+        name, amount, stage = fault.name, fault.amount, self.stage
+        times = FOREVER if fault.times is None else fault.times
         if fault.instrument == "cameras":
-            return camera_actions(self.cameras, fault)
+            faults, camera = self.cameras.faults, fault.camera
+            return (
+                lambda: faults.inject(name, times, camera=camera, amount=amount),
+                lambda: faults.clear(name),
+            )
         if fault.instrument == "arm":
-            return arm_actions(self.arm, fault)
-        if fault.instrument == "bath":
-            return bath_actions(self.bath, fault)
-        if fault.instrument == "pump" and self.pump:
-            return pump_actions(self.pump, fault)
-        if self.stage is None:
-            raise ValueError("this rig has no stage that could fail")
-        return stage_actions(self.stage, fault)
+            of_arm = self.arm.faults
+            return lambda: of_arm.inject(name, times, amount=amount), lambda: of_arm.clear(name)
+        if fault.instrument == "stage" and stage:
+            kind = StageFault(name)
+            late_s = LATE_S if kind is StageFault.LATE_OK else 0.0
+            if kind is StageFault.LOST_STEP:
+                lost_mm = LOST_MM if amount is None else amount
+                return lambda: stage.inject(kind, lost_mm=lost_mm), lambda: stage.cure(kind)
+            after_s = late_s if amount is None else amount
+            return lambda: stage.inject(kind, after_s), lambda: stage.cure(kind)
+        device = self.bath if fault.instrument == "bath" else self.pump
+        if device is None or fault.instrument == "stage":
+            raise ValueError(f"this rig has no {fault.instrument} that could fail")
+        device.check_fault(name)
+
+        def break_it() -> None:
+            device.late_s = device.late_s if amount is None else amount
+            device.fault(name)
+
+        return break_it, lambda: device.fault(name, on=False)
 
     def _later(self, seconds: float, action: Callable[[], None]) -> None:
         def run() -> None:

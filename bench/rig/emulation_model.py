@@ -11,9 +11,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from bench.config import Point, Positive, Radians, Section
-from bench.rig.emulated_faults import check_wish
+from bench.config import Point, Positive, Radians, Section, did_you_mean
 from bench.rig.urls import beside_if_named
+from instruments.camera import emulator as camera_faults
+from instruments.microscribe import faults as arm_faults
 from instruments.operators.emulated import Mistake
 from instruments.world.microbolometer import Drift, ThermalSensor
 from instruments.world.scene import Renderer
@@ -23,6 +24,8 @@ _Kelvin = Annotated[float, Field(ge=0, le=20)]
 _Pixels = Annotated[float, Field(ge=0, le=20)]
 _Share = Annotated[float, Field(ge=0, le=1)]
 _Count = Annotated[int, Field(ge=8, le=4096)]
+
+LATE_ANSWER = "late answer"  # of a bath or a relay; its amount is in seconds
 
 
 class EmulatedOptical(Section):
@@ -119,18 +122,13 @@ class EmulatedStage(Section):
                 'the firmware "grbl" has no axis A: set dialect = "grblHAL", or declare [stage]'
                 " axes without A"
             )
-        return self._settings_fault(axes) if self.settings else None
-
-    def _settings_fault(self, axes: str) -> str | None:
-        # a real rig needs no emulator
+        if not self.settings:  # a real rig needs no emulator
+            return None
         from instruments.stage.emulator.store import CLASSIC, GRBL_HAL, Store
 
+        dialect = GRBL_HAL if self.dialect == "grblHAL" else CLASSIC
         try:
-            Store(
-                self.settings,
-                dialect=GRBL_HAL if self.dialect == "grblHAL" else CLASSIC,
-                axes=4 if "A" in axes else 3,
-            )
+            Store(self.settings, dialect=dialect, axes=4 if "A" in axes else 3)
         except ValueError as error:
             return f"[emulation.stage] settings: {error}"
         return None
@@ -158,8 +156,59 @@ class EmulatedFault(Section):
 
     @model_validator(mode="after")
     def _known(self) -> EmulatedFault:
-        check_wish(self.instrument, self)
+        instrument, known = self.instrument, fault_names(self.instrument)
+        if self.name not in known:
+            has = "have" if instrument == "cameras" else "has"
+            raise ValueError(
+                f'the {instrument} {has} no fault "{self.name}"{did_you_mean(self.name, known)}'
+                f" (there are: {', '.join(known)})"
+            )
+        if self.times is not None and instrument not in ("arm", "cameras"):
+            raise ValueError(
+                f'"times" is for faults of the arm and the cameras; one of the {instrument} lasts'
+                " until for_s have passed"
+            )
+        if self.camera is not None and instrument != "cameras":
+            raise ValueError(f'"camera" is for faults of the cameras, the {instrument} has none')
+        if instrument == "arm":
+            arm_faults.check_amount(arm_faults.named(self.name), self.amount)
+        elif instrument == "cameras":
+            camera_faults.check_amount(camera_faults.named(self.name), self.amount)
+            camera_faults.check_camera(camera_faults.named(self.name), self.camera)
+        elif instrument == "stage":
+            from instruments.stage.emulator.board import AMOUNTS, Fault
+
+            if self.amount is not None and Fault(self.name) not in AMOUNTS:
+                having = ", ".join(f'"{fault.value}" ({unit})' for fault, unit in AMOUNTS.items())
+                raise ValueError(
+                    f'the stage\'s fault "{self.name}" has no amount; one have {having}'
+                )
+        elif self.amount is not None and self.name != LATE_ANSWER:
+            raise ValueError(
+                f'of the {instrument}\'s faults only "{LATE_ANSWER}" has an amount, in seconds'
+            )
         return self
+
+
+def fault_names(instrument: str) -> tuple[str, ...]:
+    """What can go wrong with the emulated "arm", "bath", "pump" (its relay), "cameras" or "stage";
+    a real rig needs no emulator.
+    """
+    if instrument == "arm":
+        return tuple(arm_faults.Fault)
+    if instrument == "cameras":
+        return tuple(camera_faults.FAULTS)
+    if instrument == "bath":
+        from instruments.bath.emulator import FAULTS
+
+        return tuple(FAULTS)
+    if instrument == "pump":
+        from instruments.bath.relay_emulator import RELAY_FAULTS
+
+        return RELAY_FAULTS
+    from instruments.stage.emulator.board import Fault
+
+    return tuple(fault.value for fault in Fault)
 
 
 class Emulation(Section):

@@ -1,20 +1,316 @@
 """Takes a frame set that may be measured with: checks each, takes it again where something is
 wrong, and at last refuses. Every fault is an event of the record and counted, also one that the
-next try cured.
+next try cured. The limits are the rig file's; checks that compare need the set before.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
-from bench.rig.camera_model import Cameras as CamerasTable
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
 from bench.rig.devices import Cameras
-from bench.rig.frame_checks import FrameChecks, FrameProblem
+from bench.rig.model import Cameras as CamerasTable
+from bench.rig.model import Checks
 from detector.calibration import Calibration
+from detector.geometry import Array, Camera
 from instruments.camera.faults import FrameError, FrameFault
-from instruments.camera.frame import FrameSet
+from instruments.camera.frame import FrameSet, Grey
+from instruments.camera.quality import edge_blur_px, level_dn, missing_rows, saturated_share, spread
 from instruments.errors import DeviceError
+
+NEAREST_MM, FARTHEST_MM = 300.0, 8000.0
+REDUCED = 4  # rows and columns are compared at a fourth of the resolution
+SIGMA_PX = 1.0  # of the reduced picture: noise goes, edges stay
+LEAST_FIT = 0.05  # below, the pictures have nothing in common either way: no verdict
+CLEARLY = 1.25  # the exchanged pictures must fit so much better
+
+Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """How well the pictures fit as they are and exchanged: correlation of their edges at the best
+    disparity, 0 to 1.
+    """
+
+    as_is: float
+    exchanged: float
+
+    @property
+    def swapped(self) -> bool:
+        """The pictures fit clearly better when exchanged."""
+        return self.exchanged > LEAST_FIT and self.exchanged > CLEARLY * max(self.as_is, 0.0)
+
+
+class StereoOrder:
+    """Whether the left and the right picture have changed places, by the calibration: rectified
+    both ways, as they are and exchanged, they fit with one at a disparity that a thing in front of
+    the cameras can have. Whole rows of edges are compared, not single features: that works on
+    smooth teats, in dim light and in noise. Pictures are of the calibration's size.
+    """
+
+    def __init__(self, calibration: Calibration) -> None:
+        left, right, motion = calibration.left, calibration.right, calibration.right_from_left
+        K, D = zip(*(_matrices(camera) for camera in (left, right)), strict=True)
+        size = left.image_size
+        T = motion.T.reshape(3, 1)
+        R1, R2, P1, P2, *_ = cv2.stereoRectify(
+            K[0], D[0], K[1], D[1], size, motion.R, T, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0
+        )
+        self._upright = abs(P2[1, 3]) > abs(P2[0, 3])
+        shift = float(P2[1 if self._upright else 0, 3])  # focal length times baseline
+        self._sign = -1.0 if shift > 0 else 1.0
+        self._span = tuple(abs(shift) / depth / REDUCED for depth in (FARTHEST_MM, NEAREST_MM))
+        reduced = (size[0] // REDUCED, size[1] // REDUCED)
+        scale = np.diag([1.0 / REDUCED, 1.0 / REDUCED, 1.0])
+        self._maps: tuple[Maps, Maps] = (
+            _maps(K[0], D[0], R1, scale @ P1[:, :3], reduced),
+            _maps(K[1], D[1], R2, scale @ P2[:, :3], reduced),
+        )
+
+    def judge(self, left: Grey, right: Grey) -> Order:
+        """How well the pictures fit in either order."""
+        return Order(self._fit(left, right), self._fit(right, left))
+
+    def _fit(self, left: Grey, right: Grey) -> float:
+        """Correlation (normalised, summed over all rows) of the pictures' edges at the best
+        disparity of a thing in front.
+        """
+        edges = [
+            self._edges(picture, maps)
+            for picture, maps in zip((left, right), self._maps, strict=True)
+        ]
+        size = 2 * edges[0].shape[1]
+        spectra = [np.fft.rfft(edge, size, axis=1) for edge in edges]
+        correlation = np.fft.irfft(np.sum(spectra[0] * np.conj(spectra[1]), axis=0), size)
+        norm = float(np.sqrt(np.sum(edges[0] ** 2) * np.sum(edges[1] ** 2)))
+        nearest = min(int(np.ceil(self._span[1])), size // 2 - 1)
+        shifts = np.arange(int(self._span[0]), nearest + 1) * int(self._sign)
+        return float(correlation[shifts].max() / norm) if norm > 0 else 0.0
+
+    def _edges(self, picture: Grey, maps: Maps) -> Array:
+        small = cv2.resize(
+            picture, None, fx=1.0 / REDUCED, fy=1.0 / REDUCED, interpolation=cv2.INTER_AREA
+        )
+        even = cv2.remap(
+            small,
+            (maps[0] - (REDUCED - 1) / 2) / REDUCED,
+            (maps[1] - (REDUCED - 1) / 2) / REDUCED,
+            cv2.INTER_LINEAR,
+        )
+        even = even.T if self._upright else even
+        smooth = cv2.GaussianBlur(even.astype(np.float32), (0, 0), SIGMA_PX)
+        gradient = np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1), dtype=np.float64)
+        limit = 4.0 * float(np.sqrt(np.mean(gradient**2)))
+        return np.clip(gradient, -limit, limit)  # one glaring edge must not outvote all others
+
+
+def _matrices(camera: Camera) -> tuple[Array, Array]:
+    K = np.array(
+        [
+            [camera.fc[0], camera.alpha_c * camera.fc[0], camera.cc[0]],
+            [0.0, camera.fc[1], camera.cc[1]],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    return K, np.array(camera.kc)
+
+
+def _maps(K: Array, D: Array, R: Any, P: Any, size: tuple[int, int]) -> Maps:
+    x, y = cv2.initUndistortRectifyMap(K, D, R, P, size, cv2.CV_32FC1)
+    return np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
+
+
+NEARLY_ALL = 0.995
+# a thermal picture's grey says nothing of its light: only what is plainly nothing counts
+THERMAL_BLACK_DN = 2
+THERMAL_FULL = 0.9
+RADIOMETRIC = "thermal_ck"
+PARTS = {"left": "left", "right": "right", "thermal": "thermal", RADIOMETRIC: "thermal"}
+
+
+@dataclass(frozen=True, slots=True)
+class FrameProblem:
+    """A fault of a frame set: what it is called, whose it is, and what was seen."""
+
+    fault: FrameFault
+    camera: str
+    sentence: str
+
+    def __str__(self) -> str:
+        return f"{self.camera} camera: {self.fault}: {self.sentence}"
+
+
+class FrameChecks:
+    """The looks of one rig, with the set that was seen last. Without a calibration neither size nor
+    order is looked at.
+
+    ``flat`` False where nothing warm need stand before the thermal camera.
+    """
+
+    def __init__(
+        self,
+        checks: Checks,
+        max_skew_s: float,
+        calibration: Calibration | None,
+        *,
+        flat: bool = True,
+    ) -> None:
+        self._checks = checks
+        self._max_skew_s = max_skew_s
+        self._calibration = calibration
+        self._flat = flat
+        self._order: StereoOrder | None = None
+        self._last: FrameSet | None = None
+
+    def notice(self, frames: FrameSet) -> list[FrameProblem]:
+        """All that is wrong with ``frames``; they are then the last that was seen."""
+        last, self._last = self._last, frames
+        found = [*self._late(frames), *self._sizes(frames)]
+        for part, camera in PARTS.items():
+            image = getattr(frames, part)
+            if image is not None:
+                found += self._picture(
+                    part, camera, image, None if last is None else getattr(last, part)
+                )
+        found += self._thermal_flat(frames)
+        if self._checks.swapped and not any(one.camera in ("left", "right") for one in found):
+            found += self._swapped(frames)
+        return list({(one.fault, one.camera): one for one in found}.values())
+
+    def _late(self, frames: FrameSet) -> Iterator[FrameProblem]:
+        if not frames.exposed_s:
+            return
+        latest = max(frames.exposed_s, key=lambda name: frames.exposed_s[name])
+        skew_s = frames.exposed_s[latest] - min(frames.exposed_s.values())
+        if skew_s > self._max_skew_s:
+            said = (
+                f"exposed {skew_s:.3f} s after the first of its set, limit {self._max_skew_s:g} s:"
+                " what moves would be scored wrongly"
+            )
+            yield FrameProblem(FrameFault.LATE, latest, said)
+
+    def _sizes(self, frames: FrameSet) -> Iterator[FrameProblem]:
+        c = self._calibration
+        if c is None:
+            return
+        wanted = {
+            "left": c.left.image_size,
+            "right": c.right.image_size,
+            "thermal": c.thermal.image_size,
+            RADIOMETRIC: c.thermal.sensor_size,
+        }
+        for part, (width, height) in wanted.items():
+            image = getattr(frames, part)
+            if image is not None and image.shape != (height, width):
+                said = (
+                    f"{image.shape[1]} x {image.shape[0]}, the calibration is for {width} x"
+                    f" {height}"
+                )
+                yield FrameProblem(FrameFault.WRONG_SIZE, PARTS[part], said)
+
+    def _picture(
+        self, part: str, camera: str, image: NDArray[Any], last: NDArray[Any] | None
+    ) -> Iterator[FrameProblem]:
+        """The first that is wrong with one picture: a black one is not called frozen too."""
+        looks = (
+            self._black(part, image),
+            self._saturated(part, image),
+            self._frozen(image, last),
+            self._half(image, last),
+        )
+        for fault, said in (*looks, self._out_of_focus(part, image)):
+            if said:
+                yield FrameProblem(fault, camera, said)
+                return
+
+    def _black(self, part: str, image: NDArray[Any]) -> tuple[FrameFault, str]:
+        if part == RADIOMETRIC:
+            return FrameFault.BLACK, "every count is zero" if not image.any() else ""
+        limit = THERMAL_BLACK_DN if part == "thermal" else self._checks.black_dn
+        level = level_dn(image, NEARLY_ALL)
+        return FrameFault.BLACK, (
+            f"99.5 % of it is no brighter than {level}, limit {limit}" if level <= limit else ""
+        )
+
+    def _saturated(self, part: str, image: NDArray[Any]) -> tuple[FrameFault, str]:
+        limit = self._checks.saturated_share if part in ("left", "right") else THERMAL_FULL
+        share = (
+            float(np.mean(image == np.iinfo(image.dtype).max))
+            if part == RADIOMETRIC
+            else saturated_share(image)
+        )
+        return FrameFault.SATURATED, (
+            f"{100 * share:.0f} % of it is white, limit {100 * limit:.0f} %"
+            if share > limit
+            else ""
+        )
+
+    def _frozen(self, image: NDArray[Any], last: NDArray[Any] | None) -> tuple[FrameFault, str]:
+        same = self._checks.frozen and last is not None and np.array_equal(image, last)
+        return FrameFault.FROZEN, "identical to the last frame, noise and all" if same else ""
+
+    def _half(self, image: NDArray[Any], last: NDArray[Any] | None) -> tuple[FrameFault, str]:
+        share = missing_rows(image, last if self._checks.frozen else None)
+        many = share > self._checks.missing_rows_share
+        return FrameFault.HALF, (
+            f"{100 * share:.0f} % of its rows at an edge are empty or the last frame's"
+            if many
+            else ""
+        )
+
+    def _out_of_focus(self, part: str, image: NDArray[Any]) -> tuple[FrameFault, str]:
+        reference_px = None if part == RADIOMETRIC else getattr(self._checks.focus_px, part)
+        if reference_px is None:
+            return FrameFault.OUT_OF_FOCUS, ""
+        blur_px = edge_blur_px(image)
+        if blur_px is None:
+            return FrameFault.OUT_OF_FOCUS, "it has no edge that could be measured"
+        limit_px = self._checks.focus_times * reference_px
+        said = (
+            f"its edges are blurred by {blur_px:.1f} px, limit {limit_px:.1f} px"
+            f" ({self._checks.focus_times:g} times the reference)"
+        )
+        return FrameFault.OUT_OF_FOCUS, said if blur_px > limit_px else ""
+
+    def _thermal_flat(self, frames: FrameSet) -> Iterator[FrameProblem]:
+        if not self._flat:
+            return
+        if frames.thermal_ck is not None:
+            span_k = spread(frames.thermal_ck) / 100.0
+            if span_k < self._checks.flat_k:
+                yield FrameProblem(
+                    FrameFault.FLAT_FIELD,
+                    "thermal",
+                    f"all of it within {span_k:.2f} K, though something warm is there: its"
+                    " shutter?",
+                )
+        elif frames.thermal is not None and spread(frames.thermal) < self._checks.flat_dn:
+            yield FrameProblem(
+                FrameFault.FLAT_FIELD,
+                "thermal",
+                f"all of it within {spread(frames.thermal):.0f} grey levels: its shutter?",
+            )
+
+    def _swapped(self, frames: FrameSet) -> Iterator[FrameProblem]:
+        if self._calibration is None:
+            return
+        if self._order is None:
+            self._order = StereoOrder(self._calibration)
+        order = self._order.judge(frames.left, frames.right)
+        if order.swapped:
+            said = (
+                f"exchanged with the right one: the calibration fits {order.exchanged:.2f} when"
+                f" they are changed back, {order.as_is:.2f} as they are"
+            )
+            yield FrameProblem(FrameFault.SWAPPED, "left", said)
+
 
 EVENT = "camera"
 HINTS: Mapping[FrameFault, str] = {

@@ -4,20 +4,21 @@ emulated rig and a real one have the same keys; what differs are the URLs.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from bench.config import (
     ConfigError,
+    KeyPath,
     did_you_mean,
     located,
     read_calibration,
     read_config,
     read_text,
 )
-from bench.rig.arm_files import load_frame, load_verification
-from bench.rig.arm_frame import TableFrame
-from bench.rig.arm_verification import Verification
+from bench.rig.arm_files import TableFrame, Verification, load_frame, load_verification
 from bench.rig.model import Rig
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import EMULATED, SCRIPT
@@ -27,6 +28,7 @@ from instruments.microscribe.unit import ArmIdentity, UnitError, load_unit
 
 RIGS = Path(__file__).parents[1] / "rigs"
 NO_RIGS = ("calibration", "thesis-calibration", "lab.example")  # what lies there and can't be run
+T = TypeVar("T")
 TO_COPY = RIGS / "lab.example.toml"
 
 
@@ -77,18 +79,17 @@ class LoadedRig:
     def answer_files(self) -> dict[str, str]:
         """The text of the script of answers, by its name; none where something else answers."""
         url = self.rig.operator.url
-        name = url.removeprefix(SCRIPT)
-        return (
-            {Path(name).name: read_text(self.path.parent / name)} if url.startswith(SCRIPT) else {}
-        )
+        return self._texts(url.removeprefix(SCRIPT)) if url.startswith(SCRIPT) else {}
 
     @property
     def arm_files(self) -> dict[str, str]:
         """The text of each file about the arm that the rig names, by its name; for the run's
         folder.
         """
-        names = [name for name in (self.rig.arm.frame, self.rig.arm.verification) if name]
-        return {Path(name).name: read_text(self.path.parent / name) for name in names}
+        return self._texts(self.rig.arm.frame, self.rig.arm.verification)
+
+    def _texts(self, *names: str) -> dict[str, str]:
+        return {Path(name).name: read_text(self.path.parent / name) for name in names if name}
 
 
 def find_rig(name: str | None) -> Path:
@@ -126,45 +127,50 @@ def load_rig(path: Path) -> LoadedRig:
     Raises ConfigError with all faults of the first wrong file.
     """
     rig = read_config(path, Rig)
-    text = read_text(path)
-    profile = _profile(path, text, rig)
+    text, folder = read_text(path), path.parent
+
+    def refuse(message: str, *keys: KeyPath) -> ConfigError:
+        return located(path, text, [(key, message, False) for key in keys])
+
+    profile = _loaded(lambda: load_profile(_place(folder, rig.bath.profile)))
     # a person may rehearse
-    real = (
-        set(rig.urls)
-        - set(rig.emulated)
-        - (set() if rig.operator.url == EMULATED else {"operator"})
-    )
+    real = set(rig.urls) - set(rig.emulated)
+    real -= set() if rig.operator.url == EMULATED else {"operator"}
     if rig.emulated and real:
         message = (
             "emulated and real instruments don't mix: they would not share one world (real here:"
             f" {', '.join(sorted(real))})"
         )
-        raise located(path, text, [((name, "url"), message, False) for name in rig.emulated])
-    calibration_path = path.parent / rig.calibration
-    there = {*rig.urls, *(["pump"] if rig.bath.pump_url else [])}
+        raise refuse(message, *((name, "url") for name in rig.emulated))
     if (
         rig.stage
         and rig.stage.url == EMULATED
         and (wrong := rig.emulation.stage.fault(rig.stage.axes))
     ):
-        raise located(path, text, [(("stage", "axes"), wrong, False)])
+        raise refuse(wrong, ("stage", "axes"))
+    there = {*rig.urls, *(["pump"] if rig.bath.pump_url else [])}
     homeless = [i for i, fault in enumerate(rig.emulation.faults) if fault.instrument not in there]
     if homeless:
-        missing = "this rig has no such instrument"
-        raise located(
-            path,
-            text,
-            [(("emulation", "faults", i, "instrument"), missing, False) for i in homeless],
-        )
-    frame = load_frame(path.parent / rig.arm.frame) if rig.arm.frame else None
+        keys = [("emulation", "faults", i, "instrument") for i in homeless]
+        raise refuse("this rig has no such instrument", *keys)
+    frame = load_frame(folder / rig.arm.frame) if rig.arm.frame else None
     verification = (
-        load_verification(path.parent / rig.arm.verification) if rig.arm.verification else None
+        load_verification(folder / rig.arm.verification) if rig.arm.verification else None
     )
-    unit = _arm_unit(path.parent / rig.emulation.arm_unit) if rig.emulation.arm_unit else None
-    relay = _relay(path, text, rig, profile)
+    unit_path = folder / rig.emulation.arm_unit
+    try:
+        unit = load_unit(unit_path) if rig.emulation.arm_unit else None
+    except UnitError as error:
+        faults = [(key, message, False) for key, message in error.located]
+        raise located(unit_path, read_text(unit_path), faults) from error
+    if wrong := _relay_fault(rig, profile):
+        raise refuse(wrong, ("bath", "pump_url" if rig.bath.pump_url else "pump_profile"))
+    pump = rig.bath.pump_profile
+    relay = _loaded(lambda: load_relay(_place(folder, pump))) if pump else None
     if rig.operator.url.startswith(SCRIPT):
         # its faults are told before anything is opened
-        load_answers(path.parent / rig.operator.url.removeprefix(SCRIPT))
+        load_answers(folder / rig.operator.url.removeprefix(SCRIPT))
+    calibration_path = folder / rig.calibration
     calibration = read_calibration(calibration_path) if calibration_path.is_file() else None
     loaded = LoadedRig(
         path, text, rig, profile, calibration_path, calibration, frame, verification, unit, relay
@@ -174,60 +180,34 @@ def load_rig(path: Path) -> LoadedRig:
     return loaded
 
 
-def _arm_unit(path: Path) -> ArmIdentity:
-    try:
-        return load_unit(path)
-    except UnitError as error:
-        raise located(
-            path, read_text(path), [(key, message, False) for key, message in error.located]
-        ) from error
+def _place(folder: Path, name: str) -> Path | str:
+    return folder / name if name.endswith(".toml") else name
 
 
-def _profile(path: Path, text: str, rig: Rig) -> Profile:
-    name = rig.bath.profile
-    own = path.parent / name if name.endswith(".toml") else None
-    if own is not None and not own.is_file():
-        raise located(path, text, [(("bath", "profile"), f"no such file ({own})", False)])
-    try:
-        return load_profile(own or name)
-    except ProfileError as error:
-        raise _profile_faults(error) from error
-
-
-def _relay(path: Path, text: str, rig: Rig, profile: Profile) -> RelayProfile | None:
-    """The profile of the relay that switches the pump, where the rig has one."""
+def _relay_fault(rig: Rig, profile: Profile) -> str | None:
+    """What is wrong with the relay that switches the pump; None where the rig has none."""
     bath = rig.bath
     if not (bath.pump_url or bath.pump_profile):
         return None
-    key = "pump_url" if bath.pump_url else "pump_profile"
-    wrong = ""
     if not (bath.pump_url and bath.pump_profile):
-        wrong = (
-            f"{'pump_profile' if bath.pump_url else 'pump_url'} is missing: a pump's relay has"
-            " both, or there is none"
-        )
-    elif (bath.url == EMULATED) != (bath.pump_url == EMULATED):
-        wrong = (
+        missing = "pump_profile" if bath.pump_url else "pump_url"
+        return f"{missing} is missing: a pump's relay has both, or there is none"
+    if (bath.url == EMULATED) != (bath.pump_url == EMULATED):
+        return (
             f'bath and pump are both emulated or both real: "{EMULATED}" stands in url and in'
             " pump_url, or in neither"
         )
-    elif profile.capabilities.pump != "none":
-        wrong = f"{profile.family} has a pump of its own: leave pump_url and pump_profile out"
-    if wrong:
-        raise located(path, text, [(("bath", key), wrong, False)])
+    if profile.capabilities.pump != "none":
+        return f"{profile.family} has a pump of its own: leave pump_url and pump_profile out"
+    return None
+
+
+def _loaded(load: Callable[[], T]) -> T:
     try:
-        return load_relay(
-            path.parent / bath.pump_profile
-            if bath.pump_profile.endswith(".toml")
-            else bath.pump_profile
-        )
+        return load()
     except ProfileError as error:
-        raise _profile_faults(error) from error
-
-
-def _profile_faults(error: ProfileError) -> ConfigError:
-    faults = [
-        (tuple(int(k) if k.isdigit() else k for k in key.split(".")), message, False)
-        for key, message in error.faults
-    ]
-    return located(Path(error.path), read_text(Path(error.path)), faults)
+        faults = [
+            (tuple(int(k) if k.isdigit() else k for k in key.split(".")), message, False)
+            for key, message in error.faults
+        ]
+        raise located(Path(error.path), read_text(Path(error.path)), faults) from error

@@ -5,13 +5,22 @@ only; reads no other file.
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Callable
 from datetime import date
 from typing import Annotated, Literal
+from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from bench.config import Millimetres, Point, Positive, Section, did_you_mean
-from bench.rig.camera_model import Cameras
 from bench.rig.emulation_model import Emulation
 from bench.rig.urls import (
     ELSEWHERE,
@@ -19,17 +28,23 @@ from bench.rig.urls import (
     bath_url,
     beside,
     beside_if_named,
+    is_loopback,
     operator_url,
     relay_url,
     serial_url,
 )
+from instruments.bath.connection import parse_line
 from instruments.bath.profile import profile_names, relay_names
+from instruments.camera.conversion import Channel, Conversion, Flip, Radiometry, Turn
+from instruments.camera.settings import Settings, Trigger, Value
 from instruments.world.phantom import PlatePose
+
+Baud = Literal[9600, 14400, 19200, 28800, 38400, 57600, 115200]
 
 
 class Arm(Section):
     url: Annotated[str, AfterValidator(serial_url)]
-    baud: Literal[9600, 14400, 19200, 28800, 38400, 57600, 115200] = 115200
+    baud: Baud = 115200
     answer_s: Annotated[float, Field(ge=0.05, le=60)] = 0.12
     accuracy_mm: Positive = 0.23
     packets: Annotated[int, Field(ge=2, le=1000)] = 8
@@ -45,16 +60,21 @@ class Arm(Section):
     check_touches: Annotated[int, Field(ge=2, le=100)] = 5
 
 
-def _relay_profile(name: str, info: ValidationInfo) -> str:
-    known = relay_names()
-    if not name or name in known:
+def _profile(names: Callable[[], list[str]], *, needed: bool) -> AfterValidator:
+    """A shipped profile's name, or a file beside the rig file; "" where none is ``needed``."""
+
+    def check(name: str, info: ValidationInfo) -> str:
+        known = names()
+        if name.endswith(".toml"):
+            return beside(name, info)
+        if name not in known and (name or needed):
+            raise ValueError(
+                f"no such profile{did_you_mean(name, known)} (shipped: {', '.join(known)}; or a"
+                " path that ends in .toml)"
+            )
         return name
-    if not name.endswith(".toml"):
-        raise ValueError(
-            f"no such profile{did_you_mean(name, known)} (shipped: {', '.join(known)}; or a path"
-            " that ends in .toml)"
-        )
-    return beside(name, info)
+
+    return AfterValidator(check)
 
 
 def _day_or_none(text: str) -> str:
@@ -66,25 +86,14 @@ def _day_or_none(text: str) -> str:
 
 class Bath(Section):
     url: Annotated[str, AfterValidator(bath_url)]
-    profile: str
+    profile: Annotated[str, _profile(profile_names, needed=True)]
     allow_inferred: bool = False
     pump_url: Annotated[str, AfterValidator(relay_url)] = ""
-    pump_profile: Annotated[str, AfterValidator(_relay_profile)] = ""
+    pump_profile: Annotated[str, _profile(relay_names, needed=False)] = ""
     accuracy_k: Positive = 0.1
     external_accuracy_k: Positive = 0.1
     room_c: Annotated[float, Field(ge=-10, le=40)] = 20.0
     cut_out_tested: Annotated[str, AfterValidator(_day_or_none)] = ""
-
-    @field_validator("profile")
-    @classmethod
-    def _known(cls, name: str) -> str:
-        known = profile_names()
-        if name not in known and not name.endswith(".toml"):
-            raise ValueError(
-                f"no such profile{did_you_mean(name, known)} (shipped: {', '.join(known)}; or a"
-                " path that ends in .toml)"
-            )
-        return name
 
 
 class Stage(Section):
@@ -110,6 +119,182 @@ class Stage(Section):
             "A": ("a_deg", self.reference_a_deg + math.degrees(pose.yaw_rad)),
         }
         return there | dict(more[axis] for axis in self.axes[2:])
+
+
+Share = Annotated[float, Field(gt=0, le=1)]
+Setting = Literal["resolution", "pixel_format", "exposure", "gain", "fps"]
+ALL_AT_ONCE = ("emulator:", "recording:", "opencv:")
+GENICAM_ONLY = ("features", "trigger", "trigger_source")
+
+
+def _all_url(url: str) -> str:
+    if url in ("", "emulator:") or re.match(r"(opencv|recording):\S+", url):
+        return url
+    raise ValueError(
+        'not a camera; allowed: "emulator:", "opencv:LEFT,RIGHT,THERMAL" (device numbers, files or'
+        ' streams), "recording:FOLDER", or a table for each camera: [cameras.left],'
+        " [cameras.right], [cameras.thermal]"
+    )
+
+
+def camera_url(url: str) -> str:
+    """``url`` where it is one camera's. Raises ValueError that says what is allowed."""
+    if re.match(r"opencv:\S", url) or re.match(r"genicam:", url):
+        return url
+    raise ValueError(
+        'not a camera; allowed: "opencv:0" (a device number, a file, "http://…" or "rtsp://…"'
+        ' behind it), "genicam:NAME" (as `teatbench camera list` prints it, a serial number or an'
+        " address)"
+    )
+
+
+class OneCamera(Section):
+    """One camera: where it is, what it is set to, and how its frames stand."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    url: Annotated[str, AfterValidator(camera_url)]
+    resolution: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] | None = None
+    pixel_format: str | None = None
+    exposure: Positive | None = None
+    gain: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    fps: Positive | None = None
+    trigger: Trigger = "free"
+    trigger_source: str = "Line0"
+    features: dict[str, Value] = Field(default_factory=dict)
+    tries: Annotated[bool | tuple[str, ...], Field(alias="try")] = False
+    grey: Channel = "luma"
+    mirrored: bool | None = None
+    turn_deg: Turn = 0
+    flip: Flip = "none"
+    white: Annotated[int, Field(gt=0, le=65535)] | None = None
+
+    @field_validator("tries")
+    @classmethod
+    def _known(cls, tries: bool | tuple[str, ...], info: ValidationInfo) -> bool | tuple[str, ...]:
+        known = {*Setting.__args__, *info.data.get("features", {})}  # type: ignore[attr-defined]
+        wrong = [name for name in tries if name not in known] if isinstance(tries, tuple) else []
+        if wrong:
+            raise ValueError(
+                f'"{wrong[0]}" is no setting; try = true tries all, or name some of'
+                f" {', '.join(sorted(known))}"
+            )
+        return tries
+
+    @model_validator(mode="after")
+    def _fits(self) -> OneCamera:
+        given = [
+            name
+            for name in GENICAM_ONLY
+            if getattr(self, name)
+            != type(self).model_fields[name].get_default(call_default_factory=True)
+        ]
+        if given and not self.url.startswith("genicam:"):
+            raise ValueError(
+                f'{given[0]} is for cameras of the kind "genicam:", this one is {self.url}'
+            )
+        return self
+
+    @property
+    def settings(self) -> Settings:
+        """What is asked of the camera."""
+        tries = frozenset({"all"} if self.tries is True else self.tries or ())
+        asked = {name: getattr(self, name) for name in (*Setting.__args__, *GENICAM_ONLY)}  # type: ignore[attr-defined]
+        return Settings(**asked, tries=tries)
+
+    def conversion(self) -> Conversion:
+        """What becomes of its frames."""
+        return Conversion(self.grey, bool(self.mirrored), self.turn_deg, self.flip, self.white)
+
+
+class RadiometricTable(Section):
+    kelvin_per_count: Positive
+    kelvin_at_zero: Annotated[float, Field(ge=-300, le=1000)] = 0.0
+
+
+class ThermalTable(OneCamera):
+    """The thermal camera: 8-bit as it delivers it, or with ``radiometric`` temperatures."""
+
+    polarity: Literal["hot_is_black", "hot_is_white"] | None = None
+    radiometric: RadiometricTable | None = None
+
+    def calibrated(self, *, mirrored: bool, hot_is_black: bool) -> Conversion:
+        """To the picture as the calibration has it, which its arguments tell, or to temperatures,
+        which are never mirrored.
+        """
+        comes_mirrored = mirrored if self.mirrored is None else self.mirrored
+        comes_black = hot_is_black if self.polarity is None else self.polarity == "hot_is_black"
+        r = self.radiometric
+        return Conversion(
+            self.grey,
+            comes_mirrored != (mirrored and r is None),
+            self.turn_deg,
+            self.flip,
+            self.white,
+            comes_black != hot_is_black,
+            Radiometry(r.kelvin_per_count, r.kelvin_at_zero) if r else None,
+        )
+
+
+class FocusTable(Section):
+    """Edge blur in px of each camera when it was in focus; `teatbench camera focus` tells it."""
+
+    left: Positive | None = None
+    right: Positive | None = None
+    thermal: Positive | None = None
+
+
+class Checks(Section):
+    """What a frame set must pass before it is measured with. Levels are 0 to 255."""
+
+    frozen: bool = True
+    swapped: bool = True
+    black_dn: Annotated[int, Field(ge=0, le=255)] = 12
+    saturated_share: Share = 0.25
+    missing_rows_share: Share = 0.02
+    flat_k: Annotated[float, Field(ge=0, le=50)] = 1.5
+    flat_dn: Annotated[int, Field(ge=0, le=255)] = 24
+    focus_px: FocusTable = FocusTable()
+    focus_times: Annotated[float, Field(gt=1, le=20)] = 2.5
+
+
+class Cameras(Section):
+    url: Annotated[str, AfterValidator(_all_url)] = ""
+    left: OneCamera | None = None
+    right: OneCamera | None = None
+    thermal: ThermalTable | None = None
+    settle_s: Annotated[float, Field(ge=0, le=600)] = 1.0
+    max_skew_s: Positive = 0.05
+    retries: Annotated[int, Field(ge=0, le=100)] = 3
+    retry_s: Annotated[float, Field(ge=0, le=60)] = 0.5
+    checks: Checks = Checks()
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Cameras:
+        tables = [name for name, table in self.tables.items() if table is not None]
+        if self.url and tables:
+            raise ValueError(
+                "either url for all cameras or a table for each, not both (here: url and"
+                f" [cameras.{tables[0]}])"
+            )
+        missing = [name for name in ("left", "right") if name not in tables]
+        if not self.url and missing:
+            raise ValueError(f"no url for all cameras, and no [cameras.{missing[0]}]")
+        return self
+
+    @property
+    def tables(self) -> dict[str, OneCamera]:
+        """Each camera that has a table of its own."""
+        return {
+            name: table
+            for name in ("left", "right", "thermal")
+            if (table := getattr(self, name)) is not None
+        }
+
+    @property
+    def told(self) -> str:
+        """Where the cameras are, in one line."""
+        return self.url or ", ".join(f"{name} {table.url}" for name, table in self.tables.items())
 
 
 class Operator(Section):
@@ -160,19 +345,27 @@ class Rig(Section):
     @property
     def urls(self) -> dict[str, str]:
         """Each instrument's URL by its name."""
-        stage = {"stage": self.stage.url} if self.stage else {}
-        return {
-            "arm": self.arm.url,
-            "bath": self.bath.url,
-            **stage,
-            "cameras": self.cameras.told,
-            "operator": self.operator.url,
-        }
+        tables = {name: getattr(self, name, None) for name in ("arm", "bath", "stage", "operator")}
+        urls = {name: table.url for name, table in tables.items() if table}
+        cameras: Cameras | None = getattr(self, "cameras", None)
+        return urls | ({"cameras": cameras.told} if cameras else {})
 
     @property
     def emulated(self) -> tuple[str, ...]:
         """Names of the instruments that are emulated in this process."""
         return tuple(name for name, url in self.urls.items() if url == EMULATED)
+
+    @property
+    def bath_emulated(self) -> bool:
+        """Whether the bath is an emulator's: of this process, or of a `teatbench emulate` on this
+        machine. That one's operator and bath both are at the loopback or a pseudo-terminal; either
+        alone, or an address of another host, may be a real bath's.
+        """
+        if self.bath.url == EMULATED:
+            return True
+        line, hands = parse_line(self.bath.url), urlsplit(self.operator.url)
+        there = bool(re.match(r"/dev/(pts/|ttys)\d", line.device)) or is_loopback(line.host)
+        return there and hands.scheme == "emulator" and is_loopback(hands.hostname or "")
 
     @property
     def all_emulated(self) -> bool:

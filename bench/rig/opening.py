@@ -1,29 +1,26 @@
-"""Connects the drivers of a rig by URL, its cameras (all by one URL, or each by its table) and its
-operator. A bring-up that fails names every instrument that failed, not only the first.
+"""Opens the instruments of a rig, real or emulated: the only place that does, for runs, single
+commands, checks, calibration and dry runs. A bring-up that fails names every instrument that
+failed, not only the first.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
-from bench.config import ConfigError
-from bench.rig.camera_model import Cameras as Tables
-from bench.rig.camera_model import OneCamera, ThermalTable
 from bench.rig.devices import Cameras, Devices
 from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.emulation_model import Emulation
 from bench.rig.loading import LoadedRig
+from bench.rig.model import OneCamera, Operator, Rig, ThermalTable
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import CONSOLE, ELSEWHERE, EMULATED, SCRIPT
 from detector.calibration import Calibration
 from instruments.bath.driver import Bath, PumpAt
+from instruments.bath.profile import Profile
 from instruments.camera.cameras import KNOWN, Camera, CameraSet
 from instruments.camera.conversion import Conversion
 from instruments.camera.genicam import GenicamCamera
@@ -34,30 +31,109 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
-from instruments.microscribe.protocol import Packet
 from instruments.microscribe.stream import Debouncer
 from instruments.operators.console import Console
-from instruments.operators.operator import Operator
 from instruments.operators.prompted import Answerer, PromptedOperator
 from instruments.operators.remote import RemoteOperator
 from instruments.stage.driver import Stage
 from reports.sanitize import sanitized
 
+ALL = ("arm", "bath", "stage", "operator", "cameras")
 INTERVAL_S = 0.005
 
-
-class PolledArm(Protocol):
-    """What is asked of the driver."""
-
-    def poll(self) -> Packet: ...
+Screen = Callable[[], AbstractContextManager[None]]
 
 
-def pedal_watch(arm: PolledArm, clock: Clock) -> Callable[[float], bool]:
+class BringUpError(InstrumentError):
+    """Instruments that did not come up, each with its own fault."""
+
+    def __init__(self, faults: dict[str, InstrumentError]) -> None:
+        self.faults = faults
+        lines = [f"{len(faults)} instrument{'s' if len(faults) > 1 else ''} did not come up"]
+        super().__init__("rig", "\n  ".join([*lines, *(str(fault) for fault in faults.values())]))
+
+
+@contextmanager
+def open_instruments(
+    rig: LoadedRig,
+    names: Sequence[str] = ALL,
+    clock: Clock | None = None,
+    *,
+    twin: EmulatedRig | None = None,
+    seed: int | None = None,
+    realtime: bool = False,
+    capture: Captures = NO_CAPTURE,
+    screen: Screen = nullcontext,
+    start_s: float = 0.0,
+    identify: bool = True,
+) -> Iterator[Devices]:
+    """The instruments of ``rig`` called ``names``, with its emulators where it is an emulated one;
+    what isn't asked for is None. Closed at the end.
+
+    Without ``clock`` time is virtual where nothing real and nobody in person takes part, else it
+    goes on from ``start_s``. ``twin`` has the emulators that are there already; ``capture`` taps
+    links; ``screen`` is entered around each question at the terminal; ``identify`` False puts the
+    look at the bath off. Raises BringUpError, or the fault itself where one instrument was asked
+    for, and ConfigError.
+    """
+    emulated = twin is not None or any(rig.rig.urls.get(name) == EMULATED for name in names)
+    with ExitStack() as stack:
+        if clock is None:
+            person = "operator" in names and rig.rig.operator.url == CONSOLE
+            clock = (
+                VirtualClock()
+                if emulated and not realtime and not person
+                else stack.enter_context(closing(RealClock(start_s)))
+            )
+        answerer = _answerer(rig, clock, screen) if "operator" in names else None
+        if emulated and twin is None:
+            twin = stack.enter_context(
+                EmulatedRig(rig, clock, rig.rig.seed if seed is None else seed)
+            )
+        openers = _openers(rig, clock, twin, capture, identify=identify)
+        opened: dict[str, Any] = {}
+        arm: Any
+        bath: Any
+        cameras: Any
+        faults: dict[str, InstrumentError] = {}
+        for name in names:
+            if name in openers:
+                try:
+                    opened[name] = stack.enter_context(closing(openers[name]()))
+                except InstrumentError as fault:
+                    faults[name] = fault
+        if faults:
+            raise next(iter(faults.values())) if len(names) == 1 else BringUpError(faults)
+        if isinstance(answerer, Console) and twin is None and "arm" in opened:
+            answerer.watch_pedals(lambda: pedal_watch(opened["arm"], clock))
+        hands: Any = twin.operator if twin and "operator" in names else opened.get("operator")
+        arm, bath, stage, cameras = (opened.get(n) for n in ("arm", "bath", "stage", "cameras"))
+        operator = PromptedOperator(answerer, hands) if answerer else hands
+        exact_ends = twin.world.ends_mm if twin else None
+        yield Devices(clock, arm, bath, stage, cameras, operator, exact_ends)
+
+
+def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
+    """Whether a run on ``rig`` need not wait: all is emulated, and nobody takes part in person, who
+    lives in real time.
+    """
+    return bool(rig.rig.emulated) and not realtime and rig.rig.operator.url != CONSOLE
+
+
+def rig_of(profile: Profile | None = None, path: Path = Path(), **tables: Any) -> LoadedRig:
+    """A rig of single instruments without a rig file, as commands with ``--port`` name them:
+    ``tables`` are those of a rig file, by name; ``profile`` is the bath's.
+    """
+    more = {"stage": None, "operator": Operator(url=CONSOLE), "emulation": Emulation(), "seed": 1}
+    rig = Rig.model_construct(**(more | tables))
+    return LoadedRig(path, "", rig, cast(Profile, profile), path, None)
+
+
+def pedal_watch(arm: MicroScribe, clock: Clock) -> Callable[[float], bool]:
     """For one prompt: what watches the pedals for some seconds, and says whether one was pressed
-    since the first time it was asked.
+    since the first time it was asked. It raises as polling does.
 
-    A foot that is down at first has to come up before its press counts. What is given back raises
-    as polling does.
+    A foot that is down at first has to come up before its press counts.
     """
     debouncer = Debouncer()
 
@@ -73,228 +149,54 @@ def pedal_watch(arm: PolledArm, clock: Clock) -> Callable[[float], bool]:
     return pressed
 
 
-def open_cameras(
-    tables: Tables, calibration: Calibration | None, folder: Path, clock: Clock
-) -> Cameras:
-    """The cameras of a rig file in ``folder``; paths are taken from there. Raises InstrumentError,
-    RecordingError.
-    """
-    kind, _, rest = tables.url.partition(":")
-    if kind == "recording":
-        return RecordingCameras(Recording(folder / rest))
-    if kind == "opencv":
-        openers = _one_line(rest, folder, clock)
-        return CameraSet(openers, {})
-    conversions = {name: conversion_of(table, calibration) for name, table in tables.tables.items()}
-    return CameraSet(
-        {name: opener_of(name, table, folder, clock) for name, table in tables.tables.items()},
-        conversions,
-    )
-
-
 def conversion_of(table: OneCamera, calibration: Calibration | None) -> Conversion:
     """What becomes of a camera's frames so that they are as the calibration has them; as delivered
     without one.
     """
     if not isinstance(table, ThermalTable):
         return table.conversion()
-    if calibration is None:
-        return table.calibrated(
-            mirrored=bool(table.mirrored), hot_is_black=table.polarity == "hot_is_black"
-        )
-    thermal = calibration.thermal
-    return table.calibrated(
-        mirrored=thermal.mirrored, hot_is_black=thermal.polarity == "hot_is_black"
-    )
+    thermal = calibration.thermal if calibration else None
+    mirrored = thermal.mirrored if thermal else bool(table.mirrored)
+    polarity = thermal.polarity if thermal else table.polarity
+    return table.calibrated(mirrored=mirrored, hot_is_black=polarity == "hot_is_black")
 
 
-def opener_of(name: str, table: OneCamera, folder: Path, clock: Clock) -> Callable[[], Camera]:
-    """What opens one camera."""
+def open_camera(name: str, table: OneCamera, folder: Path, clock: Clock) -> Camera:
+    """One camera of a rig file in ``folder``. Raises InstrumentError."""
     kind, _, rest = table.url.partition(":")
     if kind == "genicam":
-        return lambda: GenicamCamera(name, rest, clock, table.settings)
-    return lambda: OpenCvCamera(name, _source(rest, folder), clock, table.settings)
+        return GenicamCamera(name, rest, clock, table.settings)
+    beside = folder / rest
+    source = str(beside) if "://" not in rest and beside.is_file() else rest
+    return OpenCvCamera(name, int(rest) if rest.isdecimal() else source, clock, table.settings)
 
 
-def _one_line(rest: str, folder: Path, clock: Clock) -> dict[str, Callable[[], Camera]]:
-    sources = rest.split(",")
-    if not 2 <= len(sources) <= len(KNOWN):
-        hint = "Correct the cameras in the rig file."
-        raise DeviceError(
-            "OpenCV cameras",
-            f"needs two or three sources for left, right and thermal, got {rest!r}",
-            hint=hint,
-        )
-
-    def opener(name: str, source: str) -> Callable[[], Camera]:
-        return lambda: OpenCvCamera(name, _source(source, folder), clock)
-
-    return {name: opener(name, source) for name, source in zip(KNOWN, sources, strict=False)}
-
-
-def _source(text: str, folder: Path) -> int | str:
-    """A device's number, or a URL, or a path; a file that stands beside the rig file is taken from
-    there.
-    """
-    if text.isdecimal():
-        return int(text)
-    beside = folder / text
-    return str(beside) if "://" not in text and beside.is_file() else text
-
-
-Screen = Callable[[], AbstractContextManager[None]]
-
-
-class BringUpError(InstrumentError):
-    """One or more instruments did not come up. The message lists each with its own fault."""
-
-    def __init__(self, faults: dict[str, InstrumentError]) -> None:
-        self.faults = faults
-        lines = [f"{len(faults)} instrument{'s' if len(faults) > 1 else ''} did not come up"]
-        super().__init__("rig", "\n  ".join([*lines, *(str(fault) for fault in faults.values())]))
-
-
-@dataclass(frozen=True, slots=True)
-class Hookup:
-    """An open rig; ``exact_ends`` is there on an emulated one only."""
-
-    devices: Devices
-    exact_ends: Callable[[], NDArray[np.float64]] | None
-
-
-@dataclass(frozen=True, slots=True)
-class Parts:
-    """Some instruments of a rig: its cameras, the arm where it was asked for, and who is asked to
-    hold and to touch.
-    """
-
-    clock: Clock
-    cameras: Cameras
-    operator: Operator
-    arm: MicroScribe | None
-
-
-@contextmanager
-def open_parts(
-    rig: LoadedRig, *, seed: int, arm: bool = False, capture: Captures = NO_CAPTURE
-) -> Iterator[Parts]:
-    """The cameras of ``rig``, and its ``arm`` where asked for; nothing else of it is looked for.
-    Raises BringUpError, ConfigError.
-    """
-    emulated = rig.rig.cameras.url == EMULATED
-    clock: Clock = VirtualClock() if emulated and rig.rig.operator.url != CONSOLE else RealClock()
-    answerer = _answerer(rig, clock, nullcontext)
-    try:
-        if emulated:
-            with (
-                EmulatedRig(rig, clock, seed) as twin,
-                _opened(_wanted(rig, clock, twin.urls, arm, capture)) as opened,
-            ):
-                yield Parts(
-                    clock, twin.cameras, _operator(rig, answerer, twin.operator), opened.get("arm")
-                )
-        else:
-            with _opened(_wanted(rig, clock, rig.rig.urls, arm, capture)) as opened:
-                found: MicroScribe | None = opened.get("arm")
-                if isinstance(answerer, Console) and found is not None:
-                    pedals = found
-                    answerer.watch_pedals(lambda: pedal_watch(pedals, clock))
-                hands = opened.get("operator")
-                yield Parts(clock, opened["cameras"], _operator(rig, answerer, hands), found)
-    finally:
-        if isinstance(clock, RealClock):
-            clock.close()
-
-
-def _wanted(
-    rig: LoadedRig, clock: Clock, urls: dict[str, str], arm: bool, capture: Captures
-) -> dict[str, Callable[[], Any]]:
-    openers = driver_openers(rig, clock, urls, capture)
-    return {
-        name: opener
-        for name, opener in openers.items()
-        if name in ("cameras", "operator") or (arm and name == "arm")
+def _open_cameras(rig: LoadedRig, clock: Clock) -> Cameras:
+    """Paths are taken from the rig file's folder. Raises InstrumentError, RecordingError."""
+    folder, tables = rig.path.parent, rig.rig.cameras.tables
+    kind, _, rest = rig.rig.cameras.url.partition(":")
+    if kind == "recording":
+        return RecordingCameras(Recording(folder / rest))
+    if kind == "opencv":
+        sources = rest.split(",")
+        if not 2 <= len(sources) <= len(KNOWN):
+            raise DeviceError(
+                "OpenCV cameras",
+                f"needs two or three sources for left, right and thermal, got {rest!r}",
+                hint="Correct the cameras in the rig file.",
+            )
+        tables = {
+            name: OneCamera(url=f"opencv:{source}")
+            for name, source in zip(KNOWN, sources, strict=False)
+        }
+    openers = {
+        name: lambda name=name, table=table: open_camera(name, table, folder, clock)
+        for name, table in tables.items()
     }
-
-
-@contextmanager
-def open_rig(
-    rig: LoadedRig,
-    *,
-    seed: int,
-    realtime: bool = False,
-    capture: Captures = NO_CAPTURE,
-    screen: Screen = nullcontext,
-    start_s: float = 0.0,
-) -> Iterator[Hookup]:
-    """The drivers of ``rig``, with its emulators where it is an emulated one; ``capture`` taps
-    links. Raises BringUpError.
-
-    ``screen`` is entered around each question at the terminal. Real time goes on from ``start_s``.
-    """
-    emulated = bool(rig.rig.emulated)
-    clock: Clock = VirtualClock() if in_virtual_time(rig, realtime=realtime) else RealClock(start_s)
-    answerer = _answerer(rig, clock, screen)
-    try:
-        if emulated:
-            with (
-                EmulatedRig(rig, clock, seed) as twin,
-                _connected(rig, clock, twin, answerer, capture) as devices,
-            ):
-                yield Hookup(devices, twin.world.ends_mm)
-        else:
-            with _connected(rig, clock, None, answerer, capture) as devices:
-                if isinstance(answerer, Console):
-                    answerer.watch_pedals(lambda: pedal_watch(devices.arm, clock))
-                yield Hookup(devices, None)
-    finally:
-        if isinstance(clock, RealClock):
-            clock.close()
-
-
-def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
-    """Whether a run on ``rig`` need not wait: all is emulated, and nobody takes part in person, who
-    lives in real time.
-    """
-    return bool(rig.rig.emulated) and not realtime and rig.rig.operator.url != CONSOLE
-
-
-@contextmanager
-def _connected(
-    rig: LoadedRig,
-    clock: Clock,
-    twin: EmulatedRig | None,
-    answerer: Answerer | None,
-    capture: Captures,
-) -> Iterator[Devices]:
-    openers = driver_openers(rig, clock, twin.urls if twin else rig.rig.urls, capture)
-    if twin:
-        openers["cameras"] = lambda: twin.cameras
-    with _opened(openers) as opened:
-        operator = _operator(rig, answerer, twin.operator if twin else opened.get("operator"))
-        yield Devices(
-            clock, opened["arm"], opened["bath"], opened.get("stage"), opened["cameras"], operator
-        )
-
-
-@contextmanager
-def _opened(openers: dict[str, Callable[[], Any]]) -> Iterator[dict[str, Any]]:
-    """All of them open; closed again at the end. Raises BringUpError that names each that did not
-    come up.
-    """
-    opened, faults = {}, {}
-    for name, opener in openers.items():
-        try:
-            opened[name] = opener()
-        except InstrumentError as fault:
-            faults[name] = fault
-    try:
-        if faults:
-            raise BringUpError(faults)
-        yield opened
-    finally:
-        for device in opened.values():
-            device.close()
+    return CameraSet(
+        openers,
+        {name: conversion_of(table, rig.made_calibration) for name, table in tables.items()},
+    )
 
 
 def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> Answerer | None:
@@ -302,9 +204,9 @@ def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> Answerer | None:
     ConfigError.
     """
     url = rig.rig.operator.url
-    # a progress bar's stand-in ends each question with a line
-    out = getattr(sys.stdout, "rich_proxied_file", sys.stdout)
     if url == CONSOLE:
+        # a progress bar's stand-in ends each question with a line
+        out = getattr(sys.stdout, "rich_proxied_file", sys.stdout)
         return Console(sys.stdin, out, clock, screen=screen, remind_s=rig.rig.operator.remind_s)
     if url.startswith(EMULATED):
         return None
@@ -316,49 +218,37 @@ def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> Answerer | None:
     return load_answers(rig.path.parent / url.removeprefix(SCRIPT), show)
 
 
-def _operator(rig: LoadedRig, answerer: Answerer | None, hands: Operator | None = None) -> Operator:
-    if answerer is not None:
-        return PromptedOperator(answerer, hands)
-    if hands is None:
-        raise ConfigError.plain(f"{rig.path}: an emulated operator can't work on real instruments")
-    return hands
-
-
-def driver_openers(
-    rig: LoadedRig, clock: Clock, urls: dict[str, str], capture: Captures = NO_CAPTURE
+def _openers(
+    rig: LoadedRig, clock: Clock, twin: EmulatedRig | None, capture: Captures, *, identify: bool
 ) -> dict[str, Callable[[], Any]]:
-    """For each instrument of the rig, what opens its driver, with a tap of ``capture``; each may
-    raise InstrumentError.
-    """
+    """What opens each instrument's driver; each may raise InstrumentError."""
     r = rig.rig
+    urls = twin.urls if twin else r.urls
 
     def link(name: str, baud: int) -> Link:
         return Link(urls[name], clock, who=name, baud=baud, tap=capture.tap(name, clock))
 
-    pump = (
-        PumpAt(urls.get("pump", r.bath.pump_url), rig.relay, capture.tap("pump", clock))
-        if rig.relay
-        else None
-    )
-    openers: dict[str, Callable[[], Any]] = {
-        "arm": lambda: MicroScribe(link("arm", r.arm.baud), clock, answer_s=r.arm.answer_s),
-        "bath": lambda: Bath(
+    def bath() -> Bath:
+        pump_url = urls.get("pump", r.bath.pump_url)
+        tap = capture.tap("pump", clock)
+        return Bath(
             urls["bath"],
             rig.profile,
             clock,
             allow_inferred=r.bath.allow_inferred,
+            identify=identify,
             tap=capture.tap("bath", clock),
-            pump=pump,
-        ),
+            pump=PumpAt(pump_url, rig.relay, tap) if rig.relay else None,
+        )
+
+    openers: dict[str, Callable[[], Any]] = {
+        "arm": lambda: MicroScribe(link("arm", r.arm.baud), clock, answer_s=r.arm.answer_s),
+        "bath": bath,
+        "cameras": lambda: twin.cameras if twin else _open_cameras(rig, clock),
     }
-    if r.stage:
-        baud, axes = r.stage.baud, r.stage.axes
-        openers["stage"] = lambda: Stage(link("stage", baud), clock, axes)
+    if stage := r.stage:
+        openers["stage"] = lambda: Stage(link("stage", stage.baud), clock, stage.axes)
     if r.operator.url.startswith(ELSEWHERE):
         port = r.operator.url.replace(ELSEWHERE, "socket://")
         openers["operator"] = lambda: RemoteOperator(port, clock)
-    if r.cameras.url != EMULATED:
-        openers["cameras"] = lambda: open_cameras(
-            r.cameras, rig.made_calibration, rig.path.parent, clock
-        )
     return openers

@@ -10,15 +10,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 from bench.config import ConfigError
 from bench.rig.loading import find_rig, load_rig
+from bench.rig.model import Stage as StageTable
+from bench.rig.opening import open_instruments, rig_of
 from bench.rig.urls import EMULATED
 from instruments.captures.capture import NO_CAPTURE, Captures
-from instruments.clock import RealClock
 from instruments.errors import InstrumentError
-from instruments.link import Link
 from instruments.stage import targets
 from instruments.stage.driver import Stage
 
@@ -26,16 +25,7 @@ KEYS = {"X": "x_mm", "Y": "y_mm", "Z": "z_mm", "A": "a_deg"}
 _STEP = re.compile(r"([XYZA])([-+]?(?:\d+\.?\d*|\.\d+))", re.IGNORECASE)
 
 
-@dataclass(frozen=True, slots=True)
-class StageAt:
-    """Where a stage is, and the axes that it is said to have."""
-
-    url: str
-    axes: str = "XY"
-    baud: int = 115200
-
-
-def of_rig(name: str) -> StageAt:
+def of_rig(name: str) -> StageTable:
     """The stage of a rig. Raises ConfigError where it has none, or an emulated one."""
     rig = load_rig(find_rig(name))
     stage = rig.rig.stage
@@ -48,39 +38,26 @@ def of_rig(name: str) -> StageAt:
             f"{rig.path}: its stage is emulated; 'teatbench emulate' serves one at a port, for"
             " --port"
         )
-    return StageAt(stage.url, stage.axes, stage.baud)
+    return stage
 
 
 @contextmanager
-def open_stage(at: StageAt, capture: Captures = NO_CAPTURE) -> Iterator[Stage]:
-    """The stage, met and in real time; brought to a stand whatever goes wrong. Raises
+def open_stage(at: StageTable, capture: Captures = NO_CAPTURE) -> Iterator[Stage]:
+    """The stage, connected and in real time; brought to a stand whatever goes wrong. Raises
     InstrumentError.
     """
-    clock = RealClock()
-    try:
-        stage = Stage(
-            Link(at.url, clock, who="stage", baud=at.baud, tap=capture.tap("stage", clock)),
-            clock,
-            at.axes,
-        )
+    with open_instruments(rig_of(stage=at), ("stage",), capture=capture) as devices:
+        stage = devices.stage
+        assert stage  # noqa: S101 - it was asked for
         try:
             stage.connect()
             yield stage
         except BaseException as error:
-            _stop(stage, error)
+            try:
+                stage.safe()
+            except InstrumentError as worse:
+                error.add_note(str(worse))
             raise
-        finally:
-            stage.close()
-    finally:
-        clock.close()
-
-
-def _stop(stage: Stage, error: BaseException) -> None:
-    """A stage that can't be stopped is told with what went wrong before."""
-    try:
-        stage.safe()
-    except InstrumentError as worse:
-        error.add_note(str(worse))
 
 
 def described(stage: Stage) -> dict[str, object]:

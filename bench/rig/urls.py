@@ -5,6 +5,7 @@ file. Checks words; opens nothing.
 from __future__ import annotations
 
 import re
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,14 @@ from instruments.bath.connection import ALLOWED, LineError, parse_line
 
 EMULATED, CONSOLE, SCRIPT = "emulator:", "console:", "script:"
 ELSEWHERE = "emulator://"  # the operator of another process, which emulates the whole rig
+
+
+def is_loopback(host: str) -> bool:
+    """Whether ``host`` is this machine, as an address that no other one can have."""
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def serial_url(url: str) -> str:
@@ -33,22 +42,16 @@ def serial_url(url: str) -> str:
 
 def bath_url(url: str) -> str:
     """``url`` where it is a bath's. Raises ValueError that says what is allowed."""
-    if url == EMULATED:
-        return url
     try:
-        parse_line(url)
+        if url != EMULATED:
+            parse_line(url)
     except LineError as error:
         raise ValueError(str(error).replace(ALLOWED, f'"{EMULATED}", {ALLOWED}')) from error
     return url
 
 
 def relay_url(url: str) -> str:
-    try:
-        if url not in ("", EMULATED):
-            parse_line(url)
-    except LineError as error:
-        raise ValueError(str(error).replace(ALLOWED, f'"{EMULATED}", {ALLOWED}')) from error
-    return url
+    return url and bath_url(url)
 
 
 def operator_url(url: str, info: ValidationInfo) -> str:

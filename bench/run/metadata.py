@@ -20,7 +20,7 @@ from typing import Any
 from bench import __version__
 from bench.record.writer import Store
 from bench.results.verdicts import VERIFICATION_FACT
-from bench.rig.arm_verification import as_dict
+from bench.rig.arm_files import as_dict
 from bench.rig.loading import LoadedRig
 from detector.protocol import Detector
 from instruments.clock import wall_time

@@ -16,7 +16,7 @@ from bench.record.schema import RULES, SCRIPT
 from bench.record.writer import FinishedTrial, Store, new_run_folder
 from bench.results.answers import Examiner, TruthRow, close_detectors
 from bench.rig.loading import LoadedRig
-from bench.rig.opening import in_virtual_time, open_rig
+from bench.rig.opening import in_virtual_time, open_instruments
 from bench.run.engine import Ending, Engine
 from bench.run.estimate import needs, read_learnt
 from bench.run.lock import lock_path, locked, run_lock
@@ -225,7 +225,7 @@ def _run(
                 f"{to_do} trials, {time_left(left_s)} of the bench's time. Run folder:"
                 f" {store.folder}"
             )
-            opened = open_rig(
+            opened = open_instruments(
                 rig,
                 seed=seed,
                 realtime=how.realtime,
@@ -233,9 +233,9 @@ def _run(
                 screen=progress.aside,
                 start_s=start_s,
             )
-            with opened as hookup:
-                refuse_other_cameras(rig.calibration.record, hookup.devices.cameras.identity)
-                bath, clock = hookup.devices.bath, hookup.devices.clock
+            with opened as devices:
+                refuse_other_cameras(rig.calibration.record, devices.cameras.identity)
+                bath, clock = devices.bath, devices.clock
                 charge = GuardianTarget(
                     bath.url,
                     rig.profile_source,
@@ -247,11 +247,11 @@ def _run(
                     engine = Engine(
                         rig,
                         script,
-                        hookup.devices,
+                        devices,
                         store,
                         under_test,
                         progress,
-                        exact_ends=hookup.exact_ends,
+                        exact_ends=devices.exact_ends,
                         sink=recorder,
                         pulse=pulse,
                         guardian_client=guardian_client,

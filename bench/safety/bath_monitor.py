@@ -1,16 +1,10 @@
-"""Reads the bath once a second through everything the bench does: feeds the stability gate, the
-interlocks and the record.
+"""Keeps the bath out of trouble through a run: reads it once a second through everything the bench
+does, for the stability gate, the interlocks and the record, and makes safe when one trips.
 
 It is planned on the clock, so with virtual time it runs as time moves and with real time on the
-clock's own thread, which no prompt stops. A trip acts there and at once: ``act`` makes safe, and is
-called again every few seconds until it has; the engine learns of it with ``check``. Nothing is
-raised on the clock's thread.
-
-Keeps the bath out of trouble through a run: the watch with its interlocks, what a trip does, and
-the bench's signs of life.
-
-A trip acts on the thread that saw it, at once: heater off, stage braked, then the record, the latch
-and the operator. The engine only asks ``check``. May not know trials, cameras or detectors.
+clock's own thread, which no prompt stops. A trip acts there and at once: heater off, stage braked,
+then the record, the latch and the operator; again every few seconds until heater and stage are
+safe. The engine learns of it with ``check``. Nothing is raised on the clock's thread.
 """
 
 from __future__ import annotations
@@ -18,7 +12,6 @@ from __future__ import annotations
 import sqlite3
 import threading
 from collections.abc import Callable, Hashable
-from typing import Protocol
 
 from bench.record.writer import Row, Store
 from bench.rig.devices import Devices
@@ -44,22 +37,18 @@ PERIOD_S = 1.0
 AGAIN_S = 5.0  # between attempts to make safe
 
 
-class ReadableBath(Protocol):
-    def read(self) -> BathReading: ...
-
-
 class BathMonitor:
-    """Watches ``bath`` from ``start`` to ``stop``.
+    """Watches the bath that ``read`` polls, from ``start`` to ``stop``.
 
-    ``record`` gets each reading as a row. ``act`` gets the first trip, makes safe, and says whether
-    it has. ``pump_on`` tells whether the pump turns, None where nothing knows. ``also`` is asked
-    with each reading what else there is to trip for; ``moving`` tells what of a reading has to
+    ``record`` gets each reading as a row. ``act`` gets the first trip, makes safe, and returns
+    whether it has. ``pump_on`` is whether the pump turns, None where that is unknown. ``also`` is
+    asked with each reading for another reason to trip; ``moving`` is what of a reading has to
     change for the gate to believe that the controller lives.
     """
 
     def __init__(
         self,
-        bath: ReadableBath,
+        read: Callable[[], BathReading],
         clock: Clock,
         gate: StabilityGate,
         interlocks: Interlocks,
@@ -70,7 +59,7 @@ class BathMonitor:
         also: Callable[[], InterlockTrip | None] = lambda: None,
         moving: Callable[[BathReading], Hashable] = lambda reading: reading.raw,
     ) -> None:
-        self._bath = bath
+        self._read = read
         self._clock = clock
         self._gate = gate
         self._interlocks = interlocks
@@ -166,20 +155,15 @@ class BathMonitor:
 
     def _look(self) -> None:
         try:
-            reading = self._bath.read()
+            reading = self._read()
             pump_on = self._pump_on(reading)
         except InstrumentError as error:
             silent_s = self._clock.now() - self._heard_s
-            trip = self._interlocks.silent(
-                silent_s, error, answered=not isinstance(error, LinkError)
-            )
-        else:
-            if not self._running:
-                return  # the run has ended while we waited for it, and with it the heating
-            trip = self._take(reading, pump_on)
-        self._trip = self._trip or trip
-
-    def _take(self, reading: BathReading, pump_on: bool | None) -> InterlockTrip | None:
+            answered = not isinstance(error, LinkError)
+            self._trip = self._trip or self._interlocks.silent(silent_s, error, answered=answered)
+            return
+        if not self._running:
+            return  # the run has ended while we waited for it, and with it the heating
         self._heard_s = reading.t_s
         self.last = reading
         raw, teat_c = self._moving(reading), reading.external_c
@@ -195,7 +179,8 @@ class BathMonitor:
                 "state": state.value,
             }
         )
-        return self._interlocks.add(reading, pump_on)
+        trip = self._interlocks.add(reading, pump_on)
+        self._trip = self._trip or trip
 
     def _make_safe(self) -> None:
         if self._trip is None or self._safe or self._clock.now() < self._act_again_s:
@@ -242,17 +227,16 @@ class TripHandler:
         self.heard: Callable[[str, str], None] = lambda _kind, _text: None
         self.seen: Callable[[], None] = lambda: None
         interlocks = self._interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
-        moving, pump_on, also = moving_of(rig.profile), self._pump_on, self._also
         self.watch = BathMonitor(
-            devices.bath,
+            devices.bath.read,
             devices.clock,
             gate,
             interlocks,
             self._record,
             self._act,
-            pump_on=pump_on,
-            also=also,
-            moving=moving,
+            pump_on=lambda reading: pump_on(devices.bath, reading),
+            also=self._also,
+            moving=moving_of(rig.profile),
         )
         self._write_facts(rig, interlocks)
 
@@ -264,9 +248,6 @@ class TripHandler:
     def heater_off(self) -> None:
         """For a thread that has no time for more: the heater, whatever else goes on."""
         heater_off(self._devices.bath)
-
-    def _pump_on(self, reading: BathReading) -> bool | None:
-        return pump_on(self._devices.bath, reading)
 
     def _record(self, reading: Row) -> None:
         self._store.bath(reading)

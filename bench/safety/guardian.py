@@ -130,16 +130,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     cause, why, last_sign_s = trouble
     noticed, silent = wall_time(), timedelta(seconds=stopwatch_s() - last_sign_s)
-    record: dict[str, Any] = {
-        "cause": cause,
-        "why": why,
-        "bath": given.url,
-        "guardian": os.getpid(),
-    } | preferred
+    record: dict[str, Any] = {"cause": cause, "why": why, "bath": given.url}
+    record |= {"guardian": os.getpid(), **preferred}
     record |= {"wall_last_sign": _told(noticed - silent), "wall_noticed": _told(noticed)}
-    reached = _make_safe(
-        bath, clock, given.record, record, bench=given.bench if cause == "hung" else None
-    )
+    hung = given.bench if cause == "hung" else None
+    reached = _make_safe(bath, clock, given.record, record, bench=hung)
     if reached and has_own_pump(bath):
         _run_pump_on(bath, clock, given.record, record, given.overrun_s)
     bath.close()
@@ -254,27 +249,17 @@ def _told(when: datetime) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="bench.safety.guardian",
-        description="Puts a bath into standby when the bench that started it dies.",
-    )
-    parser.add_argument("--url", required=True)
-    parser.add_argument("--profile", required=True)
-    parser.add_argument(
-        "--pump-url",
-        default="",
-        help="where the relay of a pump is that the controller doesn't turn",
-    )
-    parser.add_argument("--pump-profile", default="")
-    parser.add_argument("--allow-inferred", action="store_true")
-    parser.add_argument(
-        "--overrun-s",
-        type=float,
-        default=OVERRUN_S,
-        help="how long the pump runs on behind the heater",
-    )
-    parser.add_argument("--record", required=True, type=Path)
-    parser.add_argument("--bench", required=True, type=int, help="the bench's process id")
+    about = "Puts a bath into standby when the bench that started it dies."
+    parser = argparse.ArgumentParser(prog="bench.safety.guardian", description=about)
+    add = parser.add_argument
+    add("--url", required=True)
+    add("--profile", required=True)
+    add("--pump-url", default="", help="the relay of a pump that the controller doesn't turn")
+    add("--pump-profile", default="")
+    add("--allow-inferred", action="store_true")
+    add("--overrun-s", type=float, default=OVERRUN_S, help="how long the pump runs on")
+    add("--record", required=True, type=Path)
+    add("--bench", required=True, type=int, help="the bench's process id")
     return parser
 
 

@@ -1,7 +1,5 @@
-"""The bench's end of the guardian: starts it, exchanges signs of life, and tells it when the bath
-is safe without it.
-
-May not know the bath's protocol, or how the guardian does what it does.
+"""The bench's end of the guardian: starts it, exchanges signs of life, and ends it when the bath is
+safe without it.
 """
 
 from __future__ import annotations
@@ -15,7 +13,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import IO, cast
 
 from bench.record.schema import GUARDIAN
@@ -46,19 +43,10 @@ class GuardianTarget:
     @property
     def arguments(self) -> list[str]:
         """As the guardian's command line takes them."""
-        pump = (
-            ["--pump-url", self.pump_url, "--pump-profile", self.pump_profile]
-            if self.pump_url
-            else []
-        )
-        return [
-            "--url",
-            self.url,
-            "--profile",
-            self.profile,
-            *pump,
-            *(["--allow-inferred"] if self.allow_inferred else []),
-        ]
+        given = [f"--url={self.url}", f"--profile={self.profile}"]
+        if self.pump_url:
+            given += [f"--pump-url={self.pump_url}", f"--pump-profile={self.pump_profile}"]
+        return [*given, *(["--allow-inferred"] if self.allow_inferred else [])]
 
 
 class GuardianClient:
@@ -115,12 +103,7 @@ class GuardianClient:
     def __enter__(self) -> GuardianClient:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Left without ``done``, the guardian takes the bath over."""
         if not self._ended.is_set():
             self.hand_over()

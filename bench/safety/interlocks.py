@@ -1,21 +1,11 @@
-"""What the interlocks look at, and what each of them sees in it: a sentence about what is wrong, or
-nothing.
+"""The table of interlocks: what must never happen while the bath is hot, each with what trips it
+and what resets it, and how it is held against each reading of the bath.
 
-Pure: a reading in its context in. When a condition becomes a trip is the table's business
-(`interlock_rules`). Figures: water-bath fact sheet, section 4.1.
-
-The table of interlocks: what must never happen while the bath is hot, each with what trips it and
-what resets it.
-
-Every trip latches: the bench goes to safe and stays there until a person acknowledges, which the
-rule's reset condition has to allow. None of this is a safety function; the bath's independent
-cut-out is. docs/safety.md shows the same table.
-
-Holds the table of interlocks against each reading of the bath, with what the rules have to
-remember.
-
-Pure: readings with their times in, a trip or nothing out. Who acts on a trip is the watch's and the
-engine's business.
+A condition says what is wrong in a reading as a sentence, or gives None. Every trip latches: the
+bench goes to safe and stays there until a person acknowledges, which the rule's reset condition has
+to allow. Pure: readings with their times in, a trip or nothing out. None of this is a safety
+function; the bath's independent cut-out is. docs/safety.md shows the same table. Figures:
+water-bath fact sheet, section 4.1.
 """
 
 from __future__ import annotations
@@ -24,7 +14,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 from bench.rig.model import Limits
 from instruments.bath.profile import Profile
@@ -37,29 +26,6 @@ LOOP_BREAK_S, LOOP_BREAK_OUTPUT_PERCENT = 120.0, 90.0
 LOOP_RISE_K = 0.1
 DISAGREE_S = 10.0
 SAME_SET_POINT_K = 0.06  # a controller may show tenths
-
-
-class Reading(Protocol):
-    """What the rules look at: one poll of the controller."""
-
-    @property
-    def t_s(self) -> float: ...
-    @property
-    def temp_c(self) -> float: ...
-    @property
-    def raw(self) -> tuple[int, ...]: ...
-    @property
-    def external_c(self) -> float | None: ...
-    @property
-    def safety_c(self) -> float | None: ...
-    @property
-    def power_percent(self) -> float | None: ...
-    @property
-    def alarm(self) -> int: ...
-    @property
-    def running(self) -> bool | None: ...
-    @property
-    def set_point_c(self) -> float | None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,9 +49,9 @@ class Look:
     the other sensors have had time to follow.
     """
 
-    now: Reading
-    since: Reading
-    earlier: Reading | None
+    now: BathReading
+    since: BathReading
+    earlier: BathReading | None
     asked_c: float | None
     pump_on: bool | None
     settled: bool
@@ -121,17 +87,11 @@ def dry_heat(look: Look) -> str | None:
     )
 
 
-def implausible(look: Look) -> str | None:
-    return implausible_c(look.now, look.limits)
-
-
-def implausible_c(now: Reading, limits: Limits) -> str | None:
+def implausible_c(now: BathReading, limits: Limits) -> str | None:
     low, high = limits.bath_plausible_c
-    return (
-        None
-        if low <= now.temp_c <= high
-        else f"the bath reads {now.temp_c:.2f} degC, which no water bath has"
-    )
+    if low <= now.temp_c <= high:
+        return None
+    return f"the bath reads {now.temp_c:.2f} degC, which no water bath has"
 
 
 def frozen(look: Look) -> str | None:
@@ -192,46 +152,25 @@ def changed(look: Look) -> str | None:
     return None
 
 
-def alarm(look: Look) -> str | None:
-    return (
-        f"the controller reports {look.bath.alarm_text(look.now.alarm)}" if look.now.alarm else None
-    )
+def still_hot(now: BathReading, limits: Limits) -> str | None:
+    told = (now.temp_c, now.safety_c, now.external_c)
+    hottest, limit_c = max(v for v in told if v is not None), limits.bath_max_c - 1.0
+    if hottest < limit_c:
+        return None
+    return f"it is still at {hottest:.2f} degC; it has to cool below {limit_c:g} degC"
 
 
-def still_hot(now: Reading, limits: Limits) -> str | None:
-    hottest = max(
-        value for value in (now.temp_c, now.safety_c, now.external_c) if value is not None
-    )
-    limit_c = limits.bath_max_c - 1.0
-    return (
-        f"it is still at {hottest:.2f} degC; it has to cool below {limit_c:g} degC"
-        if hottest >= limit_c
-        else None
-    )
-
-
-def still_alarmed(now: Reading, _: Limits) -> str | None:
+def still_alarmed(now: BathReading, _: Limits) -> str | None:
     return f"the controller still reports alarm {now.alarm}" if now.alarm else None
 
 
-def still_heating(now: Reading, _: Limits) -> str | None:
-    return (
-        f"the heater is still asked for {now.power_percent:.0f} %"
-        if now.power_percent and now.power_percent > 0
-        else None
-    )
+def still_heating(now: BathReading, _: Limits, above_percent: float = 0.0) -> str | None:
+    output = now.power_percent or 0.0
+    return f"the heater is still asked for {output:.0f} %" if output > above_percent else None
 
 
-def not_cold_and_plausible(now: Reading, limits: Limits) -> str | None:
+def not_cold_and_plausible(now: BathReading, limits: Limits) -> str | None:
     return implausible_c(now, limits) or still_heating(now, limits)
-
-
-def nothing_more(_now: Reading, _limits: Limits) -> str | None:
-    return None
-
-
-def nothing(_: Look) -> str | None:
-    return None
 
 
 def _lasted(look: Look) -> float:
@@ -252,7 +191,7 @@ class Rule:
     trips: str
     wrong: Callable[[Look], str | None]
     resets: str
-    not_yet: Callable[[Reading, Limits], str | None]
+    not_yet: Callable[[BathReading, Limits], str | None]
     then: str
     after_s: float = 0.0
     needs: str = ""
@@ -287,7 +226,7 @@ RULES = (
     Rule(
         IMPLAUSIBLE,
         "outside bath_plausible_c, or answers without a usable reading for bath_silence_s",
-        implausible,
+        lambda look: implausible_c(look.now, look.limits),
         "a plausible reading",
         implausible_c,
         "Check the bath's sensor and its plug.",
@@ -297,11 +236,7 @@ RULES = (
         f"identical raw value for {FROZEN_S:g} s with the output above {FROZEN_OUTPUT_PERCENT:g} %",
         frozen,
         "output at most 20 %",
-        lambda now, limits: (
-            still_heating(now, limits)
-            if (now.power_percent or 0.0) > FROZEN_OUTPUT_PERCENT
-            else None
-        ),
+        lambda now, limits: still_heating(now, limits, FROZEN_OUTPUT_PERCENT),
         "Switch the controller off and on; check the sensor.",
         after_s=FROZEN_S,
         needs="output",
@@ -338,7 +273,11 @@ RULES = (
     Rule(
         "controller alarm",
         "the controller's alarm code is not 0",
-        alarm,
+        lambda look: (
+            f"the controller reports {look.bath.alarm_text(look.now.alarm)}"
+            if look.now.alarm
+            else None
+        ),
         "alarm code 0",
         still_alarmed,
         "Read the controller's display, clear the cause and the alarm there.",
@@ -354,18 +293,18 @@ RULES = (
     Rule(
         COMMUNICATIONS,
         "nobody answers for bath_silence_s",
-        nothing,  # a reading in the hand is no silence: `Interlocks.silent` trips this row
+        lambda _: None,  # a reading in the hand is no silence: `Interlocks.silent` trips this row
         "a reading",
-        nothing_more,
+        lambda _now, _limits: None,
         "The bath may still heat: look at it. Check its cable and power.",
     ),
     Rule(
         GUARDIAN,
         "the guardian's process has ended, has not answered for 3 s, or has acted on a bench that"
         " hung",
-        nothing,  # no reading shows it: the keeper trips this row
+        lambda _: None,  # no reading shows it: `TripHandler` trips this row
         "a reading",
-        nothing_more,
+        lambda _now, _limits: None,
         "See guardian.json and guardian.log in the run's folder.",
     ),
 )
@@ -373,15 +312,16 @@ RULES = (
 
 def rule_named(name: str) -> Rule:
     """The row of the table. Raises KeyError for a name that isn't there."""
-    for rule in RULES:
-        if rule.name == name:
-            return rule
-    raise KeyError(name)
+    return {rule.name: rule for rule in RULES}[name]
 
 
 # near the set point for so long, the teats have caught up with the water
 SETTLED_WITHIN_K, SETTLED_S = 0.5, 120.0
 KEPT = 10  # readings that go into the record with a trip, beside those that the rule compares with
+PLAIN = (  # of a reading, in the record, beside the raw values
+    *("t_s", "temp_c", "external_c", "safety_c", "power_percent", "alarm", "running"),
+    "set_point_c",
+)
 COARSE_K = 0.05  # a temperature told in steps of more than this stands still in the best of baths
 
 
@@ -411,8 +351,8 @@ class Interlocks:
         self._limits = limits
         self._bath = bath
         self._awake = [rule for rule in RULES if not rule.needs or rule.needs in bath.tells]
-        self._since: dict[str, Reading] = {}
-        self._recent: deque[Reading] = deque()
+        self._since: dict[str, BathReading] = {}
+        self._recent: deque[BathReading] = deque()
         self._near_since_s = math.nan
         self._asked_c: float | None = None
 
@@ -428,7 +368,7 @@ class Interlocks:
         self._asked_c = set_point_c
         self._near_since_s = math.nan
 
-    def add(self, now: Reading, pump_on: bool | None = None) -> InterlockTrip | None:
+    def add(self, now: BathReading, pump_on: bool | None = None) -> InterlockTrip | None:
         """The first rule of the table that trips with this reading."""
         settled = self._has_settled(now)
         earlier = self._earlier(now)
@@ -450,30 +390,31 @@ class Interlocks:
         if silent_s < self._limits.bath_silence_s:
             return None
         rule = rule_named(IMPLAUSIBLE if answered else COMMUNICATIONS)
-        what = "no usable reading" if answered else "no reading"
-        return InterlockTrip(
-            rule.name, f"{what} for {silent_s:.0f} s ({error})", rule.then, self.values
-        )
+        why = f"no {'usable ' if answered else ''}reading for {silent_s:.0f} s ({error})"
+        return InterlockTrip(rule.name, why, rule.then, self.values)
 
     @property
     def values(self) -> tuple[Mapping[str, object], ...]:
         """The last readings as plain numbers, oldest first."""
         return self._values()
 
-    def _values(self, *compared: Reading) -> tuple[Mapping[str, object], ...]:
+    def _values(self, *compared: BathReading) -> tuple[Mapping[str, object], ...]:
         """Those that a rule has compared with and the last ones, as plain numbers, oldest first."""
-        chosen: Iterable[Reading] = (*compared, *list(self._recent)[-KEPT:])
+        chosen: Iterable[BathReading] = (*compared, *list(self._recent)[-KEPT:])
         by_time = {reading.t_s: reading for reading in chosen}
-        return tuple(_plain(by_time[t_s]) for t_s in sorted(by_time))
+        return tuple(
+            {name: getattr(one, name) for name in PLAIN} | {"raw": list(one.raw)}
+            for _, one in sorted(by_time.items())
+        )
 
-    def _earlier(self, now: Reading) -> Reading | None:
+    def _earlier(self, now: BathReading) -> BathReading | None:
         self._recent.append(now)
         while len(self._recent) > 1 and now.t_s - self._recent[1].t_s >= RATE_SPAN_S:
             self._recent.popleft()
         oldest = self._recent[0]
         return oldest if now.t_s - oldest.t_s >= RATE_SPAN_S else None
 
-    def _has_settled(self, now: Reading) -> bool:
+    def _has_settled(self, now: BathReading) -> bool:
         """Once settled it stays so, or a bath that is driven off its set point would switch its own
         interlock off.
         """
@@ -509,17 +450,3 @@ def moving_of(profile: Profile) -> Callable[[BathReading], Hashable]:
     if row.type == "f32" or row.scale <= COARSE_K:
         return lambda reading: reading.raw
     return lambda reading: (reading.raw, reading.power_percent)
-
-
-def _plain(reading: Reading) -> Mapping[str, object]:
-    names = (
-        "t_s",
-        "temp_c",
-        "external_c",
-        "safety_c",
-        "power_percent",
-        "alarm",
-        "running",
-        "set_point_c",
-    )
-    return {name: getattr(reading, name) for name in names} | {"raw": list(reading.raw)}

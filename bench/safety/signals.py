@@ -1,17 +1,13 @@
-"""A console window that is closed on Windows: the system tells of it on a thread of its own, and
-ends the program when that returns.
-
-What it tells and what is done about it is plain logic, and tested everywhere; only
-`windows_register` needs Windows. Elsewhere a terminal that closes sends SIGHUP, and nothing here is
-used. May not know what safe is.
-
-The one place that hears who asks the bench to end: Ctrl-C, SIGTERM, a dropped connection (SIGHUP),
-a closed console window.
+"""The one place that hears who asks the bench to end: Ctrl-C, SIGTERM, a dropped connection
+(SIGHUP), a closed console window.
 
 The first request is raised in the main thread as `Interrupted`, so that every `finally` runs and
 the bench passes through safe; what comes while it is on its way there is only noted. The handler of
-the signals is itself the state, so nothing is global but what the system keeps. May not know what
-safe is: the engine brings it along.
+the signals is itself the state, so nothing is global but what the system keeps.
+
+Windows tells of a closed console window on a thread of its own, and ends the program when that
+returns. What is done about it is plain logic, and tested everywhere; only `windows_register` needs
+Windows. Elsewhere a terminal that closes sends SIGHUP.
 """
 
 from __future__ import annotations
@@ -29,13 +25,8 @@ from types import FrameType
 from instruments.clock import RealClock, stopwatch_s
 
 # wincon.h
-CTRL_C_EVENT, CTRL_BREAK_EVENT, CTRL_CLOSE_EVENT, CTRL_LOGOFF_EVENT, CTRL_SHUTDOWN_EVENT = (
-    0,
-    1,
-    2,
-    5,
-    6,
-)
+CTRL_C_EVENT, CTRL_BREAK_EVENT, CTRL_CLOSE_EVENT = 0, 1, 2
+CTRL_LOGOFF_EVENT, CTRL_SHUTDOWN_EVENT = 5, 6
 ENDINGS = {
     CTRL_CLOSE_EVENT: "console closed",
     CTRL_LOGOFF_EVENT: "log-off",
@@ -62,22 +53,6 @@ def handler_for(ends: Callable[[str], None]) -> Handler:
         return True
 
     return handler
-
-
-@contextmanager
-def console_heard(ends: Callable[[str], None], register: Register | None) -> Iterator[None]:
-    """Hear of a closed console while this lasts; ``register`` adds (True) or removes (False) a
-    handler, None where nothing does.
-    """
-    if register is None:
-        yield
-        return
-    handler = handler_for(ends)
-    register(handler, True)
-    try:
-        yield
-    finally:
-        register(handler, False)
 
 
 if sys.platform == "win32":
@@ -202,12 +177,18 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
         if signal.getsignal(getattr(signal, name)) is not signal.SIG_IGN
     ]
     before = {number: signal.signal(number, exits) for number in numbers}
+    register, handler = register or windows_register(), handler_for(exits.console_closed)
     try:
-        with console_heard(exits.console_closed, register or windows_register()):
+        if register:
+            register(handler, True)
+        try:
             yield exits
+        finally:
+            if register:
+                register(handler, False)
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, old in before.items():
+            signal.signal(number, old)
 
 
 def current() -> Exits:

@@ -1,76 +1,38 @@
-"""A sliding window of readings with its mean, slope, extremes, and how many of them differ.
-
-Strategy: running sums for mean and slope, monotonic queues for the extremes, a count of distinct
-raw readings; a reading costs the same however long the window is. Pure; may not know what the
-figures are good for.
-
-When is the bath stable? A sliding window of readings against the gate of the script: heating,
+"""When is the bath stable? A sliding window of readings against the gate of the script: heating,
 settling, stable.
 
-The window's figures are `stability_window`'s. Criteria after ASTM E2488 practice: mean, half range
-and least-squares slope over the window, with hysteresis on leaving; a sensor at the teats, where
-there is one, has a slope of its own to keep. Knows no bath, no Modbus, no clock: a reading comes
-with its time. A frozen reading, a gap or an alarm is never evidence of stability.
+Criteria after ASTM E2488 practice: mean, half range and least-squares slope over the window, with
+hysteresis on leaving; a sensor at the teats, where there is one, has a slope of its own to keep. A
+reading comes with its time. A frozen reading, a gap or an alarm is never evidence of stability.
 """
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Hashable
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from math import isfinite
 
+import numpy as np
+
 TIME_SLACK_S = 1e-6  # readings at 0.1 s steps add up to 599.9999999 s
 
 
 class Window:
-    """Deviations from the set point (K) over the last `span`: sums about a moving origin, and
-    extremes in monotonic queues.
-    """
-
-    __slots__ = (
-        "_highs",
-        "_lows",
-        "_origin_s",
-        "_raw",
-        "_readings",
-        "_since_sums",
-        "_st",
-        "_stt",
-        "_sty",
-        "_sy",
-    )
+    """Deviations from the set point (K) over the last `window_s`, with their figures."""
 
     def __init__(self) -> None:
         self._readings: deque[tuple[float, float, Hashable]] = deque()
-        self._lows: deque[tuple[float, float]] = deque()
-        self._highs: deque[tuple[float, float]] = deque()
-        self._raw: Counter[Hashable] = Counter()
-        self._origin_s = self._st = self._stt = self._sy = self._sty = 0.0
-        self._since_sums = 0
 
     def __len__(self) -> int:
         return len(self._readings)
 
     def add(self, t_s: float, y: float, raw: Hashable, window_s: float) -> None:
         """Append a reading and drop those that the window no longer needs to span `window_s`."""
-        if not self._readings:
-            self._origin_s = t_s
         self._readings.append((t_s, y, raw))
-        self._raw[raw] += 1
-        self._sum(t_s, y, 1.0)
-        while self._lows and self._lows[-1][1] >= y:
-            self._lows.pop()
-        self._lows.append((t_s, y))
-        while self._highs and self._highs[-1][1] <= y:
-            self._highs.pop()
-        self._highs.append((t_s, y))
         while len(self._readings) > 1 and t_s - self._readings[1][0] >= window_s - TIME_SLACK_S:
-            self._drop()
-        self._since_sums += 1
-        if self._since_sums > 2 * len(self._readings) + 64:
-            self._sum_afresh()
+            self._readings.popleft()
 
     @property
     def span_s(self) -> float:
@@ -78,47 +40,22 @@ class Window:
 
     @property
     def distinct(self) -> int:
-        return len(self._raw)
+        return len({raw for _, _, raw in self._readings})
 
     @property
     def mean(self) -> float:
-        return self._sy / len(self._readings)
+        return float(np.mean([y for _, y, _ in self._readings]))
 
     @property
     def half_range(self) -> float:
-        return (self._highs[0][1] - self._lows[0][1]) / 2.0
+        return float(np.ptp([y for _, y, _ in self._readings])) / 2.0
 
     @property
     def slope(self) -> float:
         """Least squares, K/s."""
-        n = len(self._readings)
-        return (self._sty - self._st * self._sy / n) / (self._stt - self._st * self._st / n)
-
-    def _drop(self) -> None:
-        t_s, y, raw = self._readings.popleft()
-        self._sum(t_s, y, -1.0)
-        self._raw[raw] -= 1
-        if not self._raw[raw]:
-            del self._raw[raw]
-        for extremes in (self._lows, self._highs):
-            if extremes[0][0] <= t_s:
-                extremes.popleft()
-
-    def _sum(self, t_s: float, y: float, sign: float) -> None:
-        t = t_s - self._origin_s
-        self._st += sign * t
-        self._stt += sign * t * t
-        self._sy += sign * y
-        self._sty += sign * t * y
-
-    def _sum_afresh(self) -> None:
-        """Rounding of added and dropped readings piles up, and the origin falls behind: start the
-        sums again, at a cost spread over the window.
-        """
-        self._origin_s, self._since_sums = self._readings[0][0], 0
-        self._st = self._stt = self._sy = self._sty = 0.0
-        for t_s, y, _ in self._readings:
-            self._sum(t_s, y, 1.0)
+        t = np.array([t_s for t_s, _, _ in self._readings])
+        t -= t.mean()
+        return float(t @ [y for _, y, _ in self._readings] / (t @ t))
 
 
 FIGURES_FROM = 0.1  # of the window: figures of less are noise
@@ -270,11 +207,15 @@ class StabilityGate:
             self._state = State.SETTLING
         if not alarm and not self.frozen:
             self._window.add(t_s, temp_c - self.set_point_c, value, self.window_s)
-            self._add_teat(t_s, teat_c)
-        self._state = self._next(abs(temp_c - self.set_point_c))
-        if self._state is State.HEATING:
-            self._near = Window()
-        elif not alarm and not self.frozen:
+            if teat_c is None or not isfinite(teat_c):
+                self._teats = Window()  # a sensor that has gone asks for nothing any more
+            else:
+                self._teats.add(t_s, teat_c - self.set_point_c, teat_c, self.window_s)
+        if abs(temp_c - self.set_point_c) > self.leave_k:
+            self._state, self._near = State.HEATING, Window()
+        elif self._state is not State.STABLE:
+            self._state = State.STABLE if self._fulfilled() else State.SETTLING
+        if self._state is not State.HEATING and not alarm and not self.frozen:
             self._near.add(t_s, temp_c - self.set_point_c, value, self.window_s)
         return self._state
 
@@ -317,24 +258,10 @@ class StabilityGate:
             reasons=tuple(self._unfulfilled()),
         )
 
-    def _add_teat(self, t_s: float, teat_c: float | None) -> None:
-        """A sensor that has gone takes its evidence along, and asks for nothing any more."""
-        if teat_c is None or not isfinite(teat_c):
-            self._teats = Window()
-        else:
-            self._teats.add(t_s, teat_c - self.set_point_c, teat_c, self.window_s)
-
     @property
     def _teat_slope(self) -> float:
         """K/min; 0 without a sensor at the teats."""
         return 60.0 * self._teats.slope if len(self._teats) > 1 else 0.0
-
-    def _next(self, off_k: float) -> State:
-        if off_k > self.leave_k:
-            return State.HEATING
-        if self._state is State.STABLE or self._fulfilled():
-            return State.STABLE
-        return State.SETTLING
 
     def _fulfilled(self) -> bool:
         w = self._window
@@ -365,37 +292,28 @@ class StabilityGate:
             return [f"{last[1]:.2f} degC, needs {self.set_point_c:g} ± {self.leave_k:g}"]
         if len(w) < 2:
             return ["too few readings"]
-        time = (
-            w.span_s < self.window_s - TIME_SLACK_S,
-            f"stable for {_of(w.span_s, self.window_s)}",
-        )
-        rows = [
-            (
-                w.distinct < self.min_distinct,
-                f"{w.distinct} distinct readings, needs {self.min_distinct}",
-            ),
-            (
-                abs(w.mean) > self.mean_k,
-                f"mean {w.mean:+.3f} K from the set point, needs {self.mean_k:g}",
-            ),
+        slope, teats = 60 * w.slope, self._teat_slope
+        checks = [
+            (w.distinct < self.min_distinct, f"{w.distinct} distinct readings", self.min_distinct),
+            (abs(w.mean) > self.mean_k, f"mean {w.mean:+.3f} K from the set point", self.mean_k),
             (
                 w.half_range > self.half_range_k,
-                f"half the range {w.half_range:.3f} K, needs {self.half_range_k:g}",
+                f"half the range {w.half_range:.3f} K",
+                self.half_range_k,
             ),
+            (abs(slope) > self.slope_k_per_min, f"slope {slope:+.3f} K/min", self.slope_k_per_min),
             (
-                60 * abs(w.slope) > self.slope_k_per_min,
-                f"slope {60 * w.slope:+.3f} K/min, needs {self.slope_k_per_min:g}",
-            ),
-            (
-                abs(self._teat_slope) > self.teat_slope_k_per_min,
-                (
-                    f"slope at the teats {self._teat_slope:+.3f} K/min, needs"
-                    f" {self.teat_slope_k_per_min:g}"
-                ),
+                abs(teats) > self.teat_slope_k_per_min,
+                f"slope at the teats {teats:+.3f} K/min",
+                self.teat_slope_k_per_min,
             ),
         ]
-        told = w.span_s >= FIGURES_FROM * self.window_s
-        return [text for failed, text in [time, *(rows if told else [])] if failed]
+        short = w.span_s < self.window_s - TIME_SLACK_S
+        told = checks if w.span_s >= FIGURES_FROM * self.window_s else []
+        return [
+            *([f"stable for {_of(w.span_s, self.window_s)}"] if short else []),
+            *(f"{text}, needs {limit:g}" for failed, text, limit in told if failed),
+        ]
 
 
 def _of(span_s: float, window_s: float) -> str:

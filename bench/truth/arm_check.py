@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bench.rig.arm_verification import LocationTest
+from bench.rig.arm_files import LocationTest
 from bench.rig.model import Arm
 from bench.truth.arm_tip import TipReader
 from instruments.clock import Clock

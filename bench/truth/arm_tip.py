@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.rig.arm_frame import TableFrame
+from bench.rig.arm_files import TableFrame
 from bench.rig.model import Arm
 from instruments.errors import LimitError
 from instruments.microscribe.configuration import Identity

@@ -18,9 +18,8 @@ from unittest.mock import patch
 
 from bench.record.reader import RunRecord, read_run
 from bench.rig.devices import Devices
-from bench.rig.emulated_faults import fault_names
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.emulation_model import EmulatedFault
+from bench.rig.emulation_model import EmulatedFault, fault_names
 from bench.rig.loading import load_rig
 from bench.run.progress import WatchedProgress
 from bench.run.start import run_script

@@ -6,7 +6,7 @@ from itertools import cycle
 
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from bench.rig.frame_checks import FrameChecks
+from bench.rig.frame_capture import FrameChecks
 from bench.rig.loading import find_rig, load_rig
 from instruments.camera.emulator import EmulatedCameras
 from tests.benchmarks.figures import figure

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from bench.calibrate.arm_dialogues import Step, touch_frame
 from bench.calibrate.simulated_arm import PLACED
-from bench.rig.arm_frame import FrameError, TableFrame, TouchedPoint, Triple, world_from_arm
+from bench.rig.arm_files import FrameError, TableFrame, TouchedPoint, Triple, world_from_arm
 from detector.geometry import Motion
 from instruments.errors import LimitError
 from tests.bench.calibrate.arm_rig import MADE, Follower, emulated

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from bench.calibrate.arm_dialogues import DIRECTIONS, Plan, verify
-from bench.rig.arm_verification import (
+from bench.rig.arm_files import (
     LengthTest,
     Limits,
     LocationTest,

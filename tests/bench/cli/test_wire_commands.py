@@ -12,13 +12,14 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from bench.cli.main import main, parser
 from bench.rig.loading import find_rig, load_rig
-from bench.rig.opening import driver_openers
+from bench.rig.opening import open_instruments
 from instruments.captures.reader import Capture, read_capture
 from instruments.captures.replay import Replay
 from instruments.clock import RealClock, VirtualClock
@@ -93,18 +94,19 @@ def test_the_drivers_of_a_check_meet_the_captured_run(run_capture: tuple[Capture
     capture, _ = run_capture
     clock = VirtualClock()
     with Replay(capture, clock) as replay:
-        openers = driver_openers(load_rig(find_rig(None)), clock, replay.urls)
-        arm, bath, stage = (openers[name]() for name in ("arm", "bath", "stage"))
-        try:
-            assert arm.sign_on().serial_number == "40937"
-            assert len(arm.poll().counts) == 6
-            assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)
-            assert stage.connect().version == "1.1h"
-        finally:
-            for device in (bath, stage):
-                device.close()
-            mismatches = list(replay.mismatches)
-            arm.close()  # says goodbye where the run went on
+        rig = load_rig(find_rig(None))
+        tables = {
+            name: getattr(rig.rig, name).model_copy(update={"url": url})
+            for name, url in replay.urls.items()
+        }
+        played = replace(rig, rig=rig.rig.model_copy(update=tables))
+        with open_instruments(played, ("arm", "bath", "stage"), clock) as devices:
+            assert devices.arm.sign_on().serial_number == "40937"
+            assert len(devices.arm.poll().counts) == 6
+            assert devices.bath.read().temp_c == pytest.approx(20.0, abs=0.1)
+            assert devices.stage
+            assert devices.stage.connect().version == "1.1h"
+            mismatches = list(replay.mismatches)  # the arm says goodbye where the run went on
     assert mismatches == []
 
 

@@ -16,7 +16,7 @@ from bench.dry_run import rehearsal as module
 from bench.dry_run.cameras import to_render
 from bench.dry_run.rehearsal import NoTwinError, rehearse
 from bench.dry_run.twin import twin_of
-from bench.rig.arm_frame import TableFrame, TouchedPoint
+from bench.rig.arm_files import TableFrame, TouchedPoint
 from bench.rig.loading import RIGS, LoadedRig, find_rig, load_rig
 from bench.run.estimate import ASSUMED, KINDS, TimeSpent, needs
 from bench.script.model import LoadedScript, find_script, load_script

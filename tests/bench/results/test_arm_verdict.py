@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bench.results.verdicts import decide_arm
-from bench.rig.arm_verification import LengthTest, LocationTest, Verification, as_dict
+from bench.rig.arm_files import LengthTest, LocationTest, Verification, as_dict
 from bench.scoring.decisions import Verdict
 from bench.script.model import ArmRequirement, find_script, load_script
 from tests.bench.calibrate.test_arm_verification import CROSS, SWUNG

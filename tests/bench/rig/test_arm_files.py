@@ -17,14 +17,18 @@ from hypothesis import strategies as st
 
 from bench.config import ConfigError
 from bench.rig.arm_files import (
+    LengthTest,
+    Limits,
+    LocationTest,
+    TableFrame,
+    TouchedPoint,
+    Verification,
     frame_text,
     load_frame,
     load_verification,
     verification_text,
     write_file,
 )
-from bench.rig.arm_frame import TableFrame, TouchedPoint
-from bench.rig.arm_verification import LengthTest, Limits, LocationTest, Verification
 from bench.toml import toml_text
 from tests.bench.calibrate.arm_rig import MADE
 from tests.bench.calibrate.test_arm_verification import CROSS, SWUNG

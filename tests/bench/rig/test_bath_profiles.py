@@ -13,7 +13,7 @@ from bench.cli.main import main
 from bench.config import ConfigError
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig, load_rig
-from bench.rig.opening import driver_openers
+from bench.rig.opening import open_instruments
 from instruments.bath.driver import Bath
 from instruments.bath.profile import profile_names
 from instruments.bath.sequence import start_bath
@@ -60,8 +60,9 @@ def test_every_profile_warms_the_teats(tmp_path: Path, profile: str) -> None:
     rig = load_rig(rig_of(tmp_path, profile, relay="julabo" not in profile))
     with (
         EmulatedRig(rig, clock, seed=1) as twin,
-        closing(driver_openers(rig, clock, twin.urls)["bath"]()) as bath,
+        open_instruments(rig, ("bath",), clock, twin=twin) as devices,
     ):
+        bath = devices.bath
         start_bath(bath, 33.0, clock.sleep)
         clock.sleep(60.0)
         assert bath.read().power_percent == 100.0

@@ -12,8 +12,8 @@ import pytest
 from bench.cli.main import main
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, read_run
-from bench.rig.emulated_faults import fault_names
 from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.emulation_model import fault_names
 from bench.rig.loading import load_rig
 from instruments.bath.relay_emulator import RELAY_FAULTS
 from instruments.clock import RealClock, VirtualClock

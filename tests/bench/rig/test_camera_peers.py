@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.rig.camera_model import Cameras as CamerasTable
-from bench.rig.camera_model import Checks
 from bench.rig.frame_capture import FrameTaker
-from bench.rig.opening import open_cameras
+from bench.rig.model import Cameras as CamerasTable
+from bench.rig.model import Checks
+from bench.rig.opening import open_instruments
 from instruments.camera.cameras import CameraSet
 from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.genicam import GenicamCamera
@@ -58,7 +58,8 @@ def test_streams_and_a_radiometric_camera_of_one_rig_file(tmp_path: Path, clock:
     with closing(StreamServer(EmulatedCameras(GalleryWorld(clock=clock)), clock)) as server:
         rig = rig_of(tmp_path, RIG.format(**server.urls))
         events: list[str] = []
-        with closing(open_cameras(rig.rig.cameras, rig.calibration, tmp_path, clock)) as cameras:
+        with open_instruments(rig, ("cameras",), clock) as devices:
+            cameras = devices.cameras
             assert "exposure asked 100, is " in cameras.identity["right"]
             taker = FrameTaker(
                 cameras,

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from bench.config import ConfigError
-from bench.rig.camera_model import OneCamera, camera_url
 from bench.rig.loading import LoadedRig, load_rig
+from bench.rig.model import OneCamera, camera_url
 from bench.rig.opening import conversion_of
 from instruments.camera.conversion import Conversion, Radiometry
 from instruments.camera.settings import Settings

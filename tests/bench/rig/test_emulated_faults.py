@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from bench.config import ConfigError
-from bench.rig.emulated_faults import fault_names
 from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.emulation_model import fault_names
 from bench.rig.loading import load_rig
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import InstrumentError, LinkError

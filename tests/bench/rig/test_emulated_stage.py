@@ -15,7 +15,7 @@ import pytest
 from bench.config import ConfigError
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig, find_rig, load_rig
-from bench.rig.opening import driver_openers
+from bench.rig.opening import open_instruments
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, LinkError, ProtocolError
 from instruments.stage.driver import Stage
@@ -39,14 +39,14 @@ def rig_with(folder: Path, stage: str = "", emulation: str = "") -> LoadedRig:
 @contextmanager
 def homed(rig: LoadedRig) -> Iterator[tuple[EmulatedRig, Stage]]:
     """The rig's world, and its stage as the bench opens it."""
-    with EmulatedRig(rig, VirtualClock(), seed=1) as twin:
-        stage: Stage = driver_openers(rig, twin.world.clock, twin.urls)["stage"]()
-        try:
-            stage.connect()
-            stage.home()
-            yield twin, stage
-        finally:
-            stage.close()
+    with (
+        EmulatedRig(rig, clock := VirtualClock(), seed=1) as twin,
+        open_instruments(rig, ("stage",), clock, twin=twin) as devices,
+    ):
+        assert devices.stage
+        devices.stage.connect()
+        devices.stage.home()
+        yield twin, devices.stage
 
 
 def test_the_plate_stands_as_the_stage_stands_in_all_four_axes(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig, find_rig, load_rig
-from bench.rig.opening import driver_openers, open_rig
+from bench.rig.opening import open_instruments
 from bench.script.phantom import shipped_phantom
 from instruments.bath.driver import Bath
 from instruments.clock import VirtualClock
@@ -125,11 +125,6 @@ def test_every_driver_of_the_rig_opens_by_its_url(rig: LoadedRig, twin: Emulated
     assert all(
         url.startswith(("socket://127.0.0.1:", "tcp://127.0.0.1:")) for url in twin.urls.values()
     )
-    for opener in driver_openers(rig, twin.world.clock, twin.urls).values():
-        opener().close()
-
-
-def test_a_rig_that_opened_closes_whole(rig: LoadedRig) -> None:
-    with open_rig(rig, seed=1) as hookup:
-        assert hookup.exact_ends is not None
-        assert hookup.exact_ends().shape == (4, 3)
+    with open_instruments(rig, clock=twin.world.clock, twin=twin) as devices:
+        assert devices.exact_ends is not None
+        assert devices.exact_ends().shape == (4, 3)

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.rig.camera_model import Cameras as CamerasTable
 from bench.rig.frame_capture import HINTS, FrameTaker
 from bench.rig.loading import find_rig, load_rig
+from bench.rig.model import Cameras as CamerasTable
 from instruments.camera.emulator import FAULTS, EmulatedCameras
 from instruments.camera.faults import FrameFault
 from instruments.camera.frame import FrameSet

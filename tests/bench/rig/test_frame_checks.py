@@ -14,10 +14,9 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.config import read_calibration
-from bench.rig.camera_model import Checks, FocusTable
-from bench.rig.frame_checks import FrameChecks
+from bench.rig.frame_capture import FrameChecks, StereoOrder
 from bench.rig.loading import find_rig, load_rig
-from bench.rig.stereo_order import StereoOrder
+from bench.rig.model import Checks, FocusTable
 from detector.calibration import Calibration
 from instruments.camera.emulator import (
     AMOUNTS,

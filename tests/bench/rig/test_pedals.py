@@ -5,11 +5,13 @@ border.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import pytest
 
 from bench.rig.opening import pedal_watch
 from instruments.clock import VirtualClock
+from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.protocol import Packet
 
 
@@ -27,7 +29,7 @@ class Foot:
 
 def answered_after(down_s: list[tuple[float, float]], turn_s: float = 0.2) -> float | None:
     clock = VirtualClock()
-    pressed = pedal_watch(Foot(clock, down_s), clock)
+    pressed = pedal_watch(cast(MicroScribe, Foot(clock, down_s)), clock)
     while clock.now() < 3.0:
         if pressed(turn_s):
             return clock.now()

@@ -19,8 +19,7 @@ from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
 from bench.report.page import stored_rules
 from bench.results.verdicts import judge
-from bench.rig.arm_files import frame_text, verification_text, write_file
-from bench.rig.arm_verification import Limits
+from bench.rig.arm_files import Limits, frame_text, verification_text, write_file
 from bench.rig.loading import RIGS
 from bench.rig.model import Arm
 from bench.scoring.decisions import Verdict

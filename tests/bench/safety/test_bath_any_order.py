@@ -9,7 +9,7 @@ as soon as it answers.
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -26,11 +26,10 @@ from hypothesis.stateful import (
 
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig, load_rig
-from bench.rig.opening import driver_openers
+from bench.rig.opening import open_instruments
 from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import Interlocks, bath_of
 from bench.safety.stability import StabilityGate
-from instruments.bath.driver import Bath
 from instruments.bath.emulator import FAULTS
 from instruments.bath.profile import profile_names
 from instruments.bath.relay_emulator import RELAY_FAULTS
@@ -75,14 +74,16 @@ class WatchedBath(RuleBasedStateMachine):
         self.clock = VirtualClock()
         self.twin = EmulatedRig(rig, self.clock, seed=1)
         self.plant = self.twin.world.plant
-        self.bath: Bath = driver_openers(rig, self.clock, self.twin.urls)["bath"]()
+        self.open = ExitStack()
+        opened = open_instruments(rig, ("bath",), self.clock, twin=self.twin)
+        self.bath = self.open.enter_context(opened).bath
         self.tripped = False
         self.wrong: list[str] = []
         self.dry_since_s: float | None = None
         gate = StabilityGate(set_point_c=33.0, window_s=60.0)
         interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
         self.watch = BathMonitor(
-            self.bath,
+            self.bath.read,
             self.clock,
             gate,
             interlocks,
@@ -194,7 +195,7 @@ class WatchedBath(RuleBasedStateMachine):
             assert not self.plant.running
             assert self.plant.output == 0.0
         finally:
-            self.bath.close()
+            self.open.close()
             self.twin.close()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import pytest
 
@@ -17,29 +17,7 @@ from instruments.bath.profile import load_profile
 from instruments.bath.reading import BathReading
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import DeviceError, LinkError
-
-CALM = BathReading(
-    t_s=0.0,
-    temp_c=33.0,
-    raw=(1, 2),
-    external_c=None,
-    power_percent=2.0,
-    safety_c=None,
-    alarm=0,
-    warning=0,
-    remote=True,
-)
-
-
-@dataclass
-class ScriptedBath:
-    """Reads what a function of time says."""
-
-    clock: VirtualClock
-    at: Callable[[float], BathReading]
-
-    def read(self) -> BathReading:
-        return replace(self.at(self.clock.now()), t_s=self.clock.now())
+from tests.bench.safety.calm import CALM
 
 
 class Watched:
@@ -57,7 +35,7 @@ class Watched:
 
         self.also: InterlockTrip | None = None
         self.watch = BathMonitor(
-            ScriptedBath(self.clock, at),
+            lambda: replace(at(self.clock.now()), t_s=self.clock.now()),
             self.clock,
             gate,
             interlocks,
@@ -194,12 +172,11 @@ def test_with_the_real_clock_a_trip_acts_while_the_main_thread_is_blocked() -> N
     reading = replace(CALM, temp_c=38.0)
     interlocks = Interlocks(Limits(), bath_of(load_profile("julabo-presto")))
 
-    class Bath:
-        def read(self) -> BathReading:
-            now = clock.now()
-            return replace(reading if now > 0.5 else CALM, t_s=now)
+    def read() -> BathReading:
+        now = clock.now()
+        return replace(reading if now > 0.5 else CALM, t_s=now)
 
-    watch = BathMonitor(Bath(), clock, StabilityGate(33.0), interlocks, lambda _: None, act)
+    watch = BathMonitor(read, clock, StabilityGate(33.0), interlocks, lambda _: None, act)
     watch.start()
     assert acted.wait(60.0), "the main thread never looked"
     assert threads[0] is not threading.current_thread()

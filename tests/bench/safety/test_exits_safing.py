@@ -9,10 +9,9 @@ from typing import Literal
 import pytest
 
 from bench.record.reader import read_run
-from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import find_rig, load_rig
-from bench.rig.opening import driver_openers, open_rig
+from bench.rig.opening import open_instruments
 from instruments.bath.driver import Bath
 from instruments.bath.profile import Profile, load_profile
 from instruments.bath.reading import BathReading
@@ -23,18 +22,9 @@ from instruments.errors import DeviceError, LinkError
 from instruments.stage.driver import Stage
 from tests.bench.killed_runs import Silent, start
 from tests.bench.operated_runs import STAGE, files
+from tests.bench.safety.calm import CALM
 
-CALM = BathReading(
-    t_s=0.0,
-    temp_c=20.0,
-    raw=(1, 2),
-    external_c=None,
-    power_percent=0.0,
-    safety_c=None,
-    alarm=0,
-    warning=0,
-    remote=True,
-)
+COLD = replace(CALM, temp_c=20.0, power_percent=0.0)
 
 
 def profile(pump: Literal["none", "with run", "own"]) -> Profile:
@@ -74,7 +64,7 @@ class Noted(Bath):
 
     def read(self) -> BathReading:
         self.note("look at the level")
-        return replace(CALM, alarm=self.alarm)
+        return replace(COLD, alarm=self.alarm)
 
     def get(self, name: str) -> float:
         return self.values[name]
@@ -94,7 +84,7 @@ def test_start_is_level_pump_ten_seconds_of_flow_then_run() -> None:
     bath = Noted("own")
     start_bath(bath, 33.0, bath.clock.sleep)
     assert bath.told == [(0.0, "look at the level"), (0.0, "pump on"), (10.0, "run at 33")]
-    assert pump_on(bath, CALM) is True
+    assert pump_on(bath, COLD) is True
 
 
 def test_a_low_level_starts_neither_pump_nor_heater() -> None:
@@ -144,15 +134,14 @@ def test_a_pump_without_a_switch_is_not_pretended(
 
 def test_a_pump_that_turns_with_run_is_on_when_the_controller_runs() -> None:
     assert [
-        pump_on(Noted("with run"), replace(CALM, running=running))
+        pump_on(Noted("with run"), replace(COLD, running=running))
         for running in (True, False, None)
     ] == [True, False, None]
-    assert pump_on(Noted("none"), replace(CALM, running=True)) is None
+    assert pump_on(Noted("none"), replace(COLD, running=True)) is None
 
 
 def test_every_driver_declares_its_safe_state_and_gets_there() -> None:
-    with open_rig(load_rig(find_rig(None)), seed=1) as hookup:
-        devices = hookup.devices
+    with open_instruments(load_rig(find_rig(None)), seed=1) as devices:
         assert set(devices.safe_states()) == {"bath", "stage", "arm", "cameras"}
         assert all(devices.safe_states().values())
         devices.bath.start(33.0)
@@ -168,11 +157,10 @@ def test_going_to_safe_is_bounded_in_time_and_goes_on_to_the_others(fault: str) 
     half a minute.
     """
     rig, clock = load_rig(find_rig(None)), VirtualClock()
-    with EmulatedRig(rig, clock, 1) as twin:
-        opened = {name: opener() for name, opener in driver_openers(rig, clock, twin.urls).items()}
-        devices = Devices(
-            clock, opened["arm"], opened["bath"], opened["stage"], twin.cameras, twin.operator
-        )
+    with (
+        EmulatedRig(rig, clock, 1) as twin,
+        open_instruments(rig, clock=clock, twin=twin) as devices,
+    ):
         devices.bath.start(33.0)
         twin.bath.late_s = 3.0
         twin.bath.fault(fault)
@@ -182,7 +170,6 @@ def test_going_to_safe_is_bounded_in_time_and_goes_on_to_the_others(fault: str) 
         assert {"stage is safe", "arm is safe"} <= set(told)
         assert unsafe == ("bath",), told
         assert any("bath could not be made safe" in text for text in told)
-        devices.close()
 
 
 @pytest.mark.parametrize(
@@ -194,8 +181,7 @@ def test_each_step_to_safe_is_tried_whatever_the_others_raise(
     raised: BaseException, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One step after the other fails in a way that no driver should; what failed is told."""
-    with open_rig(load_rig(find_rig(None)), seed=1) as hookup:
-        devices = hookup.devices
+    with open_instruments(load_rig(find_rig(None)), seed=1) as devices:
         for name, owner in {
             "bath": type(devices.bath),
             "stage": type(devices.stage),

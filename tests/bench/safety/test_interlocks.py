@@ -15,18 +15,8 @@ from bench.rig.model import Limits
 from bench.safety.interlocks import RULES, Bath, Interlocks, InterlockTrip, bath_of, rule_named
 from instruments.bath.profile import load_profile
 from instruments.bath.reading import BathReading
+from tests.bench.safety.calm import CALM
 
-CALM = BathReading(
-    t_s=0.0,
-    temp_c=33.0,
-    raw=(1, 2),
-    external_c=None,
-    power_percent=2.0,
-    safety_c=None,
-    alarm=0,
-    warning=0,
-    remote=True,
-)
 PRESTO = bath_of(load_profile("julabo-presto"))
 
 

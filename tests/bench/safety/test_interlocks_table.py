@@ -1,5 +1,5 @@
-"""The table of interlocks, walked: each row trips, stays tripped whatever the bath does then, and
-resets when its condition holds.
+"""The table of interlocks, walked: each row trips, is latched whatever the bath does then, and
+resets when its condition holds; and what else keeps a run from starting.
 """
 
 from __future__ import annotations
@@ -7,13 +7,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 
 import pytest
 
 from bench.cli.main import main
 from bench.config import ConfigError
-from bench.rig.loading import RIGS, LoadedRig, load_rig
+from bench.rig.loading import RIGS, LoadedRig, find_rig, load_rig
 from bench.rig.model import Limits
 from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, bath_of, moving_of, rule_named
@@ -23,6 +24,7 @@ from bench.safety.latch import (
     latch_path,
     read_latch,
     refuse_latched,
+    refuse_untested_cut_out,
     set_latch,
 )
 from bench.safety.stability import StabilityGate
@@ -31,18 +33,9 @@ from instruments.bath.profile import load_profile
 from instruments.bath.reading import BathReading
 from instruments.clock import VirtualClock
 from instruments.errors import LinkError
+from tests.bench.safety.calm import CALM
+from tests.conftest import ROOT
 
-CALM = BathReading(
-    t_s=0.0,
-    temp_c=33.0,
-    raw=(1, 2),
-    external_c=None,
-    power_percent=2.0,
-    safety_c=None,
-    alarm=0,
-    warning=0,
-    remote=True,
-)
 COLD = replace(CALM, power_percent=0.0)
 FROM_S, TO_S = 200.0, 800.0  # the trouble comes and goes
 
@@ -111,17 +104,23 @@ def test_a_row_trips_latches_and_resets(name: str, lab: LoadedRig) -> None:
     assert FROM_S <= at_s <= FROM_S + walk.within_s
     path = latch_path(lab)
     assert path is not None
+    assert path == lab.path.with_name("lab.example.tripped.json")
     set_latch(path, trip, "runs/one")
-    with pytest.raises(LatchedError, match=name):
+    set_latch(path, InterlockTrip("later", "later", "Other."), "runs/two")
+    with pytest.raises(LatchedError) as caught:
         refuse_latched(lab)
+    assert f"interlock {name}" in str(caught.value), "the first one stays"
+    assert f"{trip.then} Then: teatbench bath acknowledge" in str(caught.value)
     latch = read_latch(path)
     assert latch is not None
     assert latch.told["values"], "with what led to it"
     if walk.stays is not None:
-        with pytest.raises(LatchedError, match="not yet"):
+        with pytest.raises(LatchedError, match="not yet") as refused:
             acknowledge(lab, latch, walk.stays)
+        assert f"It resets with: {rule_named(name).resets}." in str(refused.value)
         assert path.exists()
     acknowledge(lab, latch, walk.resets)
+    assert read_latch(path) is None
     refuse_latched(lab)
 
 
@@ -137,12 +136,11 @@ def walked(walk: Walk) -> list[tuple[float, Exception]]:
         acts.append((clock.now(), trip))
         return True
 
-    class Bath:
-        def read(self) -> BathReading:
-            t = clock.now()
-            calm = replace(CALM, temp_c=33.0 + 0.01 * (t % 3))
-            reading = walk.trouble(t) if FROM_S <= t < TO_S else calm
-            return replace(reading, t_s=t, raw=(round(reading.temp_c * 1e4),))
+    def read() -> BathReading:
+        t = clock.now()
+        calm = replace(CALM, temp_c=33.0 + 0.01 * (t % 3))
+        reading = walk.trouble(t) if FROM_S <= t < TO_S else calm
+        return replace(reading, t_s=t, raw=(round(reading.temp_c * 1e4),))
 
     def also() -> InterlockTrip | None:
         lost = walk.also and clock.now() >= FROM_S
@@ -156,7 +154,7 @@ def walked(walk: Walk) -> list[tuple[float, Exception]]:
 
     gate = StabilityGate(33.0)
     watch = BathMonitor(
-        Bath(), clock, gate, interlocks, lambda _: None, act, also=also, moving=moving_of(profile)
+        read, clock, gate, interlocks, lambda _: None, act, also=also, moving=moving_of(profile)
     )
     watch.start()
     watch.heating()
@@ -374,3 +372,122 @@ def test_a_script_may_ask_for_what_the_rig_file_allows(
         out = str(tmp_path / "runs")
         assert main(["run", str(script), "--rig", str(rig.path), "--out", out]) == 2
         assert "outside what the rig allows (22 to 33 degC)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"rule": "of another bench"}'])
+def test_a_latch_that_cannot_be_understood_latches_all_the_same(lab: LoadedRig, text: str) -> None:
+    path = latch_path(lab)
+    assert path is not None
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(LatchedError):
+        refuse_latched(lab)
+    latch = read_latch(path)
+    assert latch is not None
+    acknowledge(lab, latch, CALM)
+    refuse_latched(lab)
+
+
+def test_a_mistake_of_the_bench_latches_too(lab: LoadedRig) -> None:
+    path = latch_path(lab)
+    assert path is not None
+    set_latch(path, ZeroDivisionError("division by zero"), "runs/one")
+    with pytest.raises(LatchedError, match="ZeroDivisionError"):
+        refuse_latched(lab)
+
+
+def test_an_emulated_rig_has_no_latch() -> None:
+    assert latch_path(load_rig(find_rig(None))) is None
+
+
+TODAY = date(2026, 11, 22)
+
+
+def with_bath(folder: Path, profile: str, tested: str) -> LoadedRig:
+    """The rig of the fixture ``lab`` in ``folder``, with another bath."""
+    path = folder / "lab.example.toml"
+    text = (RIGS / path.name).read_text(encoding="utf-8")
+    text = text.replace('"julabo-presto"', f'"{profile}"')
+    text = text.replace('cut_out_tested = ""', f'cut_out_tested = "{tested}"')
+    path.write_text(text, encoding="utf-8")
+    return load_rig(path)
+
+
+@pytest.mark.parametrize(("profile", "loss"), [("julabo-presto", "hold"), ("omega-cn7", "unknown")])
+def test_a_bath_that_may_stay_hot_needs_a_tested_cut_out(
+    profile: str, loss: str, lab: LoadedRig, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        refuse_untested_cut_out(with_bath(tmp_path, profile, ""), TODAY)
+    said = str(caught.value)
+    assert f'comms_loss = "{loss}"' in said
+    assert said.startswith(f"{lab.path}: 1 fault\n{lab.path}:")
+    assert 'write the day: cut_out_tested = "2026-11-22"' in said
+    refuse_untested_cut_out(with_bath(tmp_path, profile, "2026-11-22"), TODAY)
+
+
+@pytest.mark.parametrize("loss", ["stop", "safe_setpoint"])
+def test_a_bath_that_stops_by_itself_needs_none(loss: str, lab: LoadedRig, tmp_path: Path) -> None:
+    shipped = ROOT / "instruments" / "bath" / "profiles" / "julabo-presto.toml"
+    text = shipped.read_text(encoding="utf-8").replace(
+        'comms_loss = "hold"', f'comms_loss = "{loss}"'
+    )
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    refuse_untested_cut_out(with_bath(tmp_path, "own.toml", ""), TODAY)
+
+
+def test_an_emulated_rig_has_no_cut_out() -> None:
+    refuse_untested_cut_out(load_rig(find_rig(None)), TODAY)
+
+
+HANDS, FAR_HANDS = "emulator://127.0.0.1:5001", "emulator://192.168.0.9:5001"
+
+
+@pytest.mark.parametrize(
+    ("bath", "operator", "emulated"),
+    [
+        ("tcp://127.0.0.1:1502", HANDS, True),  # as `emulate --write-rig` writes it
+        ("rtu+tcp://127.0.0.1:1502?unit=3", HANDS, True),
+        ("tcp://[::1]:1502", HANDS, True),
+        ("tcp://localhost:1502", HANDS, True),
+        ("/dev/pts/7", HANDS, True),
+        ("tcp://192.168.0.40:502", HANDS, False),
+        ("rtu+tcp://bath.lab:4001", HANDS, False),
+        ("tcp://127.0.0.1.example.org:502", HANDS, False),
+        ("tcp://0.0.0.0:1502", HANDS, False),
+        ("/dev/ttyUSB0", HANDS, False),
+        ("COM5", HANDS, False),
+        ("tcp://127.0.0.1:1502", FAR_HANDS, False),
+        ("tcp://127.0.0.1:1502", "console:", False),  # may be a tunnel to a real bath
+        ("/dev/pts/7", "console:", False),
+    ],
+)
+def test_a_real_bath_is_not_emulated_by_its_operator(
+    bath: str, operator: str, emulated: bool, lab: LoadedRig, tmp_path: Path
+) -> None:
+    text = lab.text.replace('"tcp://192.168.0.40:502"', f'"{bath}"')
+    text = text.replace('url = "console:"', f'url = "{operator}"')
+    (tmp_path / "other.toml").write_text(text, encoding="utf-8")
+    rig = load_rig(tmp_path / "other.toml")
+    assert (rig.rig.bath.url, rig.rig.operator.url) == (bath, operator)
+    if emulated:
+        refuse_untested_cut_out(rig, TODAY)
+    else:
+        with pytest.raises(ConfigError, match="nothing is heated before"):
+            refuse_untested_cut_out(rig, TODAY)
+
+
+def test_a_day_that_is_still_to_come_is_no_test(lab: LoadedRig, tmp_path: Path) -> None:
+    refuse_untested_cut_out(with_bath(tmp_path, "julabo-presto", "2026-11-23"), TODAY)
+    with pytest.raises(ConfigError, match="still to come"):
+        refuse_untested_cut_out(with_bath(tmp_path, "julabo-presto", "2026-11-24"), TODAY)
+    with pytest.raises(ConfigError, match=r'cut_out_tested: .*write it as "2026-11-20"'):
+        with_bath(tmp_path, "julabo-presto", "yesterday")
+
+
+def test_a_run_on_a_real_rig_is_refused_before_anything_is_opened(
+    lab: LoadedRig, short_script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["run", str(short_script), "--rig", str(lab.path), "--out", str(tmp_path / "runs")]
+    assert main(arguments) == 2
+    assert "bath.cut_out_tested: missing: nothing is heated" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
