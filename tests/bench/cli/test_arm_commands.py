@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.calibrate.arm_dialogues import Step
-from bench.calibrate.simulated_arm import PLACED, TryingArm
+from bench.calibrate.simulated_arm import PLACED, Step, TryingArm
 from bench.cli.main import main, parser
 from bench.rig.arm_files import load_frame, load_verification
 from bench.rig.model import Arm

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import pytest
 from rich.console import Console
 
-from bench.cli.live_view import (
+from bench.cli.bath import (
     BathSample,
     BathView,
     open_bath,
