@@ -12,7 +12,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console, Group
@@ -154,15 +153,6 @@ def _started(bath: Bath) -> bool:
     return bath.get("run") == bath.profile.row("run").values["started"]
 
 
-@dataclass(frozen=True, slots=True)
-class BathSample:
-    """One reading as the plot takes it."""
-
-    t_s: float
-    temp_c: float
-    output_percent: float | None = None
-
-
 def seconds_to_stable(
     report: StabilityReport, window_s: float, leave_k: float, rate_k_per_s: float | None
 ) -> float | None:
@@ -184,7 +174,7 @@ def seconds_to_stable(
     return (abs(away_k) - leave_k) / abs(rate_k_per_s) + window_s
 
 
-def rate_k_per_s(samples: Sequence[BathSample]) -> float | None:
+def rate_k_per_s(samples: Sequence[BathReading]) -> float | None:
     """Over the last minute; None before there are ten seconds of readings."""
     last = samples[-1]
     first = next(sample for sample in samples if last.t_s - sample.t_s <= RATE_S)
@@ -193,7 +183,7 @@ def rate_k_per_s(samples: Sequence[BathSample]) -> float | None:
 
 
 def plot(
-    samples: Sequence[BathSample], set_point_c: float, *, width: int = WIDTH, height: int = HEIGHT
+    samples: Sequence[BathReading], set_point_c: float, *, width: int = WIDTH, height: int = HEIGHT
 ) -> list[str]:
     """Temperature over time, the set point as a line; ``height`` rows of text, and one that says
     the time.
@@ -218,24 +208,24 @@ def plot(
     return [*lines, f"{'degC':>7} last {span_s / 60:.1f} min; {LINE * 2} set point, {POINT} bath"]
 
 
-def output_strip(samples: Sequence[BathSample], *, width: int = WIDTH) -> str:
+def output_strip(samples: Sequence[BathReading], *, width: int = WIDTH) -> str:
     """The heater's output over the same time, a bar a column; empty where the controller doesn't
     tell it.
     """
     bars = [" "] * width
     for sample in samples:
-        if sample.output_percent is not None:
+        if sample.power_percent is not None:
             bars[_column(sample, samples, width)] = BARS[
-                round(min(100.0, max(0.0, sample.output_percent)) / 100.0 * (len(BARS) - 1))
+                round(min(100.0, max(0.0, sample.power_percent)) / 100.0 * (len(BARS) - 1))
             ]
     return f"{'output':>7} {''.join(bars)}" if any(bar != " " for bar in bars) else ""
 
 
-def _span_s(samples: Sequence[BathSample], width: int) -> float:
+def _span_s(samples: Sequence[BathReading], width: int) -> float:
     return max(samples[-1].t_s - samples[0].t_s, width * PERIOD_S)
 
 
-def _column(sample: BathSample, samples: Sequence[BathSample], width: int) -> int:
+def _column(sample: BathReading, samples: Sequence[BathReading], width: int) -> int:
     return min(
         width - 1, int((sample.t_s - samples[0].t_s) / _span_s(samples, width) * (width - 1))
     )
@@ -254,8 +244,7 @@ class BathView:
         self._gate = gate
         self._moving = moving
         self._kept_s = kept_s
-        self._samples: deque[BathSample] = deque()
-        self._reading: BathReading | None = None
+        self._samples: deque[BathReading] = deque()
         self._started = True
         self.trouble = ""
 
@@ -267,16 +256,16 @@ class BathView:
         self._gate.add(
             reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c
         )
-        self._samples.append(BathSample(reading.t_s, reading.temp_c, reading.power_percent))
+        self._samples.append(reading)
         while reading.t_s - self._samples[0].t_s > self._kept_s:
             self._samples.popleft()
-        self._reading, self.trouble = reading, ""
+        self.trouble = ""
 
     def line(self) -> str:
         """The state in one line."""
-        reading = self._reading
-        if reading is None:
+        if not self._samples:
             return self.trouble or "no reading yet"
+        reading = self._samples[-1]
         report, gate = self._gate.report, self._gate
         left_s = seconds_to_stable(report, gate.window_s, gate.leave_k, rate_k_per_s(self._samples))
         output = "not told" if reading.power_percent is None else f"{reading.power_percent:.0f} %"

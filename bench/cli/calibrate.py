@@ -43,7 +43,7 @@ from instruments.camera.frame import Grey
 from instruments.clock import wall_time
 
 if TYPE_CHECKING:
-    from bench.calibrate.thermal import Delivered
+    from bench.calibrate.cameras import Delivered
     from reports.page import Page
 
 CHECK_VIEWS = 5
@@ -54,7 +54,7 @@ PEG = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus 
 
 
 def cameras(given: argparse.Namespace) -> int:
-    from bench.calibrate.stereo import Lens, calibrate_pair
+    from bench.calibrate.cameras import Lens, calibrate_pair
     from bench.report.calibration import cameras_page
 
     refuse_existing(given.out, replace=given.replace)
@@ -80,7 +80,7 @@ def cameras(given: argparse.Namespace) -> int:
 
 
 def thermal(given: argparse.Namespace) -> int:
-    from bench.calibrate.thermal import calibrate_thermal, map_pairs
+    from bench.calibrate.cameras import calibrate_thermal, map_pairs
     from bench.report.calibration import pairs_page, thermal_page
 
     refuse_existing(given.out, replace=given.replace)
@@ -122,7 +122,7 @@ def _delivered(given: argparse.Namespace) -> Delivered:
     """How the thermal pictures come: as the command says, as the rig's calibration has it, or as
     its file says.
     """
-    from bench.calibrate.thermal import Delivered
+    from bench.calibrate.cameras import Delivered
 
     size, mirrored, polarity = (160, 120), False, None
     if given.rig:
