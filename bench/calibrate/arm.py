@@ -1,5 +1,6 @@
 """One arm alone, for the commands: connected by its URL, signed on, homing confirmed by the person
-who stands beside it.
+who stands beside it; and the dialogues of `arm frame` and `arm verify`. A touch that can't be used
+(the arm moved, two points are too near) is asked for again; nothing is lost but that touch.
 
 `emulator:` means an emulated arm of this process that goes where the dialogue asks. Time is real: a
 person takes part.
@@ -8,16 +9,30 @@ person takes part.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Protocol
 
-from bench.calibrate.arm_dialogues import Plan, Step, touch_frame, verify
-from bench.calibrate.simulated_arm import TryingArm
+import numpy as np
+
+from bench.calibrate.simulated_arm import Step, TryingArm
 from bench.config import ConfigError
-from bench.rig.arm_files import Limits, TableFrame, Triple, Verification
+from bench.rig.arm_files import (
+    APART_MM,
+    TOUCHES,
+    FrameError,
+    LengthTest,
+    Limits,
+    LocationTest,
+    TableFrame,
+    TouchedPoint,
+    Triple,
+    Verification,
+    world_from_arm,
+)
 from bench.rig.model import Arm, Baud
 from bench.rig.opening import open_instruments, pedal_watch, rig_of
 from bench.rig.urls import EMULATED, serial_url
@@ -25,6 +40,8 @@ from bench.script.model import ArmRequirement, find_script, load_script
 from instruments.captures.capture import Captures
 from instruments.clock import RealClock, wall_time
 from instruments.microscribe.driver import MicroScribe
+from instruments.microscribe.errors import ArmMovesError
+from instruments.microscribe.stream import Reading
 from instruments.operators.console import Console
 
 PEG = "Put the arm's stylus on its peg"
@@ -37,11 +54,44 @@ NO_TERMINAL = (
     " --homed where the stylus was on its peg when the arm was last switched on, or the arm was"
     " homed since: otherwise positions are wrong, with no sign of it."
 )
+LEANS = ("upright", "leaning left", "leaning right", "leaning towards you", "leaning away from you")
+DIVOTS = {
+    "near": "near the arm, some 200 mm from its base",
+    "middle": "at half the arm's reach, some 330 mm from its base",
+    "far": "far out, some 450 mm from its base",
+}
+DIRECTIONS = (
+    "flat, pointing away from the arm",
+    "flat, across in front of the arm",
+    "flat, diagonal",
+    "flat, the other diagonal",
+    "upright",
+    "rising away from the arm at 45 degrees",
+    "rising across in front of the arm at 45 degrees",
+)
+
+
+class Person(Protocol):
+    """Who brings the tip where it is asked for. Its methods return once that is done, and raise
+    OperatorAbort.
+    """
+
+    def ask(self, text: str) -> None:
+        """Something to be done."""
+        ...
+
+    def touch(self, step: Step) -> None:
+        """The tip to be brought there and held still."""
+        ...
+
+    def say(self, text: str) -> None:
+        """Something to be shown."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
 class ArmSession:
-    """A signed-on arm and the person beside it."""
+    """A signed-on arm and the `Person` beside it."""
 
     arm: MicroScribe
     clock: RealClock
@@ -58,8 +108,6 @@ class ArmSession:
             self.console.ask(HOMED)
         self.arm.confirm_homed()
 
-    # The person of `guided`
-
     def ask(self, text: str) -> None:
         """Something to be done."""
         self.console.ask(text)
@@ -74,14 +122,6 @@ class ArmSession:
         """Something to be shown."""
         self.console.say(text)
 
-    def frame(self, checks: list[Triple | None]) -> TableFrame:
-        """The dialogue of `arm frame`."""
-        return touch_frame(self.arm, self, checks, today())
-
-    def verification(self, plan: Plan) -> Verification:
-        """The dialogue of `arm verify`."""
-        return verify(self.arm, self, plan, today())
-
 
 @contextmanager
 def open_arm(
@@ -94,9 +134,12 @@ def open_arm(
         serial_url(port)
     except ValueError as error:
         raise ConfigError.plain(f"--port {port}: {error}") from error
-    clock = RealClock()
-    trying = TryingArm(clock, length_mm=length_mm or 300.0) if port == EMULATED else None
-    try:
+    with (
+        closing(RealClock()) as clock,
+        TryingArm(clock, length_mm=length_mm or 300.0)
+        if port == EMULATED
+        else nullcontext() as trying,
+    ):
         url = trying.url if trying else port
         rig = rig_of(arm=Arm.model_construct(url=url, baud=baud, answer_s=answer_s))
         with open_instruments(rig, ("arm",), clock, capture=capture) as devices:
@@ -104,10 +147,6 @@ def open_arm(
             arm.sign_on()
             console = Console(sys.stdin, sys.stdout, clock, watch=lambda: pedal_watch(arm, clock))
             yield ArmSession(arm, clock, console, trying)
-    finally:
-        if trying:
-            trying.close()
-        clock.close()
 
 
 def today() -> datetime:
@@ -136,3 +175,132 @@ def refuse_existing(out: Path, *, replace: bool, option: str = "--out") -> None:
         raise ConfigError.plain(
             f"{option} {out} is there already. Name another file, or give --replace."
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What `verify` asks for: ``distances`` of divots (1 to 3), ``touches`` in each, a
+    ``length_mm`` (None: none) in ``directions``.
+    """
+
+    distances: int = 3
+    touches: int = TOUCHES
+    length_mm: float | None = None
+    directions: int = len(DIRECTIONS)
+
+
+def touch_frame(
+    arm: MicroScribe, person: Person, checks: Sequence[Triple | None], made: datetime
+) -> TableFrame:
+    """A table frame from three touches and one for each of ``checks``: a known place, or None for
+    anywhere in the plane.
+
+    Raises as person and driver do.
+    """
+
+    def touched(step: Step, name: str) -> TouchedPoint:
+        reading = _read(arm, person, step)
+        x, y, z = (float(v) for v in reading.tip_mm)
+        return TouchedPoint(name, (x, y, z), float(reading.spread_mm), step.world_mm)
+
+    origin = touched(Step("origin", 0, "Touch the table's origin (world 0, 0, 0)."), "origin")
+    while True:
+        text = (
+            f"Touch a point on the x axis, on its positive side, at least {APART_MM:g} mm from the"
+            " origin; further is better."
+        )
+        on_x = touched(Step("x axis", 0, text), "x axis")
+        text = (
+            f"Touch a point of the table's plane on the side of positive y, at least {APART_MM:g}"
+            " mm from the x axis; further is better."
+        )
+        in_plane = touched(Step("plane", 0, text), "plane")
+        try:
+            world_from_arm([origin.arm_mm, on_x.arm_mm, in_plane.arm_mm])
+            break
+        except FrameError as error:
+            person.say(f"{error}. Once more, the second and the third point.")
+    points = [origin, on_x, in_plane]
+    for number, place in enumerate(checks):
+        where = (
+            "another point of the table's plane, well away from the three"
+            if place is None
+            else f"the point {mm(place)} (world)"
+        )
+        text = f"Check point {number + 1} of {len(checks)}: touch {where}."
+        points.append(touched(Step("check", number, text, place), f"check {number + 1}"))
+    frame = TableFrame.from_touches(made, arm.identity.serial_number, points)
+    if frame.hangs:
+        person.ask(
+            "In this frame the arm stands upside down. That is right only where it hangs; otherwise"
+            " the third point was on the wrong side of the x axis: abort, and begin again."
+        )
+    return frame
+
+
+def verify(arm: MicroScribe, person: Person, plan: Plan, made: datetime) -> Verification:
+    """The readings that ``plan`` asks for, as a verification. Raises as person and driver do."""
+    names = {1: ("middle",), 2: ("near", "far"), 3: ("near", "middle", "far")}[plan.distances]
+    locations = []
+    for name in names:
+        person.ask(
+            f"Fix the divot {DIVOTS[name]}. It must not move until its {plan.touches} touches are"
+            " done."
+        )
+        test = _divot(arm, person, name, plan.touches)
+        locations.append(test)
+        person.say(
+            f"{name}: within {test.largest_mm:.2f} mm of the mean, 2 sd {test.two_sd_mm:.2f} mm,"
+            f" swung by {test.swing_deg:.0f} degrees."
+        )
+    lengths: list[LengthTest] = []
+    for number in range(plan.directions):
+        if plan.length_mm is None:
+            break
+        where = DIRECTIONS[number % len(DIRECTIONS)]
+        person.ask(
+            f"Fix the calibrated length {where}. It must not move until both its ends are touched."
+        )
+        a, b = (
+            _read(
+                arm, person, Step(f"length {end}", number, f"Length {where}: touch its {nth} end.")
+            )
+            for end, nth in (("a", "first"), ("b", "second"))
+        )
+        length = LengthTest(where, a.tip_mm, b.tip_mm, plan.length_mm)
+        lengths.append(length)
+        person.say(f"{where}: {length.measured_mm:.2f} mm, error {length.error_mm:+.2f} mm.")
+    return Verification(made, arm.identity.serial_number, tuple(locations), tuple(lengths))
+
+
+def _divot(arm: MicroScribe, person: Person, name: str, touches: int) -> LocationTest:
+    readings = []
+    for number in range(touches):
+        further = (
+            ", turned about itself and with the elbow elsewhere" if number >= len(LEANS) else ""
+        )
+        text = (
+            f"Divot {name}, touch {number + 1} of {touches}: tip in the divot, the stylus"
+            f" {LEANS[number % len(LEANS)]}{further}."
+        )
+        readings.append(_read(arm, person, Step(name, number, text)))
+    tips, axes = zip(*((one.tip_mm, one.axis) for one in readings), strict=True)
+    return LocationTest(name, np.array(tips), np.array(axes))
+
+
+def _read(arm: MicroScribe, person: Person, step: Step) -> Reading:
+    """One reading of what ``step`` asks for; asked again while the arm moves."""
+    while True:
+        person.touch(step)
+        try:
+            reading = arm.read()
+        except ArmMovesError as refused:
+            person.say(str(refused))
+            continue
+        person.say(f"  read {mm(reading.tip_mm)} (arm), spread {reading.spread_mm:.2f} mm")
+        return reading
+
+
+def mm(point: Iterable[float], digits: int = 1) -> str:
+    """A point as text."""
+    return ", ".join(f"{v:.{digits}f}" for v in point) + " mm"

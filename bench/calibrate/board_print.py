@@ -1,12 +1,8 @@
-"""A board as a PDF in its true size, with a line to check the printer by.
-
-May not know who measures the print afterwards.
-"""
+"""A board as a PDF in its true size, with a line to check the printer by."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -14,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
-from numpy.typing import NDArray
 
 from bench.config import ConfigError
 from detector.calibration.boards import Board
@@ -55,19 +50,21 @@ def board_figure(board: Board, paper: str | None = None) -> Figure:
     axes.axis("off")
     board_width, board_height = board.size_mm
     left, top = (width - board_width) / 2, (height - FOOT_MM - board_height) / 2
-    drawers: dict[str, Callable[[Axes, Board, float, float], None]] = {
-        "chessboard": _chessboard,
-        "charuco": _charuco,
-        "circles": _circles,
-    }
-    drawers[board.kind](axes, board, left, top)
+    {"chessboard": _chessboard, "charuco": _charuco, "circles": _circles}[board.kind](
+        axes, board, left, top
+    )
     foot = height - FOOT_MM / 2
     axes.plot([MARGIN_MM, MARGIN_MM + RULER_MM], [foot, foot], color="black", linewidth=0.8)
     for x in (MARGIN_MM, MARGIN_MM + RULER_MM):
         axes.plot([x, x], [foot - 2, foot + 2], color="black", linewidth=0.8)
+    more = {
+        "charuco": f", markers {board.marker_mm} mm ({board.dictionary})",
+        "circles": f", circles {board.circle_mm} mm",
+    }.get(board.kind, "")
     text = (
-        f"This line is {RULER_MM:g} mm long. {_told(board)} Print at 100 %, glue it flat, measure"
-        " the pitch, write it into the file."
+        f"This line is {RULER_MM:g} mm long. {board.kind} of {board.columns} x {board.rows} points,"
+        f" pitch {board.pitch_mm:g} mm{more}. Print at 100 %, glue it flat, measure the pitch,"
+        " write it into the file."
     )
     axes.text(MARGIN_MM + RULER_MM + 5, foot, text, fontsize=7, va="center")
     return figure
@@ -78,35 +75,19 @@ def sheet_mm(board: Board, paper: str | None) -> tuple[float, float]:
     width, height = (size + 2 * MARGIN_MM for size in board.size_mm)
     height += FOOT_MM
     fits = [name for name, (w, h) in PAPERS_MM.items() if w >= width and h >= height]
+    needs = f"the board needs {width:.0f} x {height:.0f} mm with its margin, more than"
     if not fits:
-        raise ConfigError.plain(
-            f"the board needs {width:.0f} x {height:.0f} mm with its margin, more than A0 has"
-        )
+        raise ConfigError.plain(f"{needs} A0 has")
     if paper is not None and paper not in fits:
-        raise ConfigError.plain(
-            f"the board needs {width:.0f} x {height:.0f} mm with its margin, more than {paper} has;"
-            f" it fits {fits[0]}"
-        )
+        raise ConfigError.plain(f"{needs} {paper} has; it fits {fits[0]}")
     return PAPERS_MM[paper or fits[0]]
 
 
-def _told(board: Board) -> str:
-    more = {
-        "charuco": f", markers {board.marker_mm} mm ({board.dictionary})",
-        "circles": f", circles {board.circle_mm} mm",
-    }.get(board.kind, "")
-    return (
-        f"{board.kind} of {board.columns} x {board.rows} points, pitch {board.pitch_mm:g} mm{more}."
-    )
-
-
 def _chessboard(axes: Axes, board: Board, left: float, top: float) -> None:
-    for row in range(board.rows + 1):
-        for column in range(board.columns + 1):
-            if (row + column) % 2 == 0:
-                _square(
-                    axes, left + column * board.pitch_mm, top + row * board.pitch_mm, board.pitch_mm
-                )
+    pitch = board.pitch_mm
+    for row, column in np.ndindex(board.rows + 1, board.columns + 1):
+        if (row + column) % 2 == 0:
+            _square(axes, left + column * pitch, top + row * pitch, pitch)
 
 
 def _charuco(axes: Axes, board: Board, left: float, top: float) -> None:
@@ -114,21 +95,16 @@ def _charuco(axes: Axes, board: Board, left: float, top: float) -> None:
     are exact.
     """
     _chessboard(axes, board, left, top)
-    modules = board.aruco.getDictionary().markerSize + 2
+    dictionary = board.aruco.getDictionary()
+    modules = dictionary.markerSize + 2
     side = float(board.marker_mm or 0.0) / modules
-    for number, corners in enumerate(board.aruco.getObjPoints()):
+    identities = np.ravel(board.aruco.getIds())
+    for identity, corners in zip(identities, board.aruco.getObjPoints(), strict=True):
         x, y = left + float(corners[0][0]), top + float(corners[0][1])
         _square(axes, x, y, side * modules)
-        for row, column in zip(*np.nonzero(_marker(board, number, modules)), strict=True):
+        marker = cv2.aruco.generateImageMarker(dictionary, int(identity), modules)
+        for row, column in zip(*np.nonzero(marker), strict=True):
             _square(axes, x + column * side, y + row * side, side, "white")
-
-
-def _marker(board: Board, number: int, modules: int) -> NDArray[np.uint8]:
-    identity = int(np.ravel(board.aruco.getIds())[number])
-    return np.asarray(
-        cv2.aruco.generateImageMarker(board.aruco.getDictionary(), identity, modules),
-        dtype=np.uint8,
-    )
 
 
 def _circles(axes: Axes, board: Board, left: float, top: float) -> None:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
+from bench.calibrate.merge import pair_of_part
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import TouchedPoints
 from bench.config import ConfigError
 from detector.calibration import Part
 from detector.calibration.diagnosis import Finding, Remeasured, measured_again, remeasure
-from detector.calibration.values import Pair, covariance_of_points
+from detector.calibration.values import covariance_of_points
 from detector.geometry import Array, Motion
 
 SIGNIFICANT = 1e-4  # of a chance to accuse a calibration that holds
@@ -34,11 +35,9 @@ def check_pair(part: Part, views: BoardViews) -> tuple[Remeasured, tuple[Finding
     """The board measured with the pair, and what that tells. Raises ConfigError without a pair, or
     without a view of both.
     """
-    if part.left is None or part.right is None or part.right_from_left is None:
-        raise ConfigError.plain(
-            "the file holds no stereo pair ([cameras.left], [cameras.right], [stereo])"
-        )
-    for camera, lens in (("left", part.left), ("right", part.right)):
+    pair = pair_of_part(part)
+    pair = replace(pair, world_from_right=Motion.identity())
+    for camera, lens in (("left", pair.left), ("right", pair.right)):
         if views.image_size[camera] != lens.image_size:
             seen, known = (
                 "{} x {}".format(*size) for size in (views.image_size[camera], lens.image_size)
@@ -50,7 +49,6 @@ def check_pair(part: Part, views: BoardViews) -> tuple[Remeasured, tuple[Finding
     pairs = views.pairs()
     if not pairs:
         raise ConfigError.plain("the board was found in no view of both cameras")
-    pair = Pair(part.left, part.right, part.right_from_left, Motion.identity())
     again = remeasure(pair, views.board, pairs)
     return again, tuple(measured_again(again, pair))
 
@@ -61,19 +59,14 @@ def check_points(
     """One or more touched points measured with a whole calibration, and what that tells. Raises
     ConfigError for a part of one.
     """
-    if (
-        part.left is None
-        or part.right is None
-        or part.right_from_left is None
-        or part.world_from_right is None
-    ):
+    pair = pair_of_part(part)
+    if part.world_from_right is None:
         raise ConfigError.plain(
             "touched points need a whole calibration, with [cameras.left], [cameras.right],"
             " [stereo] and [world]"
         )
     if not len(points.touched_mm):
         raise ConfigError.plain("the table of touched points is empty")
-    pair = Pair(part.left, part.right, part.right_from_left, part.world_from_right)
     missed = pair.place(points.left_px, points.right_px) - points.touched_mm
     if not np.isfinite(missed).all():
         bad = int(np.flatnonzero(~np.isfinite(missed).all(axis=1))[0]) + 1
@@ -81,9 +74,8 @@ def check_points(
             f"point {bad} can't be triangulated: its pixels are outside of what the lenses were"
             " calibrated for"
         )
-    noise = covariance_of_points(
-        pair, None, points.touched_mm, pixel_sd_px
-    ) + touch_sd_mm**2 * np.eye(3)
+    noise = covariance_of_points(pair, None, points.touched_mm, pixel_sd_px)
+    noise += touch_sd_mm**2 * np.eye(3)
     own = covariance_of_points(pair, part.covariance, points.touched_mm, 0.0)
     again = PointsAgain(missed, np.sqrt(np.trace(noise + own, axis1=1, axis2=2)))
     return again, (*_moved(missed, noise, own), *_scattered(missed, noise, own))
@@ -100,38 +92,25 @@ def _moved(missed: Array, noise: Array, own: Array) -> list[Finding]:
     ) < chi2.ppf(1.0 - SIGNIFICANT, 3):
         return []
     x, y, z = mean
-    said = (
+    sentence = (
         f"points are measured {np.linalg.norm(mean):.1f} mm off on the mean ({x:+.1f}, {y:+.1f},"
-        f" {z:+.1f} mm)"
+        f" {z:+.1f} mm): the cameras, the arm or the table have moved against each other since"
     )
-    return [
-        Finding(
-            "moved cameras",
-            f"{said}: the cameras, the arm or the table have moved against each other since",
-        )
-    ]
+    return [Finding("moved cameras", sentence)]
 
 
 def _scattered(missed: Array, noise: Array, own: Array) -> list[Finding]:
     """Whether they are off in different ways by more than noise and calibration allow."""
-    if len(missed) < 2:
+    free = len(missed) - 1
+    if not free:
         return []
-    left_over = float(np.sum((missed - missed.mean(axis=0)) ** 2)) / (len(missed) - 1)
+    left_over = float(np.sum((missed - missed.mean(axis=0)) ** 2)) / free
     expected = float(np.trace(noise + own, axis1=1, axis2=2).mean())
-    limit = max(
-        SCATTER_MATTERS**2,
-        chi2.ppf(1.0 - SIGNIFICANT, 3 * (len(missed) - 1)) / (3 * (len(missed) - 1)),
-    )
+    limit = max(SCATTER_MATTERS**2, chi2.ppf(1.0 - SIGNIFICANT, 3 * free) / (3 * free))
     if left_over < limit * expected:
         return []
-    said = (
+    sentence = (
         f"points scatter by {np.sqrt(left_over):.1f} mm, where {np.sqrt(expected):.1f} mm is to be"
-        " expected"
+        " expected: a lens or one of the cameras has moved, or points were mistaken for each other"
     )
-    return [
-        Finding(
-            "scattered points",
-            f"{said}: a lens or one of the cameras has moved, or points were mistaken for each"
-            " other",
-        )
-    ]
+    return [Finding("scattered points", sentence)]

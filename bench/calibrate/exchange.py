@@ -38,28 +38,25 @@ def read_opencv(path: Path, image_size: tuple[int, int] | None = None) -> Part:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     except (cv2.error, SystemError) as error:
         raise ConfigError.plain(f"{path}: OpenCV can't read it: {str(error).strip()}") from error
-    try:
-        if not storage.isOpened():
-            raise ConfigError.plain(
-                f"{path}: OpenCV can't read it as YAML or XML; does it begin with %YAML:1.0?"
-            )
-        matrices = {
-            name: storage.getNode(name).mat()
-            for name in ("M1", "D1", "M2", "D2", "R", "T", "image_size")
-        }
-    finally:
-        storage.release()
-    if missing := [name for name in ("M1", "D1", "M2", "D2") if matrices[name] is None]:
+    if not storage.isOpened():
+        raise ConfigError.plain(
+            f"{path}: OpenCV can't read it as YAML or XML; does it begin with %YAML:1.0?"
+        )
+    names = ("M1", "D1", "M2", "D2", "R", "T", "image_size")
+    M1, D1, M2, D2, R, T, size = found = [storage.getNode(name).mat() for name in names]
+    storage.release()
+    if missing := [name for name, value in zip(names[:4], found, strict=False) if value is None]:
         raise ConfigError.plain(
             f"{path}: lacks {', '.join(missing)}; wanted: the stereo pair's M1 D1 M2 D2, and R T"
         )
-    size = image_size or _size(matrices["image_size"], path)
-    left, right = (_camera(matrices[f"M{n}"], matrices[f"D{n}"], size, path) for n in (1, 2))
-    motion = (
-        _motion(matrices["R"], matrices["T"], path)
-        if matrices["R"] is not None and matrices["T"] is not None
-        else None
-    )
+    if image_size is None:
+        if np.size(size) != 2 or size is None:
+            raise ConfigError.plain(
+                f"{path}: lacks image_size; say it with --image-size COLUMNSxROWS"
+            )
+        image_size = int(np.ravel(size)[0]), int(np.ravel(size)[1])
+    motion = None if R is None or T is None else _motion(R, T, path)
+    left, right = _camera(M1, D1, image_size, path), _camera(M2, D2, image_size, path)
     return Part(left=left, right=right, right_from_left=motion)
 
 
@@ -67,16 +64,14 @@ def write_opencv(part: Part, path: Path) -> None:
     """OpenCV's YAML, keys as `read_opencv` wants them."""
     left, right, motion = _pair(part)
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    try:
-        storage.write("image_size", np.array(left.image_size, dtype=np.int32).reshape(1, 2))
-        for number, camera in ((1, left), (2, right)):
-            storage.write(f"M{number}", _matrix(camera))
-            storage.write(f"D{number}", np.array(camera.kc).reshape(1, 5))
-        if motion:
-            storage.write("R", np.array(motion.R))
-            storage.write("T", np.array(motion.T).reshape(3, 1))
-    finally:
-        storage.release()
+    storage.write("image_size", np.array(left.image_size, dtype=np.int32).reshape(1, 2))
+    for number, camera in ((1, left), (2, right)):
+        storage.write(f"M{number}", _matrix(camera))
+        storage.write(f"D{number}", np.array(camera.kc).reshape(1, 5))
+    if motion:
+        storage.write("R", np.array(motion.R))
+        storage.write("T", np.array(motion.T).reshape(3, 1))
+    storage.release()
 
 
 def read_bouguet(path: Path) -> Part:
@@ -95,21 +90,14 @@ def read_bouguet(path: Path) -> Part:
         )
     size = (int(found["nx"].item()), int(found["ny"].item()))
 
-    def camera(side: str) -> Camera:
+    cameras = {}
+    for side in SIDES:
         fc, cc, kc = (np.ravel(found[f"{key}_{side}"]).tolist() for key in ("fc", "cc", "kc"))
-        skew = float(np.ravel(found[f"alpha_c_{side}"])[0]) if f"alpha_c_{side}" in found else 0.0
-        return _camera(
-            np.array([[fc[0], fc[0] * skew, cc[0]], [0.0, fc[1], cc[1]], [0.0, 0.0, 1.0]]),
-            kc,
-            size,
-            path,
-        )
-
-    return Part(
-        left=camera("left"),
-        right=camera("right"),
-        right_from_left=Motion.from_vectors(found["om"], found["T"]),
-    )
+        skew = float(np.ravel(found.get(f"alpha_c_{side}", 0.0))[0])
+        K = np.array([[fc[0], fc[0] * skew, cc[0]], [0.0, fc[1], cc[1]], [0.0, 0.0, 1.0]])
+        cameras[side] = _camera(K, kc, size, path)
+    motion = Motion.from_vectors(found["om"], found["T"])
+    return Part(left=cameras["left"], right=cameras["right"], right_from_left=motion)
 
 
 def write_bouguet(part: Part, path: Path) -> None:
@@ -121,13 +109,9 @@ def write_bouguet(part: Part, path: Path) -> None:
         raise ConfigError.plain(
             "Bouguet's stereo file needs the motion between the cameras ([stereo])"
         )
-    values: dict[str, Any] = {
-        "nx": left.image_size[0],
-        "ny": left.image_size[1],
-        "om": motion.om.reshape(3, 1),
-        "T": motion.T.reshape(3, 1),
-    }
-    values["R"] = np.array(motion.R)
+    columns, rows = left.image_size
+    values: dict[str, Any] = {"nx": columns, "ny": rows, "om": motion.om.reshape(3, 1)}
+    values |= {"T": motion.T.reshape(3, 1), "R": np.array(motion.R)}
     for side, camera in zip(SIDES, (left, right), strict=True):
         values |= {
             f"{key}_{side}": np.array(getattr(camera, key)).reshape(-1, 1)
@@ -159,11 +143,8 @@ def write_ros(part: Part, path: Path, camera: str) -> None:
     K = _matrix(lens)
 
     def matrix(values: Array) -> dict[str, Any]:
-        return {
-            "rows": values.shape[0],
-            "cols": values.shape[1],
-            "data": [float(v) for v in values.reshape(-1)],
-        }
+        rows, columns = values.shape
+        return {"rows": rows, "cols": columns, "data": values.reshape(-1).tolist()}
 
     told = {
         "image_width": lens.image_size[0],
@@ -210,15 +191,9 @@ def _camera(K: Any, kc: Any, size: tuple[int, int], path: Path) -> Camera:
         raise ConfigError.plain(
             f"{path}: {len(values)} distortion coefficients; only k1 k2 p1 p2 k3 can be taken over"
         )
-    k1, k2, p1, p2, k3 = (float(v) for v in [*values[:5], *[0.0] * (5 - min(len(values), 5))])
-    fx, fy = float(matrix[0, 0]), float(matrix[1, 1])
-    return Camera(
-        size,
-        (fx, fy),
-        (float(matrix[0, 2]), float(matrix[1, 2])),
-        float(matrix[0, 1]) / fx,
-        (k1, k2, p1, p2, k3),
-    )
+    k1, k2, p1, p2, k3 = (float(v) for v in np.append(values[:5], np.zeros(5))[:5])
+    (fx, skew, u), (_, fy, v) = (row.tolist() for row in matrix[:2])
+    return Camera(size, (fx, fy), (u, v), skew / fx, (k1, k2, p1, p2, k3))
 
 
 def _motion(R: Any, T: Any, path: Path) -> Motion:
@@ -226,13 +201,6 @@ def _motion(R: Any, T: Any, path: Path) -> Motion:
         return Motion(np.asarray(R, dtype=np.float64), np.ravel(np.asarray(T, dtype=np.float64)))
     except ValueError as error:
         raise ConfigError.plain(f"{path}: R and T are no motion: {error}") from error
-
-
-def _size(told: Any, path: Path) -> tuple[int, int]:
-    if told is None or np.size(told) != 2:
-        raise ConfigError.plain(f"{path}: lacks image_size; say it with --image-size COLUMNSxROWS")
-    columns, rows = (int(v) for v in np.ravel(told))
-    return columns, rows
 
 
 def _pair(part: Part) -> tuple[Camera, Camera, Motion | None]:

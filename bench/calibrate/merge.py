@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
+from scipy.linalg import block_diag
 
 from bench.config import ConfigError, located, read_text
 from detector.calibration import (
@@ -21,23 +21,19 @@ from detector.calibration import (
     file_hash,
     load_part,
 )
+from detector.calibration.values import Pair
+from detector.geometry import Motion
 
 CAMERAS_INPUT = "cameras file"  # the record's name for the file that a later step was made with
+# each attribute of a part, its block in the file, and the step that makes it
 _BLOCKS = {
-    "left": "cameras.left",
-    "right": "cameras.right",
-    "right_from_left": "stereo",
-    "thermal": "cameras.thermal",
-    "thermal_from_left": "thermal",
-    "homographies": "homography",
-    "world_from_right": "world",
-}
-_STEPS = {
-    "left": "cameras",
-    "right": "cameras",
-    "right_from_left": "cameras",
-    "thermal": "thermal",
-    "homographies": "thermal",
+    "left": ("cameras.left", "cameras"),
+    "right": ("cameras.right", "cameras"),
+    "right_from_left": ("stereo", "cameras"),
+    "thermal": ("cameras.thermal", "thermal"),
+    "thermal_from_left": ("thermal", "thermal"),
+    "homographies": ("homography", "thermal"),
+    "world_from_right": ("world", "world"),
 }
 
 
@@ -61,24 +57,35 @@ def read_part(path: Path) -> PartFile:
         ) from error
 
 
+def pair_of_part(part: Part) -> Pair:
+    """The stereo pair in ``part``, in the right camera's frame where it holds no world. Raises
+    ConfigError without a pair.
+    """
+    if part.left is None or part.right is None or part.right_from_left is None:
+        raise ConfigError.plain(
+            "the file holds no stereo pair ([cameras.left], [cameras.right], [stereo]), as"
+            " 'teatbench calibrate cameras' writes it"
+        )
+    world = part.world_from_right or Motion.identity()
+    return Pair(part.left, part.right, part.right_from_left, world)
+
+
 def merge(files: Sequence[PartFile], record: Record) -> Calibration:
     """The whole calibration. Raises ConfigError for a part that is missing, there twice, or made
     with another pair.
     """
     found: dict[str, PartFile] = {}
     for file in files:
-        for name in _BLOCKS:
+        for name, (block, _) in _BLOCKS.items():
             if getattr(file.part, name) is None:
                 continue
             if name in found:
                 raise ConfigError.plain(
-                    f"[{_BLOCKS[name]}] is in {found[name].path} and in {file.path}: leave one of"
-                    " them out"
+                    f"[{block}] is in {found[name].path} and in {file.path}: leave one of them out"
                 )
             found[name] = file
-    for name, block in _BLOCKS.items():
+    for name, (block, step) in _BLOCKS.items():
         if name not in found and name != "thermal_from_left":
-            step = _STEPS.get(name, "world")
             raise ConfigError.plain(
                 f"[{block}] is in none of the files: add the file that 'teatbench calibrate {step}'"
                 " wrote"
@@ -93,11 +100,9 @@ def merge(files: Sequence[PartFile], record: Record) -> Calibration:
 
 def _refuse_other_pair(found: Mapping[str, PartFile]) -> None:
     cameras = found["left"]
-    for file in {
-        found[name].path: found[name] for name in ("thermal", "world_from_right")
-    }.values():
+    for file in (found["thermal"], found["world_from_right"]):
         made_with = file.part.record.inputs.get(CAMERAS_INPUT) if file.part.record else None
-        if made_with is not None and made_with != cameras.sha256 and file.path != cameras.path:
+        if made_with not in (None, cameras.sha256) and file.path != cameras.path:
             raise ConfigError.plain(
                 f"{file.path} was made with another cameras' file than {cameras.path}: make that"
                 " step again with this one"
@@ -107,35 +112,24 @@ def _refuse_other_pair(found: Mapping[str, PartFile]) -> None:
 def _together(
     files: Sequence[PartFile], found: Mapping[str, PartFile]
 ) -> ParameterCovariance | None:
-    """One covariance: the world's file tells that of the pair too; parts that know nothing of each
+    """One covariance: the world's file says that of the pair too; parts that know nothing of each
     other are taken for independent.
     """
     world, cameras = found["world_from_right"], found["left"]
-    kept: list[ParameterCovariance] = []
-    for file in files:
-        told = file.part.covariance
-        if told is None or (
-            file is cameras
-            and world is not cameras
-            and world.part.covariance is not None
-            and _tells_pair(world)
-        ):
-            continue
-        kept.append(told)
+    of_world = world.part.covariance
+    has_pair = world is not cameras and any(
+        owner != "world" for owner, _ in (of_world.names if of_world else ())
+    )
+    kept = [
+        file.part.covariance
+        for file in files
+        if file.part.covariance and not (file is cameras and has_pair)
+    ]
     if not kept:
         return None
-    names = tuple(name for told in kept for name in told.names)
-    matrix = np.zeros((len(names), len(names)))
-    at = 0
-    for told in kept:
-        matrix[at : at + len(told.names), at : at + len(told.names)] = told.matrix
-        at += len(told.names)
-    return ParameterCovariance(names, matrix)
-
-
-def _tells_pair(file: PartFile) -> bool:
-    return file.part.covariance is not None and any(
-        owner != "world" for owner, _ in file.part.covariance.names
+    return ParameterCovariance(
+        tuple(name for one in kept for name in one.names),
+        block_diag(*(one.matrix for one in kept)),
     )
 
 
@@ -151,9 +145,5 @@ def _whole_record(files: Sequence[PartFile], record: Record) -> Record:
     }
     made = min([part.made for _, part in parts] or [record.made])
     return Record(
-        made,
-        record.by,
-        record.with_what,
-        {**cameras, **record.cameras},
-        {**inputs, **record.inputs},
+        made, record.by, record.with_what, cameras | {**record.cameras}, inputs | {**record.inputs}
     )

@@ -9,12 +9,13 @@ three distances, and a bar of the calibrated length.
 from __future__ import annotations
 
 import threading
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.calibrate.arm_dialogues import DISTANCES, Step
 from bench.config import ConfigError
+from bench.rig.arm_files import Triple
 from detector.geometry import Motion
 from instruments.clock import Clock
 from instruments.listener import Listener
@@ -29,29 +30,35 @@ CHECK_MM = (180.0, 160.0, 0.0)
 # in the arm's frame
 DIVOTS_MM = {"near": (200.0, 0.0, 20.0), "middle": (330.0, 0.0, 20.0), "far": (450.0, 0.0, 20.0)}
 BAR_MM = (330.0, 0.0, 170.0)
-# as guided.DIRECTIONS
+# as arm.DIRECTIONS
 BARS = ((1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1))
 LEAN_RAD = np.radians(38.0)
-_UP = np.array([0.0, 0.0, 1.0])
 
 
-class TryingHand:
-    """Holds the tip where it was last told to; on the peg before that."""
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One touch that is asked for. ``what`` names the place, ``number`` (from 0) which of several;
+    ``world_mm`` where it is known.
+    """
 
-    def __init__(self) -> None:
-        self._held: tuple[Floats, Floats | None] | None = None
+    what: str
+    number: int
+    text: str
+    world_mm: Triple | None = None
+
+
+class _Hand:
+    """Holds the tip at ``held`` in the arm's frame; on the peg before that."""
+
+    held: tuple[Floats, Floats | None] | None = None
 
     def arm_target(self) -> tuple[Floats, Floats | None] | None:
         """For the emulated arm."""
-        return self._held
-
-    def hold(self, point_mm: Floats, axis: Floats | None) -> None:
-        """Bring the tip to ``point_mm`` (3,) in the arm's frame."""
-        self._held = point_mm, axis
+        return self.held
 
 
 class TryingArm:
-    """An emulated arm on a loopback port, at ``url``. To be closed, or used with ``with``."""
+    """An emulated arm on a loopback port, at ``url``; to be used with ``with``."""
 
     def __init__(
         self,
@@ -63,7 +70,7 @@ class TryingArm:
         length_mm: float = 300.0,
     ) -> None:
         self.clock = clock
-        self._hand = TryingHand()
+        self._hand = _Hand()
         self.emulator = ArmEmulator(self._hand, clock, seed=seed, accuracy_mm=accuracy_mm)
         self._lock = threading.RLock()
         self._listener = Listener(self.emulator, clock, lock=self._lock, name="arm")
@@ -78,22 +85,18 @@ class TryingArm:
         """
         with self._lock:
             try:
-                self._hand.hold(*self._target(step))
+                self._hand.held = self._target(step)
             except OutOfReachError as error:
                 raise ConfigError.plain(f"the emulated arm can't do this: {error}") from error
-
-    def close(self) -> None:
-        """Stop listening."""
-        self._listener.close()
 
     def __enter__(self) -> TryingArm:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        self._listener.close()
 
     def _target(self, step: Step) -> tuple[Floats, Floats | None]:
-        if step.what in DISTANCES:
+        if step.what in DIVOTS_MM:
             return self._swung(np.array(DIVOTS_MM[step.what]), step.number)
         if step.what.startswith("length"):
             along = np.array(BARS[step.number % len(BARS)], dtype=np.float64)
@@ -109,7 +112,10 @@ class TryingArm:
         """Upright, then leaning another way each time, as far as the arm's joints allow."""
         key = tuple(point.tolist())
         if key not in self._within:
-            axes = [_UP] + [_leaning(turn) for turn in 2.4 * np.arange(8)]
+            turns = 2.4 * np.arange(8)
+            across, up = np.sin(LEAN_RAD), np.full(8, np.cos(LEAN_RAD))
+            leaning = np.column_stack([across * np.cos(turns), across * np.sin(turns), up])
+            axes = [np.array([0.0, 0.0, 1.0]), *leaning]
             self._within[key] = [axis for axis in axes if self._reaches(point, axis)]
         within = self._within[key]
         return point, within[number % len(within)]
@@ -120,9 +126,3 @@ class TryingArm:
         except OutOfReachError:
             return False
         return True
-
-
-def _leaning(turn_rad: float) -> Floats:
-    return np.array(
-        [np.sin(LEAN_RAD) * np.cos(turn_rad), np.sin(LEAN_RAD) * np.sin(turn_rad), np.cos(LEAN_RAD)]
-    )

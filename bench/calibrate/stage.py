@@ -6,15 +6,13 @@ Heats nothing and takes no picture, but every instrument of the rig has to answe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from math import hypot
 
 from bench.config import ConfigError
-from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
-from bench.rig.model import Stage as StageSettings
 from bench.rig.opening import open_instruments
 from bench.script.phantom import find_layout, load_layout
 from bench.truth.arm_tip import TipReader
@@ -25,8 +23,7 @@ from bench.truth.uncertainty import end_u_mm
 from instruments.captures.capture import NO_CAPTURE, Captures
 from instruments.errors import InstrumentError
 from instruments.operators.operator import Arrangement
-from instruments.stage.driver import Stage
-from instruments.world.phantom import Phantom, PlatePose
+from instruments.world.phantom import PlatePose
 
 PEG = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
 SPAN_MM = 200.0  # of the positions where none are named
@@ -59,7 +56,11 @@ def calibrate_stage(
     settings = rig.rig.stage
     if settings is None:
         raise ConfigError.plain(f"{rig.path} has no [stage]: there is nothing to register.")
-    phantom = _phantom(wanted.layout, seed)
+    try:
+        path = find_layout(wanted.layout)
+    except ValueError as error:
+        raise ConfigError.plain(f"--layout {wanted.layout}: {error}") from error
+    phantom = load_layout(path).phantom(seed)
     if wanted.teat > len(phantom.teats):
         raise ConfigError.plain(
             f"--teat {wanted.teat}: the layout {wanted.layout} has {len(phantom.teats)} teats"
@@ -73,70 +74,41 @@ def calibrate_stage(
     with open_instruments(rig, seed=seed, capture=capture) as devices:
         stage = devices.stage
         if stage is None:
-            raise ConfigError.plain(f"{rig.path} has no [stage]: there is nothing to register.")
-        tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
+            raise ValueError("the stage is in the rig file, and is not open")
+        arm, operator = devices.arm, devices.operator
+        tip = TipReader(arm, rig.rig.arm, rig.frame)
         try:
-            return _registered(
-                rig, settings, devices, stage, tip, phantom, poses, wanted, made, tell
+            arm.sign_on()
+            tip.refuse_other_arm()
+            operator.confirm_homing(PEG)
+            arm.confirm_homed()
+            stage.connect()
+            stage.home()
+            text = (
+                f"Put the phantom on the stage, its teats as in layout {wanted.layout}, and fix it:"
+                " it must not shift on its plate."
+            )
+            operator.set_up(Arrangement("stage_registration", phantom, (), text))
+            toucher = Toucher(
+                operator, tip, rig.rig.arm, devices.clock, lambda: None, wanted.readings
+            )
+            return register(
+                stage,
+                settings,
+                toucher,
+                phantom,
+                poses,
+                teat=wanted.teat,
+                u_mm=hypot(end_u_mm(rig.rig.arm, toucher.readings), settings.repeatability_mm),
+                made=made,
+                serial_number=arm.identity.serial_number,
+                tell=tell,
             )
         except RegistrationError as error:
             raise ConfigError.plain(f"no registration: {error}") from error
-        finally:
-            _rest(devices, stage, tell)
-
-
-def _phantom(layout: str, seed: int) -> Phantom:
-    try:
-        path = find_layout(layout)
-    except ValueError as error:
-        raise ConfigError.plain(f"--layout {layout}: {error}") from error
-    return load_layout(path).phantom(seed)
-
-
-def _registered(
-    rig: LoadedRig,
-    settings: StageSettings,
-    devices: Devices,
-    stage: Stage,
-    tip: TipReader,
-    phantom: Phantom,
-    poses: Sequence[PlatePose],
-    wanted: RegistrationRequest,
-    made: datetime,
-    tell: Callable[[str], None],
-) -> Registration:
-    devices.arm.sign_on()
-    tip.refuse_other_arm()
-    devices.operator.confirm_homing(PEG)
-    devices.arm.confirm_homed()
-    stage.connect()
-    stage.home()
-    text = (
-        f"Put the phantom on the stage, its teats as in layout {wanted.layout}, and fix it: it must"
-        " not shift on its plate."
-    )
-    devices.operator.set_up(Arrangement("stage_registration", phantom, (), text))
-    toucher = Toucher(
-        devices.operator, tip, rig.rig.arm, devices.clock, lambda: None, wanted.readings
-    )
-    return register(
-        stage,
-        settings,
-        toucher,
-        phantom,
-        poses,
-        teat=wanted.teat,
-        u_mm=hypot(end_u_mm(rig.rig.arm, toucher.readings), settings.repeatability_mm),
-        made=made,
-        serial_number=devices.arm.identity.serial_number,
-        tell=tell,
-    )
-
-
-def _rest(devices: Devices, stage: Stage, tell: Callable[[str], None]) -> None:
-    """Stage still and arm signed off, whatever came before."""
-    for name, rest in (("stage", stage.safe), ("arm", devices.arm.safe)):
-        try:
-            rest()
-        except InstrumentError as error:
-            tell(f"{name} could not be made safe: {error}")
+        finally:  # stage still and arm signed off, whatever came before
+            for name, rest in (("stage", stage.safe), ("arm", arm.safe)):
+                try:
+                    rest()
+                except InstrumentError as error:
+                    tell(f"{name} could not be made safe: {error}")

@@ -4,27 +4,27 @@ asked for one by one.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.calibrate.capture import pattern_of, write_picture
-from bench.calibrate.guide import Grey
 from bench.calibrate.world import POINT_COLUMNS, TouchedPoints
 from bench.files import write_synced
 from bench.truth.arm_tip import TipReader
 from detector.calibration.boards import Board
 from detector.calibration.corners import Found, ViewRefusedError, find_board, order_alike
 from detector.geometry import Array
+from instruments.camera.frame import Grey
 from instruments.errors import DeviceError
 from instruments.microscribe.errors import ArmMovesError
 from instruments.microscribe.stream import Reading
-from instruments.operators.operator import BoardAsked
+from instruments.operators.operator import BoardAsked, Operator
 
 POSITIONS = 2
 TRIES = 4  # of one position, or of one point, before it is given up
@@ -33,14 +33,7 @@ ROWS, COLUMNS = ("upper", "middle", "lower"), ("left", "middle", "right")
 MISTAKEN = 0.25
 WHERE = ("high and near", "lower and farther, tilted another way")
 POINTS_FILE = "points.csv"
-
-
-class BoardOperator(Protocol):
-    """Whoever fixes the board and touches it."""
-
-    def hold_board(self, asked: BoardAsked) -> None: ...
-    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None: ...
-    def release(self) -> None: ...
+COLOUR = (0, 200, 255)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,11 +48,7 @@ class Seen:
 
     def pixels(self) -> tuple[Array, Array]:
         """The nine points in both pictures, (9, 2) each."""
-        left, right = (
-            found.pixels_px[[int(np.flatnonzero(found.ids == c)[0]) for c in self.corners]]
-            for found in (self.left, self.right)
-        )
-        return left, right
+        return _pixels(self.left, self.corners), _pixels(self.right, self.corners)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +58,7 @@ class Asking:
     """
 
     look: Callable[[], Mapping[str, Grey]]
-    operator: BoardOperator
+    operator: Operator
     tip: TipReader
     tip_radius_mm: float
     tell: Callable[[str], None]
@@ -85,10 +74,9 @@ def gather_points(asking: Asking, board: Board, folder: Path) -> TouchedPoints:
     parts = [_at_position(asking, board, position, folder) for position in range(1, POSITIONS + 1)]
     points = TouchedPoints(*(np.vstack(columns) for columns in zip(*parts, strict=True)))
     rows = np.hstack([points.left_px, points.right_px, points.touched_mm])
-    text = "\n".join(
-        [",".join(POINT_COLUMNS), *(",".join(f"{value:.4f}" for value in row) for row in rows)]
-    )
-    write_synced(folder / POINTS_FILE, f"{text}\n".encode())
+    table = io.BytesIO()
+    np.savetxt(table, rows, "%.4f", ",", header=",".join(POINT_COLUMNS), comments="")
+    write_synced(folder / POINTS_FILE, table.getvalue())
     return points
 
 
@@ -168,13 +156,11 @@ def _touched(asking: Asking, board: Board, seen: Seen, at: int, before: list[Rea
     its distances to those before.
     """
     which = f"{ROWS[at // 3]} {COLUMNS[at % 3]}"
-    text, again = (
-        (
-            f"Touch point {at + 1} of {len(seen.corners)}, the {which} one, with the tip and hold"
-            " it still."
-        ),
-        "",
+    text = (
+        f"Touch point {at + 1} of {len(seen.corners)}, the {which} one, with the tip and hold it"
+        " still."
     )
+    again = ""
     for _ in range(TRIES):
         asking.operator.touch_board(seen.corners[at], text, again=again)
         try:
@@ -222,20 +208,14 @@ def under_ball(centres_mm: list[Array], axes: list[Array], radius_mm: float) -> 
 
 
 def _numbered(picture: Grey, found: Found, corners: tuple[int, ...]) -> NDArray[np.uint8]:
-    image = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
-    for number, corner in enumerate(corners, 1):
-        x, y = (
-            round(float(v)) for v in found.pixels_px[int(np.flatnonzero(found.ids == corner)[0])]
-        )
-        cv2.circle(image, (x, y), 8, (0, 200, 255), 2, cv2.LINE_AA)
-        cv2.putText(
-            image,
-            str(number),
-            (x + 10, y - 8),
-            cv2.FONT_HERSHEY_SIMPLEX,
-            0.8,
-            (0, 200, 255),
-            2,
-            cv2.LINE_AA,
-        )
-    return np.asarray(image, dtype=np.uint8)
+    image = np.asarray(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+    for number, (x, y) in enumerate(np.rint(_pixels(found, corners)).astype(int).tolist(), 1):
+        cv2.circle(image, (x, y), 8, COLOUR, 2, cv2.LINE_AA)
+        font = cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(image, str(number), (x + 10, y - 8), font, 0.8, COLOUR, 2, cv2.LINE_AA)
+    return image
+
+
+def _pixels(found: Found, corners: tuple[int, ...]) -> Array:
+    """The points named ``corners`` in a picture, (n, 2)."""
+    return found.pixels_px[[int(np.flatnonzero(found.ids == corner)[0]) for corner in corners]]

@@ -57,18 +57,16 @@ def find_pictures(places: Sequence[Path]) -> PictureSet:
             raise ConfigError.plain(
                 f"{place}: no such folder; a set of pictures is a folder with {LAYOUT}"
             )
-        prefix = f"{place.name}/" if len(places) > 1 else ""
-        before = sum(map(len, found.values()))
-        for camera, name, path in _in_folder(place):
-            views = found.setdefault(camera, {})
-            if prefix + name in views:
-                raise ConfigError.plain(
-                    f"{path}: view {prefix + name!r} of the {camera} camera is there twice (also"
-                    f" {views[prefix + name]})"
-                )
-            views[prefix + name] = path
-        if sum(map(len, found.values())) == before:
+        pictures = _in_folder(place)
+        if not pictures:
             raise ConfigError.plain(f"{place}: no picture found; wanted: {LAYOUT}")
+        for camera, view, path in pictures:
+            name = f"{place.name}/{view}" if len(places) > 1 else view
+            first = found.setdefault(camera, {}).setdefault(name, path)
+            if first is not path:
+                raise ConfigError.plain(
+                    f"{path}: view {name!r} of the {camera} camera is there twice (also {first})"
+                )
     return PictureSet(
         {camera: dict(sorted(found[camera].items())) for camera in CAMERAS if camera in found}
     )
@@ -81,31 +79,25 @@ def _in_folder(place: Path) -> list[tuple[str, str, Path]]:
     by_camera = [
         (camera, path.stem, path) for camera in CAMERAS for path in _pictures(place / camera)
     ]
+    by_frame = [
+        (path.stem, frame.name, path)
+        for frame in sorted(place.iterdir())
+        if frame.name not in CAMERAS
+        for path in _pictures(frame)
+        if path.stem in CAMERAS
+    ]
     by_name = [
         (camera, path.stem.removeprefix(camera), path)
         for path in _pictures(place)
         for camera in CAMERAS
         if path.stem.startswith(camera)
     ]
-    by_frame = [
-        (path.stem, frame.name, path)
-        for frame in _folders(place)
-        for path in _pictures(frame)
-        if path.stem in CAMERAS
-    ]
     return by_camera or by_frame or by_name
 
 
 def _pictures(folder: Path) -> list[Path]:
-    return (
-        sorted(path for path in folder.iterdir() if path.suffix.lower() in ENDINGS)
-        if folder.is_dir()
-        else []
-    )
-
-
-def _folders(place: Path) -> list[Path]:
-    return sorted(path for path in place.iterdir() if path.is_dir() and path.name not in CAMERAS)
+    """Empty where it is no folder."""
+    return sorted(path for path in folder.glob("*") if path.suffix.lower() in ENDINGS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,13 +131,12 @@ class BoardViews:
         """The points that left and right saw in the same view."""
         pairs = []
         for name, left in self.found["left"].items():
-            right = self.found["right"].get(name)
-            if right is not None:
+            if right := self.found["right"].get(name):
                 ids, in_left, in_right = np.intersect1d(left.ids, right.ids, return_indices=True)
-                pairs.append(
-                    PairView(name, ids, left.pixels_px[in_left], right.pixels_px[in_right])
-                )
-        return [pair for pair in pairs if len(pair.ids) >= 4]
+                if len(ids) >= 4:
+                    pixels = left.pixels_px[in_left], right.pixels_px[in_right]
+                    pairs.append(PairView(name, ids, *pixels))
+        return pairs
 
 
 def find_views(
@@ -167,23 +158,33 @@ def find_views(
     refused: list[Refused] = []
     for camera, all_views in pictures.pictures.items():
         found[camera] = {}
-        first: Path | None = None
-        for name, path in _spread(all_views, max_views).items():
-            image = _read(path)[:, ::-1].copy() if camera in mirrored else _read(path)
-            size = (image.shape[1], image.shape[0])
-            first = first or path
-            if sizes.setdefault(camera, size) != size:
-                was = "{} x {}".format(*sizes[camera])
+        chosen = _spread(all_views, max_views)
+        for name, path in chosen.items():
+            try:
+                image = read_grey(path)
+            except RecordingError as error:
+                raise ConfigError.plain(str(error)) from error
+            if camera in mirrored:
+                image = image[:, ::-1].copy()
+            rows, columns = image.shape[:2]
+            known = sizes.setdefault(camera, (columns, rows))
+            if known != (columns, rows):
+                first = next(iter(chosen.values()))
                 raise ConfigError.plain(
-                    f"{path}: {size[0]} x {size[1]} px, but {first} has {was}: one camera's"
-                    " pictures have one size"
+                    f"{path}: {columns} x {rows} px, but {first} has {known[0]} x {known[1]}: one"
+                    " camera's pictures have one size"
                 )
             try:
                 found[camera][name] = find_board(image, board, sub_pixel=SubPixel(window_px))
             except ViewRefusedError as why:
                 refused.append(Refused(camera, name, str(why)))
                 tell(f"{path}: left out: {why}")
-    _count_alike(found, board)
+    # boards that read the same when turned: all cameras count from the first camera's end
+    first_camera, *others = found
+    for camera in others:
+        for name, other in found[camera].items():
+            if reference := found[first_camera].get(name):
+                found[camera][name] = order_alike(reference, other, board)
     return BoardViews(board, found, sizes, tuple(refused))
 
 
@@ -196,22 +197,3 @@ def _spread(views: Mapping[str, Path], most: int | None) -> dict[str, Path]:
         return dict(views)
     kept = {names[round(i * (len(names) - 1) / max(most - 1, 1))] for i in range(most)}
     return {name: path for name, path in views.items() if name in kept}
-
-
-def _read(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    try:
-        return read_grey(path)
-    except RecordingError as error:
-        raise ConfigError.plain(str(error)) from error
-
-
-def _count_alike(found: dict[str, dict[str, Found]], board: Board) -> None:
-    """Turn boards that read the same when turned, so that all cameras count from the end that the
-    first camera counts from.
-    """
-    cameras = list(found)
-    for camera in cameras[1:]:
-        for name, other in found[camera].items():
-            reference = found[cameras[0]].get(name)
-            if reference is not None:
-                found[camera][name] = order_alike(reference, other, board)

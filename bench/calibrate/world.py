@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.calibrate.merge import pair_of_part
 from bench.config import ConfigError, short
 from detector.calibration import Part, Record
 from detector.calibration.diagnosis import Finding, against_the_arm
@@ -102,11 +103,7 @@ def calibrate_world(
     """The world's pose. Raises ConfigError (a sentence) for points that don't determine it, or a
     file without the pair.
     """
-    if cameras.left is None or cameras.right is None or cameras.right_from_left is None:
-        raise ConfigError.plain(
-            "the cameras' file lacks a part: it must hold cameras.left, cameras.right and stereo"
-            " (calibrate cameras)"
-        )
+    pair = pair_of_part(cameras)
     if len(points.touched_mm) < LEAST_POINTS:
         raise ConfigError.plain(
             f"{len(points.touched_mm)} touched points are too few: at least {LEAST_POINTS}, 18 at"
@@ -114,9 +111,9 @@ def calibrate_world(
         )
     try:
         fit = fit_world(
-            cameras.left,
-            cameras.right,
-            cameras.right_from_left,
+            pair.left,
+            pair.right,
+            pair.right_from_left,
             points.left_px,
             points.right_px,
             points.touched_mm,

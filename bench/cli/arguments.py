@@ -1,79 +1,28 @@
-"""`--capture FILE`, for every command that opens a link: the file is opened before the command and
-closed behind it.
-
-The command finds in ``given.capture`` whom to ask for a tap, whether or not anything is captured.
-
-The commands by family, a module each: its arguments, and what it calls. Jobs themselves are done
-elsewhere.
-
-Words of the command line to values, for argparse's ``type``: what several families of commands
-take. Each says what is wrong.
+"""What the command line is made of: exit codes, values, arguments and commands. `commands` has the
+table of them all.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import platform
+import re
 import shlex
 import sys
 from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bench import __version__
-
-Command = Callable[[argparse.Namespace], int]
-
-
-def add_capture(parser: argparse.ArgumentParser, command: Command) -> Command:
-    """The option for ``parser``; gives back ``command`` with a capture around it."""
-    parser.add_argument(
-        "--capture",
-        type=Path,
-        metavar="FILE",
-        help="record the bytes of every link in a new file (docs/captures.md)",
-    )
-    return lambda given: _captured(given, command)
-
-
-def _captured(given: argparse.Namespace, command: Command) -> int:
-    from instruments.captures.capture import NO_CAPTURE, CaptureFile
-
-    if given.capture is None:
-        given.capture = NO_CAPTURE
-        return command(given)
-    with CaptureFile(given.capture, _facts()) as given.capture:
-        capture: CaptureFile = given.capture
-        try:
-            return command(given)
-        finally:
-            if capture.fault:
-                print(f"teatbench: {capture.fault}", file=sys.stderr)
-            elif not capture.events:
-                print(
-                    f"teatbench: {capture.path} was not written: no link was opened",
-                    file=sys.stderr,
-                )
-
-
-def _facts() -> dict[str, str]:
-    machine = (
-        f"{platform.system()} {platform.release()} {platform.machine()}, Python"
-        f" {platform.python_version()}"
-    )
-    return {
-        "teatbench": __version__,
-        "command": shlex.join(["teatbench", *sys.argv[1:]]),
-        "machine": machine,
-    }
-
 
 if TYPE_CHECKING:
     SubParsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
+Argument = Callable[[argparse._ActionsContainer], object]  # adds itself to a parser
+
 EXIT_CODES = """exit codes: 0 all requirements met, 1 a requirement not met, 2 wrong use or file,
 3 aborted or instrument fault, 4 inconclusive"""
-OUT = Path("runs")
 
 
 class Codes(NamedTuple):
@@ -89,93 +38,163 @@ class Codes(NamedTuple):
 CODES = Codes()
 
 
-class Commands:
-    """Where a family puts its commands."""
-
-    def __init__(self, subparsers: SubParsers) -> None:
-        self._subparsers = subparsers
-
-    def add(
-        self,
-        name: str,
-        what: str,
-        command: Callable[[argparse.Namespace], int],
-        *,
-        opens_links: bool = True,
-        once: tuple[str, ...] = (),
-    ) -> argparse.ArgumentParser:
-        """A command that calls ``command``; gives back its parser for its arguments.
-
-        One that opens links has ``--capture FILE``, and asks ``given.capture.tap(name, clock)`` for
-        each link's tap. ``once`` has names of earlier releases, which work for one more.
-        """
-        sub = self._subparsers.add_parser(
-            name, aliases=once, help=what, description=what, epilog=EXIT_CODES
-        )
-        sub.set_defaults(command=add_capture(sub, command) if opens_links else command)
-        return sub
-
-    def group(self, name: str, what: str) -> Commands:
-        """A command with commands of its own, as ``arm read``."""
-        sub = self._subparsers.add_parser(name, help=what, description=what, epilog=EXIT_CODES)
-        return Commands(sub.add_subparsers(title="commands", metavar="COMMAND", required=True))
+def complain(text: str, code: int) -> int:
+    """Say on standard error what is wrong; gives back ``code``."""
+    print(f"teatbench: {text}", file=sys.stderr)
+    return code
 
 
-def add_rig(parser: argparse.ArgumentParser) -> None:
-    """The rig as a positional argument that may be left out."""
-    parser.add_argument(
-        "rig", nargs="?", help="a shipped rig by name, or a .toml file (default: emulated)"
-    )
+def command_line() -> str:
+    """The command as it was given, to be given again."""
+    return shlex.join(["teatbench", *sys.argv[1:]])
 
 
-def add_out(parser: argparse.ArgumentParser) -> None:
-    """Where run folders go."""
-    parser.add_argument(
-        "--out", type=Path, default=OUT, metavar="DIR", help="where run folders go (default: runs)"
-    )
+def call(given: argparse.Namespace) -> int:
+    """Call the command; gives back its exit code.
+
+    One with ``--capture FILE`` asks ``given.capture.tap(name, clock)`` for each link's tap; the
+    file is opened before the command and closed behind it.
+    """
+    module, _, name = given.command.partition(".")
+    work: Callable[[argparse.Namespace], int] = getattr(import_module(f"bench.cli.{module}"), name)
+    if "capture" not in given:
+        return work(given)
+    from instruments.captures.capture import NO_CAPTURE, CaptureFile
+
+    if given.capture is None:
+        given.capture = NO_CAPTURE
+        return work(given)
+    facts = {
+        "teatbench": __version__,
+        "command": command_line(),
+        "machine": f"{platform.system()} {platform.release()} {platform.machine()}, Python"
+        f" {platform.python_version()}",
+    }
+    with CaptureFile(given.capture, facts) as capture:
+        given.capture = capture
+        try:
+            return work(given)
+        finally:
+            if capture.fault:
+                complain(capture.fault, CODES.fault)
+            elif not capture.events:
+                complain(f"{capture.path} was not written: no link was opened", CODES.met)
 
 
-def add_detectors(parser: argparse.ArgumentParser) -> None:
-    """Detectors by name, command or file."""
-    what = (
-        "a detector by name, a file DETECTOR.toml, or exec:COMMAND (docs/detectors.md); may be"
-        " given several times"
-    )
-    parser.add_argument("--detector", action="append", default=[], metavar="NAME", help=what)
+# Arguments
 
 
-def number(text: str) -> float:
-    """Any number, not a number and the infinite among them: who asks looks at the range."""
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+def flag(name: str, what: str) -> Argument:
+    """An option without a value."""
+    return lambda to: to.add_argument(name, action="store_true", help=what)
 
 
-def seconds(text: str) -> float:
-    """A duration above 0, in plain digits."""
-    value = float(text) if text.replace(".", "", 1).isdigit() else 0.0
-    if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above 0")
-    return value
+def option(
+    name: str,
+    what: str | None = None,
+    kind: Callable[[str], Any] = str,
+    default: object = None,
+    *,
+    many: bool = False,
+    **more: Any,
+) -> Argument:
+    """An option with a value, ``name`` with how help calls that; without ``--``, an argument by its
+    place. ``many`` may be given several times. Help names the default where ``what`` doesn't.
+    """
+    word, _, metavar = name.partition(" ")
+    if many:
+        more |= {"action": "append", "default": []}
+    elif default is not None:
+        more["default"] = default
+        if what and default != "" and "default" not in what:
+            what = f"{what} (default: {default})"
+    return lambda to: to.add_argument(word, metavar=metavar or None, help=what, type=kind, **more)
 
 
-def natural(text: str) -> int:
-    """A whole number of 0 or more."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"must be a whole number of 0 or more, is {text!r}")
-    return int(text)
+def one_of(*arguments: Argument, required: bool = False) -> Argument:
+    """Options that exclude each other."""
+
+    def add(to: argparse._ActionsContainer) -> None:
+        group = to.add_mutually_exclusive_group(required=required)
+        for argument in arguments:
+            argument(group)
+
+    return add
 
 
-def whole(low: int, high: int) -> Callable[[str], int]:
+# Words to values, for argparse's ``type``
+
+
+def number(
+    what: str = "a number",
+    *,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    below: float = math.inf,
+) -> Callable[[str], float]:
+    """A finite number within these bounds; ``what`` says which, for the message."""
+
+    def take(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (above < value < below and value >= least):
+            raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+        return value
+
+    return take
+
+
+def whole(low: int, high: int | None = None) -> Callable[[str], int]:
     """A whole number from ``low`` to ``high``."""
 
     def take(text: str) -> int:
-        if not text.isdecimal() or not low <= int(text) <= high:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {low} to {high}")
+        if not text.isdecimal() or int(text) < low or (high is not None and int(text) > high):
+            raise argparse.ArgumentTypeError(
+                f"{text!r} is not a whole number"
+                f" {f'of {low} or more' if high is None else f'from {low} to {high}'}"
+            )
         return int(text)
 
     return take
+
+
+def point(axes: int, limit_mm: float) -> Callable[[str], tuple[float, ...]]:
+    """Numbers in mm with commas between them, one an axis."""
+    example = ",".join(("120", "-80", "0")[:axes])
+
+    def take(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) != axes or not all(abs(value) <= limit_mm for value in values):
+            raise argparse.ArgumentTypeError(
+                f"{text!r} is not a point; write {axes} numbers as {example}, each within"
+                f" {limit_mm:g} mm"
+            )
+        return values
+
+    return take
+
+
+def size(text: str) -> tuple[int, int]:
+    """COLUMNSxROWS as numbers."""
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if not found:
+        raise argparse.ArgumentTypeError(f"{text!r} is no size such as 640x480")
+    return int(found[1]), int(found[2])
+
+
+def step(text: str) -> dict[str, float]:
+    """A step of the stage, as X-5Y2.5."""
+    from bench.rig.stage_alone import step as taken
+
+    try:
+        return taken(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def address(instrument: str) -> Callable[[str], str]:

@@ -1,88 +1,75 @@
-"""`bath read|set|watch|standby|acknowledge`: the water bath alone."""
+"""`bath read|set|watch|standby|acknowledge`: the water bath alone, without a rig file.
+
+`watch` shows its last minutes as a plot of characters, its state, and how long until it is stable;
+it changes nothing at the bath.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
 import math
-import sys
+from collections import deque
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 
-from bench.cli.arguments import CODES, Commands, add_rig, address, seconds
+from rich.console import Console, Group
+from rich.live import Live
+from rich.text import Text
 
+from bench.cli.arguments import CODES, complain
+from bench.cli.terminal import Terminal
+from bench.config import ConfigError, did_you_mean
+from bench.rig.loading import find_rig, load_rig
+from bench.rig.model import Bath as BathTable
+from bench.rig.opening import open_instruments, rig_of
+from bench.safety.interlocks import moving_of
+from bench.safety.latch import acknowledge as acknowledge_latch
+from bench.safety.latch import latch_path, read_latch
+from bench.safety.stability import StabilityGate, StabilityReport, State
+from instruments.bath.driver import Bath
+from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
+from instruments.bath.reading import BathReading
+from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.clock import Clock
+from instruments.errors import InstrumentError, LimitError
 
-def add_to(commands: Commands) -> None:
-    """The family's commands with their arguments."""
-    bath = commands.group("bath", "the water bath alone, without a rig file")
-    read = _add_bath(bath.add("read", "one reading, and who answered; changes nothing", _read))
-    read.add_argument("--json", action="store_true", help="one JSON object, units in its keys")
-    change = _add_bath(bath.add("set", "change the set point; starts and stops nothing", _set))
-    change.add_argument(
-        "set_point", type=_degrees, metavar="DEGC", help="the new set point in degC"
-    )
-    change.add_argument(
-        "--allow-inferred", action="store_true", help="also write what the profile only infers"
-    )
-    watch = _add_bath(bath.add("watch", "a live plot until Ctrl-C; changes nothing", _watch))
-    watch.add_argument(
-        "--seconds",
-        type=seconds,
-        default=math.inf,
-        metavar="N",
-        help="end after so long (default: Ctrl-C ends it)",
-    )
-    _add_bath(bath.add("standby", "heater off now, whatever the bath is doing", _standby))
-    acknowledge = bath.add(
-        "acknowledge",
-        "after an interlock has tripped and its cause is gone: let the rig run again",
-        _acknowledge,
-    )
-    add_rig(acknowledge)
-
-
-def _add_bath(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
-    parser.add_argument(
-        "--port",
-        required=True,
-        type=address("bath"),
-        metavar="URL",
-        help="where the controller is, as in a rig file's [bath] url",
-    )
-    parser.add_argument(
-        "--profile",
-        required=True,
-        metavar="NAME",
-        help="the controller's family, or the path of a profile of your own",
-    )
-    return parser
+PERIOD_S = 1.0
+WIDTH, HEIGHT = 72, 14
+RATE_S = 60.0  # the rate that a forecast is made from
+LEAST_SPAN_K = 0.2  # or noise would fill the plot
+POINT, LINE = "•", "─"
+BARS = "▁▂▃▄▅▆▇█"  # 0 to 100 %
 
 
-def _degrees(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a temperature in degC")
-    return value
-
-
-def _read(given: argparse.Namespace) -> int:
-    from bench.cli.live_view import described, open_bath, profile_of
-
+def read(given: argparse.Namespace) -> int:
     with open_bath(given.port, profile_of(given.profile), capture=given.capture) as (bath, _):
-        told = described(bath)
+        reading, run = bath.read(), bath.profile.row("run")
+        values = {
+            **bath.identity,
+            "temp_c": reading.temp_c,
+            "set_point_c": bath.get("set_point"),
+            "run": run.label(bath.get("run")),
+            "output_percent": reading.power_percent,
+            "external_c": reading.external_c,
+            "safety_c": reading.safety_c,
+            "alarm": reading.alarm,
+            "alarm_text": bath.profile.alarm_text(reading.alarm) if reading.alarm else "none",
+            "warning": reading.warning,
+            "remote": reading.remote,
+            "pump": bath.pump,
+            "comms_loss": bath.profile.comms_loss,
+        }
     if given.json:
-        print(json.dumps(told))
+        print(json.dumps(values))
     else:
-        for key, value in told.items():
+        for key, value in values.items():
             print(f"{key}: {'not told' if value is None else value}")
     return CODES.met
 
 
-def _set(given: argparse.Namespace) -> int:
-    from bench.cli.live_view import open_bath, profile_of, set_point
-    from instruments.errors import LimitError
-
+def change(given: argparse.Namespace) -> int:
     with open_bath(
         given.port,
         profile_of(given.profile),
@@ -90,40 +77,36 @@ def _set(given: argparse.Namespace) -> int:
         capture=given.capture,
     ) as (bath, _):
         try:
-            print(set_point(bath, given.set_point))
+            bath.set_point(given.set_point)
         except LimitError as error:
-            print(f"teatbench: {error}", file=sys.stderr)
-            return CODES.wrong_use
+            return complain(str(error), CODES.wrong_use)
+        state = "it is heating or cooling to it now" if _started(bath) else "the bath is in standby"
+        print(f"set point {bath.get('set_point'):.2f} degC; {state}")
     return CODES.met
 
 
-def _watch(given: argparse.Namespace) -> int:
-    from bench.cli.live_view import open_bath, profile_of, watch_bath
-    from bench.cli.terminal import Terminal
-
+def watch(given: argparse.Namespace) -> int:
     with open_bath(given.port, profile_of(given.profile), capture=given.capture) as (bath, clock):
         try:
-            watch_bath(bath, clock, Terminal(), given.seconds)
+            watch_bath(bath, clock, Terminal(), given.seconds or math.inf)
         except KeyboardInterrupt:
             print("left as it is; 'teatbench bath standby' switches the heater off")
     return CODES.met
 
 
-def _standby(given: argparse.Namespace) -> int:
-    from bench.cli.live_view import open_bath, profile_of, standby
-
-    with open_bath(
-        given.port, profile_of(given.profile), identify=False, capture=given.capture
-    ) as (bath, _):
-        print(standby(bath))
+def standby(given: argparse.Namespace) -> int:
+    profile = profile_of(given.profile)
+    with open_bath(given.port, profile, identify=False, capture=given.capture) as (bath, _):
+        bath.safe()
+        try:
+            print(f"in standby at {bath.read().temp_c:.2f} degC")
+        # what matters is done; an alarm or a broken sensor doesn't undo it
+        except InstrumentError as error:
+            print(f"in standby; no temperature: {error}")
     return CODES.met
 
 
-def _acknowledge(given: argparse.Namespace) -> int:
-    from bench.cli.live_view import open_bath
-    from bench.rig.loading import find_rig, load_rig
-    from bench.safety.latch import acknowledge, latch_path, read_latch
-
+def acknowledge(given: argparse.Namespace) -> int:
     rig = load_rig(find_rig(given.rig))
     latch = read_latch(latch_path(rig))
     if latch is None:
@@ -131,6 +114,214 @@ def _acknowledge(given: argparse.Namespace) -> int:
         return CODES.met
     print(f"latched: {latch}")
     with open_bath(rig.rig.bath.url, rig.profile, capture=given.capture) as (bath, _):
-        acknowledge(rig, latch, bath.read())
+        acknowledge_latch(rig, latch, bath.read())
     print("acknowledged; the rig may run again")
     return CODES.met
+
+
+def profile_of(name: str) -> Profile:
+    """A shipped profile by its name, or one of the user's own by its path. Raises ConfigError."""
+    known = profile_names()
+    if not name.endswith(".toml") and name not in known:
+        near, there = did_you_mean(name, known) or ".", ", ".join(known)
+        raise ConfigError.plain(
+            f'no profile "{name}"{near} Shipped: {there}; or the path of a .toml file.'
+        )
+    try:
+        return load_profile(Path(name) if name.endswith(".toml") else name)
+    except ProfileError as error:
+        raise ConfigError.plain(str(error)) from error
+
+
+@contextmanager
+def open_bath(
+    url: str,
+    profile: Profile,
+    *,
+    allow_inferred: bool = False,
+    identify: bool = True,
+    capture: Captures = NO_CAPTURE,
+) -> Iterator[tuple[Bath, Clock]]:
+    """The bath at ``url`` in real time, and its clock. Raises InstrumentError."""
+    table = BathTable.model_construct(url=url, profile="", allow_inferred=allow_inferred)
+    rig = rig_of(profile, bath=table)
+    with open_instruments(rig, ("bath",), capture=capture, identify=identify) as devices:
+        yield devices.bath, devices.clock
+
+
+def _started(bath: Bath) -> bool:
+    """Whether the controller says that it works."""
+    return bath.get("run") == bath.profile.row("run").values["started"]
+
+
+def seconds_to_stable(
+    report: StabilityReport, window_s: float, leave_k: float, rate_k_per_s: float | None
+) -> float | None:
+    """How long at the least until the gate opens; None where the bath doesn't come nearer to its
+    set point.
+
+    While heating that is the way at the present rate, and a window behind it; while settling what
+    is missing of the window.
+    """
+    if report.state is State.STABLE:
+        return 0.0
+    if report.pv_c is None:
+        return None
+    if report.state is State.SETTLING:
+        return max(0.0, window_s - report.near_s) or PERIOD_S
+    away_k = report.set_point_c - report.pv_c
+    if not rate_k_per_s or away_k * rate_k_per_s <= 0.0:
+        return None
+    return (abs(away_k) - leave_k) / abs(rate_k_per_s) + window_s
+
+
+def rate_k_per_s(samples: Sequence[BathReading]) -> float | None:
+    """Over the last minute; None before there are ten seconds of readings."""
+    last = samples[-1]
+    first = next(sample for sample in samples if last.t_s - sample.t_s <= RATE_S)
+    span_s = last.t_s - first.t_s
+    return (last.temp_c - first.temp_c) / span_s if span_s >= 10.0 else None
+
+
+def plot(
+    samples: Sequence[BathReading], set_point_c: float, *, width: int = WIDTH, height: int = HEIGHT
+) -> list[str]:
+    """Temperature over time, the set point as a line; ``height`` rows of text, and one that says
+    the time.
+    """
+    temps = [sample.temp_c for sample in samples]
+    low, high = min(*temps, set_point_c), max(*temps, set_point_c)
+    middle, half = (low + high) / 2, max(high - low, LEAST_SPAN_K) * 0.55
+    rows = [[" "] * width for _ in range(height)]
+
+    def row(temp_c: float) -> int:
+        return min(height - 1, max(0, round((middle + half - temp_c) / (2 * half) * (height - 1))))
+
+    rows[row(set_point_c)] = [LINE] * width
+    span_s = _span_s(samples, width)
+    for sample in samples:
+        rows[row(sample.temp_c)][_column(sample, samples, width)] = POINT
+    labels = {0: middle + half, height - 1: middle - half, row(set_point_c): set_point_c}
+    lines = [
+        f"{f'{labels[i]:.2f}' if i in labels else '':>7} {''.join(cells)}"
+        for i, cells in enumerate(rows)
+    ]
+    return [*lines, f"{'degC':>7} last {span_s / 60:.1f} min; {LINE * 2} set point, {POINT} bath"]
+
+
+def output_strip(samples: Sequence[BathReading], *, width: int = WIDTH) -> str:
+    """The heater's output over the same time, a bar a column; empty where the controller doesn't
+    tell it.
+    """
+    bars = [" "] * width
+    for sample in samples:
+        if sample.power_percent is not None:
+            bars[_column(sample, samples, width)] = BARS[
+                round(min(100.0, max(0.0, sample.power_percent)) / 100.0 * (len(BARS) - 1))
+            ]
+    return f"{'output':>7} {''.join(bars)}" if any(bar != " " for bar in bars) else ""
+
+
+def _span_s(samples: Sequence[BathReading], width: int) -> float:
+    return max(samples[-1].t_s - samples[0].t_s, width * PERIOD_S)
+
+
+def _column(sample: BathReading, samples: Sequence[BathReading], width: int) -> int:
+    return min(
+        width - 1, int((sample.t_s - samples[0].t_s) / _span_s(samples, width) * (width - 1))
+    )
+
+
+class BathView:
+    """What is shown after each reading."""
+
+    def __init__(
+        self,
+        gate: StabilityGate,
+        kept_s: float = 3600.0,
+        *,
+        moving: Callable[[BathReading], Hashable] = lambda reading: reading.raw,
+    ) -> None:
+        self._gate = gate
+        self._moving = moving
+        self._kept_s = kept_s
+        self._samples: deque[BathReading] = deque()
+        self._started = True
+        self.trouble = ""
+
+    def add(self, reading: BathReading, set_point_c: float, *, started: bool) -> None:
+        """Take a reading in."""
+        self._started = started
+        self._gate.change_set_point(set_point_c)
+        raw, teat_c = self._moving(reading), reading.external_c
+        self._gate.add(
+            reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c
+        )
+        self._samples.append(reading)
+        while reading.t_s - self._samples[0].t_s > self._kept_s:
+            self._samples.popleft()
+        self.trouble = ""
+
+    def line(self) -> str:
+        """The state in one line."""
+        if not self._samples:
+            return self.trouble or "no reading yet"
+        reading = self._samples[-1]
+        report, gate = self._gate.report, self._gate
+        left_s = seconds_to_stable(report, gate.window_s, gate.leave_k, rate_k_per_s(self._samples))
+        output = "not told" if reading.power_percent is None else f"{reading.power_percent:.0f} %"
+        parts = [
+            f"{reading.temp_c:.2f} degC",
+            f"set point {gate.set_point_c:.2f} degC",
+            f"output {output}",
+        ]
+        if self._started:
+            parts.append(report.state.value)
+            parts.append(
+                {None: "not getting nearer", 0.0: "stable now"}.get(
+                    left_s, f"stable in {_minutes(left_s)} at the earliest"
+                )
+            )
+        else:
+            parts.append("in standby")
+        parts += [f"alarm {reading.alarm}"] if reading.alarm else []
+        return ", ".join([*parts, *([self.trouble] if self.trouble else [])])
+
+    def lines(self) -> Iterator[str]:
+        """Plot, state, and what the gate still waits for."""
+        if self._samples:
+            yield from plot(self._samples, self._gate.set_point_c)
+            yield from filter(None, [output_strip(self._samples)])
+        yield self.line()
+        yield from (
+            f"  {reason}"
+            for reason in self._gate.report.reasons
+            if self._gate.state is not State.HEATING
+        )
+
+
+def watch_bath(bath: Bath, clock: Clock, console: Console, seconds: float = math.inf) -> None:
+    """Read and show once a second until ``seconds`` are over, or somebody interrupts. Without a
+    terminal, a line a reading.
+    """
+    view = BathView(StabilityGate(bath.get("set_point")), moving=moving_of(bath.profile))
+    end_s = clock.now() + seconds
+    with Live(console=console, auto_refresh=False, transient=False) as live:
+        while clock.now() < end_s:
+            _look(view, bath)
+            if console.is_terminal:
+                live.update(Group(*(Text(line) for line in view.lines())), refresh=True)
+            else:
+                console.print(view.line(), markup=False, highlight=False, soft_wrap=True)
+            clock.sleep(min(PERIOD_S, max(0.0, end_s - clock.now())))
+
+
+def _look(view: BathView, bath: Bath) -> None:
+    try:
+        view.add(bath.read(), bath.get("set_point"), started=_started(bath))
+    except InstrumentError as error:  # it may come back: somebody looks on
+        view.trouble = f"NO READING: {error}"
+
+
+def _minutes(seconds: float | None) -> str:
+    return f"{int(seconds or 0) // 60}:{int(seconds or 0) % 60:02d} min"

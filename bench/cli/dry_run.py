@@ -4,25 +4,32 @@ by a rehearsal on emulators.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from shutil import disk_usage
-from typing import TYPE_CHECKING
 
 from bench.cli.arguments import CODES
+from bench.cli.terminal import Terminal
+from bench.dry_run.pose_checks import Finding, dry_run
+from bench.dry_run.rehearsal import NoTwinError, Rehearsal, rehearse
+from bench.results.answers import close_detectors
+from bench.rig.loading import LoadedRig
+from bench.rig.opening import open_instruments
 from bench.rig.urls import CONSOLE
-
-if TYPE_CHECKING:
-    from bench.dry_run.pose_checks import Finding
-    from bench.dry_run.rehearsal import Rehearsal
-    from bench.rig.loading import LoadedRig
-    from bench.script.model import LoadedScript
-    from instruments.stage.settings import StageSettings
+from bench.run.estimate import needs, read_learnt
+from bench.run.lock import RigInUseError, lock_path, locked
+from bench.run.truth_source import refuse_carry
+from bench.safety.latch import latch_path, read_latch
+from bench.script.calibration_age import refuse_old_calibration
+from bench.script.detectors import make_detectors
+from bench.script.model import LoadedScript
+from instruments.clock import wall_time
+from instruments.errors import InstrumentError
+from instruments.stage.settings import StageSettings
 
 SHOWN = 40  # findings; a plane map on a wrong stage has hundreds
-RIG = "the rig"
+REHEARSING = "going through the script on emulators"
 
 
 def look_ahead(
@@ -37,49 +44,46 @@ def look_ahead(
 
     Raises ConfigError for what a run would be refused for, and KeyboardInterrupt.
     """
-    from bench.dry_run.pose_checks import dry_run
-    from bench.run.estimate import read_learnt
-    from bench.run.truth_source import refuse_carry
-    from bench.script.calibration_age import refuse_old_calibration
-    from instruments.clock import wall_time
-
     refuse_carry(rig, script)
     refuse_old_calibration(rig, script, wall_time().date())
     settings, why_not_asked = _stage_settings(rig)
     axes = rig.rig.stage.axes if rig.rig.stage else ""
-    travel = (
-        None
-        if settings is None
-        else {name: way for name, way in settings.limits.items() if name in axes}
-    )
+    limits = settings.limits if settings else {}
+    travel = {name: way for name, way in limits.items() if name in axes} if settings else None
     look = dry_run(rig, script, travel, why_not_asked)
     learnt = read_learnt(out, rig)
-    within = _within_travel(script, look.findings)
+    # a trial out of the stage's travel would end the run at once: the others are gone through
+    beyond = {one.trial for one in look.findings if one.kind == "limits"}
+    within = replace(script, planned=tuple(one for one in script.planned if one.name not in beyond))
     rehearsal, why_not = _rehearsed(rig, within, detectors, settings, learnt, seed)
-    findings = _all_findings(rig, look.findings, rehearsal)
-    _tell_findings(findings)
+    latch = read_latch(latch_path(rig))
+    # each of a trial once: the look at its pose says where, the rehearsal only finds it again
+    known = {(one.trial, one.kind) for one in look.findings}
+    findings = [
+        *([Finding("the rig", "latched", str(latch))] if latch else []),
+        *look.findings,
+        *(
+            one
+            for one in (rehearsal.findings if rehearsal else ())
+            if (one.trial, one.kind) not in known
+        ),
+    ]
+    for finding in findings[:SHOWN]:
+        print(f"{finding.trial}: {finding.kind}: {finding.text}")
+    if (more := len(findings) - SHOWN) > 0:
+        print(f"and {more} more")
     for what in (*look.unchecked, *why_not):
         print(f"not checked: {what}")
     if rehearsal:
-        _tell_rehearsal(rehearsal, len(script.planned) - len(within.planned))
+        _print_rehearsal(rehearsal, len(script.planned) - len(within.planned))
     many = f"{len(script.planned)} trials at {look.poses} poses"
     if findings:
-        print(
-            f"{many}: {len(findings)} {'problem' if len(findings) == 1 else 'problems'}. Nothing"
-            " was moved."
-        )
+        problems = "problem" if len(findings) == 1 else "problems"
+        print(f"{many}: {len(findings)} {problems}. Nothing was moved.")
         return CODES.wrong_use
     print(f"{many}: nothing wrong. Nothing was moved.")
-    _tell_needs(rig, script, out, rehearsal, learnt)
+    _print_needs(rig, script, out, rehearsal, learnt)
     return CODES.met
-
-
-def _within_travel(script: LoadedScript, findings: Sequence[Finding]) -> LoadedScript:
-    """The script without the trials that would end the run at once, for the stage can't get there:
-    the others are gone through.
-    """
-    beyond = {one.trial for one in findings if one.kind == "limits"}
-    return replace(script, planned=tuple(one for one in script.planned if one.name not in beyond))
 
 
 def _rehearsed(
@@ -91,10 +95,6 @@ def _rehearsed(
     seed: int | None,
 ) -> tuple[Rehearsal | None, tuple[str, ...]]:
     """What going through ``script`` came to; None where it can't be, and why."""
-    from bench.dry_run.rehearsal import NoTwinError, rehearse
-    from bench.results.answers import close_detectors
-    from bench.script.detectors import make_detectors
-
     if not script.planned:
         return None, ("the script as a whole: no trial is within the stage's travel",)
     under_test = (
@@ -103,67 +103,34 @@ def _rehearsed(
         else make_detectors(script.script.detectors, script.path.parent)
     )
     try:
-        with _status() as shown:
-            return (
-                rehearse(
-                    rig, script, under_test, stage=stage, learnt=learnt, seed=seed, shown=shown
-                ),
-                (),
+        with Terminal().status(REHEARSING) as status:
+
+            def shown(done: int, of: int) -> None:
+                status.update(f"{REHEARSING}: trial {min(done + 1, of)} of {of}")
+
+            found = rehearse(
+                rig, script, under_test, stage=stage, learnt=learnt, seed=seed, shown=shown
             )
+            return found, ()
     except NoTwinError as error:
         return None, (f"the script as a whole: there can be no emulated twin of this rig: {error}",)
     finally:
         close_detectors(under_test)
 
 
-@contextmanager
-def _status() -> Iterator[Callable[[int, int], None]]:
-    """A line in a terminal that tells how far the rehearsal is, and is gone at its end; nothing
-    elsewhere.
-    """
-    from bench.cli.terminal import Terminal
-
-    told = "going through the script on emulators"
-    with Terminal().status(told) as status:
-        yield lambda done, of: status.update(f"{told}: trial {min(done + 1, of)} of {of}")
-
-
-def _all_findings(
-    rig: LoadedRig, looked: Sequence[Finding], rehearsal: Rehearsal | None
-) -> list[Finding]:
-    """Each trouble of a trial once: the look at its pose says where, the rehearsal would only meet
-    it again.
-    """
-    from bench.dry_run.pose_checks import Finding
-    from bench.safety.latch import latch_path, read_latch
-
-    latch = read_latch(latch_path(rig))
-    known = {(one.trial, one.kind) for one in looked}
-    met = (
-        [one for one in rehearsal.findings if (one.trial, one.kind) not in known]
-        if rehearsal
-        else []
-    )
-    return [*([Finding(RIG, "latched", str(latch))] if latch else []), *looked, *met]
-
-
-def _tell_findings(findings: Sequence[Finding]) -> None:
-    for finding in findings[:SHOWN]:
-        print(f"{finding.trial}: {finding.kind}: {finding.text}")
-    if (more := len(findings) - SHOWN) > 0:
-        print(f"and {more} more")
-
-
-def _tell_rehearsal(rehearsal: Rehearsal, beyond: int) -> None:
+def _print_rehearsal(rehearsal: Rehearsal, beyond: int) -> None:
     """What was gone through, and what was not."""
     planned = rehearsal.planned + beyond
-    told = f"gone through on emulators, in virtual time: {rehearsal.trials} of {planned} trials"
-    if rehearsal.rendered:
-        told += (
-            f"; frames of {rehearsal.rendered} were rendered and checked, and each detector was"
-            " asked about one set"
-        )
-    print(told)
+    rendered = (
+        f"; frames of {rehearsal.rendered} were rendered and checked, and each detector was asked"
+        " about one set"
+        if rehearsal.rendered
+        else ""
+    )
+    print(
+        f"gone through on emulators, in virtual time: {rehearsal.trials} of {planned}"
+        f" trials{rendered}"
+    )
     for what, times in rehearsal.recovered.items():
         print(f"met and got over: {what} ({times} times)")
     if left := planned - rehearsal.trials:
@@ -175,7 +142,7 @@ def _tell_rehearsal(rehearsal: Rehearsal, beyond: int) -> None:
         )
 
 
-def _tell_needs(
+def _print_needs(
     rig: LoadedRig,
     script: LoadedScript,
     out: Path,
@@ -183,24 +150,20 @@ def _tell_needs(
     learnt: Mapping[str, float],
 ) -> None:
     """Time, room and prompts; room that isn't there is said."""
-    from bench.run.estimate import needs
-
     by = "by what earlier runs took" if learnt else "by assumed times, see 'teatbench trials show'"
     if rehearsal:
         parts = ", ".join(
-            f"{kind} {_told(seconds)}"
-            for kind, seconds in rehearsal.spent.items()
-            if seconds >= 1.0
+            f"{kind} {_time(seconds)}" for kind, seconds in rehearsal.spent.items() if seconds >= 1
         )
         how = "" if rig.rig.operator.url != CONSOLE else f"; the operator's {by}"
-        print(f"about {_told(rehearsal.total_s)} of the bench's time: {parts}{how}")
+        print(f"about {_time(rehearsal.total_s)} of the bench's time: {parts}{how}")
         disk_mb = rehearsal.disk_mb
         print(f"about {disk_mb:.0f} MB and the report, {rehearsal.prompts} prompts")
     else:
         wanted = needs(rig, script, learnt)
         disk_mb = wanted.disk_mb
         print(
-            f"about {_told(wanted.time.total_s)} of the bench's time ({by}), at most {disk_mb:.0f}"
+            f"about {_time(wanted.time.total_s)} of the bench's time ({by}), at most {disk_mb:.0f}"
             f" MB, {wanted.prompts} prompts"
         )
     there = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
@@ -208,7 +171,7 @@ def _tell_needs(
         print(f"NOT ENOUGH ROOM: {free_mb:.0f} MB are free in {there}")
 
 
-def _told(seconds: float) -> str:
+def _time(seconds: float) -> str:
     """``45 s``, ``20 min``, ``2.5 h``."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
@@ -216,15 +179,12 @@ def _told(seconds: float) -> str:
 
 
 def _stage_settings(rig: LoadedRig) -> tuple[StageSettings | None, str]:
-    """What the stage's controller tells of itself; None without a stage, or where nobody could ask,
+    """What the stage's controller says of itself; None without a stage, or where nobody could ask,
     and why. It only asks.
     """
-    from bench.rig.opening import open_instruments
-    from bench.run.lock import RigInUseError, lock_path, locked
-    from instruments.errors import InstrumentError
-
     if rig.rig.stage is None:
         return None, ""
+
     # opening its port resets most boards, which no running bench must see; a rig that never ran
     # gets no lock
     lock = lock_path(rig)

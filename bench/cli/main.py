@@ -1,8 +1,4 @@
-"""The commands: reads arguments, calls a command, knows the exit codes.
-
-Everything heavy is imported by the command that needs it, so that ``teatbench --help`` answers at
-once.
-"""
+"""Reads arguments, calls a command, and knows what each kind of failure means for the exit code."""
 
 from __future__ import annotations
 
@@ -13,12 +9,16 @@ import sqlite3
 import sys
 import traceback
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from bench import __version__
-from bench.cli import arm, bath, calibrate, camera, compare, record, rig, run, scene, stage, trials
-from bench.cli.arguments import CODES, EXIT_CODES, Commands
+from bench.cli.arguments import CODES, EXIT_CODES, call, complain
+from bench.cli.commands import CALLS, COMMANDS, GROUPS, ONCE
 from bench.safety.signals import installed
 from reports.sanitize import sanitizing
+
+if TYPE_CHECKING:
+    SubParsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 FILENAME_EXCED_RANGE = 206  # of Windows, which gives it the errno of a file that is not there
 
@@ -45,20 +45,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(given: argparse.Namespace) -> int:
-    """The command, and what each kind of failure means for the exit code."""
     from bench.config import ConfigError
     from instruments.camera.recording import RecordingError
     from instruments.captures.capture import CaptureError
     from instruments.errors import InstrumentError
+    from instruments.operators.operator import OperatorAbort, OperatorSkip
 
     try:
-        code: int = given.command(given)
+        code = call(given)
         sys.stdout.flush()
         return code
     except (ConfigError, RecordingError, CaptureError) as error:
         return complain(str(error), CODES.wrong_use)
     except InstrumentError as error:
         return complain(str(error), CODES.fault)
+    except (OperatorAbort, OperatorSkip) as stop:
+        return complain(f"{stop}; nothing was written", CODES.fault)
     except KeyboardInterrupt:
         return complain("interrupted", CODES.fault)
     except sqlite3.Error as error:
@@ -97,28 +99,25 @@ def parser() -> argparse.ArgumentParser:
         epilog=EXIT_CODES,
     )
     top.add_argument("--version", action="version", version=f"teatbench {__version__}")
-    commands = Commands(top.add_subparsers(title="commands", metavar="COMMAND", required=True))
-    for add in (
-        run.add_to,
-        compare.add_to,
-        compare.add_plan_to,
-        record.add_to,
-        scene.add_to,
-        rig.add_rig_commands,
-        arm.add_to,
-        bath.add_to,
-        stage.add_to,
-        camera.add_to,
-        calibrate.add_to,
-        rig.add_wire,
-        trials.add_to,
-        rig.add_lists,
-    ):
-        add(commands)
+    parsers = {"": top}
+    subparsers: dict[str, SubParsers] = {}
+
+    def add(name: str, what: str) -> argparse.ArgumentParser:
+        group, _, own = name.rpartition(" ")
+        if group not in parsers:
+            add(group, GROUPS[group])
+        if group not in subparsers:
+            subparsers[group] = parsers[group].add_subparsers(
+                title="commands", metavar="COMMAND", required=group in ("", *GROUPS)
+            )
+        parsers[name] = subparsers[group].add_parser(
+            own, aliases=ONCE.get(name, ()), help=what, description=what, epilog=EXIT_CODES
+        )
+        return parsers[name]
+
+    for name, (what, *arguments) in COMMANDS.items():
+        parser = add(name, what)
+        for argument in arguments:
+            argument(parser)
+        parser.set_defaults(command=CALLS.get(name) or f"{name.split()[0]}.{name.split()[-1]}")
     return top
-
-
-def complain(text: str, code: int) -> int:
-    """Say on standard error what is wrong; gives back ``code``."""
-    print(f"teatbench: {text}", file=sys.stderr)
-    return code

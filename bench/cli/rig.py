@@ -1,67 +1,25 @@
-"""`check` and `emulate`: the rig itself, without a script.
-
-`rigs` and `detectors`: what there is.
-
+"""`check` and `emulate`: the rig itself, without a script; `rigs` and `detectors`: what there is;
 `replay-wire`: the far end of a capture, played back for whoever connects.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 import threading
 from collections.abc import Mapping
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from bench.cli.arguments import CODES, Commands, add_rig
-
-if TYPE_CHECKING:
-    from bench.rig.loading import LoadedRig
-    from instruments.captures.reader import Capture
-    from instruments.captures.replay import Replay
-    from instruments.clock import Clock
+from bench.cli.arguments import CODES, complain
+from bench.config import ConfigError, did_you_mean
+from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, find_rig, load_rig, shipped
+from instruments.captures.reader import read_capture
+from instruments.captures.replay import Replay
+from instruments.clock import Clock, RealClock
 
 
-def add_rig_commands(commands: Commands) -> None:
-    """The family's commands with their arguments."""
-    add_rig(
-        commands.add(
-            "check", "connect to every instrument, print who it is and one reading", _check
-        )
-    )
-    emulate = commands.add(
-        "emulate",
-        "only the emulators of a rig, in real time, until Ctrl-C",
-        _emulate,
-        opens_links=False,
-    )
-    add_rig(emulate)
-    emulate.add_argument(
-        "--listen",
-        default="127.0.0.1",
-        metavar="HOST",
-        help="address to listen on (default: 127.0.0.1)",
-    )
-    emulate.add_argument(
-        "--pty",
-        action="store_true",
-        help="serial instruments on pseudo-terminals (Linux and macOS)",
-    )
-    what = "write a rig file with these addresses, for 'run --rig FILE' in another process"
-    emulate.add_argument("--write-rig", type=Path, metavar="FILE", help=what)
-    emulate.add_argument("--replace", action="store_true", help="write over a file that is there")
-    emulate.add_argument(
-        "--paced",
-        action="store_true",
-        help="serial instruments at the rig's baud rate, 10 bits a byte",
-    )
-
-
-def _check(given: argparse.Namespace) -> int:
+def check(given: argparse.Namespace) -> int:
     from bench.rig.check import check_rig
-    from bench.rig.loading import find_rig, load_rig
 
     rig = load_rig(find_rig(given.rig))
     if rig.made_calibration is None:
@@ -78,14 +36,12 @@ def _check(given: argparse.Namespace) -> int:
     return CODES.fault if failed else CODES.met
 
 
-def _emulate(given: argparse.Namespace) -> int:
+def emulate(given: argparse.Namespace) -> int:
     from bench.calibrate.arm import refuse_existing
     from bench.files import write_synced
     from bench.rig.emulated_rig import EmulatedRig
-    from bench.rig.loading import find_rig, load_rig
     from bench.rig.urls import ELSEWHERE
     from instruments.camera.stream import StreamServer
-    from instruments.clock import RealClock
     from instruments.listener import Listener
     from instruments.operators.remote import OperatorPort
 
@@ -126,12 +82,8 @@ def _emulate(given: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         return CODES.met
     except OSError as error:
-        print(
-            f"teatbench: can't listen on {'pseudo-terminals' if given.pty else given.listen}:"
-            f" {error}",
-            file=sys.stderr,
-        )
-        return CODES.wrong_use
+        place = "pseudo-terminals" if given.pty else given.listen
+        return complain(f"can't listen on {place}: {error}", CODES.wrong_use)
     finally:
         clock.close()
 
@@ -160,28 +112,12 @@ def _rig_text(rig: LoadedRig, urls: Mapping[str, str]) -> str:
     return toml_text(table, "Written by 'teatbench emulate', and good while that runs.")
 
 
-def add_lists(commands: Commands) -> None:
-    """The family's commands."""
-    commands.add(
-        "rigs",
-        "the rig files that ship, and the one to copy for a real rig",
-        _rigs,
-        opens_links=False,
-    )
-    what = (
-        "the detectors that ship, that other packages bring, and that files in ./detectors declare"
-    )
-    commands.add("detectors", what, _detectors, opens_links=False)
+def rigs(_: argparse.Namespace) -> int:
+    names = {name: "" for name in shipped(RIGS) if name not in NO_RIGS}
+    return _list(names | {"for a real rig": f"copy {TO_COPY}, where every key is explained"})
 
 
-def _rigs(_: argparse.Namespace) -> int:
-    from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, shipped
-
-    rigs = {name: "" for name in shipped(RIGS) if name not in NO_RIGS}
-    return _list(rigs | {"for a real rig": f"copy {TO_COPY}, where every key is explained"})
-
-
-def _detectors(_: argparse.Namespace) -> int:
+def detectors(_: argparse.Namespace) -> int:
     from bench.script.detectors import declared
     from detector.registry import available, broken
 
@@ -195,105 +131,60 @@ def _list(rows: dict[str, str]) -> int:
     return CODES.met
 
 
-def add_wire(commands: Commands) -> None:
-    """The family's command with its arguments."""
-    replay = commands.add(
-        "replay-wire",
-        "play the far end of a capture back, for drivers to talk to",
-        _replay_wire,
-        opens_links=False,
-    )
-    replay.add_argument("file", type=Path, help="what a command wrote with --capture")
-    replay.add_argument(
-        "--listen",
-        default="127.0.0.1",
-        metavar="HOST",
-        help="address to listen on (default: 127.0.0.1)",
-    )
-    replay.add_argument(
-        "--link",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="only this link; may be given several times",
-    )
-    replay.add_argument(
-        "--fast", action="store_true", help="answer at once, not after the recorded while"
-    )
-    replay.add_argument(
-        "--once",
-        action="store_true",
-        help="end when all has been played, instead of beginning again",
-    )
-
-
-def _replay_wire(given: argparse.Namespace) -> int:
-    from instruments.captures.reader import read_capture
-    from instruments.captures.replay import Replay
-    from instruments.clock import RealClock
-
-    capture = read_capture(given.file)
-    links = _links(capture, given.link)
-    if capture.cut:
-        print(f"teatbench: {given.file}: the last line is cut, and left out", file=sys.stderr)
-    with closing(RealClock()) as clock:
-        try:
-            replay = Replay(
-                capture,
-                clock,
-                links=links,
-                fast=given.fast,
-                again=not given.once,
-                host=given.listen,
-            )
-        except OSError as error:
-            print(f"teatbench: can't listen on {given.listen}: {error}", file=sys.stderr)
-            return CODES.wrong_use
-        with replay:
-            for name, url in replay.urls.items():
-                print(f"{name} {url}", flush=True)
-            return _watch(replay, clock, given.file, once=given.once)
-
-
-def _links(capture: Capture, wanted: list[str]) -> list[str]:
-    """The names of the links to play. Raises ConfigError for one that the file lacks, or when it
-    has none.
+def replay_wire(given: argparse.Namespace) -> int:
+    """The far end of a capture, until Ctrl-C or, for ``--once``, its end; mismatches are printed as
+    they come.
     """
-    from bench.config import ConfigError, did_you_mean
-
+    capture = read_capture(given.file)
     if not capture.links:
         raise ConfigError.plain(
             f"{capture.path}: no link was opened in it, so there is nothing to play"
         )
-    for name in wanted:
+    for name in given.link:
         if name not in capture.links:
             there = ", ".join(capture.links)
             raise ConfigError.plain(
                 f'{capture.path}: no link "{name}"{did_you_mean(name, capture.links) or "."} It'
                 f" has: {there}."
             )
-    return wanted or list(capture.links)
-
-
-def _tell(replay: Replay, path: Path, told: int) -> int:
-    """Print the mismatches behind the first ``told``; gives back how many there are."""
-    for mismatch in replay.mismatches[told:]:
-        print(f"{path}:{mismatch.line}: {mismatch.link}: {mismatch.sentence}", flush=True)
-        told += 1
-    return told
+    if capture.cut:
+        complain(f"{given.file}: the last line is cut, and left out", CODES.met)
+    with closing(RealClock()) as clock:
+        try:
+            replay = Replay(
+                capture,
+                clock,
+                links=given.link or list(capture.links),
+                fast=given.fast,
+                again=not given.once,
+                host=given.listen,
+            )
+        except OSError as error:
+            return complain(f"can't listen on {given.listen}: {error}", CODES.wrong_use)
+        with replay:
+            for name, url in replay.urls.items():
+                print(f"{name} {url}", flush=True)
+            return _watch(replay, clock, given.file, once=given.once)
 
 
 def _watch(replay: Replay, clock: Clock, path: Path, *, once: bool) -> int:
-    """Tell mismatches as they come, until Ctrl-C or, for ``once``, the end; gives back the exit
+    """Print mismatches as they come, until Ctrl-C or, for ``once``, the end; gives back the exit
     code.
     """
-    told = 0
+    shown = 0
+
+    def show() -> int:
+        new = replay.mismatches[shown:]
+        for one in new:
+            print(f"{path}:{one.line}: {one.link}: {one.sentence}", flush=True)
+        return shown + len(new)
+
     with suppress(KeyboardInterrupt):  # the way to end it
         while not (once and replay.finished):
             clock.sleep(0.05)
-            told = _tell(replay, path, told)
-    told = _tell(replay, path, told)
+            shown = show()
+    shown = show()
     unplayed = replay.unplayed if once else []
     for what in unplayed:
         print(what, flush=True)
-    return CODES.not_met if told or unplayed else CODES.met
+    return CODES.not_met if shown or unplayed else CODES.met

@@ -1,123 +1,52 @@
-"""`run`, `score` and `report`: what ends in a run folder with a verdict."""
+"""`run`, `resume`, `score` and `report`: what ends in a run folder with a verdict. What runs and
+what reports is imported where it is needed: wrong use is to be answered at once.
+"""
 
 from __future__ import annotations
 
 import argparse
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.cli.arguments import CODES, Commands, add_detectors, add_out
-from bench.cli.record import add_despite_damage, undamaged
+from bench.cli.arguments import CODES
+from bench.cli.store import undamaged
+from bench.cli.terminal import Terminal, TerminalProgress
+from bench.config import ConfigError
+from bench.record.reader import RunRecord, read_run
+from bench.rig.loading import LoadedRig, find_rig, load_rig
+from bench.rig.urls import CONSOLE
+from bench.run.progress import FAILURES, SafeProgress, WatchedProgress, event_lines
+from bench.script.model import LoadedScript, find_script, load_script
+from bench.script.pixel_offsets import is_offset_script, load_offsets, outcomes
+from instruments.operators.console import keyboard_of
 
 if TYPE_CHECKING:
     from bench.report.page import Extras
-    from bench.rig.loading import LoadedRig
-    from bench.script.model import LoadedScript
+    from bench.results.verdicts import Judgement
 
-TOLD_S = 10.0  # a run looks once a second; a capture or a detection may take longer
-
-
-def add_to(commands: Commands) -> None:
-    """The family's commands with their arguments."""
-    run = commands.add("run", "run a trial script on a rig and write the scored report", _run)
-    run.add_argument(
-        "script",
-        nargs="?",
-        help="a shipped script by name, or a .toml file (default: six-situations)",
-    )
-    run.add_argument("--rig", help="a shipped rig by name, or a .toml file (default: emulated)")
-    run.add_argument("--seed", type=_seed, help="seed of all chance (default: the rig file's)")
-    run.add_argument(
-        "--record",
-        type=Path,
-        metavar="DIR",
-        help="also write a recording that 'teatbench score' reads",
-    )
-    run.add_argument(
-        "--realtime", action="store_true", help="emulated rig only: let time pass as it does"
-    )
-    run.add_argument(
-        "--dry-run",
-        action="store_true",
-        help="move nothing: look at each pose, then go through all trials on emulators",
-    )
-    add_out(run)
-    add_detectors(run)
-    add_events(run)
-    resume = commands.add(
-        "resume", "go on with a run that stopped, at its first trial without a result", _resume
-    )
-    resume.add_argument("run", type=Path, help="the run's folder")
-    add_events(resume)
-    add_despite_damage(resume)
-    control = commands.add(
-        "control",
-        "ask a run that goes on to pause, go on, skip REASON, repeat REASON or abort",
-        _control,
-        once=("tell",),
-        opens_links=False,
-    )
-    control.add_argument("run", type=Path, help="the run's folder")
-    control.add_argument(
-        "words", nargs="+", help="pause, go on, skip REASON, repeat REASON or abort"
-    )
-    report = commands.add("report", "(re)write the report of a run", _report, opens_links=False)
-    report.add_argument("run", type=Path, help="the run's folder")
-    report.add_argument(
-        "--baseline",
-        type=Path,
-        metavar="RUN",
-        help="also hold it against this older run of the same scenes",
-    )
-    report.add_argument(
-        "--single-file",
-        action="store_true",
-        help="also write single-file.html for mail: pictures in it, at most 20 MB",
-    )
-    add_despite_damage(report)
-    printed = report.add_mutually_exclusive_group()
-    printed.add_argument(
-        "--pdf",
-        action="store_true",
-        help="fail where report.pdf can't be printed (by a Chromium, Chrome or Edge)",
-    )
-    printed.add_argument(
-        "--no-pdf", action="store_true", help="print no report.pdf, though a browser is installed"
-    )
-    score = commands.add(
-        "score",
-        "score detectors on recorded frames: a table, and a run folder with a report",
-        _score,
-        opens_links=False,
-    )
-    score.add_argument("recording", type=Path, help="a recording's folder")
-    add_out(score)
-    add_detectors(score)
+TONES = {
+    "met": "green",
+    "not met": "red",
+    "inconclusive": "yellow",
+    "not measured": "yellow",
+    "aborted": "red",
+    "no verdict": "yellow",
+}
 
 
-def _seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
-    return int(text)
-
-
-def _run(given: argparse.Namespace) -> int:
-    from bench.cli.dry_run import look_ahead
-    from bench.cli.terminal import Terminal, TerminalProgress
-    from bench.rig.loading import find_rig, load_rig
-    from bench.run.progress import WatchedProgress, event_lines
-    from bench.script.model import find_script, load_script
-    from bench.script.pixel_offsets import is_offset_script
-
+def run(given: argparse.Namespace) -> int:
     rig = load_rig(find_rig(given.rig))
     path = find_script(given.script)
     if is_offset_script(path):
         return _run_offsets(rig, path, given.out, dry=given.dry_run)
     script = load_script(path, rig.rig.limits.set_point_c)
     if given.dry_run:
+        from bench.cli.dry_run import look_ahead
+
         return look_ahead(rig, script, given.out, given.detector, given.seed)
     from bench.run.start import run_script
 
@@ -129,7 +58,7 @@ def _run(given: argparse.Namespace) -> int:
             script,
             given.out,
             progress,
-            typed=typed_lines(rig.rig.operator.url),
+            typed=_typed_lines(rig.rig.operator.url),
             seed=given.seed,
             detectors=given.detector,
             record=given.record,
@@ -148,21 +77,17 @@ def _compare_times(folder: Path, out: Path, rig: LoadedRig, script: LoadedScript
     """Print what the run took beside what was expected, and learn from it; one that didn't get
     through teaches nothing.
     """
-    from bench.record.reader import read_run
     from bench.run.estimate import figures, needs, read_learnt, told, took, write_learnt
 
-    run = read_run(folder)
-    spent = took(run)
-    if run.ending == "finished" and "total_s" in spent:
+    record = read_run(folder)
+    spent = took(record)
+    if record.ending == "finished" and "total_s" in spent:
         expected = needs(rig, script, read_learnt(out, rig)).time
-        write_learnt(folder, rig, expected, spent, figures(run, rig, script, spent))
+        write_learnt(folder, rig, expected, spent, figures(record, rig, script, spent))
         print(told(expected, spent))
 
 
-def _resume(given: argparse.Namespace) -> int:
-    from bench.cli.terminal import Terminal, TerminalProgress
-    from bench.record.reader import read_run
-    from bench.run.progress import WatchedProgress, event_lines
+def resume(given: argparse.Namespace) -> int:
     from bench.run.resume import files_of
     from bench.run.start import RunOptions, resume_run
 
@@ -171,10 +96,11 @@ def _resume(given: argparse.Namespace) -> int:
         operator = files_of(read_run(given.run))[0].rig.operator.url
         with event_lines(given.events) as lines, TerminalProgress(console) as shown:
             progress = WatchedProgress(shown, lines)
+            typed = _typed_lines(operator)
             resume_run(
                 given.run,
                 progress,
-                RunOptions(capture=given.capture, typed=typed_lines(operator), begun=shown.say),
+                RunOptions(capture=given.capture, typed=typed, begun=shown.say),
             )
             progress.state("writing the report")
             code, show = _reported(given.run, damage=damage)
@@ -182,41 +108,8 @@ def _resume(given: argparse.Namespace) -> int:
     return code
 
 
-def _control(given: argparse.Namespace) -> int:
-    from bench.record.reader import read_run
-    from bench.run.requests import leave_wish, was_taken
-    from instruments.clock import RealClock
-
-    run = read_run(given.run)
-    if run.ending != "interrupted":
-        print(f"{given.run} has ended ({run.ending}): nobody is there to hear it.")
-        return CODES.wrong_use
-    leave_wish(given.run, " ".join(given.words))
-    if was_taken(given.run, RealClock(), TOLD_S):
-        print("taken; what comes of it is shown at the run's terminal.")
-    else:
-        print(
-            f"left for the run, which has not looked for {TOLD_S:g} s: it is busy, or its bench has"
-            " died and takes nothing any more."
-        )
-    return CODES.met
-
-
-def add_events(parser: argparse.ArgumentParser) -> None:
-    """Where what goes on is told as JSON lines."""
-    parser.add_argument(
-        "--events",
-        type=Path,
-        metavar="FILE",
-        help="also tell what goes on as JSON lines, for others to watch",
-    )
-
-
-def typed_lines(operator_url: str) -> Callable[[], str | None]:
+def _typed_lines(operator_url: str) -> Callable[[], str | None]:
     """Lines typed at this terminal, where it is one and no operator is asked there."""
-    from bench.rig.urls import CONSOLE
-    from instruments.operators.console import keyboard_of
-
     if operator_url == CONSOLE or sys.stdin is None or not sys.stdin.isatty():
         return lambda: None
     keyboard, terminal = keyboard_of(sys.stdin, lambda _: None), sys.stdin.fileno()
@@ -235,11 +128,8 @@ def _is_ours(terminal: int) -> bool:
         return True
 
 
-def _score(given: argparse.Namespace) -> int:
-    from bench.cli.terminal import Terminal, TerminalProgress
-    from bench.record.reader import read_run
+def score(given: argparse.Namespace) -> int:
     from bench.report.tables import score_table
-    from bench.run.progress import SafeProgress
     from bench.run.start import score_recording
 
     console = Terminal()
@@ -256,7 +146,6 @@ def _score(given: argparse.Namespace) -> int:
 def _run_offsets(rig: LoadedRig, path: Path, out: Path, *, dry: bool) -> int:
     """A sensitivity script: no instrument takes part."""
     from bench.report.pixel_offsets import run_offsets
-    from bench.script.pixel_offsets import load_offsets, outcomes
 
     if dry:
         outcomes(load_offsets(path), rig.calibration)
@@ -279,9 +168,7 @@ def _offsets_reported(folder: Path) -> int:
     return CODES.met if verdict == "met" else CODES.not_met
 
 
-def _report(given: argparse.Namespace) -> int:
-    from bench.cli.terminal import Terminal
-    from bench.config import ConfigError
+def report(given: argparse.Namespace) -> int:
     from bench.report.pixel_offsets import is_offset_run
     from reports.pdf import find_browser
 
@@ -306,7 +193,6 @@ def _print(folder: Path, browser: str, *, needed: bool) -> None:
     """The report as PDF, when all else is written and told. Raises ConfigError where it is needed
     and can't be printed.
     """
-    from bench.config import ConfigError
     from bench.report.page import PDF, REPORT
     from reports.pdf import print_pdf
     from reports.trust import PageError
@@ -330,19 +216,49 @@ def _extras(given: argparse.Namespace, damage: tuple[str, ...]) -> Extras:
 
 def _reported(
     folder: Path, extras: Extras | None = None, damage: tuple[str, ...] = ()
-) -> tuple[int, Callable[..., None]]:
+) -> tuple[int, Callable[[Terminal], None]]:
     """Write the report of a run; gives back the exit code that it deserves, and what shows it on a
     console.
     """
-    from bench.cli.terminal import show_result
     from bench.report.page import PLAIN, write_run_report
     from bench.results.verdicts import run_verdict
 
-    path, run, judgements = write_run_report(folder, extras or PLAIN, damage)
+    path, record, judgements = write_run_report(folder, extras or PLAIN, damage)
     codes = {"met": CODES.met, "not met": CODES.not_met}
     code = (
         CODES.fault
-        if run.ending != "finished"
+        if record.ending != "finished"
         else codes.get(run_verdict(judgements).value, CODES.inconclusive)
     )
-    return code, lambda console: show_result(console, run, judgements, path)
+
+    def show(console: Terminal) -> None:
+        with suppress(*FAILURES):  # whether anybody sees them changes no verdict
+            _show_result(console, record, judgements, path)
+
+    return code, show
+
+
+def _show_result(
+    console: Terminal, record: RunRecord, judgements: Sequence[Judgement], report: Path
+) -> None:
+    """The verdict table, the sentence and where the report is."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from bench.report.wording import headline, limit, measured
+
+    for judgement in judgements:
+        table = Table(title=f"{record.facts['title']}: detector {judgement.detector}")
+        for title in ("requirement", "measured", "limit", "verdict"):
+            table.add_column(title)
+        for decision in judgement.decisions:
+            word = decision.verdict.value
+            table.add_row(
+                decision.name, measured(decision), limit(decision), Text(word, TONES[word])
+            )
+        console.print(table)
+    verdict, why, then = headline(record, judgements)
+    console.print(Text.assemble("Verdict: ", (verdict, f"bold {TONES[verdict]}")))
+    console.print(why, markup=False)
+    console.print(f"Next: {then}", markup=False)
+    console.print(f"Report: {report}", markup=False, soft_wrap=True)

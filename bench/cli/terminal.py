@@ -1,5 +1,4 @@
-"""What a person at the terminal sees while a run goes on: a bar, what is being done, and the
-verdict table at the end.
+"""What a person at the terminal sees while a run goes on: a bar, and what is being done.
 
 Rich's console as the bench uses it: what others wrote moves no cursor, changes no colour and is no
 markup.
@@ -8,32 +7,18 @@ markup.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from types import TracebackType
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.segment import Segment
-from rich.table import Table
 from rich.text import Text
 
-from bench.record.reader import RunRecord
-from bench.report.wording import headline, limit, measured
-from bench.results.verdicts import Judgement
 from bench.run.progress import FAILURES
 from reports.sanitize import sanitized, unfiltered
-
-TONES = {
-    "met": "green",
-    "not met": "red",
-    "inconclusive": "yellow",
-    "not measured": "yellow",
-    "aborted": "red",
-    "no verdict": "yellow",
-}
 
 
 class TerminalProgress:
@@ -122,36 +107,6 @@ class TerminalProgress:
 
     def _shown(self) -> RenderableType:
         return Group(self._bar.get_renderable(), Text(self._doing))
-
-
-def show_result(
-    console: Console, run: RunRecord, judgements: Sequence[Judgement], report: Path
-) -> None:
-    """The verdict table, the sentence and where the report is; whether anybody sees them changes no
-    verdict.
-    """
-    with suppress(*FAILURES):
-        _show_result(console, run, judgements, report)
-
-
-def _show_result(
-    console: Console, run: RunRecord, judgements: Sequence[Judgement], report: Path
-) -> None:
-    for judgement in judgements:
-        table = Table(title=f"{run.facts['title']}: detector {judgement.detector}")
-        for title in ("requirement", "measured", "limit", "verdict"):
-            table.add_column(title)
-        for decision in judgement.decisions:
-            word = decision.verdict.value
-            table.add_row(
-                decision.name, measured(decision), limit(decision), Text(word, TONES[word])
-            )
-        console.print(table)
-    verdict, why, then = headline(run, judgements)
-    console.print(Text.assemble("Verdict: ", (verdict, f"bold {TONES[verdict]}")))
-    console.print(why, markup=False)
-    console.print(f"Next: {then}", markup=False)
-    console.print(f"Report: {report}", markup=False, soft_wrap=True)
 
 
 class Terminal(Console):

@@ -4,36 +4,25 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.cli.arguments import CODES, Commands
+from bench.cli.arguments import CODES
+from bench.rig.loading import find_rig, load_rig, shipped
+from bench.script.model import TRIALS, LoadedScript, find_script, load_script
+from bench.script.pixel_offsets import is_offset_script, load_offsets
 
 if TYPE_CHECKING:
     from bench.run.estimate import TimeEstimate
-    from bench.script.model import LoadedScript
 
 
-def add_to(commands: Commands) -> None:
-    """The family's commands."""
-    what = "the trial scripts that ship; 'trials show SCRIPT' lists a script's poses"
-    trials = commands.add("trials", what, _list, opens_links=False)
-    trials.add_argument("--json", action="store_true", help="one JSON object instead of lines")
-    shown = Commands(trials.add_subparsers(title="commands", metavar="COMMAND"))
-    what = "list the poses of a script, and estimate the time"
-    show = shown.add("show", what, _show, opens_links=False)
-    what = "a shipped script by name ('teatbench trials' lists them), or a .toml file"
-    show.add_argument("script", metavar="SCRIPT", help=what)
-    what = "a shipped rig by name, or a .toml file (default: emulated)"
-    show.add_argument("--rig", metavar="RIG", help=what)
-    show.add_argument("--json", action="store_true", help="one JSON object instead of a table")
-
-
-def _list(given: argparse.Namespace) -> int:
-    from bench.rig.loading import shipped
-    from bench.script.model import TRIALS
-
-    rows = {name: _about(TRIALS / f"{name}.toml") for name in shipped(TRIALS)}
+def listed(given: argparse.Namespace) -> int:
+    rows = {}
+    for name in shipped(TRIALS):
+        path = TRIALS / f"{name}.toml"
+        loaded = load_offsets(path) if is_offset_script(path) else load_script(path)
+        rows[name] = loaded.script.about
     if given.json:
         print(json.dumps(rows, ensure_ascii=False))
     else:
@@ -42,26 +31,12 @@ def _list(given: argparse.Namespace) -> int:
     return CODES.met
 
 
-def _about(path: Path) -> str:
-    from bench.script.model import load_script
-    from bench.script.pixel_offsets import is_offset_script, load_offsets
-
-    return (
-        load_offsets(path).script.about
-        if is_offset_script(path)
-        else load_script(path).script.about
-    )
-
-
-def _show(given: argparse.Namespace) -> int:
-    from bench.rig.loading import find_rig, load_rig
-    from bench.run.estimate import estimate
-    from bench.script.model import find_script, load_script
-    from bench.script.pixel_offsets import is_offset_script
-
+def show(given: argparse.Namespace) -> int:
     path = find_script(given.script)
     if is_offset_script(path):
         return _show_offsets(path, as_json=given.json)
+    from bench.run.estimate import estimate
+
     rig = load_rig(find_rig(given.rig))
     script = load_script(path, rig.rig.limits.set_point_c)
     time = estimate(rig, script)
@@ -73,8 +48,6 @@ def _show(given: argparse.Namespace) -> int:
 
 
 def _show_offsets(path: Path, *, as_json: bool) -> int:
-    from bench.script.pixel_offsets import load_offsets
-
     script = load_offsets(path).script
     if as_json:
         print(script.model_dump_json())
@@ -93,24 +66,20 @@ def _show_offsets(path: Path, *, as_json: bool) -> int:
 
 
 def _as_json(script: LoadedScript, time: TimeEstimate, rig: str) -> dict[str, Any]:
-    from dataclasses import asdict
-
     from bench.run.estimate import ASSUMED, UNITS
     from bench.script.planned_trials import POSE_KEYS, pose_set
 
     s = script.script
     poses = pose_set(s.trials, script.planned, seed=s.seed, order=s.order)
     rows = [dict(zip(POSE_KEYS, row, strict=True)) for row in poses.pop("poses")]
-    seconds = {**asdict(time), "total_s": time.total_s}
-    assumed = {f"{what} [{UNITS.get(what, 's')}]": value for what, value in ASSUMED.items()}
     return {
         "script": script.name,
         "title": s.title,
         "rig": rig,
         **poses,
         "trials": rows,
-        "estimate": seconds,
-        "assumed": assumed,
+        "estimate": {**asdict(time), "total_s": time.total_s},
+        "assumed": {f"{what} [{UNITS.get(what, 's')}]": value for what, value in ASSUMED.items()},
     }
 
 
@@ -121,24 +90,15 @@ def _print(script: LoadedScript, time: TimeEstimate) -> None:
     from bench.run.estimate import assumed_told
     from bench.script.planned_trials import chosen
 
-    console = Terminal()
-    table = Table(
-        title=(
-            f"{script.script.title}: {len(script.planned)} trials,"
-            f" {len({one.name for one in script.planned})} poses"
-        )
-    )
+    poses = len({one.name for one in script.planned})
+    table = Table(title=f"{script.script.title}: {len(script.planned)} trials, {poses} poses")
     for column in ("trial", "situation", "layout", "x", "y", "z", "yaw", "from"):
         table.add_column(column, justify="right" if len(column) <= 3 else "left")
     for one in script.planned:
         pose = (one.pose.x_mm, one.pose.y_mm, one.pose.z_mm, one.yaw_deg)
-        table.add_row(
-            one.id,
-            one.situation,
-            one.phantom.name,
-            *(f"{value:+.1f}" for value in pose),
-            one.side or "",
-        )
+        values = (f"{value:+.1f}" for value in pose)
+        table.add_row(one.id, one.situation, one.phantom.name, *values, one.side or "")
+    console = Terminal()
     console.print(table)
     for trial in script.script.trials:
         console.print(chosen(trial), highlight=False)

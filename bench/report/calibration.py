@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bench.calibrate.cameras import CamerasResult, PairsResult, ThermalResult
 from bench.calibrate.check import PointsAgain
-from bench.calibrate.stereo import CamerasResult
-from bench.calibrate.thermal import PairsResult, ThermalResult
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import WorldResult
 from bench.report.calibration_parts import (

@@ -8,8 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from bench.calibrate.stereo import PAIR, CamerasResult
-from bench.calibrate.thermal import ThermalResult
+from bench.calibrate.cameras import PAIR, CamerasResult, ThermalResult
 from bench.calibrate.views import BoardViews
 from bench.record.reader import RunRecord
 from bench.report.tables import ends_mm, key_values

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from bench.calibrate.cameras import Lens, calibrate_pair
 from bench.calibrate.capture import pattern_of, write_picture
-from bench.calibrate.stereo import Lens, calibrate_pair
 from bench.calibrate.views import find_pictures, find_views
 from bench.rig.loading import RIGS
 from detector.calibration import Calibration, load_calibration

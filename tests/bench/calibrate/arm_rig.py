@@ -9,8 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
-from bench.calibrate.arm_dialogues import Step
-from bench.calibrate.simulated_arm import PLACED, TryingArm
+from bench.calibrate.simulated_arm import PLACED, Step, TryingArm
 from detector.geometry import Motion
 from instruments.clock import VirtualClock
 from instruments.link import Link

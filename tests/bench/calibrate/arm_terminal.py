@@ -140,13 +140,7 @@ def at_terminal(
         environment.pop(of_another, None)
     command = [sys.executable, "-c", OWN_TERMINAL, *arguments]
     child = subprocess.Popen(
-        command,
-        stdin=far,
-        stdout=far,
-        stderr=far,
-        env=environment,
-        cwd=cwd,
-        start_new_session=True,
+        command, stdin=far, stdout=far, stderr=far, env=environment, cwd=cwd, start_new_session=True
     )
     os.close(far)
     terminal = Terminal(child, near, columns)

@@ -10,6 +10,7 @@ import pytest
 
 from bench.cli.main import main
 from tests.bench.calibrate.board_pictures import BOARD_TOML, write_pairs
+from tests.bench.commands import words
 
 
 @pytest.fixture(scope="session")
@@ -28,16 +29,12 @@ def calibrate_cameras(
     lab: Path, out: Path, *more: str, frames: str = "day1", board: str = "board.toml"
 ) -> int:
     """The exit code of `calibrate cameras` on a folder of the lab."""
-    given = [
-        "calibrate",
-        "cameras",
-        str(lab / frames),
-        "--board",
-        str(lab / board),
-        "--model",
+    given = words(
+        "calibrate cameras {} --board {} --model {} --out {} {}",
+        lab / frames,
+        lab / board,
         "k1 k2",
-        "--out",
-        str(out),
-        *more,
-    ]
+        out,
+        more,
+    )
     return main(given)

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.calibrate.arm_dialogues import Step, touch_frame
-from bench.calibrate.simulated_arm import PLACED
+from bench.calibrate.arm import touch_frame
+from bench.calibrate.simulated_arm import PLACED, Step
 from bench.rig.arm_files import FrameError, TableFrame, TouchedPoint, Triple, world_from_arm
 from detector.geometry import Motion
 from instruments.errors import LimitError

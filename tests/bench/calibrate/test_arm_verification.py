@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from bench.calibrate.arm_dialogues import DIRECTIONS, Plan, verify
+from bench.calibrate.arm import DIRECTIONS, Plan, verify
 from bench.rig.arm_files import (
     LengthTest,
     Limits,

@@ -18,7 +18,6 @@ from bench.calibrate.exchange import (
     write_opencv,
     write_ros,
 )
-from bench.cli.main import main
 from bench.config import ConfigError
 from bench.rig.board import BOARDS, load_board
 from bench.rig.loading import RIGS
@@ -33,6 +32,7 @@ from tests.bench.calibrate.board_pictures import (
     write_image,
     write_pairs,
 )
+from tests.bench.commands import Said, teatbench
 
 
 @pytest.fixture
@@ -49,17 +49,8 @@ def three_pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def said(lab: Path, frames: Path, capsys: pytest.CaptureFixture[str], *more: str) -> str:
     out = lab / "cameras.toml"
     assert (
-        main(
-            [
-                "calibrate",
-                "cameras",
-                str(frames),
-                "--board",
-                str(lab / "board.toml"),
-                "--out",
-                str(out),
-                *more,
-            ]
+        teatbench(
+            "calibrate cameras {} --board {} --out {} {}", frames, lab / "board.toml", out, more
         )
         == 2
     )
@@ -148,49 +139,33 @@ class TestTables:
             ),
         ],
     )
-    def test_touched_points(
-        self, lab: Path, text: str, wanted: str, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_touched_points(self, lab: Path, text: str, wanted: str, said: Said) -> None:
         (lab / "points.csv").write_text(text, encoding="utf-8")
         cameras = str(RIGS / "thesis-calibration.toml")
         assert (
-            main(
-                [
-                    "calibrate",
-                    "world",
-                    str(lab / "points.csv"),
-                    "--cameras",
-                    cameras,
-                    "--out",
-                    str(lab / "w.toml"),
-                ]
-            )
-            == 2
+            wanted
+            in said(
+                2,
+                "calibrate world {} --cameras {} --out {}",
+                lab / "points.csv",
+                cameras,
+                lab / "w.toml",
+            ).err
         )
-        assert wanted in capsys.readouterr().err
 
-    def test_pairs_need_the_pictures_size(
-        self, lab: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_pairs_need_the_pictures_size(self, lab: Path, said: Said) -> None:
         (lab / "pairs.csv").write_text(
             "thermal_x,thermal_y,left_x,left_y,right_x,right_y\n", encoding="utf-8"
         )
         assert (
-            main(
-                [
-                    "calibrate",
-                    "thermal",
-                    "--pairs",
-                    str(lab / "pairs.csv"),
-                    "--out",
-                    str(lab / "t.toml"),
-                ]
-            )
-            == 2
+            "--pairs needs --image-size"
+            in said(
+                2, "calibrate thermal --pairs {} --out {}", lab / "pairs.csv", lab / "t.toml"
+            ).err
         )
-        assert "--pairs needs --image-size" in capsys.readouterr().err
-        assert main(["calibrate", "thermal", "--out", str(lab / "t.toml")]) == 2
-        assert "or a table with --pairs" in capsys.readouterr().err
+        assert (
+            "or a table with --pairs" in said(2, "calibrate thermal --out {}", lab / "t.toml").err
+        )
 
 
 class TestPrint:
@@ -213,31 +188,20 @@ class TestPrint:
         np.testing.assert_allclose(slopes[:2] / dots_per_mm, np.eye(2), atol=1e-3)
         assert f"/MediaBox [ 0 0 {width * 72 / 25.4:.4f}"[:22].encode() in board_pdf(board)
 
-    def test_a_sheet_that_is_too_small(
-        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_a_sheet_that_is_too_small(self, tmp_path: Path, said: Said) -> None:
         assert (
-            main(
-                [
-                    "calibrate",
-                    "board",
-                    "chessboard-9x6-40",
-                    "--pdf",
-                    str(tmp_path / "b.pdf"),
-                    "--paper",
-                    "A4",
-                ]
-            )
-            == 2
+            "more than A4 has; it fits A2"
+            in said(
+                2, "calibrate board chessboard-9x6-40 --pdf {} --paper A4", tmp_path / "b.pdf"
+            ).err
         )
-        assert "more than A4 has; it fits A2" in capsys.readouterr().err
-        assert (
-            main(["calibrate", "board", "chessboard-9x6-40", "--pdf", str(tmp_path / "b.pdf")]) == 0
-        )
+        assert teatbench("calibrate board chessboard-9x6-40 --pdf {}", tmp_path / "b.pdf") == 0
         assert (tmp_path / "b.pdf").read_bytes().startswith(b"%PDF")
         nowhere = tmp_path / "typo" / "b.pdf"
-        assert main(["calibrate", "board", "chessboard-9x6-40", "--pdf", str(nowhere)]) == 2
-        assert f"--pdf {nowhere}: there is no folder" in capsys.readouterr().err
+        assert (
+            f"--pdf {nowhere}: there is no folder"
+            in said(2, "calibrate board chessboard-9x6-40 --pdf {}", nowhere).err
+        )
         assert not nowhere.parent.exists()
 
 
@@ -265,47 +229,28 @@ class TestExchange:
             read_opencv(path, (640, 480))
 
     @pytest.mark.parametrize("kind", ["opencv", "bouguet", "ros"])
-    def test_what_is_none_of_them(
-        self, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
+    def test_what_is_none_of_them(self, kind: str, tmp_path: Path, said: Said) -> None:
         (tmp_path / "x.yml").write_text("hello: [1, 2\n", encoding="utf-8")
         out = tmp_path / "cameras.toml"
         assert (
-            main(
-                [
-                    "calibrate",
-                    "import",
-                    str(tmp_path / "x.yml"),
-                    "--format",
-                    kind,
-                    "--out",
-                    str(out),
-                ]
-            )
-            == 2
+            "x.yml"
+            in said(
+                2, "calibrate import {} --format {} --out {}", tmp_path / "x.yml", kind, out
+            ).err
         )
-        assert "x.yml" in capsys.readouterr().err
         assert not out.exists()
 
     def test_by_command(self, tmp_path: Path) -> None:
         mat, out = tmp_path / "c.mat", tmp_path / "cameras.toml"
         assert (
-            main(
-                [
-                    "calibrate",
-                    "export",
-                    str(RIGS / "thesis-calibration.toml"),
-                    "--format",
-                    "bouguet",
-                    "--out",
-                    str(mat),
-                ]
+            teatbench(
+                "calibrate export {} --format bouguet --out {}",
+                RIGS / "thesis-calibration.toml",
+                mat,
             )
             == 0
         )
-        assert (
-            main(["calibrate", "import", str(mat), "--format", "bouguet", "--out", str(out)]) == 0
-        )
+        assert teatbench("calibrate import {} --format bouguet --out {}", mat, out) == 0
         assert 'with_what = "teatbench' in out.read_text(encoding="utf-8")
 
 

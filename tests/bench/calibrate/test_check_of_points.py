@@ -18,6 +18,7 @@ from detector.calibration import Part, dump_calibration, load_part
 from detector.geometry import Motion
 from tests.bench.calibrate.board_pictures import LEFT, RIGHT, RIGHT_FROM_LEFT
 from tests.bench.calibrate.touched import TOUCHED, WORLD_FROM_RIGHT, write_touched
+from tests.bench.commands import teatbench, words
 
 NOISE = {"pixel_sd_px": 0.1, "touch_sd_mm": 0.25}
 WHOLE = Part(
@@ -83,31 +84,20 @@ def test_by_command_with_its_page(lab: Path, capsys: pytest.CaptureFixture[str])
     points = write_touched(lab / "again.csv")
     cameras = load_part(lab / "cameras.toml")
     assert (
-        main(
-            [
-                "calibrate",
-                "world",
-                str(points),
-                "--cameras",
-                str(lab / "cameras.toml"),
-                "--out",
-                str(lab / "wc.toml"),
-            ]
+        teatbench(
+            "calibrate world {} --cameras {} --out {}",
+            points,
+            lab / "cameras.toml",
+            lab / "wc.toml",
         )
         == 0
     )
     world = load_part(lab / "wc.toml")
     whole = replace(cameras, world_from_right=world.world_from_right, covariance=world.covariance)
     (lab / "whole.toml").write_text(dump_calibration(whole), encoding="utf-8")
-    given = [
-        "calibrate",
-        "check",
-        str(lab / "whole.toml"),
-        "--points",
-        str(points),
-        "--page",
-        str(lab / "points.page"),
-    ]
+    given = words(
+        "calibrate check {} --points {} --page {}", lab / "whole.toml", points, lab / "points.page"
+    )
     assert main(given) == 0
     assert "18 points: missed by" in capsys.readouterr().out
     page = (lab / "points.page" / "index.html").read_text(encoding="utf-8")
@@ -115,7 +105,7 @@ def test_by_command_with_its_page(lab: Path, capsys: pytest.CaptureFixture[str])
     assert "Measured less touched" in page
     expected = []
     for noise in ((), ("--touch-sd", "2.5"), ("--pixel-sd", "2.5")):
-        assert main([*given, *noise]) == 0
+        assert teatbench("{} {}", given, noise) == 0
         expected.append(float(capsys.readouterr().out.partition("rms, ")[2].split()[0]))
     assert expected[0] + 1.0 < min(expected[1:]), "who touches or sees worse may expect worse"
     lines = points.read_text(encoding="utf-8").splitlines()

@@ -18,6 +18,7 @@ from detector.geometry import Camera, Motion
 from tests.bench.calibrate.board_pictures import BOARD_TOML, write_pairs
 from tests.bench.calibrate.conftest import calibrate_cameras
 from tests.bench.calibrate.touched import write_touched
+from tests.bench.commands import teatbench, words
 
 
 def named(page: Path) -> str:
@@ -36,16 +37,9 @@ def checked(lab: Path, part: Part, name: str) -> tuple[int, str]:
     path = lab / f"{name}.toml"
     path.write_text(dump_calibration(part), encoding="utf-8")
     page = lab / f"{name}.page"
-    given = [
-        "calibrate",
-        "check",
-        str(path),
-        str(lab / "day1"),
-        "--board",
-        str(lab / "board.toml"),
-        "--page",
-        str(page),
-    ]
+    given = words(
+        "calibrate check {} {} --board {} --page {}", path, lab / "day1", lab / "board.toml", page
+    )
     return main(given), named(page / "index.html")
 
 
@@ -121,16 +115,8 @@ def test_a_wrong_square_size_against_the_arm(lab: Path, capsys: pytest.CaptureFi
     )
     points = write_touched(lab / "points3.csv")
     assert (
-        main(
-            [
-                "calibrate",
-                "world",
-                str(points),
-                "--cameras",
-                str(lab / "short.toml"),
-                "--out",
-                str(lab / "sw.toml"),
-            ]
+        teatbench(
+            "calibrate world {} --cameras {} --out {}", points, lab / "short.toml", lab / "sw.toml"
         )
         == 1
     )

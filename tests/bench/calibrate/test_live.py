@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from bench.cli.main import main
 from detector.calibration import Part, load_calibration, load_part
 from tests.bench.calibrate.small_rig import small_calibration, write_rig
+from tests.bench.commands import teatbench, words
 
 BOARD, HEATED = "chessboard-9x6-40", "heated-circles-7x5-18"
 
@@ -28,23 +29,15 @@ def bench_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_rig(folder)
     with pytest.MonkeyPatch.context() as patch:
         lines: list[str] = []
-        patch.setattr("bench.cli.calibration_files._tell", lines.append)
+        patch.setattr("bench.cli.calibrate.tell", lines.append)
         assert live(folder, "cameras", "--board", BOARD) == 0
     (folder / "said.txt").write_text("\n".join(lines), encoding="utf-8")
     return folder
 
 
 def live(folder: Path, step: str, *more: str, rig: str = "small.toml") -> int:
-    return main(
-        [
-            "calibrate",
-            step,
-            "--rig",
-            str(folder / rig),
-            "--out",
-            str(folder / f"{step}.toml"),
-            *more,
-        ]
+    return teatbench(
+        "calibrate {} --rig {} --out {} {}", step, folder / rig, folder / f"{step}.toml", more
     )
 
 
@@ -108,16 +101,11 @@ class TestCameras:
     def test_the_pictures_that_were_kept_give_the_same_again(self, bench_room: Path) -> None:
         out = bench_room / "again.toml"
         assert (
-            main(
-                [
-                    "calibrate",
-                    "cameras",
-                    str(bench_room / "cameras.pictures"),
-                    "--board",
-                    BOARD,
-                    "--out",
-                    str(out),
-                ]
+            teatbench(
+                "calibrate cameras {} --board {} --out {}",
+                bench_room / "cameras.pictures",
+                BOARD,
+                out,
             )
             == 0
         )
@@ -178,14 +166,12 @@ class TestWorld:
 
     def test_the_points_are_a_table_that_can_be_used_again(self, bench_room: Path) -> None:
         made(bench_room, "world", BOARD)
-        given = [
-            "calibrate",
-            "world",
-            str(bench_room / "world.pictures" / "points.csv"),
-            "--cameras",
-            str(bench_room / "cameras.toml"),
-        ]
-        assert main([*given, "--out", str(bench_room / "world-again.toml")]) == 0
+        given = words(
+            "calibrate world {} --cameras {}",
+            bench_room / "world.pictures" / "points.csv",
+            bench_room / "cameras.toml",
+        )
+        assert teatbench("{} --out {}", given, bench_room / "world-again.toml") == 0
         first, again = (
             load_part(bench_room / f"{name}.toml").world_from_right
             for name in ("world", "world-again")
@@ -214,8 +200,7 @@ def test_all_live_steps_make_one_calibration_that_is_as_good_as_it_says(bench_ro
         bench_room / "calibration-live.toml",
     )
     assert (
-        main(["calibrate", "merge", *parts, "--out", str(whole), "--by", "A. Tester", "--replace"])
-        == 0
+        teatbench("calibrate merge {} --out {} --by {} --replace", parts, whole, "A. Tester") == 0
     )
     found, put_in = load_calibration(whole), small_calibration()
     places = np.array([[-300.0, 150.0, 60.0], [-190.0, 235.0, 135.0], [-90.0, 330.0, 200.0]])
@@ -263,20 +248,3 @@ def test_the_thermal_camera_with_a_heated_board(bench_room: Path) -> None:
             name,
             float(part.thermal_from_left.T[at] - put_in.thermal_from_left.T[at]),
         )
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        (["cameras", "--board", BOARD], "give either folders of pictures (FRAMES) or --rig RIG"),
-        (["cameras", "somewhere", "--rig", "emulated", "--board", BOARD], "or --rig RIG, not both"),
-        (["world", "--cameras", "c.toml"], "give either a table of points (CSV) or --rig RIG"),
-        (["thermal", "--rig", "emulated"], "--rig with --board and --cameras"),
-    ],
-)
-def test_what_is_asked_wrongly(
-    tmp_path: Path, given: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["calibrate", *given, "--out", str(tmp_path / "x.toml")]) == 2
-    assert said in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []

@@ -75,9 +75,8 @@ class Lab:
 
     def points(self, folder: Path, board: Board = BOARD) -> Array:
         tip = TipReader(self, Arm(url="emulator:"), None)
-        return gather_points(
-            Asking(self.look, self, tip, RADIUS_MM, self.told.append), board, folder
-        ).touched_mm
+        asking = Asking(self.look, self, tip, RADIUS_MM, self.told.append)  # type: ignore[arg-type]
+        return gather_points(asking, board, folder).touched_mm
 
 
 def expected() -> Array:

@@ -14,6 +14,7 @@ from detector.calibration import load_calibration, load_part
 from tests.bench.calibrate.board_pictures import LEFT, RIGHT_FROM_LEFT, write_pairs
 from tests.bench.calibrate.conftest import calibrate_cameras
 from tests.bench.calibrate.touched import TOUCHED, WORLD_FROM_RIGHT, write_touched
+from tests.bench.commands import Said, teatbench, words
 
 
 def write_pairs_table(path: Path) -> Path:
@@ -61,16 +62,13 @@ def test_a_second_day_shows_that_it_still_holds_or_not(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_pairs(lab / "day2", 5, seed=2)
-    given = [
-        "calibrate",
-        "check",
-        str(lab / "cameras.toml"),
-        str(lab / "day2"),
-        "--board",
-        str(lab / "board.toml"),
-        "--page",
-        str(lab / "again"),
-    ]
+    given = words(
+        "calibrate check {} {} --board {} --page {}",
+        lab / "cameras.toml",
+        lab / "day2",
+        lab / "board.toml",
+        lab / "again",
+    )
     assert main(given) == 0
     assert "It still holds." in capsys.readouterr().out
     assert "It still holds." in (lab / "again" / "index.html").read_text(encoding="utf-8")
@@ -85,35 +83,24 @@ def test_all_steps_make_one_calibration(lab: Path, capsys: pytest.CaptureFixture
     cameras = ["--cameras", str(lab / "cameras.toml")]
     points, pairs = write_touched(lab / "points.csv"), write_pairs_table(lab / "pairs.csv")
     assert (
-        main(
-            [
-                "calibrate",
-                "world",
-                str(points),
-                *cameras,
-                "--out",
-                str(lab / "world.toml"),
-                "--by",
-                "A. Tester",
-            ]
+        teatbench(
+            "calibrate world {} {} --out {} --by {}",
+            points,
+            cameras,
+            lab / "world.toml",
+            "A. Tester",
         )
         == 0
     )
-    thermal = [
-        "calibrate",
-        "thermal",
-        "--pairs",
-        str(pairs),
-        "--image-size",
-        "640x480",
-        "--mirrored",
-        "--out",
-        str(lab / "thermal.toml"),
-    ]
+    thermal = words(
+        "calibrate thermal --pairs {} --image-size 640x480 --mirrored --out {}",
+        pairs,
+        lab / "thermal.toml",
+    )
     assert main(thermal) == 0
     whole = lab / "calibration.toml"
     parts = [str(lab / f"{name}.toml") for name in ("cameras", "world", "thermal")]
-    assert main(["calibrate", "merge", *parts, "--out", str(whole), "--by", "A. Tester"]) == 0
+    assert teatbench("calibrate merge {} --out {} --by {}", parts, whole, "A. Tester") == 0
     found = load_calibration(whole)
     assert np.abs(found.world_from_right.T - WORLD_FROM_RIGHT.T).max() < 3.0
     assert found.thermal.mirrored
@@ -134,16 +121,13 @@ def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path) -> None:
     points = write_touched(lab / "points3.csv")
     sds: list[float] = []
     for noise in ((), ("--touch-sd", "2.5"), ("--pixel-sd", "2.5")):
-        given = [
-            "calibrate",
-            "world",
-            str(points),
-            "--cameras",
-            str(lab / "cameras.toml"),
-            "--out",
-            str(lab / "w3.toml"),
-            *noise,
-        ]
+        given = words(
+            "calibrate world {} --cameras {} --out {} {}",
+            points,
+            lab / "cameras.toml",
+            lab / "w3.toml",
+            noise,
+        )
         assert main([*given, *(("--replace",) if sds else ())]) in (0, 1)
         covariance = load_part(lab / "w3.toml").covariance
         assert covariance is not None
@@ -163,63 +147,40 @@ def test_whose_cameras_they_are_is_on_record(lab: Path, capsys: pytest.CaptureFi
     assert "say left=SERIAL" in capsys.readouterr().err
 
 
-def test_parts_that_do_not_belong_together_are_refused(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_parts_that_do_not_belong_together_are_refused(lab: Path, said: Said) -> None:
     points = write_touched(lab / "points2.csv")
     assert (
-        main(
-            [
-                "calibrate",
-                "world",
-                str(points),
-                "--cameras",
-                str(lab / "cameras.toml"),
-                "--out",
-                str(lab / "w.toml"),
-            ]
+        teatbench(
+            "calibrate world {} --cameras {} --out {}", points, lab / "cameras.toml", lab / "w.toml"
         )
         == 0
     )
     assert calibrate_cameras(lab, lab / "other.toml", "--max-views", "10") in (0, 1)
     out = ["--out", str(lab / "never.toml")]
-    assert main(["calibrate", "merge", str(lab / "other.toml"), str(lab / "w.toml"), *out]) == 2
     assert (
         "[cameras.thermal] is in none of the files: add the file that 'teatbench calibrate thermal'"
-        " wrote" in capsys.readouterr().err
+        " wrote" in said(2, "calibrate merge {} {} {}", lab / "other.toml", lab / "w.toml", out).err
     )
     pairs = write_pairs_table(lab / "pairs2.csv")
     assert (
-        main(
-            [
-                "calibrate",
-                "thermal",
-                "--pairs",
-                str(pairs),
-                "--image-size",
-                "640x480",
-                "--out",
-                str(lab / "t.toml"),
-            ]
+        teatbench(
+            "calibrate thermal --pairs {} --image-size 640x480 --out {}", pairs, lab / "t.toml"
         )
         == 0
     )
     assert (
-        main(
-            [
-                "calibrate",
-                "merge",
-                str(lab / "other.toml"),
-                str(lab / "w.toml"),
-                str(lab / "t.toml"),
-                *out,
-            ]
-        )
-        == 2
+        "was made with another cameras' file"
+        in said(
+            2,
+            "calibrate merge {} {} {} {}",
+            lab / "other.toml",
+            lab / "w.toml",
+            lab / "t.toml",
+            out,
+        ).err
     )
-    assert "was made with another cameras' file" in capsys.readouterr().err
     assert (
-        main(["calibrate", "merge", str(lab / "cameras.toml"), str(lab / "other.toml"), *out]) == 2
+        "leave one of them out"
+        in said(2, "calibrate merge {} {} {}", lab / "cameras.toml", lab / "other.toml", out).err
     )
-    assert "leave one of them out" in capsys.readouterr().err
     assert not (lab / "never.toml").exists()

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.cli.main import main
 from detector.calibration import Part, Record, dump_calibration, load_part
 from tests.bench.calibrate.board_pictures import (
     HEATED,
@@ -23,6 +22,7 @@ from tests.bench.calibrate.board_pictures import (
     poses,
     write_image,
 )
+from tests.bench.commands import Said, teatbench, words
 
 
 @pytest.fixture(scope="module")
@@ -49,16 +49,13 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def calibrate(lab: Path, out: str, *more: str) -> int:
-    given = [
-        "calibrate",
-        "thermal",
-        str(lab / "day"),
-        "--board",
-        str(lab / "heated.toml"),
-        "--cameras",
-        str(lab / "cameras.toml"),
-    ]
-    return main([*given, "--out", str(lab / out), *more])
+    given = words(
+        "calibrate thermal {} --board {} --cameras {}",
+        lab / "day",
+        lab / "heated.toml",
+        lab / "cameras.toml",
+    )
+    return teatbench("{} --out {} {}", given, lab / out, more)
 
 
 def test_lens_and_pose_come_out_as_they_were_put_in(lab: Path) -> None:
@@ -92,19 +89,18 @@ def test_the_derived_homography_maps_a_point_of_its_plane(lab: Path) -> None:
     np.testing.assert_allclose(mapped[:, :2] / mapped[:, 2:], RIGHT.project(in_right), atol=3.0)
 
 
-def test_without_the_pair_it_is_refused(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_the_pair_it_is_refused(lab: Path, said: Said) -> None:
     (lab / "empty.toml").write_text(
         '[record]\nmade = "2026-11-20"\nby = ""\nwith_what = ""\ncameras = {}\ninputs = {}\n',
         encoding="utf-8",
     )
-    given = [
-        "calibrate",
-        "thermal",
-        str(lab / "day"),
-        "--board",
-        str(lab / "heated.toml"),
-        "--cameras",
-        str(lab / "empty.toml"),
-    ]
-    assert main([*given, "--out", str(lab / "t.toml")]) == 2
-    assert "must hold cameras.left, cameras.right and stereo" in capsys.readouterr().err
+    given = words(
+        "calibrate thermal {} --board {} --cameras {}",
+        lab / "day",
+        lab / "heated.toml",
+        lab / "empty.toml",
+    )
+    assert (
+        "holds no stereo pair ([cameras.left], [cameras.right], [stereo])"
+        in said(2, "{} --out {}", given, lab / "t.toml").err
+    )

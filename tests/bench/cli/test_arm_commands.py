@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.calibrate.arm_dialogues import Step
-from bench.calibrate.simulated_arm import PLACED, TryingArm
-from bench.cli.main import main, parser
+from bench.calibrate.simulated_arm import PLACED, Step, TryingArm
+from bench.cli.main import parser
 from bench.rig.arm_files import load_frame, load_verification
 from bench.rig.model import Arm
 from bench.script.model import ArmRequirement, find_script, load_script
 from instruments.clock import RealClock
 from tests.bench.calibrate.arm_terminal import ENTER, answer, at_terminal
+from tests.bench.commands import Said, teatbench, words
 from tests.bench.run.test_end_to_end import started
 from tests.conftest import ROOT
 
@@ -61,7 +61,7 @@ def wait_for_packets(trying: TryingArm, n: int = 10) -> None:
 def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
     out = tmp_path / "arm-frame.toml"
     with at_terminal(
-        ["arm", "frame", "--port", "emulator:", "--out", str(out), "--check", "100,100,0"]
+        words("arm frame --port emulator: --out {} --check 100,100,0", out)
     ) as terminal:
         answer(terminal, HOMING)
         answer(terminal, "Touch the table's origin")
@@ -80,9 +80,7 @@ def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
 def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
     out = tmp_path / "arm-verification.toml"
     plan = ["--distances", "1", "--touches", "5", "--length-mm", "250", "--directions", "2"]
-    with at_terminal(
-        ["arm", "verify", "--port", "emulator:", "--out", str(out), *plan]
-    ) as terminal:
+    with at_terminal(words("arm verify --port emulator: --out {} {}", out, plan)) as terminal:
         answer(terminal, HOMING)
         answer(terminal, "Fix the divot at half the arm's reach")
         for number, lean in enumerate(
@@ -111,7 +109,7 @@ def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("command", "prompts"), [("frame", 0), ("frame", 3), ("verify", 2)])
 def test_an_abort_writes_nothing(tmp_path: Path, command: str, prompts: int) -> None:
     out = tmp_path / "arm.toml"
-    with at_terminal(["arm", command, "--port", "emulator:", "--out", str(out)]) as terminal:
+    with at_terminal(words("arm {} --port emulator: --out {}", command, out)) as terminal:
         for _ in range(prompts):
             answer(terminal, ENTER)
         answer(terminal, ENTER, "a")
@@ -122,7 +120,7 @@ def test_an_abort_writes_nothing(tmp_path: Path, command: str, prompts: int) -> 
 
 
 def test_what_is_not_understood_is_asked_again(tmp_path: Path) -> None:
-    with at_terminal(["arm", "read", "--port", "emulator:"]) as terminal:
+    with at_terminal(words("arm read --port emulator:")) as terminal:
         answer(terminal, HOMING, "yes")
         answer(terminal, "Not understood: 'yes'")
         assert terminal.code() == 0
@@ -137,17 +135,7 @@ def test_a_pedal_is_as_good_as_enter(tmp_path: Path) -> None:
     with (
         arm_in_hand() as trying,
         at_terminal(
-            [
-                "arm",
-                "frame",
-                *PATIENT,
-                "--port",
-                trying.url,
-                "--out",
-                str(out),
-                "--plane-checks",
-                "0",
-            ]
+            words("arm frame {} --port {} --out {} --plane-checks 0", PATIENT, trying.url, out)
         ) as terminal,
     ):
         answer(terminal, HOMING)
@@ -167,7 +155,7 @@ def test_a_bad_arm_is_not_verified(tmp_path: Path) -> None:
     command = ["arm", "verify", "--out", str(out), "--homed", "--distances", "1", "--touches", "5"]
     with (
         arm_in_hand(accuracy_mm=3.0) as trying,
-        at_terminal([*command, *PATIENT, "--port", trying.url]) as terminal,
+        at_terminal(words("{} {} --port {}", command, PATIENT, trying.url)) as terminal,
     ):
         answer(terminal, "Fix the divot")
         for touch in range(5):
@@ -186,7 +174,7 @@ def test_a_frame_whose_check_point_is_off_is_not_written(tmp_path: Path, limit: 
     with (
         arm_in_hand() as trying,
         at_terminal(
-            ["arm", "frame", *PATIENT, "--port", trying.url, "--out", str(out), "--homed", *limit]
+            words("arm frame {} --port {} --out {} --homed {}", PATIENT, trying.url, out, limit)
         ) as terminal,
     ):
         for step in (
@@ -213,7 +201,7 @@ def test_touches_that_are_all_at_one_place_are_asked_for_again() -> None:
     with (
         arm_in_hand() as trying,
         at_terminal(
-            ["arm", "frame", *PATIENT, "--port", trying.url, "--out", "none.toml", "--homed"]
+            words("arm frame {} --port {} --out none.toml --homed", PATIENT, trying.url)
         ) as terminal,
     ):
         for _ in range(3):
@@ -227,7 +215,7 @@ def test_watch_shows_tip_pedals_and_rate_live() -> None:
     with (
         arm_in_hand() as trying,
         at_terminal(
-            ["arm", "watch", *PATIENT, "--port", trying.url, "--homed", "--seconds", "3"]
+            words("arm watch {} --port {} --homed --seconds 3", PATIENT, trying.url)
         ) as terminal,
     ):
         terminal.expect("left up, right up")
@@ -250,7 +238,7 @@ def test_watch_shows_tip_pedals_and_rate_live() -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
 def test_ctrl_c_is_how_watching_ends() -> None:
-    with started(["arm", "watch", "--port", "emulator:", "--homed"]) as child:
+    with started(words("arm watch --port emulator: --homed")) as child:
         assert child.stdout is not None
         assert "packets/s" in child.stdout.readline()
         child.send_signal(signal.SIGINT)
@@ -262,7 +250,7 @@ def test_ctrl_c_is_how_watching_ends() -> None:
 def test_home_asks_for_the_peg_first() -> None:
     with (
         arm_in_hand() as trying,
-        at_terminal(["arm", "home", *PATIENT, "--port", trying.url]) as terminal,
+        at_terminal(words("arm home {} --port {}", PATIENT, trying.url)) as terminal,
     ):
         answer(terminal, "Put the arm's stylus on its peg and let go of it.")
         assert terminal.code() == 0, terminal.text
@@ -272,12 +260,11 @@ def test_home_asks_for_the_peg_first() -> None:
 # For other programs
 
 
-def test_read_gives_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
+def test_read_gives_one_json_object(said: Said) -> None:
     """The arm on its peg: some 75 mm from the base axis and 212 mm above the origin (the fact
     sheet, One real arm).
     """
-    assert main(["arm", "read", "--port", "emulator:", "--homed", "--json"]) == 0
-    (text,) = capsys.readouterr().out.strip().split("\n")
+    (text,) = said(0, "arm read --port emulator: --homed --json").out.strip().split("\n")
     line = json.loads(text)
     assert set(line) == {"serial_number", "tip_mm", "spread_mm", "axis", "packets", "counts"}
     assert math.hypot(*line["tip_mm"][:2]) == pytest.approx(75.0, abs=0.05)
@@ -291,18 +278,16 @@ def test_read_in_the_world_uses_the_frame_of_this_arm_only(
 ) -> None:
     out = tmp_path / "frame.toml"
     with at_terminal(
-        ["arm", "frame", "--port", "emulator:", "--out", str(out), "--homed", "--plane-checks", "0"]
+        words("arm frame --port emulator: --out {} --homed --plane-checks 0", out)
     ) as terminal:
         for _ in range(3):
             answer(terminal, ENTER)
         assert terminal.code() == 0, terminal.text
-    assert (
-        main(["arm", "read", "--port", "emulator:", "--homed", "--json", "--frame", str(out)]) == 0
-    )
+    assert teatbench("arm read --port emulator: --homed --json --frame {}", out) == 0
     line = json.loads(capsys.readouterr().out)
     assert line["world_mm"] == pytest.approx(PLACED.apply(line["tip_mm"]).tolist(), abs=1.5)
     out.write_text(out.read_text(encoding="utf-8").replace('"40937"', '"11111"'), encoding="utf-8")
-    assert main(["arm", "read", "--port", "emulator:", "--homed", "--frame", str(out)]) == 2
+    assert teatbench("arm read --port emulator: --homed --frame {}", out) == 2
     said = capsys.readouterr().err
     assert (
         f"{out}:5: serial_number: this file is of the arm 11111, but the arm that answers is 40937"
@@ -315,13 +300,26 @@ def test_it_reads_the_arm_of_a_bench_that_only_emulates(capsys: pytest.CaptureFi
     with started(["emulate"]) as child:
         assert child.stdout is not None
         urls = dict(child.stdout.readline().split() for _ in range(3))
-        assert main(["arm", "read", "--port", urls["arm"], "--homed", "--json"]) == 0
-        assert main(["arm", "watch", "--port", urls["arm"], "--homed", "--seconds", "0.5"]) == 0
+        assert teatbench("arm read --port {} --homed --json", urls["arm"]) == 0
+        assert teatbench("arm watch --port {} --homed --seconds 0.5", urls["arm"]) == 0
         child.send_signal(signal.SIGINT)
         child.communicate(timeout=60)
     said = capsys.readouterr().out.strip().split("\n")
     assert json.loads(said[0])["tip_mm"][2] == pytest.approx(212.2, abs=0.01)
     assert "packets/s" in said[1]
+
+
+def test_writing_over_has_to_be_asked_for(tmp_path: Path) -> None:
+    out = tmp_path / "frame.toml"
+    out.write_text("old", encoding="utf-8")
+    with at_terminal(
+        words("arm frame --port emulator: --out {} --homed --plane-checks 0 --replace", out)
+    ) as terminal:
+        for _ in range(3):
+            answer(terminal, ENTER)
+        assert terminal.code() == 0, terminal.text
+    assert load_frame(out).residual_mm is None
+    assert "No check point was touched" in terminal.text
 
 
 # The page for the lab

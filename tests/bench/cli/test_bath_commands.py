@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import pytest
 from rich.console import Console
 
-from bench.cli.live_view import (
-    BathSample,
+from bench.cli.bath import (
     BathView,
     open_bath,
     output_strip,
@@ -25,7 +24,6 @@ from bench.cli.live_view import (
     seconds_to_stable,
     watch_bath,
 )
-from bench.cli.main import main
 from bench.safety.stability import StabilityGate
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
@@ -33,6 +31,7 @@ from instruments.bath.reading import BathReading
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
+from tests.bench.commands import Said, teatbench
 
 
 @dataclass
@@ -59,9 +58,8 @@ def bath() -> Iterator[Served]:
         clock.close()
 
 
-def test_read_says_everything_with_units(bath: Served, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bath", "read", *bath.at, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+def test_read_says_everything_with_units(bath: Served, said: Said) -> None:
+    told = json.loads(said(0, "bath read {} --json", bath.at).out)
     assert told["temp_c"] == pytest.approx(25.0, abs=0.05)
     assert (told["run"], told["output_percent"], told["alarm"], told["comms_loss"]) == (
         "standby",
@@ -69,24 +67,21 @@ def test_read_says_everything_with_units(bath: Served, capsys: pytest.CaptureFix
         0,
         "hold",
     )
-    assert main(["bath", "read", *bath.at]) == 0
-    lines = dict(line.split(": ", 1) for line in capsys.readouterr().out.strip().split("\n"))
+    lines = dict(
+        line.split(": ", 1) for line in said(0, "bath read {}", bath.at).out.strip().split("\n")
+    )
     assert list(lines) == list(told)
     assert lines["family"] == "JULABO PRESTO"
 
 
-def test_read_leaves_a_hot_bath_as_it_is(bath: Served, capsys: pytest.CaptureFixture[str]) -> None:
+def test_read_leaves_a_hot_bath_as_it_is(bath: Served, said: Said) -> None:
     bath.plant.run(33.0)
-    assert main(["bath", "read", *bath.at, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["run"] == "started"
+    assert json.loads(said(0, "bath read {} --json", bath.at).out)["run"] == "started"
     assert bath.plant.running
 
 
-def test_set_changes_the_set_point_and_starts_nothing(
-    bath: Served, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["bath", "set", *bath.at, "33.5"]) == 0
-    assert "33.50 degC; the bath is in standby" in capsys.readouterr().out
+def test_set_changes_the_set_point_and_starts_nothing(bath: Served, said: Said) -> None:
+    assert "33.50 degC; the bath is in standby" in said(0, "bath set {} 33.5", bath.at).out
     assert bath.plant.set_point_c == pytest.approx(33.5)
     assert not bath.plant.running
 
@@ -96,17 +91,14 @@ def test_standby_stops_a_bath_with_an_alarm_and_a_broken_sensor(
 ) -> None:
     bath.plant.run(33.0)
     bath.emulator.fault("sensor break")
-    assert main(["bath", "standby", *bath.at]) == 0
+    assert teatbench("bath standby {}", bath.at) == 0
     assert not bath.plant.running
     assert "in standby; no temperature" in capsys.readouterr().out
 
 
-def test_watch_prints_a_line_a_second_without_a_terminal(
-    bath: Served, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_watch_prints_a_line_a_second_without_a_terminal(bath: Served, said: Said) -> None:
     bath.plant.run(33.0)
-    assert main(["bath", "watch", *bath.at, "--seconds", "2.5"]) == 0
-    lines = capsys.readouterr().out.strip().split("\n")
+    lines = said(0, "bath watch {} --seconds 2.5", bath.at).out.strip().split("\n")
     assert 1 <= len(lines) <= 3, "a busy machine gets round to fewer"
     assert all("set point 33.00 degC" in line and "heating" in line for line in lines)
     assert bath.plant.running, "watching changes nothing"
@@ -141,8 +133,8 @@ def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
     assert "33.00 ─" in last, "the set point is a line"
     assert "•" in last, "the bath is points"
     assert re.search("output [ ▁▂▃▄▅▆▇]*█", last), "a cold bath is heated at full power"
-    for words in ("set point 33.00 degC", "output 100 %", "heating", "not getting nearer"):
-        assert words in last
+    for text in ("set point 33.00 degC", "output 100 %", "heating", "not getting nearer"):
+        assert text in last
     assert bath.plant.running, "watching changes nothing"
 
 
@@ -157,16 +149,18 @@ def test_a_stable_bath_says_so_and_one_on_its_way_says_when() -> None:
     assert "settling, stable in 0:" in lines[80]
     assert lines[-1].endswith("stable, stable now")
     strip = output_strip(
-        [BathSample(float(t), 33.0, 100.0 if t < 36 else 3.0) for t in range(72)], width=72
+        [a_reading(float(t), 33.0, 100.0 if t < 36 else 3.0) for t in range(72)], width=72
     )
     assert (strip.count("█"), strip.count("▁")) == (35, 36), "one column is that of now"
 
 
 def test_an_output_that_is_not_told_has_no_strip() -> None:
-    assert output_strip([BathSample(0.0, 33.0)]) == ""
+    assert output_strip([a_reading(0.0, 33.0, None)]) == ""
 
 
-def a_reading(t_s: float, temp_c: float, output_percent: float | None) -> BathReading:
+def a_reading(
+    t_s: float, temp_c: float, output_percent: float | None, alarm: int = 0
+) -> BathReading:
     return BathReading(
         t_s=t_s,
         temp_c=temp_c,
@@ -174,90 +168,19 @@ def a_reading(t_s: float, temp_c: float, output_percent: float | None) -> BathRe
         external_c=None,
         power_percent=output_percent,
         safety_c=None,
-        alarm=0,
+        alarm=alarm,
         warning=0,
         remote=True,
     )
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "message"),
-    [
-        (
-            ["read", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto"],
-            3,
-            "nothing took the connection",
-        ),
-        (
-            ["read", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-prest"],
-            2,
-            'did you mean "julabo-presto"',
-        ),
-        (["read", "--port", "tcp://127.0.0.1:1", "--profile", "none.toml"], 2, "can't be read"),
-        (
-            ["standby", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto"],
-            3,
-            "nothing took the connection",
-        ),
-        (["acknowledge", "no-such-rig"], 2, 'no rig "no-such-rig"'),
-    ],
-)
-def test_bad_input_gets_a_sentence(
-    arguments: list[str], code: int, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["bath", *arguments]) == code
-    said = capsys.readouterr().err
-    assert message in said
-    assert "Traceback" not in said
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["read", "--profile", "julabo-presto"], "--port"),
-        (["read", "--port", "emulator:", "--profile", "julabo-presto"], "teatbench emulate"),
-        (["read", "--port", "over there", "--profile", "julabo-presto"], "'over there' is no bath"),
-        (
-            ["set", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto", "warm"],
-            "'warm' is not a temperature",
-        ),
-        (
-            ["set", "--port", "tcp://127.0.0.1:1", "--profile", "julabo-presto", "nan"],
-            "'nan' is not a temperature",
-        ),
-        (
-            [
-                "watch",
-                "--port",
-                "tcp://127.0.0.1:1",
-                "--profile",
-                "julabo-presto",
-                "--seconds",
-                "0",
-            ],
-            "'0' is not a number of seconds",
-        ),
-    ],
-)
-def test_bad_arguments_get_a_sentence(
-    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["bath", *arguments])
-    assert caught.value.code == 2
-    assert message in capsys.readouterr().err
-
-
-def test_a_set_point_beyond_the_profile_is_refused_and_not_sent(
-    bath: Served, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["bath", "set", *bath.at, "45"]) == 2
-    assert "takes 5 to 36 degC" in capsys.readouterr().err
+def test_a_set_point_beyond_the_profile_is_refused_and_not_sent(bath: Served, said: Said) -> None:
+    assert "takes 5 to 36 degC" in said(2, "bath set {} 45", bath.at).err
     assert bath.plant.set_point_c == 25.0
 
 
-def samples(at: dict[float, float]) -> list[BathSample]:
-    return [BathSample(t_s, temp_c) for t_s, temp_c in at.items()]
+def samples(at: dict[float, float]) -> list[BathReading]:
+    return [a_reading(t_s, temp_c, None) for t_s, temp_c in at.items()]
 
 
 def test_the_plot_has_the_set_point_as_a_line_and_the_bath_as_points() -> None:
@@ -308,19 +231,9 @@ def test_the_time_to_stable_is_way_and_window(
 def test_a_bath_that_cannot_be_read_is_told_beside_its_last_reading() -> None:
     view = BathView(StabilityGate(33.0))
     assert view.line() == "no reading yet"
-    reading = BathReading(
-        t_s=1.0,
-        temp_c=24.0,
-        raw=(1,),
-        external_c=None,
-        power_percent=None,
-        safety_c=None,
-        alarm=3,
-        warning=0,
-        remote=True,
-    )
+    reading = a_reading(1.0, 24.0, None, alarm=3)
     view.add(reading, 33.0, started=True)
     view.trouble = "NO READING: cable"
-    for words in ("24.00 degC", "output not told", "alarm 3", "NO READING: cable"):
-        assert words in view.line()
+    for text in ("24.00 degC", "output not told", "alarm 3", "NO READING: cable"):
+        assert text in view.line()
     assert len(list(view.lines())) == 16

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.cli.main import main
 from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.recording import Recording
 from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock
+from tests.bench.commands import Said, teatbench
 from tests.bench.rig.test_emulated_faults import with_emulation
 from tests.bench.run.test_end_to_end import started
 from tests.instruments.camera.peers import ADDRESS, gige_camera
@@ -37,50 +37,48 @@ def streams() -> Iterator[list[str]]:
         yield [f"opencv:{url}" for url in server.urls.values()]
 
 
-def test_list_of_a_rig(capsys: Capture) -> None:
-    assert main(["camera", "list", "emulated"]) == 0
-    assert capsys.readouterr().out == "all  emulator:\n"
-    assert main(["camera", "list", "lab.example"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_list_of_a_rig(said: Said) -> None:
+    assert said(0, "camera list emulated").out == "all  emulator:\n"
+    lines = said(0, "camera list lab.example").out.splitlines()
     assert [line.split("  ")[0] for line in lines] == ["left", "right", "thermal"]
     assert lines[2].startswith("thermal  genicam:192.168.1.23 ")
     assert "kelvin_per_count=0.04" in lines[2]
 
 
-def test_show_the_emulated_rig(capsys: Capture) -> None:
-    assert main(["camera", "show", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+def test_show_the_emulated_rig(said: Said) -> None:
+    told = json.loads(said(0, "camera show --json").out)
     assert told["identity"]["left"] == "emulated 1360 x 1024"
     assert told["cameras"]["left"]["size_px"] == "1360 x 1024"
     assert 0.3 < told["cameras"]["left"]["edge_blur_px"] < 1.75
     assert told["faults"] == []
 
 
-def test_show_tells_a_fault_and_exits_3(tmp_path: Path, capsys: Capture) -> None:
+def test_show_tells_a_fault_and_exits_3(tmp_path: Path, said: Said) -> None:
     rig = with_emulation(
         tmp_path, 'faults = [{ instrument = "cameras", name = "saturated", camera = "right" }]'
     )
-    assert main(["camera", "show", str(rig)]) == 3
-    captured = capsys.readouterr()
+    captured = said(3, "camera show {}", rig)
     assert "right: emulated 1360 x 1024" in captured.out
     assert "right camera: saturated: " in captured.err
 
 
 def test_show_streams(streams: list[str], capsys: Capture) -> None:
-    assert main(["camera", "show", *streams]) in (0, 3)  # 3: the three fell on two sides of a tick
+    assert teatbench("camera show {}", streams) in (
+        0,
+        3,
+    )  # 3: the three fell on two sides of a tick
     out = capsys.readouterr().out
     assert "thermal: http://127.0.0.1:" in out
     assert "640 x 480" in out
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
-def test_emulate_serves_its_cameras_too(capsys: Capture) -> None:
+def test_emulate_serves_its_cameras_too(said: Said) -> None:
     with started(["emulate"]) as child:
         assert child.stdout is not None
         urls = dict(child.stdout.readline().split() for _ in range(6))
         assert list(urls)[3:] == ["left", "right", "thermal"]
-        assert main(["camera", "show", urls["left"], "--json"]) == 0
-        told = json.loads(capsys.readouterr().out)["cameras"]["single"]
+        told = json.loads(said(0, "camera show {} --json", urls["left"]).out)["cameras"]["single"]
         assert told["size_px"] == "1360 x 1024"
         assert told["brightest_dn"] > 100
         child.send_signal(signal.SIGINT)
@@ -88,18 +86,16 @@ def test_emulate_serves_its_cameras_too(capsys: Capture) -> None:
         assert child.returncode == 0
 
 
-def test_focus_of_one_stream(streams: list[str], capsys: Capture) -> None:
-    assert main(["camera", "focus", streams[0], "--seconds", "0.5", "--every", "0.1"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_focus_of_one_stream(streams: list[str], said: Said) -> None:
+    lines = said(0, "camera focus {} --seconds 0.5 --every 0.1", streams[0]).out.splitlines()
     assert lines[0].startswith("single  0.")
     assert lines[-1].startswith("focus_px = { single = 0.")
 
 
-def test_focus_sees_a_lens_go_out_of_focus(tmp_path: Path, capsys: Capture) -> None:
+def test_focus_sees_a_lens_go_out_of_focus(tmp_path: Path, said: Said) -> None:
     fault = '{ instrument = "cameras", name = "out of focus", camera = "right", at_s = 1.0 }'
     rig = with_emulation(tmp_path, f"faults = [{fault}]")
-    assert main(["camera", "focus", str(rig), "--seconds", "1.5", "--every", "0.5"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = said(0, "camera focus {} --seconds 1.5 --every 0.5", rig).out.splitlines()
     blurs = [float(line.split("right")[1].split()[0]) for line in lines[:3]]
     assert blurs[0] < 1.75
     assert blurs[2] > 3.0
@@ -107,61 +103,54 @@ def test_focus_sees_a_lens_go_out_of_focus(tmp_path: Path, capsys: Capture) -> N
     assert best == pytest.approx(blurs[0], abs=0.06)
 
 
-def test_grab_is_a_recording_that_is_added_to(tmp_path: Path, capsys: Capture) -> None:
+def test_grab_is_a_recording_that_is_added_to(tmp_path: Path, said: Said) -> None:
     folder = tmp_path / "grabbed"
-    assert main(["camera", "grab", "--out", str(folder), "--count", "2"]) == 0
-    assert main(["camera", "grab", "--out", str(folder)]) == 0
+    assert teatbench("camera grab --out {} --count 2", folder) == 0
+    assert teatbench("camera grab --out {}", folder) == 0
     recording = Recording(folder)
     assert recording.frames == ("0000", "0001", "0002")
     assert recording.calibration_path.is_file()
     first, second = (recording.load(name) for name in recording.frames[:2])
     assert first.thermal_ck is not None
     assert not np.array_equal(first.left, second.left)
-    assert main(["detect", str(folder)]) == 0
-    assert "0002" in capsys.readouterr().out
+    assert "0002" in said(0, "detect {}", folder).out
 
 
-def test_grab_takes_again_what_has_a_fault(tmp_path: Path, capsys: Capture) -> None:
+def test_grab_takes_again_what_has_a_fault(tmp_path: Path, said: Said) -> None:
     rig = with_emulation(
         tmp_path, 'faults = [{ instrument = "cameras", name = "half a frame", times = 1 }]'
     )
-    assert main(["camera", "grab", str(rig), "--out", str(tmp_path / "grabbed")]) == 0
-    assert "left camera: half a frame: 50 % of its rows" in capsys.readouterr().err
+    assert (
+        "left camera: half a frame: 50 % of its rows"
+        in said(0, "camera grab {} --out {}", rig, tmp_path / "grabbed").err
+    )
     assert Recording(tmp_path / "grabbed").load("0000").left[-1].any()
 
 
-def test_grab_streams_without_a_rig(streams: list[str], tmp_path: Path, capsys: Capture) -> None:
-    assert main(["camera", "grab", *streams, "--out", str(tmp_path / "grabbed")]) == 0
-    assert "put calibration.toml into the folder" in capsys.readouterr().err
+def test_grab_streams_without_a_rig(streams: list[str], tmp_path: Path, said: Said) -> None:
+    assert (
+        "put calibration.toml into the folder"
+        in said(0, "camera grab {} --out {}", streams, tmp_path / "grabbed").err
+    )
     frames = Recording(tmp_path / "grabbed").load("0000")
     assert frames.left.shape == (1024, 1360)
     assert frames.thermal is not None
 
 
-def test_a_gige_vision_camera(tmp_path: Path, capsys: Capture) -> None:
+def test_a_gige_vision_camera(tmp_path: Path, said: Said) -> None:
     with gige_camera() as serial:
-        assert main(["camera", "list"]) == 0
         assert (
             f"genicam:Aravis-Fake-{serial}  Aravis Fake {serial} GigEVision at {ADDRESS}"
-            in capsys.readouterr().out
+            in said(0, "camera list").out
         )
-        assert main(["camera", "show", f"genicam:{ADDRESS}"]) == 0
-        assert f"single: Aravis Fake {serial} (512 x 512, Mono8)" in capsys.readouterr().out
         assert (
-            main(["camera", "focus", f"genicam:{ADDRESS}", "--seconds", "0.3", "--every", "0.1"])
-            == 0
+            f"single: Aravis Fake {serial} (512 x 512, Mono8)"
+            in said(0, "camera show {}", f"genicam:{ADDRESS}").out
         )
-        capsys.readouterr()
+        said(0, "camera focus {} --seconds 0.3 --every 0.1", f"genicam:{ADDRESS}")
         assert (
-            main(
-                [
-                    "camera",
-                    "grab",
-                    f"genicam:{ADDRESS}",
-                    "genicam:Fake_1",
-                    "--out",
-                    str(tmp_path / "grabbed"),
-                ]
+            teatbench(
+                "camera grab {} genicam:Fake_1 --out {}", f"genicam:{ADDRESS}", tmp_path / "grabbed"
             )
             == 0
         )
@@ -169,28 +158,9 @@ def test_a_gige_vision_camera(tmp_path: Path, capsys: Capture) -> None:
     assert frames.left.shape == frames.right.shape == (512, 512)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "message"),
-    [
-        (["show", "nothing"], 2, 'no rig "nothing"'),
-        (["show", "emulated", "lab.example"], 2, "one rig, or one to three cameras by URL"),
-        (["show", "opencv:0", "opencv:1", "opencv:2", "opencv:3"], 2, "at most 3 cameras"),
-        (["show", "opencv:a.avi", "socket:1"], 2, "not a camera; allowed"),
-        (
-            ["show", "opencv:/no/such/file.avi"],
-            3,
-            "single camera at /no/such/file.avi: can't be opened",
-        ),
-    ],
-)
-def test_what_cannot_be_is_said(
-    arguments: list[str], code: int, message: str, capsys: Capture
-) -> None:
-    assert main(["camera", *arguments]) == code
-    assert message in capsys.readouterr().err
-
-
-def test_one_camera_makes_no_frame_set(streams: list[str], tmp_path: Path, capsys: Capture) -> None:
-    assert main(["camera", "grab", streams[0], "--out", str(tmp_path / "grabbed")]) == 2
-    assert "one camera alone makes no frame set" in capsys.readouterr().err
+def test_one_camera_makes_no_frame_set(streams: list[str], tmp_path: Path, said: Said) -> None:
+    assert (
+        "one camera alone makes no frame set"
+        in said(2, "camera grab {} --out {}", streams[0], tmp_path / "grabbed").err
+    )
     assert not (tmp_path / "grabbed").exists()

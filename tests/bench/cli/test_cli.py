@@ -7,14 +7,12 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from bench.cli.main import main
 from bench.rig.loading import RIGS
 from bench.script.model import TRIALS
 from instruments.bath.driver import Bath
@@ -22,37 +20,9 @@ from instruments.bath.profile import load_profile
 from instruments.clock import RealClock
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
+from tests.bench.commands import Said, teatbench
 from tests.bench.run.test_end_to_end import started
 from tests.conftest import ROOT
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["run", "no-such-script"], 'no trial script "no-such-script"'),
-        (["run", "six-situation"], 'did you mean "six-situations"'),
-        (["run", "--rig", "none.toml"], "can't be read"),
-        (["run", "--detector", "thesys"], 'did you mean "thesis"'),
-        (["report", "nowhere"], "is no run"),
-        (["score", "nowhere"], "no such folder"),
-        (["detect", "nowhere"], "no such folder"),
-        (["check", "emulatd"], 'did you mean "emulated"'),
-    ],
-)
-def test_wrong_use_gives_2_and_a_sentence(
-    arguments: list[str],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(arguments) == 2
-    captured = capsys.readouterr()
-    assert message in captured.err
-    assert "Traceback" not in captured.err
-    assert captured.out == "", "no empty bar beside a refusal"
-    assert list(tmp_path.iterdir()) == [], "wrong use leaves nothing behind"
 
 
 def damaged_recording(folder: Path) -> None:
@@ -103,61 +73,35 @@ def test_what_a_library_would_write_to_the_terminal_is_told_in_our_words(
     ] == []
 
 
-@pytest.mark.parametrize(
-    "arguments", [[], ["fly"], ["run", "--seed", "x"], ["run", "--seed", "-1"]]
-)
-def test_wrong_arguments_give_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(arguments)
-    assert caught.value.code == 2
-    assert "usage" in capsys.readouterr().err
-
-
-def test_runs_that_cannot_be_kept_are_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_runs_that_cannot_be_kept_are_told(tmp_path: Path, said: Said) -> None:
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    assert main(["run", "--out", str(tmp_path / "file")]) == 2
-    assert "--out" in capsys.readouterr().err
+    assert "--out" in said(2, "run --out {}", tmp_path / "file").err
 
 
 @pytest.mark.parametrize(
     "gate", ["mean_k = 0.30", "mean_k = 0.10\nleave_k = 0.05", "leave_k = 0.05"]
 )
-def test_a_gate_that_cannot_be_leaves_no_folder(
-    gate: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_gate_that_cannot_be_leaves_no_folder(gate: str, tmp_path: Path, said: Said) -> None:
     text = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
     (tmp_path / "script.toml").write_text(text.replace("mean_k = 0.10", gate), encoding="utf-8")
-    assert main(["run", str(tmp_path / "script.toml"), "--out", str(tmp_path / "runs")]) == 2
-    assert "bath.mean_k: 0." in capsys.readouterr().err
+    assert (
+        "bath.mean_k: 0."
+        in said(2, "run {} --out {}", tmp_path / "script.toml", tmp_path / "runs").err
+    )
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize(
-    "arguments", [["run"], ["run", "--rig"], ["score"], ["detect"], ["report"], ["emulate"]]
-)
-def test_a_name_that_is_too_long_is_told_as_that(
-    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*arguments, str(tmp_path / ("long" * 80))]) == 2
-    said = capsys.readouterr().err
-    assert "disk full" not in said
-    assert "Traceback" not in said
-
-
-def test_a_recording_is_not_written_over(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_is_not_written_over(tmp_path: Path, said: Said) -> None:
     (tmp_path / "rec").mkdir()
     (tmp_path / "rec" / "mine.txt").write_text("precious", encoding="utf-8")
-    assert main(["run", "--out", str(tmp_path / "runs"), "--record", str(tmp_path / "rec")]) == 2
-    assert "not empty" in capsys.readouterr().err
+    assert (
+        "not empty" in said(2, "run --out {} --record {}", tmp_path / "runs", tmp_path / "rec").err
+    )
     assert not (tmp_path / "runs").exists()
 
 
 def test_check_prints_every_instrument(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check"]) == 0
+    assert teatbench("check") == 0
     said = capsys.readouterr().out
     for words in (
         "arm: ok",
@@ -187,18 +131,18 @@ def test_check_names_every_instrument_that_does_not_answer(
     (tmp_path / "lab.toml").write_text(text, encoding="utf-8")
     calibration = (ROOT / "bench" / "rigs" / "calibration.toml").read_text(encoding="utf-8")
     (tmp_path / "calibration.toml").write_text(calibration, encoding="utf-8")
-    assert main(["check", str(tmp_path / "lab.toml")]) == 3
+    assert teatbench("check {}", tmp_path / "lab.toml") == 3
     said = capsys.readouterr().out
     for name in ("arm", "bath", "stage", "cameras"):
         assert f"{name}: FAULT" in said
     assert "Traceback" not in said
 
 
-def test_detect_prints_the_lines_of_the_format(
-    shared_data: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["detect", str(shared_data / "path_traced"), "--json"]) == 0
-    lines = [json.loads(line) for line in capsys.readouterr().out.strip().split("\n")]
+def test_detect_prints_the_lines_of_the_format(shared_data: Path, said: Said) -> None:
+    lines = [
+        json.loads(line)
+        for line in said(0, "detect {} --json", shared_data / "path_traced").out.strip().split("\n")
+    ]
     assert len(lines) == 33
     for line in lines:
         assert line["detector"] == "thesis"
@@ -210,7 +154,7 @@ def test_detect_prints_the_lines_of_the_format(
 def test_score_runs_over_frames_that_another_program_rendered(
     shared_data: Path, tmp_path: Path
 ) -> None:
-    assert main(["score", str(shared_data / "path_traced"), "--out", str(tmp_path)]) in (0, 1, 4)
+    assert teatbench("score {} --out {}", shared_data / "path_traced", tmp_path) in (0, 1, 4)
     (folder,) = tmp_path.iterdir()
     table = json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))
     assert len(table["trials"]) == 33
@@ -255,20 +199,11 @@ def test_a_closed_pipe_is_no_fault(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_rigs_lists_what_can_be_run_and_says_what_to_copy(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["rigs"]) == 0
-    runs, copy = capsys.readouterr().out.splitlines()
+def test_rigs_lists_what_can_be_run_and_says_what_to_copy(said: Said) -> None:
+    runs, copy = said(0, "rigs").out.splitlines()
     assert runs == "emulated"
     assert copy.startswith("for a real rig: copy ")
     assert Path(copy.removeprefix("for a real rig: copy ").partition(",")[0]).is_file()
-
-
-def test_nothing_is_left_running(capsys: pytest.CaptureFixture[str]) -> None:
-    before = threading.active_count()
-    main(["check"])
-    assert threading.active_count() == before
 
 
 def test_a_mistake_of_the_bench_is_no_requirement_that_is_not_met(
@@ -277,8 +212,8 @@ def test_a_mistake_of_the_bench_is_no_requirement_that_is_not_met(
     def mistaken(*_: object) -> None:
         raise ZeroDivisionError("a mistake")
 
-    monkeypatch.setattr("bench.rig.loading.load_rig", mistaken)
-    assert main(["check"]) == 3
+    monkeypatch.setattr("bench.cli.rig.load_rig", mistaken)
+    assert teatbench("check") == 3
     said = capsys.readouterr().err
     assert "ZeroDivisionError: a mistake" in said
     assert said.endswith(

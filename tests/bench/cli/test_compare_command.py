@@ -28,6 +28,7 @@ from bench.scoring.decisions import Verdict
 from detector import registry
 from detector.calibration import Calibration
 from detector.protocol import Detection, Detector, Frames
+from tests.bench.commands import Said, teatbench
 from tests.bench.small_run import written_anew
 
 SCENES = 3
@@ -74,7 +75,7 @@ def each_detection_takes_a_quarter_of_a_second() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recording") / "scenes"
-    main(["scene", "record", "--situation", "ideal", "--seeds", str(SCENES), "--out", str(folder)])
+    teatbench("scene record --situation ideal --seeds {} --out {}", SCENES, folder)
     return folder
 
 
@@ -104,6 +105,7 @@ def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
     baseline: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
+    said: Said,
     capsys: pytest.CaptureFixture[str],
     fault_px: float,
 ) -> None:
@@ -111,31 +113,28 @@ def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
     monkeypatch.setattr(registry, "create", lambda name: Faulted(create(name), fault_px))
     new = score(recording, tmp_path, "fused")
     capsys.readouterr()
-    assert main(["compare", str(baseline), str(new), "--gate"]) == 1
-    told = " ".join(capsys.readouterr().out.split())
+    told = " ".join(said(1, "compare {} {} --gate", baseline, new).out.split())
     assert "THE NEW ONE IS WORSE" in told
     assert f"{SCENES} scenes, each in the very same frames." in told
     assert "the mean distance to the teat end grew by 1." in told
-    assert main(["compare", str(baseline), str(new)]) == 0  # without --gate it only tells
+    assert teatbench("compare {} {}", baseline, new) == 0  # without --gate it only tells
     # nothing got worse, but three poses can't show that
-    assert main(["compare", str(new), str(baseline), "--gate"]) == 4
+    assert teatbench("compare {} {} --gate", new, baseline) == 4
     # who allows so much is told nothing red
-    assert main(["compare", str(baseline), str(new), "--gate", "--margin-mm", "5"]) != 1
+    assert teatbench("compare {} {} --gate --margin-mm 5", baseline, new) != 1
 
 
 def test_of_too_few_poses_the_gate_says_how_many_it_takes(
-    recording: Path, baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recording: Path, baseline: Path, tmp_path: Path, said: Said, capsys: pytest.CaptureFixture[str]
 ) -> None:
     again = score(recording, tmp_path, "fused")
     capsys.readouterr()
-    assert main(["compare", str(baseline), str(again), "--gate"]) == 4
-    told = " ".join(capsys.readouterr().out.split())
+    told = " ".join(said(4, "compare {} {} --gate", baseline, again).out.split())
     assert (
         "in 3 poses; poses that were not run may hide that it grew by 3.538 mm (margin 0.25 mm): 72"
         " poses with such changes" in told
     )
-    assert main(["compare", str(baseline), str(again), "--gate", "--margin-mm", "4"]) == 0
-    told = " ".join(capsys.readouterr().out.split())
+    told = " ".join(said(0, "compare {} {} --gate --margin-mm 4", baseline, again).out.split())
     assert (
         "The new one is not worse: no scene lost, no false or missed teat more over all poses the"
         " mean distance grew by at most" in told
@@ -144,12 +143,11 @@ def test_of_too_few_poses_the_gate_says_how_many_it_takes(
 
 
 def test_two_detectors_of_one_run_and_the_page(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recording: Path, tmp_path: Path, said: Said, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = score(recording, tmp_path / "runs", "fused", "thesis")
     capsys.readouterr()
-    assert main(["compare", str(run), "--gate", "--json", "--out", str(tmp_path / "page")]) == 1
-    (told,) = json.loads(capsys.readouterr().out)
+    (told,) = json.loads(said(1, "compare {} --gate --json --out {}", run, tmp_path / "page").out)
     assert (told["old"]["detector"], told["new"]["detector"]) == ("fused", "thesis")
     assert told["gate"]["verdict"] == "worse"
     assert told["rows"][0]["scenes"] == told["same_frames"] == SCENES
@@ -166,7 +164,7 @@ def test_trials_without_a_counterpart_leave_the_gate_open(baseline: Path, tmp_pa
     (found,) = compare_folders([baseline, fewer])
     assert (found.only_old, found.only_new, len(found.pairs)) == (1, 0, SCENES - 1)
     assert found.compared.gate.verdict is Verdict.INCONCLUSIVE
-    assert main(["compare", str(baseline), str(fewer), "--gate"]) == 4
+    assert teatbench("compare {} {} --gate", baseline, fewer) == 4
 
 
 def test_frames_that_differ_are_paired_by_name_and_told(baseline: Path, tmp_path: Path) -> None:
@@ -188,7 +186,7 @@ def changed(run: Path, to: Path, *statements: str, other_frames: bool = False) -
 
 
 def test_a_namesake_at_another_place_is_not_the_same_scene(
-    baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    baseline: Path, tmp_path: Path, said: Said
 ) -> None:
     near = changed(
         baseline, tmp_path / "near", "UPDATE truth SET x_mm = x_mm + 5", other_frames=True
@@ -202,15 +200,15 @@ def test_a_namesake_at_another_place_is_not_the_same_scene(
     )
     (found,) = compare_folders([baseline, far])
     assert (len(found.pairs), found.only_old, found.elsewhere) == (SCENES - 1, 1, 1)
-    assert main(["compare", str(baseline), str(far), "--gate"]) == 4
-    assert "1 trials of the old run have a namesake" in " ".join(capsys.readouterr().out.split())
+    assert "1 trials of the old run have a namesake" in " ".join(
+        said(4, "compare {} {} --gate", baseline, far).out.split()
+    )
     nowhere = changed(
         baseline, tmp_path / "nowhere", "UPDATE truth SET x_mm = x_mm + 25", other_frames=True
     )
-    assert main(["compare", str(baseline), str(nowhere)]) == 2
     assert (
         f"{SCENES} have the same name, but their teats stood at other places"
-        in capsys.readouterr().err
+        in said(2, "compare {} {}", baseline, nowhere).err
     )
 
 
@@ -242,12 +240,9 @@ def test_what_else_differs_is_told(baseline: Path, tmp_path: Path) -> None:
     ]
 
 
-def test_a_run_without_results(
-    baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_without_results(baseline: Path, tmp_path: Path, said: Said) -> None:
     empty = changed(baseline, tmp_path / "empty", "DELETE FROM scores")
-    assert main(["compare", str(baseline), str(empty), "--gate"]) == 2
-    assert "no scored trial in common" in capsys.readouterr().err
+    assert "no scored trial in common" in said(2, "compare {} {} --gate", baseline, empty).err
 
 
 def test_one_recording_scored_twice_is_the_same_poses_and_not_twice_as_many(
@@ -268,13 +263,13 @@ def test_runs_are_judged_together_by_their_counts(
         "UPDATE facts SET value = '\"another recording\"' WHERE key = 'about'",
     )
     for second, poses in ((again, SCENES), (other, 2 * SCENES)):
-        assert main(["compare", str(baseline), str(second), "--together", "--json"]) == 0
+        assert teatbench("compare {} {} --together --json", baseline, second) == 0
         (told,) = json.loads(capsys.readouterr().out)
         assert {
             decision["n"] for decision in told["decisions"] if decision["unit"] in ("mm", "%", "")
         } == {poses}
     # six poses show little
-    assert main(["compare", str(baseline), str(other), "--together", "--gate"]) == 4
+    assert teatbench("compare {} {} --together --gate", baseline, other) == 4
     said = capsys.readouterr().out
     assert "fused, all runs together: inconclusive" in said
     assert f"0 in {2 * SCENES} scenes" in said
@@ -295,16 +290,12 @@ def test_what_cannot_be_judged_together(baseline: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
-    [
-        ([], "name a second run"),
-        (["--detector", "fusedd"], 'did you mean "fused"'),
-    ],
+    [([], "name a second run"), (["--detector", "fusedd"], 'did you mean "fused"')],
 )
 def test_what_cannot_be_compared(
-    baseline: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+    baseline: Path, arguments: list[str], says: str, said: Said
 ) -> None:
-    assert main(["compare", str(baseline), *arguments]) == 2
-    assert says in capsys.readouterr().err
+    assert says in said(2, "compare {} {}", baseline, arguments).err
 
 
 def test_no_run_and_no_common_detector(baseline: Path, tmp_path: Path) -> None:

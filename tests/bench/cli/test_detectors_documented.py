@@ -10,14 +10,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from bench.cli.main import main
 from bench.config import read_config
 from bench.results.thesis_figures import thesis
 from bench.script.detectors import DetectorFile
 from detector.external import Limits
 from detector.registry import available
+from tests.bench.commands import Said
 from tests.bench.small_recording import write_recording
 from tests.conftest import ROOT
 
@@ -30,20 +29,19 @@ def block(language: str) -> str:
     return found[1]
 
 
-def test_the_example_is_a_detector_in_20_lines(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_example_is_a_detector_in_20_lines(tmp_path: Path, said: Said) -> None:
     recording, program = write_recording(tmp_path / "five"), block("python")
     assert len(program.strip().splitlines()) <= 20
     (tmp_path / "my_detector.py").write_text(program, encoding="utf-8")
     (tmp_path / "example.toml").write_text(
         block("toml").replace('"python3"', json.dumps(sys.executable)), encoding="utf-8"
     )
-    assert (
-        main(["detect", str(recording), "--json", "--detector", str(tmp_path / "example.toml")])
-        == 0
-    )
-    lines = [json.loads(line) for line in capsys.readouterr().out.strip().splitlines()]
+    lines = [
+        json.loads(line)
+        for line in said(0, "detect {} --json --detector {}", recording, tmp_path / "example.toml")
+        .out.strip()
+        .splitlines()
+    ]
     assert len(lines) == 5
     for line in lines:
         assert (line["detector"], line["hidden"], line.get("reason")) == ("example", 2, None)

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli.main import main
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.emulation_model import EmulatedStage
 from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.script.model import find_script
 from instruments.clock import RealClock
+from tests.bench.commands import Said, teatbench, words
 
 
 def test_the_command_says_what_and_exits_with_2(
@@ -30,7 +30,7 @@ def test_the_command_says_what_and_exits_with_2(
     text = text.replace("cycles = 30", "cycles = 2")
     path = tmp_path / "wide.toml"
     path.write_text(text, encoding="utf-8")
-    assert main(["run", str(path), "--dry-run", "--out", str(tmp_path / "runs")]) == 2
+    assert teatbench("run {} --dry-run --out {}", path, tmp_path / "runs") == 2
     said = capsys.readouterr().out
     assert (
         "p-2: limits: x +160 mm, y +96 mm needs the stage's X axis at 10, which goes from -300 to 0"
@@ -47,11 +47,10 @@ def test_the_command_says_what_and_exits_with_2(
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_clean_script_exits_with_0(
-    short_script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["run", str(short_script), "--dry-run", "--out", str(tmp_path / "runs")]) == 0
-    gone_through, first, time, room = capsys.readouterr().out.splitlines()
+def test_a_clean_script_exits_with_0(short_script: Path, tmp_path: Path, said: Said) -> None:
+    gone_through, first, time, room = said(
+        0, "run {} --dry-run --out {}", short_script, tmp_path / "runs"
+    ).out.splitlines()
     assert gone_through.startswith(
         "gone through on emulators, in virtual time: 6 of 6 trials; frames of 6 were rendered and"
         " checked"
@@ -78,17 +77,7 @@ def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
     (tmp_path / "one.py").write_text(PYTHON, encoding="utf-8")
     rig = lab(tmp_path, "/dev/tty-there-is-none")
     assert (
-        main(
-            [
-                "run",
-                str(tmp_path / "one.py"),
-                "--dry-run",
-                "--rig",
-                str(rig),
-                "--out",
-                str(tmp_path / "runs"),
-            ]
-        )
+        teatbench("run {} --dry-run --rig {} --out {}", tmp_path / "one.py", rig, tmp_path / "runs")
         == 0
     )
     said = capsys.readouterr().out
@@ -97,58 +86,35 @@ def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
     assert "; the operator's by assumed times, see 'teatbench trials show'" in said
 
 
-def test_what_a_run_is_refused_for_is_told_by_its_dry_run(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_run_is_refused_for_is_told_by_its_dry_run(tmp_path: Path, said: Said) -> None:
     (tmp_path / "one.py").write_text(PYTHON, encoding="utf-8")
     rig = lab(tmp_path, "/dev/tty-there-is-none")
     (tmp_path / "lab.tripped.json").write_text(
         '{"rule": "bath too hot", "why": "38 degC"}', encoding="utf-8"
     )
     assert (
-        main(
-            [
-                "run",
-                str(tmp_path / "one.py"),
-                "--dry-run",
-                "--rig",
-                str(rig),
-                "--out",
-                str(tmp_path / "runs"),
-            ]
-        )
-        == 2
-    )
-    assert (
         "the rig: latched: interlock bath too hot at an unknown time: 38 degC"
-        in capsys.readouterr().out
+        in said(
+            2, "run {} --dry-run --rig {} --out {}", tmp_path / "one.py", rig, tmp_path / "runs"
+        ).out
     )
     text = rig.read_text(encoding="utf-8")
     rig.write_text(
         text[: text.index("[stage]")] + text[text.index("[cameras]") :], encoding="utf-8"
     )
     assert (
-        main(["run", "plane-map", "--dry-run", "--rig", str(rig), "--out", str(tmp_path / "runs")])
-        == 2
+        "needs a stage"
+        in said(2, "run plane-map --dry-run --rig {} --out {}", rig, tmp_path / "runs").err
     )
-    assert "needs a stage" in capsys.readouterr().err
 
 
-def test_a_stage_is_not_asked_while_a_run_has_its_rig(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_stage_is_not_asked_while_a_run_has_its_rig(tmp_path: Path, said: Said) -> None:
     """Opening its port resets most boards."""
     (tmp_path / "one.py").write_text(PYTHON, encoding="utf-8")
     rig = lab(tmp_path, "/dev/tty-there-is-none")
-    arguments = [
-        "run",
-        str(tmp_path / "one.py"),
-        "--dry-run",
-        "--rig",
-        str(rig),
-        "--out",
-        str(tmp_path / "runs"),
-    ]
+    arguments = words(
+        "run {} --dry-run --rig {} --out {}", tmp_path / "one.py", rig, tmp_path / "runs"
+    )
     held = {
         "host": "another machine",
         "pid": 1,
@@ -156,22 +122,18 @@ def test_a_stage_is_not_asked_while_a_run_has_its_rig(
         "run": "runs/other",
     }
     (tmp_path / "lab.lock.json").write_text(json.dumps(held), encoding="utf-8")
-    assert main(arguments) == 0
-    assert "not checked: the stage's travel: another bench has the rig" in capsys.readouterr().out
+    assert (
+        "not checked: the stage's travel: another bench has the rig" in said(0, "{}", arguments).out
+    )
 
 
-def test_a_script_of_which_no_trial_is_within_the_travel(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_script_of_which_no_trial_is_within_the_travel(tmp_path: Path, said: Said) -> None:
     (tmp_path / "one.py").write_text(
         PYTHON.replace('"One teat."', '"One teat.", "pose": {"x_mm": 170.0}'), encoding="utf-8"
     )
     assert (
-        main(["run", str(tmp_path / "one.py"), "--dry-run", "--out", str(tmp_path / "runs")]) == 2
-    )
-    assert (
         "not checked: the script as a whole: no trial is within the stage's travel"
-        in capsys.readouterr().out
+        in said(2, "run {} --dry-run --out {}", tmp_path / "one.py", tmp_path / "runs").out
     )
 
 
@@ -191,16 +153,8 @@ def test_a_controllers_own_settings_are_asked_for_and_rehearsed_with(
         ) as there,
     ):
         path = lab(tmp_path, there.urls["stage"], reference="reference_mm = [-320.0, -137.5]")
-        main(
-            [
-                "run",
-                str(tmp_path / "one.py"),
-                "--dry-run",
-                "--rig",
-                str(path),
-                "--out",
-                str(tmp_path / "runs"),
-            ]
+        teatbench(
+            "run {} --dry-run --rig {} --out {}", tmp_path / "one.py", path, tmp_path / "runs"
         )
     said = capsys.readouterr().out
     assert "limits" not in said

@@ -23,11 +23,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.text import Text
 
-from bench.cli.main import main
 from bench.cli.terminal import Terminal
 from bench.rig.loading import RIGS
 from bench.script.model import TRIALS
 from reports.sanitize import csv_text, sanitized
+from tests.bench.commands import teatbench
 from tests.bench.small_recording import write_recording
 from tests.conftest import ROOT
 
@@ -131,17 +131,14 @@ def test_names_of_a_recording_and_words_of_a_detector(
     declared = f"version = {TOML}\ncommand = [{json.dumps(sys.executable)}, 'mine.py']\n"
     (tmp_path / "mine.toml").write_text(declared, encoding="utf-8")
     arguments = [str(recording), "--detector", str(tmp_path / "mine.toml")]
-    assert main(["detect", *arguments]) == 0
-    assert main(["score", *arguments, "--out", str(tmp_path / "runs")]) == 1
+    assert teatbench("detect {}", arguments) == 0
+    assert teatbench("score {} --out {}", arguments, tmp_path / "runs") == 1
     said = "".join(capsys.readouterr())
     assert UNSAFE.findall(said) == []
     assert f"@{REPLACED}[2J{REPLACED}]0;owned" in said
     (run,) = (tmp_path / "runs").iterdir()
     check_files(run)
-    assert (
-        main(["store", "export", str(run), "--format", "csv", "--out", str(tmp_path / "tables")])
-        == 0
-    )
+    assert teatbench("store export {} --format csv --out {}", run, tmp_path / "tables") == 0
     for table in (tmp_path / "tables").glob("*.csv"):
         check_cells(table)
 
@@ -191,7 +188,7 @@ def test_words_on_the_wire(capsys: pytest.CaptureFixture[str]) -> None:
 
         board = threading.Thread(target=serve)
         board.start()
-        code = main(["stage", "status", "--port", f"socket://127.0.0.1:{server.getsockname()[1]}"])
+        code = teatbench("stage status --port {}", f"socket://127.0.0.1:{server.getsockname()[1]}")
         board.join()
     said = "".join(capsys.readouterr())
     assert (code, UNSAFE.findall(said)) == (3, [])

@@ -8,45 +8,36 @@ import json
 
 import pytest
 
-from bench.cli.main import main
 from bench.results.sample_size import make_plan
 from bench.scoring.decisions import decide_error
+from tests.bench.commands import Said
 
 
-def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    assert main(["plan", *arguments]) == 0
-    return capsys.readouterr().out
-
-
-def test_how_many_poses_a_claim_needs(capsys: pytest.CaptureFixture[str]) -> None:
-    told = said(["--rate", "0.99", "--confidence", "0.95"], capsys)
+def test_how_many_poses_a_claim_needs(said: Said) -> None:
+    told = said(0, "plan --rate 0.99 --confidence 0.95").out
     assert "A rate of 99 % with 95 % confidence: 299 poses without a failure (473 with 1" in told
     assert "at least 6 must be lost" in told
 
 
-def test_without_arguments_the_usual_rates(capsys: pytest.CaptureFixture[str]) -> None:
-    told = said([], capsys)
+def test_without_arguments_the_usual_rates(said: Said) -> None:
+    told = said(0, "plan").out
     assert all(f": {n} poses without a failure" in told for n in (59, 299, 2995))
 
 
-def test_what_the_poses_that_there_are_can_show(capsys: pytest.CaptureFixture[str]) -> None:
-    told = said(["--trials", "24", "--rate", "0.95", "--sd-mm", "1.5"], capsys)
+def test_what_the_poses_that_there_are_can_show(said: Said) -> None:
+    told = said(0, "plan --trials 24 --rate 0.95 --sd-mm 1.5").out
     assert "24 poses without a failure show 88.3 % with 95 % confidence." in told
     assert "95 %: can't be shown; 35 more are needed." in told
     assert "a loss of 30.9 % of poses shows with a chance of 80 %" in told
     assert "A difference of 0.896 mm in mean distance" in told  # TTestPower of statsmodels: 0.8958
 
 
-def test_a_scripts_poses_count_once_however_often_they_are_repeated(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert "6 poses without a failure show 60.7 %" in said(["--script", "six-situations"], capsys)
+def test_a_scripts_poses_count_once_however_often_they_are_repeated(said: Said) -> None:
+    assert "6 poses without a failure show 60.7 %" in said(0, "plan --script six-situations").out
 
 
-def test_how_near_to_its_limit_the_largest_error_may_lie(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    told = said(["--limit-mm", "5", "--u-mm", "0.23", "--rate", "0.95"], capsys)
+def test_how_near_to_its_limit_the_largest_error_may_lie(said: Said) -> None:
+    told = said(0, "plan --limit-mm 5 --u-mm 0.23 --rate 0.95").out
     assert (
         "u = 0.23 mm along an axis: accepted up to 4.611 mm; near that limit more poses are needed:"
         in told
@@ -65,43 +56,28 @@ def test_how_near_to_its_limit_the_largest_error_may_lie(
             "error", [largest] * n, limit_mm=5.0, u_mm=0.23, rate=0.95, confidence=0.95
         )
         assert decision.verdict.value == verdict
-    assert "70 poses show it where the largest is at most 4.552 mm" in said(
-        ["--limit-mm", "5", "--u-mm", "0.23", "--trials", "70"], capsys
+    assert (
+        "70 poses show it where the largest is at most 4.552 mm"
+        in said(0, "plan --limit-mm 5 --u-mm 0.23 --trials 70").out
     )
-    assert "no number up to the acceptance limit" in said(
-        ["--limit-mm", "5", "--u-mm", "0.23", "--confidence", "0.99"], capsys
+    assert (
+        "no number up to the acceptance limit"
+        in said(0, "plan --limit-mm 5 --u-mm 0.23 --confidence 0.99").out
     )
-    assert "the truth is too uncertain" in said(["--limit-mm", "5", "--u-mm", "2.5"], capsys)
-    assert "10 poses don't show it" in said(
-        ["--limit-mm", "5", "--u-mm", "0.23", "--trials", "10"], capsys
-    )
+    assert "the truth is too uncertain" in said(0, "plan --limit-mm 5 --u-mm 2.5").out
+    assert "10 poses don't show it" in said(0, "plan --limit-mm 5 --u-mm 0.23 --trials 10").out
 
 
-def test_what_is_just_missed_is_not_rounded_away(capsys: pytest.CaptureFixture[str]) -> None:
-    told = said(["--trials", "58", "--rate", "0.95"], capsys)
+def test_what_is_just_missed_is_not_rounded_away(said: Said) -> None:
+    told = said(0, "plan --trials 58 --rate 0.95").out
     assert "58 poses without a failure show 94.97 %" in told
     assert "95 %: can't be shown; 1 more is needed." in told
-    assert "1 pose without a failure shows 5.0 %" in said(["--trials", "1"], capsys)
+    assert "1 pose without a failure shows 5.0 %" in said(0, "plan --trials 1").out
 
 
-def test_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_for_programs(said: Said) -> None:
     told = json.loads(
-        said(
-            [
-                "--trials",
-                "93",
-                "--rate",
-                "0.95",
-                "--true-rate",
-                "0.99",
-                "--sd-mm",
-                "1",
-                "--shift-mm",
-                "0.5",
-                "--json",
-            ],
-            capsys,
-        )
+        said(0, "plan --trials 93 --rate 0.95 --true-rate 0.99 --sd-mm 1 --shift-mm 0.5 --json").out
     )
     chance = pytest.approx(0.99**93 + 93 * 0.01 * 0.99**92)
     (claim,) = told["claims"]
@@ -118,33 +94,3 @@ def test_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_no_pose_shows_nothing() -> None:
     assert make_plan([0.95], 0.95, poses=0).rate_shown is None
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--rate", "1"], "no number of poses shows 100 %"),
-        (["--sd-mm", "0"], "not a length in mm above 0"),
-        (["--trials", "many"], "not a whole number"),
-    ],
-)
-def test_wrong_use(arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["plan", *arguments])
-    assert ended.value.code == 2
-    assert says in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--trials", "9", "--script", "six-situations"], "give one of them"),
-        (["--shift-mm", "0.3"], "--shift-mm needs --sd-mm"),
-        (["--u-mm", "0.2"], "--limit-mm and --u-mm belong together"),
-    ],
-)
-def test_questions_that_do_not_fit_together(
-    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["plan", *arguments]) == 2
-    assert says in capsys.readouterr().err

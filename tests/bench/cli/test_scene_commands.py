@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from bench.cli.main import main
 from bench.config import ConfigError, read_config
 from bench.rig.emulation_model import EmulatedOptical, EmulatedThermal
 from bench.rig.loading import find_rig, load_rig
@@ -18,25 +17,17 @@ from bench.rig.model import Rig
 from bench.rig.scenes import chosen, record, rig_renderer, warm
 from instruments.camera.recording import Recording, RecordingError
 from instruments.world.situations import SITUATIONS, situation
+from tests.bench.commands import Said, teatbench, words
 
 
 def test_a_recording_of_situations_can_be_read_and_has_exact_truth(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "situations"
-    said = [
-        "scene",
-        "record",
-        "--situation",
-        "overlapping",
-        "--situation",
-        "missing_or_hidden",
-        "--seeds",
-        "2",
-        "--first",
-        "3",
-    ]
-    assert main([*said, "--out", str(out)]) == 0
+    said = words(
+        "scene record --situation overlapping --situation missing_or_hidden --seeds 2 --first 3"
+    )
+    assert teatbench("{} --out {}", said, out) == 0
     assert "4 frames in" in capsys.readouterr().out
     recording = Recording(out)
     assert recording.frames == (
@@ -79,56 +70,25 @@ def test_a_frame_is_the_same_whatever_else_is_recorded(tmp_path: Path) -> None:
         list(record(rig, ["dim_light"], [5], tmp_path / "one", seed=1))
 
 
-def test_a_sheet_has_a_row_for_each_member(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_sheet_has_a_row_for_each_member(tmp_path: Path, said: Said) -> None:
     out = tmp_path / "sheet.png"
-    assert main(["scene", "sheet", "--situation", "ideal", "--seeds", "2", "--out", str(out)]) == 0
-    assert str(out) in capsys.readouterr().out
+    assert str(out) in said(0, "scene sheet --situation ideal --seeds 2 --out {}", out).out
     picture = cv2.imread(str(out), cv2.IMREAD_UNCHANGED)
     assert picture is not None
     assert picture.shape[0] == 2 * (340 + 22)
     assert 20 < picture.std() < 120
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["--situation", "overlaping"], "did you mean 'overlapping'"),
-        (["--seeds", "0"], "--seeds must be at least 1"),
-        (["--rig", "no-such-rig"], "no-such-rig"),
-    ],
-)
-def test_wrong_use_is_explained(
-    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["scene", "record", *arguments, "--out", str(tmp_path / "out")]) == 2
-    assert said in capsys.readouterr().err
-
-
-def test_a_place_that_cannot_be_written_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_place_that_cannot_be_written_is_told(tmp_path: Path, said: Said) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     for command, why in (("record", "can't be written"), ("sheet", "there is no folder")):
         assert (
-            main(
-                [
-                    "scene",
-                    command,
-                    "--situation",
-                    "ideal",
-                    "--seeds",
-                    "1",
-                    "--out",
-                    str(tmp_path / "file" / "x"),
-                ]
-            )
-            == 2
+            why
+            in said(
+                2, "scene {} --situation ideal --seeds 1 --out {}", command, tmp_path / "file" / "x"
+            ).err
         )
-        assert why in capsys.readouterr().err
-    assert main(["scene", "sheet", "--out", str(tmp_path / "typo" / "sheet.png")]) == 2
-    refused = capsys.readouterr().err
+    refused = said(2, "scene sheet --out {}", tmp_path / "typo" / "sheet.png").err
     assert f"there is no folder {tmp_path / 'typo'}; name a file in a folder" in refused
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
@@ -173,27 +133,14 @@ def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
         read_config(rig, Rig)
 
 
-def test_boards_are_found_in_their_pictures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_boards_are_found_in_their_pictures(tmp_path: Path, said: Said) -> None:
     """The shipped chessboard, drawn by the scene, is what OpenCV's finder sees; it is whole in both
     pictures.
     """
     assert (
-        main(
-            [
-                "scene",
-                "boards",
-                "chessboard-9x6-40",
-                "--poses",
-                "2",
-                "--out",
-                str(tmp_path / "boards"),
-            ]
-        )
-        == 0
+        "2 frames in"
+        in said(0, "scene boards chessboard-9x6-40 --poses 2 --out {}", tmp_path / "boards").out
     )
-    assert "2 frames in" in capsys.readouterr().out
     recording = Recording(tmp_path / "boards")
     assert recording.truth == {}
     for frame in recording.frames:
@@ -203,41 +150,11 @@ def test_boards_are_found_in_their_pictures(
 
 
 def test_a_heated_board_of_circles_fits_the_thermal_view(tmp_path: Path) -> None:
-    said = [
-        "scene",
-        "boards",
-        "heated-circles-7x5-18",
-        "--warmer-k",
-        "14",
-        "--poses",
-        "1",
-        "--out",
-        str(tmp_path / "boards"),
-    ]
-    assert main([*said, "--camera", "thermal", "--camera", "left"]) == 0
+    said = words(
+        "scene boards heated-circles-7x5-18 --warmer-k 14 --poses 1 --out {}", tmp_path / "boards"
+    )
+    assert teatbench("{} --camera thermal --camera left", said) == 0
     warmth = Recording(tmp_path / "boards").load("pose-00").thermal_ck
     assert warmth is not None
     spots, _ = cv2.connectedComponents((warmth > 29315 + 500).astype(np.uint8))
     assert spots - 1 == 35
-
-
-def test_a_board_too_large_for_a_view_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert (
-        main(
-            [
-                "scene",
-                "boards",
-                "chessboard-9x6-40",
-                "--camera",
-                "thermal",
-                "--poses",
-                "1",
-                "--out",
-                str(tmp_path / "boards"),
-            ]
-        )
-        == 2
-    )
-    assert "take a smaller board" in capsys.readouterr().err

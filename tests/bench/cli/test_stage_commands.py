@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import pytest
 
-from bench.cli.main import main
-from bench.rig.loading import find_rig
 from bench.rig.stage_alone import step
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.stage.emulator import GRBL_HAL, Fault, StageEmulator
+from tests.bench.commands import Said, teatbench
 
 FAST = (
     {24: 6000, 25: 60000, 26: 1}
@@ -46,11 +45,8 @@ def stage() -> Iterator[Served]:
         clock.close()
 
 
-def test_status_says_everything_with_units(
-    stage: Served, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["stage", "status", *stage.at, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+def test_status_says_everything_with_units(stage: Served, said: Said) -> None:
+    told = json.loads(said(0, "stage status {} --json", stage.at).out)
     assert (told["dialect"], told["version"], told["state"], told["homed"]) == (
         "grblHAL",
         "1.1f",
@@ -60,93 +56,43 @@ def test_status_says_everything_with_units(
     assert told["travel_x_mm"] == [-300.0, 0.0]
     assert told["travel_a_deg"] == [-360.0, 0.0]
     assert {"x_mm", "y_mm", "z_mm", "a_deg", "soft_limits", "hard_limits", "homing"} <= told.keys()
-    assert main(["stage", "status", *stage.at]) == 0
-    assert [line.split(": ")[0] for line in capsys.readouterr().out.strip().split("\n")] == list(
-        told
-    )
+    assert [
+        line.split(": ")[0] for line in said(0, "stage status {}", stage.at).out.strip().split("\n")
+    ] == list(told)
 
 
-def test_home_move_and_jog(stage: Served, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["stage", "home", *stage.at]) == 0
-    assert capsys.readouterr().out == "homed: X -1.000 mm, Y -1.000 mm, Z -1.000 mm, A -1.000 deg\n"
+def test_home_move_and_jog(stage: Served, said: Said) -> None:
     assert (
-        main(
-            [
-                "stage",
-                "move",
-                *stage.at,
-                "-20",
-                "-30.5",
-                "--z",
-                "-5",
-                "--a",
-                "-90",
-                "--feed",
-                "60000",
-            ]
-        )
-        == 0
+        said(0, "stage home {}", stage.at).out
+        == "homed: X -1.000 mm, Y -1.000 mm, Z -1.000 mm, A -1.000 deg\n"
     )
-    assert capsys.readouterr().out.endswith(
+    assert said(0, "stage move {} -20 -30.5 --z -5 --a -90 --feed 60000", stage.at).out.endswith(
         "moved: X -20.000 mm, Y -30.500 mm, Z -5.000 mm, A -90.000 deg\n"
     )
     assert stage.emulator.position_mm() == pytest.approx([-20, -30.5, -5, -90])
-    assert main(["stage", "jog", *stage.at, "X-5", "x-2y-1.5", "A-10"]) == 0
-    assert capsys.readouterr().out.endswith(
+    assert said(0, "stage jog {} X-5 x-2y-1.5 A-10", stage.at).out.endswith(
         "moved: X -8.000 mm, Y -2.500 mm, Z -1.000 mm, A -11.000 deg\n"
     )
 
 
-def test_beyond_the_travel_nothing_moves_at_all(
-    stage: Served, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_beyond_the_travel_nothing_moves_at_all(stage: Served, said: Said) -> None:
     before = stage.emulator.position_mm()
-    assert main(["stage", "move", *stage.at, "-20", "5"]) == 2
-    assert "Y = 5.000 mm is outside the travel, -275 to 0 mm" in capsys.readouterr().err
+    assert (
+        "Y = 5.000 mm is outside the travel, -275 to 0 mm"
+        in said(2, "stage move {} -20 5", stage.at).err
+    )
     assert stage.emulator.position_mm() == pytest.approx(before)
-    assert main(["stage", "jog", *stage.at, "X2"]) == 2
-    assert "X = 1.000 mm is outside the travel" in capsys.readouterr().err
+    assert "X = 1.000 mm is outside the travel" in said(2, "stage jog {} X2", stage.at).err
 
 
-def test_a_fault_ends_at_a_stand_with_what_to_do(
-    stage: Served, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_fault_ends_at_a_stand_with_what_to_do(stage: Served, said: Said) -> None:
     stage.emulator.inject(Fault.NO_SWITCH)
-    assert main(["stage", "home", *stage.at]) == 3
-    assert "alarm 9: homing found no switch" in capsys.readouterr().err
+    assert "alarm 9: homing found no switch" in said(3, "stage home {}", stage.at).err
     stage.emulator.cure(Fault.NO_SWITCH)
-    assert main(["stage", "recover", *stage.at]) == 0
-    assert capsys.readouterr().out.startswith("restarted, in state Alarm; its position is unknown")
-    assert main(["stage", "home", *stage.at]) == 0
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["status"], "one of the arguments --port --rig is required"),
-        (["status", "--port", "emulator:"], "lives in the bench"),
-        (["status", "--port", "ftp://x"], "is no stage: not a link"),
-        (["move", "--port", "COM5", "1"], "required: Y"),
-        (["move", "--port", "COM5", "1", "much"], "'much' is not a number"),
-        (["jog", "--port", "COM5", "five"], "'five' is no way to go"),
-        (["jog", "--port", "COM5"], "required: STEP"),
-        (["home", "--port", "COM5", "--axes", "X"], "invalid choice: 'X'"),
-    ],
-)
-def test_wrong_use_is_told(
-    arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["stage", *arguments])
-    assert left.value.code == 2
-    assert sentence in capsys.readouterr().err
-
-
-def test_rigs_whose_stage_cannot_be_opened(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["stage", "status", "--rig", "emulated"]) == 2
-    assert "its stage is emulated; 'teatbench emulate' serves one" in capsys.readouterr().err
-    assert main(["stage", "status", "--rig", str(find_rig("emulated")), "--axes", "XY"]) == 2
-    assert "a rig file says itself" in capsys.readouterr().err
+    assert said(0, "stage recover {}", stage.at).out.startswith(
+        "restarted, in state Alarm; its position is unknown"
+    )
+    assert teatbench("stage home {}", stage.at) == 0
 
 
 def test_ways_to_go() -> None:

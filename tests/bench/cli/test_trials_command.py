@@ -7,25 +7,21 @@ from dataclasses import replace
 
 import pytest
 
-from bench.cli.main import main
 from bench.rig.loading import find_rig, load_rig, shipped
 from bench.run.estimate import ASSUMED, estimate, move_s
 from bench.script.model import TRIALS, find_script, load_script
+from tests.bench.commands import Said, teatbench
 
 
-def test_each_script_that_ships_is_listed_with_what_it_is_about(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["trials"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_each_script_that_ships_is_listed_with_what_it_is_about(said: Said) -> None:
+    lines = said(0, "trials").out.splitlines()
     assert [line.split(": ")[0] for line in lines] == shipped(TRIALS)
     assert all(len(line.split(": ")[1]) > 20 for line in lines)
-    assert main(["trials", "--json"]) == 0
-    assert list(json.loads(capsys.readouterr().out)) == shipped(TRIALS)
+    assert list(json.loads(said(0, "trials --json").out)) == shipped(TRIALS)
 
 
 def test_show_lists_every_trial_and_the_time(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["trials", "show", "plane-map"]) == 0
+    assert teatbench("trials show plane-map") == 0
     said = capsys.readouterr().out
     assert "156 trials, 156 poses" in said
     assert "156-plane-156-1" in said
@@ -33,9 +29,8 @@ def test_show_lists_every_trial_and_the_time(capsys: pytest.CaptureFixture[str])
     assert "settling 36 min" in said
 
 
-def test_show_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["trials", "show", "repeatability", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+def test_show_as_json(said: Said) -> None:
+    told = json.loads(said(0, "trials show repeatability --json").out)
     assert len(told["trials"]) == 150
     assert told["trials"][1] == {
         "id": "002-p-2-1",
@@ -52,30 +47,22 @@ def test_show_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert told["assumed"]["touch [s]"] == ASSUMED["touch"]
 
 
-def test_show_of_a_script_without_trials(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["trials", "show", "thesis-test-2"]) == 0
-    assert "teat 2: 0 px in the left picture, 2 px in the right one" in capsys.readouterr().out
-    assert main(["trials", "show", "thesis-test-2", "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["offsets"]) == 4
+def test_show_of_a_script_without_trials(said: Said) -> None:
+    assert (
+        "teat 2: 0 px in the left picture, 2 px in the right one"
+        in said(0, "trials show thesis-test-2").out
+    )
+    assert len(json.loads(said(0, "trials show thesis-test-2 --json").out)["offsets"]) == 4
 
 
 def test_show_has_a_help_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["trials", "show", "--help"])
+        teatbench("trials show --help")
     assert ended.value.code == 0
     said = capsys.readouterr().out
     assert said.startswith("usage: teatbench trials show [-h]")
     assert "list the poses of a script, and estimate the time" in said
     assert "--rig RIG" in said
-
-
-def test_show_of_nothing_says_what_is_missing(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["trials", "show"])
-    assert ended.value.code == 2
-    assert "arguments are required: SCRIPT" in capsys.readouterr().err
-    assert main(["trials", "show", "plain-map"]) == 2
-    assert 'did you mean "plane-map"' in capsys.readouterr().err
 
 
 def test_moves_by_hand() -> None:

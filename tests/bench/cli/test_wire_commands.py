@@ -17,13 +17,14 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli.main import main, parser
+from bench.cli.main import parser
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.opening import open_instruments
 from instruments.captures.reader import Capture, read_capture
 from instruments.captures.replay import Replay
 from instruments.clock import RealClock, VirtualClock
 from instruments.link import Link
+from tests.bench.commands import Said, teatbench, words
 from tests.bench.run.test_end_to_end import content, run_command, started
 from tests.conftest import ROOT
 
@@ -46,7 +47,7 @@ def run_capture(
     """The capture of a run, and the run's folder."""
     path = tmp_path_factory.mktemp("capture") / "run.jsonl"
     _, folder = run_command(
-        ["run", str(short_script), "--capture", str(path)], tmp_path_factory.mktemp("runs")
+        words("run {} --capture {}", short_script, path), tmp_path_factory.mktemp("runs")
     )
     return read_capture(path), folder
 
@@ -55,7 +56,7 @@ def run_capture(
 def check_capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The capture of a check of the emulated rig."""
     path = tmp_path_factory.mktemp("capture") / "check.jsonl"
-    assert main(["check", "--capture", str(path)]) == 0
+    assert teatbench("check --capture {}", path) == 0
     return path
 
 
@@ -127,10 +128,10 @@ def test_a_whole_check_is_replayed_to_a_check(
         (tmp_path / "calibration.toml").write_bytes(
             (ROOT / "bench" / "rigs" / "calibration.toml").read_bytes()
         )
-        main(["check", str(tmp_path / "lab.toml")])
+        teatbench("check {}", tmp_path / "lab.toml")
         said = capsys.readouterr().out
         output, _ = child.communicate(timeout=60)
-    for words in (
+    for text in (
         "arm: ok",
         "serial_number: 40937",
         "bath: ok",
@@ -139,7 +140,7 @@ def test_a_whole_check_is_replayed_to_a_check(
         "1.1h",
         "cameras: FAULT",
     ):
-        assert words in said, words
+        assert text in said, text
     assert (child.returncode, output) == (0, "")
 
 
@@ -205,18 +206,13 @@ def test_it_plays_again_and_again_until_ctrl_c(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_file_gives_2_and_a_sentence(
-    text: str | None,
-    more: list[str],
-    message: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    text: str | None, more: list[str], message: str, tmp_path: Path, said: Said
 ) -> None:
     path = tmp_path / "bug.jsonl"
     if text is not None:
         path.write_text(text, encoding="utf-8")
     threads = threading.active_count()
-    assert main(["replay-wire", str(path), *more]) == 2
-    captured = capsys.readouterr()
+    captured = said(2, "replay-wire {} {}", path, more)
     assert message in captured.err
     assert "Traceback" not in captured.err
     assert threading.active_count() == threads
@@ -263,20 +259,19 @@ def test_every_command_that_opens_a_link_can_be_captured_and_no_other() -> None:
 
 @pytest.mark.parametrize("name", ["bug.jsonl", "no/such/folder/bug.jsonl"])
 def test_where_a_capture_cannot_be_written_nothing_is_begun(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, tmp_path: Path, said: Said
 ) -> None:
     (tmp_path / "bug.jsonl").write_text("precious", encoding="utf-8")
-    assert main(["run", "--capture", str(tmp_path / name), "--out", str(tmp_path / "runs")]) == 2
-    assert (
-        "never written over" if name == "bug.jsonl" else "can't be written"
-    ) in capsys.readouterr().err
+    assert ("never written over" if name == "bug.jsonl" else "can't be written") in said(
+        2, "run --capture {} --out {}", tmp_path / name, tmp_path / "runs"
+    ).err
     assert [path.name for path in tmp_path.iterdir()] == ["bug.jsonl"]
     assert (tmp_path / "bug.jsonl").read_text(encoding="utf-8") == "precious"
 
 
-def test_wrong_use_leaves_no_capture_behind(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["check", "emulatd", "--capture", str(tmp_path / "bug.jsonl")]) == 2
-    assert "was not written: no link was opened" in capsys.readouterr().err
+def test_wrong_use_leaves_no_capture_behind(tmp_path: Path, said: Said) -> None:
+    assert (
+        "was not written: no link was opened"
+        in said(2, "check emulatd --capture {}", tmp_path / "bug.jsonl").err
+    )
     assert list(tmp_path.iterdir()) == []

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import pytest
 
 from bench.cli.main import main
-from bench.cli.record import DAMAGED
+from bench.cli.store import DAMAGED
 from bench.record.check import NOT_AS_WRITTEN, PRINTED
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE, SCHEMA_VERSION

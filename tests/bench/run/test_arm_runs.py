@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.calibrate.arm_dialogues import Plan, Step, touch_frame, verify
-from bench.calibrate.simulated_arm import TryingArm
+from bench.calibrate.arm import Plan, touch_frame, verify
+from bench.calibrate.simulated_arm import Step, TryingArm
 from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
 from bench.report.page import stored_rules

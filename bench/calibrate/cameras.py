@@ -1,0 +1,273 @@
+"""Cameras from views of a board: the stereo pair, alone, with fixed and with joint lenses, and
+everything that says how good it is; and the thermal camera, as a third one on a heated board that
+the left camera sees too, or as homographies from point pairs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bench.calibrate.merge import pair_of_part
+from bench.calibrate.views import BoardViews
+from bench.calibrate.world import read_table
+from bench.config import ConfigError
+from detector.calibration import (
+    Homographies,
+    ParameterCovariance,
+    Part,
+    Polarity,
+    Record,
+    ThermalCamera,
+    derive_homographies,
+)
+from detector.calibration.bundle import POSE
+from detector.calibration.cameras import (
+    Calibrated,
+    Halves,
+    TooFewViewsError,
+    calibrate_camera,
+    join_cameras,
+    pair_of,
+    place_board,
+    split_half,
+)
+from detector.calibration.coverage import Coverage, coverage
+from detector.calibration.diagnosis import (
+    Finding,
+    Remeasured,
+    bent,
+    measured_again,
+    outlier_views,
+    remeasure,
+    swapped,
+)
+from detector.calibration.homographies import MappedPairs, fit_homography
+from detector.calibration.values import Pair, covariance_of_points
+from detector.geometry import Array, Camera, Motion
+
+PAIR = ("left", "right")
+PAIR_COLUMNS = ("thermal_x", "thermal_y", "left_x", "left_y", "right_x", "right_y")
+LEAST_FOR_HALVES = 10  # pairs of views; a half of fewer than five says nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """Which lens model is fitted, of `detector.calibration.cameras.LENS_MODELS`."""
+
+    model: str = "k1 k2 p1 p2"
+    square_pixels: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CamerasResult:
+    """Everything found. ``halves`` and ``held_out`` are None where there were too few views for
+    them.
+    """
+
+    views: BoardViews
+    lens: Lens
+    alone: Mapping[str, Calibrated]
+    fixed: Calibrated
+    joint: Calibrated
+    coverage: Mapping[str, Coverage]
+    halves: Halves | None
+    held_out: Remeasured | None
+    findings: tuple[Finding, ...]
+
+    @property
+    def pair(self) -> Pair:
+        """The answer, in the right camera's frame."""
+        return pair_of(self.joint)
+
+    @property
+    def covariance(self) -> ParameterCovariance:
+        """Of lenses and stereo, as a calibration file names them."""
+        return _covariance(self.joint, "stereo")
+
+    def part(self, record: Record) -> Part:
+        """What the file of this step holds."""
+        pair = self.pair
+        return Part(
+            left=pair.left,
+            right=pair.right,
+            right_from_left=pair.right_from_left,
+            covariance=self.covariance,
+            record=record,
+        )
+
+    def good_to_mm(self, depths_mm: Array) -> Array:
+        """Expanded uncertainty (k = 2) (n,) of a point's place, along its worst direction, midway
+        before the pair at these distances.
+
+        The calibration's own, with pixels as noisy as the corners were.
+        """
+        axis = self.pair.right_from_left.T / 2.0
+        points = np.array([[axis[0], axis[1], depth] for depth in np.asarray(depths_mm)])
+        found = covariance_of_points(self.pair, self.covariance, points, self.joint.fit.sigma_px)
+        return np.asarray(2.0 * np.sqrt(np.linalg.eigvalsh(found)[:, -1]))
+
+
+def _covariance(found: Calibrated, pose: str) -> ParameterCovariance:
+    """As a calibration file names the parameters; ``pose`` is the name of the motion's."""
+    fit = found.fit
+    names = tuple((pose, name) if name in POSE else (owner, name) for owner, name in fit.names)
+    return ParameterCovariance(names, fit.covariance)
+
+
+def calibrate_pair(views: BoardViews, lens: Lens) -> CamerasResult:
+    """The whole job. Raises BundleError (a sentence) for views that can't fix the cameras."""
+    seen = {camera: views.views(camera) for camera in PAIR}
+    size = views.image_size
+    model, square = lens.model, lens.square_pixels
+    alone = {
+        camera: calibrate_camera(
+            camera, seen[camera], size[camera], model=model, square_pixels=square
+        )
+        for camera in PAIR
+    }
+    if size["left"] != size["right"]:
+        raise TooFewViewsError(
+            "left and right pictures differ in size: are they from the same pair?"
+        )
+    joint = join_cameras(alone, joint_lenses=PAIR, model=model, square_pixels=square)
+    shown = {camera: _shown(views, camera, alone[camera]) for camera in PAIR}
+    pairs = views.pairs()
+    halves = held_out = None
+    if len(pairs) >= LEAST_FOR_HALVES:
+        try:
+            halves = split_half(seen, size["left"], model=model, square_pixels=square)
+        except TooFewViewsError:
+            pass
+        else:  # each half of the views measured with the calibration that the other half made
+            first, second = (
+                remeasure(halves.pairs[1 - start], views.board, pairs[start::2]) for start in (0, 1)
+            )
+            held_out = Remeasured(views.board, (*first.views, *second.views))
+    return CamerasResult(
+        views,
+        lens,
+        alone,
+        join_cameras(alone),
+        joint,
+        shown,
+        halves,
+        held_out,
+        _findings(views, joint, held_out),
+    )
+
+
+def _shown(views: BoardViews, camera: str, alone: Calibrated) -> Coverage:
+    pixels = [view.pixels_px for view in views.views(camera)]
+    return coverage(pixels, views.image_size[camera], alone.fit.poses)
+
+
+def _findings(
+    views: BoardViews, joint: Calibrated, held_out: Remeasured | None
+) -> tuple[Finding, ...]:
+    pair = pair_of(joint)
+    found = swapped(pair.right_from_left)
+    if not found:
+        used = remeasure(pair, views.board, views.pairs())
+        found += measured_again(held_out or used, pair)
+        found += [] if any(finding.name == "bent board" for finding in found) else bent(used)
+    for camera in PAIR:
+        found += outlier_views(joint.view_rms_px(camera), camera)
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Delivered:
+    """How the thermal camera's picture comes: what a picture alone doesn't tell."""
+
+    sensor_size: tuple[int, int]
+    mirrored: bool
+    polarity: Polarity
+    model: str = "k1"
+
+    def camera(self, size: tuple[int, int], lens: Camera | None) -> ThermalCamera:
+        """The camera whose pictures have ``size`` (columns, rows) px."""
+        return ThermalCamera(size, self.sensor_size, self.mirrored, self.polarity, lens)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThermalResult:
+    """The thermal camera with its pose, and the homographies at ``plane_depth_mm``; how well all
+    holds.
+    """
+
+    views: BoardViews
+    camera: ThermalCamera
+    thermal_from_left: Motion
+    homographies: Homographies
+    alone: Calibrated
+    joint: Calibrated
+    coverage: Coverage
+
+    def part(self, record: Record) -> Part:
+        """What the file of this step holds."""
+        return Part(
+            thermal=self.camera,
+            thermal_from_left=self.thermal_from_left,
+            homographies=self.homographies,
+            covariance=_covariance(self.joint, "thermal pose"),
+            record=record,
+        )
+
+
+def calibrate_thermal(
+    views: BoardViews, cameras: Part, delivered: Delivered, plane_depth_mm: float
+) -> ThermalResult:
+    """The third camera against a pair that is calibrated. Thermal views are of un-mirrored
+    pictures. Raises BundleError (a sentence).
+
+    The left camera's lens is held as it is; it sees the board in the same poses.
+    """
+    pair = pair_of_part(cameras)
+    size = views.image_size["thermal"]
+    alone = calibrate_camera("thermal", views.views("thermal"), size, model=delivered.model)
+    left = place_board("left", views.views("left"), pair.left)
+    joint = join_cameras(
+        {"left": left, "thermal": alone}, joint_lenses=("thermal",), model=delivered.model
+    )
+    lens, pose = joint.fit.rig.cameras["thermal"], joint.fit.rig.from_reference["thermal"]
+    maps = derive_homographies(
+        lens, pair.left, pair.right, pose, pair.right_from_left, plane_depth_mm
+    )
+    camera = delivered.camera(size, lens)
+    return ThermalResult(views, camera, pose, maps, alone, joint, _shown(views, "thermal", alone))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairsResult:
+    """Homographies from point pairs, for a rig whose thermal camera has no pose."""
+
+    left: MappedPairs
+    right: MappedPairs
+
+    def part(self, image_size: tuple[int, int], delivered: Delivered, record: Record) -> Part:
+        """What the file of this step holds."""
+        return Part(
+            thermal=delivered.camera(image_size, None),
+            homographies=Homographies(self.left.H, self.right.H, None),
+            record=record,
+        )
+
+
+def map_pairs(path: Path) -> PairsResult:
+    """Homographies from a table of point pairs (`PAIR_COLUMNS`, px; thermal un-mirrored). Raises
+    ConfigError that says where.
+    """
+    pairs = read_table(path, PAIR_COLUMNS)
+    thermal = np.column_stack([pairs["thermal_x"], pairs["thermal_y"]])
+    try:
+        left, right = (
+            fit_homography(thermal, np.column_stack([pairs[f"{side}_x"], pairs[f"{side}_y"]]))
+            for side in ("left", "right")
+        )
+    except ValueError as error:
+        raise ConfigError.plain(f"{path}: {error}") from error
+    return PairsResult(left, right)

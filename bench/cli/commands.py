@@ -1,0 +1,641 @@
+"""The whole command line as a table: commands in the order of the help, each with what it calls and
+its arguments. It imports nothing heavy, so that ``--help`` answers at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from bench.cli.arguments import (
+    Argument,
+    address,
+    flag,
+    number,
+    one_of,
+    option,
+    point,
+    size,
+    step,
+    whole,
+)
+
+GROUPS = {
+    "store": "a run's record: whether it is as it was written, and for other programs"
+    " (docs/record.md)",
+    "scene": "the simulated scene: situations from families, drawn without a run (docs/scene.md)",
+    "arm": "a MicroScribe arm alone: read, watch, home, set the table frame, verify",
+    "bath": "the water bath alone, without a rig file",
+    "stage": "the motion stage alone, without a script",
+    "camera": "the cameras alone: which there are, what they see, how sharp, and a frame set to"
+    " keep",
+    "calibrate": "make a calibration file with its quality figures",
+}
+
+BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
+# of detector.calibration.cameras, which is heavy to import
+MODELS = ("k1", "k1 k2", "k1 k2 p1 p2", "k1 k2 p1 p2 k3")
+CAMERAS = ("left", "right", "thermal")
+
+SECONDS = number("a number of seconds above 0", above=0.0)
+ABOVE_0 = number("a number above 0", above=0.0)
+LENGTH = number("a length in mm above 0", above=0.0)
+SD = number("a number of 0 or more", least=0.0)
+SHARE = number(
+    "a number between 0 and 1, such as 0.95: no number of poses shows 100 %", above=0.0, below=1.0
+)
+
+RIG_HELP = "a shipped rig by name, or a .toml file (default: emulated)"
+SCRIPT_HELP = "a shipped script by name ('teatbench trials' lists them), or a .toml file"
+
+CAPTURE = option(
+    "--capture FILE", "record the bytes of every link in a new file (docs/captures.md)", Path
+)
+JSON = flag("--json", "one JSON object, units in its keys")
+RIG = option("rig", RIG_HELP, nargs="?")
+RIG_OPTION = option("--rig", RIG_HELP)
+CAMERAS_OF = option(
+    "--rig", "whose cameras: a shipped rig by name, or a .toml file (default: emulated)"
+)
+RUN = option("run", "the run's folder", Path)
+RECORDING = option("recording", "a recording's folder", Path)
+OUT_RUNS = option("--out DIR", "where run folders go", Path, Path("runs"))
+DETECTORS = option(
+    "--detector NAME",
+    "a detector by name, a file DETECTOR.toml, or exec:COMMAND (docs/detectors.md); may be given"
+    " several times",
+    many=True,
+)
+EVENTS = option("--events FILE", "also tell what goes on as JSON lines, for others to watch", Path)
+DESPITE_DAMAGE = flag(
+    "--despite-damage",
+    "go on though the record is not as it was written: nothing is decided by it then",
+)
+LISTEN = option("--listen HOST", "address to listen on", default="127.0.0.1")
+REPLACE = flag("--replace", "write over a file that is there")
+
+SITUATIONS = (
+    CAMERAS_OF,
+    option("--situation NAME", "may be given several times (default: all eleven)", many=True),
+)
+FIRST_SEEDS = (
+    option("--first N", "the first member's seed", whole(0), 0),
+    option("--seed N", "of noise and of the cameras' fixed patterns", whole(0), 1),
+)
+
+ARM_LINK = (
+    CAPTURE,
+    option(
+        "--port URL",
+        '"/dev/ttyUSB0", "COM5", "socket://host:port", or "emulator:" for an emulated arm to try'
+        " it on",
+        required=True,
+    ),
+    option("--baud RATE", "of a serial port", int, 115200, choices=BAUDS),
+    option("--answer-s S", "how long an answer is waited for", ABOVE_0, 0.12),
+)
+HOMED = (
+    *ARM_LINK,
+    flag("--homed", "the stylus was on its peg when the arm was last switched on: don't ask"),
+)
+ARM_FILE = (
+    option("--out FILE", "where to write it; the rig file names it", Path, required=True),
+    REPLACE,
+)
+
+BATH_LINK = (
+    CAPTURE,
+    option(
+        "--port URL",
+        "where the controller is, as in a rig file's [bath] url",
+        address("bath"),
+        required=True,
+    ),
+    option(
+        "--profile NAME",
+        "the controller's family, or the path of a profile of your own",
+        required=True,
+    ),
+)
+UNTIL = option("--seconds N", "end after so long (default: Ctrl-C ends it)", SECONDS)
+
+STAGE_LINK = (
+    CAPTURE,
+    one_of(
+        option(
+            "--port URL",
+            "where the controller is, as in a rig file's [stage] url",
+            address("stage"),
+        ),
+        option("--rig RIG", "the stage of this rig"),
+        required=True,
+    ),
+    option(
+        "--axes",
+        "with --port: the axes that it has (default: XY)",
+        choices=("XY", "XYZ", "XYA", "XYZA"),
+    ),
+)
+FEED = option("--feed MM_MIN", "mm/min (default: as fast as the slowest axis can)", number())
+RESETS = "opening the port resets most controllers, so that the stage has to be homed again"
+
+SOURCES = option(
+    "sources SOURCE",
+    "a rig by name or .toml file (default: emulated), or one to three cameras: opencv:0,"
+    " opencv:http://…, genicam:NAME",
+    nargs="*",
+)
+
+BOARD_HELP = "a shipped board by name, or a .toml file"
+RIG_SEED = option("--seed N", "of the emulators' noise (default: the rig's)", whole(0))
+LIVE = (
+    option("--rig RIG", "live, with the cameras of this rig: by name, or a .toml file"),
+    RIG_SEED,
+)
+MADE_WITH = option("--cameras FILE", "what 'calibrate cameras' wrote; needed with pictures", Path)
+TOUCH_SD = option("--touch-sd MM", "of a touch, along each axis", SD, 0.25)
+FRAMES = option("frames FRAMES", "folders of pictures (docs/calibration.md)", Path, nargs="*")
+FINDER = (
+    option("--max-views N", "take this many views, spread over the set", whole(1)),
+    option(
+        "--window PX",
+        "half of the corner window (default: as large as reaches no other corner)",
+        whole(1),
+    ),
+)
+
+
+def _part(name: str) -> tuple[Argument, Argument, Argument]:
+    """Where a step writes its file, and who says so."""
+    return (
+        option(
+            "--out FILE",
+            f"where to write it, such as {name}; its page stands beside it",
+            Path,
+            required=True,
+        ),
+        REPLACE,
+        option("--by NAME", "who calibrated, for the record", default=""),
+    )
+
+
+# what a command is for, and its arguments
+COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
+    "run": (
+        "run a trial script on a rig and write the scored report",
+        CAPTURE,
+        option(
+            "script",
+            "a shipped script by name, or a .toml file (default: six-situations)",
+            nargs="?",
+        ),
+        RIG_OPTION,
+        option("--seed", "seed of all chance (default: the rig file's)", whole(0)),
+        option("--record DIR", "also write a recording that 'teatbench score' reads", Path),
+        flag("--realtime", "emulated rig only: let time pass as it does"),
+        flag(
+            "--dry-run", "move nothing: look at each pose, then go through all trials on emulators"
+        ),
+        OUT_RUNS,
+        DETECTORS,
+        EVENTS,
+    ),
+    "resume": (
+        "go on with a run that stopped, at its first trial without a result",
+        CAPTURE,
+        RUN,
+        EVENTS,
+        DESPITE_DAMAGE,
+    ),
+    "control": (
+        "ask a run that goes on to pause, go on, skip REASON, repeat REASON or abort",
+        RUN,
+        option("words", "pause, go on, skip REASON, repeat REASON or abort", nargs="+"),
+    ),
+    "report": (
+        "(re)write the report of a run",
+        RUN,
+        option("--baseline RUN", "also hold it against this older run of the same scenes", Path),
+        flag(
+            "--single-file", "also write single-file.html for mail: pictures in it, at most 20 MB"
+        ),
+        DESPITE_DAMAGE,
+        one_of(
+            flag("--pdf", "fail where report.pdf can't be printed (by a Chromium, Chrome or Edge)"),
+            flag("--no-pdf", "print no report.pdf, though a browser is installed"),
+        ),
+    ),
+    "score": (
+        "score detectors on recorded frames: a table, and a run folder with a report",
+        RECORDING,
+        OUT_RUNS,
+        DETECTORS,
+    ),
+    "compare": (
+        "paired differences between runs, or between the detectors of one run",
+        option("run RUN", "folders of runs; the first is the old one", Path, nargs="+"),
+        option("--detector NAME", "only this one; may be given several times", many=True),
+        option(
+            "--margin-mm MM",
+            "how much larger an error may be (default: 5 %% of the limit)",
+            number("a length in mm of 0 or more", least=0.0),
+        ),
+        option(
+            "--confidence P",
+            "of the intervals",
+            number("a number from 0.5 to below 1, such as 0.95", least=0.5, below=1.0),
+            0.95,
+        ),
+        flag("--gate", "exit code 1 when the new one is worse, 4 when that can't be told"),
+        flag(
+            "--together", "judge all runs as one, by their counts and errors, instead of comparing"
+        ),
+        option("--out DIR", "also write a page and comparison.json there", Path),
+        DESPITE_DAMAGE,
+        flag("--json", "print JSON instead of tables"),
+    ),
+    "plan": (
+        "how many poses a claim needs, and what so many poses can show",
+        option("--rate R", "to be shown (default: 0.95, 0.99 and 0.999)", SHARE, many=True),
+        option("--confidence P", "of the claim", SHARE, 0.95),
+        option("--failures N", "plan for up to so many failures", whole(0, 1_000_000), 3),
+        option("--trials N", "poses there are: what do they show?", whole(0, 1_000_000)),
+        option("--script SCRIPT", "take the poses of a script, shipped by name or a .toml file"),
+        option(
+            "--true-rate R", "what the detector is hoped to do: its chance to show the rate", SHARE
+        ),
+        option(
+            "--sd-mm SD", "of the difference of two detectors' errors from pose to pose", LENGTH
+        ),
+        option("--shift-mm MM", "difference of two detectors to be shown: how many poses?", LENGTH),
+        option("--power P", "chance to show a difference that is there", SHARE, 0.8),
+        option(
+            "--limit-mm T", "of the error: how near to it may the largest lie? With --u-mm", LENGTH
+        ),
+        option(
+            "--u-mm U", "standard uncertainty of the truth along an axis; a report says it", LENGTH
+        ),
+        flag("--json", "print JSON"),
+    ),
+    "store check": (
+        "verify database, hash chain, frames and files; 0 whole, 1 not as it was written",
+        RUN,
+        option(
+            "--digest HEX", "a digest that a report names: the record has to have passed through it"
+        ),
+    ),
+    "store export": (
+        "write the record's tables, or all of it on one time line",
+        RUN,
+        option(
+            "--format",
+            "csv and parquet: a file a table; mcap: one file for Foxglove and its kin",
+            required=True,
+            choices=("csv", "parquet", "mcap"),
+        ),
+        DESPITE_DAMAGE,
+        option("--out DIR", "where to; files of the same names are replaced", Path, required=True),
+    ),
+    "detect": (
+        "detect only: what each detector finds in recorded frames",
+        RECORDING,
+        flag("--json", "one JSON line a frame"),
+        DETECTORS,
+    ),
+    "scene sheet": (
+        "a contact sheet of situations, one PNG",
+        *SITUATIONS,
+        option("--seeds N", "members of each family", whole(1), 1),
+        *FIRST_SEEDS,
+        option("--out FILE", "default: scene.png", Path, Path("scene.png")),
+    ),
+    "scene record": (
+        "a recording of situations with exact truth, for `teatbench score`",
+        *SITUATIONS,
+        option("--seeds N", "members of each family", whole(1), 20),
+        *FIRST_SEEDS,
+        option(
+            "--out DIR",
+            "default: recordings/situations; is added to",
+            Path,
+            Path("recordings/situations"),
+        ),
+    ),
+    "scene boards": (
+        "pictures of a calibration board all over the view, for `teatbench calibrate`",
+        option("board", "a shipped board by name, or a .toml file"),
+        CAMERAS_OF,
+        option(
+            "--camera NAME",
+            "sees the whole board; several times (default: left and right)",
+            choices=CAMERAS,
+            many=True,
+        ),
+        option("--poses N", "default: 24", whole(0), 24),
+        option(
+            "--warmer-k K", "what is dark on the board above the room (default: 0)", number(), 0.0
+        ),
+        option("--seed N", "of poses, noise and the cameras' fixed patterns", whole(0), 1),
+        option(
+            "--out DIR", "default: recordings/boards; is added to", Path, Path("recordings/boards")
+        ),
+    ),
+    "scene sensitivity": (
+        (
+            "errors over one quantity at a time, a figure each, beside the physical limit"
+            " (docs/sensitivity.md)"
+        ),
+        DETECTORS,
+        option("--quantity NAME", "several times (default: all eight)", many=True),
+        CAMERAS_OF,
+        option("--seeds N", "scenes at each value", whole(1), 6),
+        option("--first N", "the first scene's seed", whole(0), 0),
+        option("--seed N", "of noise and of the cameras' fixed patterns", whole(0), 1),
+        option(
+            "--out DIR", "default: sensitivity; files there are replaced", Path, Path("sensitivity")
+        ),
+    ),
+    "check": ("connect to every instrument, print who it is and one reading", CAPTURE, RIG),
+    "emulate": (
+        "only the emulators of a rig, in real time, until Ctrl-C",
+        RIG,
+        LISTEN,
+        flag("--pty", "serial instruments on pseudo-terminals (Linux and macOS)"),
+        option(
+            "--write-rig FILE",
+            "write a rig file with these addresses, for 'run --rig FILE' in another process",
+            Path,
+        ),
+        REPLACE,
+        flag("--paced", "serial instruments at the rig's baud rate, 10 bits a byte"),
+    ),
+    "arm read": (
+        "one position",
+        *HOMED,
+        option("--packets N", "packets that make one reading", whole(1, 1000), 8),
+        option("--frame FILE", "a table frame: gives the position in the world too", Path),
+        JSON,
+    ),
+    "arm watch": (
+        "tip, pedals and rate, live, until Ctrl-C",
+        *HOMED,
+        option("--seconds S", "stop after this time", SECONDS),
+    ),
+    "arm home": (
+        "load the home counts, with the stylus on its peg",
+        *ARM_LINK,
+        flag("--on-peg", "the stylus is on its peg: don't ask"),
+    ),
+    "arm frame": (
+        "set the table frame: three touches and check points (docs/arm.md)",
+        *HOMED,
+        option("--plane-checks N", "further touches anywhere in the plane", whole(0, 20), 1),
+        option(
+            "--check X,Y,Z",
+            "touch this known point too, world mm; may be given several times (--check=-60,80,0)",
+            point(3, 10_000.0),
+            many=True,
+        ),
+        option("--residual-limit-mm MM", "check points may be off by this", ABOVE_0, 1.5),
+        *ARM_FILE,
+    ),
+    "arm verify": (
+        "verify the arm: one divot at up to three distances, a calibrated length (docs/arm.md)",
+        *HOMED,
+        option("--distances N", "divots: 1 middle, 2 near and far, 3 all", whole(1, 3), 3),
+        option("--touches N", "touches in each divot", whole(5, 100), 10),
+        option("--length-mm L", "a calibrated length to measure too", ABOVE_0),
+        option("--directions N", "directions to measure it in", whole(1, 7), 7),
+        option("--script SCRIPT", "whose limits to hold it against (default: six-situations)"),
+        *ARM_FILE,
+    ),
+    "bath read": ("one reading, and who answered; changes nothing", *BATH_LINK, JSON),
+    "bath set": (
+        "change the set point; starts and stops nothing",
+        *BATH_LINK,
+        option("set_point DEGC", "the new set point in degC", number("a temperature in degC")),
+        flag("--allow-inferred", "also write what the profile only infers"),
+    ),
+    "bath watch": ("a live plot until Ctrl-C; changes nothing", *BATH_LINK, UNTIL),
+    "bath standby": ("heater off now, whatever the bath is doing", *BATH_LINK),
+    "bath acknowledge": (
+        "after an interlock has tripped and its cause is gone: let the rig run again",
+        CAPTURE,
+        RIG,
+    ),
+    "stage status": (
+        f"who answered, its state, position and travel; moves nothing, but {RESETS}",
+        *STAGE_LINK,
+        JSON,
+    ),
+    "stage home": ("run to the switches and set the position", *STAGE_LINK),
+    "stage move": (
+        f"home, then move to a place in machine coordinates ({RESETS})",
+        *STAGE_LINK,
+        option("x_mm X", "mm, 0 at the switch and negative elsewhere", number()),
+        option("y_mm Y", "mm", number()),
+        option("--z MM", "height, on a stage declared with Z", number(), dest="z_mm"),
+        option("--a DEG", "rotation, on a stage declared with A", number(), dest="a_deg"),
+        FEED,
+    ),
+    "stage jog": (
+        f"home, then go by so much, step by step; Ctrl-C ends a step at once ({RESETS})",
+        *STAGE_LINK,
+        option(
+            "steps STEP", "X-5, or X-5Y2.5 for both at once: mm, degrees for A", step, nargs="+"
+        ),
+        FEED,
+    ),
+    "stage recover": (
+        "leave an alarm or a hold: restart the controller. It has to be homed after it",
+        *STAGE_LINK,
+    ),
+    "camera list": (
+        "cameras that this machine can see, or those of a rig",
+        option("rig", "a shipped rig by name, or a .toml file (default: this machine)", nargs="?"),
+    ),
+    "camera show": ("who each camera is, what it sees, and what is wrong with it", SOURCES, JSON),
+    "camera focus": (
+        "a live figure of sharpness, to set a lens by, until Ctrl-C",
+        SOURCES,
+        UNTIL,
+        option("--every N", "seconds between two figures", SECONDS, 0.2),
+    ),
+    "camera grab": (
+        "save frame sets as a recording",
+        SOURCES,
+        option("--out FOLDER", "the recording; one that is there is added to", Path, required=True),
+        option("--count N", "how many frame sets", whole(1), 1),
+    ),
+    "calibrate cameras": (
+        "the stereo pair from pictures of a board, or live from a rig's cameras",
+        CAPTURE,
+        FRAMES,
+        option("--board BOARD", BOARD_HELP, required=True),
+        *FINDER,
+        *LIVE,
+        option("--model", "distortion that is fitted", default="k1 k2 p1 p2", choices=MODELS),
+        flag("--square-pixels", "hold fx = fy"),
+        option("--identity CAMERA=SERIAL", "which camera it is, for the record", many=True),
+        *_part("cameras.toml"),
+    ),
+    "calibrate thermal": (
+        "the thermal camera, from pictures of a heated board, live from a rig, or from point pairs",
+        CAPTURE,
+        FRAMES,
+        option("--board BOARD", BOARD_HELP),
+        *FINDER,
+        *LIVE,
+        MADE_WITH,
+        option(
+            "--pairs CSV",
+            "point pairs instead of pictures: thermal_x,thermal_y,left_x,left_y,right_x,right_y",
+            Path,
+        ),
+        option(
+            "--image-size COLUMNSxROWS",
+            "of the delivered thermal picture; needed with --pairs",
+            size,
+        ),
+        option(
+            "--sensor-size COLUMNSxROWS", "default: 160x120, or as the rig's calibration says", size
+        ),
+        flag("--mirrored", "the camera delivers mirrored pictures, and these are"),
+        option(
+            "--polarity",
+            "default: hot_is_white, or as the rig's says",
+            choices=("hot_is_black", "hot_is_white"),
+        ),
+        option("--model", "distortion that is fitted", default="k1", choices=MODELS),
+        option(
+            "--plane MM",
+            "distance of the plane that the homographies hold on (default: 1076.3)",
+            ABOVE_0,
+        ),
+        *_part("thermal.toml"),
+    ),
+    "calibrate world": (
+        "camera to table, from points that the arm touched and both cameras saw",
+        CAPTURE,
+        option(
+            "points CSV",
+            "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm, a point a line",
+            Path,
+            nargs="?",
+        ),
+        *LIVE,
+        option("--board BOARD", f"with --rig: {BOARD_HELP}"),
+        option("--cameras FILE", "what 'calibrate cameras' wrote", Path, required=True),
+        option("--pixel-sd PX", "of a pixel coordinate", SD, 0.1),
+        TOUCH_SD,
+        *_part("world.toml"),
+    ),
+    "calibrate merge": (
+        "put the steps' files together into one calibration.toml",
+        option("parts PART", "the files that the steps wrote", Path, nargs="+"),
+        *_part("calibration.toml"),
+    ),
+    "calibrate check": (
+        "measure a board or touched points again with an existing calibration: does it still hold?",
+        CAPTURE,
+        option(
+            "calibration CAL", "the calibration, or the cameras' file where a board is shown", Path
+        ),
+        FRAMES,
+        option("--board BOARD", BOARD_HELP),
+        *FINDER,
+        *LIVE,
+        option(
+            "--points CSV", "touched points in the place of a board, as for 'calibrate world'", Path
+        ),
+        option("--pixel-sd PX", "of a pixel coordinate of a point", SD, 0.1),
+        TOUCH_SD,
+        option("--page DIR", "where the page goes (default: none is written)", Path),
+    ),
+    "calibrate board": (
+        "a calibration board as a PDF in true size",
+        option("board BOARD", BOARD_HELP),
+        option("--pdf FILE", "where to write it", Path, required=True),
+        option(
+            "--paper",
+            "the sheet (default: the smallest that holds it)",
+            choices=("A4", "A3", "A2", "A1", "A0"),
+        ),
+    ),
+    "calibrate export": (
+        "write a calibration for another tool",
+        option("calibration CAL", kind=Path),
+        option("--format", choices=("opencv", "bouguet", "ros"), required=True),
+        option("--camera", "for ros, which has one camera a file", default="left", choices=CAMERAS),
+        option("--out FILE", kind=Path, required=True),
+        REPLACE,
+    ),
+    "calibrate import": (
+        "take the cameras of another tool over, as a part for merge",
+        option("file FILE", "for ros two: left, right", Path, nargs="+"),
+        option("--format", choices=("opencv", "bouguet", "ros"), required=True),
+        option("--image-size COLUMNSxROWS", "for opencv, whose files may leave it out", size),
+        *_part("cameras.toml"),
+    ),
+    "calibrate stage": (
+        (
+            "register the stage in the world: one teat end touched at several stage positions"
+            " (docs/truth.md)"
+        ),
+        CAPTURE,
+        option("--rig RIG", RIG_HELP),
+        option("--out FILE", "where to write it; a script's [truth] names it", Path, required=True),
+        REPLACE,
+        option("--layout NAME", "how the phantom's teats stand", default="table-5-1"),
+        option("--teat N", "the teat to touch", whole(1, 20), 1),
+        option("--readings N", "touches at each position (default: as the rig says)", whole(1, 20)),
+        RIG_SEED,
+        option(
+            "--at X,Y",
+            "touch there, mm from the reference place (--at=-60,80); three or more (default:"
+            " the corners and the middle of 200 x 200 mm)",
+            point(2, 2000.0),
+            many=True,
+        ),
+    ),
+    "replay-wire": (
+        "play the far end of a capture back, for drivers to talk to",
+        option("file", "what a command wrote with --capture", Path),
+        LISTEN,
+        option("--link NAME", "only this link; may be given several times", many=True),
+        flag("--fast", "answer at once, not after the recorded while"),
+        flag("--once", "end when all has been played, instead of beginning again"),
+    ),
+    "trials": (
+        "the trial scripts that ship; 'trials show SCRIPT' lists a script's poses",
+        flag("--json", "one JSON object instead of lines"),
+    ),
+    "trials show": (
+        "list the poses of a script, and estimate the time",
+        option("script SCRIPT", SCRIPT_HELP),
+        option("--rig RIG", RIG_HELP),
+        flag("--json", "one JSON object instead of a table"),
+    ),
+    "rigs": ("the rig files that ship, and the one to copy for a real rig",),
+    "detectors": (
+        "the detectors that ship, that other packages bring, and that files in ./detectors declare",
+    ),
+}
+# MODULE.FUNCTION of this folder; GROUP.COMMAND and COMMAND.COMMAND where nothing is said here
+CALLS = {
+    "resume": "run.resume",
+    "control": "store.control",
+    "report": "run.report",
+    "score": "run.score",
+    "detect": "scene.detect",
+    "check": "rig.check",
+    "emulate": "rig.emulate",
+    "bath set": "bath.change",
+    "camera list": "camera.attached",
+    "calibrate import": "calibrate.take_over",
+    "replay-wire": "rig.replay_wire",
+    "trials": "trials.listed",
+    "rigs": "rig.rigs",
+    "detectors": "rig.detectors",
+}
+ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more

@@ -1,0 +1,87 @@
+"""What is done with a run's folder from outside: `store check` and `store export`, and `control` of
+a run that goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from bench.cli.arguments import CODES
+from bench.config import ConfigError
+from bench.files import write_synced
+from bench.record.check import NOT_AS_WRITTEN, check_run, checked_first, shortened
+
+DAMAGED = "NOT-AS-WRITTEN.txt"  # beside what was exported of a damaged record
+TAKEN_S = 10.0  # a run looks once a second; a capture or a detection may take longer
+
+
+@contextmanager
+def undamaged(runs: Sequence[Path], given: argparse.Namespace) -> Iterator[tuple[str, ...]]:
+    """Checks the runs' records first; gives what is damaged, where that was allowed, and says it
+    before and after all else.
+    """
+    with checked_first(runs, despite_damage=given.despite_damage) as damage:
+        alarm = f"{'!' * 40}\n{NOT_AS_WRITTEN}. {shortened(damage)}\n{'!' * 40}\n" if damage else ""
+        sys.stderr.write(alarm)
+        yield damage
+        sys.stdout.flush()
+        sys.stderr.write(alarm)
+
+
+def check(given: argparse.Namespace) -> int:
+    done = check_run(given.run, given.digest)
+    for finding in done.findings:
+        print(f"{finding.weight.value}: {finding.text}")
+    print("looked at " + ", ".join(f"{count} {name}" for name, count in done.counts.items()))
+    if done.head.number:
+        print(f"digest: {done.head.wall_digest}\ndigest without real time: {done.head.digest}")
+    print("The record is as it was written." if done.whole else f"{NOT_AS_WRITTEN}.")
+    return CODES.met if done.whole else CODES.not_met
+
+
+def export(given: argparse.Namespace) -> int:
+    from bench.record.tables import export_csv, export_parquet, needed
+
+    if given.format == "mcap":
+        write = needed("bench.record.mcap", "MCAP").export_mcap
+    else:
+        write = {"csv": export_csv, "parquet": export_parquet}[given.format]
+    try:
+        with undamaged([given.run], given) as damage:
+            (given.out / DAMAGED).unlink(missing_ok=True)
+            for path in write(given.run, given.out):
+                print(path)
+            if damage:
+                head = (
+                    f"{NOT_AS_WRITTEN}: the files beside this one are made of what is left of it."
+                )
+                write_synced(given.out / DAMAGED, "\n".join((head, *damage, "")).encode())
+    except OSError as error:
+        raise ConfigError.plain(
+            f"the export can't be written to {given.out}: {error.strerror or error}"
+        ) from error
+    return CODES.met
+
+
+def control(given: argparse.Namespace) -> int:
+    from bench.record.reader import read_run
+    from bench.run.requests import leave_wish, was_taken
+    from instruments.clock import RealClock
+
+    run = read_run(given.run)
+    if run.ending != "interrupted":
+        print(f"{given.run} has ended ({run.ending}): nobody is there to hear it.")
+        return CODES.wrong_use
+    leave_wish(given.run, " ".join(given.words))
+    if was_taken(given.run, RealClock(), TAKEN_S):
+        print("taken; what comes of it is shown at the run's terminal.")
+    else:
+        print(
+            f"left for the run, which has not looked for {TAKEN_S:g} s: it is busy, or its bench"
+            " has died and takes nothing any more."
+        )
+    return CODES.met

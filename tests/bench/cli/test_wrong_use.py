@@ -1,0 +1,211 @@
+"""All commands with everything that can be wrong: one sentence, the exit code 2 for wrong use and 3
+for an instrument that does not answer, no traceback, and nothing left behind.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from bench.script.model import TRIALS
+from instruments.clock import RealClock
+from instruments.listener import Connection, Listener
+from tests.bench.commands import Said
+
+EMULATED = "--port emulator:"
+NO_BATH = "--port tcp://127.0.0.1:1 --profile julabo-presto"
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "message"),
+    [
+        ("run no-such-script", 2, 'no trial script "no-such-script"'),
+        ("run six-situation", 2, 'did you mean "six-situations"'),
+        ("run --rig none.toml", 2, "can't be read"),
+        ("run --detector thesys", 2, 'did you mean "thesis"'),
+        ("run --seed x", 2, "'x' is not a whole number"),
+        ("run --seed -1", 2, "'-1' is not a whole number"),
+        ("report nowhere", 2, "is no run"),
+        ("score nowhere", 2, "no such folder"),
+        ("detect nowhere", 2, "no such folder"),
+        ("check emulatd", 2, 'did you mean "emulated"'),
+        ("", 2, "required: COMMAND"),
+        ("fly", 2, "invalid choice: 'fly'"),
+        ("trials show", 2, "arguments are required: SCRIPT"),
+        ("trials show plain-map", 2, 'did you mean "plane-map"'),
+        ("plan --rate 1", 2, "no number of poses shows 100 %"),
+        ("plan --sd-mm 0", 2, "not a length in mm above 0"),
+        ("plan --trials many", 2, "not a whole number"),
+        ("plan --trials 9 --script six-situations", 2, "give one of them"),
+        ("plan --shift-mm 0.3", 2, "--shift-mm needs --sd-mm"),
+        ("plan --u-mm 0.2", 2, "--limit-mm and --u-mm belong together"),
+        ("compare a b --confidence 1", 2, "'1' is not a number from 0.5 to below 1"),
+        ("compare a b --margin-mm nan", 2, "'nan' is not a length in mm of 0 or more"),
+        ("scene record --situation overlaping", 2, "did you mean 'overlapping'"),
+        ("scene record --seeds 0", 2, "'0' is not a whole number of 1 or more"),
+        ("scene record --rig no-such-rig", 2, "no-such-rig"),
+        ("scene boards chessboard-9x6-40 --camera thermal --poses 1", 2, "take a smaller board"),
+        ("camera show nothing", 2, 'no rig "nothing"'),
+        ("camera show emulated lab.example", 2, "one rig, or one to three cameras by URL"),
+        ("camera show opencv:0 opencv:1 opencv:2 opencv:3", 2, "at most 3 cameras"),
+        ("camera show opencv:a.avi socket:1", 2, "not a camera; allowed"),
+        ("camera show opencv:/no/file.avi", 3, "single camera at /no/file.avi: can't be opened"),
+        ("camera grab --out x --count 0", 2, "'0' is not a whole number of 1 or more"),
+        ("stage status", 2, "one of the arguments --port --rig is required"),
+        (f"stage status {EMULATED}", 2, "lives in the bench"),
+        ("stage status --port ftp://x", 2, "is no stage: not a link"),
+        ("stage status --rig emulated", 2, "its stage is emulated; 'teatbench emulate' serves one"),
+        ("stage status --rig emulated --axes XY", 2, "a rig file says itself"),
+        ("stage move --port COM5 1", 2, "required: Y"),
+        ("stage move --port COM5 1 much", 2, "'much' is not a number"),
+        ("stage jog --port COM5 five", 2, "'five' is no way to go"),
+        ("stage jog --port COM5", 2, "required: STEP"),
+        ("stage home --port COM5 --axes X", 2, "invalid choice: 'X'"),
+        (f"bath read {NO_BATH}", 3, "nothing took the connection"),
+        (f"bath read {NO_BATH[:-1]}", 2, 'did you mean "julabo-presto"'),
+        ("bath read --port tcp://127.0.0.1:1 --profile none.toml", 2, "can't be read"),
+        (f"bath standby {NO_BATH}", 3, "nothing took the connection"),
+        ("bath acknowledge no-such-rig", 2, 'no rig "no-such-rig"'),
+        ("bath read --profile julabo-presto", 2, "--port"),
+        (f"bath read {EMULATED} --profile julabo-presto", 2, "teatbench emulate"),
+        ("bath read --port there --profile julabo-presto", 2, "'there' is no bath"),
+        (f"bath set {NO_BATH} warm", 2, "'warm' is not a temperature"),
+        (f"bath set {NO_BATH} nan", 2, "'nan' is not a temperature"),
+        (f"bath watch {NO_BATH} --seconds 0", 2, "'0' is not a number of seconds"),
+        ("arm", 2, "required: COMMAND"),
+        ("arm fly", 2, "invalid choice: 'fly'"),
+        ("arm read", 2, "required: --port"),
+        (f"arm read {EMULATED} --packets 0", 2, "'0' is not a whole number from 1 to 1000"),
+        (f"arm read {EMULATED} --baud 1200", 2, "invalid choice: 1200"),
+        (f"arm watch {EMULATED} --seconds -1", 2, "'-1' is not a number of seconds above 0"),
+        (f"arm frame {EMULATED}", 2, "required: --out"),
+        (f"arm frame {EMULATED} --out x --check 1,2", 2, "write 3 numbers as 120,-80,0"),
+        (f"arm frame {EMULATED} --out x --check 1,2,inf", 2, "each within 10000 mm"),
+        (
+            f"arm verify {EMULATED} --out x --distances 4",
+            2,
+            "'4' is not a whole number from 1 to 3",
+        ),
+        (f"arm verify {EMULATED} --out x --length-mm 0", 2, "'0' is not a number above 0"),
+        ("arm read --port ttyUSB0 --homed", 2, '--port ttyUSB0: not a link; allowed: "emulator:"'),
+        ("arm read --port /dev/no-such-port --homed", 3, "Is the adapter plugged in"),
+        ("arm read --port socket://127.0.0.1:1 --homed", 3, "nothing takes the connection"),
+        (f"arm read {EMULATED}", 2, "nobody is at a terminal to confirm it. Give --homed"),
+        (f"arm watch {EMULATED}", 2, "Give --homed"),
+        (f"arm frame {EMULATED} --out new.toml", 2, "Give --homed"),
+        (f"arm verify {EMULATED} --out new.toml", 2, "Give --homed"),
+        (f"arm home {EMULATED}", 2, "give --on-peg"),
+        (f"arm frame {EMULATED} --homed --out there.toml", 2, "is there already"),
+        (f"arm verify {EMULATED} --homed --out nowhere/new.toml", 2, "a folder that is there"),
+        (
+            f"arm verify {EMULATED} --homed --out new.toml --script bare.toml",
+            2,
+            "no requirement of the kind arm_verified",
+        ),
+        (f"arm read {EMULATED} --homed --frame none.toml", 2, "can't be read"),
+        (
+            f"arm frame {EMULATED} --homed --out new.toml",
+            3,
+            "nobody is at the terminal any more; nothing was written",
+        ),
+        (
+            f"arm frame {EMULATED} --homed --out new.toml --check 2000,0,0",
+            2,
+            "the emulated arm can't do this: out of reach",
+        ),
+        (
+            "calibrate cameras --board b --out x",
+            2,
+            "give either folders of pictures (FRAMES) or --rig RIG",
+        ),
+        ("calibrate cameras some --rig emulated --board b --out x", 2, "or --rig RIG, not both"),
+        (
+            "calibrate cameras some --board b --out x --max-views -1",
+            2,
+            "'-1' is not a whole number",
+        ),
+        (
+            "calibrate world --cameras c.toml --out x",
+            2,
+            "give either a table of points (CSV) or --rig",
+        ),
+        (
+            "calibrate world p.csv --cameras c --touch-sd nan --out x",
+            2,
+            "'nan' is not a number of 0",
+        ),
+        ("calibrate thermal --rig emulated --out x", 2, "--rig with --board and --cameras"),
+        ("calibrate stage --out x --at 1,2,3", 2, "write 2 numbers as 120,-80"),
+        (
+            "calibrate import f --format ros --image-size 640 --out x",
+            2,
+            "is no size such as 640x480",
+        ),
+    ],
+)
+def test_wrong_use_gets_a_sentence_and_leaves_nothing_behind(
+    command: str,
+    code: int,
+    message: str,
+    said: Said,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n\n" if "--check 2000" in command else ""))
+    (tmp_path / "there.toml").write_text("precious", encoding="utf-8")
+    parts = re.split(r"(?=\[\[)", (TRIALS / "six-situations.toml").read_text(encoding="utf-8"))
+    bare = "".join(part for part in parts if '"arm_verified"' not in part)
+    (tmp_path / "bare.toml").write_text(bare, encoding="utf-8")
+    before = threading.active_count()
+    written = said(code, command)
+    assert message in written.err
+    if not command.startswith("arm"):
+        assert written.out == "", "no empty bar beside a refusal"
+    assert (tmp_path / "there.toml").read_text(encoding="utf-8") == "precious"
+    assert {path.name for path in tmp_path.iterdir()} == {"there.toml", "bare.toml"}
+    assert threading.active_count() == before
+
+
+class Silent:
+    """Takes everything, and says nothing."""
+
+    def connect(self, connection: Connection) -> None: ...
+    def receive(self, connection: Connection, data: bytes) -> None: ...
+    def disconnect(self, connection: Connection) -> None: ...
+
+
+class Chatter(Silent):
+    """Something else: answers whatever it gets with a line of its own."""
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        connection.send(b"error: expected command letter\r\n")
+
+
+@pytest.mark.parametrize(("device", "word"), [(Silent(), "switched on"), (Chatter(), "not")])
+def test_what_does_not_answer_as_an_arm_is_named(device: Silent, word: str, said: Said) -> None:
+    clock = RealClock()
+    listener = Listener(device, clock, lock=threading.RLock(), name="other")
+    try:
+        refused = said(3, "arm read --port {} --homed", listener.url).err
+    finally:
+        listener.close()
+        clock.close()
+    assert refused.startswith("teatbench: ")
+    assert "arm" in refused
+    assert word in refused
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs a device that is no serial port")
+def test_a_port_that_cannot_be_opened_is_named(said: Said) -> None:
+    assert "the port can't be opened" in said(3, "arm read --port /dev/null --homed").err
+
+
+@pytest.mark.parametrize("command", ["run", "run --rig", "score", "detect", "report", "emulate"])
+def test_a_name_that_is_too_long_is_named_as_that(command: str, tmp_path: Path, said: Said) -> None:
+    assert "disk full" not in said(2, f"{command} {{}}", tmp_path / ("long" * 80)).err
