@@ -37,9 +37,7 @@ class LineError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One device on one line. ``host`` and ``port`` on TCP, ``device`` on a serial port; None: the
-    URL leaves it open.
-    """
+    """One device: ``host`` and ``port``, or ``device``. None: the URL leaves it open."""
 
     kind: Kind
     host: str = ""

@@ -93,9 +93,7 @@ class Bath:
 
     @property
     def identity(self) -> Mapping[str, str]:
-        """Who answered: family, url, order of bytes; model, version, firmware and cut-out
-        temperature where the family tells.
-        """
+        """Family, url, order of bytes; model, version, firmware, cut-out where it shows them."""
         return dict(self._identity)
 
     @property
@@ -114,9 +112,7 @@ class Bath:
         return self._do(self._read)
 
     def get(self, name: str) -> float:
-        """The value of any row of the profile; for one in degC only
-        after a poll that makes sense.
-        """
+        """The value of any row; for one in degC only after a poll that makes sense."""
         if self._relay and name == PUMP:
             relay = self._relay
             return self._switched(lambda: relay.value(relay.row(PUMP)), relay)
@@ -139,9 +135,7 @@ class Bath:
         self.set("set_point", set_point_c)
 
     def acknowledge(self) -> None:
-        """Clear the controller's latched alarms. Raises LimitError where the family has no command
-        for it.
-        """
+        """Clear the latched alarms. Raises LimitError where the family has no such command."""
         self.set("acknowledge", "acknowledge")
 
     def start(self, set_point_c: float) -> None:
@@ -297,9 +291,7 @@ class Bath:
 
 
 def _with_pump(profile: Profile, pump: RelayProfile) -> Profile:
-    """``profile`` with the pump's row, which is for the relay alone. Raises LimitError where the
-    family turns a pump itself.
-    """
+    """``profile`` with the relay's row. Raises LimitError where the family turns a pump itself."""
     own = profile.capabilities.pump
     if own != "none":
         what = f"its pump ({own}) is the family's own, and no relay switches it"

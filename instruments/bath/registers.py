@@ -32,9 +32,7 @@ def decode(registers: Sequence[int], kind: Kind, order: Order) -> float:
 
 
 def encode(value: float, kind: Kind, order: Order) -> tuple[int, ...]:
-    """The registers that hold ``value``, rounded to the type. Raises ValueError when it does not
-    fit.
-    """
+    """The registers that hold ``value``, rounded to the type. Raises ValueError for no fit."""
     whole = value if kind == "f32" else round(value) if math.isfinite(value) else None
     if whole is None or not fits(whole, kind):
         raise ValueError(f"{value:g} does not fit into {kind}")
@@ -43,9 +41,7 @@ def encode(value: float, kind: Kind, order: Order) -> tuple[int, ...]:
 
 
 def _turned(registers: Sequence[int], order: Order) -> Sequence[int]:
-    """Between the wire's order and ABCD; its own inverse. BADC and DCBA swap the bytes of single
-    registers too.
-    """
+    """Between the wire's order and ABCD; its own inverse."""
     if order in ("CDAB", "DCBA"):
         registers = registers[::-1]
     if order in ("BADC", "DCBA"):

@@ -39,9 +39,7 @@ MOST_GAP = 8  # registers that nobody wants cost less than another question, up 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Rows that one question with ``function`` fetches: ``count`` registers (or bits) of ``table``
-    from ``address``.
-    """
+    """Rows that one question fetches: ``count`` registers (or bits) from ``address``."""
 
     function: ReadFunction
     table: Table

@@ -75,9 +75,7 @@ class Dialogue:
             pushed.append(answer)
 
     def status(self, timeout_s: float = 1.0) -> Status:
-        """A fresh status report. After an alarm it is asked for again, since a restarting board
-        loses it.
-        """
+        """A fresh status report; asked for again after an alarm, as a restarting board loses it."""
         self._read_pending()
         end_s = self._clock.now() + timeout_s
         while self._clock.now() < end_s:
@@ -115,9 +113,7 @@ class Dialogue:
         return self._welcome(START_S) or self.restart()
 
     def restart(self) -> Welcome:
-        """Soft reset: drop what was owed, the alarm and all input. Raises LinkError or
-        ProtocolError.
-        """
+        """Soft reset: drop what was owed, alarm and input. Raises LinkError or ProtocolError."""
         self.upsets += 1
         self._link.drain(0.0)
         self._write(SOFT_RESET)
@@ -231,9 +227,7 @@ def _last_welcome(decoder: Decoder, data: bytes) -> Welcome | None:
 
 
 def meet(talk: Dialogue, axes: str) -> tuple[StageIdentity, StageSettings]:
-    """Wait for the welcome, or reset, and read identity and settings. Raises DeviceError where a
-    stage of ``axes`` can't be driven with them.
-    """
+    """Connect: identity and settings. Raises DeviceError where ``axes`` can't be driven."""
     welcome = talk.start()
     if not welcome.version.startswith("1.1"):
         what = f"firmware {welcome.dialect} {welcome.version} speaks another protocol"

@@ -95,9 +95,7 @@ class Stage:
         return self._talk.status()
 
     def position(self) -> NDArray[np.float64]:
-        """The controller's machine position, (3,) mm or (4,) with degrees of A. Meaningless unless
-        ``homed``.
-        """
+        """Machine position, (3,) mm or (4,) with degrees of A. Meaningless unless ``homed``."""
         return np.array(list(self._here(self._talk.status()).values()), dtype=np.float64)
 
     def home(self) -> None:
@@ -314,9 +312,7 @@ class Stage:
         self._move = Move(target, self._clock.now() + allowed, allowed, jog)
 
     def _until_over(self, move: Move) -> Status:
-        """The report of an idle stage after all that was planned. Raises DeviceError for a hold, a
-        lock, or the deadline.
-        """
+        """The report of an idle stage after the move. Raises DeviceError: hold, lock, deadline."""
         while (status := self._talk.status()).state in MOVING:
             if self._clock.now() > move.deadline_s:
                 what, hint = (

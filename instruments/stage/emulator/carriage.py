@@ -288,9 +288,7 @@ class Mounting:
     yaw_rad: float = 0.0
 
     def pose(self, place: Sequence[float]) -> PlatePose:
-        """The plate's pose for X Y Z in mm and A in degrees; below its reference it rests on the
-        table.
-        """
+        """The plate's pose for X Y Z in mm and A in degrees; it never sinks below its reference."""
         ways = [0.0] * 4
         for at, (axis, here) in enumerate(zip("XYZA", place, strict=False)):
             if axis in self.axes:

@@ -127,9 +127,7 @@ class Block:
 def block_to(
     start: Vector, target: Vector, feed_mm_s: float | None, rates: AxisRates, before: Block | None
 ) -> Block | None:
-    """The block from ``start`` to ``target`` after ``before``; None for no way. Without
-    ``feed_mm_s``, rapid.
-    """
+    """The block from ``start`` to ``target``; None for no way. No ``feed_mm_s`` is a rapid."""
     length = math.dist(start, target)
     if length == 0:
         return None
