@@ -117,7 +117,7 @@ class Bath:
             relay = self._relay
             return self._switched(lambda: relay.value(relay.row(PUMP)), relay)
         row = self._wired.row(name)
-        return self._do(lambda: self._get(row))
+        return self._do(lambda: self._looked(row).value(row))
 
     def set(self, name: str, value: float | str) -> None:
         """Write a row (a number, or one of its labels) where it is another, and see that it stands.
@@ -128,7 +128,7 @@ class Bath:
             return self._switch(self._relay, value)
         row = self._wired.row(name)
         wanted = self._wired.allowed(row, value)
-        return self._do(lambda: self._set(row, wanted))
+        return self._do(lambda: self._looked(row).set(row, wanted))
 
     def set_point(self, set_point_c: float) -> None:
         """Change the set point, running or not."""
@@ -267,15 +267,11 @@ class Bath:
         self._see_that_it_runs(reading)
         return reading
 
-    def _get(self, row: Row) -> float:
-        if row.unit == "degC":  # unit or order of bytes may have been changed behind our back
-            self._wired.poll(self._known())
-        return self._wired.value(row)
-
-    def _set(self, row: Row, wanted: float) -> None:
+    def _looked(self, row: Row) -> WiredRows:
+        """The rows; for one in degC after a poll: unit or order of bytes may have been changed."""
         if row.unit == "degC":
             self._wired.poll(self._known())
-        self._wired.set(row, wanted)
+        return self._wired
 
     def _known(self) -> Poll:
         """Raises BrokenError when an event of virtual time has dropped the link meanwhile."""

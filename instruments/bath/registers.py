@@ -1,9 +1,7 @@
-"""Registers of 16 bits and the numbers they hold, in each of the four orders of bytes.
+"""Registers of 16 bits and the numbers they hold, in each of the four orders of bytes; and one
+quantity of a device: where it is, how it is coded, and what may be written to it. Pure.
 
 An order is written as what becomes of the bytes ABCD of a 32-bit number, A the most significant.
-Pure.
-
-One quantity of a controller: where it is, how it is coded, and what may be written to it. Pure.
 """
 
 from __future__ import annotations
@@ -158,10 +156,8 @@ class Row(Strict):
         if self.access == "r":
             return f"{self.name} is read-only"
         if self.values and value not in self.values.values():
-            return (
-                f"{self.name} takes"
-                f" {', '.join(f'{code:g} ({label})' for label, code in self.values.items())}"
-            )
+            codes = ", ".join(f"{code:g} ({label})" for label, code in self.values.items())
+            return f"{self.name} takes {codes}"
         if self.range is not None and not self.range[0] <= value <= self.range[1]:
             return f"{self.name} takes {self.range[0]:g} to {self.range[1]:g} {self.unit}".rstrip()
         return None

@@ -31,7 +31,6 @@ FEED_OVERRIDES: dict[bytes, int | None] = {
     b"\x94": -1,
 }
 RAPID_OVERRIDES: dict[bytes, int] = {b"\x95": 100, b"\x96": 50, b"\x97": 25}
-SPINDLE_OVERRIDES = frozenset(bytes([code]) for code in range(0x99, 0x9F))
 
 # in the order of every list of numbers; A is a rotation in degrees, on boards with four axes
 AXES = "XYZA"
