@@ -86,7 +86,7 @@ class StageEmulator:
         middle = tuple(-travel / 2 for travel in store.travel_mm)
         play = play_mm or (0.0,) * axes
         self._carriage = Carriage(middle, store.travel_mm, play, store.at_far_end)
-        self._controller = Controller(clock, store, dialect, self._carriage, self._answer)
+        self._controller = Controller(clock, store, self._carriage, self._answer)
         self._first_words = ("error:7", *store.lines()) if fresh_eeprom else ()
         self._connection: Connection | None = None
         self._faults: dict[Fault, float] = {}
