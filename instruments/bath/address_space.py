@@ -56,9 +56,7 @@ class Values:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A row at an address. ``padded``: one word and a filler; ``whole``: a float as a 16-bit number
-    without its decimal point.
-    """
+    """A row at an address. ``padded``: a word and a filler; ``whole``: a float as 16 bits."""
 
     row: Row
     address: int

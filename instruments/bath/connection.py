@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal
 from urllib.parse import parse_qsl, urlsplit
 
 Kind = Literal["tcp", "rtu+tcp", "serial"]
@@ -23,6 +23,7 @@ ALLOWED = (
     ' serial port also with "&baud=9600&parity=N"'
 )
 SCHEMES = ("tcp", "rtu+tcp")
+OTHER_WORDS = dict.fromkeys(("socket", "rtu", "serial", "rfc2217"), "rtu+tcp") | {"modbus": "tcp"}
 MODBUS_PORT = 502
 BAUD = 9600  # where neither the URL nor a profile says
 # 255 is "no unit" on TCP
@@ -37,9 +38,7 @@ class LineError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One device on one line. ``host`` and ``port`` on TCP, ``device`` on a serial port; None: the
-    URL leaves it open.
-    """
+    """One device: ``host`` and ``port``, or ``device``. None: the URL leaves it open."""
 
     kind: Kind
     host: str = ""
@@ -83,9 +82,9 @@ def parse_line(url: str) -> Line:
     if not found:
         raise LineError(f"not a link to a Modbus device{_near(place, scheme)}; allowed: {ALLOWED}")
     if scheme not in SCHEMES:
-        raise LineError(
-            f'"{scheme}://" is no link to a Modbus device{_meant(scheme)}; allowed: {ALLOWED}'
-        )
+        word = OTHER_WORDS.get(scheme.lower(), scheme.lower())
+        meant = _nearest(word, SCHEMES, "://")
+        raise LineError(f'"{scheme}://" is no link to a Modbus device{meant}; allowed: {ALLOWED}')
     kind: Kind = "tcp" if scheme == "tcp" else "rtu+tcp"
     host, port = _host_and_port(place, kind)
     return Line(kind, host, port, **_settings(query, kind))  # type: ignore[arg-type]
@@ -121,11 +120,8 @@ def _settings(query: str, kind: Kind) -> dict[str, int | str]:
     for name, value in pairs:
         if name not in known:
             where = "a serial port" if kind == "serial" else f"{kind}://"
-            near = difflib.get_close_matches(name, known, n=1)
-            meant = f'; did you mean "{near[0]}"?' if near else ""
-            raise LineError(
-                f'"{name}" is no setting of {where}{meant} (allowed: {", ".join(known)})'
-            )
+            meant, allowed = _nearest(name, known), ", ".join(known)
+            raise LineError(f'"{name}" is no setting of {where}{meant} (allowed: {allowed})')
         settings["unit_id" if name == "unit" else name] = _setting(name, value, kind)
     return settings
 
@@ -134,25 +130,16 @@ def _setting(name: str, value: str, kind: Kind) -> int | str:
     if name == "parity":
         if value.upper() not in ("N", "E", "O"):
             raise LineError(f"parity={value}: allowed are N (none), E (even) and O (odd)")
-        return cast("Parity", value.upper())
+        return value.upper()
     low, high = {"unit": (1, MOST_UNIT[kind]), "baud": (300, 921600), "stopbits": (1, 2)}[name]
     if not re.fullmatch(r"\d{1,7}", value) or not low <= int(value) <= high:
         raise LineError(f"{name}={value}: a whole number from {low} to {high} is needed")
     return int(value)
 
 
-def _meant(scheme: str) -> str:
-    known = {
-        "socket": "rtu+tcp",
-        "rtu": "rtu+tcp",
-        "modbus": "tcp",
-        "serial": "rtu+tcp",
-        "rfc2217": "rtu+tcp",
-    }
-    near = known.get(scheme.lower()) or next(
-        iter(difflib.get_close_matches(scheme.lower(), SCHEMES, n=1)), None
-    )
-    return f'; did you mean "{near}://"?' if near else ""
+def _nearest(word: str, known: Sequence[str], end: str = "") -> str:
+    near = difflib.get_close_matches(word, known, n=1)
+    return f'; did you mean "{near[0]}{end}"?' if near else ""
 
 
 def _near(place: str, word: str) -> str:
@@ -160,8 +147,6 @@ def _near(place: str, word: str) -> str:
         return f'; did you mean "/dev/{place.removeprefix("dev/")}"?'
     if re.fullmatch(r"com\d+:?", place, re.IGNORECASE):
         return f'; did you mean "{place.upper().rstrip(":")}"?'
-    return (
-        f'; did you mean "tcp://{word}"?'
-        if re.fullmatch(r"[\w-]+(\.[\w.-]+|(\.[\w.-]+)?:\d+)", word)
-        else ""
-    )
+    if re.fullmatch(r"[\w-]+(\.[\w.-]+|(\.[\w.-]+)?:\d+)", word):
+        return f'; did you mean "tcp://{word}"?'
+    return ""

@@ -93,9 +93,7 @@ class Bath:
 
     @property
     def identity(self) -> Mapping[str, str]:
-        """Who answered: family, url, order of bytes; model, version, firmware and cut-out
-        temperature where the family tells.
-        """
+        """Family, url, order of bytes; model, version, firmware, cut-out where it shows them."""
         return dict(self._identity)
 
     @property
@@ -114,14 +112,12 @@ class Bath:
         return self._do(self._read)
 
     def get(self, name: str) -> float:
-        """The value of any row of the profile; for one in degC only
-        after a poll that makes sense.
-        """
+        """The value of any row; for one in degC only after a poll that makes sense."""
         if self._relay and name == PUMP:
             relay = self._relay
             return self._switched(lambda: relay.value(relay.row(PUMP)), relay)
         row = self._wired.row(name)
-        return self._do(lambda: self._get(row))
+        return self._do(lambda: self._looked(row).value(row))
 
     def set(self, name: str, value: float | str) -> None:
         """Write a row (a number, or one of its labels) where it is another, and see that it stands.
@@ -132,16 +128,14 @@ class Bath:
             return self._switch(self._relay, value)
         row = self._wired.row(name)
         wanted = self._wired.allowed(row, value)
-        return self._do(lambda: self._set(row, wanted))
+        return self._do(lambda: self._looked(row).set(row, wanted))
 
     def set_point(self, set_point_c: float) -> None:
         """Change the set point, running or not."""
         self.set("set_point", set_point_c)
 
     def acknowledge(self) -> None:
-        """Clear the controller's latched alarms. Raises LimitError where the family has no command
-        for it.
-        """
+        """Clear the latched alarms. Raises LimitError where the family has no such command."""
         self.set("acknowledge", "acknowledge")
 
     def start(self, set_point_c: float) -> None:
@@ -273,15 +267,11 @@ class Bath:
         self._see_that_it_runs(reading)
         return reading
 
-    def _get(self, row: Row) -> float:
-        if row.unit == "degC":  # unit or order of bytes may have been changed behind our back
-            self._wired.poll(self._known())
-        return self._wired.value(row)
-
-    def _set(self, row: Row, wanted: float) -> None:
+    def _looked(self, row: Row) -> WiredRows:
+        """The rows; for one in degC after a poll: unit or order of bytes may have been changed."""
         if row.unit == "degC":
             self._wired.poll(self._known())
-        self._wired.set(row, wanted)
+        return self._wired
 
     def _known(self) -> Poll:
         """Raises BrokenError when an event of virtual time has dropped the link meanwhile."""
@@ -297,9 +287,7 @@ class Bath:
 
 
 def _with_pump(profile: Profile, pump: RelayProfile) -> Profile:
-    """``profile`` with the pump's row, which is for the relay alone. Raises LimitError where the
-    family turns a pump itself.
-    """
+    """``profile`` with the relay's row. Raises LimitError where the family turns a pump itself."""
     own = profile.capabilities.pump
     if own != "none":
         what = f"its pump ({own}) is the family's own, and no relay switches it"

@@ -30,9 +30,7 @@ class RefusedError(DeviceError):
 
 
 class BrokenError(LinkError):
-    """The connection went down under a question; over a new one the same question may be asked
-    again.
-    """
+    """The link broke under a question, which may be asked again over a new one."""
 
 
 def unreachable(who: str, line: Line, why: str, tries: int, took_s: float) -> LinkError:
@@ -67,9 +65,7 @@ def cut(who: str, question: Question, seen: bytes, line: Line) -> BrokenError | 
 
 
 def owing(who: str, questions: int, took_s: float, left_s: float) -> LinkError:
-    """So many questions are owed an answer that none is left which
-    could not be confused with them.
-    """
+    """No question is left whose answer can't be confused with one that is owed."""
     hint = f"Nothing is asked for {left_s:.0f} s at most: until then an answer may still come."
     return LinkError(who, f"no answer to {questions} questions", seconds=took_s, hint=hint)
 

@@ -35,9 +35,7 @@ Made = TypeVar("Made", bound="Wiring")
 
 
 class ProfileError(ValueError):
-    """A profile with faults: ``path`` of the file, ``faults`` as
-    (key path, message), all at once.
-    """
+    """A profile with faults: its ``path``; ``faults`` as (key path, message), all at once."""
 
     def __init__(self, path: Path, faults: Sequence[tuple[str, str]]) -> None:
         self.path = path
@@ -136,9 +134,7 @@ class Wiring(Strict):
 
 
 class RelayProfile(Wiring):
-    """A relay or IO device that switches a pump: its row ``pump`` has the values ``on`` and
-    ``off``.
-    """
+    """A device that switches a pump: its row ``pump`` has the values ``on`` and ``off``."""
 
     def faults(self) -> Faults:
         yield from super().faults()
@@ -155,9 +151,7 @@ def _is_switch(row: Row) -> bool:
 
 
 def load(path: Path, kind: type[Made], *, hint: str = "") -> Made:
-    """What stands in the file at ``path``. Raises ProfileError with all its faults, and with
-    ``hint`` where there is no file.
-    """
+    """The file at ``path``. Raises ProfileError with all its faults; ``hint`` where it is none."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -182,9 +176,7 @@ RELAYS = SHIPPED / "relays"
 
 
 class Capabilities(Strict):
-    """What the family can do. ``pump = "with run"``: it turns while the controller is started, and
-    not alone.
-    """
+    """What the family can do. ``pump = "with run"``: only while the controller is started."""
 
     pump: Literal["none", "with run", "own"] = "none"
     level: Literal["none", "alarm"] = "none"
@@ -193,18 +185,14 @@ class Capabilities(Strict):
 
 
 class OrderFrom(Strict):
-    """The row that tells the order of bytes, and which code means which; it has an order of its
-    own.
-    """
+    """The row that tells the order of bytes (it has one of its own), and what its codes mean."""
 
     row: str
     codes: dict[str, Order]
 
 
 class AlarmCode(Strict):
-    """What a code in a row that tells alarms means; in a word of
-    bits the code is the bit's weight.
-    """
+    """The meaning of a code in an alarm row; in a word of bits it is the bit's weight."""
 
     code: int
     cause: AlarmCause
@@ -213,9 +201,7 @@ class AlarmCode(Strict):
 
 
 class Identity(Strict):
-    """What ``row`` shows when this is the family: ``equals`` after ``mask``, or anything that
-    ``differs``, or else a known code.
-    """
+    """What ``row`` shows: ``equals`` after ``mask``, or not ``differs``, or else a known code."""
 
     row: str
     mask: Annotated[int, Field(ge=1, le=0xFFFFFFFF)] = 0xFFFFFFFF
@@ -246,15 +232,11 @@ class Profile(Wiring):
     alarms: tuple[AlarmCode, ...] = ()
 
     def order_for(self, code: int) -> Order | None:
-        """The order that a code of the ``order_from`` row means, or None for a code that means
-        nothing.
-        """
+        """The order that a code of the ``order_from`` row means; None for an unknown code."""
         return self.order_from.codes.get(str(code)) if self.order_from else self.order
 
     def alarm_text(self, code: int) -> str:
-        """What an alarm (``BathReading.alarm``) means, with a word
-        of doubt where that is inferred.
-        """
+        """What an alarm (``BathReading.alarm``) means, with a note where that is inferred."""
         known = [alarm for alarm in self.alarms if alarm.code == code]
         if not known and any(row.alarm == "bits" for row in self.rows):
             known = [alarm for alarm in self.alarms if alarm.code & code]
@@ -305,17 +287,13 @@ class Profile(Wiring):
 
 
 def load_profile(name_or_path: str | Path) -> Profile:
-    """A shipped profile by its name (``julabo-presto``), or any profile by its path. Raises
-    ProfileError.
-    """
+    """A shipped profile by its name, or any by its path (``*.toml``). Raises ProfileError."""
     path = _path_of(name_or_path, SHIPPED)
     return load(path, Profile, hint=f"; shipped profiles: {', '.join(profile_names())}")
 
 
 def load_relay(name_or_path: str | Path) -> RelayProfile:
-    """A shipped profile of a pump's relay by its name (``modbus-relay``), or any by its path.
-    Raises ProfileError.
-    """
+    """As `load_profile`, for the relay of a pump."""
     shipped = f"; shipped profiles of relays: {', '.join(relay_names())}"
     return load(_path_of(name_or_path, RELAYS), RelayProfile, hint=shipped)
 

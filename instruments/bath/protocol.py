@@ -70,9 +70,7 @@ class Read:
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """Functions 5, 6, 15 and 16: ``values`` (bits as 0 and 1, or
-    registers) to ``address`` and up.
-    """
+    """Functions 5, 6, 15, 16: ``values`` (bits as 0 and 1, or registers) from ``address`` up."""
 
     function: int
     address: int

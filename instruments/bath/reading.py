@@ -48,9 +48,7 @@ class BathReading:
 
 
 class Poll:
-    """What to ask for in a poll of ``profile``, and how to read the answers. ``gaps``,
-    ``inferred``: see `requests.blocks`.
-    """
+    """The questions of a poll of ``profile``, and how to read the answers (`requests.blocks`)."""
 
     def __init__(
         self, profile: Profile, order: Order, *, gaps: bool, inferred: bool = False, who: str

@@ -84,9 +84,7 @@ class WiredRows:
         return row.decode(self.words(row), self.order)
 
     def poll(self, poll: Poll) -> BathReading:
-        """One poll, at the time when it was begun. Raises LinkError when it takes too long to be of
-        one moment.
-        """
+        """One poll, at the time of its start. Raises LinkError when it takes longer than POLL_S."""
         start = self._clock.now()
         answers = []
         for block in poll.blocks:
@@ -119,16 +117,12 @@ class WiredRows:
         return value
 
     def set(self, row: Row, value: float) -> None:
-        """Write an allowed ``value`` where ``row`` has another, and read it back; a command is
-        written in any case.
-        """
+        """Write ``value`` where ``row`` has another, and read it back; a command in any case."""
         if row.access == "w" or not self._stands(row, value, self.words(row)):
             self.send(row, value)
 
     def send(self, row: Row, value: float, *, urgent: bool = False) -> None:
-        """Write ``value`` when the last write is long enough ago, and read it back. ``urgent``: see
-        `Transactions.write`.
-        """
+        """Write when the last write is long enough ago, and read back; see `Transactions.write`."""
         function = self.profile.write_function(row)
         if function is None:
             what = f"{self.profile.family} has no function that writes {row.name}"

@@ -231,9 +231,7 @@ def _automatic(on: Controller, value: float) -> None:  # noqa: ARG001 - the whit
 
 
 def _actuating(on: Controller, value: float) -> None:
-    """JULABO: "digital" heats with a power of its own, whatever the set point; EPROG, without a
-    program, not at all.
-    """
+    """JULABO: "digital" heats with a set power; EPROG, without a program, not at all."""
     digital = value == on.code("actuating", "digital")
     power = on.memory.get("heating_power", 0.0) / 100.0 if digital else 0.0
     on.plant.manual_output = None if value == on.code("actuating", "controller") else power

@@ -1,9 +1,7 @@
-"""Registers of 16 bits and the numbers they hold, in each of the four orders of bytes.
+"""Registers of 16 bits and the numbers they hold, in each of the four orders of bytes; and one
+quantity of a device: where it is, how it is coded, and what may be written to it. Pure.
 
 An order is written as what becomes of the bytes ABCD of a 32-bit number, A the most significant.
-Pure.
-
-One quantity of a controller: where it is, how it is coded, and what may be written to it. Pure.
 """
 
 from __future__ import annotations
@@ -32,9 +30,7 @@ def decode(registers: Sequence[int], kind: Kind, order: Order) -> float:
 
 
 def encode(value: float, kind: Kind, order: Order) -> tuple[int, ...]:
-    """The registers that hold ``value``, rounded to the type. Raises ValueError when it does not
-    fit.
-    """
+    """The registers that hold ``value``, rounded to the type. Raises ValueError for no fit."""
     whole = value if kind == "f32" else round(value) if math.isfinite(value) else None
     if whole is None or not fits(whole, kind):
         raise ValueError(f"{value:g} does not fit into {kind}")
@@ -43,9 +39,7 @@ def encode(value: float, kind: Kind, order: Order) -> tuple[int, ...]:
 
 
 def _turned(registers: Sequence[int], order: Order) -> Sequence[int]:
-    """Between the wire's order and ABCD; its own inverse. BADC and DCBA swap the bytes of single
-    registers too.
-    """
+    """Between the wire's order and ABCD; its own inverse."""
     if order in ("CDAB", "DCBA"):
         registers = registers[::-1]
     if order in ("BADC", "DCBA"):
@@ -162,10 +156,8 @@ class Row(Strict):
         if self.access == "r":
             return f"{self.name} is read-only"
         if self.values and value not in self.values.values():
-            return (
-                f"{self.name} takes"
-                f" {', '.join(f'{code:g} ({label})' for label, code in self.values.items())}"
-            )
+            codes = ", ".join(f"{code:g} ({label})" for label, code in self.values.items())
+            return f"{self.name} takes {codes}"
         if self.range is not None and not self.range[0] <= value <= self.range[1]:
             return f"{self.name} takes {self.range[0]:g} to {self.range[1]:g} {self.unit}".rstrip()
         return None

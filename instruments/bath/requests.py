@@ -1,14 +1,10 @@
-"""What to ask a controller for in one poll: its polled rows in as few questions as go, the same
-every time. Pure.
+"""What is asked of a Modbus device, and how its answer has to begin: requests to bytes, answers to
+values; and the questions of one poll, as few as go. Pure, no I/O.
 
 A fixed block of a fixed length is also the cheapest guard against stale answers: at worst one is
-old, never another quantity.
-
-What is asked of a Modbus device, and how its answer has to begin: requests to bytes, answers to
-values. Pure, no I/O.
-
-The requests are pymodbus's. What a right answer looks like is kept with the question, for RTU has
-no number to tell whose an answer is: only function, length, and for writes the echo.
+old, never another quantity. The requests are pymodbus's. What a right answer looks like is kept
+with the question, for RTU has no number to tell whose an answer is: only function, length, and for
+writes the echo.
 """
 
 from __future__ import annotations
@@ -39,9 +35,7 @@ MOST_GAP = 8  # registers that nobody wants cost less than another question, up 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Rows that one question with ``function`` fetches: ``count`` registers (or bits) of ``table``
-    from ``address``.
-    """
+    """Rows that one question fetches: ``count`` registers (or bits) from ``address``."""
 
     function: ReadFunction
     table: Table

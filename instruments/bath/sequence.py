@@ -48,18 +48,14 @@ def pump_told(bath: Bath) -> str:
 
 
 def pump_on(bath: Bath, reading: BathReading) -> bool | None:
-    """Whether the pump is switched on; None where the family doesn't tell. Whether it turns, only
-    the water knows.
-    """
+    """Whether the pump is switched on (not: turns); None where the family doesn't tell."""
     if has_own_pump(bath):
         return bath.get(PUMP) == bath.profile.row(PUMP).values[ON]
     return reading.running if bath.pump == "with run" else None
 
 
 def start_bath(bath: Bath, set_point_c: float, wait: Callable[[float], None]) -> None:
-    """Heat to ``set_point_c``, in order. Raises as the driver does, and DeviceError while the
-    controller has an alarm.
-    """
+    """Heat to ``set_point_c``, in order. Raises as the driver, and DeviceError for an alarm."""
     if has_own_pump(bath):
         reading = bath.read()
         if reading.alarm:  # the level among them: a pump must not run dry either
@@ -87,9 +83,7 @@ def heater_off(bath: Bath) -> str:
 
 
 def run_pump_on(bath: Bath, sleep: Callable[[float], None], cut_short: Callable[[], bool]) -> str:
-    """Let the pump run on and switch it off; says what became of it. ``cut_short`` ends the waiting
-    and leaves it running.
-    """
+    """Let the pump run on, then switch it off; what became of it. ``cut_short`` ends the wait."""
     if not has_own_pump(bath):
         return ""
     left_s = OVERRUN_S

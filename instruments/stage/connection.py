@@ -31,6 +31,7 @@ from instruments.stage.protocol import (
 from instruments.stage.settings import StageIdentity, StageSettings, read_settings
 
 ANSWER_S = 2.0  # classic boards answer within milliseconds, but writing a setting takes longer
+STATUS_S = 1.0
 START_S = 2.5  # a board's boot loader waits 1 to 2 s after the port has been opened
 QUIET_S = 0.25
 ASK_AGAIN_S = 0.25
@@ -74,12 +75,10 @@ class Dialogue:
                 raise DeviceError(self.who, what, asked=text, hint=meaning.do)
             pushed.append(answer)
 
-    def status(self, timeout_s: float = 1.0) -> Status:
-        """A fresh status report. After an alarm it is asked for again, since a restarting board
-        loses it.
-        """
+    def status(self) -> Status:
+        """A fresh status report; asked for again after an alarm, as a restarting board loses it."""
         self._read_pending()
-        end_s = self._clock.now() + timeout_s
+        end_s = self._clock.now() + STATUS_S
         while self._clock.now() < end_s:
             self._write(STATUS_QUERY)
             until_s = end_s if self.alarm is None else min(end_s, self._clock.now() + ASK_AGAIN_S)
@@ -87,7 +86,7 @@ class Dialogue:
                 if isinstance(answer, Status):
                     return answer
         what, hint = "no status report", "Check power and cable."
-        raise LinkError(self.who, what, asked="?", seconds=timeout_s, hint=hint)
+        raise LinkError(self.who, what, asked="?", seconds=STATUS_S, hint=hint)
 
     def machine_mm(self, status: Status) -> Position:
         """The machine position of a report of either kind. Raises ProtocolError."""
@@ -112,35 +111,33 @@ class Dialogue:
     def start(self) -> Welcome:
         """On a new link: wait for the welcome after the port's reset, or reset the board."""
         self.upsets += 1
-        return self._welcome(START_S) or self.restart()
+        return self._welcome() or self.restart()
 
     def restart(self) -> Welcome:
-        """Soft reset: drop what was owed, the alarm and all input. Raises LinkError or
-        ProtocolError.
-        """
+        """Soft reset: drop what was owed, alarm and input. Raises LinkError or ProtocolError."""
         self.upsets += 1
         self._link.drain(0.0)
         self._write(SOFT_RESET)
-        welcome = self._welcome(START_S)
+        welcome = self._welcome()
         if welcome is None:
             what, hint = "no welcome after a reset", "Check power, cable and baud rate."
             raise LinkError(self.who, what, asked=SOFT_RESET, seconds=START_S, hint=hint)
         return welcome
 
-    def _welcome(self, timeout_s: float) -> Welcome | None:
+    def _welcome(self) -> Welcome | None:
         """The welcome and what comes with it; None if nothing came. Raises ProtocolError."""
         self._decoder, self.alarm, self.owed, self._offset = Decoder(), None, None, None
         self._inbox.clear()
         welcome, seen = None, b""
-        until = self._clock.now() + timeout_s
+        until = self._clock.now() + START_S
         while welcome is None and (data := self._receive(until)):
             seen += data
             welcome = _last_welcome(self._decoder, data)
         if welcome is None and seen:
             what, hint = "this is not GRBL: no welcome", "Is this the stage's port, at 115200 baud?"
-            raise ProtocolError(self.who, what, seen=seen[:60], seconds=timeout_s, hint=hint)
+            raise ProtocolError(self.who, what, seen=seen[:60], seconds=START_S, hint=hint)
         if welcome:
-            more = self._link.drain(QUIET_S, at_most_s=timeout_s)
+            more = self._link.drain(QUIET_S, at_most_s=START_S)
             welcome = _last_welcome(self._decoder, more) or welcome
             self._dialect = welcome.dialect
         return welcome
@@ -171,22 +168,13 @@ class Dialogue:
 
     def _judge(self, answer: Response) -> Response:
         if isinstance(answer, Nonsense):
+            what, asked, seen = f"nonsense: {answer.why}", self.owed, answer.raw[:60]
             hint = "Check cable and earthing."
-            raise ProtocolError(
-                self.who,
-                f"nonsense: {answer.why}",
-                asked=self.owed,
-                seen=answer.raw[:60],
-                hint=hint,
-            )
+            raise ProtocolError(self.who, what, asked=asked, seen=seen, hint=hint)
         if isinstance(answer, Ok | ErrorReply):
             if self.owed is None:
-                raise ProtocolError(
-                    self.who,
-                    "an answer that nothing was asked for",
-                    seen=str(answer),
-                    hint="Call recover().",
-                )
+                what, hint = "an answer that nothing was asked for", "Call recover()."
+                raise ProtocolError(self.who, what, seen=str(answer), hint=hint)
             self.owed = None
         elif isinstance(answer, Alarm):
             self.upsets += 1
@@ -231,9 +219,7 @@ def _last_welcome(decoder: Decoder, data: bytes) -> Welcome | None:
 
 
 def meet(talk: Dialogue, axes: str) -> tuple[StageIdentity, StageSettings]:
-    """Wait for the welcome, or reset, and read identity and settings. Raises DeviceError where a
-    stage of ``axes`` can't be driven with them.
-    """
+    """Connect: identity and settings. Raises DeviceError where ``axes`` can't be driven."""
     welcome = talk.start()
     if not welcome.version.startswith("1.1"):
         what = f"firmware {welcome.dialect} {welcome.version} speaks another protocol"

@@ -11,6 +11,7 @@ grblHAL's source: try it with an empty turntable.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -56,29 +57,30 @@ class Stage:
         self._link = link
         self._clock = clock
         self._talk = Dialogue(link, clock)
-        self._identity: StageIdentity | None = None
-        self._settings: StageSettings | None = None
+        self._met: tuple[StageIdentity, StageSettings] | None = None
         self._homed_at: int | None = None  # the count of upsets when homing succeeded
         self._move: Move | None = None
 
     def connect(self) -> StageIdentity:
         """Meet the controller and read its settings. Raises DeviceError for unusable ones."""
-        self._identity, self._settings = meet(self._talk, self.axes)
-        return self._identity
+        self._met = meet(self._talk, self.axes)
+        return self.identity
 
     @property
     def identity(self) -> StageIdentity:
         """Who answered ``connect``. Raises LimitError before."""
-        if self._identity is None:
-            raise LimitError(self.who, "not connected yet", hint="Call connect().")
-        return self._identity
+        return self._known[0]
 
     @property
     def settings(self) -> StageSettings:
         """The controller's settings as ``connect`` read them. Raises LimitError before."""
-        if self._settings is None:
+        return self._known[1]
+
+    @property
+    def _known(self) -> tuple[StageIdentity, StageSettings]:
+        if self._met is None:
             raise LimitError(self.who, "not connected yet", hint="Call connect().")
-        return self._settings
+        return self._met
 
     @property
     def limits(self) -> dict[str, AxisLimits]:
@@ -95,9 +97,7 @@ class Stage:
         return self._talk.status()
 
     def position(self) -> NDArray[np.float64]:
-        """The controller's machine position, (3,) mm or (4,) with degrees of A. Meaningless unless
-        ``homed``.
-        """
+        """Machine position, (3,) mm or (4,) with degrees of A. Meaningless unless ``homed``."""
         return np.array(list(self._here(self._talk.status()).values()), dtype=np.float64)
 
     def home(self) -> None:
@@ -219,7 +219,8 @@ class Stage:
             what = "nothing to resume: the stage is not held"
             raise LimitError(self.who, what, seen=status.name)
         if move := self._under_way:
-            self._move = move.again(self._clock.now())
+            # its whole time once more
+            self._move = replace(move, deadline_s=self._clock.now() + move.allowed_s)
         self._talk.realtime(RESUME)
         for pause_s in RESUME_PAUSES_S:
             self._talk.wait(pause_s)
@@ -314,9 +315,7 @@ class Stage:
         self._move = Move(target, self._clock.now() + allowed, allowed, jog)
 
     def _until_over(self, move: Move) -> Status:
-        """The report of an idle stage after all that was planned. Raises DeviceError for a hold, a
-        lock, or the deadline.
-        """
+        """The report of an idle stage after the move. Raises DeviceError: hold, lock, deadline."""
         while (status := self._talk.status()).state in MOVING:
             if self._clock.now() > move.deadline_s:
                 what, hint = (

@@ -31,7 +31,6 @@ FEED_OVERRIDES: dict[bytes, int | None] = {
     b"\x94": -1,
 }
 RAPID_OVERRIDES: dict[bytes, int] = {b"\x95": 100, b"\x96": 50, b"\x97": 25}
-SPINDLE_OVERRIDES = frozenset(bytes([code]) for code in range(0x99, 0x9F))
 
 # in the order of every list of numbers; A is a rotation in degrees, on boards with four axes
 AXES = "XYZA"
@@ -187,9 +186,7 @@ class Decoder:
 
 
 def encode(text: str, *, who: str = "stage") -> bytes:
-    """The line's bytes. Raises LimitError where it is too long, or not printable ASCII without
-    real-time commands.
-    """
+    """The line's bytes. Raises LimitError: too long, not printable ASCII, real-time commands."""
     bad = next((sign for sign in text if not " " <= sign <= "~" or sign in "?!~"), None)
     if bad is not None:
         raise LimitError(who, f"the line can't hold {bad!r}", asked=text)
@@ -201,16 +198,12 @@ def encode(text: str, *, who: str = "stage") -> bytes:
 
 
 def move_line(target_mm: Mapping[str, float], feed_mm_min: float, *, who: str = "stage") -> str:
-    """A straight move at ``feed_mm_min`` to machine coordinates by axis letter, with every mode
-    stated. Raises LimitError for an axis or number that can't be written.
-    """
+    """A straight move to machine coordinates, every mode stated. Raises LimitError."""
     return f"G21G90G94G53G1{_words(target_mm, feed_mm_min, who)}"
 
 
 def jog_line(way_mm: Mapping[str, float], feed_mm_min: float, *, who: str = "stage") -> str:
-    """A relative jog by axis letter, mm: it can be cancelled, and leaves no mode behind. Raises
-    LimitError for an axis or number that can't be written.
-    """
+    """A relative jog, mm: it can be cancelled and leaves no mode behind. Raises LimitError."""
     return f"$J=G21G91{_words(way_mm, feed_mm_min, who)}"
 
 

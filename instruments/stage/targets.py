@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from instruments.errors import DeviceError, LimitError, ProtocolError
 from instruments.stage.protocol import AXES, Position
@@ -28,10 +28,6 @@ class Move:
     deadline_s: float
     allowed_s: float
     jog: bool = False
-
-    def again(self, now_s: float) -> Move:
-        """The same move with its whole time once more, as after a hold."""
-        return replace(self, deadline_s=now_s + self.allowed_s)
 
 
 def declared(values: Mapping[str, float | None], axes: str, *, who: str) -> Target:
@@ -61,13 +57,10 @@ def check_within(target: Target, settings: StageSettings, line: str, *, who: str
     for axis, value in target.items():
         if not limits[axis].hold(round(value, 3)):  # as it is sent
             unit = "deg" if axis == "A" else "mm"
-            what = (
-                f"{axis} = {value:.3f} {unit} is outside the travel, {limits[axis].low_mm:g} to"
-                f" {limits[axis].high_mm:g} {unit}"
-            )
-            raise LimitError(
-                who, what, asked=line, hint="Machine coordinates are negative, 0 is at the switch."
-            )
+            travel = f"{limits[axis].low_mm:g} to {limits[axis].high_mm:g} {unit}"
+            what = f"{axis} = {value:.3f} {unit} is outside the travel, {travel}"
+            hint = "Machine coordinates are negative, 0 is at the switch."
+            raise LimitError(who, what, asked=line, hint=hint)
 
 
 def check_arrived(move: Move, here: Target, settings: StageSettings, *, who: str) -> None:
@@ -88,8 +81,6 @@ def by_letter(numbers: Position, axes: str, *, who: str) -> Target:
     """X, Y, Z, and A where declared, of a position. Raises ProtocolError for one with fewer."""
     letters = AXES if "A" in axes else AXES[:3]
     if len(numbers) < len(letters):
-        hint = "A rotation A needs a controller with four axes."
-        raise ProtocolError(
-            who, f"{len(numbers)} numbers in a position, {len(letters)} are needed", hint=hint
-        )
+        what = f"{len(numbers)} numbers in a position, {len(letters)} are needed"
+        raise ProtocolError(who, what, hint="A rotation A needs a controller with four axes.")
     return dict(zip(letters, numbers, strict=False))

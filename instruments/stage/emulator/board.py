@@ -66,10 +66,9 @@ AMOUNTS = {  # what an amount of a fault is; others have none
 class StageEmulator:
     """The board and its mechanics, of 3 ``axes`` or 4.
 
-    ``settings`` by number ($130 is 130) replace defaults; ``start_mm`` is the carriage's first
-    place in machine coordinates, by default the middle; ``play_mm`` the backlash by axis (degrees
-    for A); with ``fresh_eeprom`` it starts with an error and a dump of settings. Raises ValueError
-    for unknown settings or axes.
+    ``settings`` by number ($130 is 130) replace defaults; ``play_mm`` is the backlash by axis
+    (degrees for A); with ``fresh_eeprom`` it starts with an error and a dump of settings. Raises
+    ValueError for unknown settings or axes.
     """
 
     def __init__(
@@ -77,7 +76,6 @@ class StageEmulator:
         clock: Clock,
         *,
         settings: Mapping[int, float] | None = None,
-        start_mm: Vector | None = None,
         dialect: Dialect = CLASSIC,
         axes: int = 3,
         play_mm: Vector | None = None,
@@ -85,11 +83,10 @@ class StageEmulator:
     ) -> None:
         self._clock = clock
         store = Store(settings, dialect=dialect, axes=axes)
-        start = start_mm or tuple(-travel / 2 for travel in store.travel_mm)
-        self._carriage = Carriage(
-            start, store.travel_mm, play_mm or (0.0,) * axes, store.at_far_end
-        )
-        self._controller = Controller(clock, store, dialect, self._carriage, self._answer)
+        middle = tuple(-travel / 2 for travel in store.travel_mm)
+        play = play_mm or (0.0,) * axes
+        self._carriage = Carriage(middle, store.travel_mm, play, store.at_far_end)
+        self._controller = Controller(clock, store, self._carriage, self._answer)
         self._first_words = ("error:7", *store.lines()) if fresh_eeprom else ()
         self._connection: Connection | None = None
         self._faults: dict[Fault, float] = {}
@@ -106,11 +103,9 @@ class StageEmulator:
         now = self._clock.now()
         if not self._carriage.moving(now):
             return np.zeros_like(self.position_mm())
-        here, there = (
-            np.array(self._carriage.motion.position(at), dtype=np.float64)
-            for at in (now, now + GLANCE_S)
-        )
-        return np.asarray((there - here) / GLANCE_S)
+        motion = self._carriage.motion
+        way = np.subtract(motion.position(now + GLANCE_S), motion.position(now))
+        return np.asarray(way / GLANCE_S, dtype=np.float64)
 
     def inject(self, fault: Fault, after_s: float = 0.0, *, lost_mm: float = LOST_MM) -> None:
         """Make ``fault`` happen: one of a motion ``after_s`` into it, a late answer ``after_s``

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 from instruments.stage.emulator.motion import (
     SOON_S,
     AxisRates,
-    HomingRates,
     HomingRun,
     Leg,
     Motion,
     Switch,
     Vector,
 )
+from instruments.stage.emulator.store import Store
 from instruments.world.phantom import PlatePose
 
 PRESSED_MM = 0.005  # how far past its edge a limit switch is closed
@@ -170,11 +170,11 @@ class Carriage:
         for axis in self._axes:
             axis.recount(0.0)
 
-    def start_homing(self, rates: HomingRates, broken: dict[int, Switch], now_s: float) -> None:
+    def start_homing(self, settings: Store, broken: dict[int, Switch], now_s: float) -> None:
         """Begin the cycle from where the carriage stands."""
         place = self.place_mm(now_s)
         self._stall(False)
-        self._homing, self._stalled_homing = (HomingRun(place, rates, broken), now_s), None
+        self._homing, self._stalled_homing = (HomingRun(place, settings, broken), now_s), None
         self.starts += 1
 
     def finish_homing(self, home_mm: Vector, now_s: float) -> int | None:
@@ -288,9 +288,7 @@ class Mounting:
     yaw_rad: float = 0.0
 
     def pose(self, place: Sequence[float]) -> PlatePose:
-        """The plate's pose for X Y Z in mm and A in degrees; below its reference it rests on the
-        table.
-        """
+        """The plate's pose for X Y Z in mm and A in degrees; it never sinks below its reference."""
         ways = [0.0] * 4
         for at, (axis, here) in enumerate(zip("XYZA", place, strict=False)):
             if axis in self.axes:

@@ -18,7 +18,7 @@ from instruments.stage import protocol
 from instruments.stage.emulator.carriage import Carriage
 from instruments.stage.emulator.gcode import OVERFLOW, Mode, Modes, Task, axis_numbers, execute
 from instruments.stage.emulator.motion import SOON_S, Switch
-from instruments.stage.emulator.store import Dialect, Store
+from instruments.stage.emulator.store import Store
 
 PASS_S = 0.001  # one pass of the main loop: reports that are asked for in it are sent first
 RESTART_S = 0.02
@@ -132,16 +132,15 @@ class Controller:
         self,
         clock: Clock,
         settings: Store,
-        dialect: Dialect,
         carriage: Carriage,
         answer: Callable[[str], None],
     ) -> None:
         self._clock = clock
         self.settings = settings
-        self.dialect = dialect
+        self.dialect = settings.dialect
         self.carriage = carriage
         self._answer = answer
-        self._receiver = Receiver(dialect.receive_bytes)
+        self._receiver = Receiver(self.dialect.receive_bytes)
         self.out = bytearray()
         self.broken_switches: dict[int, Switch] = {}
         self.probe_closed = False

@@ -388,12 +388,12 @@ def _write(board: Controller, text: str) -> int:
 def _home(board: Controller) -> Task:
     if not board.settings[22]:
         return 5
-    board.carriage.start_homing(board.settings.homing, board.broken_switches, board.now)
+    board.carriage.start_homing(board.settings, board.broken_switches, board.now)
     board.mode, board.homed = Mode.HOMING, False
     while not board.carriage.homing_over(board.now):
         yield board.carriage.due_s(board.now)
-    home_mm = board.settings.homing.home_mm(board.carriage.motion.position(board.now))
-    alarm = board.carriage.finish_homing(board.settings.whole_steps(home_mm), board.now)
+    home_mm = board.settings.home_mm(board.carriage.motion.position(board.now))
+    alarm = board.carriage.finish_homing(home_mm, board.now)
     if alarm:
         board.alarm(alarm)
         return None

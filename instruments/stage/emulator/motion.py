@@ -13,6 +13,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from instruments.stage.emulator.store import Store
 
 # one number an axis: X Y Z, and A where the board has it; mm, and degrees for A
 Vector = tuple[float, ...]
@@ -127,9 +131,7 @@ class Block:
 def block_to(
     start: Vector, target: Vector, feed_mm_s: float | None, rates: AxisRates, before: Block | None
 ) -> Block | None:
-    """The block from ``start`` to ``target`` after ``before``; None for no way. Without
-    ``feed_mm_s``, rapid.
-    """
+    """The block from ``start`` to ``target``; None for no way. No ``feed_mm_s`` is a rapid."""
     length = math.dist(start, target)
     if length == 0:
         return None
@@ -338,35 +340,6 @@ class Switch(Enum):
     CROOKED = "of the axis's two motors, one finds its switch too late"
 
 
-@dataclass(frozen=True, slots=True)
-class HomingRates:
-    """Settings in mm, mm/s, mm/s², s. ``passes``: axes of each pass; ``at_far_end``: axes with the
-    switch at minus the travel; ``crooked_alarm``: for two motors out of square.
-    """
-
-    travel_mm: Vector
-    seek_mm_s: float
-    feed_mm_s: float
-    accel_mm_s2: Vector
-    pull_off_mm: float
-    debounce_s: float
-    passes: tuple[tuple[int, ...], ...] = ((2,), (0, 1))
-    at_far_end: frozenset[int] = frozenset()
-    crooked_alarm: int = 10
-
-    def switch_mm(self, axis: int) -> float:
-        """Where the axis's switch is."""
-        return -self.travel_mm[axis] if axis in self.at_far_end else 0.0
-
-    def home_mm(self, before_mm: Vector) -> Vector:
-        """The count after homing; an axis without a pass keeps its own."""
-        home = list(before_mm)
-        for axis in (axis for axes in self.passes for axis in axes):
-            away = self.pull_off_mm if axis in self.at_far_end else -self.pull_off_mm
-            home[axis] = self.switch_mm(axis) + away
-        return tuple(home)
-
-
 class HomingRun:
     """The homing cycle from the carriage's place, as a function of time from 0: pass by pass, the
     axes of a pass together. ``broken``: axes with a broken switch.
@@ -376,14 +349,14 @@ class HomingRun:
     when it ends, ``alarm`` what ends it, if any, ``tracks`` the phases by axis.
     """
 
-    def __init__(self, start_mm: Vector, rates: HomingRates, broken: Mapping[int, Switch]) -> None:
+    def __init__(self, start_mm: Vector, settings: Store, broken: Mapping[int, Switch]) -> None:
         self.tracks: tuple[list[Phase], ...] = tuple([] for _ in start_mm)
         self.end_s = 0.0
         self.alarm: int | None = None
         self._start_mm = start_mm
-        self._rates = rates
+        self._settings = settings
         self._broken = broken
-        for axes in rates.passes:
+        for axes in settings.passes:
             if not self._home(axes):
                 break
 
@@ -401,23 +374,24 @@ class HomingRun:
 
     def _home(self, axes: tuple[int, ...]) -> bool:
         """One pass; whether it ended without an alarm."""
-        rates = self._rates
-        search = SEARCH * max(rates.travel_mm[axis] for axis in axes)
+        seek, creep = self._settings[25] / 60, self._settings[24] / 60
+        pull_off = self._settings[27]
+        search = SEARCH * max(self._settings.travel_mm[axis] for axis in axes)
         for approach, reach, speed in (
-            (True, search, rates.seek_mm_s),
-            (False, rates.pull_off_mm, rates.seek_mm_s),
-            (True, LOCATE * rates.pull_off_mm, rates.feed_mm_s),
-            (False, rates.pull_off_mm, rates.seek_mm_s),
+            (True, search, seek),
+            (False, pull_off, seek),
+            (True, LOCATE * pull_off, creep),
+            (False, pull_off, seek),
         ):
             run = self._approach if approach else self._back_off
             self.end_s += max([run(axis, reach, speed) for axis in axes])
             if self.alarm:
                 return False
-            self.end_s += rates.debounce_s
+            self.end_s += self._settings[26] / 1000
         return True
 
     def _towards(self, axis: int) -> float:
-        return -1.0 if axis in self._rates.at_far_end else 1.0
+        return -1.0 if axis in self._settings.at_far_end else 1.0
 
     def _back_off(self, axis: int, reach: float, speed: float) -> float:
         if self._broken.get(axis) is Switch.STUCK:
@@ -426,19 +400,19 @@ class HomingRun:
 
     def _approach(self, axis: int, reach: float, speed: float) -> float:
         towards, fault = self._towards(axis), self._broken.get(axis)
-        gap = towards * (self._rates.switch_mm(axis) - self._axis(axis, self.end_s))
+        gap = towards * (self._settings.switch_mm(axis) - self._axis(axis, self.end_s))
         if fault is Switch.MISSING or gap > reach:
             # the carriage stops at the end of its rails, the motor goes on
             self.alarm = 9
             way = towards * max(0.0, min(gap, reach))
             return max(reach / speed, self._run(axis, way, speed, dead_stop=True))
         if fault is Switch.CROOKED:
-            self.alarm = self._rates.crooked_alarm
+            self.alarm = self._settings.dialect.crooked_alarm
         return self._run(axis, towards * max(0.0, gap), speed, dead_stop=True)
 
     def _run(self, axis: int, way_mm: float, speed: float, *, dead_stop: bool) -> float:
         """Append one axis's run of ``way_mm`` (with its sign) from ``end_s`` on; its seconds."""
-        accel, place = self._rates.accel_mm_s2[axis], self._axis(axis, self.end_s)
+        accel, place = self._settings.rates.accel_mm_s2[axis], self._axis(axis, self.end_s)
         sign = 1.0 if way_mm >= 0 else -1.0
         leave = min(speed, math.sqrt(2 * accel * abs(way_mm))) if dead_stop else 0.0
         steps = profile(abs(way_mm), 0.0, speed, leave, accel)

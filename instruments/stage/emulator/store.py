@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from instruments.stage.emulator.motion import AxisRates, HomingRates, Vector
+from instruments.stage.emulator.motion import AxisRates, Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class Store:
         if not 3 <= axes <= dialect.most_axes:
             raise ValueError(f"{dialect.name} has 3 to {dialect.most_axes} axes, not {axes}")
         self.axes = axes
-        self._dialect = dialect
+        self.dialect = dialect
         known = DEFAULTS | (HAL_DEFAULTS if dialect.homing_passes else {})
         known |= ROTARY_DEFAULTS if axes > 3 else {}
         if unknown := sorted(set(changes or {}) - set(known)):
@@ -146,19 +146,17 @@ class Store:
         speeds = tuple([rate / 60 for rate in self._axes(110)])
         return AxisRates(speeds, self._axes(120), self._values[11])
 
-    @property
-    def homing(self) -> HomingRates:
-        return HomingRates(
-            travel_mm=self.travel_mm,
-            seek_mm_s=self._values[25] / 60,
-            feed_mm_s=self._values[24] / 60,
-            accel_mm_s2=self._axes(120),
-            pull_off_mm=self._values[27],
-            debounce_s=self._values[26] / 1000,
-            passes=self._passes(),
-            at_far_end=self.at_far_end,
-            crooked_alarm=self._dialect.crooked_alarm,
-        )
+    def switch_mm(self, axis: int) -> float:
+        """Where the axis's homing switch is."""
+        return -self.travel_mm[axis] if axis in self.at_far_end else 0.0
+
+    def home_mm(self, before_mm: Vector) -> Vector:
+        """The count after homing; an axis without a pass keeps its own."""
+        home = list(before_mm)
+        for axis in (axis for axes in self.passes for axis in axes):
+            away = self._values[27] if axis in self.at_far_end else -self._values[27]
+            home[axis] = self.switch_mm(axis) + away
+        return self.whole_steps(tuple(home))
 
     def whole_steps(self, at_mm: Vector) -> Vector:
         """The nearest place that a whole number of steps reaches."""
@@ -170,8 +168,10 @@ class Store:
         pairs = zip(target_mm, self.travel_mm, strict=True)
         return any(not -travel <= place <= 0 for place, travel in pairs)
 
-    def _passes(self) -> tuple[tuple[int, ...], ...]:
-        if not self._dialect.homing_passes:
+    @property
+    def passes(self) -> tuple[tuple[int, ...], ...]:
+        """The axes of each homing pass."""
+        if not self.dialect.homing_passes:
             return _CLASSIC_PASSES
         masks = [int(self._values[number]) for number in (44, 45, 46)]
         passes = (tuple(axis for axis in range(self.axes) if mask >> axis & 1) for mask in masks)

@@ -30,18 +30,6 @@ def test_a_reading_says_it_all(stand: Stand) -> None:
     assert (reading.running, reading.set_point_c) == (True, 33.0)
 
 
-def test_a_poll_is_the_same_three_questions_every_time(stand: Stand) -> None:
-    bath = stand.bath()
-    stand.emulator.asked.clear()
-    bath.read()
-    bath.read()
-    assert [(function, address) for _, function, address in stand.emulator.asked] == [
-        (3, 0),
-        (3, 90),
-        (4, 5),
-    ] * 2
-
-
 def test_identity(stand: Stand) -> None:
     assert stand.bath().identity == {
         "family": "JULABO PRESTO",
@@ -51,14 +39,6 @@ def test_identity(stand: Stand) -> None:
         "cut_out": "40 degC",
     }
     assert stand.bath().pump == "with run"
-
-
-def test_the_controller_is_looked_at_before_the_first_write(stand: Stand) -> None:
-    stand.bath().start(33.0)
-    looked = [(function, address) for _, function, address in stand.emulator.asked]
-    first_write = next(at for at, (function, _) in enumerate(looked) if function in (6, 16))
-    assert looked[0] == (3, 93)
-    assert {(3, 93), (3, 90), (4, 5)} <= set(looked[:first_write])
 
 
 def test_start_sets_the_set_point_before_run_and_keeps_the_spacing(stand: Stand) -> None:
@@ -88,17 +68,6 @@ def test_start_puts_the_controller_in_charge_of_the_heater(stand: Stand) -> None
     bath.start(33.0)
     assert bath.get("actuating") == 0.0
     assert [address for _, address in stand.emulator.writes()] == [1, 1, 2, 0]
-
-
-def test_heating_to_33_degc_and_back_to_standby(stand: Stand) -> None:
-    bath = stand.bath()
-    bath.start(33.0)
-    for _ in range(1200):
-        stand.clock.sleep(1.0)
-        reading = bath.read()
-    assert reading.temp_c == pytest.approx(33.0, abs=0.05)
-    bath.standby()
-    assert not stand.plant.running
 
 
 def test_two_runs_read_the_same() -> None:

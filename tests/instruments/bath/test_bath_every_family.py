@@ -21,7 +21,6 @@ from tests.instruments.bath.far_end import bath_on, shown_by
 from tests.instruments.bath.test_bath_profile import (
     BROWSED,
     EUROTHERM_MEMORY,
-    OMEGA_MEMORY,
 )
 
 NAMES = profile_names()
@@ -309,37 +308,6 @@ def test_another_controller_is_refused_before_anything_is_written(
     assert message_at_the_first_look(name, memory, DeviceError, message)
 
 
-@pytest.mark.parametrize(
-    ("name", "changes", "message"),
-    [
-        (
-            "watlow-pm-map1",
-            {360: 0x41A0, 361: 0},
-            r"temperature can't be.*In the order ABCD it would be 20\.0 degC: set order",
-        ),
-        (
-            "watlow-pm-map1",
-            {360: 0x0000, 361: 0x42B6},
-            r"temperature can't be.*91 degC.*In degF it would be 32\.8 degC",
-        ),
-        (
-            "eurotherm-2400",
-            {0x8002: 0x0000, 0x8003: 0x41A0},
-            r"temperature can't be.*In the order CDAB it would be 20\.0 degC",
-        ),
-        (
-            "omega-cn7",
-            {0x1000: 680},
-            r"temperature can't be.*68 degC.*In degF it would be 20\.0 degC",
-        ),
-    ],
-)
-def test_the_wrong_order_or_unit_is_refused_with_what_it_may_be(
-    name: str, changes: dict[int, int], message: str
-) -> None:
-    assert message_at_the_first_look(name, BROWSED[name] | changes, ProtocolError, message)
-
-
 def message_at_the_first_look(
     name: str, memory: dict[int, int], error: type[Exception], message: str
 ) -> bool:
@@ -389,15 +357,6 @@ def test_alarms_of_each_kind(name: str, changes: dict[int, int], alarm: int, tex
             assert bath.profile.alarm_text(alarm) == text
             with pytest.raises(DeviceError, match=f"not started: {text}"):
                 bath.start(33.0)
-
-
-def test_a_family_without_a_pump_has_no_calls_for_one() -> None:
-    with bath_on("omega-cn7", OMEGA_MEMORY) as (_, bath):
-        assert bath.pump == "none"
-        for name in ("pump_stage", "pump"):
-            with pytest.raises(LimitError, match=f"Omega CN7 has no '{name}'"):
-                bath.set(name, 1.0)
-        assert (bath.read().safety_c, bath.read().external_c) == (None, None)
 
 
 def test_a_rounded_set_point_stands_and_is_not_written_again() -> None:

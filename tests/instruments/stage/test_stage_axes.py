@@ -91,11 +91,6 @@ def test_a_controller_without_a_fourth_axis_is_told(make: Make) -> None:
         bench.stage.connect()
 
 
-def test_a_rotation_that_is_not_homed_is_refused(make: Make) -> None:
-    with pytest.raises(DeviceError, match=r"homing leaves out A.*\$44 to \$49"):
-        make({46: 0}, dialect=GRBL_HAL, axes="XYA").stage.connect()
-
-
 def test_settings_of_four_axes() -> None:
     settings = read_settings(WITH_A, who="stage", axes="XYA")
     assert settings.travel_mm == (100.0, 100.0, 100.0, 360.0)

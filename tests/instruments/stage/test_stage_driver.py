@@ -47,13 +47,6 @@ def test_nothing_works_before_connecting(bench: Bench) -> None:
             call()
 
 
-def test_no_move_before_homing(bench: Bench) -> None:
-    bench.stage.connect()
-    with pytest.raises(LimitError, match="no move before homing"):
-        bench.stage.move_to(-10, -10)
-    assert bench.emulator.position_mm() == pytest.approx([-150, -137.5, -25])
-
-
 def test_homing_then_moving_ends_at_the_target(bench: Bench) -> None:
     stage = bench.homed()
     assert stage.homed
@@ -122,11 +115,6 @@ def test_a_controller_without_homing_is_never_moved(make: Make) -> None:
         bench.stage.move_to(-5, -5)
 
 
-def test_inches_are_refused(make: Make) -> None:
-    with pytest.raises(DeviceError, match=r"Set \$13=0"):
-        make({13: 1}).stage.connect()
-
-
 def test_work_positions_are_turned_into_machine_positions(make: Make) -> None:
     bench = make({10: 0})
     stage = bench.homed()
@@ -172,12 +160,6 @@ def test_what_a_move_sends(bench: Bench) -> None:
         b"G4P0\n",
         b"?",
     ]
-
-
-def test_what_connecting_sends(bench: Bench) -> None:
-    sent = Sent(bench)
-    bench.stage.connect()
-    assert sent == [b"$I\n", b"$$\n"]
 
 
 def test_what_jogs_holds_and_recovery_send(bench: Bench) -> None:
@@ -479,22 +461,6 @@ def test_safe_stops_from_every_state_and_may_be_called_again(
         bench.stage.recover()
         bench.stage.home()
         bench.stage.move_to(-7, -7)
-
-
-def test_ctrl_c_in_a_move_ends_at_a_stand(bench: Bench) -> None:
-    stage = bench.homed()
-
-    def interrupt() -> None:
-        raise KeyboardInterrupt
-
-    bench.clock.call_at(bench.clock.now() + 1.3, interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        stage.move_to(-250, -250)
-    stage.safe()
-    assert stage.status().name == "Hold:0"
-    stage.resume()
-    stage.finish_move()
-    assert bench.emulator.position_mm() == pytest.approx([-250, -250, -1])
 
 
 def test_ctrl_c_while_homing_ends_at_a_stand(bench: Bench) -> None:

@@ -130,7 +130,7 @@ def test_any_path_with_any_holds_is_smooth_and_ends_at_its_target(
 
 def test_homing_takes_what_its_runs_take() -> None:
     store = Store({25: 1500, 24: 100, 26: 250, 27: 1})
-    run = HomingRun((-150.0, -100.0, -25.0), store.homing, {})
+    run = HomingRun((-150.0, -100.0, -25.0), store, {})
 
     def seek(way: float) -> float:  # to a dead stop at 25 mm/s, 200 mm/s²
         return way / 25 + 25 / (2 * 200)
@@ -145,20 +145,20 @@ def test_homing_takes_what_its_runs_take() -> None:
 
 
 def test_homing_to_the_far_end() -> None:
-    run = HomingRun((-150.0, -100.0, -25.0), Store({23: 1}).homing, {})
+    run = HomingRun((-150.0, -100.0, -25.0), Store({23: 1}), {})
     assert run.position(run.end_s) == pytest.approx((-299.0, -1.0, -1.0))
 
 
 @pytest.mark.parametrize(("switch", "alarm"), [(Switch.MISSING, 9), (Switch.STUCK, 8)])
 def test_a_broken_switch_ends_homing_in_its_alarm(switch: Switch, alarm: int) -> None:
-    run = HomingRun((-150.0, -100.0, -25.0), Store().homing, {0: switch})
+    run = HomingRun((-150.0, -100.0, -25.0), Store(), {0: switch})
     assert run.alarm == alarm
     assert all(place <= 1e-9 for place in run.position(run.end_s))
 
 
 @given(PLACES)
 def test_homing_ends_at_the_pull_off_from_anywhere(start: Vector) -> None:
-    run = HomingRun(start, Store().homing, {})
+    run = HomingRun(start, Store(), {})
     assert run.alarm is None
     assert run.position(run.end_s) == pytest.approx((-1.0, -1.0, -1.0), abs=1e-9)
 

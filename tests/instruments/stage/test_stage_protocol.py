@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from instruments.errors import LimitError
 from instruments.stage import protocol
-from instruments.stage.alarm_texts import ALARMS, ERRORS, alarm_meaning, error_meaning
+from instruments.stage.alarm_texts import ALARMS, ERRORS, HAL_ALARMS, alarm_meaning, error_meaning
 from instruments.stage.protocol import (
     Alarm,
     Decoder,
@@ -187,10 +187,12 @@ def test_the_longest_line_has_79_characters() -> None:
 def test_every_code_of_the_sheet_has_a_sentence_and_advice() -> None:
     assert {1, 2, 3, 5, 8, 9, 10, 11, 15, 20, 22, 33} <= ERRORS.keys()
     assert set(range(1, 11)) == ALARMS.keys()
-    for meaning in (*ERRORS.values(), *ALARMS.values(), error_meaning(999), alarm_meaning(999)):
+    alarms = (*ALARMS.values(), *HAL_ALARMS.values())
+    for meaning in (*ERRORS.values(), *alarms, error_meaning(999), alarm_meaning(999)):
         assert meaning.what
         assert meaning.do.endswith((".", ")."))
-    assert all("home" in meaning.do for meaning in ALARMS.values())
+    assert all(meaning.do.endswith("home().") for meaning in HAL_ALARMS.values())
+    assert all("home" in meaning.do for meaning in alarms)
     assert "unknown" in error_meaning(999).what or "does not know" in error_meaning(999).what
 
 

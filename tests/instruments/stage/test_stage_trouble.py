@@ -72,23 +72,6 @@ def test_the_controllers_own_soft_limit_is_an_alarm_too(make: Make) -> None:
     assert not stage.homed
 
 
-def test_unplugged_in_a_move(bench: Bench) -> None:
-    stage = bench.homed()
-    bench.emulator.inject(Fault.DISCONNECT, 0.5)
-    with pytest.raises(LinkError):
-        stage.move_to(-250, -250)
-    assert not stage.homed
-    with pytest.raises(LinkError, match="can't be stopped"):
-        stage.stop()
-    bench.clock.sleep(0.1)
-    stage.close()
-    again = bench.stage = bench.plug_in()
-    again.connect()
-    again.home()
-    again.move_to(-5, -5)
-    assert bench.emulator.position_mm() == pytest.approx([-5, -5, -1])
-
-
 @pytest.mark.parametrize(
     ("fault", "error", "what", "refusal"),
     [
@@ -221,26 +204,6 @@ def test_recovery_from_each_alarm_is_explicit(bench: Bench, code: int, critical:
     stage.home()
     stage.move_to(-5, -5)
     assert bench.emulator.position_mm() == pytest.approx([-5, -5, -1])
-
-
-def test_every_alarm_of_grblhal_has_a_sentence_and_advice() -> None:
-    for meaning in HAL_ALARMS.values():
-        assert meaning.what
-        assert meaning.do.endswith("recover() and home().") or meaning.do.endswith("then home().")
-
-
-def test_lost_power_asks_for_homing_whenever_it_comes(bench: Bench) -> None:
-    stage = bench.homed()
-    stage.move_to(-50, -50)
-    bench.emulator._controller.power_up()
-    bench.emulator._settle()
-    with pytest.raises(DeviceError, match="restarted by itself: position lost"):
-        stage.move_to(-60, -60)
-    with pytest.raises(LimitError, match="no move before homing"):
-        stage.move_to(-60, -60)
-    assert bench.emulator.position_mm() == pytest.approx([-50, -50, -1])
-    stage.home()
-    stage.move_to(-60, -60)
 
 
 def test_a_board_that_sleeps_has_to_be_homed(bench: Bench) -> None:
