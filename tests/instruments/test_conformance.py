@@ -33,7 +33,7 @@ from instruments.stage.driver import Stage
 from instruments.stage.emulator import StageEmulator
 from instruments.world.plant import Plant
 from tests.instruments.camera.small_world import GalleryWorld
-from tests.instruments.microscribe.driver_rig import Hand
+from tests.instruments.microscribe.rigs import Hand
 
 
 class Instrument(Protocol):
