@@ -23,11 +23,11 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError, LinkError
 from instruments.link import Link
 from instruments.listener import Connection, Device, Listener
+from instruments.microscribe.connection import ANSWER_S
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.faults import Fault
 from instruments.microscribe.kinematics import Floats
-from instruments.microscribe.connection import ANSWER_S
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import StageEmulator
 from instruments.tap import Tap
