@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from instruments.clock import Clock
 from instruments.listener import Connection
@@ -29,8 +30,7 @@ FASTEST_BAUD = 115200  # no stream is faster than this carries it
 _BITS_PER_BYTE = 10
 
 
-@dataclass(frozen=True, slots=True)
-class Look:
+class Look(NamedTuple):
     """What the arm sees of itself at one moment."""
 
     buttons: int
@@ -383,15 +383,15 @@ class ArmEmulator:
         if not data and not broken:
             return
 
-        def out() -> None:
-            connection.send(data)
-            if broken:
-                connection.hang_up()
-
         now = self._clock.now()
         late_s = self.faults.amount_now(Fault.SLOW_ADAPTER)
         self._sent_until_s = max(self._sent_until_s, now + late_s)
         if self._sent_until_s > now:
-            connection.after(self._sent_until_s - now, out)
+            connection.after(self._sent_until_s - now, lambda: self._pass(connection, data, broken))
         else:
-            out()
+            self._pass(connection, data, broken)
+
+    def _pass(self, connection: Connection, data: bytes, broken: bool) -> None:
+        connection.send(data)
+        if broken:
+            connection.hang_up()

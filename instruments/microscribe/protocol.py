@@ -7,8 +7,8 @@ bytes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import Enum, IntEnum
+from enum import IntEnum, StrEnum
+from typing import NamedTuple
 
 MARK = 0x80  # bit 7: ignored in a command, set in its echo
 CONFIGURE = 0x40  # bit 6: a configuration command
@@ -55,7 +55,7 @@ ARGUMENTS: dict[int, int] = {Code.SET_BAUD: 1, Code.MARKER: 1, Code.STREAM: 24}
 BAUD_CODES = {115200: 0, 57600: 1, 28800: 2, 14400: 3, 38400: 0x10, 19200: 0x11, 9600: 0x12}
 
 
-class State(Enum):
+class State(StrEnum):
     """Where the arm's side of the conversation stands."""
 
     FINDING_BAUD = "finding the baud rate"
@@ -64,7 +64,7 @@ class State(Enum):
     STREAMING = "streaming"
 
 
-class Event(Enum):
+class Event(StrEnum):
     """What moves it."""
 
     SYNC = "IMMC"
@@ -132,8 +132,7 @@ def refuse_forbidden(data: bytes, state: State) -> None:
         raise WireError(f"byte {byte:02X} {what}")
 
 
-@dataclass(frozen=True, slots=True)
-class Packet:
+class Packet(NamedTuple):
     """One data packet: raw counts 0 to 16383; ticks of 1.111 ms where a stamp was asked for."""
 
     command: int
